@@ -1,0 +1,27 @@
+"""What a calibration gives back."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from jaxscan.calibration.observations import Observations
+from jaxscan.geometry import AbstractCamera, Scanner
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated rig and everything needed to judge it or to solve it again."""
+
+    camera: AbstractCamera
+    scanner: Scanner | None
+    """None where only the camera was calibrated; otherwise it carries `covariance` too."""
+    order: tuple[str, ...]
+    """Names of the minimal coordinates that `covariance` refers to."""
+    covariance: np.ndarray
+    """Covariance [params, params] in the units px, rad, m; zero for parameters held fixed."""
+    quality: dict[str, Any]
+    """Numbers by which to judge the result, ready for JSON: whitened RMS per group, counts, ..."""
+    observations: Observations | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+    """Inputs by digest, settings, versions."""

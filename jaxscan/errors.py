@@ -1,0 +1,29 @@
+"""Typed errors: what was found, what was expected, and what to do about it."""
+
+
+class JaxscanError(Exception):
+    """Base of all errors that a user can act on; the command line prints them in one line."""
+
+
+class ConfigError(JaxscanError):
+    """A configuration file that cannot be read or does not mean anything."""
+
+
+class CaptureError(JaxscanError):
+    """A capture that is missing, damaged, or not what the call needs."""
+
+
+class CalibrationError(JaxscanError):
+    """Observations that do not determine the scanner, or a calibration that does not fit its use."""
+
+
+class CloudError(JaxscanError):
+    """A point cloud that cannot be read or written."""
+
+
+class MeasurementError(JaxscanError):
+    """A cloud that does not hold what is to be measured."""
+
+
+class DependencyError(JaxscanError):
+    """A library or system package that is needed for this call and is not installed."""

@@ -1,0 +1,151 @@
+"""Cameras: where a point is seen, and along which ray a pixel looks."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.geometry.arrays import Array
+
+
+class AbstractCamera(eqx.Module):
+    """A central camera: one pixel, one ray through the centre of projection."""
+
+    width: eqx.AbstractVar[int]
+    height: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Pixel at which the point `p` [camera frame, any length unit] is seen [px]."""
+
+    @abc.abstractmethod
+    def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Unit ray [camera frame] along which the pixel `q` [px] looks."""
+
+    @abc.abstractmethod
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the minimal coordinates, in the order that `retract` takes them."""
+
+    @abc.abstractmethod
+    def retract(self, step: Float[Array, " params"]) -> "AbstractCamera":
+        """This camera moved by `step` in its minimal coordinates [px; 1 for distortion]."""
+
+
+class Pinhole(AbstractCamera):
+    r"""Pinhole with Brown-Conrady distortion.
+
+    With $x = X/Z$, $y = Y/Z$, $r^2 = x^2 + y^2$ and the radial factor
+
+    $$R = \frac{1 + k_1 r^2 + k_2 r^4 + k_3 r^6}{1 + k_4 r^2 + k_5 r^4 + k_6 r^6}$$
+
+    the pixel is $u = f_x x' + s y' + c_x$, $v = f_y y' + c_y$ with
+    $x' = x R + 2 p_1 x y + p_2 (r^2 + 2 x^2)$ and
+    $y' = y R + p_1 (r^2 + 2 y^2) + 2 p_2 x y$.
+
+    Source: PAPER.md equations (1)-(3), of which this is the general case (there $k = k_1$);
+    the order of the coefficients is OpenCV's.
+    """
+
+    fx: Float[Array, ""]
+    """Focal length along u [px]."""
+    fy: Float[Array, ""]
+    """Focal length along v [px]."""
+    cx: Float[Array, ""]
+    """Principal point, u [px]."""
+    cy: Float[Array, ""]
+    """Principal point, v [px]."""
+    distortion: Float[Array, " k"]
+    """k1 k2 p1 p2 k3, optionally followed by k4 k5 k6 [1]."""
+    width: int = eqx.field(static=True)
+    """Image width [px]."""
+    height: int = eqx.field(static=True)
+    """Image height [px]."""
+    skew: Float[Array, ""] = eqx.field(default_factory=lambda: np.zeros(()))
+    """Skew s of the pixel axes [px]; known, never estimated."""
+
+    def __check_init__(self) -> None:
+        if np.shape(self.distortion) not in ((5,), (8,)):
+            raise ValueError(f"`distortion` must have 5 or 8 coefficients, got shape {np.shape(self.distortion)}.")
+
+    def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Pixel of a point [px].
+
+        Continuous but without meaning for points at or behind the camera plane.
+        """
+        # A harmless 1 where z is 0, so that neither value nor gradient is NaN there.
+        z = jnp.where(p[2] == 0, 1.0, p[2]).astype(p.dtype)
+        x = _distort(p[:2] / z, self.distortion)
+        return jnp.stack([self.fx * x[0] + self.skew * x[1] + self.cx, self.fy * x[1] + self.cy])
+
+    def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Unit ray of a pixel, by Newton's method: 1e-10 px in float64, 1e-3 px in float32."""
+        y = (q[1] - self.cy) / self.fy
+        x = (q[0] - self.cx - self.skew * y) / self.fx
+        normalised = _undistort(jnp.stack([x, y]), jnp.asarray(self.distortion))
+        ray = jnp.append(normalised, jnp.ones((), normalised.dtype))
+        return ray / jnp.linalg.norm(ray)
+
+    def parameter_names(self) -> tuple[str, ...]:
+        names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+        return names[: 4 + np.shape(self.distortion)[-1]]
+
+    def retract(self, step: Float[Array, " params"]) -> "Pinhole":
+        return Pinhole(
+            fx=self.fx + step[0],
+            fy=self.fy + step[1],
+            cx=self.cx + step[2],
+            cy=self.cy + step[3],
+            distortion=self.distortion + step[4:],
+            width=self.width,
+            height=self.height,
+            skew=self.skew,
+        )
+
+    def matrix(self) -> Float[Array, "3 3"]:
+        """The paper's camera matrix A [px]. Source: PAPER.md equation (1)."""
+        zero, one = jnp.zeros_like(self.fx), jnp.ones_like(self.fx)
+        return jnp.stack(
+            [
+                jnp.stack([self.fx, self.skew, self.cx]),
+                jnp.stack([zero, self.fy, self.cy]),
+                jnp.stack([zero, zero, one]),
+            ]
+        )
+
+
+def _distort(x: Float[Array, "2"], k: Float[Array, " k"]) -> Float[Array, "2"]:
+    r2 = x[0] * x[0] + x[1] * x[1]
+    radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+    if k.shape[0] == 8:
+        radial = radial / (1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
+    xy = 2.0 * x[0] * x[1]
+    return jnp.stack(
+        [
+            x[0] * radial + k[2] * xy + k[3] * (r2 + 2.0 * x[0] * x[0]),
+            x[1] * radial + k[2] * (r2 + 2.0 * x[1] * x[1]) + k[3] * xy,
+        ]
+    )
+
+
+def _undistort(target: Float[Array, "2"], k: Float[Array, " k"]) -> Float[Array, "2"]:
+    """Solve `_distort(x, k) = target`."""
+
+    def newton(x, k, target):
+        (a, b), (c, d) = jax.jacfwd(_distort)(x, k)
+        error = _distort(x, k) - target
+        det = a * d - b * c
+        det = jnp.where(det == 0, 1.0, det).astype(det.dtype)
+        step = jnp.stack([d * error[0] - b * error[1], a * error[1] - c * error[0]]) / det
+        # Far outside the image, where the lens model folds over, a full step can leave the
+        # basin for good; inside it no step is this long.
+        length = jnp.sqrt(jnp.sum(step * step) + jnp.finfo(step.dtype).tiny)
+        return x - step * jnp.minimum(1.0, 0.5 / length)
+
+    fixed_k, fixed_target = jax.lax.stop_gradient((k, target))
+    iterations = 6 if target.dtype == jnp.float32 else 12
+    x = jax.lax.fori_loop(0, iterations, lambda _, x: newton(x, fixed_k, fixed_target), fixed_target)
+    # One last step carries the derivative: at the solution it is the implicit function theorem.
+    return newton(jax.lax.stop_gradient(x), k, target)

@@ -1,0 +1,103 @@
+"""Closed-form fits: a plane through points, the axis of a turn."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.geometry.arrays import Array
+
+
+class PlaneFit(NamedTuple):
+    """Plane `normal . p = distance` through points."""
+
+    normal: np.ndarray
+    """Unit normal [3]; the distance is not negative."""
+    distance: float
+    """Distance of the origin, in the unit of the points."""
+    rms: float
+    """Root mean square distance of the points from the plane."""
+    spread: np.ndarray
+    """RMS extent of the points in the plane and across it [3], largest first: a second value
+    near the third means that the points are a line and determine no plane."""
+
+
+class AxisFit(NamedTuple):
+    """Axis of a turn: unit `direction` [3], `point` [3] of it nearest the origin, `rms` misfit."""
+
+    direction: np.ndarray
+    point: np.ndarray
+    rms: float
+
+
+def fit_plane(points: Array) -> PlaneFit:
+    """Total least squares plane through `points` [n, 3].
+
+    Raises:
+        ValueError: If there are fewer than 3 points.
+    """
+    points = np.asarray(points, np.float64)
+    if len(points) < 3:
+        raise ValueError(f"A plane needs at least 3 points, got {len(points)}.")
+    centre = points.mean(0)
+    # The 3 x 3 scatter keeps millions of points cheap; centring first keeps it accurate.
+    variances, vectors = np.linalg.eigh((points - centre).T @ (points - centre) / len(points))
+    normal = vectors[:, 0]
+    if normal @ centre < 0:
+        normal = -normal
+    spread = np.sqrt(np.maximum(variances[::-1], 0.0))
+    return PlaneFit(normal, float(normal @ centre), float(spread[2]), spread)
+
+
+def fit_axis(motion: Array) -> AxisFit:
+    """Axis of a turn, from positions of one point or from poses.
+
+    Args:
+        motion: Positions [n, 3] of a point carried round by the turn (an arc: plane, then
+            circle), or rigid motions [n, 4, 4], each mapping coordinates at one angle to those
+            at another (as the paper's Tr does). Motions by larger angles weigh more.
+
+    Returns:
+        The axis; its direction has no preferred sense. `rms` is the distance of the positions
+        from the circle, or that by which the motions move the axis, in the unit of the input.
+
+    Raises:
+        ValueError: If there are fewer than 3 positions, no motion, or nothing turns.
+
+    Source: PAPER.md equations (9), (10), for a motion with 4 degrees of freedom.
+    """
+    motion = np.asarray(motion, np.float64)
+    if motion.ndim == 2:
+        return _axis_of_arc(motion)
+    return _axis_of_motions(motion)
+
+
+def _axis_of_arc(points: np.ndarray) -> AxisFit:
+    plane = fit_plane(points)
+    if plane.spread[1] <= 1e-12:
+        raise ValueError("The positions lie on a line: they show no turn.")
+    centre = points.mean(0)
+    first = np.linalg.svd(points - centre, full_matrices=False)[2][0]
+    second = np.cross(plane.normal, first)
+    q = np.column_stack([(points - centre) @ first, (points - centre) @ second])
+    # x^2 + y^2 = 2 a x + 2 b y + c: linear in the centre (a, b).
+    a, b, c = np.linalg.lstsq(np.column_stack([2 * q, np.ones(len(q))]), (q**2).sum(1), rcond=None)[0]
+    radial = np.hypot(q[:, 0] - a, q[:, 1] - b) - np.sqrt(c + a * a + b * b)
+    point = centre + a * first + b * second
+    point = point - (plane.normal @ point) * plane.normal
+    return AxisFit(plane.normal, point, float(np.sqrt(np.mean(radial**2) + plane.rms**2)))
+
+
+def _axis_of_motions(motions: np.ndarray) -> AxisFit:
+    if len(motions) == 0:
+        raise ValueError("An axis needs at least one motion.")
+    turn = motions[:, :3, :3] - np.eye(3)
+    if np.abs(turn).max() < 1e-9:
+        raise ValueError("The motions do not turn.")
+    # The axis is what every rotation leaves alone: (R - I) a = 0.
+    direction = np.linalg.svd(turn.reshape(-1, 3), full_matrices=False)[2][2]
+    shift = motions[:, :3, 3]
+    shift = shift - np.outer(shift @ direction, direction)
+    point = np.linalg.lstsq(-turn.reshape(-1, 3), shift.ravel(), rcond=1e-9)[0]
+    point = point - (direction @ point) * direction
+    misfit = turn @ point + shift
+    return AxisFit(direction, point, float(np.sqrt((misfit**2).sum(1).mean())))

@@ -1,0 +1,103 @@
+"""The laser sheet: a plane, slightly bowed, in the frame of the camera at angle 0."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.tangent import move_direction, tangent_basis
+
+
+class LaserSheet(eqx.Module):
+    r"""Points $p$ with $n \cdot p = d + \rho\,(b_2 \tau^2 + b_3 \tau^3)$.
+
+    $\rho = \mathrm{hypot}(g \cdot p, e \cdot p)$ and $\tau = \mathrm{atan2}(e \cdot p, g \cdot p)$,
+    where $g$ is the optical axis projected into the sheet and $e = n \times g$. The bow is
+    homogeneous in $p$, so a ray still meets the sheet in closed form. With `bow` zero this is
+    the plane of the paper.
+    """
+
+    normal: Float[Array, "3"]
+    """Unit normal n, camera frame."""
+    distance: Float[Array, ""]
+    """Distance d > 0 of the camera centre from the plane [m]."""
+    bow: Float[Array, "2"]
+    """b2, b3 [rad per rad^2, rad per rad^3]."""
+    basis: Float[Array, "2 3"]
+    """Tangent vectors that the minimal coordinates n1, n2 of the normal refer to."""
+
+    @staticmethod
+    def from_plane(normal: Float[Array, "3"], distance: Float[Array, ""] | float) -> "LaserSheet":
+        """The flat sheet `normal . p = distance` [m]; neither sign nor length of the normal matters.
+
+        Raises:
+            ValueError: If the plane contains the camera centre, or the normal is zero.
+        """
+        normal, distance = np.asarray(normal, np.float64), float(distance)
+        length = float(np.linalg.norm(normal))
+        if length == 0 or distance == 0:
+            raise ValueError("A laser plane needs a normal and must not contain the camera centre.")
+        normal, distance = np.sign(distance) * normal / length, abs(distance) / length
+        return LaserSheet(normal, np.asarray(distance), np.zeros(2), _host_basis(normal))
+
+    @staticmethod
+    def from_abc(a: float, b: float, c: float) -> "LaserSheet":
+        """The paper's plane `a X + b Y + Z = c` [c in m]. Source: PAPER.md equation (3)."""
+        return LaserSheet.from_plane(np.array([a, b, 1.0]), c)
+
+    def abc(self) -> Float[Array, "3"]:
+        """The paper's a, b [1] and c [m] of the flat part. Source: PAPER.md equation (3)."""
+        return jnp.stack([self.normal[0], self.normal[1], jnp.asarray(self.distance)]) / self.normal[2]
+
+    def intersect(self, ray: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        r"""Where a unit ray meets the sheet.
+
+        $$\text{range} = d / m, \qquad m = n \cdot v - \rho_v (b_2 \tau^2 + b_3 \tau^3)$$
+
+        Args:
+            ray: Unit ray v, camera frame.
+
+        Returns:
+            range_m: Distance along the ray [m]; 0, never NaN, where the ray misses the sheet.
+            incidence: m, about the sine of the angle between ray and sheet; the ray meets the
+                sheet in front of the camera where it is positive.
+        """
+        incidence = jnp.dot(self.normal, ray) - self._bow_slope(ray)
+        hits = incidence > 0
+        # A harmless 1 where the result is masked: no NaN in the value or its gradient.
+        range_m = self.distance / jnp.where(hits, incidence, 1.0).astype(incidence.dtype)
+        return jnp.where(hits, range_m, 0.0).astype(range_m.dtype), incidence
+
+    def offset(self, p: Float[Array, "3"]) -> Float[Array, ""]:
+        """Signed distance of a point from the sheet [m], positive on the side of the normal."""
+        return jnp.dot(self.normal, p) - self.distance - self._bow_slope(p)
+
+    def retract(self, step: Float[Array, "5"]) -> "LaserSheet":
+        """The sheet moved by n1, n2 [rad], d [m], b2, b3."""
+        normal, basis = move_direction(self.normal, self.basis, step[:2])
+        return LaserSheet(normal, self.distance + step[2], self.bow + step[3:5], basis)
+
+    def _bow_slope(self, p: Float[Array, "3"]) -> Float[Array, ""]:
+        g = jnp.zeros_like(self.normal).at[2].set(1.0) - self.normal[2] * self.normal
+        g = g / jnp.linalg.norm(g)
+        along, across = jnp.dot(g, p), jnp.dot(jnp.cross(self.normal, g), p)
+        squared = along * along + across * across
+        safe = jnp.where(squared > 0, squared, 1.0).astype(squared.dtype)
+        tau = jnp.arctan2(across, jnp.where(squared > 0, along, 1.0).astype(along.dtype))
+        return jnp.sqrt(safe) * tau * tau * (self.bow[0] + self.bow[1] * tau)
+
+
+LASER_PARAMETERS = ("n1", "n2", "d", "b2", "b3")
+"""Minimal coordinates of a sheet, in the order that `LaserSheet.retract` takes them."""
+
+
+def stack_lasers(lasers: list[LaserSheet]) -> LaserSheet:
+    """Several sheets as one pytree, every leaf with a leading axis over lasers."""
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *lasers)
+
+
+def _host_basis(normal: np.ndarray) -> np.ndarray:
+    with jax.enable_x64(True):
+        return np.asarray(tangent_basis(jnp.asarray(normal)))

@@ -1,0 +1,112 @@
+"""The scanner: camera, laser sheets and turntable, calibrated, as one pytree."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.camera import AbstractCamera
+from jaxscan.geometry.laser import LASER_PARAMETERS, LaserSheet
+from jaxscan.geometry.turntable import AXIS_PARAMETERS, Turntable
+
+
+Up = Literal["-v", "+v", "+u", "-u"]
+UP_VECTORS = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u": (-1.0, 0.0, 0.0)}
+"""The image's up direction in the camera frame, by the name it has in files."""
+
+
+class Scanner(eqx.Module):
+    """What a calibration finds, and all that a reconstruction needs.
+
+    Held as NumPy float64 on the host; `as_dtype` casts it for computing.
+    """
+
+    camera: AbstractCamera
+    lasers: LaserSheet
+    """All sheets stacked: every field has a leading axis over lasers (`stack_lasers`)."""
+    turntable: Turntable
+    covariance: Float[Array, "params params"] | None = None
+    """Covariance of the minimal coordinates (`parameter_names`; px, rad, m), where known."""
+    laser_names: tuple[str, ...] = eqx.field(static=True, default=("laser",))
+    up: Up = eqx.field(static=True, default="-v")
+    """Which image direction is up; it fixes the sense of the axis."""
+
+    def laser(self, index: int | Int[Array, ""]) -> LaserSheet:
+        """One of the stacked sheets."""
+        return jax.tree.map(lambda leaf: leaf[index], self.lasers)
+
+    def as_dtype(self, dtype: jnp.dtype | type) -> "Scanner":
+        """The same scanner with JAX leaves of one floating type."""
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+
+    def scanner_from_camera(self) -> jaxlie.SE3:
+        """T_scanner_cam at angle 0.
+
+        Origin at the point of the axis nearest the camera, z along the axis, x along the part
+        of the camera's z that is perpendicular to the axis.
+        """
+        z = jnp.asarray(self.turntable.direction)
+        forward = jnp.zeros_like(z).at[2].set(1.0)
+        x = forward - jnp.dot(forward, z) * z
+        x = x / jnp.linalg.norm(x)
+        rotation = jnp.stack([x, jnp.cross(z, x), z])
+        return jaxlie.SE3.from_rotation_and_translation(
+            jaxlie.SO3.from_matrix(rotation), -rotation @ self.turntable.point
+        )
+
+    def pose(self, phi: Float[Array, ""]) -> jaxlie.SE3:
+        """T_scanner_cam(phi) at the table's angle `phi` [rad from home]."""
+        return self.scanner_from_camera() @ self.turntable.motion(phi)
+
+    def point(
+        self, q: Float[Array, "2"], laser: int | Int[Array, ""], phi: Float[Array, ""]
+    ) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+        """Where the stripe seen at pixel `q` [px] lies in the room.
+
+        Args:
+            q: Stripe centre (u, v) [px].
+            laser: Which of the sheets lit it.
+            phi: The table's angle [rad from home].
+
+        Returns:
+            p_scanner: Point [m], scanner frame.
+            incidence: As of `LaserSheet.intersect`: positive where the point exists.
+        """
+        ray = self.camera.unproject(q)
+        range_m, incidence = self.laser(laser).intersect(ray)
+        return self.pose(phi) @ (range_m * ray), incidence
+
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the minimal coordinates: camera, lasers, axis, angle model."""
+        lasers = tuple(f"laser.{name}.{part}" for name in self.laser_names for part in LASER_PARAMETERS)
+        return self.camera.parameter_names() + lasers + AXIS_PARAMETERS
+
+    def retract(self, step: Float[Array, " params"]) -> "Scanner":
+        """The scanner moved by `step` in its minimal coordinates; it has no covariance."""
+        cameras, lasers = len(self.camera.parameter_names()), len(self.laser_names)
+        sheet_steps = step[cameras : cameras + 5 * lasers].reshape(lasers, 5)
+        return Scanner(
+            camera=self.camera.retract(step[:cameras]),
+            lasers=jax.vmap(LaserSheet.retract)(self.lasers, sheet_steps),
+            turntable=self.turntable.retract(step[cameras + 5 * lasers :]),
+            laser_names=self.laser_names,
+            up=self.up,
+        )
+
+
+def point_up(turntable: Turntable, up: Up) -> Turntable:
+    """The same axis and motion with the axis on the image's up side.
+
+    Turning the axis round changes the sign of every angle, so gain and harmonics change theirs.
+    """
+    if np.dot(turntable.direction, UP_VECTORS[up]) >= 0:
+        return turntable
+    basis = np.asarray(turntable.basis)
+    return Turntable(
+        -turntable.direction, turntable.point, -turntable.gain, -turntable.harmonics, basis, turntable.carries
+    )

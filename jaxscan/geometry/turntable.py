@@ -1,0 +1,123 @@
+"""The turntable: one axis with four degrees of freedom, and a model of the angle about it."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.tangent import move_direction, tangent_basis
+
+
+Carries = Literal["scanner", "object"]
+
+
+class Turntable(eqx.Module):
+    r"""Motion $\exp(\theta(\varphi)\,\xi)$ about the axis through `point` along `direction`.
+
+    $$\theta(\varphi) = \mathrm{gain}\,\varphi
+      + \sum_{h=1,2} [c_h (\cos h\varphi - 1) + s_h \sin h\varphi]$$
+
+    with $\varphi$ [rad] the table's own angle from home, so $\theta(0) = 0$.
+    """
+
+    direction: Float[Array, "3"]
+    """Unit direction a of the axis, camera frame at angle 0, on the image's up side."""
+    point: Float[Array, "3"]
+    """Point p of the axis nearest the camera centre [m], camera frame at angle 0; a . p = 0."""
+    gain: Float[Array, ""]
+    """Turned angle per commanded angle [1], about +1 or -1: its sign is the table's sense."""
+    harmonics: Float[Array, "4"]
+    """c1, s1, c2, s2 [rad]."""
+    basis: Float[Array, "2 3"]
+    """Tangent vectors that the minimal coordinates d1, d2 (and p1, p2) refer to."""
+    carries: Carries = eqx.field(static=True, default="scanner")
+    """What turns: the scanner, or the object in front of a scanner that stands still."""
+
+    @staticmethod
+    def from_axis(
+        direction: Float[Array, "3"],
+        point: Float[Array, "3"],
+        *,
+        gain: float = 1.0,
+        carries: Carries = "scanner",
+    ) -> "Turntable":
+        """An axis through any of its points [m], with a direction of any length."""
+        direction, point = np.asarray(direction, np.float64), np.asarray(point, np.float64)
+        direction = direction / np.linalg.norm(direction)
+        with jax.enable_x64(True):
+            basis = np.asarray(tangent_basis(jnp.asarray(direction)))
+        foot = point - (direction @ point) * direction
+        return Turntable(direction, foot, np.asarray(float(gain)), np.zeros(4), basis, carries)
+
+    @staticmethod
+    def from_tr(tr: Float[Array, "4 4"]) -> "Turntable":
+        """The axis of the paper's Tr, the motion of the camera in one step [m].
+
+        Tr is a fitted rigid motion; what it moves along its axis is dropped. Its rotation is
+        first made orthonormal. Source: PAPER.md equations (10)-(12).
+
+        Raises:
+            ValueError: If Tr does not turn.
+        """
+        tr = np.asarray(tr, np.float64)
+        u, _, vt = np.linalg.svd(tr[:3, :3])
+        rotation = u @ vt
+        axis = np.array(
+            [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+        )
+        if np.linalg.norm(axis) < 1e-12:
+            raise ValueError("Tr is not a turn: its rotation is the identity.")
+        axis = axis / np.linalg.norm(axis)
+        shift = tr[:3, 3] - (axis @ tr[:3, 3]) * axis
+        # (I - R) p = t has rank 2; the least-norm solution is the point nearest the camera.
+        point = np.linalg.lstsq(np.eye(3) - rotation, shift, rcond=1e-9)[0]
+        return Turntable.from_axis(axis, point)
+
+    def angle(self, phi: Float[Array, ""]) -> Float[Array, ""]:
+        """Angle of turning theta [rad] at the table's angle `phi` [rad from home]."""
+        c1, s1, c2, s2 = (self.harmonics[i] for i in range(4))
+        first = c1 * (jnp.cos(phi) - 1.0) + s1 * jnp.sin(phi)
+        second = c2 * (jnp.cos(2.0 * phi) - 1.0) + s2 * jnp.sin(2.0 * phi)
+        return self.gain * phi + first + second
+
+    def twist(self) -> Float[Array, "6"]:
+        """Unit twist (v, omega) = (p x a, a), in jaxlie's order."""
+        return jnp.concatenate([jnp.cross(self.point, self.direction), jnp.asarray(self.direction)])
+
+    def motion(self, phi: Float[Array, ""]) -> jaxlie.SE3:
+        """T_cam0_cam(phi): camera coordinates at table angle `phi` [rad] to those at angle 0.
+
+        Where the table carries the object, the camera frame at angle 0 is the frame of the
+        object, and the same chain runs with -theta.
+        """
+        theta = self.angle(phi)
+        return jaxlie.SE3.exp((theta if self.carries == "scanner" else -theta) * self.twist())
+
+    def tr(self, step: float) -> Float[Array, "4 4"]:
+        """The paper's Tr for steps of `step` [rad]. Source: PAPER.md equation (10)."""
+        return self.motion(jnp.asarray(step, jnp.asarray(self.gain).dtype)).as_matrix()
+
+    def table(self, step: float, count: int) -> Float[Array, "count 4 4"]:
+        """The paper's look-up table: the motion at angles 0, step, 2 step, ... [rad].
+
+        Equal to the powers of `tr(step)` where the harmonics are zero. Source: PAPER.md
+        equations (11), (12).
+        """
+        angles = step * jnp.arange(count, dtype=jnp.asarray(self.gain).dtype)
+        return jax.vmap(lambda phi: self.motion(phi).as_matrix())(angles)
+
+    def retract(self, step: Float[Array, "9"]) -> "Turntable":
+        """Moved by d1, d2 [rad], p1, p2 [m], gain, c1, s1, c2, s2 [rad]."""
+        direction, basis = move_direction(self.direction, self.basis, step[:2])
+        point = self.point + step[2] * self.basis[0] + step[3] * self.basis[1]
+        point = point - jnp.dot(point, direction) * direction
+        return Turntable(direction, point, self.gain + step[4], self.harmonics + step[5:9], basis, self.carries)
+
+
+AXIS_PARAMETERS = ("axis.d1", "axis.d2", "axis.p1", "axis.p2", "gain", "c1", "s1", "c2", "s2")
+"""Minimal coordinates of a turntable, in the order that `Turntable.retract` takes them."""

@@ -1,0 +1,1 @@
+"""A cloud to numbers."""

@@ -1,0 +1,1 @@
+"""Stripes to a coloured cloud."""

@@ -1,0 +1,56 @@
+"""Stripe centres on the grid [profile, line], and what governs their extraction."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+from jaxtyping import Bool, Float, Int, UInt8
+
+from jaxscan.geometry import Array
+
+
+class Stripes(eqx.Module):
+    """Sub-pixel stripe centres: one profile per laser in a record, one line per image row.
+
+    Where a laser's stripe runs along the rows of the image ("columns" as `stripe_axis`), a line
+    is an image column. Entries that are not `valid` are zero.
+    """
+
+    u: Float[Array, "profiles lines"]
+    """Stripe centre across the line [px]."""
+    sigma: Float[Array, "profiles lines"]
+    """Standard deviation of `u` [px]."""
+    amplitude: Float[Array, "profiles lines"]
+    """Peak of the fitted Gaussian above the background [DN], before pixel integration."""
+    width: Float[Array, "profiles lines"]
+    """Standard deviation of the fitted Gaussian [px]."""
+    chi2: Float[Array, "profiles lines"]
+    """Chi-squared of the fit per degree of freedom [1]."""
+    saturated: UInt8[Array, "profiles lines"]
+    """Number of saturated pixels in the fitted window."""
+    valid: Bool[Array, "profiles lines"]
+    record: Int[Array, " profiles"]
+    """Which record of the sweep the profile comes from."""
+    laser: Int[Array, " profiles"]
+    """Which laser lit the profile."""
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise of one frame: variance = read_dn^2 + signal / electrons_per_dn (+ 1/12)  [DN^2]."""
+
+    read_dn: float = 1.0
+    """Standard deviation of the read noise [DN]."""
+    electrons_per_dn: float = 40.0
+    """Conversion gain [e-/DN]."""
+
+
+@dataclass(frozen=True)
+class StripeSettings:
+    """How stripes are found and which are believed; static, so a change recompiles."""
+
+    min_snr: float = 4.0
+    """Smallest accepted amplitude, in standard deviations of the noise of one difference pixel."""
+    max_width_px: float = 5.0
+    """Largest accepted standard deviation of a stripe [px]."""
+    saturation: int = 254
+    """Pixels at or above this level [DN] are taken as clipped and left out of the fit."""

@@ -1,0 +1,1 @@
+"""OpenCV, and nothing else's."""
