@@ -12,6 +12,10 @@ from jaxscan.geometry.fit import fit_axis as fit_axis
 from jaxscan.geometry.fit import fit_plane as fit_plane
 from jaxscan.geometry.laser import LaserSheet as LaserSheet
 from jaxscan.geometry.laser import stack_lasers as stack_lasers
+from jaxscan.geometry.rigid import exponential as exponential
+from jaxscan.geometry.rigid import invert as invert
+from jaxscan.geometry.rigid import rigid as rigid
+from jaxscan.geometry.rigid import transform as transform
 from jaxscan.geometry.scanner import Scanner as Scanner
 from jaxscan.geometry.scanner import point_up as point_up
 from jaxscan.geometry.turntable import Turntable as Turntable

@@ -4,8 +4,18 @@
 the caller enabled 64-bit JAX.
 """
 
+from typing import Any
+
 import jax
 import numpy as np
 
 
 Array = jax.Array | np.ndarray
+
+
+def real(value: Any) -> Array:
+    """Numbers and lists as NumPy float64; JAX arrays and floating NumPy arrays as they are."""
+    if isinstance(value, jax.Array):
+        return value
+    array = np.asarray(value)
+    return array if np.issubdtype(array.dtype, np.floating) else array.astype(np.float64)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.arrays import Array, real
 
 
 class AbstractCamera(eqx.Module):
@@ -49,21 +49,21 @@ class Pinhole(AbstractCamera):
     the order of the coefficients is OpenCV's.
     """
 
-    fx: Float[Array, ""]
+    fx: Float[Array, ""] = eqx.field(converter=real)
     """Focal length along u [px]."""
-    fy: Float[Array, ""]
+    fy: Float[Array, ""] = eqx.field(converter=real)
     """Focal length along v [px]."""
-    cx: Float[Array, ""]
+    cx: Float[Array, ""] = eqx.field(converter=real)
     """Principal point, u [px]."""
-    cy: Float[Array, ""]
+    cy: Float[Array, ""] = eqx.field(converter=real)
     """Principal point, v [px]."""
-    distortion: Float[Array, " k"]
+    distortion: Float[Array, " k"] = eqx.field(converter=real)
     """k1 k2 p1 p2 k3, optionally followed by k4 k5 k6 [1]."""
     width: int = eqx.field(static=True)
     """Image width [px]."""
     height: int = eqx.field(static=True)
     """Image height [px]."""
-    skew: Float[Array, ""] = eqx.field(default_factory=lambda: np.zeros(()))
+    skew: Float[Array, ""] = eqx.field(default=0.0, converter=real)
     """Skew s of the pixel axes [px]; known, never estimated."""
 
     def __check_init__(self) -> None:

@@ -1,12 +1,14 @@
 """The laser sheet: a plane, slightly bowed, in the frame of the camera at angle 0."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
-from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.arrays import Array, real
 from jaxscan.geometry.tangent import move_direction, tangent_basis
 
 
@@ -19,28 +21,28 @@ class LaserSheet(eqx.Module):
     the plane of the paper.
     """
 
-    normal: Float[Array, "3"]
+    normal: Float[Array, "3"] = eqx.field(converter=real)
     """Unit normal n, camera frame."""
-    distance: Float[Array, ""]
+    distance: Float[Array, ""] = eqx.field(converter=real)
     """Distance d > 0 of the camera centre from the plane [m]."""
-    bow: Float[Array, "2"]
+    bow: Float[Array, "2"] = eqx.field(converter=real)
     """b2, b3 [rad per rad^2, rad per rad^3]."""
-    basis: Float[Array, "2 3"]
+    basis: Float[Array, "2 3"] = eqx.field(converter=real)
     """Tangent vectors that the minimal coordinates n1, n2 of the normal refer to."""
 
     @staticmethod
-    def from_plane(normal: Float[Array, "3"], distance: Float[Array, ""] | float) -> "LaserSheet":
+    def from_plane(normal: ArrayLike | Sequence[float], distance: ArrayLike) -> "LaserSheet":
         """The flat sheet `normal . p = distance` [m]; neither sign nor length of the normal matters.
 
         Raises:
             ValueError: If the plane contains the camera centre, or the normal is zero.
         """
-        normal, distance = np.asarray(normal, np.float64), float(distance)
-        length = float(np.linalg.norm(normal))
-        if length == 0 or distance == 0:
+        n, d = np.asarray(normal, np.float64), float(np.asarray(distance))
+        length = float(np.linalg.norm(n))
+        if length == 0 or d == 0:
             raise ValueError("A laser plane needs a normal and must not contain the camera centre.")
-        normal, distance = np.sign(distance) * normal / length, abs(distance) / length
-        return LaserSheet(normal, np.asarray(distance), np.zeros(2), _host_basis(normal))
+        n = np.sign(d) * n / length
+        return LaserSheet(n, np.asarray(abs(d) / length), np.zeros(2), _host_basis(n))
 
     @staticmethod
     def from_abc(a: float, b: float, c: float) -> "LaserSheet":

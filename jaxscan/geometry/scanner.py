@@ -5,13 +5,13 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.geometry.arrays import Array
 from jaxscan.geometry.camera import AbstractCamera
 from jaxscan.geometry.laser import LASER_PARAMETERS, LaserSheet
+from jaxscan.geometry.rigid import rigid, transform
 from jaxscan.geometry.turntable import AXIS_PARAMETERS, Turntable
 
 
@@ -44,7 +44,7 @@ class Scanner(eqx.Module):
         """The same scanner with JAX leaves of one floating type."""
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
 
-    def scanner_from_camera(self) -> jaxlie.SE3:
+    def scanner_from_camera(self) -> Float[Array, "4 4"]:
         """T_scanner_cam at angle 0.
 
         Origin at the point of the axis nearest the camera, z along the axis, x along the part
@@ -55,11 +55,9 @@ class Scanner(eqx.Module):
         x = forward - jnp.dot(forward, z) * z
         x = x / jnp.linalg.norm(x)
         rotation = jnp.stack([x, jnp.cross(z, x), z])
-        return jaxlie.SE3.from_rotation_and_translation(
-            jaxlie.SO3.from_matrix(rotation), -rotation @ self.turntable.point
-        )
+        return rigid(rotation, -rotation @ self.turntable.point)
 
-    def pose(self, phi: Float[Array, ""]) -> jaxlie.SE3:
+    def pose(self, phi: Float[Array, ""]) -> Float[Array, "4 4"]:
         """T_scanner_cam(phi) at the table's angle `phi` [rad from home]."""
         return self.scanner_from_camera() @ self.turntable.motion(phi)
 
@@ -79,7 +77,7 @@ class Scanner(eqx.Module):
         """
         ray = self.camera.unproject(q)
         range_m, incidence = self.laser(laser).intersect(ray)
-        return self.pose(phi) @ (range_m * ray), incidence
+        return transform(self.pose(phi), range_m * ray), incidence
 
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the minimal coordinates: camera, lasers, axis, angle model."""

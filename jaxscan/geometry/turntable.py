@@ -1,15 +1,16 @@
 """The turntable: one axis with four degrees of freedom, and a model of the angle about it."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jaxlie
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
-from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.arrays import Array, real
+from jaxscan.geometry.rigid import exponential
 from jaxscan.geometry.tangent import move_direction, tangent_basis
 
 
@@ -25,34 +26,34 @@ class Turntable(eqx.Module):
     with $\varphi$ [rad] the table's own angle from home, so $\theta(0) = 0$.
     """
 
-    direction: Float[Array, "3"]
+    direction: Float[Array, "3"] = eqx.field(converter=real)
     """Unit direction a of the axis, camera frame at angle 0, on the image's up side."""
-    point: Float[Array, "3"]
+    point: Float[Array, "3"] = eqx.field(converter=real)
     """Point p of the axis nearest the camera centre [m], camera frame at angle 0; a . p = 0."""
-    gain: Float[Array, ""]
+    gain: Float[Array, ""] = eqx.field(converter=real)
     """Turned angle per commanded angle [1], about +1 or -1: its sign is the table's sense."""
-    harmonics: Float[Array, "4"]
+    harmonics: Float[Array, "4"] = eqx.field(converter=real)
     """c1, s1, c2, s2 [rad]."""
-    basis: Float[Array, "2 3"]
+    basis: Float[Array, "2 3"] = eqx.field(converter=real)
     """Tangent vectors that the minimal coordinates d1, d2 (and p1, p2) refer to."""
     carries: Carries = eqx.field(static=True, default="scanner")
     """What turns: the scanner, or the object in front of a scanner that stands still."""
 
     @staticmethod
     def from_axis(
-        direction: Float[Array, "3"],
-        point: Float[Array, "3"],
+        direction: ArrayLike | Sequence[float],
+        point: ArrayLike | Sequence[float],
         *,
         gain: float = 1.0,
         carries: Carries = "scanner",
     ) -> "Turntable":
         """An axis through any of its points [m], with a direction of any length."""
-        direction, point = np.asarray(direction, np.float64), np.asarray(point, np.float64)
-        direction = direction / np.linalg.norm(direction)
+        a = np.asarray(direction, np.float64)
+        a = a / np.linalg.norm(a)
+        p = np.asarray(point, np.float64)
         with jax.enable_x64(True):
-            basis = np.asarray(tangent_basis(jnp.asarray(direction)))
-        foot = point - (direction @ point) * direction
-        return Turntable(direction, foot, np.asarray(float(gain)), np.zeros(4), basis, carries)
+            basis = np.asarray(tangent_basis(jnp.asarray(a)))
+        return Turntable(a, p - (a @ p) * a, np.asarray(float(gain)), np.zeros(4), basis, carries)
 
     @staticmethod
     def from_tr(tr: Float[Array, "4 4"]) -> "Turntable":
@@ -89,18 +90,18 @@ class Turntable(eqx.Module):
         """Unit twist (v, omega) = (p x a, a), in jaxlie's order."""
         return jnp.concatenate([jnp.cross(self.point, self.direction), jnp.asarray(self.direction)])
 
-    def motion(self, phi: Float[Array, ""]) -> jaxlie.SE3:
+    def motion(self, phi: Float[Array, ""]) -> Float[Array, "4 4"]:
         """T_cam0_cam(phi): camera coordinates at table angle `phi` [rad] to those at angle 0.
 
         Where the table carries the object, the camera frame at angle 0 is the frame of the
         object, and the same chain runs with -theta.
         """
         theta = self.angle(phi)
-        return jaxlie.SE3.exp((theta if self.carries == "scanner" else -theta) * self.twist())
+        return exponential((theta if self.carries == "scanner" else -theta) * self.twist())
 
     def tr(self, step: float) -> Float[Array, "4 4"]:
         """The paper's Tr for steps of `step` [rad]. Source: PAPER.md equation (10)."""
-        return self.motion(jnp.asarray(step, jnp.asarray(self.gain).dtype)).as_matrix()
+        return self.motion(jnp.asarray(step, jnp.asarray(self.gain).dtype))
 
     def table(self, step: float, count: int) -> Float[Array, "count 4 4"]:
         """The paper's look-up table: the motion at angles 0, step, 2 step, ... [rad].
@@ -109,7 +110,7 @@ class Turntable(eqx.Module):
         equations (11), (12).
         """
         angles = step * jnp.arange(count, dtype=jnp.asarray(self.gain).dtype)
-        return jax.vmap(lambda phi: self.motion(phi).as_matrix())(angles)
+        return jax.vmap(self.motion)(angles)
 
     def retract(self, step: Float[Array, "9"]) -> "Turntable":
         """Moved by d1, d2 [rad], p1, p2 [m], gain, c1, s1, c2, s2 [rad]."""
