@@ -1,0 +1,49 @@
+# Two commands: `make demo` and `make test`. Each makes the environment if it is not there.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+# What Open3D loads from the system; the same list is in jaxscan/simulation/open3d.py.
+LIBRARIES := libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1 libudev1 libidn2-0
+
+.PHONY: demo test test-all lint format libraries clean
+
+demo: $(INSTALLED) libraries
+	$(BIN)/jaxscan demo -o demo
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest -q
+
+test-all: $(INSTALLED)
+	$(BIN)/python -m pytest -q -m "slow or not slow"
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(INSTALLED)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+# Installs Open3D's system libraries where it may, and says what to type where it may not.
+libraries: $(INSTALLED)
+	@if ! $(BIN)/python -c "from jaxscan.simulation.open3d import load_open3d; load_open3d()" 2>/dev/null; then \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -qy --no-install-recommends $(LIBRARIES); \
+	  else \
+	    echo "Open3D needs system libraries. Type: sudo apt-get install $(LIBRARIES)"; exit 1; \
+	  fi; \
+	fi
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit("jaxscan needs Python 3.11 or newer; try: make PYTHON=python3.12" if sys.version_info < (3, 11) else 0)'
+	@$(PYTHON) -c "import ensurepip" 2>/dev/null || \
+	  { echo "Python's venv module is missing. Type: sudo apt-get install python3-venv"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,export]"
+	@touch $@
+
+clean:
+	rm -rf $(VENV) demo build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

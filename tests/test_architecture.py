@@ -1,0 +1,117 @@
+"""Who may import whom, and what `import jaxscan` may load: the rules of the house, by `ast`."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+PACKAGE = Path(__file__).resolve().parent.parent / "jaxscan"
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+CORE = {"geometry", "stripes", "reconstruction", "calibration", "measurement"}
+ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api"}
+MAY_IMPORT = {
+    "geometry": set(),
+    "stripes": {"geometry"},
+    "reconstruction": {"geometry", "stripes"},
+    "calibration": {"geometry", "stripes"},
+    "measurement": {"geometry"},
+    "simulation": {"geometry", "vision"},
+    "vision": CORE,
+    "files": CORE | {"vision"},
+    "report": CORE | {"vision"},
+    "api": ANY - {"api", "cli"},
+    "cli": ANY,
+    "__init__": {"api"},
+    "errors": set(),
+    "data": set(),
+}
+"""Folders of the package that a folder may import, beside itself and `errors`."""
+
+HOME_OF = {
+    "cv2": {"vision"},
+    "open3d": {"simulation/open3d.py"},
+    "libusb_package": {"simulation/open3d.py"},
+    "pye57": {"files"},
+    "laspy": {"files"},
+    "serial": set(),
+    "scipy": {"measurement"},
+    "matplotlib": {"report"},
+    "viser": {"report"},
+    "rich": {"cli"},
+    "tyro": {"cli"},
+    "pydantic": {"files", "simulation"},
+}
+"""Third-party libraries that belong to one place."""
+
+IDS = [str(path.relative_to(PACKAGE)) for path in FILES]
+
+
+def folder_of(path):
+    first = path.relative_to(PACKAGE).parts[0]
+    return first.removesuffix(".py")
+
+
+def imports(path):
+    """(module, line) of every import in a file, also those inside functions."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: relative import"
+            if node.module == "jaxscan":
+                yield from ((f"jaxscan.{alias.name}", node.lineno) for alias in node.names)
+            else:
+                yield node.module, node.lineno
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_import_direction(path):
+    here = folder_of(path)
+    for module, line in imports(path):
+        parts = module.split(".")
+        if parts[0] != "jaxscan" or len(parts) == 1:
+            continue
+        there = parts[1]
+        assert there in MAY_IMPORT[here] | {here, "errors"}, f"line {line}: {here} must not import {there}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_libraries_stay_in_their_place(path):
+    where = str(path.relative_to(PACKAGE))
+    for module, line in imports(path):
+        homes = HOME_OF.get(module.split(".")[0])
+        if homes is not None:
+            assert any(where == home or where.startswith(home + "/") for home in homes), f"line {line}: {module}"
+
+
+@pytest.mark.parametrize("path", [p for p in FILES if folder_of(p) in CORE], ids=str)
+def test_the_core_does_no_io(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in {"print", "open", "input"}, f"line {node.lineno}: {node.func.id}"
+    for module, line in imports(path):
+        assert module.split(".")[0] not in {"pathlib", "os", "shutil", "io", "sys"}, f"line {line}: {module}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_no_library_code_asserts_or_configures_jax(path):
+    tree = ast.parse(path.read_text())
+    assert not [n.lineno for n in ast.walk(tree) if isinstance(n, ast.Assert)]
+    if folder_of(path) != "cli":
+        assert "jax.config.update" not in path.read_text()
+
+
+def test_import_is_light():
+    code = "import sys, jaxscan; print([m for m in ('cv2', 'open3d', 'serial', 'matplotlib') if m in sys.modules])"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+def test_import_configures_nothing():
+    code = "import jaxscan, jax; print(jax.config.jax_enable_x64, jax.config.jax_compilation_cache_dir)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["False", "None"]
