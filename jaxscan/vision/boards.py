@@ -1,0 +1,199 @@
+"""Board corners in images, by OpenCV, and pictures of boards for the simulator."""
+
+from typing import Literal, NamedTuple
+
+import cv2
+import numpy as np
+
+from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
+
+
+Detector = Literal["auto", "sb", "classic"]
+
+# What each way of finding corners leaves as noise on a sharp, well exposed board; only a prior,
+# the calibration estimates it again.
+_SIGMA_PX = {"sb": 0.05, "classic": 0.10, "charuco": 0.08}
+# Squares that are projected smaller than this [px] hold fewer edge pixels than a corner needs.
+_SMALL_SQUARE_PX = 12.0
+_MIN_CORNERS = 6
+
+
+class FoundCorners(NamedTuple):
+    """Corners of one board in one image, in the order of `board.corners()`."""
+
+    q: np.ndarray
+    """float64 [corners, 2]: (u, v) [px]; 0 where not valid."""
+    sigma: np.ndarray
+    """float64 [corners]: standard deviation of each coordinate [px]; 1 where not valid."""
+    valid: np.ndarray
+    """bool [corners]."""
+
+
+def find_corners(image: np.ndarray, board: AbstractBoard, *, detector: Detector = "auto") -> FoundCorners | None:
+    """Find the corners of a board in one grey image, to a fraction of a pixel.
+
+    Chessboards are searched as a whole; of a ChArUco board any part will do. A plain chessboard
+    does not say which way round it is: the order returned is right-handed as seen, has the
+    square beside corner 0 black where that decides (one of `columns` and `rows` even, the other
+    odd), and the board's x axis pointing right (rather than left) in the image where it does
+    not. A symmetric board must therefore not be turned by more than 90 degrees in its plane
+    between views of one placement.
+
+    Args:
+        image: uint8 [rows, columns].
+        board: What to look for.
+        detector: For chessboards: "sb" (sector based), "classic" (with `cornerSubPix`), or
+            "auto": the first, and the second where it finds nothing.
+
+    Returns:
+        The corners, or None where the board is not found or fewer than 6 corners that are not
+        on one line.
+
+    Raises:
+        ValueError: If the image is not uint8 [rows, columns].
+    """
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise ValueError(f"`image` must be uint8 [rows, columns], got {image.dtype} with shape {image.shape}.")
+    image = np.ascontiguousarray(image)
+    if isinstance(board, Charuco):
+        return _find_charuco(image, board)
+    if not isinstance(board, Chessboard):
+        raise ValueError(f"No corner detector for a board of type {type(board).__name__}.")
+    return _find_chessboard(image, board, detector)
+
+
+def board_texture(board: AbstractBoard, pixels_per_square: int) -> np.ndarray:
+    """Picture of the printed area, `board.outline()`, uint8: row 0 at y0, column 0 at x0.
+
+    Args:
+        board: A chessboard is drawn with its top left square black.
+        pixels_per_square: Side of a square [px]; for ChArUco large enough to draw its markers.
+    """
+    columns, rows = board.grid()
+    if isinstance(board, Charuco):
+        size = (board.columns * pixels_per_square, board.rows * pixels_per_square)
+        return np.asarray(_charuco(board).generateImage(size, marginSize=0, borderBits=1), np.uint8)
+    white = np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2
+    square = np.ones((pixels_per_square, pixels_per_square), np.uint8)
+    return np.kron((255 * white).astype(np.uint8), square)
+
+
+def _find_chessboard(image: np.ndarray, board: Chessboard, detector: Detector) -> FoundCorners | None:
+    q, used = None, "sb"
+    if detector in ("auto", "sb"):
+        flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
+        found, corners = cv2.findChessboardCornersSB(image, board.grid(), flags=flags)
+        q = _points(corners) if found else None
+    if q is None and detector in ("auto", "classic"):
+        used = "classic"
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        found, corners = cv2.findChessboardCorners(image, board.grid(), flags=flags)
+        if found:
+            q = _points(corners)
+            # A window that reaches the neighbouring corners moves the corner towards them.
+            half = int(np.clip(np.floor(0.3 * _square_sizes(q, np.ones(len(q), bool), board).min()), 2, 11))
+            q = _refine(image, q, half)
+    if q is None or len(q) != board.columns * board.rows:
+        return None
+    q = _canonical_order(image, q, board)
+    return _with_sigma(q, np.ones(len(q), bool), board, _SIGMA_PX[used])
+
+
+def _canonical_order(image: np.ndarray, q: np.ndarray, board: Chessboard) -> np.ndarray:
+    grid = q.reshape(board.rows, board.columns, 2)
+    along = (grid[:, -1] - grid[:, 0]).mean(0)
+    down = (grid[-1] - grid[0]).mean(0)
+    if along[0] * down[1] - along[1] * down[0] < 0:
+        grid, along = grid[:, ::-1], -along
+    turns = [0, 2] if board.columns != board.rows else [0, 1, 2, 3]
+    candidates = [np.rot90(grid, k) for k in turns]
+    if (board.columns + board.rows) % 2:
+        # Right below corner 0 lies a square of the colour of the outer top left one: black.
+        candidates.sort(key=lambda g: _even_brightness(image, g))
+    else:
+        candidates.sort(key=lambda g: -float((g[:, -1] - g[:, 0]).mean(0)[0]))
+    return np.ascontiguousarray(candidates[0]).reshape(-1, 2)
+
+
+def _even_brightness(image: np.ndarray, grid: np.ndarray) -> float:
+    """Mean of the inner squares (i + j even) minus that of the others, at their centres."""
+    centre = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
+    columns = np.clip(np.rint(centre[..., 0]).astype(int), 0, image.shape[1] - 1)
+    rows = np.clip(np.rint(centre[..., 1]).astype(int), 0, image.shape[0] - 1)
+    level = image[rows, columns].astype(float)
+    even = np.add.outer(np.arange(level.shape[0]), np.arange(level.shape[1])) % 2 == 0
+    return float(level[even].mean() - level[~even].mean())
+
+
+def _charuco(board: Charuco) -> "cv2.aruco.CharucoBoard":
+    dictionary = getattr(cv2.aruco, board.dictionary, None)
+    if dictionary is None:
+        raise ValueError(f"Unknown ArUco dictionary {board.dictionary!r}.")
+    return cv2.aruco.CharucoBoard(
+        (board.columns, board.rows), board.square, board.marker, cv2.aruco.getPredefinedDictionary(dictionary)
+    )
+
+
+def _find_charuco(image: np.ndarray, board: Charuco) -> FoundCorners | None:
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(_charuco(board)).detectBoard(image)
+    if ids is None or len(np.ravel(ids)) < _MIN_CORNERS:
+        return None
+    count = len(board.corners())
+    q, valid = np.zeros((count, 2)), np.zeros(count, bool)
+    index = np.ravel(ids)
+    q[index], valid[index] = _points(corners), True
+    if not _spans_plane(board.corners()[valid, :2]):
+        return None
+    sizes = _square_sizes(q, valid, board)
+    # The markers begin (1 - marker / square) / 2 of a square away; a window that reaches them
+    # spoils the corner, and without refinement it is off by some tenths of a pixel.
+    gap = 0.5 * (1.0 - board.marker / board.square)
+    half = int(np.clip(np.floor(min(0.25, 1.3 * gap) * sizes[valid].min()), 2, 11))
+    refined = _refine(image, q[valid], half)
+    moved = np.hypot(*(refined - q[valid]).T)
+    q[valid] = refined
+    # A corner that ran away from its square has latched on to something else.
+    valid[np.flatnonzero(valid)[moved > 0.25 * sizes[valid]]] = False
+    if valid.sum() < _MIN_CORNERS or not _spans_plane(board.corners()[valid, :2]):
+        return None
+    return _with_sigma(np.where(valid[:, None], q, 0.0), valid, board, _SIGMA_PX["charuco"])
+
+
+def _points(corners: np.ndarray) -> np.ndarray:
+    # OpenCV 4 gives [n, 1, 2], OpenCV 5 [n, 2].
+    return np.asarray(corners, np.float64).reshape(-1, 2)
+
+
+def _refine(image: np.ndarray, q: np.ndarray, half: int) -> np.ndarray:
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
+    start = np.ascontiguousarray(q, np.float32).reshape(-1, 1, 2)
+    return _points(cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria))
+
+
+def _square_sizes(q: np.ndarray, valid: np.ndarray, board: AbstractBoard) -> np.ndarray:
+    """Shortest side of the projected squares at every corner [px], [corners]."""
+    columns, rows = board.grid()
+    grid, seen = q.reshape(rows, columns, 2), valid.reshape(rows, columns)
+    size = np.full((rows, columns), np.inf)
+    for axis in (0, 1):
+        first, second = [slice(None)] * 2, [slice(None)] * 2
+        first[axis], second[axis] = slice(None, -1), slice(1, None)
+        a, b = tuple(first), tuple(second)
+        side = np.where(seen[a] & seen[b], np.linalg.norm(grid[a] - grid[b], axis=-1), np.inf)
+        size[a], size[b] = np.minimum(size[a], side), np.minimum(size[b], side)
+    known = np.isfinite(size)
+    size[~known] = size[known].min() if known.any() else _SMALL_SQUARE_PX
+    return size.ravel()
+
+
+def _with_sigma(q: np.ndarray, valid: np.ndarray, board: AbstractBoard, sigma_px: float) -> FoundCorners:
+    sigma = sigma_px * np.hypot(1.0, _SMALL_SQUARE_PX / _square_sizes(q, valid, board))
+    return FoundCorners(q, np.where(valid, sigma, 1.0), valid)
+
+
+def _spans_plane(points: np.ndarray) -> bool:
+    if len(points) < _MIN_CORNERS:
+        return False
+    # Corners on one line fix no pose; on a grid the narrowest spread that does is large.
+    spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    return bool(spread[1] > 0.05 * spread[0])
