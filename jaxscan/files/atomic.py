@@ -1,0 +1,67 @@
+"""Files appear whole or not at all: written beside, then renamed."""
+
+import os
+import secrets
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+from jaxscan.errors import JaxscanError
+
+
+def write_atomically(
+    path: str | Path,
+    content: bytes | Callable[[Path], None],
+    *,
+    durable: bool = True,
+    error: type[JaxscanError] = JaxscanError,
+) -> None:
+    """Write a file so that `path` holds either the old content or all of the new.
+
+    Args:
+        path: The file; its folder must exist. A link is followed.
+        content: The bytes, or a function that writes the file it is given the path of (which
+            has the same suffix and lies in the same folder).
+        durable: Wait until the content is on the disk, so that it survives a loss of power.
+        error: Type of the error raised.
+
+    Raises:
+        JaxscanError: Of type `error`, if the file cannot be written. Then nothing has changed.
+    """
+    target = Path(os.path.realpath(path))
+    part = target.with_name(f".part-{secrets.token_hex(6)}{target.suffix}")
+    try:
+        _check_target(target)
+        if callable(content):
+            content(part)
+        else:
+            part.write_bytes(content)
+        if durable:
+            _sync(part)
+        os.replace(part, target)
+        if durable and os.name == "posix":
+            _sync(target.parent)
+    except OSError as problem:
+        raise error(_explain(path, target, problem)) from problem
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _check_target(target: Path) -> None:
+    # Renaming over a device or a folder would replace what the user only meant to write to.
+    if target.exists() and not stat.S_ISREG(target.stat().st_mode):
+        raise OSError("it exists and is not a regular file")
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _explain(path: str | Path, target: Path, problem: OSError) -> str:
+    if not target.parent.is_dir():
+        return f"{path}: cannot be written, the folder {target.parent} does not exist; create it first."
+    return f"{path}: cannot be written: {problem.strerror or problem}."

@@ -1,0 +1,73 @@
+"""Reading files that others wrote: never more than a bound, never anything but a regular file."""
+
+import hashlib
+import json
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+from jaxscan.errors import JaxscanError
+
+
+MEGABYTE = 1 << 20
+
+
+def read_bounded(path: str | Path, limit: int, *, name: str, error: type[JaxscanError]) -> bytes:
+    """All bytes of a regular file of at most `limit` bytes.
+
+    Args:
+        path: The file.
+        limit: Largest accepted size [bytes].
+        name: What messages call the file.
+        error: Type of the error raised.
+
+    Raises:
+        JaxscanError: Of type `error`, if it is missing, not a regular file, unreadable or larger.
+    """
+    try:
+        # Opening a pipe would wait for ever, so look first.
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            raise error(f"{name}: found {'a folder' if os.path.isdir(path) else 'a device or pipe'}, expected a file.")
+        with open(path, "rb") as file:
+            data = file.read(limit + 1)
+    except FileNotFoundError as problem:
+        raise error(f"{name}: no such file.") from problem
+    except (OSError, ValueError) as problem:
+        raise error(f"{name}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
+    if len(data) > limit:
+        raise error(f"{name}: larger than the {limit / MEGABYTE:g} MiB that such a file may have.")
+    return data
+
+
+def parse_json(data: bytes, *, name: str, error: type[JaxscanError]) -> Any:
+    """The value of a JSON text; `NaN` and `Infinity`, which are not JSON, are refused.
+
+    Raises:
+        JaxscanError: Of type `error`, with the line where there is one.
+    """
+
+    def refuse(constant: str) -> Any:
+        raise ValueError(f"{constant} is not a number that JSON knows")
+
+    try:
+        return json.loads(data.decode("utf-8"), parse_constant=refuse)
+    except json.JSONDecodeError as problem:
+        raise error(f"{name}: line {problem.lineno}: not valid JSON: {problem.msg}.") from problem
+    except UnicodeDecodeError as problem:
+        raise error(f"{name}: not UTF-8 text (byte {problem.start}).") from problem
+    except (ValueError, RecursionError) as problem:
+        raise error(f"{name}: not valid JSON: {problem}.") from problem
+
+
+def file_digest(path: str | Path, *, error: type[JaxscanError] = JaxscanError) -> str:
+    """The sha256 of a file, as "sha256:<hex>".
+
+    Raises:
+        JaxscanError: Of type `error`, if it cannot be read.
+    """
+    try:
+        with open(path, "rb") as file:
+            return "sha256:" + hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as problem:
+        raise error(f"{path}: cannot be read: {problem.strerror or problem}.") from problem

@@ -1,0 +1,134 @@
+"""Data from files into frozen pydantic models, and pydantic's errors into one line for people."""
+
+import difflib
+import json
+import typing
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, TypeVar
+
+import pydantic
+
+from jaxscan.errors import JaxscanError
+
+
+class FileModel(pydantic.BaseModel):
+    """Base of what is written in files: frozen, finite, and no key that is not known."""
+
+    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+# Files have types of their own: a quoted number is a mistake, not a number.
+Number = Annotated[float, pydantic.Strict()]
+Integer = Annotated[int, pydantic.Strict()]
+
+Model = TypeVar("Model", bound=pydantic.BaseModel)
+
+
+def check(model: type[Model], data: Any, *, name: str, error: type[JaxscanError]) -> Model:
+    """The data as a model.
+
+    Args:
+        model: A pydantic model.
+        data: What TOML or JSON gave.
+        name: What messages call the file.
+        error: Type of the error raised.
+
+    Returns:
+        The validated model.
+
+    Raises:
+        JaxscanError: Of type `error`; one line with the key, what was found and what may stand
+            there, for an unknown key the closest known one.
+    """
+    try:
+        return model.model_validate(data)
+    except pydantic.ValidationError as problem:
+        # An unknown key first: what is missing is usually the same key, spelt right.
+        details = sorted(
+            problem.errors(include_url=False, include_context=True), key=lambda e: e["type"] != "extra_forbidden"
+        )
+        more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+        raise error(f"{name}: {_explain(model, data, details[0])}{more}.") from None
+
+
+def _explain(model: type[pydantic.BaseModel], data: Any, detail: Mapping[str, Any]) -> str:
+    location, kind, found = detail["loc"], detail["type"], detail["input"]
+    path = _key_path(data, location)
+    if kind == "extra_forbidden":
+        return f"{path}: unknown key{_suggest(str(location[-1]), _known_keys(model, location[:-1]))}"
+    if kind == "missing":
+        return f"{path}: missing"
+    if kind == "union_tag_not_found":
+        return f"{_join(path, detail['ctx']['discriminator'].strip(chr(39)))}: missing"
+    if kind == "union_tag_invalid":
+        context = detail["ctx"]
+        where = _join(path, context["discriminator"].strip("'"))
+        return f"{where}: found {_show(context['tag'])}, expected {context['expected_tags'].replace(chr(39), chr(34))}"
+    message = detail["msg"].removeprefix("Value error, ").removesuffix(".")
+    if kind == "value_error":
+        return f"{path}: {message}" if path else message
+    message = message.replace("Input should be ", "expected ").replace("a valid dictionary", "a table")
+    if message.startswith("expected a table"):
+        message = "expected a table"
+    return f"{path or 'the file'}: found {_show(found)}, {message.replace(chr(39), chr(34))}"
+
+
+def _key_path(data: Any, location: tuple[Any, ...]) -> str:
+    """The keys as they stand in the file; pydantic's location also names branches of unions."""
+    path = ""
+    for depth, item in enumerate(location):
+        last = depth == len(location) - 1
+        if isinstance(data, Mapping) and isinstance(item, str) and (item in data or last):
+            path, data = _join(path, item), data.get(item)
+        elif isinstance(data, list | tuple) and isinstance(item, int):
+            path, data = f"{path}[{item}]", data[item] if item < len(data) else None
+    return path
+
+
+def _join(path: str, key: str) -> str:
+    return f"{path}.{key}" if path else key
+
+
+def _show(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "a table"
+    try:
+        text = json.dumps(value, ensure_ascii=False)
+    except (TypeError, ValueError):
+        text = str(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _suggest(key: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+    if close:
+        return f'; the closest known one is "{close[0]}"'
+    return f"; known here: {', '.join(known)}" if known else ""
+
+
+def _known_keys(model: type[pydantic.BaseModel], location: tuple[Any, ...]) -> list[str]:
+    level = [model]
+    for item in location:
+        inner = [part for one in level for field in _fields(one, item) for part in _models_in(field.annotation)]
+        # Where the item is no key, it is an index or the tag that chose a branch of a union.
+        level = inner or [one for one in level if _is_tagged(one, item)] or level
+    return sorted({field.alias or name for one in level for name, field in one.model_fields.items()})
+
+
+def _fields(model: type[pydantic.BaseModel], key: Any) -> list[Any]:
+    return [field for name, field in model.model_fields.items() if key in (name, field.alias)]
+
+
+def _is_tagged(model: type[pydantic.BaseModel], tag: Any) -> bool:
+    return model.__name__ == tag or any(
+        tag in typing.get_args(field.annotation)
+        for field in model.model_fields.values()
+        if typing.get_origin(field.annotation) is typing.Literal
+    )
+
+
+def _models_in(annotation: Any) -> Iterator[type[pydantic.BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
+        yield annotation
+    for part in typing.get_args(annotation):
+        yield from _models_in(part)
