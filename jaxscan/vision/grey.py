@@ -1,0 +1,31 @@
+"""Frames of any pixel format as grey pictures, for detectors that want one."""
+
+import cv2
+import numpy as np
+
+
+_BAYER_TO_GREY = {
+    "bayer_rggb8": cv2.COLOR_BayerRGGB2GRAY,
+    "bayer_bggr8": cv2.COLOR_BayerBGGR2GRAY,
+    "bayer_grbg8": cv2.COLOR_BayerGRBG2GRAY,
+    "bayer_gbrg8": cv2.COLOR_BayerGBRG2GRAY,
+}
+
+
+def to_grey(frame: np.ndarray, pixel_format: str) -> np.ndarray:
+    """A frame as uint8 [rows, columns], every pixel where it was.
+
+    Args:
+        frame: uint8 [rows, columns], or RGB [rows, columns, 3] for "rgb8".
+        pixel_format: As in a capture.
+
+    Raises:
+        ValueError: If the pixel format is unknown.
+    """
+    if pixel_format == "mono8":
+        return frame
+    if pixel_format == "rgb8":
+        return np.asarray(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), np.uint8)
+    if pixel_format in _BAYER_TO_GREY:
+        return np.asarray(cv2.cvtColor(frame, _BAYER_TO_GREY[pixel_format]), np.uint8)
+    raise ValueError(f"Unknown pixel format {pixel_format!r}.")
