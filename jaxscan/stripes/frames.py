@@ -3,6 +3,12 @@
 from dataclasses import dataclass
 from typing import Literal
 
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from jaxscan.geometry import Array
+
 
 PixelFormat = Literal["mono8", "rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_grbg8", "bayer_gbrg8"]
 PIXEL_FORMATS: tuple[PixelFormat, ...] = ("mono8", "rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_grbg8", "bayer_gbrg8")
@@ -26,3 +32,86 @@ class LaserLine:
 def frame_rank(pixel_format: PixelFormat) -> int:
     """Dimensions of one frame in this format: [rows, columns], or [rows, columns, 3]."""
     return 3 if pixel_format == "rgb8" else 2
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Which pixels of a frame carry the laser's colour, as a plane [line, sample].
+
+    Sample s of the plane's line k lies at coordinate `offsets[k % len(offsets)] + pitch * s` on
+    line `first_line + line_step * k` of the image. Every sample integrates over one pixel,
+    whatever the pitch.
+    """
+
+    first_line: int = 0
+    line_step: int = 1
+    offsets: tuple[int, ...] = (0,)
+    """Coordinate of a line's first sample [px], by the line's parity where there are two."""
+    pitch: int = 1
+    """Distance between samples [px]."""
+
+
+def laser_sites(pixel_format: PixelFormat, line: LaserLine) -> Sites:
+    """Where the laser's colour is measured in frames of this format.
+
+    Raises:
+        ValueError: If the pixel format is unknown.
+    """
+    if pixel_format not in PIXEL_FORMATS:
+        raise ValueError(f"Unknown pixel format {pixel_format!r}; known: {', '.join(PIXEL_FORMATS)}.")
+    if not pixel_format.startswith("bayer"):
+        return Sites()
+    tile = pixel_format[6:10]
+    if line.stripe_axis == "columns":
+        tile = tile[0] + tile[2] + tile[1] + tile[3]
+    if line.colour == "green":
+        return Sites(offsets=(tile[:2].index("g"), tile[2:].index("g")), pitch=2)
+    first_line, offset = divmod(tile.index(line.colour[0]), 2)
+    return Sites(first_line=first_line, line_step=2, offsets=(offset,), pitch=2)
+
+
+def laser_plane(frames: Array, *, pixel_format: PixelFormat, line: LaserLine) -> UInt8[Array, "frames lines samples"]:
+    """The samples of the laser's colour, one plane per frame, as `laser_sites` places them.
+
+    Args:
+        frames: uint8 [frames, rows, columns] (rgb8: and 3).
+        pixel_format: How a frame is to be read.
+        line: The laser; where its stripe axis is "columns" the lines are image columns.
+
+    Returns:
+        Plane [DN]; a last line or sample that is only half a Bayer tile is left out.
+    """
+    sites = laser_sites(pixel_format, line)
+    if pixel_format == "rgb8":
+        frames = frames[..., ("red", "green", "blue").index(line.colour)]
+    if line.stripe_axis == "columns":
+        frames = frames.swapaxes(1, 2)
+    if sites.pitch == 1:
+        return frames
+    rows, columns = frames.shape[1] // 2 * 2, frames.shape[2] // 2 * 2
+    frames = frames[:, :rows, :columns]
+    if sites.line_step == 2:
+        return frames[:, sites.first_line :: 2, sites.offsets[0] :: 2]
+    tiles = frames.reshape(len(frames), rows // 2, 2, columns // 2, 2)
+    xp = np if isinstance(frames, np.ndarray) else jnp
+    lines = xp.stack([tiles[:, :, 0, :, sites.offsets[0]], tiles[:, :, 1, :, sites.offsets[1]]], 2)
+    return lines.reshape(len(frames), rows, columns // 2)
+
+
+def decode_table(response: Response) -> tuple[Float[np.ndarray, "256"], Float[np.ndarray, "256"]]:
+    """What each code of a pixel means on a linear scale.
+
+    Returns:
+        level: Linear level [DN], 0 to 255.
+        slope: Linear DN per code, by which the rounding of the code grows.
+
+    Source:
+        IEC 61966-2-1 (sRGB), transfer function.
+    """
+    code = np.arange(256) / 255.0
+    if response == "linear":
+        return 255.0 * code, np.ones(256)
+    dark = code <= 0.04045
+    level = np.where(dark, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    slope = np.where(dark, 1 / 12.92, 2.4 / 1.055 * ((code + 0.055) / 1.055) ** 1.4)
+    return 255.0 * level, slope

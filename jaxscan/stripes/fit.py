@@ -1,0 +1,208 @@
+"""Maximum-likelihood fit of a pixel-integrated Gaussian to the samples around a candidate.
+
+All arrays have the window's samples first and the rows last: every operation is then one long
+vector over rows, and sums over the window need no shuffling.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.geometry import Array
+
+
+MIN_WIDTH_PX = 0.3
+"""Below this the width of a stripe cannot be told from its pixel's [px]."""
+
+
+class Window(NamedTuple):
+    """Samples around a candidate, coordinates relative to the window's middle."""
+
+    x: Float[Array, "samples rows"]
+    """Centre of a sample [px]."""
+    y: Float[Array, "samples rows"]
+    """Level: on minus off, or on where there is no off [DN]."""
+    variance: Float[Array, "samples rows"]
+    """Variance of `y` but for the stripe's own shot noise [DN^2]."""
+    used: Bool[Array, "samples rows"]
+    """Inside the image, near the candidate and not saturated."""
+    aperture: Float[Array, " rows"]
+    """Length over which a sample integrates [px]."""
+    shot: Float[Array, " rows"]
+    """Variance of `y` per DN of stripe [DN]."""
+
+
+class Fit(NamedTuple):
+    """Result of the fit; `u` relative to the window's middle."""
+
+    u: Float[Array, " rows"]
+    amplitude: Float[Array, " rows"]
+    width: Float[Array, " rows"]
+    variance: Float[Array, " rows"]
+    """Variance of `u` with all other parameters unknown [px^2]; 0 where it is not determined."""
+    chi2: Float[Array, " rows"]
+    """Chi-squared of all used samples."""
+    energy: Float[Array, " rows"]
+    """Squared signal-to-noise ratio of the stripe: sum of model^2 / variance."""
+    samples: Float[Array, " rows"]
+    """Number of used samples."""
+    last_step: Float[Array, " rows"]
+    """Size of the last step in `u` [px]."""
+
+
+def integrated_gaussian(
+    x: Float[Array, "samples rows"], width: Float[Array, " rows"], aperture: Float[Array, " rows"]
+) -> tuple[Float[Array, "samples rows"], Float[Array, "samples rows"], Float[Array, "samples rows"]]:
+    r"""Mean of a unit Gaussian over a sample, and its derivatives.
+
+    With $z = x/w$, $q = (a/w)^2$ for the aperture a, Hermite polynomials $He_n$ and
+    $c = (1, 1/24, 1/1920, 1/322560)$,
+
+    $$h = e^{-z^2/2} \sum_k c_k q^k He_{2k}(z)$$
+
+    is the Taylor series of the integral; what is left out is below 3e-4 for w = a/2 and 5e-6
+    for w = a.
+
+    Args:
+        x: Centre of the sample from the Gaussian's centre [px].
+        width: Standard deviation [px].
+        aperture: Length over which a sample integrates [px].
+
+    Returns:
+        h: Mean over the sample [1].
+        minus_slope: -dh/dx, the derivative by the Gaussian's centre [1/px].
+        by_width: dh/dw [1/px].
+    """
+    per_width = 1.0 / width
+    z = x * per_width[None, :]
+    s = z * z
+    q = (aperture * per_width) ** 2
+    c1, c2, c3 = (q / 24)[None, :], (q**2 / 1920)[None, :], (q**3 / 322560)[None, :]
+    gauss = jnp.exp(-0.5 * s)
+    h = gauss * (1.0 + c1 * (s - 1.0) + c2 * ((s - 6.0) * s + 3.0) + c3 * (((s - 15.0) * s + 45.0) * s - 15.0))
+    odd = (
+        1.0
+        + c1 * (s - 3.0)
+        + c2 * ((s - 10.0) * s + 15.0)
+        + c3 * (((s - 21.0) * s + 105.0) * s - 105.0)
+    )
+    minus_slope = gauss * z * odd * per_width[None, :]
+    # The heat equation: d/dw = w d^2/dx^2 for a normalised Gaussian, plus 1/w for its norm.
+    second = (
+        (s - 1.0)
+        + c1 * ((s - 6.0) * s + 3.0)
+        + c2 * (((s - 15.0) * s + 45.0) * s - 15.0)
+        + c3 * ((((s - 28.0) * s + 210.0) * s - 420.0) * s + 105.0)
+    )
+    by_width = (h + gauss * second) * per_width[None, :]
+    return h, minus_slope, by_width
+
+
+def fit_stripe(
+    window: Window,
+    u: Float[Array, " rows"],
+    amplitude: Float[Array, " rows"],
+    width: Float[Array, " rows"],
+    background: Float[Array, " rows"] | None,
+    *,
+    iterations: int,
+    max_width: float,
+) -> Fit:
+    r"""Fit centre, amplitude and width (and a constant background) of one stripe per row.
+
+    Scoring: every step solves the weighted normal equations with weights
+    $1 / (\mathrm{variance} + \mathrm{shot} \cdot \max(F, 0))$ from the present model F, which
+    converges to the maximum of the likelihood; the normal matrix is then its information.
+
+    Args:
+        window: The samples.
+        u: First centre, from the window's middle [px].
+        amplitude: First amplitude [DN].
+        width: First standard deviation [px].
+        background: First background [DN], or None where it is known to be 0.
+        iterations: Number of steps, the same for all rows.
+        max_width: Largest width that a step may reach [px].
+
+    Source:
+        S. M. Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993,
+        section 7.7 (scoring); equation 3.31 (information of a signal in Gaussian noise).
+    """
+    weighted = window.used.astype(window.y.dtype)
+    free = background is not None
+    base = jnp.zeros_like(u) if background is None else background
+
+    def step(_, state):
+        u, amplitude, width, base, _ = state
+        h, slope, by_width = integrated_gaussian(window.x - u[None, :], width, window.aperture)
+        model = amplitude[None, :] * h
+        weight = weighted / (window.variance + window.shot[None, :] * jnp.maximum(model, 0.0))
+        residual = window.y - model - base[None, :]
+        # The centre last: its pivot is then the information that is left to it.
+        jacobian = [h, amplitude[None, :] * by_width, amplitude[None, :] * slope]
+        if free:
+            jacobian.insert(0, jnp.ones_like(h))
+        scaled = [weight * column for column in jacobian]
+        normal = [[jnp.sum(a * b, 0) for b in jacobian[: i + 1]] for i, a in enumerate(scaled)]
+        gradient = [jnp.sum(a * residual, 0) for a in scaled]
+        energy = amplitude**2 * normal[-3][-1]
+        chi2 = jnp.sum(weight * residual * residual, 0)
+        delta, information = _solve(normal, gradient)
+        gain = sum(d * g for d, g in zip(delta, gradient, strict=True))
+        summary = (information, energy, jnp.maximum(chi2 - gain, 0.0), delta[-1])
+        reach = jnp.maximum(width, 1.0)
+        moved = (
+            u + jnp.clip(delta[-1], -reach, reach),
+            jnp.clip(amplitude + delta[-3], 0.3 * amplitude, 3.0 * amplitude),
+            jnp.clip(width + jnp.clip(delta[-2], -0.4 * width, 0.6 * width), MIN_WIDTH_PX, max_width),
+            base + delta[0] if free else base,
+        )
+        return (*moved, summary)
+
+    none = jnp.zeros_like(u)
+    u, amplitude, width, base, summary = lax.fori_loop(
+        0, iterations, step, (u, amplitude, width, base, (none, none, none, none))
+    )
+    information, energy, chi2, last = summary
+    determined = information > 0
+    return Fit(
+        u=u,
+        amplitude=amplitude,
+        width=width,
+        variance=jnp.where(determined, 1.0 / jnp.where(determined, information, 1.0), 0.0),
+        chi2=chi2,
+        energy=energy,
+        samples=jnp.sum(weighted, 0),
+        last_step=jnp.abs(last),
+    )
+
+
+def _solve(
+    normal: list[list[Float[Array, " rows"]]], gradient: list[Float[Array, " rows"]]
+) -> tuple[list[Float[Array, " rows"]], Float[Array, " rows"]]:
+    """Solve the normal equations of every row, lower triangle given.
+
+    Returns:
+        step: One array per parameter.
+        information: Pivot of the last parameter, its information with the others unknown.
+    """
+    size = len(gradient)
+    lower: list[list] = [[None] * size for _ in range(size)]
+    pivots, forward = [], []
+    for i in range(size):
+        for j in range(i):
+            lower[i][j] = (normal[i][j] - sum(lower[i][k] * lower[j][k] * pivots[k] for k in range(j))) / pivots[j]
+        pivot = normal[i][i] - sum(lower[i][k] ** 2 * pivots[k] for k in range(i))
+        # A row without information stays where it is: a harmless pivot instead of a zero.
+        pivots.append(jnp.maximum(pivot, 1e-6 * normal[i][i] + 1e-12))
+        forward.append(gradient[i] - sum(lower[i][k] * forward[k] for k in range(i)))
+    step: list = [None] * size
+    for i in reversed(range(size)):
+        step[i] = forward[i] / pivots[i] - sum(lower[k][i] * step[k] for k in range(i + 1, size))
+    return step, pivots[-1]
+
+
+def gather(samples: Float[Array, "..."], index: Int[Array, "samples rows"]) -> Float[Array, "samples rows"]:
+    """Elements of a flat array; every index must be inside."""
+    return samples.reshape(-1).at[index].get(mode="promise_in_bounds")
