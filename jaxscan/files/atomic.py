@@ -1,5 +1,6 @@
 """Files appear whole or not at all: written beside, then renamed."""
 
+import errno
 import os
 import secrets
 import stat
@@ -48,6 +49,9 @@ def write_atomically(
 
 
 def _check_target(target: Path) -> None:
+    # Foreign libraries have errors of their own for this.
+    if not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
     # Renaming over a device or a folder would replace what the user only meant to write to.
     if target.exists() and not stat.S_ISREG(target.stat().st_mode):
         raise OSError("it exists and is not a regular file")

@@ -184,7 +184,7 @@ def header_toml(header: CaptureHeader) -> bytes:
     """
     tables = header.model_dump(exclude_none=True)
     lasers = tables.pop("laser")
-    first = {key: tables.pop(key) for key in ("format", "kind", "camera", "turntable") if key in tables}
+    first: dict[str, Any] = {key: tables.pop(key) for key in ("format", "kind", "camera", "turntable") if key in tables}
     try:
         text = [tomli_w.dumps(first)]
         # One [[laser]] table each, as people write them.
