@@ -1,0 +1,205 @@
+"""Calibration boards: printed, perhaps bowed, sampled at 4 x 4 points per pixel before the lens."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxscan.errors import ConfigError
+from jaxscan.simulation.optics import integrate, psf_weights
+from jaxscan.simulation.rig import Motion, Rig
+from jaxscan.simulation.spec import BoardsSpec
+
+
+SAMPLES = 4
+INK, PAPER = 0.07, 0.85
+"""Albedo of black and white print."""
+_RIM = 64
+"""White cells round the picture."""
+_STRIP = 32
+"""Rows rendered at a time: their samples stay in the processor's cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class Print:
+    """A board's picture as albedo, with a white rim, and where it lies on the board."""
+
+    albedo: np.ndarray
+    """float32 [rows, columns]."""
+    origin: np.ndarray
+    """Board coordinates of the centre of the first cell [2], m."""
+    cell: float
+    """Side of a cell of the picture [m]."""
+    low: np.ndarray
+    """Smallest x, y of the board with its white border [2], m."""
+    high: np.ndarray
+    half: np.ndarray
+    """Half the extent of the corners [2], m, which the warp refers to."""
+    middle: np.ndarray
+    """Middle of the corners [2], m."""
+    warp: tuple[float, float]
+    """kx, ky [m]."""
+    square_cells: int
+    """Cells along a square's side."""
+
+    def finest(self, cell: float) -> "Print":
+        """The picture averaged to cells of about `cell` [m], but not larger.
+
+        Only blocks of which a whole number makes a square are averaged, so that the edges of
+        squares stay on the borders of cells: linear interpolation then keeps them in place.
+        """
+        factors = [k for k in range(1, _RIM // 2) if self.square_cells % k == 0 and k * self.cell <= cell]
+        if len(factors) < 2:
+            return self
+        factor = factors[-1]
+        skip = _RIM % factor
+        rows, columns = ((size - skip) // factor for size in self.albedo.shape)
+        whole = self.albedo[skip : skip + rows * factor, skip : skip + columns * factor]
+        albedo = whole.reshape(rows, factor, columns, factor).mean((1, 3))
+        origin = self.origin + (skip + (factor - 1) / 2) * self.cell
+        return replace(self, albedo=albedo, origin=origin, cell=self.cell * factor)
+
+
+def make_print(spec: BoardsSpec, texture: np.ndarray) -> Print:
+    """The print of a board from its picture.
+
+    Args:
+        spec: The board.
+        texture: uint8 [rows, columns], the printed area (`board.outline()`), row 0 at y0.
+
+    Raises:
+        ConfigError: If the picture does not have the shape of the board.
+    """
+    board = spec.board()
+    outline, corners = board.outline(), board.corners()[:, :2]
+    low, high = outline.min(0), outline.max(0)
+    cells = (high - low) / np.array(texture.shape[::-1])
+    if texture.ndim != 2 or abs(cells[0] / cells[1] - 1) > 1e-6:
+        raise ConfigError(
+            f"The board's picture has shape {texture.shape}; a grey picture of {high[0] - low[0]:.4g} x "
+            f"{high[1] - low[1]:.4g} m with square cells is needed."
+        )
+    albedo = INK + (PAPER - INK) * texture.astype(np.float32) / 255
+    # A rim of white cells, of which indices that fall outside take the last.
+    albedo = np.pad(albedo, _RIM, constant_values=PAPER)
+    cell = float(cells[0])
+    margin = spec.border_mm / 1000
+    half = (corners.max(0) - corners.min(0)) / 2
+    middle = (corners.max(0) + corners.min(0)) / 2
+    warp = spec.warp_mm[0] / 1000, spec.warp_mm[1] / 1000
+    square_cells = round(board.square / cell)
+    return Print(albedo, low + (0.5 - _RIM) * cell, cell, low - margin, high + margin, half, middle, warp, square_cells)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenBoard:
+    """A board held in front of the camera."""
+
+    picture: Print
+    board_from_camera: Motion
+
+    def hit(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Depth along (x, y, 1), inf where missed, and board coordinates [m]."""
+        r = self.board_from_camera.rotation.astype(x.dtype)
+        t = self.board_from_camera.translation.astype(x.dtype)
+        r0, r1, r2 = (row[0] * x + row[1] * y + row[2] for row in r)
+        towards = np.where(np.abs(r2) < 1e-9, x.dtype.type(1e-9), r2)
+        z = -t[2] / towards
+        bx, by = z * r0 + t[0], z * r1 + t[1]
+        if self.picture.warp != (0.0, 0.0):
+            # The bow is shallow: each round divides its error by hundreds.
+            for _ in range(3):
+                z = (self.height(bx, by) - t[2]) / towards
+                bx, by = z * r0 + t[0], z * r1 + t[1]
+        low, high = self.picture.low.astype(x.dtype), self.picture.high.astype(x.dtype)
+        inside = (z > 0) & (bx >= low[0]) & (bx <= high[0]) & (by >= low[1]) & (by <= high[1])
+        return np.where(inside, z, x.dtype.type(np.inf)), bx, by
+
+    def height(self, bx: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Height of the bowed board at board coordinates [m]."""
+        p = self.picture
+        kx, ky = (bx.dtype.type(k) for k in p.warp)
+        x, y = ((b - b.dtype.type(m)) / b.dtype.type(h) for b, m, h in zip((bx, by), p.middle, p.half, strict=True))
+        return kx * (1 - x * x) + ky * (1 - y * y)
+
+    def albedo(self, bx: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Albedo of the print, linearly interpolated between cells, float32."""
+        p = self.picture
+        f = np.float32
+        column = (bx - bx.dtype.type(p.origin[0])) * bx.dtype.type(1 / p.cell)
+        row = (by - by.dtype.type(p.origin[1])) * by.dtype.type(1 / p.cell)
+        rows, columns = p.albedo.shape
+        column = np.clip(column, 0, columns - 1.001).astype(f)
+        row = np.clip(row, 0, rows - 1.001).astype(f)
+        j, i = column.astype(np.int32), row.astype(np.int32)
+        column -= j
+        row -= i
+        at = i * np.int32(columns) + j
+        flat = p.albedo.ravel()
+        top = flat[at] * (1 - column) + flat[at + 1] * column
+        bottom = flat[at + columns] * (1 - column) + flat[at + (columns + 1)] * column
+        return top * (1 - row) + bottom * row
+
+    def normal(self) -> np.ndarray:
+        """Unit normal towards the camera, camera frame."""
+        normal = self.board_from_camera.rotation[2]
+        return normal * np.sign(self.board_from_camera.translation[2])
+
+    def blocks(self, origin: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Whether the board stands between `origin` [3] and points [n, 3], camera frame."""
+        start, ends = self.board_from_camera.apply(origin), self.board_from_camera.apply(points)
+        crosses = start[2] * ends[:, 2] < 0
+        share = start[2] / np.where(crosses, start[2] - ends[:, 2], 1.0)
+        place = start[:2] + share[:, None] * (ends[:, :2] - start[:2])
+        return crosses & np.all((place >= self.picture.low) & (place <= self.picture.high), -1)
+
+
+def cover(rig: Rig, board: SeenBoard, depth: np.ndarray) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray, SeenBoard]:
+    """The board through the lens, in the part of the image that it touches.
+
+    Args:
+        rig: The rig.
+        board: The board.
+        depth: Depth of the board at pixel centres, inf where missed [height, width].
+
+    Returns:
+        Where it is (rows, columns); how much of each pixel it fills, and its albedo times that,
+        float32 [rows, columns]; and the board with its picture as fine as the pixels need.
+    """
+    radius = (len(psf_weights(rig.config.sensor.psf_px, SAMPLES)) - 1) // 2
+    height, width = rig.rays.shape
+    seen = np.isfinite(depth)
+    rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
+    if len(rows) == 0:
+        return (slice(0, 0), slice(0, 0)), np.zeros((0, 0), np.float32), np.zeros((0, 0), np.float32), board
+    top, bottom = max(0, rows[0] - radius - 1), min(height, rows[-1] + radius + 2)
+    left, right = max(0, columns[0] - radius - 1), min(width, columns[-1] + radius + 2)
+    pixel = float(np.median(depth[seen])) / rig.config.camera.fx
+    fine = SeenBoard(board.picture.finest(pixel / SAMPLES), board.board_from_camera)
+    fills = np.empty((bottom - top, right - left), np.float32)
+    albedo = np.empty_like(fills)
+    for start in range(top, bottom, _STRIP):
+        end = min(start + _STRIP, bottom)
+        part = slice(start - top, end - top)
+        fills[part], albedo[part] = _strip(rig, fine, slice(start, end), slice(left, right), radius)
+    return (slice(top, bottom), slice(left, right)), fills, albedo, fine
+
+
+def _strip(rig: Rig, board: SeenBoard, rows: slice, columns: slice, radius: int) -> tuple[np.ndarray, np.ndarray]:
+    t = rig.rays
+    height, width = t.shape
+    # Pixels beyond the border repeat those on it: light from outside the image is unknown.
+    i = np.clip(np.arange(rows.start - radius, rows.stop + radius), 0, height - 1)
+    j = np.clip(np.arange(columns.start - radius, columns.stop + radius), 0, width - 1)
+    block = np.ix_(i, j)
+    x, x_u, x_v, y, y_u, y_v = (table[block] for table in (t.x, t.x_u, t.x_v, t.y, t.y_u, t.y_v))
+    at = ((np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5).astype(np.float32)
+    inside = np.empty((SAMPLES, SAMPLES, len(i), len(j)), np.float32)
+    albedo = np.empty_like(inside)
+    for m, du in enumerate(at):
+        for n, dv in enumerate(at):
+            z, bx, by = board.hit(x + x_u * du + x_v * dv, y + y_u * du + y_v * dv)
+            inside[m, n] = np.isfinite(z)
+            albedo[m, n] = board.albedo(bx, by)
+            albedo[m, n] *= inside[m, n]
+    weights = psf_weights(rig.config.sensor.psf_px, SAMPLES)
+    return integrate(inside, weights), integrate(albedo, weights)

@@ -1,0 +1,37 @@
+"""Open3D, imported only when something is cast: the one place of the package that loads it."""
+
+import ctypes
+import pathlib
+from functools import cache
+from types import ModuleType
+
+from jaxscan.errors import DependencyError
+
+
+_PACKAGES = "libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1 libudev1 libidn2-0"
+
+
+@cache
+def _open3d() -> ModuleType:
+    """The module open3d.
+
+    Raises:
+        DependencyError: If it or a system library it needs is missing.
+    """
+    try:
+        import libusb_package
+
+        # Open3D 0.20 is linked against libusb, which few systems have; the package brings one,
+        # and it must be loaded first.
+        for library in sorted(pathlib.Path(libusb_package.__file__).parent.glob("libusb-1.0*")):
+            ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
+    except (ImportError, OSError):
+        pass  # The system may have libusb; if not, the next import says so.
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise DependencyError(
+            f"The simulator needs Open3D, which does not load: {error}. Install the Python package open3d and, "
+            f"on Debian or Ubuntu: apt-get install {_PACKAGES}"
+        ) from error
+    return open3d

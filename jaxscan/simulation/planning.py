@@ -1,0 +1,185 @@
+"""Where a careful person would hold the board: spread over the image, tilted, across the stripe.
+
+That person sees a preview, so this may look at the true rig.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import ConfigError
+from jaxscan.simulation.rays import distort
+from jaxscan.simulation.rig import Motion, Rig, rodrigues
+from jaxscan.simulation.scene import Scene
+
+
+class Placement(NamedTuple):
+    """One board pose and the table angles from which it is seen."""
+
+    scanner_from_board: Motion
+    angles: tuple[float, ...]
+    """[rad], as commanded."""
+    number: int | None
+    """Which placement; None for a free view."""
+
+
+_MARGIN_PX = 6.0
+_CLEARANCE = 0.03
+_CHOICES = 6
+"""Sound poses among which the one is taken that shows the board where few have yet."""
+_TRIES = 4000
+
+
+def plan_boards(rig: Rig, scene: Scene, rng: np.random.Generator) -> list[Placement]:
+    """Free views at angle 0, then placements seen from several angles.
+
+    Raises:
+        ConfigError: If the board does not fit into the image or the scene in the wanted ranges.
+    """
+    spec = rig.config.boards
+    seen = np.zeros((6, 8))
+    plan = []
+    for number in range(spec.free_views):
+        choices = [_pose(rig, scene, rng, _share(number, spec.free_views), turns=1)[0] for _ in range(_CHOICES)]
+        pose = max(choices, key=lambda pose: _novelty(rig, pose, seen))
+        seen += _cells(rig, pose)
+        plan.append(Placement(rig.pose(0.0) @ pose, (0.0,), None))
+    for number in range(spec.placements):
+        pose, angles = _pose(rig, scene, rng, _share(number, spec.placements), turns=spec.angles)
+        plan.append(Placement(rig.pose(0.0) @ pose, angles, number))
+    return plan
+
+
+def _share(number: int, count: int) -> tuple[float, float]:
+    """The number-th of `count` equal parts, in an order that mixes near and far."""
+    order = sorted(range(count), key=lambda k: (k * 0.618034) % 1)
+    return order[number] / count, (order[number] + 1) / count
+
+
+def _pose(
+    rig: Rig, scene: Scene, rng: np.random.Generator, share: tuple[float, float], *, turns: int
+) -> tuple[Motion, tuple[float, ...]]:
+    """A sound pose T_cam_board at angle 0 with its range in a share of the wanted one."""
+    spec = rig.config.boards
+    near, far = np.log(spec.range_m)
+    for attempt in range(_TRIES):
+        # Where a share of the range is not to be had, the whole is tried.
+        low, high = share if attempt < _TRIES // 2 else (0.0, 1.0)
+        distance = float(np.exp(near + (far - near) * rng.uniform(low, high)))
+        pose = _draw(rig, rng, distance)
+        if pose is None or not _sees(rig, pose) or not _crossed(rig, pose):
+            continue
+        angles = (0.0,) if turns == 1 else _turns(rig, pose, turns)
+        if len(angles) == turns and all(_clear(rig, scene, pose, phi) for phi in angles):
+            return pose, angles
+    raise ConfigError(
+        f"No pose of the board ({spec.columns} x {spec.rows}, {spec.square_mm} mm) was found within {list(spec.range_m)} m "
+        f"that the camera sees and the laser crosses: change [boards] range_m, the board's size, or the room."
+    )
+
+
+def _draw(rig: Rig, rng: np.random.Generator, distance: float) -> Motion | None:
+    """A random pose with its middle beside the sheet at the given depth."""
+    camera, spec = rig.config.camera, rig.config.boards
+    sheet = rig.sheets[int(rng.integers(len(rig.sheets)))]
+    size = _extent(rig)
+    axis = rng.uniform(0, 2 * np.pi)
+    tilt = np.deg2rad(rng.uniform(*spec.tilt_deg))
+    rotation = rodrigues(np.array([np.cos(axis), np.sin(axis), 0.0]), tilt)
+    rotation = rotation @ rodrigues(np.array([0.0, 0.0, 1.0]), np.deg2rad(rng.uniform(-20, 20)))
+    n = sheet.normal
+    if sheet.spec.stripe_axis == "rows":
+        y = rng.uniform(-0.5, 0.5) * distance * camera.height / camera.fy
+        x = (sheet.distance - n[2] * distance - n[1] * y) / n[0] + rng.uniform(-0.4, 0.4) * size[0]
+    else:
+        x = rng.uniform(-0.5, 0.5) * distance * camera.width / camera.fx
+        y = (sheet.distance - n[2] * distance - n[0] * x) / n[1] + rng.uniform(-0.4, 0.4) * size[1]
+    centre = np.array([x, y, distance])
+    if abs(x) > distance * camera.width / camera.fx or abs(y) > distance * camera.height / camera.fy:
+        return None
+    middle = np.append(rig.config.boards.board().outline().mean(0), 0.0)
+    return Motion(rotation, centre - rotation @ middle)
+
+
+def _extent(rig: Rig) -> np.ndarray:
+    outline = rig.config.boards.board().outline()
+    return outline.max(0) - outline.min(0)
+
+
+def _pixels(rig: Rig, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of points [n, 3] in the camera frame, and which are in the image."""
+    camera = rig.config.camera
+    z = np.maximum(points[:, 2], 1e-6)
+    u, v = distort(camera, points[:, 0] / z, points[:, 1] / z)
+    inside = (u > _MARGIN_PX) & (u < camera.width - 1 - _MARGIN_PX) & (v > _MARGIN_PX)
+    # Beyond the field of view the lens model folds back into the image.
+    reach = 0.6 * np.hypot(camera.width / camera.fx, camera.height / camera.fy)
+    straight = np.hypot(points[:, 0], points[:, 1]) < reach * z
+    return np.stack([u, v], -1), inside & (v < camera.height - 1 - _MARGIN_PX) & straight & (points[:, 2] > 0.05)
+
+
+def _sees(rig: Rig, pose: Motion) -> bool:
+    """Whether the corners that the board's kind needs are in the image."""
+    spec = rig.config.boards
+    share = _pixels(rig, pose.apply(spec.board().corners()))[1].mean()
+    return bool(share == 1 if spec.type == "chessboard" else share >= 0.75)
+
+
+def _crossed(rig: Rig, pose: Motion) -> bool:
+    """Whether a stripe runs over the board from side to side, and its light does not graze it."""
+    outline = rig.config.boards.board().outline()
+    corners = pose.apply(np.column_stack([outline, np.zeros(4)]))
+    for sheet in rig.sheets:
+        beside = corners @ sheet.normal - sheet.distance
+        rows = sheet.spec.stripe_axis == "rows"
+        first, second = ((0, 1), (3, 2)) if rows else ((0, 3), (1, 2))
+        leg = corners.mean(0) - sheet.origin
+        lit = pose.rotation[:, 2] @ leg / np.linalg.norm(leg)
+        seen = pose.rotation[:, 2] @ corners.mean(0) / np.linalg.norm(corners.mean(0))
+        fan = np.arctan2((corners - sheet.origin) @ sheet.across, (corners - sheet.origin) @ sheet.ahead)
+        inside = np.abs(fan).max() < np.deg2rad(sheet.spec.fan_deg / 2 - 3)
+        cut = all(beside[a] * beside[b] < 0 for a, b in (first, second))
+        if cut and lit > 0.35 and seen > 0.35 and inside:
+            return True
+    return False
+
+
+def _turns(rig: Rig, pose: Motion, count: int) -> tuple[float, ...]:
+    """Angles over which the board stays in the image, evenly spread; fewer than two if it hardly does."""
+    scanner_from_board = rig.pose(0.0) @ pose
+    ends = []
+    for sign in (-1.0, 1.0):
+        phi = 0.0
+        while abs(phi) < np.pi / 4 and _sees(rig, rig.pose(phi + sign * 0.01).inverse() @ scanner_from_board):
+            phi += sign * 0.01
+        ends.append(phi)
+    if ends[1] - ends[0] < 0.1:
+        return ()
+    # Whole hundredths of a degree: what a stepper can be told to do.
+    return tuple(float(np.deg2rad(round(np.rad2deg(phi), 2))) for phi in np.linspace(ends[0], ends[1], count))
+
+
+def _clear(rig: Rig, scene: Scene, pose: Motion, phi: float) -> bool:
+    """Whether nothing stands before or in the board, for camera and laser, at angle `phi`."""
+    spec = rig.config.boards
+    low, high = spec.board().outline()[[0, 2]] + np.array([[-1.0], [1.0]]) * spec.border_mm / 1000
+    x, y = np.meshgrid(np.linspace(low[0], high[0], 5), np.linspace(low[1], high[1], 5))
+    # Points behind the board by the clearance: what is cut by them would stick through it.
+    grid = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, _CLEARANCE)])
+    world = (rig.pose(0.0) @ pose).apply(grid).astype(np.float32)
+    eyes = [rig.pose(phi).translation] + [rig.pose(phi).apply(sheet.origin) for sheet in rig.sheets]
+    return not any(scene.blocked(eye, world).any() for eye in eyes)
+
+
+def _cells(rig: Rig, pose: Motion) -> np.ndarray:
+    """Which cells of a 6 x 8 grid over the image hold corners of the board."""
+    camera = rig.config.camera
+    pixels, inside = _pixels(rig, pose.apply(rig.config.boards.board().corners()))
+    seen = np.zeros((6, 8))
+    rows, columns = pixels[inside, 1] * 6 // camera.height, pixels[inside, 0] * 8 // camera.width
+    seen[rows.astype(int), columns.astype(int)] = 1
+    return seen
+
+
+def _novelty(rig: Rig, pose: Motion, seen: np.ndarray) -> float:
+    return float((_cells(rig, pose) / (1 + seen) ** 2).sum())

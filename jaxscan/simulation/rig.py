@@ -1,0 +1,176 @@
+"""The rig as the renderer sees it: poses by Rodrigues' formula, sheets, and where the fans start.
+
+Written apart from `geometry` on purpose: the two are compared in tests, so an error in either
+cannot cancel against itself.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from jaxscan.errors import ConfigError
+from jaxscan.simulation.rays import RayTable, ray_table
+from jaxscan.simulation.spec import LaserSpec, SimulationConfig, TurntableSpec
+
+
+WALL_ALBEDO = 0.7
+"""Albedo of the wall that `peak_dn` of a laser refers to."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """p_a = rotation @ p_b + translation."""
+
+    rotation: np.ndarray
+    translation: np.ndarray
+
+    def __matmul__(self, other: "Motion") -> "Motion":
+        return Motion(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
+
+    def inverse(self) -> "Motion":
+        """The motion back."""
+        return Motion(self.rotation.T, -self.rotation.T @ self.translation)
+
+    def apply(self, points: np.ndarray) -> np.ndarray:
+        """Points [..., 3] carried over."""
+        return points @ self.rotation.T + self.translation
+
+
+def rodrigues(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Rotation matrix about a unit axis by `angle` [rad]."""
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A laser's sheet of light, camera frame: n . p = d + rho (b2 tau^2 + b3 tau^3)."""
+
+    spec: LaserSpec
+    normal: np.ndarray
+    distance: float
+    origin: np.ndarray
+    """Where the fan starts."""
+    ahead: np.ndarray
+    """The middle of the fan: the optical axis projected into the sheet."""
+    across: np.ndarray
+    slope: np.ndarray
+    """`slope_at` of every pixel's (x, y), float32 [height, width]."""
+    power: float
+    """DN times m^2: the stripe's light per unit fan, see `stripe`."""
+
+    def slope_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """m such that the point z (x, y, 1) lies z m - d beside the sheet."""
+        n, g, e = self.normal, self.ahead, self.across
+        slope = n[0] * x + n[1] * y + n[2]
+        if self.spec.bow != (0.0, 0.0):
+            along, aside = g[0] * x + g[1] * y + g[2], e[0] * x + e[1] * y + e[2]
+            tau = np.arctan2(aside, along)
+            slope = slope - np.hypot(along, aside) * tau * tau * (self.spec.bow[0] + self.spec.bow[1] * tau)
+        return slope
+
+    def thickness(self, r: np.ndarray) -> np.ndarray:
+        """Standard deviation of the sheet's thickness [m] at distance `r` [m] from the laser."""
+        waist, divergence = self.spec.waist_mm / 1000, self.spec.divergence_mrad / 1000
+        return np.sqrt(waist**2 + (divergence * (r - self.spec.focus_m)) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Camera, sheets and axis, ready for rendering."""
+
+    config: SimulationConfig
+    rays: RayTable
+    sheets: tuple[Sheet, ...]
+    direction: np.ndarray
+    """Unit axis, upwards, camera frame at angle 0."""
+    point: np.ndarray
+    """Its point nearest the camera."""
+    scanner_from_camera: Motion
+    """At angle 0."""
+
+    def theta(self, phi: float) -> float:
+        """Angle of turning at the table's angle `phi` [rad]."""
+        c1, s1, c2, s2 = self.config.turntable.harmonics
+        wave = c1 * (np.cos(phi) - 1) + s1 * np.sin(phi) + c2 * (np.cos(2 * phi) - 1) + s2 * np.sin(2 * phi)
+        return float(self.config.turntable.gain * phi + wave)
+
+    def pose(self, phi: float) -> Motion:
+        """Camera coordinates at the table's angle `phi` [rad] to the scanner frame."""
+        theta = self.theta(phi) if self.config.turntable.carries == "scanner" else -self.theta(phi)
+        rotation = rodrigues(self.direction, theta)
+        return self.scanner_from_camera @ Motion(rotation, self.point - rotation @ self.point)
+
+
+UP = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u": (-1.0, 0.0, 0.0)}
+
+
+@lru_cache(maxsize=4)
+def make_rig(config: SimulationConfig) -> Rig:
+    """The rig of a configuration; the last few are kept."""
+    rays = ray_table(config.camera)
+    direction, point = _axis(config.turntable)
+    if direction @ np.array(UP[config.camera.up]) < 0:
+        direction = -direction
+    ahead = np.array([0.0, 0.0, 1.0]) - direction[2] * direction
+    length = np.linalg.norm(ahead)
+    if length < 1e-6:
+        raise ConfigError("The camera looks along the turntable's axis: the scanner frame has no x direction.")
+    x = ahead / length
+    rotation = np.stack([x, np.cross(direction, x), direction])
+    base = Motion(rotation, -rotation @ point)
+    sheets = tuple(_sheet(laser, config, rays) for laser in config.laser)
+    return Rig(config, rays, sheets, direction, point, base)
+
+
+def _axis(spec: TurntableSpec) -> tuple[np.ndarray, np.ndarray]:
+    if spec.tr is None:
+        direction, point = np.array(spec.direction), np.array(spec.point_m)
+        direction = direction / np.linalg.norm(direction)
+    else:
+        tr = np.array(spec.tr)
+        u, _, vt = np.linalg.svd(tr[:3, :3])
+        rotation = u @ vt
+        values, vectors = np.linalg.eig(rotation)
+        direction = np.real(vectors[:, np.argmin(np.abs(values - 1))])
+        direction = direction / np.linalg.norm(direction)
+        shift = tr[:3, 3] / 1000
+        shift = shift - (direction @ shift) * direction
+        # Half the turn's chord, and the arrow to the centre: p = (t + cot(theta/2) a x t) / 2.
+        theta = np.arctan2(_vee(rotation) @ direction, (np.trace(rotation) - 1) / 2)
+        if abs(theta) < 1e-9:
+            raise ConfigError("`tr` of the turntable does not turn.")
+        point = (shift + np.cross(direction, shift) / np.tan(theta / 2)) / 2
+    return direction, point - (direction @ point) * direction
+
+
+def _vee(rotation: np.ndarray) -> np.ndarray:
+    r = rotation
+    return np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2
+
+
+def _sheet(spec: LaserSpec, config: SimulationConfig, rays: RayTable) -> Sheet:
+    normal, distance = spec.plane()
+    ahead = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
+    if np.linalg.norm(ahead) < 1e-6 or not distance > 0:
+        raise ConfigError(f"The sheet of laser {spec.name!r} faces the camera or runs through it: no triangulation.")
+    ahead = ahead / np.linalg.norm(ahead)
+    across = np.cross(normal, ahead)
+    if spec.origin_m is not None:
+        origin = np.array(spec.origin_m)
+        if abs(normal @ origin - distance) > 1e-3:
+            raise ConfigError(f"`origin_m` of laser {spec.name!r} lies more than 1 mm beside its sheet.")
+    elif abs(normal[0]) > 0.3:
+        origin = np.array([distance / normal[0], 0.0, 0.0])
+    else:
+        origin = distance * normal
+    sheet = Sheet(spec, normal, distance, origin, ahead, across, np.zeros((0, 0), np.float32), 1.0)
+    # The stripe on the reference wall, as wide as sheet, lens and pixel make it together.
+    r = spec.range_m
+    width_m = float(sheet.thickness(np.array(r)))
+    width_px = width_m * config.camera.fx / r
+    seen_px = np.sqrt(width_px**2 + config.sensor.psf_px**2 + 1 / 12)
+    power = spec.peak_dn / WALL_ALBEDO * r * np.sqrt(2 * np.pi) * width_m * seen_px / width_px
+    slope = sheet.slope_at(rays.x.astype(np.float64), rays.y.astype(np.float64)).astype(np.float32)
+    return Sheet(spec, normal, distance, origin, ahead, across, slope, float(power))

@@ -1,0 +1,116 @@
+"""The sensor: mosaic, shot noise, read noise, response, quantisation, saturation."""
+
+import numpy as np
+
+from jaxscan.simulation.spec import Colour, PixelFormat, SensorSpec
+
+
+COLOURS: tuple[Colour, ...] = ("red", "green", "blue")
+LUMINANCE = np.array([[0.30], [0.59], [0.11]], np.float32)
+"""What a mono camera makes of red, green and blue light."""
+_SITES = {
+    "bayer_rggb8": ((0, 1), (1, 2)),
+    "bayer_bggr8": ((2, 1), (1, 0)),
+    "bayer_grbg8": ((1, 0), (2, 1)),
+    "bayer_gbrg8": ((1, 2), (0, 1)),
+}
+"""Colour of the four sites of each 2 x 2 block, [row][column]."""
+
+
+def channels(sensor: SensorSpec) -> np.ndarray:
+    """Weights [3, channels] of R, G, B light in the channels that are rendered."""
+    return LUMINANCE if sensor.pixel_format == "mono8" else np.eye(3, dtype=np.float32)
+
+
+def laser_response(sensor: SensorSpec, colour: Colour) -> np.ndarray:
+    """What the channels [channels] see of the laser's light; a mono camera sees all of it."""
+    if sensor.pixel_format == "mono8":
+        return np.ones(1, np.float32)
+    response = np.full(3, sensor.crosstalk, np.float32)
+    response[COLOURS.index(colour)] = 1
+    return response
+
+
+def mosaic(image: np.ndarray, pixel_format: PixelFormat) -> np.ndarray:
+    """What the sensor's sites receive of an image [height, width, channels].
+
+    Returns:
+        [height, width], or [height, width, 3] for rgb8.
+    """
+    if pixel_format == "rgb8":
+        return image
+    if pixel_format == "mono8":
+        return image[..., 0]
+    out = np.empty(image.shape[:2], image.dtype)
+    for row in (0, 1):
+        for column in (0, 1):
+            colour = _SITES[pixel_format][row][column]
+            out[row::2, column::2] = image[row::2, column::2, colour]
+    return out
+
+
+def expose(expected: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -> np.ndarray:
+    """One exposure of an expected image.
+
+    Shot noise is drawn from the Gaussian with the variance of the Poisson law, which is good
+    above about 30 electrons; below, with the usual 40 electrons per DN, less than one DN is at
+    stake. Read noise is added, the response is applied, and the result is rounded and clipped
+    at 0 and 255. The black level is 0.
+
+    Args:
+        expected: float32, linear light in DN, of any shape.
+        sensor: Noise and response.
+        rng: Source of the noise.
+
+    Returns:
+        uint8 of the same shape.
+    """
+    variance = np.maximum(expected, np.float32(0))
+    variance *= np.float32(1 / sensor.electrons_per_dn)
+    variance += np.float32(sensor.read_dn**2)
+    noise = rng.standard_normal(expected.shape, np.float32)
+    noise *= np.sqrt(variance, out=variance)
+    noise += expected
+    if sensor.response == "srgb":
+        noise = encode_srgb(noise)
+    np.rint(noise, out=noise)
+    np.clip(noise, 0, 255, out=noise)
+    return noise.astype(np.uint8)
+
+
+def encode_srgb(linear: np.ndarray) -> np.ndarray:
+    """Linear light in DN (0 ... 255) to the DN of the sRGB curve."""
+    share = np.clip(linear / np.float32(255), 0, 1)
+    curve = np.float32(1.055) * share ** np.float32(1 / 2.4) - np.float32(0.055)
+    return np.float32(255) * np.where(share <= 0.0031308, np.float32(12.92) * share, curve)
+
+
+def speckled(laser: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -> np.ndarray:
+    """The laser's light with speckle: a random factor that is smooth along the stripe.
+
+    The factor has mean 1 and standard deviation `speckle_contrast`, is correlated over
+    `speckle_px` along the columns of the image and over the lens's blur across.
+    """
+    if sensor.speckle_contrast == 0:
+        return laser
+    lit = np.flatnonzero(laser.any(0))
+    if len(lit) == 0:
+        return laser
+    part = slice(lit[0], lit[-1] + 1)
+    field = rng.standard_normal(laser[:, part].shape, np.float32)
+    for axis, sigma in ((0, sensor.speckle_px), (1, sensor.psf_px)):
+        field = _smooth(field, sigma, axis)
+    out = laser.copy()
+    out[:, part] *= np.maximum(1 + np.float32(sensor.speckle_contrast) * field, 0)
+    return out
+
+
+def _smooth(field: np.ndarray, sigma: float, axis: int) -> np.ndarray:
+    """White noise correlated by a Gaussian kernel along one axis; the variance stays 1."""
+    radius = int(np.ceil(3 * sigma))
+    kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    kernel /= np.sqrt((kernel**2).sum())
+    out = np.zeros_like(field)
+    for shift, weight in zip(range(-radius, radius + 1), kernel, strict=True):
+        out += np.float32(weight) * np.roll(field, shift, axis)
+    return out

@@ -1,0 +1,257 @@
+"""What a simulated rig is made of: the configuration, as frozen models that refuse unknown keys.
+
+Metres, radians and pixels unless the key says otherwise.
+"""
+
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
+
+
+PixelFormat = Literal["mono8", "rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_grbg8", "bayer_gbrg8"]
+Colour = Literal["red", "green", "blue"]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=0)]
+Pair = tuple[float, float]
+Triple = tuple[float, float, float]
+
+
+class Section(BaseModel):
+    """A table of the configuration."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class CameraSpec(Section):
+    """Pinhole with Brown-Conrady distortion [px; 1 for the coefficients]."""
+
+    width: Annotated[int, Field(gt=7)] = 1280
+    height: Annotated[int, Field(gt=7)] = 1024
+    fx: Positive = 1100.0
+    fy: Positive = 1100.0
+    cx: float | None = None
+    """Principal point; the middle of the image where not given."""
+    cy: float | None = None
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    up: Literal["-v", "+v", "+u", "-u"] = "-v"
+
+    def centre(self) -> Pair:
+        """Principal point [px]."""
+        return (
+            (self.width - 1) / 2 if self.cx is None else self.cx,
+            (self.height - 1) / 2 if self.cy is None else self.cy,
+        )
+
+
+class SensorSpec(Section):
+    """How light becomes numbers."""
+
+    pixel_format: PixelFormat = "mono8"
+    response: Literal["linear", "srgb"] = "linear"
+    psf_px: Positive = 0.7
+    """Standard deviation of the lens's Gaussian point-spread function."""
+    electrons_per_dn: Positive = 40.0
+    """Conversion gain of the linear signal; shot noise is its square root in electrons."""
+    read_dn: Annotated[float, Field(ge=0)] = 1.0
+    """Standard deviation of the read noise, in DN of the linear signal."""
+    crosstalk: Annotated[float, Field(ge=0, lt=1)] = 0.04
+    """Share of the laser's light that the other two channels of a colour camera see."""
+    speckle_contrast: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Relative standard deviation of the laser's light on one pixel; 0 for none."""
+    speckle_px: Positive = 1.5
+    """Correlation length of the speckle along the stripe (standard deviation of its kernel)."""
+
+
+class LaserSpec(Section):
+    """A line laser: its sheet, its fan, and its power.
+
+    The sheet is given in one of three ways: the paper's `a`, `b`, `c_mm` (a X + b Y + Z = c),
+    `normal` and `distance_m`, or `baseline_m` and `crossing_m`: an upright sheet through the
+    laser at (baseline, 0, 0) that crosses the optical axis at that depth.
+    """
+
+    name: str = "red"
+    colour: Colour = "red"
+    stripe_axis: Literal["rows", "columns"] = "rows"
+    a: float | None = None
+    b: float | None = None
+    c_mm: float | None = None
+    normal: Triple | None = None
+    distance_m: float | None = None
+    baseline_m: float | None = None
+    crossing_m: float | None = None
+    bow: Pair = (0.0, 0.0)
+    """b2, b3 of the sheet's bow; see LaserSheet."""
+    origin_m: Triple | None = None
+    """Where the fan starts, camera frame; where not given, the point of the sheet on the
+    camera's x axis, or, for a sheet along that axis, the one nearest the camera."""
+    fan_deg: Annotated[float, Field(gt=0, lt=180)] = 90.0
+    waist_mm: Positive = 0.5
+    """Standard deviation of the sheet's thickness where it is in focus."""
+    focus_m: Annotated[float, Field(ge=0)] = 2.0
+    divergence_mrad: Annotated[float, Field(ge=0)] = 0.3
+    peak_dn: Positive = 150.0
+    """Peak of the stripe on a wall of albedo 0.7 that faces the laser at `range_m`."""
+    range_m: Positive = 2.0
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        forms = {
+            "a, b, c_mm": (self.a, self.b, self.c_mm),
+            "normal, distance_m": (self.normal, self.distance_m),
+            "baseline_m, crossing_m": (self.baseline_m, self.crossing_m),
+        }
+        begun = [name for name, values in forms.items() if any(value is not None for value in values)]
+        whole = [name for name, values in forms.items() if all(value is not None for value in values)]
+        if len(begun) != 1 or begun != whole:
+            raise ValueError(f"a laser's sheet needs exactly one of: {'; '.join(forms)}; got {begun or 'none'}")
+        return self
+
+    def plane(self) -> tuple[np.ndarray, float]:
+        """Unit normal and distance > 0 [m] of the flat part, camera frame."""
+        if self.a is not None and self.b is not None and self.c_mm is not None:
+            normal, distance = np.array([self.a, self.b, 1.0]), self.c_mm / 1000
+        elif self.normal is not None and self.distance_m is not None:
+            normal, distance = np.array(self.normal), self.distance_m
+        else:
+            normal, distance = np.array([1 / (self.baseline_m or 1), 0.0, 1 / (self.crossing_m or 1)]), 1.0
+        length = float(np.linalg.norm(normal)) * (1.0 if distance > 0 else -1.0)
+        return normal / length, distance / length
+
+
+class TurntableSpec(Section):
+    """The axis, camera frame at angle 0: `direction` and `point_m`, or the paper's `tr` [mm]."""
+
+    direction: Triple | None = None
+    point_m: Triple | None = None
+    tr: tuple[tuple[float, float, float, float], ...] | None = None
+    gain: float = 1.0
+    """Turned angle per commanded angle; its sign is about the axis's upward sense."""
+    harmonics: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    carries: Literal["scanner", "object"] = "scanner"
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        if (self.tr is None) == (self.direction is None or self.point_m is None):
+            raise ValueError("a turntable needs either `direction` and `point_m`, or `tr`")
+        if self.tr is not None and len(self.tr) != 4:
+            raise ValueError(f"`tr` must be a 4 x 4 matrix, got {len(self.tr)} rows")
+        return self
+
+
+class RoomSpec(Section):
+    """A box room with furniture along its walls."""
+
+    size_m: Triple = (4.2, 5.4, 2.5)
+    rig_m: Triple = (2.0, 2.6, 1.2)
+    """The scanner's origin in the room: from the walls x = 0 and y = 0, and above the floor."""
+    yaw_deg: float = 20.0
+    """Direction of the scanner's x axis in the room, from the room's x towards its y."""
+    furniture: bool = True
+
+    @model_validator(mode="after")
+    def _rig_inside(self) -> Self:
+        if not all(0 < at < size for at, size in zip(self.rig_m, self.size_m, strict=True)):
+            raise ValueError(f"`rig_m` {self.rig_m} must lie inside the room of {self.size_m} m")
+        return self
+
+
+class ObjectSpec(Section):
+    """A small object on the turntable's plate, for a table that carries the object."""
+
+    height_m: Positive = 0.12
+    base_z_m: float = -0.06
+    """Height of the plate above the scanner's origin."""
+    plate_radius_m: Positive = 0.11
+
+
+class LightSpec(Section):
+    """The room's own light."""
+
+    white_dn: Positive = 120.0
+    """What a white surface (albedo 1) gives in the room's mean light, on every channel."""
+    shadows: bool = True
+
+
+class BoardsSpec(Section):
+    """The calibration board and how it is shown to the rig."""
+
+    type: Literal["charuco", "chessboard"] = "charuco"
+    columns: Annotated[int, Field(ge=3)] = 12
+    """Squares of a ChArUco board; inner corners of a chessboard."""
+    rows: Annotated[int, Field(ge=3)] = 9
+    square_mm: Positive = 30.0
+    marker_mm: Positive = 22.0
+    dictionary: str = "DICT_5X5_250"
+    border_mm: Annotated[float, Field(ge=0)] = 15.0
+    """White margin around the printed area."""
+    warp_mm: Pair = (0.0, 0.0)
+    """kx, ky of z = kx (1 - x^2) + ky (1 - y^2), with x, y = +-1 at the outermost corners."""
+    free_views: Count = 30
+    placements: Count = 4
+    angles: Annotated[int, Field(ge=1)] = 9
+    """Table angles at which each placement is seen, spread over the field of view."""
+    range_m: tuple[Positive, Positive] = (0.8, 2.5)
+    tilt_deg: tuple[float, float] = (20.0, 45.0)
+    peak_dn: Positive = 110.0
+    """Peak of the stripe on the board's white: the laser's power is set for each view."""
+    white_dn: Positive = 130.0
+    """What a white surface gives in mean light while boards are shown."""
+
+    @field_validator("range_m", "tilt_deg")
+    @classmethod
+    def _ascending(cls, value: Pair) -> Pair:
+        if value[0] > value[1]:
+            raise ValueError(f"must be [smallest, largest], got {list(value)}")
+        return value
+
+    def board(self) -> AbstractBoard:
+        """The board of the geometry, for corners and outline."""
+        if self.type == "chessboard":
+            return Chessboard(self.columns, self.rows, self.square_mm / 1000)
+        return Charuco(self.columns, self.rows, self.square_mm / 1000, self.marker_mm / 1000, self.dictionary)
+
+
+class PlanSpec(Section):
+    """The sweep."""
+
+    steps: Annotated[int, Field(ge=1)] = 360
+    turn_deg: float = 360.0
+    """Commanded angle of the whole sweep; the last step stands one step before it."""
+
+
+class SimulationConfig(Section):
+    """A rig, its surroundings and what is done with it; everything is drawn from `seed`."""
+
+    camera: CameraSpec = CameraSpec()
+    sensor: SensorSpec = SensorSpec()
+    laser: tuple[LaserSpec, ...] = (LaserSpec(baseline_m=0.4, crossing_m=3.0),)
+    turntable: TurntableSpec = TurntableSpec(direction=(0.0, -1.0, 0.0), point_m=(0.1, 0.0, -0.1))
+    room: RoomSpec | None = None
+    object: ObjectSpec | None = None
+    light: LightSpec = LightSpec()
+    boards: BoardsSpec = BoardsSpec()
+    plan: PlanSpec = PlanSpec()
+    seed: Count = 0
+
+    @field_validator("laser", mode="before")
+    @classmethod
+    def _single_laser(cls, value: Any) -> Any:
+        return value if isinstance(value, list | tuple) else [value]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.room is None) == (self.object is None):
+            raise ValueError("a simulation needs either [room] or [object]")
+        if not self.laser:
+            raise ValueError("a simulation needs at least one [[laser]]")
+        if len({laser.name for laser in self.laser}) != len(self.laser):
+            raise ValueError("the lasers' names must differ")
+        return self

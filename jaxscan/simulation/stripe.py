@@ -1,0 +1,254 @@
+"""The laser's light: where the sheet meets the scene, seen by the camera, through the lens.
+
+At a point p at distance r from the laser, with s its distance from the sheet,
+
+    E = P fan(phi) cos(i) albedo / (r sqrt(2 pi) w(r)) exp(-s^2 / (2 w(r)^2))
+
+falls off with 1/r (the fan spreads in one direction only) and with the sheet's thickness w(r).
+It is evaluated on a grid finer than pixels in the band round the sheet, each sample by its own
+ray, so depth edges, shadows and printed edges cut the stripe where they do in the world.
+"""
+
+import math
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from jaxscan.simulation.optics import psf_weights, splat
+from jaxscan.simulation.rig import Motion, Rig, Sheet
+from jaxscan.simulation.scene import Scene
+
+
+SAMPLES_V = 2
+_BAND = 5.5
+"""Half width of the sampled band, in standard deviations of the sheet: beyond it is 3e-7 of the peak."""
+
+
+class Target(Protocol):
+    """Something flat held into the scene; coordinates (x, y, 1) z in the camera frame."""
+
+    def hit(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Depth (inf where missed), and board coordinates."""
+        ...
+
+    def albedo(self, bx: np.ndarray, by: np.ndarray) -> np.ndarray: ...
+
+    def normal(self) -> np.ndarray:
+        """Unit normal towards the camera, camera frame."""
+        ...
+
+    def blocks(self, origin: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Whether it stands between `origin` and each point [n, 3], camera frame."""
+        ...
+
+
+class RowTruth(NamedTuple):
+    """Where the stripe truly is, one entry per line; entries that are not `valid` are zero."""
+
+    u: np.ndarray
+    """Centre of the sheet across the line [px], float64."""
+    amplitude: np.ndarray
+    """Peak of the stripe's light on one pixel, without noise [DN], float32."""
+    xyz: np.ndarray
+    """The point of the surface there [m], scanner frame, float64 [lines, 3]."""
+    valid: np.ndarray
+
+
+class Hits(NamedTuple):
+    """What rays (x, y, 1) meet, n of them, camera frame."""
+
+    depth: np.ndarray
+    points: np.ndarray
+    normal: np.ndarray
+    """Towards the camera."""
+    triangle: np.ndarray
+    on_target: np.ndarray
+    board: tuple[np.ndarray, np.ndarray]
+
+
+def laser_image(rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, depth: np.ndarray, target: Target | None) -> np.ndarray:
+    """The laser's light on every pixel, without noise, float32 [height, width], DN.
+
+    Args:
+        rig: The rig.
+        sheet: Which laser is lit.
+        scene: What it falls on.
+        pose: T_scanner_cam.
+        depth: Depth z of every pixel's centre, float32 [height, width]; inf where nothing is.
+        target: A board in front of the scene.
+    """
+    height, width = rig.rays.shape
+    samples = samples_across(rig, sheet)
+    rows, columns = np.divmod(np.flatnonzero(_band(sheet, rig, depth)), width)
+    psf = rig.config.sensor.psf_px
+    weights = psf_weights(psf, SAMPLES_V), psf_weights(psf, samples)
+    if len(rows) == 0:
+        return np.zeros((height, width), np.float32)
+    dv = ((np.arange(SAMPLES_V) + 0.5) / SAMPLES_V - 0.5).repeat(samples).astype(np.float32)
+    du = np.tile((np.arange(samples) + 0.5) / samples - 0.5, SAMPLES_V).astype(np.float32)
+    t = rig.rays
+    x = t.x[rows, columns, None] + t.x_u[rows, columns, None] * du + t.x_v[rows, columns, None] * dv
+    y = t.y[rows, columns, None] + t.y_u[rows, columns, None] * du + t.y_v[rows, columns, None] * dv
+    light = illuminate(rig, sheet, scene, pose, x.ravel(), y.ravel(), target)
+    return splat(light.reshape(x.shape), rows, columns, *weights, (height, width))
+
+
+def samples_across(rig: Rig, sheet: Sheet) -> int:
+    """Samples per pixel across the stripe: 8, or more where the sheet is far thinner than a pixel.
+
+    A Gaussian sampled at steps h is integrated to 2 exp(-2 (pi w / h)^2); w >= 0.6 h keeps that
+    below 2e-3, of which the lens leaves nothing.
+    """
+    z = np.linspace(0.5, 6.0, 12)
+    step = np.abs(sheet.normal[0 if sheet.spec.stripe_axis == "rows" else 1]) * z / rig.config.camera.fx
+    thinnest = float(np.min(sheet.thickness(z) / np.maximum(step, 1e-9)))
+    return int(np.clip(math.ceil(0.6 / thinnest), 8, 32))
+
+
+def illuminate(
+    rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, x: np.ndarray, y: np.ndarray, target: Target | None
+) -> np.ndarray:
+    """Light of the laser seen along rays (x, y, 1), float32 [n], DN on a pixel filled with it."""
+    hits = cast(scene, pose, x, y, target)
+    f = np.float32
+    beside = hits.depth * sheet.slope_at(x, y).astype(f) - f(sheet.distance)
+    legs = hits.points - sheet.origin.astype(f)
+    r = np.sqrt(np.einsum("ij,ij->i", legs, legs))
+    thickness = sheet.thickness(r).astype(f)
+    cosine = -np.einsum("ij,ij->i", legs, hits.normal) / r
+    fan = _fan(sheet, legs)
+    lit = np.flatnonzero((np.abs(beside) < f(_BAND) * thickness) & (cosine > 0) & (fan > 0) & np.isfinite(hits.depth))
+    light = np.zeros(len(x), f)
+    lit = lit[~_shaded(sheet, scene, pose, hits.points[lit], hits.on_target[lit], target)]
+    s = beside[lit] / thickness[lit]
+    energy = f(sheet.power / math.sqrt(2 * math.pi)) / (r[lit] * thickness[lit])
+    light[lit] = energy * cosine[lit] * fan[lit] * np.exp(f(-0.5) * s * s) * _albedo(sheet, scene, pose, hits, lit, target)
+    return light
+
+
+def cast(scene: Scene, pose: Motion, x: np.ndarray, y: np.ndarray, target: Target | None) -> Hits:
+    """What the rays (x, y, 1) of the camera meet."""
+    directions = np.stack([x, y, np.ones_like(x)], -1)
+    depth, triangle = scene.cast(pose.translation, directions @ pose.rotation.T.astype(directions.dtype))
+    normal = scene.normal[triangle] @ pose.rotation.astype(np.float32)
+    on_target = np.zeros(len(x), bool)
+    board = np.zeros_like(x), np.zeros_like(x)
+    if target is not None:
+        nearer, bx, by = target.hit(x, y)
+        on_target, board = nearer < depth, (bx, by)
+        depth = np.where(on_target, nearer, depth)
+        normal = np.where(on_target[:, None], target.normal().astype(np.float32), normal)
+    safe = np.where(np.isfinite(depth), depth, 0).astype(directions.dtype)
+    points = directions * safe[:, None]
+    away = np.einsum("ij,ij->i", normal, points) > 0
+    return Hits(safe, points, np.where(away[:, None], -normal, normal), triangle, on_target, board)
+
+
+def row_truth(
+    rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, depth: np.ndarray, light: np.ndarray, target: Target | None
+) -> RowTruth:
+    """Centre of the stripe in every line, by following the sheet's zero crossing along it.
+
+    Where a line has several, the brightest counts.
+    """
+    offset = depth * sheet.slope - np.float32(sheet.distance)
+    columns_axis = sheet.spec.stripe_axis == "columns"
+    if columns_axis:
+        offset, light = offset.T, light.T
+    lines = offset.shape[0]
+    found = np.isfinite(offset[:, :-1]) & np.isfinite(offset[:, 1:])
+    line, at = np.nonzero(found & ((offset[:, :-1] < 0) != (offset[:, 1:] < 0)))
+    t = rig.rays
+
+    def ray(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        fraction = u - at
+        row, column = (at, line) if columns_axis else (line, at)
+        row2, column2 = (at + 1, line) if columns_axis else (line, at + 1)
+        x = t.x[row, column].astype(np.float64) * (1 - fraction) + t.x[row2, column2] * fraction
+        y = t.y[row, column].astype(np.float64) * (1 - fraction) + t.y[row2, column2] * fraction
+        return x, y
+
+    def beside(u: np.ndarray) -> np.ndarray:
+        x, y = ray(u)
+        z = cast(scene, pose, x, y, target).depth
+        return z * sheet.slope_at(x, y) - sheet.distance
+
+    low, high = at.astype(np.float64), at + 1.0
+    f_low, f_high = offset[line, at].astype(np.float64), offset[line, at + 1].astype(np.float64)
+    u = low
+    for _ in range(4):
+        u = low - f_low * (high - low) / np.where(f_high == f_low, 1.0, f_high - f_low)
+        value = beside(u)
+        left = (value < 0) == (f_low < 0)
+        low, f_low = np.where(left, u, low), np.where(left, value, f_low)
+        high, f_high = np.where(left, high, u), np.where(left, f_high, value)
+    x, y = ray(u)
+    # At a jump of depth the sheet is crossed nowhere; a lit centre has light of its own.
+    real = (np.abs(beside(u)) < 2e-5) & (illuminate(rig, sheet, scene, pose, x, y, target) > 0)
+    peak = np.zeros(len(u), np.float32)
+    for step in (-1, 0, 1, 2):
+        peak = np.maximum(peak, light[line, np.clip(at + step, 0, light.shape[1] - 1)])
+    order = np.argsort(np.where(real, peak, -1.0), kind="stable")
+    best = np.full(lines, -1)
+    best[line[order]] = order
+    valid = best >= 0
+    valid[valid] &= real[best[valid]]
+    chosen = best[valid]
+    points = pose.apply(cast(scene, pose, x[chosen], y[chosen], target).points)
+    truth = RowTruth(np.zeros(lines), np.zeros(lines, np.float32), np.zeros((lines, 3)), valid)
+    truth.u[valid], truth.amplitude[valid], truth.xyz[valid] = u[chosen], peak[chosen], points
+    return truth
+
+
+def _band(sheet: Sheet, rig: Rig, depth: np.ndarray) -> np.ndarray:
+    """Pixels in which the sheet may light something, bool [height, width]."""
+    f = np.float32
+    z = np.where(np.isfinite(depth), depth, f(1e6))
+    beside = np.abs(z * sheet.slope - f(sheet.distance))
+    waist, divergence = sheet.spec.waist_mm / 1000, sheet.spec.divergence_mrad / 1000
+    # The distance from the laser is bounded by that from the camera and their separation.
+    apart, focus = f(np.linalg.norm(sheet.origin)), f(sheet.spec.focus_m)
+    blurred = np.maximum(np.abs(z - apart - focus), np.abs(z * f(1.5) + apart - focus))
+    limit = f(_BAND) * (f(waist) + f(divergence) * blurred)
+    signed = z * sheet.slope - f(sheet.distance)
+    near = beside < limit
+    for axis in (0, 1):
+        step = np.abs(np.diff(signed, axis=axis))
+        first, second = (np.s_[:-1], np.s_[1:]) if axis == 0 else (np.s_[:, :-1], np.s_[:, 1:])
+        reach = np.minimum(beside[first], beside[second]) < limit[first] + step
+        near[first] |= reach
+        near[second] |= reach
+    return near
+
+
+def _fan(sheet: Sheet, legs: np.ndarray) -> np.ndarray:
+    """Relative power of the fan in the direction of `legs` [n, 3]: flat, with soft ends."""
+    f = np.float32
+    angle = np.arctan2(legs @ sheet.across.astype(f), legs @ sheet.ahead.astype(f))
+    half = f(math.radians(sheet.spec.fan_deg) / 2)
+    return np.clip((half - np.abs(angle)) / f(math.radians(2.0)), 0, 1)
+
+
+def _shaded(
+    sheet: Sheet, scene: Scene, pose: Motion, points: np.ndarray, on_target: np.ndarray, target: Target | None
+) -> np.ndarray:
+    world = points @ pose.rotation.T.astype(np.float32) + pose.translation.astype(np.float32)
+    shaded = scene.blocked(pose.apply(sheet.origin), world)
+    if target is not None:
+        shaded |= ~on_target & target.blocks(sheet.origin, points)
+    return shaded
+
+
+def _albedo(
+    sheet: Sheet, scene: Scene, pose: Motion, hits: Hits, lit: np.ndarray, target: Target | None
+) -> np.ndarray:
+    channel = np.zeros((3, 1), np.float32)
+    channel[("red", "green", "blue").index(sheet.spec.colour)] = 1
+    points = hits.points[lit]
+    world = points @ pose.rotation.T.astype(np.float32) + pose.translation.astype(np.float32)
+    albedo = scene.albedo(hits.triangle[lit], world, channel)[:, 0]
+    if target is not None:
+        on_target = hits.on_target[lit]
+        board = target.albedo(hits.board[0][lit][on_target], hits.board[1][lit][on_target])
+        albedo[on_target] = board
+    return albedo

@@ -1,0 +1,251 @@
+"""Frames: what the camera records while the table turns, or while a board is shown to it."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from jaxscan.simulation.boards import SeenBoard, cover, make_print
+from jaxscan.simulation.optics import blur
+from jaxscan.simulation.planning import plan_boards
+from jaxscan.simulation.rig import WALL_ALBEDO, Motion, Rig, Sheet, make_rig
+from jaxscan.simulation.scene import Scene, make_scene
+from jaxscan.simulation.sensor import channels, expose, laser_response, mosaic, speckled
+from jaxscan.simulation.spec import SimulationConfig
+from jaxscan.simulation.stripe import RowTruth, laser_image, row_truth
+
+
+class ExpectedRecord(NamedTuple):
+    """A pair of frames before the sensor: linear light in DN, without noise."""
+
+    angle: float
+    """The table's own count [rad]."""
+    placement: int | None
+    """Which placement of the board; None for free views and sweeps."""
+    off: np.ndarray
+    """The room's light, float32 [rows, columns] (rgb8: and 3)."""
+    laser: np.ndarray
+    """The laser's light, of the same shape: the laser-on frame expects `off + laser`."""
+    truth: RowTruth
+    laser_index: int
+
+
+class RenderedRecord(NamedTuple):
+    """A pair of frames, and the truth for comparison."""
+
+    angle: float
+    """The table's own count [rad]."""
+    placement: int | None
+    on: np.ndarray
+    """uint8 [rows, columns] (rgb8: and 3)."""
+    off: np.ndarray
+    truth: RowTruth
+    laser_index: int = 0
+
+
+_SWEEP, _BOARDS, _PLAN = 0, 1, 2
+"""Streams of random numbers that are drawn from one seed."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def sweep_angles(config: SimulationConfig, *, every: int = 1) -> np.ndarray:
+    """Commanded angles of a sweep [rad], every n-th step.
+
+    Raises:
+        ValueError: If `every` is less than 1.
+    """
+    if every < 1:
+        raise ValueError(f"`every` must be at least 1, got {every}.")
+    plan = config.plan
+    return np.deg2rad(plan.turn_deg) * np.arange(0, plan.steps, every) / plan.steps
+
+
+def expect_sweep(config: SimulationConfig, *, every: int = 1) -> Iterator[ExpectedRecord]:
+    """The frames of a sweep without noise, in order; with several lasers, one after the other at each angle."""
+    rig, scene = make_rig(config), make_scene(config)
+    jobs = [(float(phi), index) for phi in sweep_angles(config, every=every) for index in range(len(rig.sheets))]
+    return _ahead(lambda job: expect_record(rig, scene, job[0], laser=job[1]), jobs)
+
+
+def expect_boards(config: SimulationConfig, texture: np.ndarray, *, seed: int | None = None) -> Iterator[ExpectedRecord]:
+    """The frames of a board capture without noise; `seed` chooses the poses.
+
+    Args:
+        config: The rig.
+        texture: Picture of the board's printed area, uint8 [rows, columns]; see `render_boards`.
+        seed: Instead of the configuration's.
+    """
+    rig, scene = make_rig(config), make_scene(config)
+    picture = make_print(config.boards, texture)
+    seed = config.seed if seed is None else seed
+    jobs = [
+        (placement, phi, index)
+        for placement in plan_boards(rig, scene, _generator(seed, _PLAN, 0))
+        for phi in placement.angles
+        for index in range(len(rig.sheets))
+    ]
+
+    def expect(job) -> ExpectedRecord:
+        placement, phi, index = job
+        board_from_camera = placement.scanner_from_board.inverse() @ rig.pose(phi)
+        board = SeenBoard(picture, board_from_camera)
+        return expect_record(rig, scene, phi, laser=index, board=board, placement=placement.number)
+
+    return _ahead(expect, jobs)
+
+
+def render_sweep(config: SimulationConfig, *, every: int = 1, seed: int | None = None) -> Iterator[RenderedRecord]:
+    """The frames of a sweep, in order.
+
+    Args:
+        config: The rig and its room.
+        every: Only every n-th step.
+        seed: Of the noise, instead of the configuration's. The same seed gives the same frames,
+            whatever `every` is.
+    """
+    seed = config.seed if seed is None else seed
+    rig, scene = make_rig(config), make_scene(config)
+    lasers = len(rig.sheets)
+    angles = sweep_angles(config, every=every)
+    jobs = [(k * every * lasers + index, float(phi), index) for k, phi in enumerate(angles) for index in range(lasers)]
+
+    def render(job: tuple[int, float, int]) -> RenderedRecord:
+        number, phi, index = job
+        return develop(expect_record(rig, scene, phi, laser=index), config, _generator(seed, _SWEEP, number))
+
+    return _ahead(render, jobs)
+
+
+def render_boards(config: SimulationConfig, texture: np.ndarray, *, seed: int | None = None) -> Iterator[RenderedRecord]:
+    """The frames of a board capture: free views at angle 0, then the placements.
+
+    Args:
+        config: The rig and its board.
+        texture: Picture of the board's printed area (`board.outline()`), uint8 [rows, columns],
+            row 0 at y0 and column 0 at x0, with a whole number of cells per square.
+        seed: Of poses and noise, instead of the configuration's.
+    """
+    seed = config.seed if seed is None else seed
+    for number, record in enumerate(expect_boards(config, texture, seed=seed)):
+        yield develop(record, config, _generator(seed, _BOARDS, number))
+
+
+def develop(record: ExpectedRecord, config: SimulationConfig, rng: np.random.Generator) -> RenderedRecord:
+    """Both exposures of a record, each with noise of its own."""
+    laser = speckled(record.laser, config.sensor, rng)
+    on = expose(record.off + laser, config.sensor, rng)
+    off = expose(record.off, config.sensor, rng)
+    return RenderedRecord(record.angle, record.placement, on, off, record.truth, record.laser_index)
+
+
+def expect_record(
+    rig: Rig,
+    scene: Scene,
+    phi: float,
+    *,
+    laser: int = 0,
+    board: SeenBoard | None = None,
+    placement: int | None = None,
+) -> ExpectedRecord:
+    """One pair of frames at the table's angle `phi` [rad], without noise."""
+    config, sensor, sheet = rig.config, rig.config.sensor, rig.sheets[laser]
+    pose = rig.pose(phi)
+    shape = rig.rays.shape
+    depth, triangle = scene.cast(pose.translation, rig.rays.directions @ pose.rotation.T.astype(np.float32))
+    white = config.light.white_dn if board is None else config.boards.white_dn
+    off = _ambient(rig, scene, pose, depth, triangle) * np.float32(white)
+    depth = depth.reshape(shape)
+    scale = 1.0
+    if board is not None:
+        in_front, _, _ = board.hit(rig.rays.x, rig.rays.y)
+        where, fills, albedo, board = cover(rig, board, in_front)
+        light = _board_light(rig, scene, pose, board, where)[..., None] * np.float32(white)
+        off[where] = off[where] * (1 - fills[..., None]) + albedo[..., None] * light
+        depth = np.minimum(depth, in_front)
+        scale = _board_power(rig, sheet, in_front)
+    glow = laser_image(rig, sheet, scene, pose, depth, board) * np.float32(scale)
+    truth = row_truth(rig, sheet, scene, pose, depth, glow, board)
+    lit = glow[..., None] * laser_response(sensor, sheet.spec.colour)
+    pixel_format = sensor.pixel_format
+    return ExpectedRecord(phi, placement, mosaic(off, pixel_format), mosaic(lit, pixel_format), truth, laser)
+
+
+def true_cloud(records: Iterable[ExpectedRecord | RenderedRecord]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The cloud that a perfect scanner would find.
+
+    Returns:
+        xyz: float64 [records, lines, 3], m, scanner frame; zero where not valid.
+        valid: bool [records, lines].
+        angle: float64 [records], rad.
+    """
+    angles, truths = [], []
+    for record in records:
+        angles.append(record.angle)
+        truths.append(record.truth)
+    return np.stack([t.xyz for t in truths]), np.stack([t.valid for t in truths]), np.array(angles)
+
+
+def _ambient(rig: Rig, scene: Scene, pose: Motion, depth: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """The scene in its own light through the lens, float32 [height, width, channels]; 1 is white."""
+    weights = channels(rig.config.sensor)
+    image = np.zeros((len(depth), weights.shape[1]), np.float32)
+    hit = np.isfinite(depth)
+    rays = rig.rays.directions @ pose.rotation.T.astype(np.float32)
+    if hit.all():
+        rays *= depth[:, None]
+        rays += pose.translation.astype(np.float32)
+        image = scene.ambient(triangle, rays, pose.translation, weights)
+    else:
+        points = rays[hit] * depth[hit, None] + pose.translation.astype(np.float32)
+        image[hit] = scene.ambient(triangle[hit], points, pose.translation, weights)
+    return blur(image.reshape(*rig.rays.shape, -1), rig.config.sensor.psf_px)
+
+
+def _board_light(rig: Rig, scene: Scene, pose: Motion, board: SeenBoard, where: tuple[slice, slice]) -> np.ndarray:
+    """The room's light on the board's plane at pixel centres, float32 [rows, columns]."""
+    x, y = rig.rays.x[where], rig.rays.y[where]
+    r2 = board.board_from_camera.rotation[2].astype(np.float32)
+    z = np.float32(-board.board_from_camera.translation[2]) / (r2[0] * x + r2[1] * y + r2[2])
+    points = np.stack([x * z, y * z, z], -1).reshape(-1, 3) @ pose.rotation.T.astype(np.float32)
+    points += pose.translation.astype(np.float32)
+    normal = np.broadcast_to((pose.rotation @ board.normal()).astype(np.float32), points.shape)
+    return scene.light(points, normal, pose.translation).reshape(x.shape)
+
+
+def _board_power(rig: Rig, sheet: Sheet, depth: np.ndarray) -> float:
+    """Factor on the laser's power that makes its stripe on the board as bright as wanted."""
+    spec, laser = rig.config.boards, sheet.spec
+    seen = np.isfinite(depth)
+    if not seen.any():
+        return 1.0
+    z = float(np.median(depth[seen]))
+    psf2 = rig.config.sensor.psf_px**2 + 1 / 12
+
+    def strength(r: float) -> float:
+        width_px = float(sheet.thickness(np.array(r))) * rig.config.camera.fx / r
+        # Light per metre of stripe, on pixels of r / f, spread over the seen width.
+        return 1 / np.sqrt(width_px**2 + psf2) * rig.config.camera.fx / r**2
+
+    return spec.peak_dn / 0.85 / (laser.peak_dn / WALL_ALBEDO) * strength(laser.range_m) / strength(z)
+
+
+def _generator(seed: int, stream: int, number: int) -> np.random.Generator:
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, stream, number])))
+
+
+def _ahead(function: Callable[[Item], Result], items: Iterable[Item], *, workers: int = 2) -> Iterator[Result]:
+    """`map` in order, a few items ahead in threads: NumPy and Open3D let go of the interpreter's lock."""
+    waiting = iter(items)
+    with ThreadPoolExecutor(workers) as pool:
+        running = deque(pool.submit(function, item) for item, _ in zip(waiting, range(workers + 1), strict=False))
+        while running:
+            done = running.popleft()
+            result = done.result()
+            for item in waiting:
+                running.append(pool.submit(function, item))
+                break
+            yield result

@@ -1,0 +1,142 @@
+"""What is true of a simulated rig: for comparison with what is found, never for finding it."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
+from jaxscan.simulation.rig import make_rig
+from jaxscan.simulation.scene import room_from_scanner
+from jaxscan.simulation.spec import SimulationConfig, TurntableSpec
+
+
+def true_scanner(config: SimulationConfig) -> Scanner:
+    """The scanner that a perfect calibration of this rig would find; it has no covariance."""
+    camera, table = config.camera, config.turntable
+    cx, cy = camera.centre()
+    pinhole = Pinhole(
+        fx=np.asarray(camera.fx),
+        fy=np.asarray(camera.fy),
+        cx=np.asarray(cx),
+        cy=np.asarray(cy),
+        distortion=np.array([camera.k1, camera.k2, camera.p1, camera.p2, camera.k3]),
+        width=camera.width,
+        height=camera.height,
+    )
+    sheets = []
+    for laser in config.laser:
+        flat = LaserSheet.from_plane(*laser.plane())
+        sheets.append(LaserSheet(flat.normal, flat.distance, np.array(laser.bow), flat.basis))
+    axis = point_up(_axis(table), camera.up)
+    turntable = Turntable(
+        axis.direction, axis.point, np.asarray(table.gain), np.array(table.harmonics), axis.basis, table.carries
+    )
+    return Scanner(
+        camera=pinhole,
+        lasers=stack_lasers(sheets),
+        turntable=turntable,
+        laser_names=tuple(laser.name for laser in config.laser),
+        up=camera.up,
+    )
+
+
+def truth(config: SimulationConfig) -> dict[str, Any]:
+    """The truth as a dictionary ready for JSON, format "jaxscan-truth/1".
+
+    Holds the scanner's parameters by the names of `Scanner.parameter_names()` (those of a
+    direction are 0 by definition, so directions are given whole), and, for a room, its size, its
+    wall planes `normal . p = distance` in the scanner frame (normals into the room) and a few
+    lengths.
+    """
+    rig = make_rig(config)
+    scanner = true_scanner(config)
+    numbers = {name: _plain(value) for name, value in _parameters(scanner).items()}
+    lasers = [
+        {"name": sheet.spec.name, "normal": _plain(sheet.normal), "distance_m": sheet.distance, "bow": list(sheet.spec.bow)}
+        for sheet in rig.sheets
+    ]
+    out: dict[str, Any] = {
+        "format": "jaxscan-truth/1",
+        "seed": config.seed,
+        "parameters": numbers,
+        "lasers": lasers,
+        "turntable": {
+            "carries": config.turntable.carries,
+            "direction": _plain(rig.direction),
+            "point_m": _plain(rig.point),
+            "gain": config.turntable.gain,
+            "harmonics": list(config.turntable.harmonics),
+        },
+    }
+    if config.room is not None:
+        out["room"] = {"size_m": list(config.room.size_m), "planes": _planes(config), "distances": _distances(config)}
+    return out
+
+
+def _axis(spec: TurntableSpec) -> Turntable:
+    if spec.tr is None:
+        return Turntable.from_axis(np.array(spec.direction), np.array(spec.point_m), carries=spec.carries)
+    tr = np.array(spec.tr)
+    tr[:3, 3] /= 1000
+    axis = Turntable.from_tr(tr)
+    return Turntable(axis.direction, axis.point, axis.gain, axis.harmonics, axis.basis, spec.carries)
+
+
+def _parameters(scanner: Scanner) -> dict[str, Any]:
+    """Values of the minimal coordinates; a tangent coordinate is 0 at its own base point."""
+    camera, table = scanner.camera, scanner.turntable
+    values: dict[str, Any] = dict.fromkeys(scanner.parameter_names(), 0.0)
+    if isinstance(camera, Pinhole):
+        values |= {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
+        values |= dict(zip(("k1", "k2", "p1", "p2", "k3"), np.asarray(camera.distortion), strict=True))
+    for index, name in enumerate(scanner.laser_names):
+        sheet = jax.tree.map(lambda leaf, index=index: leaf[index], scanner.lasers)
+        values |= {f"laser.{name}.d": sheet.distance, f"laser.{name}.b2": sheet.bow[0], f"laser.{name}.b3": sheet.bow[1]}
+    values["gain"] = table.gain
+    values |= dict(zip(("c1", "s1", "c2", "s2"), np.asarray(table.harmonics), strict=True))
+    return values
+
+
+def _planes(config: SimulationConfig) -> list[dict[str, Any]]:
+    room = config.room
+    if room is None:
+        return []
+    motion = room_from_scanner(config)
+    planes = []
+    for axis, (low, high) in enumerate((("wall x0", "wall x1"), ("wall y0", "wall y1"), ("floor", "ceiling"))):
+        for name, sign, at in ((low, 1.0, 0.0), (high, -1.0, room.size_m[axis])):
+            normal = np.zeros(3)
+            normal[axis] = sign
+            # n . (R p + t) = sign at
+            distance = sign * at - normal @ motion.translation
+            planes.append({"name": name, "normal": _plain(motion.rotation.T @ normal), "distance_m": float(distance)})
+    return planes
+
+
+def _distances(config: SimulationConfig) -> list[dict[str, Any]]:
+    """Lengths in the room between points given in the scanner frame."""
+    room = config.room
+    if room is None:
+        return []
+    x, y, z = room.size_m
+    motion = room_from_scanner(config).inverse()
+    pairs = {
+        "length along x": ((0, y / 2, z / 2), (x, y / 2, z / 2)),
+        "length along y": ((x / 2, 0, z / 2), (x / 2, y, z / 2)),
+        "height": ((x / 2, y / 2, 0), (x / 2, y / 2, z)),
+        "diagonal of the floor": ((0, 0, 0), (x, y, 0)),
+    }
+    return [
+        {
+            "name": name,
+            "from_m": _plain(motion.apply(np.array(a, float))),
+            "to_m": _plain(motion.apply(np.array(b, float))),
+            "distance_m": float(np.linalg.norm(np.subtract(a, b))),
+        }
+        for name, (a, b) in pairs.items()
+    ]
+
+
+def _plain(value: Any) -> Any:
+    return np.asarray(value, np.float64).tolist()
