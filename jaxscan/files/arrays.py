@@ -23,13 +23,16 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         np.savez(file, allow_pickle=False, **dict(arrays))
 
 
-def read_arrays(path: str | Path, *, error: type[JaxscanError], limit: int = MAX_ARRAY_BYTES) -> dict[str, np.ndarray]:
-    """All arrays of an NPZ file.
+def read_arrays(
+    path: str | Path, *, error: type[JaxscanError], limit: int = MAX_ARRAY_BYTES, only: str | None = None
+) -> dict[str, np.ndarray]:
+    """All arrays of an NPZ file, by name.
 
     Args:
         path: The file.
         error: Type of the error raised.
         limit: Largest accepted array [bytes].
+        only: Read no other than the array of this name.
 
     Raises:
         JaxscanError: Of type `error`, if it is missing, damaged, no NPZ file, or holds Python
@@ -37,9 +40,9 @@ def read_arrays(path: str | Path, *, error: type[JaxscanError], limit: int = MAX
     """
     try:
         with zipfile.ZipFile(path) as archive:
+            members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
             return {
-                member.filename.removesuffix(".npy"): _read_member(archive, member, limit)
-                for member in archive.infolist()
+                name: _read_member(archive, member, limit) for name, member in members.items() if only in (None, name)
             }
     except FileNotFoundError as problem:
         raise error(f"{path}: no such file.") from problem
