@@ -1,0 +1,91 @@
+"""Observations made ready for the solver: clean, checked, and padded to few different shapes."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.calibration.observations import Observations
+
+
+# Shapes are rounded up to these, so that captures of about the same size share a compilation.
+_BUCKETS = (8, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048)
+_MIN_CORNERS = 6
+
+
+class Prepared(NamedTuple):
+    """Host arrays in float64; everything that is not valid is harmless."""
+
+    board: np.ndarray
+    """Corners of the flat board [corners, 3]."""
+    corner_q: np.ndarray
+    corner_sigma: np.ndarray
+    corner_valid: np.ndarray
+    angle: np.ndarray
+    placement: np.ndarray
+    """Compact numbers 0 ... placements - 1; 0 for padding."""
+    usable: np.ndarray
+    """Views [views] with enough corners to fix a pose; the others are not valid anywhere."""
+    stripe_q: np.ndarray
+    stripe_sigma: np.ndarray
+    stripe_valid: np.ndarray
+    stripe_view: np.ndarray
+    stripe_laser: np.ndarray
+
+
+def prepare(observations: Observations) -> Prepared:
+    """Drop what cannot be used and pad views, stripes and points to the next bucket."""
+    corners, stripes = observations.corners, observations.stripes
+    board = np.asarray(observations.board.corners(), np.float64)
+    centre = np.array([(observations.width - 1) / 2, (observations.height - 1) / 2])
+    q, sigma, valid = _clean(corners.q, corners.sigma, corners.valid, centre)
+    usable = np.array([_fixes_pose(board[seen, :2]) for seen in valid], bool)
+    valid &= usable[:, None]
+    stripe_q, stripe_sigma, stripe_valid = _clean(stripes.q, stripes.sigma, stripes.valid, centre)
+    view = np.asarray(stripes.view, np.int32)
+    if len(view) and len(usable):
+        stripe_valid &= usable[view][:, None]
+    placement = np.zeros(len(usable), np.int32)
+    if usable.any():
+        placement[usable] = np.unique(np.asarray(corners.placement)[usable], return_inverse=True)[1]
+    views, rows, points = _bucket(len(usable)), _bucket(len(view)), _bucket(stripe_q.shape[1])
+    return Prepared(
+        board=board,
+        corner_q=_pad(q, (views,), centre),
+        corner_sigma=_pad(sigma, (views,), 1.0),
+        corner_valid=_pad(valid, (views,), False),
+        angle=_pad(np.where(usable, np.asarray(corners.angle, np.float64), 0.0), (views,), 0.0),
+        placement=_pad(placement, (views,), 0),
+        usable=_pad(usable, (views,), False),
+        stripe_q=_pad(stripe_q, (rows, points), centre),
+        stripe_sigma=_pad(stripe_sigma, (rows, points), 1.0),
+        stripe_valid=_pad(stripe_valid, (rows, points), False),
+        stripe_view=_pad(view, (rows,), 0),
+        stripe_laser=_pad(np.asarray(stripes.laser, np.int32), (rows,), 0),
+    )
+
+
+def _clean(
+    q: np.ndarray, sigma: np.ndarray, valid: np.ndarray, centre: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    q, sigma, valid = np.asarray(q, np.float64), np.asarray(sigma, np.float64), np.asarray(valid, bool)
+    valid = valid & np.isfinite(q).all(-1) & np.isfinite(sigma) & (sigma > 0)
+    # Whatever stands in an entry that is not valid must not reach any arithmetic: 0 x NaN is NaN.
+    return np.where(valid[..., None], q, centre), np.where(valid, sigma, 1.0), valid
+
+
+def _fixes_pose(points: np.ndarray) -> bool:
+    if len(points) < _MIN_CORNERS:
+        return False
+    spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    return bool(spread[1] > 0.05 * spread[0])
+
+
+def _bucket(count: int) -> int:
+    return next((size for size in _BUCKETS if size >= count), count)
+
+
+def _pad(array: np.ndarray, shape: tuple[int, ...], fill: np.ndarray | float | bool) -> np.ndarray:
+    padded = np.empty(shape + array.shape[len(shape) :], array.dtype)
+    padded[...] = fill
+    padded[tuple(slice(0, n) for n in array.shape[: len(shape)])] = array
+    return padded
