@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,6 +17,7 @@ class FrameChunk(NamedTuple):
     off: Array | None
 
 
+@runtime_checkable
 class SweepSource(Protocol):
     """What `reconstruct` needs of a sweep; `Sweep` and `files.Capture` both are one."""
 

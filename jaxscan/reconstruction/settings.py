@@ -1,0 +1,36 @@
+"""What governs a reconstruction."""
+
+from dataclasses import dataclass, field
+
+from jaxscan.stripes.stripes import StripeSettings
+
+
+@dataclass(frozen=True)
+class ReconstructSettings:
+    """Static, so a change recompiles."""
+
+    stripes: StripeSettings = field(default_factory=StripeSettings)
+    """How stripes are found in the frames."""
+    min_range_m: float = 0.05
+    """Smallest accepted distance from the camera along the ray [m]."""
+    max_range_m: float = 30.0
+    """Largest accepted distance from the camera along the ray [m]."""
+    min_incidence: float = 1e-3
+    """Smallest accepted incidence (`LaserSheet.intersect`), about the sine of the angle between
+    ray and sheet: below it a stripe says next to nothing about the range."""
+    chunk_records: int | None = None
+    """Records computed at a time; None: as many as fill about 48 MB with frames."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.min_range_m < self.max_range_m:
+            raise ValueError(
+                f"The range limits must satisfy 0 <= min_range_m < max_range_m, "
+                f"got {self.min_range_m} and {self.max_range_m}."
+            )
+        if not self.min_incidence > 0.0:
+            raise ValueError(f"`min_incidence` must be positive, got {self.min_incidence}.")
+        if self.chunk_records is not None and self.chunk_records < 1:
+            raise ValueError(f"`chunk_records` must be at least 1, got {self.chunk_records}.")
+
+
+DEFAULTS = ReconstructSettings()
