@@ -1,6 +1,9 @@
 """NPZ files of plain arrays, read so that a hostile file can neither run code nor fill memory."""
 
+import lzma
 import math
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -15,6 +18,11 @@ MAX_ARRAY_BYTES = 1 << 36
 """Largest accepted array; what is really read is bounded by the size of the file."""
 MAX_EXPANSION = 200
 """Largest accepted ratio of an array to its compressed form; deflate reaches 1000."""
+
+# What NumPy's reader raises on damaged headers, which are Python literals.
+NPY_DAMAGE = (OSError, ValueError, EOFError, SyntaxError, tokenize.TokenError, OverflowError, TypeError, RecursionError)
+# And what the archive's reader raises; `RuntimeError` where a member is encrypted.
+_ZIP_DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, struct.error)
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -46,20 +54,8 @@ def read_arrays(
             }
     except FileNotFoundError as problem:
         raise error(f"{path}: no such file.") from problem
-    except _DAMAGE as problem:
+    except (*NPY_DAMAGE, *_ZIP_DAMAGE) as problem:
         raise error(f"{path}: not a readable .npz file: {getattr(problem, 'strerror', None) or problem}.") from problem
-
-
-_DAMAGE = (
-    OSError,
-    ValueError,
-    EOFError,
-    zipfile.BadZipFile,
-    zlib.error,
-    NotImplementedError,
-    RuntimeError,
-    SyntaxError,
-)
 
 
 def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, limit: int) -> np.ndarray:

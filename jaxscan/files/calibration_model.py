@@ -1,6 +1,6 @@
 """What a calibration file holds, key by key, and the conditions on the numbers."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pydantic
@@ -34,7 +34,7 @@ class DistortionTable(FileModel):
     k6: Number | None = None
 
     @pydantic.model_validator(mode="after")
-    def _all_or_none(self) -> Self:
+    def _all_or_none(self) -> "DistortionTable":
         if len({self.k4 is None, self.k5 is None, self.k6 is None}) > 1:
             raise ValueError("k4, k5 and k6 come together or not at all")
         return self
@@ -67,7 +67,7 @@ class CameraTable(FileModel):
         return model
 
     @pydantic.model_validator(mode="after")
-    def _bounded(self) -> Self:
+    def _bounded(self) -> "CameraTable":
         if self.width * self.height > MAX_PIXELS:
             raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
         return self
@@ -83,7 +83,7 @@ class LaserTable(FileModel):
     basis: tuple[Triple, Triple]
 
     @pydantic.model_validator(mode="after")
-    def _orthonormal(self) -> Self:
+    def _orthonormal(self) -> "LaserTable":
         _check_frame("normal", self.normal, self.basis)
         return self
 
@@ -99,7 +99,7 @@ class TurntableTable(FileModel):
     basis: tuple[Triple, Triple]
 
     @pydantic.model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _consistent(self) -> "TurntableTable":
         _check_frame("direction", self.direction, self.basis)
         along = float(np.dot(self.direction, self.point_m))
         if abs(along) > UNIT_TOLERANCE * max(1.0, float(np.linalg.norm(self.point_m))):
@@ -120,7 +120,7 @@ class CovarianceTable(FileModel):
     """Factor by which the misfit of the solve has already scaled `matrix`; for the record."""
 
     @pydantic.model_validator(mode="after")
-    def _semidefinite(self) -> Self:
+    def _semidefinite(self) -> "CovarianceTable":
         count = len(self.order)
         if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
             raise ValueError(f"matrix: expected {count} rows of {count} numbers, as order has names")
@@ -151,7 +151,7 @@ class CalibrationTable(FileModel):
     covariance: CovarianceTable | None = None
 
     @pydantic.model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _consistent(self) -> "CalibrationTable":
         if bool(self.lasers) != (self.turntable is not None):
             raise ValueError("lasers and turntable come together; a file without both holds a camera alone")
         names = [laser.name for laser in self.lasers]

@@ -1,6 +1,6 @@
 """The header of a capture: `capture.toml`."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import pydantic
 import tomli_w
@@ -49,7 +49,7 @@ class CameraTable(FileModel):
     """Which direction of the image is up."""
 
     @pydantic.model_validator(mode="after")
-    def _bounded(self) -> Self:
+    def _bounded(self) -> "CameraTable":
         if self.width * self.height > MAX_PIXELS:
             raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
         return self
@@ -84,7 +84,7 @@ class CharucoTable(FileModel):
     dictionary: Annotated[str, pydantic.Field(pattern=r"^DICT_\w+$", max_length=64)] = "DICT_5X5_250"
 
     @pydantic.model_validator(mode="after")
-    def _marker_fits(self) -> Self:
+    def _marker_fits(self) -> "CharucoTable":
         if self.marker_mm >= self.square_mm:
             raise ValueError(f"marker_mm = {self.marker_mm:g} must be smaller than square_mm = {self.square_mm:g}")
         return self
@@ -123,7 +123,7 @@ class CaptureHeader(FileModel):
     """Whatever the acquisition wants to remember."""
 
     @pydantic.model_validator(mode="after")
-    def _complete(self) -> Self:
+    def _complete(self) -> "CaptureHeader":
         names = [laser.name for laser in self.laser]
         if len(set(names)) < len(names):
             raise ValueError(f"laser: found the names {', '.join(names)}, expected no name twice")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxscan.errors import CaptureError
+from jaxscan.files.arrays import NPY_DAMAGE
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def open_shard(path: Path, *, name: str, shape: tuple[int, ...]) -> np.ndarray:
     try:
         # Not np.load, which would also open archives and pickles.
         shard = np.lib.format.open_memmap(path, mode="r")
-    except (OSError, ValueError, EOFError, SyntaxError, OverflowError, TypeError) as problem:
+    except NPY_DAMAGE as problem:
         raise CaptureError(f"{name}: not a readable .npy file: {problem}.") from problem
     if shard.dtype != np.uint8 or shard.shape[1:] != shape or shard.ndim != 1 + len(shape):
         expected = " x ".join(map(str, shape))

@@ -53,7 +53,7 @@ def check(model: type[Model], data: Any, *, name: str, error: type[JaxscanError]
 
 def _explain(model: type[pydantic.BaseModel], data: Any, detail: Mapping[str, Any]) -> str:
     location, kind, found = detail["loc"], detail["type"], detail["input"]
-    path = _key_path(data, location)
+    path = _key_path(data, location, missing=kind == "missing")
     if kind == "extra_forbidden":
         return f"{path}: unknown key{_suggest(str(location[-1]), _known_keys(model, location[:-1]))}"
     if kind == "missing":
@@ -68,17 +68,18 @@ def _explain(model: type[pydantic.BaseModel], data: Any, detail: Mapping[str, An
     if kind == "value_error":
         return f"{path}: {message}" if path else message
     message = message.replace("Input should be ", "expected ").replace("a valid dictionary", "a table")
+    message = message.replace("a valid tuple", "a list")
     if message.startswith("expected a table"):
         message = "expected a table"
     return f"{path or 'the file'}: found {_show(found)}, {message.replace(chr(39), chr(34))}"
 
 
-def _key_path(data: Any, location: tuple[Any, ...]) -> str:
+def _key_path(data: Any, location: tuple[Any, ...], *, missing: bool) -> str:
     """The keys as they stand in the file; pydantic's location also names branches of unions."""
     path = ""
     for depth, item in enumerate(location):
-        last = depth == len(location) - 1
-        if isinstance(data, Mapping) and isinstance(item, str) and (item in data or last):
+        absent = missing and depth == len(location) - 1
+        if isinstance(data, Mapping) and isinstance(item, str) and (item in data or absent):
             path, data = _join(path, item), data.get(item)
         elif isinstance(data, list | tuple) and isinstance(item, int):
             path, data = f"{path}[{item}]", data[item] if item < len(data) else None

@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -135,7 +135,7 @@ class CaptureWriter:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._journal.close()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "CaptureWriter":
         return self
 
     def __exit__(

@@ -1,0 +1,293 @@
+"""Reading captures: what is right is read, what is wrong is named."""
+
+import os
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture import open_capture
+from jaxscan.geometry import Charuco, Chessboard
+from jaxscan.reconstruction.sweep import SweepSource
+
+from .conftest import BOARD, LASER
+
+
+def refused(folder, *patterns):
+    """Opening fails in one line that holds all the patterns."""
+    with pytest.raises(CaptureError) as caught:
+        open_capture(folder.path)
+    for pattern in patterns:
+        assert pattern in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_sweep(folder):
+    frames = [folder.record(i) for i in range(5)]
+    capture = open_capture(folder.path)
+    assert isinstance(capture, SweepSource)
+    assert len(capture) == 5 and capture.notes == ()
+    assert capture.image_size == (6, 4) and capture.pixel_format == "mono8" and capture.carries == "scanner"
+    assert capture.lines[0].name == "red" and capture.board is None
+    assert np.array_equal(capture.angles, np.radians([0.1 * i for i in range(5)]))
+    assert capture.laser.dtype == np.int32 and not capture.laser.any()
+    for index, (on, off) in enumerate(frames):
+        found_on, found_off = capture.frames(index)
+        assert np.array_equal(found_on, on) and np.array_equal(found_off, off)
+
+
+def test_every(folder):
+    frames = [folder.record(i) for i in range(5)]
+    capture = open_capture(folder.path)
+    thinned = capture.every(2)
+    assert [record.i for record in thinned.records] == [0, 2, 4]
+    assert np.array_equal(next(thinned.chunks(3)).on[1], frames[2][0])
+    assert thinned.digest() == capture.digest()
+    with pytest.raises(ValueError, match="at least 1"):
+        capture.every(0)
+
+
+def test_the_digest_tells_captures_apart(folder):
+    folder.record(0)
+    first = open_capture(folder.path).digest()
+    assert first.startswith("sha256:") and first == open_capture(folder.path).digest()
+    folder.record(1)
+    second = open_capture(folder.path).digest()
+    folder.header(rest=LASER + "[plan]\nsteps = 2\n")
+    assert len({first, second, open_capture(folder.path).digest()}) == 3
+
+
+def test_a_single_laser_table_and_two_lasers(folder):
+    folder.record(0)
+    folder.header(rest='[laser]\nname = "only"\nstripe_axis = "columns"\n')
+    capture = open_capture(folder.path)
+    assert [(line.name, line.stripe_axis) for line in capture.lines] == [("only", "columns")]
+    folder.header(rest=LASER + '[[laser]]\nname = "green"\ncolour = "green"\n')
+    refused(folder, "line 1", "lasers: found 2 lit at once", "exactly one")
+    folder.record(0, lasers=["green"])
+    folder.record(1, lasers=[0])
+    assert open_capture(folder.path).laser.tolist() == [1, 0]
+    folder.record(2, lasers=["blue"])
+    refused(folder, "line 4", "lasers: found 'blue'", "red, green")
+    folder.record(2, lasers=[])
+    refused(folder, "line 5", "lasers: found 0 lit")
+
+
+def test_without_laser_off_images(folder):
+    folder.record(0, off=None)
+    folder.record(1, off=None)
+    capture = open_capture(folder.path)
+    assert capture.frames(0)[1] is None
+    assert next(capture.chunks(2)).off is None
+    folder.record(2)
+    refused(folder, "record 0 has no laser-off image", "all, or none")
+
+
+def test_colour(folder):
+    folder.header(pixel_format="rgb8")
+    folder.record(0)
+    image = np.random.default_rng(9).integers(0, 256, (4, 6, 3), np.uint8)
+    for key in ("on", "off"):
+        folder.image(f"{key}/000000.png", image)
+    chunk = next(open_capture(folder.path).chunks(1))
+    assert np.array_equal(chunk.on[0], image) and np.array_equal(chunk.off[0], image)
+
+
+def test_a_calibration_capture(folder):
+    folder.header(kind="calibration", rest=LASER + BOARD)
+    folder.record(0, placement=3)
+    folder.record(1, on=None, placement=3)
+    folder.record(2, off=None)
+    folder.line('{"i": 3, "angle_deg": null, "off": "off/000000.png"}')
+    capture = open_capture(folder.path)
+    assert capture.board == Chessboard(columns=5, rows=4, square=0.03)
+    assert [(r.placement, r.laser, r.angle is None) for r in capture.records] == [
+        (3, 0, False),
+        (3, None, False),
+        (None, 0, False),
+        (None, None, True),
+    ]
+    assert capture.frames(1)[0] is None and capture.frames(1)[1] is not None
+    with pytest.raises(CaptureError, match="record 3: angle_deg is null"):
+        _ = capture.angles
+    with pytest.raises(CaptureError, match="record 1: on is null"):
+        capture.chunks(2)
+
+
+def test_a_charuco_board(folder):
+    rest = '[board]\ntype = "charuco"\ncolumns = 12\nrows = 9\nsquare_mm = 30.0\nmarker_mm = 22.0\n'
+    folder.header(kind="calibration", rest=rest)
+    folder.record(0, on=None)
+    board = open_capture(folder.path).board
+    assert board == Charuco(columns=12, rows=9, square=0.03, marker=0.022, dictionary="DICT_5X5_250")
+    folder.header(kind="calibration", rest=rest.replace("22.0", "31"))
+    refused(folder, "capture.toml: board: marker_mm = 31 must be smaller than square_mm = 30")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("width = 6", "widht = 6", 'camera.widht: unknown key; the closest known one is "width"'),
+        ("width = 6", 'width = "6"', 'camera.width: found "6", expected a valid integer'),
+        ("width = 6", "width = 0", "camera.width: found 0, expected greater than or equal to 1"),
+        ("width = 6\nheight = 4", "width = 60000\nheight = 60000", "camera: 60000 x 60000 px are more than 100 mega"),
+        ('"mono8"', '"mono16"', '"mono16" is reserved: 16-bit images are not supported yet; convert to one of mono8'),
+        ('"mono8"', '"bayer_rggb16"', "16-bit images are not supported yet"),
+        ('"mono8"', '"mono9"', 'camera.pixel_format: found "mono9", expected "mono8"'),
+        ("capture/1", "capture/2", 'format: found "jaxscan-capture/2", expected "jaxscan-capture/1"'),
+        ('format = "jaxscan-capture/1"', "", "format: missing, so this is no capture"),
+        ('kind = "sweep"', "", "kind: missing"),
+        ('kind = "sweep"', 'kind = "calibration"', "board: missing, a calibration capture needs a [board] table"),
+        ('"scanner"', '"camera"', 'turntable.carries: found "camera", expected "scanner" or "object"'),
+        (LASER, "", "laser: missing, a sweep needs a [[laser]] table"),
+        (LASER, LASER + LASER, "laser: found the names red, red, expected no name twice"),
+        (LASER, LASER + BOARD, "board: found in a sweep"),
+        (LASER, LASER + 'colur = "red"', 'laser[0].colur: unknown key; the closest known one is "colour"'),
+        (LASER, "[lasers]\n", 'lasers: unknown key; the closest known one is "laser"'),
+        ("[camera]", "[camera", "capture.toml: not valid TOML"),
+    ],
+)
+def test_wrong_headers(folder, old, new, message):
+    folder.record(0)
+    text = (folder.path / "capture.toml").read_text()
+    assert old in text
+    (folder.path / "capture.toml").write_text(text.replace(old, new))
+    refused(folder, "capture.toml", message)
+
+
+def test_acquisition_may_hold_anything(folder):
+    folder.record(0)
+    folder.header(rest=LASER + '[acquisition]\nanything = [1, {a = "b"}]\n')
+    assert open_capture(folder.path).header.acquisition == {"anything": [1, {"a": "b"}]}
+
+
+def test_missing_parts(folder, tmp_path):
+    with pytest.raises(CaptureError, match="nowhere: no such folder"):
+        open_capture(tmp_path / "nowhere")
+    refused(folder, "frames.jsonl: no such file")
+    folder.line('{"event": "resume"}')
+    refused(folder, "holds no complete record")
+    with pytest.raises(CaptureError, match="found a file, expected a capture's folder"):
+        open_capture(folder.path / "capture.toml")
+    (folder.path / "capture.toml").unlink()
+    refused(folder, "capture.toml: no such file")
+
+
+@pytest.mark.parametrize(
+    ("reference", "message"),
+    [
+        ("../secret.png", '".."'),
+        ("on/../../secret.png", '".."'),
+        ("./on/000000.png", '"."'),
+        ("on//000000.png", "empty part"),
+        ("/etc/hostname", "not relative"),
+        ("C:/secret.png", "not relative"),
+        ("c:secret.png", "not relative"),
+        ("on\\000000.png", "backslash"),
+        ("on/\x00.png", "control characters"),
+        ("", "empty"),
+        ("a" * 2000, "too long"),
+        (7, "found 7, expected a path"),
+        ([{"file": "on/000000.png", "exposure_s": 0.01}], "brackets and averaging are reserved and not supported yet"),
+        ("on/stack.npy", "which image of the shard"),
+        ("on/000000.png#0", "no such file"),
+        ("on/missing.png", "on/missing.png: no such file"),
+        ("on", "found a folder"),
+        ("outside.png", "leads out of the capture's folder"),
+        ("outside/secret.png", "leads out of the capture's folder"),
+        ("pipe.png", "expected an image file"),
+    ],
+)
+def test_references_that_are_refused(folder, tmp_path, reference, message):
+    folder.record(0)
+    folder.image("../secret.png", np.zeros((4, 6), np.uint8))
+    (folder.path / "outside.png").symlink_to("../secret.png")
+    (folder.path / "outside").symlink_to(tmp_path, target_is_directory=True)
+    os.mkfifo(folder.path / "pipe.png")
+    assert (folder.path / "outside/secret.png").is_file()
+    folder.record(1, on=reference)
+    refused(folder, message)
+
+
+def test_a_link_that_stays_inside_is_fine(folder):
+    on, _ = folder.record(0)
+    (folder.path / "again.png").symlink_to("on/000000.png")
+    (folder.path / "same").symlink_to("on", target_is_directory=True)
+    folder.record(1, on="again.png", off="same/000000.png")
+    for image in open_capture(folder.path).frames(1):
+        assert np.array_equal(image, on)
+
+
+def test_shards(folder):
+    stack = np.random.default_rng(4).integers(0, 256, (5, 4, 6), np.uint8)
+    np.save(folder.path / "on.npy", stack)
+    for i in range(4):
+        folder.record(i, on=f"on.npy#{4 - i}")
+    capture = open_capture(folder.path)
+    assert np.array_equal(np.concatenate([chunk.on for chunk in capture.chunks(3)]), stack[4:0:-1])
+    frame = capture.frames(0)[0]
+    assert type(frame) is np.ndarray and frame.flags.writeable
+    folder.record(4, on="on.npy#5")
+    refused(folder, "record 4: on.npy#5: the shard has only 5 images")
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.zeros((3, 4, 6), np.uint16), "found uint16"),
+        (np.zeros((3, 6, 4), np.uint8), "found uint8 with shape (3, 6, 4), expected uint8 with shape (n, 4 x 6)"),
+        (np.zeros((4, 6), np.uint8), "found uint8 with shape (4, 6)"),
+        (np.array([{"a": 1}] * 3, object), "not a readable .npy file"),
+    ],
+)
+def test_wrong_shards(folder, array, message):
+    np.save(folder.path / "on.npy", array)
+    folder.record(0, on="on.npy#0")
+    refused(folder, "on.npy", message)
+
+
+@pytest.mark.parametrize("kind", ["truncated", "text", "archive", "huge", "broken header"])
+def test_hostile_shards(folder, kind):
+    path = folder.path / "on.npy"
+    np.save(path, np.zeros((3, 4, 6), np.uint8))
+    if kind == "truncated":
+        path.write_bytes(path.read_bytes()[:-1])
+    elif kind == "text":
+        path.write_text("hello")
+    elif kind == "archive":
+        np.savez(path.with_suffix(".npz"), a=np.zeros(3))
+        path.with_suffix(".npz").rename(path)
+    elif kind == "huge":
+        with open(path, "wb") as file:
+            shape = (3_000_000_000, 4, 6)
+            np.lib.format.write_array_header_1_0(file, {"descr": "|u1", "fortran_order": False, "shape": shape})
+    else:
+        path.write_bytes(path.read_bytes().replace(b"(3, 4, 6)", b"((3, 4, 6"))
+    folder.record(0, on="on.npy#0")
+    refused(folder, "on.npy: not a readable .npy file")
+
+
+def test_damaged_images_are_named_when_they_are_read(folder):
+    for i in range(3):
+        folder.record(i)
+    good = (folder.path / "on/000001.png").read_bytes()
+    capture = open_capture(folder.path)
+
+    def read():
+        with pytest.raises(CaptureError, match="on/000001") as single:
+            capture.frames(1)
+        with pytest.raises(CaptureError, match="on/000001") as streamed:
+            list(capture.chunks(1))
+        assert str(single.value) == str(streamed.value)
+        return str(single.value)
+
+    (folder.path / "on/000001.png").write_bytes(good[:-20])
+    assert "damaged or cut short" in read()
+    folder.image("on/000001.png", np.zeros((6, 4), np.uint8))
+    assert "found 4 x 6 px, expected 6 x 4 px" in read()
+    folder.image("on/000001.png", np.zeros((4, 6, 3), np.uint8))
+    assert "found a colour image" in read()
+    (folder.path / "on/000001.png").write_bytes(bytes(3 << 20))
+    assert "larger than" in read()
+    (folder.path / "on/000001.png").unlink()
+    assert "no such file" in read()
