@@ -11,7 +11,7 @@ from jaxscan.simulation.spec import BoardsSpec
 
 
 SAMPLES = 4
-INK, PAPER = 0.07, 0.85
+INK, PAPER = 0.09, 0.85
 """Albedo of black and white print."""
 _RIM = 64
 """White cells round the picture."""

@@ -22,7 +22,8 @@ def psf_weights(psf_px: float, samples: int) -> np.ndarray:
         sample's own. Each column has the sum `1 / samples`: light is conserved, and a uniform
         field of value 1 gives 1.
     """
-    radius = max(1, math.ceil(4 * psf_px))
+    # What is left out lies beyond four standard deviations of the pixel's near side.
+    radius = max(1, math.ceil(4 * psf_px - 0.5))
     at = (np.arange(samples) + 0.5) / samples - 0.5
     fine = 32
     within = (np.arange(fine) + 0.5) / fine - 0.5
@@ -73,18 +74,28 @@ def integrate(samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """
     n_u, n_v, height, width = samples.shape
     taps = len(weights)
-    inner_width, inner_height = width - taps + 1, height - taps + 1
     # Weight taps - 1 - k: what pixel 0 receives from the pixel k - radius beside it.
     kernel = weights[::-1]
-    spread = (kernel @ samples.reshape(n_u, -1)).reshape(taps, n_v, height, width)
-    across = spread[0, :, :, :inner_width].copy()
-    for k in range(1, taps):
-        across += spread[k, :, :, k : k + inner_width]
-    spread = (kernel @ across.reshape(n_v, -1)).reshape(taps, height, inner_width)
-    down = spread[0, :inner_height].copy()
-    for k in range(1, taps):
-        down += spread[k, k : k + inner_height]
-    return down
+    across = _weighted_sum(samples, kernel, n_v, height, width - taps + 1, axis=2)
+    return _weighted_sum(across, kernel, 1, height - taps + 1, width - taps + 1, axis=0)[0]
+
+
+def _weighted_sum(
+    samples: np.ndarray, kernel: np.ndarray, layers: int, height: int, width: int, *, axis: int
+) -> np.ndarray:
+    """Sum over taps k and samples m of kernel[k, m] times sample m shifted by k along u (2) or v (0).
+
+    Plain multiply and add on arrays that fit the cache: a BLAS call here is a product with a
+    4 x 7 matrix, and its threads get in the way of those that render other frames.
+    """
+    out = np.zeros((layers, height, width) if axis == 2 else (1, height, width), np.float32)
+    product = np.empty_like(out)
+    for k, row in enumerate(kernel):
+        for m, weight in enumerate(row):
+            part = samples[m, ..., k : k + width] if axis == 2 else samples[m][None, k : k + height]
+            np.multiply(part, weight, out=product)
+            out += product
+    return out
 
 
 def blur(image: np.ndarray, psf_px: float) -> np.ndarray:

@@ -40,7 +40,10 @@ def plan_boards(rig: Rig, scene: Scene, rng: np.random.Generator) -> list[Placem
     seen = np.zeros((6, 8))
     plan = []
     for number in range(spec.free_views):
-        choices = [_pose(rig, scene, rng, _share(number, spec.free_views), turns=1)[0] for _ in range(_CHOICES)]
+        # Where no stripe ever runs, the lens must be known too.
+        crossed = number % 3 < 2
+        share = _share(number, spec.free_views)
+        choices = [_pose(rig, scene, rng, share, turns=1, crossed=crossed)[0] for _ in range(_CHOICES)]
         pose = max(choices, key=lambda pose: _novelty(rig, pose, seen))
         seen += _cells(rig, pose)
         plan.append(Placement(rig.pose(0.0) @ pose, (0.0,), None))
@@ -57,7 +60,7 @@ def _share(number: int, count: int) -> tuple[float, float]:
 
 
 def _pose(
-    rig: Rig, scene: Scene, rng: np.random.Generator, share: tuple[float, float], *, turns: int
+    rig: Rig, scene: Scene, rng: np.random.Generator, share: tuple[float, float], *, turns: int, crossed: bool = True
 ) -> tuple[Motion, tuple[float, ...]]:
     """A sound pose T_cam_board at angle 0 with its range in a share of the wanted one."""
     spec = rig.config.boards
@@ -66,8 +69,8 @@ def _pose(
         # Where a share of the range is not to be had, the whole is tried.
         low, high = share if attempt < _TRIES // 2 else (0.0, 1.0)
         distance = float(np.exp(near + (far - near) * rng.uniform(low, high)))
-        pose = _draw(rig, rng, distance)
-        if pose is None or not _sees(rig, pose) or not _crossed(rig, pose):
+        pose = _draw(rig, rng, distance, crossed=crossed)
+        if not _sees(rig, pose) or not _faces(pose) or (crossed and not _crossed(rig, pose)):
             continue
         angles = (0.0,) if turns == 1 else _turns(rig, pose, turns)
         if len(angles) == turns and all(_clear(rig, scene, pose, phi) for phi in angles):
@@ -78,8 +81,8 @@ def _pose(
     )
 
 
-def _draw(rig: Rig, rng: np.random.Generator, distance: float) -> Motion | None:
-    """A random pose with its middle beside the sheet at the given depth."""
+def _draw(rig: Rig, rng: np.random.Generator, distance: float, *, crossed: bool) -> Motion:
+    """A random pose with its middle at the given depth: beside a sheet, or anywhere in the image."""
     camera, spec = rig.config.camera, rig.config.boards
     sheet = rig.sheets[int(rng.integers(len(rig.sheets)))]
     size = _extent(rig)
@@ -87,18 +90,15 @@ def _draw(rig: Rig, rng: np.random.Generator, distance: float) -> Motion | None:
     tilt = np.deg2rad(rng.uniform(*spec.tilt_deg))
     rotation = rodrigues(np.array([np.cos(axis), np.sin(axis), 0.0]), tilt)
     rotation = rotation @ rodrigues(np.array([0.0, 0.0, 1.0]), np.deg2rad(rng.uniform(-20, 20)))
+    x = rng.uniform(-0.5, 0.5) * distance * camera.width / camera.fx
+    y = rng.uniform(-0.5, 0.5) * distance * camera.height / camera.fy
     n = sheet.normal
-    if sheet.spec.stripe_axis == "rows":
-        y = rng.uniform(-0.5, 0.5) * distance * camera.height / camera.fy
+    if crossed and sheet.spec.stripe_axis == "rows":
         x = (sheet.distance - n[2] * distance - n[1] * y) / n[0] + rng.uniform(-0.4, 0.4) * size[0]
-    else:
-        x = rng.uniform(-0.5, 0.5) * distance * camera.width / camera.fx
+    elif crossed:
         y = (sheet.distance - n[2] * distance - n[0] * x) / n[1] + rng.uniform(-0.4, 0.4) * size[1]
-    centre = np.array([x, y, distance])
-    if abs(x) > distance * camera.width / camera.fx or abs(y) > distance * camera.height / camera.fy:
-        return None
-    middle = np.append(rig.config.boards.board().outline().mean(0), 0.0)
-    return Motion(rotation, centre - rotation @ middle)
+    middle = np.append(spec.board().outline().mean(0), 0.0)
+    return Motion(rotation, np.array([x, y, distance]) - rotation @ middle)
 
 
 def _extent(rig: Rig) -> np.ndarray:
@@ -125,21 +125,30 @@ def _sees(rig: Rig, pose: Motion) -> bool:
     return bool(share == 1 if spec.type == "chessboard" else share >= 0.75)
 
 
+def _faces(pose: Motion) -> bool:
+    """Whether the camera does not see the board edge-on."""
+    return bool(pose.rotation[:, 2] @ pose.translation > 0.35 * np.linalg.norm(pose.translation))
+
+
 def _crossed(rig: Rig, pose: Motion) -> bool:
-    """Whether a stripe runs over the board from side to side, and its light does not graze it."""
-    outline = rig.config.boards.board().outline()
-    corners = pose.apply(np.column_stack([outline, np.zeros(4)]))
+    """Whether a stripe runs over most of the board, in the image, and does not graze it."""
+    low, high = rig.config.boards.board().outline()[[0, 2]]
+    share = np.linspace(0.05, 0.95, 10)
     for sheet in rig.sheets:
-        beside = corners @ sheet.normal - sheet.distance
-        rows = sheet.spec.stripe_axis == "rows"
-        first, second = ((0, 1), (3, 2)) if rows else ((0, 3), (1, 2))
-        leg = corners.mean(0) - sheet.origin
-        lit = pose.rotation[:, 2] @ leg / np.linalg.norm(leg)
-        seen = pose.rotation[:, 2] @ corners.mean(0) / np.linalg.norm(corners.mean(0))
-        fan = np.arctan2((corners - sheet.origin) @ sheet.across, (corners - sheet.origin) @ sheet.ahead)
-        inside = np.abs(fan).max() < np.deg2rad(sheet.spec.fan_deg / 2 - 3)
-        cut = all(beside[a] * beside[b] < 0 for a, b in (first, second))
-        if cut and lit > 0.35 and seen > 0.35 and inside:
+        # The stripe is met by ten lines across the board, each between its ends.
+        along, across = (1, 0) if sheet.spec.stripe_axis == "rows" else (0, 1)
+        ends = np.zeros((2, len(share), 3))
+        ends[:, :, along] = low[along] + share * (high[along] - low[along])
+        ends[0, :, across], ends[1, :, across] = low[across], high[across]
+        ends = pose.apply(ends)
+        beside = ends @ sheet.normal - sheet.distance
+        cut = beside[0] * beside[1] < 0
+        at = beside[0] / np.where(cut, beside[0] - beside[1], 1.0)
+        points = ends[0] + at[:, None] * (ends[1] - ends[0])
+        legs = points - sheet.origin
+        lit = legs @ pose.rotation[:, 2] / np.linalg.norm(legs, axis=-1) > 0.35
+        fan = np.abs(np.arctan2(legs @ sheet.across, legs @ sheet.ahead)) < np.deg2rad(sheet.spec.fan_deg / 2 - 3)
+        if np.mean(cut & lit & fan & _pixels(rig, points)[1]) >= 0.7:
             return True
     return False
 

@@ -56,7 +56,7 @@ class Scene:
         The last `skin` metres before the point are not looked at: they are its own surface.
         """
         legs = points - origin.astype(points.dtype)
-        distance = np.linalg.norm(legs, axis=-1)
+        distance = np.sqrt(np.einsum("ij,ij->i", legs, legs))
         # The leg is scaled so that its skin begins at 1, one far limit for all rays.
         legs = legs * np.maximum(1 - skin / np.maximum(distance, 1e-9), 0)[:, None]
         tensor = _open3d().core.Tensor
@@ -67,34 +67,42 @@ class Scene:
         return self._evaluate(triangle, points, channels)[0]
 
     def ambient(self, triangle: np.ndarray, points: np.ndarray, view: np.ndarray, channels: np.ndarray) -> np.ndarray:
-        """Light towards the camera in the room's own light, float32 [n, channels]; white in mean light is 1.
+        """A picture in the room's own light, float32 [rows, columns, channels]; white in mean light is 1.
 
         Args:
-            triangle: Hit triangles [n].
-            points: Hit points float32 [n, 3].
+            triangle: Hit triangles [rows, columns].
+            points: Hit points float32 [rows, columns, 3].
             view: Where the camera is [3]; surfaces are seen from this side.
             channels: [3, channels], weights of R, G, B.
         """
-        colour, glow = self._evaluate(triangle, points, channels)
-        normal = self.normal[triangle]
-        light = self.light(points, normal, view)
-        colour *= light[:, None]
+        shape = triangle.shape
+        colour, glow = self._evaluate(triangle.ravel(), points.reshape(-1, 3), channels)
+        light = self.light(points, self.normal[triangle], view)
+        colour *= light.reshape(-1, 1)
         colour += glow[:, None]
-        return colour
+        return colour.reshape(*shape, -1)
 
     def light(self, points: np.ndarray, normal: np.ndarray, view: np.ndarray) -> np.ndarray:
-        """Strength of the room's light at points [n, 3] with normals of either sense, float32 [n]."""
+        """Strength of the room's light at points [rows, columns, 3] with normals of either sense, float32."""
         f = np.float32
-        towards_view = np.einsum("ij,ij->i", view.astype(f) - points, normal) < 0
+        towards_view = np.einsum("...j,...j", view.astype(f) - points, normal) < 0
         sense = np.where(towards_view, f(-1), f(1))
         leg = self.lamp.astype(f) - points
-        r2 = np.einsum("ij,ij->i", leg, leg)
-        cosine = np.maximum(np.einsum("ij,ij->i", leg, normal) * sense, 0) / np.sqrt(r2)
-        direct = cosine * f(1.1 * self.reach**2) / (r2 + f(0.6 * self.reach**2))
+        r2 = np.einsum("...j,...j", leg, leg)
+        cosine = np.maximum(np.einsum("...j,...j", leg, normal) * sense, 0) / np.sqrt(r2)
+        direct = cosine * f(0.95 * self.reach**2) / (r2 + f(0.6 * self.reach**2))
         if self.shadows:
-            direct *= np.where(self.blocked(self.lamp, points, skin=5e-3), f(0.25), f(1))
+            direct *= self._shadow(points)
         # Light from all sides: a little more from above than from below.
-        return f(0.55) + f(0.1) * normal[:, 2] * sense + direct
+        return f(0.66) + f(0.05) * normal[..., 2] * sense + direct
+
+    def _shadow(self, points: np.ndarray) -> np.ndarray:
+        """Share of the lamp's light at points [rows, columns, 3]: looked up at every other one."""
+        rows, columns = points.shape[:2]
+        every = points[::2, ::2]
+        dark = self.blocked(self.lamp, every.reshape(-1, 3), skin=5e-3).reshape(every.shape[:2])
+        share = np.where(dark, np.float32(0.25), np.float32(1))
+        return share.repeat(2, 0).repeat(2, 1)[:rows, :columns]
 
     def _evaluate(
         self, triangle: np.ndarray, points: np.ndarray, channels: np.ndarray

@@ -195,14 +195,15 @@ class BoardsSpec(Section):
     warp_mm: Pair = (0.0, 0.0)
     """kx, ky of z = kx (1 - x^2) + ky (1 - y^2), with x, y = +-1 at the outermost corners."""
     free_views: Count = 30
+    """Two of three are crossed by a stripe; every third fills the rest of the image."""
     placements: Count = 4
     angles: Annotated[int, Field(ge=1)] = 9
     """Table angles at which each placement is seen, spread over the field of view."""
     range_m: tuple[Positive, Positive] = (0.8, 2.5)
     tilt_deg: tuple[float, float] = (20.0, 45.0)
-    peak_dn: Positive = 110.0
+    peak_dn: Positive = 120.0
     """Peak of the stripe on the board's white: the laser's power is set for each view."""
-    white_dn: Positive = 130.0
+    white_dn: Positive = 105.0
     """What a white surface gives in mean light while boards are shown."""
 
     @field_validator("range_m", "tilt_deg")

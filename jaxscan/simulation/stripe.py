@@ -129,8 +129,8 @@ def illuminate(
 def cast(scene: Scene, pose: Motion, x: np.ndarray, y: np.ndarray, target: Target | None) -> Hits:
     """What the rays (x, y, 1) of the camera meet."""
     directions = np.stack([x, y, np.ones_like(x)], -1)
-    depth, triangle = scene.cast(pose.translation, directions @ pose.rotation.T.astype(directions.dtype))
-    normal = scene.normal[triangle] @ pose.rotation.astype(np.float32)
+    depth, triangle = scene.cast(pose.translation, pose.turn(directions))
+    normal = pose.inverse().turn(scene.normal)[triangle]
     on_target = np.zeros(len(x), bool)
     board = np.zeros_like(x), np.zeros_like(x)
     if target is not None:
@@ -232,8 +232,7 @@ def _fan(sheet: Sheet, legs: np.ndarray) -> np.ndarray:
 def _shaded(
     sheet: Sheet, scene: Scene, pose: Motion, points: np.ndarray, on_target: np.ndarray, target: Target | None
 ) -> np.ndarray:
-    world = points @ pose.rotation.T.astype(np.float32) + pose.translation.astype(np.float32)
-    shaded = scene.blocked(pose.apply(sheet.origin), world)
+    shaded = scene.blocked(pose.apply(sheet.origin), pose.apply(points))
     if target is not None:
         shaded |= ~on_target & target.blocks(sheet.origin, points)
     return shaded
@@ -244,9 +243,7 @@ def _albedo(
 ) -> np.ndarray:
     channel = np.zeros((3, 1), np.float32)
     channel[("red", "green", "blue").index(sheet.spec.colour)] = 1
-    points = hits.points[lit]
-    world = points @ pose.rotation.T.astype(np.float32) + pose.translation.astype(np.float32)
-    albedo = scene.albedo(hits.triangle[lit], world, channel)[:, 0]
+    albedo = scene.albedo(hits.triangle[lit], pose.apply(hits.points[lit]), channel)[:, 0]
     if target is not None:
         on_target = hits.on_target[lit]
         board = target.albedo(hits.board[0][lit][on_target], hits.board[1][lit][on_target])

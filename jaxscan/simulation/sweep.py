@@ -155,9 +155,10 @@ def expect_record(
     config, sensor, sheet = rig.config, rig.config.sensor, rig.sheets[laser]
     pose = rig.pose(phi)
     shape = rig.rays.shape
-    depth, triangle = scene.cast(pose.translation, rig.rays.directions @ pose.rotation.T.astype(np.float32))
+    rays = pose.turn(rig.rays.directions)
+    depth, triangle = scene.cast(pose.translation, rays)
     white = config.light.white_dn if board is None else config.boards.white_dn
-    off = _ambient(rig, scene, pose, depth, triangle) * np.float32(white)
+    off = _ambient(rig, scene, pose, rays, depth, triangle) * np.float32(white)
     depth = depth.reshape(shape)
     scale = 1.0
     if board is not None:
@@ -189,20 +190,18 @@ def true_cloud(records: Iterable[ExpectedRecord | RenderedRecord]) -> tuple[np.n
     return np.stack([t.xyz for t in truths]), np.stack([t.valid for t in truths]), np.array(angles)
 
 
-def _ambient(rig: Rig, scene: Scene, pose: Motion, depth: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+def _ambient(
+    rig: Rig, scene: Scene, pose: Motion, rays: np.ndarray, depth: np.ndarray, triangle: np.ndarray
+) -> np.ndarray:
     """The scene in its own light through the lens, float32 [height, width, channels]; 1 is white."""
     weights = channels(rig.config.sensor)
-    image = np.zeros((len(depth), weights.shape[1]), np.float32)
     hit = np.isfinite(depth)
-    rays = rig.rays.directions @ pose.rotation.T.astype(np.float32)
-    if hit.all():
-        rays *= depth[:, None]
-        rays += pose.translation.astype(np.float32)
-        image = scene.ambient(triangle, rays, pose.translation, weights)
-    else:
-        points = rays[hit] * depth[hit, None] + pose.translation.astype(np.float32)
-        image[hit] = scene.ambient(triangle[hit], points, pose.translation, weights)
-    return blur(image.reshape(*rig.rays.shape, -1), rig.config.sensor.psf_px)
+    points = rays * np.where(hit, depth, np.float32(0))[:, None] + pose.translation.astype(np.float32)
+    shape = rig.rays.shape
+    image = scene.ambient(triangle.reshape(shape), points.reshape(*shape, 3), pose.translation, weights)
+    if not hit.all():
+        image[~hit.reshape(shape)] = 0
+    return blur(image, rig.config.sensor.psf_px)
 
 
 def _board_light(rig: Rig, scene: Scene, pose: Motion, board: SeenBoard, where: tuple[slice, slice]) -> np.ndarray:
@@ -210,10 +209,9 @@ def _board_light(rig: Rig, scene: Scene, pose: Motion, board: SeenBoard, where: 
     x, y = rig.rays.x[where], rig.rays.y[where]
     r2 = board.board_from_camera.rotation[2].astype(np.float32)
     z = np.float32(-board.board_from_camera.translation[2]) / (r2[0] * x + r2[1] * y + r2[2])
-    points = np.stack([x * z, y * z, z], -1).reshape(-1, 3) @ pose.rotation.T.astype(np.float32)
-    points += pose.translation.astype(np.float32)
+    points = pose.apply(np.stack([x * z, y * z, z], -1))
     normal = np.broadcast_to((pose.rotation @ board.normal()).astype(np.float32), points.shape)
-    return scene.light(points, normal, pose.translation).reshape(x.shape)
+    return scene.light(points, normal, pose.translation)
 
 
 def _board_power(rig: Rig, sheet: Sheet, depth: np.ndarray) -> float:
