@@ -30,14 +30,15 @@ def read_bounded(path: str | Path, limit: int, *, name: str, error: type[Jaxscan
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise error(f"{name}: found {'a folder' if os.path.isdir(path) else 'a device or pipe'}, expected a file.")
         with open(path, "rb") as file:
-            data = file.read(limit + 1)
+            # As large as it is now: a journal may grow, and Python allocates all that is asked for.
+            size = os.fstat(file.fileno()).st_size
+            if size > limit:
+                raise error(f"{name}: larger than the {limit / MEGABYTE:g} MiB that such a file may have.")
+            return file.read(size)
     except FileNotFoundError as problem:
         raise error(f"{name}: no such file.") from problem
     except (OSError, ValueError) as problem:
         raise error(f"{name}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
-    if len(data) > limit:
-        raise error(f"{name}: larger than the {limit / MEGABYTE:g} MiB that such a file may have.")
-    return data
 
 
 def parse_json(data: bytes, *, name: str, error: type[JaxscanError]) -> Any:

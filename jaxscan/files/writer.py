@@ -48,7 +48,7 @@ class CaptureWriter:
     def append(
         self,
         *,
-        angle_deg: float | None,
+        angle_deg: float | int | None,
         on: Any | None = None,
         off: Any | None = None,
         placement: int | None = None,

@@ -1,0 +1,114 @@
+"""Decoding ahead: the same frames as one by one, in bounded memory, and no threads left over."""
+
+import threading
+import tracemalloc
+import weakref
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture import open_capture
+from jaxscan.files.decode import decode_ahead
+
+
+def decoding_threads():
+    return [thread for thread in threading.enumerate() if thread.name.startswith("jaxscan-decode")]
+
+
+@pytest.mark.parametrize("size", [1, 3, 7, 100])
+def test_chunks_are_the_frames_in_order(folder, size):
+    for i in range(7):
+        folder.record(i)
+    capture = open_capture(folder.path)
+    chunks = list(capture.chunks(size))
+    assert [len(chunk.on) for chunk in chunks] == [min(size, 7 - start) for start in range(0, 7, size)]
+    for key, each in ((0, "on"), (1, "off")):
+        streamed = np.concatenate([getattr(chunk, each) for chunk in chunks])
+        assert np.array_equal(streamed, np.stack([capture.frames(index)[key] for index in range(7)]))
+    assert not decoding_threads()
+    with pytest.raises(ValueError, match="at least 1"):
+        capture.chunks(0)
+
+
+def test_early_close_leaves_no_threads(folder):
+    for i in range(9):
+        folder.record(i)
+    chunks = open_capture(folder.path).chunks(2)
+    # Nothing starts before the first chunk is asked for.
+    assert not decoding_threads()
+    next(chunks)
+    assert decoding_threads()
+    chunks.close()
+    assert not decoding_threads()
+
+
+def test_an_error_comes_where_its_chunk_would_have_come(folder):
+    for i in range(6):
+        folder.record(i)
+    (folder.path / "off/000003.png").write_bytes(b"\x89PNG\r\n\x1a\nrubbish")
+    chunks = open_capture(folder.path).chunks(2)
+    assert len(next(chunks).on) == 2
+    with pytest.raises(CaptureError, match="off/000003"):
+        next(chunks)
+    assert not decoding_threads()
+
+
+def test_no_more_than_three_chunks_exist():
+    alive, most = [], 0
+
+    def load(record, chunk, row):
+        nonlocal most
+        chunk.on[row] = record
+        if row == 0:
+            alive.append(weakref.ref(chunk.on))
+        most = max(most, sum(ref() is not None for ref in alive))
+
+    seen = [int(chunk.on[0, 0, 0]) for chunk in decode_ahead(40, 2, (4, 6), False, load)]
+    assert seen == list(range(0, 40, 2))
+    # 2 of the caller and of the loop, 1 ahead; all of them would be 20.
+    assert most <= 3
+
+
+def test_the_next_chunk_is_decoded_while_the_caller_computes():
+    begun = threading.Event()
+
+    def load(record, chunk, row):
+        if record == 2:
+            begun.set()
+
+    chunks = decode_ahead(6, 2, (4, 6), False, load)
+    next(chunks)
+    # The caller has asked for nothing more, and yet it happens; the limit only ends a failure.
+    assert begun.wait(timeout=30)
+    chunks.close()
+
+
+def test_a_kept_chunk_is_not_written_over(folder):
+    for i in range(8):
+        folder.record(i)
+    capture = open_capture(folder.path)
+    kept = [(chunk, chunk.on.copy()) for chunk in capture.chunks(2)]
+    assert all(np.array_equal(chunk.on, copy) for chunk, copy in kept)
+
+
+def test_a_shard_is_not_loaded_whole(folder):
+    # 120 MB in a sparse file of images 1000 times as large as those of the other tests.
+    shape = (500, 400, 600)
+    np.lib.format.open_memmap(folder.path / "on.npy", mode="w+", dtype=np.uint8, shape=shape)[0, 0, 0] = 7
+    for i in range(20):
+        folder.record(i, on=f"on.npy#{25 * i}", off=None)
+    text = (folder.path / "capture.toml").read_text()
+    (folder.path / "capture.toml").write_text(text.replace("= 6\n", "= 600\n").replace("= 4\n", "= 400\n"))
+    tracemalloc.start()
+    try:
+        capture = open_capture(folder.path)
+        chunks = capture.chunks(2)
+        assert next(chunks).on[0, 0, 0] == 7
+        for chunk in chunks:
+            assert not chunk.on.any()
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # Three chunks of 0.48 MB and Python's own; the 20 frames that are read would be 4.8 MB.
+    assert peak < 3e6

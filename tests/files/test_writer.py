@@ -1,0 +1,195 @@
+"""Writing captures: what the journal says is on the disk."""
+
+import errno
+import json
+import os
+import threading
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import CaptureError
+from jaxscan.files import writer
+from jaxscan.files.capture import CaptureHeader, create_capture, open_capture
+from jaxscan.files.header import header_toml, parse_header
+
+
+RNG = np.random.default_rng(3)
+FRAMES = RNG.integers(0, 256, (12, 4, 6), np.uint8)
+CAMERA = {"width": 6, "height": 4, "pixel_format": "mono8"}
+
+
+def header(kind="sweep", **keys):
+    tables = {"camera": CAMERA, "laser": [{"name": "red"}]}
+    if kind == "calibration":
+        tables["board"] = {"type": "chessboard", "columns": 5, "rows": 4, "square_mm": 30.0}
+    return CaptureHeader(kind=kind, **{**tables, **keys})
+
+
+def journal(path):
+    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
+
+
+@pytest.mark.parametrize("durable", [True, False])
+def test_what_is_written_is_read(tmp_path, durable):
+    with create_capture(tmp_path / "new" / "room", header(), durable=durable) as capture:
+        for k in range(6):
+            assert capture.append(angle_deg=0.1 * k, on=FRAMES[2 * k], off=FRAMES[2 * k + 1], microsteps=k) == k
+        capture.event("pause", reason="door")
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("jaxscan-encode")]
+    path = tmp_path / "new" / "room"
+    assert [line.get("i", line.get("event")) for line in journal(path)] == [0, 1, 2, 3, 4, 5, "pause"]
+    assert journal(path)[2] == {
+        "i": 2,
+        "angle_deg": 0.2,
+        "on": "on/000002.png",
+        "off": "off/000002.png",
+        "microsteps": 2,
+    }
+    assert sorted(os.listdir(path)) == ["capture.toml", "frames.jsonl", "off", "on"]
+    read = open_capture(path)
+    assert read.header == header()
+    (chunk,) = read.chunks(6)
+    assert np.array_equal(chunk.on, FRAMES[::2]) and np.array_equal(chunk.off, FRAMES[1::2])
+    assert np.array_equal(read.angles, np.radians([0.1 * k for k in range(6)]))
+
+
+def test_a_calibration_in_colour(tmp_path):
+    images = RNG.integers(0, 256, (2, 4, 6, 3), np.uint8)
+    head = header("calibration", camera={**CAMERA, "pixel_format": "rgb8"}, turntable={"carries": "object"})
+    with create_capture(tmp_path / "boards", head) as capture:
+        capture.append(angle_deg=None, off=images[0], placement=1)
+        capture.append(angle_deg=5, on=images[1], placement=1, lasers=["red"])
+    read = open_capture(tmp_path / "boards")
+    assert read.carries == "object"
+    assert np.array_equal(read.frames(0)[1], images[0]) and read.frames(0)[0] is None
+    assert np.array_equal(read.frames(1)[0], images[1]) and read.records[1].placement == 1
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        header(plan={"steps": 3600}, acquisition={"who": "me", "list": [1, {"a": 2.5}]}),
+        header(laser=[{"name": "red"}, {"name": "g n", "colour": "green", "stripe_axis": "columns"}]),
+        header("calibration", laser=[], turntable={"carries": "object"}),
+    ],
+)
+def test_headers_come_back(head):
+    assert parse_header(header_toml(head), name="capture.toml") == head
+
+
+def test_a_retake_keeps_the_first_take_until_the_line_is_written(tmp_path):
+    with create_capture(tmp_path / "room", header()) as capture:
+        capture.append(angle_deg=0.0, on=FRAMES[0])
+        capture.append(angle_deg=1.0, on=FRAMES[1])
+        assert capture.append(angle_deg=0.5, on=FRAMES[2], i=0) == 0
+        assert capture.append(angle_deg=2.0, on=FRAMES[3]) == 2
+    assert len({line["on"] for line in journal(tmp_path / "room")}) == 4
+    read = open_capture(tmp_path / "room")
+    assert np.array_equal(read.frames(0)[0], FRAMES[2]) and read.angles[0] == np.radians(0.5)
+
+
+def test_the_buffer_may_be_used_again(tmp_path):
+    buffer = np.empty((4, 6), np.uint8)
+    with create_capture(tmp_path / "room", header(), durable=False) as capture:
+        for k in range(12):
+            buffer[:] = FRAMES[k]
+            capture.append(angle_deg=float(k), on=buffer)
+            buffer[:] = 0
+    (chunk,) = open_capture(tmp_path / "room").chunks(12)
+    assert np.array_equal(chunk.on, FRAMES)
+
+
+def test_lines_follow_images_in_order(tmp_path, monkeypatch):
+    """While the first image is not written, later lines wait, however fast their images are."""
+    release, original = threading.Event(), writer.write_atomically
+
+    def slow(path, content, **keys):
+        if path.name == "000000.png":
+            assert release.wait(timeout=30)
+        original(path, content, **keys)
+
+    monkeypatch.setattr(writer, "write_atomically", slow)
+    monkeypatch.setattr(os, "cpu_count", lambda: 4)
+    with create_capture(tmp_path / "room", header()) as capture:
+        for k in range(4):
+            capture.append(angle_deg=float(k), on=FRAMES[k])
+        assert journal(tmp_path / "room") == []
+        release.set()
+        capture.flush()
+        assert [line["i"] for line in journal(tmp_path / "room")] == [0, 1, 2, 3]
+
+
+def test_a_full_disk_is_one_clear_error_and_keeps_what_is_complete(tmp_path, monkeypatch):
+    original = writer.write_atomically
+
+    def full(path, content, **keys):
+        if path.name == "000002.png":
+
+            def content(_):
+                raise OSError(errno.ENOSPC, "No space left on device")
+
+        original(path, content, **keys)
+
+    capture = create_capture(tmp_path / "room", header())
+    monkeypatch.setattr(writer, "write_atomically", full)
+    for k in range(2):
+        capture.append(angle_deg=float(k), on=FRAMES[k])
+    capture.append(angle_deg=2.0, on=FRAMES[2])
+    with pytest.raises(CaptureError, match=r"on/000002\.png: cannot be written: No space left on device"):
+        capture.flush()
+    # The record after a lost one must not slip in, and closing is quiet: the error has been raised.
+    with pytest.raises(CaptureError, match="No space left"):
+        capture.append(angle_deg=3.0, on=FRAMES[3])
+    capture.close()
+    assert len(open_capture(tmp_path / "room")) == 2
+    assert sorted(os.listdir(tmp_path / "room" / "on")) == ["000000.png", "000001.png"]
+
+
+def test_an_interrupt_keeps_the_records_so_far(tmp_path):
+    with pytest.raises(KeyboardInterrupt), create_capture(tmp_path / "room", header()) as capture:
+        capture.append(angle_deg=0.0, on=FRAMES[0])
+        raise KeyboardInterrupt
+    assert len(open_capture(tmp_path / "room")) == 1
+    with pytest.raises(CaptureError, match="closed"):
+        capture.append(angle_deg=0.0, on=FRAMES[0])
+
+
+def test_an_existing_folder_is_refused(tmp_path):
+    create_capture(tmp_path / "room", header()).close()
+    before = (tmp_path / "room" / "capture.toml").read_bytes()
+    with pytest.raises(CaptureError, match=r"room: exists and is not empty"):
+        create_capture(tmp_path / "room", header(plan={"steps": 3}))
+    assert (tmp_path / "room" / "capture.toml").read_bytes() == before
+    (tmp_path / "empty").mkdir()
+    create_capture(tmp_path / "empty", header()).close()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(CaptureError, match="file: cannot be created"):
+        create_capture(tmp_path / "file", header())
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"angle_deg": None, "on": FRAMES[0]}, "a sweep needs an angle"),
+        ({"angle_deg": 1.0}, "a sweep needs an angle and a laser-on image"),
+        ({"angle_deg": float("nan"), "on": FRAMES[0]}, "not finite"),
+        (
+            {"angle_deg": 1.0, "on": FRAMES[0].T},
+            r"on: found uint8 with shape \(6, 4\), expected uint8 with shape \(4, 6\)",
+        ),
+        ({"angle_deg": 1.0, "on": FRAMES[0], "off": FRAMES[0].astype(float)}, "off: found float64"),
+        ({"angle_deg": 1.0, "on": FRAMES[0], "i": -1}, "negative"),
+        ({"angle_deg": 1.0, "on": FRAMES[0], "time": object()}, "only what JSON can"),
+        ({"angle_deg": 1.0, "on": FRAMES[0], "gain": float("inf")}, "only what JSON can"),
+        ({"angle_deg": 1.0, "on": FRAMES[0], "note": "x" * 70_000}, "more than 65536"),
+    ],
+)
+def test_records_that_do_not_fit(tmp_path, keys, message):
+    with create_capture(tmp_path / "room", header()) as capture:
+        with pytest.raises(CaptureError, match=message):
+            capture.append(**keys)
+        # Nothing of it is left, and the next record is as good as ever.
+        assert capture.append(angle_deg=0.0, on=FRAMES[0]) == 0
+    assert os.listdir(tmp_path / "room" / "on") == ["000000.png"]
+    assert len(open_capture(tmp_path / "room")) == 1
