@@ -1,0 +1,115 @@
+"""A cloud against a true or a better one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree  # type: ignore[import-untyped]
+
+from jaxscan.errors import MeasurementError
+from jaxscan.geometry import Scanner
+from jaxscan.measurement.centres import camera_centres
+from jaxscan.measurement.samples import Cloud
+
+
+@dataclass(frozen=True)
+class ErrorStatistics:
+    """Distribution of an error over points."""
+
+    rms: float
+    mean: float
+    """Signed where the error has a sign."""
+    median_abs: float
+    p95_abs: float
+    """95 % of the points have a smaller absolute error."""
+    max_abs: float
+
+    @staticmethod
+    def of(error: np.ndarray) -> "ErrorStatistics":
+        size = np.abs(error)
+        return ErrorStatistics(
+            rms=float(np.sqrt(np.mean(error**2))),
+            mean=float(np.mean(error)),
+            median_abs=float(np.median(size)),
+            p95_abs=float(np.percentile(size, 95)),
+            max_abs=float(size.max()),
+        )
+
+
+@dataclass(frozen=True)
+class CloudComparison:
+    """How far a cloud is from another. Errors in metres."""
+
+    points: int
+    """Points that were compared."""
+    error_m: ErrorStatistics
+    """Distance to the true point (same grid) or to the nearest one (no common grid)."""
+    along_ray_m: ErrorStatistics | None
+    """Signed error along the ray, positive where too far; None without a common grid."""
+    whitened: ErrorStatistics | None
+    """Error along the ray in units of its own `sigma_random`: its RMS is 1 where sigma is honest
+    and the calibration perfect; None without a common grid."""
+    completeness: float
+    """Share of true points that the cloud has: in the same cell, or within 1 cm."""
+    false_points: int
+    """Points where the truth has none: in that cell, or within 5 cm."""
+
+
+NEAR_M, FALSE_M = 0.01, 0.05
+
+
+def compare_clouds(cloud: Cloud, truth: Cloud, *, scanner: Scanner | None = None) -> CloudComparison:
+    """Compare a cloud with the truth, cell by cell where both have one grid.
+
+    Args:
+        cloud: The cloud to be judged.
+        truth: The true cloud in the same frame.
+        scanner: Gives the camera's place for the direction of the rays; without it they are taken
+            from the origin, which stands within a few decimetres.
+
+    Raises:
+        MeasurementError: If either cloud is empty, or they have no cell in common.
+    """
+    for name, each in (("cloud", cloud), ("true cloud", truth)):
+        if not np.any(np.asarray(each.valid)):
+            raise MeasurementError(f"The {name} has no valid points; there is nothing to compare.")
+    if np.shape(cloud.valid) == np.shape(truth.valid):
+        return _by_cell(cloud, truth, scanner)
+    return _by_neighbour(cloud, truth)
+
+
+def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudComparison:
+    valid, true = np.asarray(cloud.valid), np.asarray(truth.valid)
+    both = valid & true
+    if not both.any():
+        raise MeasurementError("The clouds have the same grid but no point in the same cell.")
+    centre = np.zeros((len(valid), 3)) if scanner is None else camera_centres(scanner, np.asarray(cloud.angle))
+    profile = np.nonzero(both)[0]
+    p, exact = np.asarray(cloud.xyz)[both].astype(float), np.asarray(truth.xyz)[both].astype(float)
+    ray = exact - centre[profile]
+    ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    along = np.sum((p - exact) * ray, axis=1)
+    sigma = np.asarray(cloud.sigma_random)[both].astype(float)
+    known = sigma > 0
+    return CloudComparison(
+        points=int(both.sum()),
+        error_m=ErrorStatistics.of(np.linalg.norm(p - exact, axis=1)),
+        along_ray_m=ErrorStatistics.of(along),
+        whitened=ErrorStatistics.of(along[known] / sigma[known]) if known.any() else None,
+        completeness=float(both.sum() / true.sum()),
+        false_points=int((valid & ~true).sum()),
+    )
+
+
+def _by_neighbour(cloud: Cloud, truth: Cloud) -> CloudComparison:
+    p = np.asarray(cloud.xyz)[np.asarray(cloud.valid)].astype(float)
+    exact = np.asarray(truth.xyz)[np.asarray(truth.valid)].astype(float)
+    to_truth = cKDTree(exact).query(p)[0]
+    to_cloud = cKDTree(p).query(exact, distance_upper_bound=NEAR_M)[0]
+    return CloudComparison(
+        points=len(p),
+        error_m=ErrorStatistics.of(to_truth),
+        along_ray_m=None,
+        whitened=None,
+        completeness=float(np.mean(np.isfinite(to_cloud))),
+        false_points=int(np.sum(to_truth > FALSE_M)),
+    )

@@ -1,0 +1,116 @@
+"""The distance between two picked places of a cloud."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxscan.errors import MeasurementError
+from jaxscan.geometry import Scanner
+from jaxscan.measurement.planes import Plane, Point, facing, patch_around, weighted_plane
+from jaxscan.measurement.samples import Cloud, Samples, samples_of
+from jaxscan.measurement.systematic import systematic_sigma
+
+
+PARALLEL_DEG = 10.0
+"""Largest angle between two patches whose plane-to-plane distance still means something."""
+
+
+@dataclass(frozen=True)
+class DistanceMeasurement:
+    """Distance between two patches of a cloud."""
+
+    value_m: float
+    """Distance between the means of the two patches [m]."""
+    sigma_m: float
+    """Its predicted standard deviation [m]: random and systematic together."""
+    sigma_random_m: float
+    sigma_systematic_m: float
+    plane_to_plane_m: float | None
+    """Distance of the two patches' planes along their mean normal, midway between the patches;
+    None unless both are planar and parallel within 10 degrees."""
+    plane_to_plane_sigma_m: float | None
+    """Random part of its standard deviation [m]."""
+    a_m: np.ndarray
+    """Mean of the first patch [3], m."""
+    b_m: np.ndarray
+    """Mean of the second patch [3], m."""
+    points: tuple[int, int]
+    """Points in either patch."""
+
+
+def measure_distance(
+    cloud: Cloud, a: Point, b: Point, *, radius_m: float = 0.02, scanner: Scanner | None = None
+) -> DistanceMeasurement:
+    """Distance between two picked points, each averaged over the patch around it.
+
+    Args:
+        cloud: The cloud.
+        a: First picked point [3], m, scanner frame.
+        b: Second picked point [3], m, scanner frame.
+        radius_m: Points within this distance of a picked point belong to its patch [m].
+        scanner: The scanner the cloud was made with; its covariance gives the systematic part.
+
+    Raises:
+        MeasurementError: If a patch has too few points, or the patches are one.
+    """
+    samples = samples_of(cloud)
+    patches = [patch_around(samples, point, radius_m) for point in (a, b)]
+    means = [patch.p.mean(0) for patch in patches]
+    value = float(np.linalg.norm(means[1] - means[0]))
+    if value <= radius_m:
+        raise MeasurementError(
+            f"The two patches of radius {radius_m} m are only {value:.4f} m apart; "
+            "pick points farther apart or a smaller radius."
+        )
+    along = (means[1] - means[0]) / value
+    variance = sum(float(np.sum(patch.sigma_across(along) ** 2)) / len(patch.p) ** 2 for patch in patches)
+    weights = np.concatenate(
+        [
+            np.outer(np.full(len(patch.p), sign / len(patch.p)), along)
+            for sign, patch in zip((-1, 1), patches, strict=True)
+        ]
+    )
+    together = Samples(*(np.concatenate(fields) for fields in zip(*patches, strict=True)))
+    systematic = systematic_sigma(scanner, together, weights)
+    between = _between_planes(patches)
+    return DistanceMeasurement(
+        value_m=value,
+        sigma_m=float(np.hypot(np.sqrt(variance), systematic)),
+        sigma_random_m=float(np.sqrt(variance)),
+        sigma_systematic_m=systematic,
+        plane_to_plane_m=None if between is None else between[0],
+        plane_to_plane_sigma_m=None if between is None else between[1],
+        a_m=means[0],
+        b_m=means[1],
+        points=(len(patches[0].p), len(patches[1].p)),
+    )
+
+
+def _between_planes(patches: list[Samples]) -> tuple[float, float] | None:
+    planes = [_flat(patch) for patch in patches]
+    first, second = planes
+    if first is None or second is None:
+        return None
+    second = facing(second, first.normal)
+    if first.normal @ second.normal < np.cos(np.radians(PARALLEL_DEG)):
+        return None
+    normal = first.normal + second.normal
+    normal = normal / np.linalg.norm(normal)
+    middle = 0.5 * (first.centre + second.centre)
+    feet = [(plane.distance - plane.normal @ middle) / (plane.normal @ normal) for plane in (first, second)]
+    # Each plane at the foot of the line between them, which lies close to its own patch.
+    sigma = [plane.sigma_at(middle + foot * normal) for plane, foot in zip((first, second), feet, strict=True)]
+    return float(abs(feet[1] - feet[0])), float(np.hypot(sigma[0], sigma[1]))
+
+
+def _flat(patch: Samples) -> Plane | None:
+    """The patch's plane, if it has one: extended, and no rougher than twice its noise."""
+    sigma = patch.sigma_across(weighted_plane(patch.p, patch.sigma**-2).normal)
+    plane = weighted_plane(patch.p, sigma**-2)
+    apart = patch.p - plane.centre
+    residual = apart @ plane.normal
+    extent = np.sqrt(np.mean((apart @ plane.axes.T) ** 2, axis=0)).min()
+    rms = np.sqrt(np.mean(residual**2))
+    if len(patch.p) < 6 or extent < 3.0 * rms or rms > 2.0 * np.sqrt(np.mean(sigma**2)):
+        return None
+    return plane

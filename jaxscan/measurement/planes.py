@@ -1,0 +1,128 @@
+"""Planes in a cloud: the weighted fit with its covariance, and the flatness of a patch."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import MeasurementError
+from jaxscan.geometry import Array
+from jaxscan.measurement.samples import Cloud, Samples, samples_of
+
+
+Point = Array | Sequence[float]
+"""A picked point [3]."""
+
+
+class Plane(NamedTuple):
+    """A plane `normal . p = distance` fitted to weighted points."""
+
+    normal: np.ndarray
+    """Unit normal [3]."""
+    distance: float
+    """Distance of the origin [m]."""
+    centre: np.ndarray
+    """Weighted mean of the points [3], m: on the plane."""
+    axes: np.ndarray
+    """Two unit vectors in the plane [2, 3]."""
+    covariance: np.ndarray
+    """Covariance [3, 3] of the offset at `centre` [m] and of the slopes along `axes` [1]."""
+
+    def height_weights(self, at: np.ndarray) -> np.ndarray:
+        """h [3] such that the plane moves by h . (offset, slopes) at the point `at`."""
+        return np.concatenate([[1.0], self.axes @ (at - self.centre)])
+
+    def sigma_at(self, at: np.ndarray) -> float:
+        """Standard deviation of the plane's position at the foot of `at` [m]."""
+        h = self.height_weights(at)
+        return float(np.sqrt(h @ self.covariance @ h))
+
+
+def weighted_plane(p: np.ndarray, weight: np.ndarray) -> Plane:
+    """Total least squares plane through points [n, 3] with weights 1/sigma^2 [n].
+
+    The covariance is scaled by the misfit where that exceeds the weights' own promise.
+    """
+    total = weight.sum()
+    centre = weight @ p / total
+    apart = p - centre
+    vectors = np.linalg.eigh((apart * weight[:, None]).T @ apart / total)[1]
+    normal, axes = vectors[:, 0], vectors[:, :0:-1].T
+    residual = apart @ normal
+    design = np.column_stack([np.ones(len(p)), apart @ axes.T])
+    covariance = np.linalg.pinv((design * weight[:, None]).T @ design)
+    misfit = weight @ residual**2 / max(len(p) - 3, 1)
+    return Plane(normal, float(normal @ centre), centre, axes, covariance * max(1.0, misfit))
+
+
+def facing(plane: Plane, direction: np.ndarray) -> Plane:
+    """The same plane with its normal on the side of `direction`."""
+    if plane.normal @ direction >= 0:
+        return plane
+    # Turning the normal round changes the sign of the offset and of both slopes alike.
+    return plane._replace(normal=-plane.normal, distance=-plane.distance)
+
+
+@dataclass(frozen=True)
+class PlaneMeasurement:
+    """Flatness of a patch of the cloud."""
+
+    normal: np.ndarray
+    """Unit normal [3], scanner frame, towards the scanner."""
+    centre_m: np.ndarray
+    """Mean of the patch [3], m."""
+    rms_m: float
+    """Root mean square distance of the points from their plane [m]."""
+    range95_m: float
+    """Width of the band that holds the middle 95 % of those distances [m]."""
+    points: int
+
+
+def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> PlaneMeasurement:
+    """Flatness of the cloud around a picked point.
+
+    Args:
+        cloud: The cloud.
+        point: Picked point [3], m, scanner frame.
+        radius_m: Points within this distance of it belong to the patch [m].
+
+    Returns:
+        RMS, 95 % range and normal of the plane with the least sum of squared distances.
+
+    Raises:
+        MeasurementError: If the patch has too few points, or they determine no plane.
+    """
+    patch = patch_around(samples_of(cloud), point, radius_m)
+    plane = facing(weighted_plane(patch.p, np.ones(len(patch.p))), -patch.p.mean(0))
+    extent = np.sqrt(np.mean(((patch.p - plane.centre) @ plane.axes.T) ** 2, axis=0))
+    residual = patch.p @ plane.normal - plane.distance
+    rms = float(np.sqrt(np.mean(residual**2)))
+    if extent.min() <= max(2.0 * rms, 1e-9):
+        raise MeasurementError(
+            f"The {len(patch.p)} points within {radius_m} m of {_text(point)} determine no plane; "
+            "pick a flat place or a larger radius."
+        )
+    low, high = np.percentile(residual, [2.5, 97.5])
+    return PlaneMeasurement(plane.normal, plane.centre, rms, float(high - low), len(patch.p))
+
+
+def patch_around(samples: Samples, point: Point, radius_m: float) -> Samples:
+    """Points within a radius [m] of a picked point.
+
+    Raises:
+        MeasurementError: If there are fewer than four.
+    """
+    centre = np.asarray(point, np.float64)
+    distance = np.linalg.norm(samples.p - centre, axis=1)
+    inside = distance <= radius_m
+    if inside.sum() < 4:
+        raise MeasurementError(
+            f"Only {int(inside.sum())} points lie within {radius_m} m of {_text(point)}, the nearest "
+            f"{distance.min():.3f} m away; at least 4 are needed: pick a point on a surface or a larger radius."
+        )
+    return samples.take(inside)
+
+
+def _text(point: Point) -> str:
+    return "(" + ", ".join(f"{x:.3f}" for x in np.asarray(point)) + ")"

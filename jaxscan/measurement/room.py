@@ -1,0 +1,196 @@
+"""The dimensions of a room, from wall to wall."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxscan.errors import MeasurementError
+from jaxscan.geometry import Scanner
+from jaxscan.measurement.planes import Plane
+from jaxscan.measurement.ransac import find_planes
+from jaxscan.measurement.samples import Cloud, Samples, samples_of, spread_out
+from jaxscan.measurement.systematic import systematic_sigma
+from jaxscan.measurement.walls import Wall, outermost, refine_wall
+
+
+LEVEL = np.cos(np.radians(15.0))
+"""|z| of a normal above which a plane is floor or ceiling."""
+UPRIGHT = np.sin(np.radians(15.0))
+"""|z| of a normal below which a plane is a wall."""
+ALONG = np.radians(20.0)
+"""Largest angle of a wall to the room's own direction."""
+SYSTEMATIC_POINTS = 2000
+"""Points per wall on which the effect of the calibration is evaluated."""
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """Distance of two opposite walls."""
+
+    value_m: float
+    """Distance along the pair's mean normal through the room's centre [m]."""
+    sigma_m: float
+    """Predicted standard deviation of `value_m` [m]: random and systematic together."""
+    sigma_random_m: float
+    """From the scatter of the points [m]."""
+    sigma_systematic_m: float
+    """From the covariance of the calibration [m]; 0 where it is not known."""
+    rms_m: float
+    """Root mean square distance of the points from their walls [m]."""
+    points: int
+    """Points on both walls."""
+    angle_deg: float
+    """Angle between the two walls."""
+    direction: np.ndarray
+    """Unit mean normal [3], scanner frame."""
+
+
+@dataclass(frozen=True)
+class RoomBox:
+    """A room's dimensions; None where one of the two walls was not seen."""
+
+    length: Dimension | None
+    """The longer horizontal dimension (the only one where just one was seen)."""
+    width: Dimension | None
+    height: Dimension | None
+    centre_m: np.ndarray
+    """Middle between the walls [3], m, scanner frame: where distances are taken."""
+    walls: tuple[Wall, ...]
+    """Every bounding plane that was found, with its points, normals pointing out of the room."""
+
+
+def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0) -> RoomBox:
+    """Measure a room from wall to wall.
+
+    The walls are the outermost large planes in each direction, not those with the most points,
+    fitted by weighted least squares. As opposite walls are never quite parallel, a dimension is
+    the distance between them along their mean normal through the room's centre, the point in
+    the middle of all pairs of walls (of the scanner's origin, where a pair is missing).
+
+    Args:
+        cloud: The room, scanned from within; z of the scanner frame is vertical within 10 degrees.
+        scanner: The scanner it was made with; its covariance gives the systematic part of sigma.
+        seed: Of the random hypotheses; the result is deterministic.
+
+    Raises:
+        MeasurementError: If no two opposite walls are found.
+    """
+    samples = samples_of(cloud)
+    rng = np.random.default_rng(seed)
+    planes = find_planes(samples, seed=seed)
+    pairs = [_pair(samples, planes, direction, rng) for direction in _directions(planes)]
+    found = [pair for pair in pairs if len(pair) == 2]
+    if not found:
+        raise MeasurementError(
+            f"No two opposite walls among {len(planes)} planes in {len(samples.p)} points; "
+            "a room must be scanned from within, all around."
+        )
+    centre = _centre(found)
+    level = [abs(pair[0].plane.normal[2]) > 0.5 for pair in found]
+    horizontal = [_dimension(p, centre, scanner, rng) for p, up in zip(found, level, strict=True) if not up]
+    vertical = [_dimension(p, centre, scanner, rng) for p, up in zip(found, level, strict=True) if up]
+    horizontal.sort(key=lambda dimension: -dimension.value_m)
+    return RoomBox(
+        length=horizontal[0] if horizontal else None,
+        width=horizontal[1] if len(horizontal) > 1 else None,
+        height=vertical[0] if vertical else None,
+        centre_m=centre,
+        walls=tuple(wall for pair in pairs for wall in pair),
+    )
+
+
+def _directions(planes: list[tuple[Plane, np.ndarray]]) -> list[np.ndarray]:
+    """Horizontal unit vectors across the walls, and the vertical."""
+    upright = [(plane, len(p)) for plane, p in planes if abs(plane.normal[2]) < UPRIGHT]
+    vertical = np.array([0.0, 0.0, 1.0])
+    if not upright:
+        return [vertical]
+    azimuth = np.array([np.arctan2(plane.normal[1], plane.normal[0]) for plane, _ in upright])
+    support = np.array([count for _, count in upright], float)
+    # Walls stand at right angles, more or less: of all directions modulo 90 degrees the one that
+    # the most points agree with.
+    gap = np.abs(_modulo_right_angle(azimuth[:, None] - azimuth[None, :]))
+    best = int(np.argmax((support[None, :] * (gap < np.radians(10.0))).sum(1)))
+    close = gap[best] < np.radians(10.0)
+    turn = azimuth[best] + support[close] @ _modulo_right_angle(azimuth[close] - azimuth[best]) / support[close].sum()
+    across = [np.array([np.cos(a), np.sin(a), 0.0]) for a in (turn, turn + np.pi / 2)]
+    return [*across, vertical]
+
+
+def _modulo_right_angle(angle: np.ndarray) -> np.ndarray:
+    return (angle + np.pi / 4) % (np.pi / 2) - np.pi / 4
+
+
+def _pair(
+    samples: Samples, planes: list[tuple[Plane, np.ndarray]], direction: np.ndarray, rng: np.random.Generator
+) -> list[Wall]:
+    """The walls on both sides of the room across `direction`."""
+    limit = LEVEL if direction[2] == 1.0 else np.cos(ALONG)
+    mine = [(plane, p) for plane, p in planes if abs(plane.normal @ direction) > limit]
+    walls = (outermost([c for c in mine if _is_on_side(c, side)], side) for side in (direction, -direction))
+    return [refine_wall(samples, wall, rng=rng) for wall in walls if wall is not None]
+
+
+def _is_on_side(candidate: tuple[Plane, np.ndarray], side: np.ndarray) -> bool:
+    plane, _ = candidate
+    return bool(plane.distance * (plane.normal @ side) > 0)
+
+
+def _centre(pairs: list[list[Wall]]) -> np.ndarray:
+    """The point midway between the walls of every pair, nearest the origin."""
+    normals = np.array([_mean_normal(pair) for pair in pairs])
+    middles = np.zeros(len(pairs))
+    centre = np.zeros(3)
+    for _ in range(5):
+        # The middle along one pair depends a little on where across it is taken.
+        for i, pair in enumerate(pairs):
+            ahead, behind = _distances(pair, normals[i], centre)
+            middles[i] = normals[i] @ centre + 0.5 * (ahead - behind)
+        centre = np.linalg.lstsq(normals, middles, rcond=None)[0]
+    return centre
+
+
+def _mean_normal(pair: list[Wall]) -> np.ndarray:
+    difference = pair[0].plane.normal - pair[1].plane.normal
+    return difference / np.linalg.norm(difference)
+
+
+def _distances(pair: list[Wall], normal: np.ndarray, at: np.ndarray) -> tuple[float, float]:
+    """From `at` along `normal` to the first wall, against it to the second [m]."""
+    first, second = pair[0].plane, pair[1].plane
+    ahead = (first.distance - first.normal @ at) / (first.normal @ normal)
+    behind = (second.distance - second.normal @ at) / -(second.normal @ normal)
+    return float(ahead), float(behind)
+
+
+def _dimension(pair: list[Wall], centre: np.ndarray, scanner: Scanner | None, rng: np.random.Generator) -> Dimension:
+    normal = _mean_normal(pair)
+    ahead, behind = _distances(pair, normal, centre)
+    random = np.hypot(pair[0].plane.sigma_at(centre), pair[1].plane.sigma_at(centre))
+    parts = [_wall_weights(wall, centre, rng) for wall in pair]
+    together = Samples(*(np.concatenate(fields) for fields in zip(*(part for part, _ in parts), strict=True)))
+    weights = np.concatenate([weight for _, weight in parts])
+    systematic = systematic_sigma(scanner, together, weights)
+    counts = [len(wall.samples.p) for wall in pair]
+    cosine = -pair[0].plane.normal @ pair[1].plane.normal
+    return Dimension(
+        value_m=ahead + behind,
+        sigma_m=float(np.hypot(random, systematic)),
+        sigma_random_m=float(random),
+        sigma_systematic_m=systematic,
+        rms_m=float(np.sqrt(np.average([wall.rms_m**2 for wall in pair], weights=counts))),
+        points=sum(counts),
+        angle_deg=float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))),
+        direction=normal,
+    )
+
+
+def _wall_weights(wall: Wall, at: np.ndarray, rng: np.random.Generator) -> tuple[Samples, np.ndarray]:
+    """Some of the wall's points, and w [n, 3] such that the wall at `at` moves by sum w . dp."""
+    part = wall.samples.take(spread_out(len(wall.samples.p), SYSTEMATIC_POINTS, rng))
+    plane = wall.plane
+    weight = part.sigma_across(plane.normal) ** -2
+    design = np.column_stack([np.ones(len(part.p)), (part.p - plane.centre) @ plane.axes.T])
+    normal_equations = (design * weight[:, None]).T @ design
+    row = np.linalg.solve(normal_equations, plane.height_weights(at)) @ (design * weight[:, None]).T
+    return part, row[:, None] * plane.normal

@@ -1,0 +1,67 @@
+"""What the calibration's covariance does to a number measured in the cloud."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxscan.geometry import Array, Scanner
+from jaxscan.geometry.rigid import invert, transform
+from jaxscan.measurement.samples import Samples
+
+
+BLOCK = 4096
+"""Points are padded to a multiple of this, so that one compiled function serves all."""
+
+
+def systematic_sigma(scanner: Scanner | None, samples: Samples, weights: np.ndarray) -> float:
+    r"""Standard deviation of $f = \sum_i w_i \cdot p_i$ from `scanner.covariance`.
+
+    Every point is scanned anew with a changed calibration: it is seen at the same pixel q, at the
+    same angle, and moves to $p_i(\delta) = \mathrm{point}(q_i;\,\mathrm{retract}(\delta))$. With
+    $J = \partial f / \partial \delta$ the variance is $J C J^T$.
+
+    Args:
+        scanner: The scanner that the cloud was made with; without covariance the result is 0.
+        samples: The points [n].
+        weights: w [n, 3].
+
+    Returns:
+        Standard deviation, in metres times the unit of the weights.
+    """
+    if scanner is None or scanner.covariance is None:
+        return 0.0
+    bare = Scanner(scanner.camera, scanner.lasers, scanner.turntable, None, scanner.laser_names, scanner.up)
+    gradient = np.zeros(len(scanner.parameter_names()))
+    with jax.enable_x64(True):
+        exact = bare.as_dtype(jnp.float64)
+        for start in range(0, len(samples.p), BLOCK):
+            part = slice(start, start + BLOCK)
+            # Padding repeats the first point with no weight.
+            index = np.resize(np.arange(len(samples.p))[part], BLOCK)
+            counted = (np.arange(BLOCK) < len(samples.p[part]))[:, None]
+            gradient += np.asarray(
+                _gradient(
+                    exact,
+                    samples.p[index],
+                    np.where(counted, weights[index], 0.0),
+                    samples.laser[index].astype(np.int32),
+                    samples.angle[index],
+                )
+            )
+    covariance = np.asarray(scanner.covariance, np.float64)
+    return float(np.sqrt(np.maximum(gradient @ covariance @ gradient, 0.0)))
+
+
+@jax.jit
+def _gradient(scanner: Scanner, p: Array, weights: Array, laser: Array, angle: Array) -> jax.Array:
+    def pixel(p, phi):
+        return scanner.camera.project(transform(invert(scanner.pose(phi)), p))
+
+    q = jax.vmap(pixel)(p, angle)
+
+    def weighted_sum(step):
+        moved = scanner.retract(step)
+        points, _ = jax.vmap(moved.point)(q, laser, angle)
+        return jnp.sum(points * weights)
+
+    return jax.jacfwd(weighted_sum)(jnp.zeros(len(scanner.parameter_names()), p.dtype))

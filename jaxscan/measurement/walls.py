@@ -1,0 +1,91 @@
+"""One wall of a room: chosen among planes, refined on all its points."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.measurement.planes import Plane, facing, weighted_plane
+from jaxscan.measurement.samples import Samples, spread_out
+
+
+REFINED = 200_000
+"""Points on which a wall is refined at most."""
+NEIGHBOURHOOD_M = 0.05
+"""Points within this distance and 6 sigma of the plane take part in its refinement [m]."""
+KEPT = 2.5
+"""Residuals beyond this many (robust) standard deviations are left out, on both sides alike."""
+SHARE, SPAN = 0.1, 0.5
+"""A plane is a wall rather than what stands behind a door if it has at least these parts of the
+largest support and of the largest width of all planes on its side of the room."""
+
+
+class Wall(NamedTuple):
+    """A bounding plane of the room, its normal pointing out of the room."""
+
+    plane: Plane
+    samples: Samples
+    """The points that determine it."""
+    scale: float
+    """Robust standard deviation of the residuals in units of the predicted one [1]."""
+
+    @property
+    def rms_m(self) -> float:
+        """RMS distance of its points [m]."""
+        residual = self.samples.p @ self.plane.normal - self.plane.distance
+        return float(np.sqrt(np.mean(residual**2)))
+
+
+def outermost(candidates: list[tuple[Plane, np.ndarray]], outward: np.ndarray) -> Plane | None:
+    """The outermost large plane on the side `outward` (unit [3]) of the room, or None.
+
+    Furniture stands in front of a wall and may well show more points than the wall.
+    """
+    side = [(facing(plane, outward), p) for plane, p in candidates]
+    side = [(plane, p) for plane, p in side if plane.distance > 0]
+    if not side:
+        return None
+    support = np.array([len(p) for _, p in side])
+    width = np.array([_width(plane, p) for plane, p in side])
+    large = (support >= SHARE * support.max()) & (width >= SPAN * width[support >= SHARE * support.max()].max())
+    depth = np.array([plane.distance if big else -np.inf for (plane, _), big in zip(side, large, strict=True)])
+    return side[int(np.argmax(depth))][0]
+
+
+def _width(plane: Plane, p: np.ndarray) -> float:
+    """Longest extent of the support in its plane, without its last 2 % on either side [m]."""
+    low, high = np.percentile((p - plane.centre) @ plane.axes.T, [2, 98], axis=0)
+    return float(np.max(high - low))
+
+
+def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> Wall:
+    """Weighted least squares on the wall's points alone.
+
+    Skirting, pictures and furniture stand in front of a wall and nothing behind it, so the width
+    of the residuals is taken from the outer side, and both tails are cut at the same distance:
+    what lies in front does not pull the plane.
+    """
+    normal, distance = plane.normal, plane.distance
+    residual = samples.p @ normal - distance
+    near = np.flatnonzero(np.abs(residual) < NEIGHBOURHOOD_M + 6.0 * samples.sigma_across(normal))
+    near = near[spread_out(len(near), REFINED, rng)]
+    around = samples.take(near)
+    kept, scale = np.ones(len(near), bool), 1.0
+    for _ in range(30):
+        sigma = around.sigma_across(normal)
+        residual = (around.p @ normal - distance) / sigma
+        scale = _outer_scale(residual)
+        now = np.abs(residual) <= KEPT * scale
+        if np.array_equal(now, kept):
+            break
+        kept = now
+        plane = facing(weighted_plane(around.p[kept], sigma[kept] ** -2), normal)
+        normal, distance = plane.normal, plane.distance
+    return Wall(plane, around.take(kept), scale)
+
+
+def _outer_scale(residual: np.ndarray) -> float:
+    outer = residual[(residual > 0) & (residual < 8.0)]
+    if len(outer) < 10:
+        return 3.0
+    # Median of a half normal distribution: 0.6745 sigma.
+    return float(np.clip(np.median(outer) / 0.6745, 0.5, 4.0))
