@@ -221,7 +221,9 @@ def _unorganised(vertices: np.ndarray, path: Path) -> PointCloud:
     def column(*spellings: str) -> np.ndarray:
         for name in spellings:
             if name in names:
-                return vertices[name].astype(dtype)
+                # What does not fit becomes infinite, and is dropped below.
+                with np.errstate(over="ignore"):
+                    return vertices[name].astype(dtype)
         return np.zeros(len(vertices), dtype)
 
     xyz = np.stack([column(name) for name in "xyz"], -1)
@@ -229,7 +231,8 @@ def _unorganised(vertices: np.ndarray, path: Path) -> PointCloud:
     if not valid.any():
         raise CloudError(f"{path}: holds no finite point.")
     normals = np.stack([column(name, f"normal_{name[1]}") for name in ("nx", "ny", "nz")], -1)
-    lengths = np.sqrt((normals * normals).sum(-1, keepdims=True))
+    with np.errstate(over="ignore"):
+        lengths = np.sqrt((normals * normals).sum(-1, keepdims=True))
     usable = valid[:, None] & np.isfinite(lengths) & (lengths > 0)
     scalars = [column(name, f"scalar_{name}") for name in ("intensity", "sigma_random", "sigma_systematic")]
     intensity, sigma_random, sigma_systematic = (np.where(valid & np.isfinite(one), one, 0) for one in scalars)

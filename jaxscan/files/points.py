@@ -83,5 +83,7 @@ def check_cloud(cloud: PointCloud, name: str) -> None:
     for field in ("xyz", "normals", "intensity", "sigma_random", "sigma_systematic"):
         values = np.asarray(getattr(cloud, field))
         # One pass without a copy; where it fails, see whether a valid point is meant.
-        if not np.isfinite(values.sum(dtype=np.float64)) and not np.isfinite(values[valid]).all():
+        with np.errstate(invalid="ignore"):
+            finite = np.isfinite(values.sum(dtype=np.float64))
+        if not finite and not np.isfinite(values[valid]).all():
             raise CloudError(f"{name}: {field} of a valid point is not finite.")

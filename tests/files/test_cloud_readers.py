@@ -1,0 +1,233 @@
+"""Reading clouds of other programs, and of those who mean ill."""
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxscan.errors import CloudError
+from jaxscan.files.clouds import load_cloud, save_cloud
+
+from .clouds import LINES, PROFILES, make_cloud
+
+
+XYZ = np.array([[0.5, 1.5, -2.0], [3.0, 4.0, 5.0], [1e3, 0.0, 0.25]])
+RGB = np.array([[255, 0, 7], [1, 2, 3], [9, 9, 9]], np.uint8)
+
+
+def ply(header, data=b"", path=None):
+    text = "ply\n" + "\n".join(header) + "\nend_header\n"
+    path.write_bytes(text.encode() + data)
+    return path
+
+
+def vertex(kind="float", count=3, more=()):
+    return [f"element vertex {count}", *(f"property {kind} {axis}" for axis in "xyz"), *more]
+
+
+@pytest.mark.parametrize(("order", "sign"), [("little", "<"), ("big", ">")])
+@pytest.mark.parametrize(("kind", "code"), [("float", "f4"), ("double", "f8"), ("float64", "f8")])
+def test_binary_of_others(tmp_path, order, sign, kind, code):
+    colours = ("property uchar red", "property uchar green", "property uchar blue")
+    table = np.zeros(3, [(axis, sign + code) for axis in "xyz"] + [(name, "u1") for name in "rgb"])
+    for k in range(3):
+        table["xyz"[k]], table["rgb"[k]] = XYZ[:, k], RGB[:, k]
+    header = [f"format binary_{order}_endian 1.0", "comment by hand", *vertex(kind, more=colours)]
+    faces = ["element face 1", "property list uchar int vertex_indices"]
+    path = ply(header + faces, table.tobytes() + b"\x03" + bytes(12), tmp_path / "a.ply")
+    cloud = load_cloud(path)
+    assert cloud.xyz.shape == (1, 3, 3) and cloud.valid.all()
+    assert cloud.xyz.dtype == np.dtype(code) and np.array_equal(cloud.xyz[0], XYZ)
+    assert np.array_equal(cloud.rgb[0], RGB)
+    assert not cloud.sigma_random.any() and not cloud.normals.any()
+
+
+def test_ascii_with_everything(tmp_path):
+    more = [f"property float n{axis}" for axis in "xyz"] + ["property float scalar_intensity", "property int other"]
+    rows = ["0.5 1.5 -2 0 0 2 10 1", "3 4 5 nan 0 0 20 1", "nan 0 0 0 1 0 nan 1"]
+    path = ply(["format ascii 1.0", *vertex(more=more)], "\n".join(rows).encode(), tmp_path / "a.ply")
+    cloud = load_cloud(path)
+    assert cloud.valid.tolist() == [[True, True, False]]
+    assert np.array_equal(cloud.xyz[0, :2], XYZ[:2])
+    # Normals are made units, and zero where there is none; what is not valid is zero, never NaN.
+    assert cloud.normals.tolist() == [[[0, 0, 1], [0, 0, 0], [0, 0, 0]]]
+    assert cloud.intensity.tolist() == [[10, 20, 0]]
+    assert not cloud.xyz[0, 2].any()
+
+
+def test_colours_as_floats_and_in_16_bit(tmp_path):
+    for kind, values in (("float", "1.0 0.5 0"), ("ushort", "65535 32896 0")):
+        more = [f"property {kind} {name}" for name in ("red", "green", "blue")]
+        path = ply(["format ascii 1.0", *vertex(count=1, more=more)], f"0 0 1 {values}".encode(), tmp_path / "a.ply")
+        assert load_cloud(path).rgb.tolist() == [[[255, 128, 0]]]
+
+
+def test_ours_after_another_program_dropped_the_grid(tmp_path):
+    cloud = make_cloud()
+    save_cloud(cloud, tmp_path / "a.ply")
+    data = (tmp_path / "a.ply").read_bytes().replace(b"property int step", b"property int strp")
+    (tmp_path / "a.ply").write_bytes(data)
+    back = load_cloud(tmp_path / "a.ply")
+    assert back.valid.shape == (1, np.count_nonzero(cloud.valid))
+    assert np.array_equal(back.xyz[0], cloud.xyz[cloud.valid])
+    assert np.array_equal(back.sigma_random[0], cloud.sigma_random[cloud.valid])
+
+
+def test_ours_without_the_profiles(tmp_path):
+    cloud = make_cloud()
+    save_cloud(cloud, tmp_path / "a.ply")
+    data = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "a.ply").write_bytes(data.replace(b"element profile", b"element another"))
+    back = load_cloud(tmp_path / "a.ply")
+    assert np.array_equal(back.valid, cloud.valid) and not back.angle.any()
+    seen = cloud.valid.any(1)
+    assert np.array_equal(back.laser[seen], cloud.laser[seen])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (b"ply\n", b"plx\n", "not a PLY file"),
+        (b"end_header\n", b"end_heador\n", "not a PLY file, or its header does not end"),
+        (b"jaxscan-cloud/1", b"jaxscan-cloud/2", "found jaxscan-cloud/2, expected jaxscan-cloud/1"),
+        (b"comment grid 6 5", b"comment grid 6", "is missing or wrong"),
+        (b"comment grid 6 5", b"comment grid 5 5", "outside the grid of 5 x 5"),
+        (b"comment grid 6 5", b"comment grid 7 5", "found 6 profiles, expected 7"),
+        (b"comment grid 6 5", b"comment grid 99999999 99999999", "more than"),
+        (b"comment grid 6 5", b"comment grid -6 5", "is missing or wrong"),
+        (b"element vertex ", b"element vertex 9999999999", "the file ends before"),
+        (b"element vertex ", b"element vertex -", 'found "element vertex -'),
+        (b"element profile 6", b"element profile 7", "announces 7 of profile, but the file ends before"),
+        (b"property float x", b"property list uchar float x", "no vertices that can be read"),
+        (b"property float x", b"property half x", 'found "property half x"'),
+        (b"property float y", b"property float x", "the header is wrong"),
+        (b"property float x", b"property float q", "no x, y and z"),
+        (b"binary_little_endian 1.0", b"binary_middle_endian 1.0", "which PLY does not know"),
+        (b"format binary_little_endian 1.0\n", b"", "names no known format"),
+    ],
+)
+def test_wrong_headers(tmp_path, old, new, message):
+    path = tmp_path / "a.ply"
+    save_cloud(make_cloud(), path)
+    data = path.read_bytes()
+    assert data.count(old) == 1
+    path.write_bytes(data.replace(old, new))
+    with pytest.raises(CloudError) as caught:
+        load_cloud(path)
+    assert message in str(caught.value) and "a.ply" in str(caught.value)
+
+
+def test_points_that_share_a_cell_or_are_not_finite(tmp_path):
+    path = tmp_path / "a.ply"
+    save_cloud(make_cloud(), path)
+    head, body = path.read_bytes().split(b"end_header\n")
+    # A vertex has 10 floats, 3 colours, 2 ints and a laser: 52 bytes.
+    path.write_bytes(head + b"end_header\n" + body[:52] + body[:52] + body[104:])
+    with pytest.raises(CloudError, match="two points have the same step and row"):
+        load_cloud(path)
+    path.write_bytes(head + b"end_header\n" + np.float32(np.nan).tobytes() + body[4:])
+    with pytest.raises(CloudError, match="x of a point is not finite"):
+        load_cloud(path)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("1.0 2 3\n4 5\n7 8 9", "not a table of numbers"),
+        ("1 2 3\n4 5 six\n7 8 9", "not a table"),
+        ("1.00 2.00 3.00\n4 5 6\n  \n ", "found (2, 3)"),
+    ],
+)
+def test_broken_ascii(tmp_path, rows, message):
+    path = ply(["format ascii 1.0", *vertex()], rows.encode(), tmp_path / "a.ply")
+    with pytest.raises(CloudError) as caught:
+        load_cloud(path)
+    assert message in str(caught.value)
+
+
+def test_nothing_to_read(tmp_path):
+    with pytest.raises(CloudError, match=r"a\.ply: no such file"):
+        load_cloud(tmp_path / "a.ply")
+    path = ply(["format ascii 1.0", *vertex(count=0)], b"", tmp_path / "a.ply")
+    with pytest.raises(CloudError, match="holds no points"):
+        load_cloud(path)
+    path = ply(["format ascii 1.0", *vertex(count=1)], b"nan nan nan", tmp_path / "a.ply")
+    with pytest.raises(CloudError, match="holds no finite point"):
+        load_cloud(path)
+
+
+GOOD = {}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _good(tmp_path_factory):
+    for suffix in (".ply", ".npz"):
+        path = tmp_path_factory.mktemp("good") / f"a{suffix}"
+        save_cloud(make_cloud(), path)
+        GOOD[suffix] = path.read_bytes()
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".npz"])
+@given(data=st.data())
+def test_any_damage_is_read_or_refused(tmp_path_factory, suffix, data):
+    """Cut anywhere and flip anything: a cloud comes back, or a typed error; and no huge allocation."""
+    good = bytearray(GOOD[suffix])
+    for at in data.draw(st.lists(st.integers(0, len(good) - 1), max_size=4)):
+        good[at] = data.draw(st.integers(0, 255))
+    cut = data.draw(st.integers(0, len(good)))
+    path = tmp_path_factory.getbasetemp() / f"damaged{suffix}"
+    path.write_bytes(good[:cut] if data.draw(st.booleans()) else good)
+    try:
+        cloud = load_cloud(path)
+    except CloudError:
+        return
+    assert cloud.valid.ndim == 2 and np.isfinite(cloud.xyz).all()
+
+
+def npz(path, **arrays):
+    save_cloud(make_cloud(), path)
+    with np.load(path) as good:
+        np.savez(path, **{**{name: good[name] for name in good.files}, **arrays})
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"xyz": np.zeros((PROFILES, LINES, 2), np.float32)}, "xyz: found float32 with shape (6, 5, 2), expected"),
+        ({"rgb": np.zeros((PROFILES, LINES, 3), np.int32)}, "rgb: found int32"),
+        ({"angle": np.zeros(PROFILES + 1)}, "angle: found float64 with shape (7,), expected floating with shape (6,)"),
+        ({"valid": np.zeros((PROFILES,), bool)}, "found"),
+        ({"angle": np.full(PROFILES, np.nan)}, "angle is not finite"),
+        ({"format": np.array("something")}, "found the format 'something', expected 'jaxscan-cloud/1'"),
+        ({"record": np.array([{}] * PROFILES, object)}, "not a readable .npz file"),
+    ],
+)
+def test_wrong_npz(tmp_path, arrays, message):
+    with pytest.raises(CloudError) as caught:
+        load_cloud(npz(tmp_path / "a.npz", **arrays))
+    assert message in str(caught.value)
+
+
+def test_an_npz_bomb_is_refused(tmp_path):
+    member = io.BytesIO()
+    np.lib.format.write_array(member, np.zeros(20_000_000, np.uint8))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("format.npy", member.getvalue())
+    assert (tmp_path / "a.npz").stat().st_size < 100_000
+    with pytest.raises(CloudError, match=r"would take 20000128 bytes of memory"):
+        load_cloud(tmp_path / "a.npz")
+
+
+def test_an_npz_that_announces_more_than_it_holds(tmp_path):
+    member = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        member, {"descr": "<f8", "fortran_order": False, "shape": (1_000_000_000_000,)}
+    )
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("format.npy", member.getvalue())
+    with pytest.raises(CloudError, match="which it cannot hold"):
+        load_cloud(tmp_path / "a.npz")

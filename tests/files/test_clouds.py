@@ -1,0 +1,320 @@
+"""Cloud files. Every format inherits `WriterContract` and is read by a library that is not ours."""
+
+import dataclasses
+import functools
+import os
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxscan.errors import CloudError, DependencyError
+from jaxscan.files import clouds as clouds_module
+from jaxscan.files.clouds import READERS, WRITERS, load_cloud, save_cloud
+
+from .clouds import LINES, PROFILES, make_cloud
+
+
+@functools.cache
+def open3d():
+    """Open3D, or a skip that says why."""
+    try:
+        from jaxscan.simulation.open3d import _open3d
+
+        return _open3d()
+    except (ImportError, DependencyError) as problem:
+        pytest.skip(f"Open3D does not load: {problem}")
+
+
+class WriterContract:
+    """What every format keeps. A subclass names the suffix and reads a file independently."""
+
+    suffix = ""
+    xyz_error = 0.0
+    """How far a coordinate may move, m: nothing, where the format holds float32."""
+    intensity_of = staticmethod(lambda dn: dn)
+
+    def read(self, path):
+        """Columns of the file: xyz [n, 3], rgb [n, 3], and what more the format holds."""
+        raise NotImplementedError
+
+    def expected(self, cloud):
+        """The points in the order of the file."""
+        step, row = np.nonzero(cloud.valid)
+        return step, row
+
+    @pytest.fixture
+    def path(self, tmp_path):
+        return tmp_path / f"room{self.suffix}"
+
+    def test_round_trip(self, path):
+        cloud = make_cloud()
+        save_cloud(cloud, path, calibration_digest="sha256:0123")
+        columns = self.read(path)
+        step, row = self.expected(cloud)
+        # The poison of masked entries is far outside the room: one that slipped in is seen.
+        assert columns["xyz"].shape == (np.count_nonzero(cloud.valid), 3)
+        assert np.abs(columns["xyz"] - cloud.xyz[step, row]).max() <= self.xyz_error
+        assert np.array_equal(columns["rgb"], cloud.rgb[step, row])
+        sigma = np.hypot(cloud.sigma_random, cloud.sigma_systematic)
+        wanted = {
+            "normals": cloud.normals[step, row],
+            "intensity": self.intensity_of(cloud.intensity[step, row]),
+            "sigma": sigma[step, row],
+            "sigma_random": cloud.sigma_random[step, row],
+            "sigma_systematic": cloud.sigma_systematic[step, row],
+            "step": step,
+            "row": row,
+            "laser": cloud.laser[step],
+        }
+        for name in columns.keys() - {"xyz", "rgb"}:
+            assert np.array_equal(columns[name].astype(wanted[name].dtype), wanted[name]), name
+
+    def test_double_precision_and_jax_arrays_are_taken(self, path):
+        wide = make_cloud(dtype=np.float64)
+        save_cloud(jax.tree.map(jnp.asarray, wide), path)
+        first = self.read(path)["xyz"]
+        # A double is first rounded to a single: half a unit in the last place below 4 m.
+        step, row = self.expected(wide)
+        assert np.abs(first - wide.xyz[step, row]).max() <= self.xyz_error + 1.2e-7
+
+    def test_an_empty_cloud_is_refused(self, path):
+        cloud = make_cloud()
+        empty = dataclasses.replace(cloud, valid=np.zeros_like(cloud.valid))
+        with pytest.raises(CloudError, match=f"room{self.suffix}: the cloud has no valid point"):
+            save_cloud(empty, path)
+        assert not path.exists()
+
+    @pytest.mark.parametrize("field", ["xyz", "sigma_random"])
+    def test_a_valid_point_that_is_not_finite_is_refused(self, path, field):
+        cloud = make_cloud()
+        broken = dataclasses.replace(cloud, **{field: getattr(cloud, field).copy()})
+        getattr(broken, field)[0, 0] = np.nan
+        with pytest.raises(CloudError, match=f"{field} of a valid point is not finite"):
+            save_cloud(broken, path)
+
+    def test_a_failing_writer_leaves_the_old_file(self, path, monkeypatch):
+        path.write_bytes(b"old")
+        writer = WRITERS[self.suffix]
+
+        def full(cloud, part, digest):
+            writer(cloud, part, digest)
+            assert part.suffix == self.suffix
+            raise OSError("No space left on device")
+
+        monkeypatch.setitem(clouds_module.WRITERS, self.suffix, full)
+        with pytest.raises(CloudError, match=f"room{self.suffix}: cannot be written: No space left"):
+            save_cloud(make_cloud(), path)
+        assert path.read_bytes() == b"old" and os.listdir(path.parent) == [path.name]
+
+    def test_an_existing_file_is_replaced(self, path):
+        save_cloud(make_cloud(seed=1), path)
+        save_cloud(make_cloud(seed=2), path)
+        cloud = make_cloud(seed=2)
+        step, row = self.expected(cloud)
+        assert np.abs(self.read(path)["xyz"] - cloud.xyz[step, row]).max() <= self.xyz_error
+
+    def test_a_missing_folder_is_named(self, tmp_path):
+        with pytest.raises(CloudError, match="nowhere does not exist"):
+            save_cloud(make_cloud(), tmp_path / "nowhere" / f"room{self.suffix}")
+
+
+class TestPly(WriterContract):
+    suffix = ".ply"
+
+    def read(self, path):
+        point = open3d().t.io.read_point_cloud(str(path)).point
+        columns = {"xyz": point.positions.numpy(), "rgb": point.colors.numpy(), "normals": point.normals.numpy()}
+        names = ("intensity", "sigma", "sigma_random", "sigma_systematic", "step", "row", "laser")
+        return columns | {name: point[name].numpy()[:, 0] for name in names}
+
+    def test_open3d_reads_it_the_old_way_too(self, path):
+        cloud = make_cloud()
+        save_cloud(cloud, path)
+        old = open3d().io.read_point_cloud(str(path))
+        assert np.array_equal(np.asarray(old.points).astype(np.float32), cloud.xyz[cloud.valid])
+        assert np.array_equal(np.round(np.asarray(old.colors) * 255), cloud.rgb[cloud.valid])
+        assert np.allclose(np.asarray(old.normals), cloud.normals[cloud.valid], rtol=0, atol=1e-7)
+
+    def test_header(self, path):
+        save_cloud(make_cloud(), path, calibration_digest="sha256:0123")
+        header = path.read_bytes().split(b"end_header\n")[0].decode().splitlines()
+        assert header[:7] == [
+            "ply",
+            "format binary_little_endian 1.0",
+            "comment jaxscan-cloud/1",
+            "comment unit metre",
+            "comment frame scanner",
+            f"comment grid {PROFILES} {LINES}",
+            "comment calibration sha256:0123",
+        ]
+        names = "x y z nx ny nz red green blue intensity sigma sigma_random sigma_systematic step row laser".split()
+        assert [line.split()[2] for line in header if line.startswith("property")][: len(names)] == names
+
+
+class TestPcd(WriterContract):
+    suffix = ".pcd"
+
+    def read(self, path):
+        point = open3d().t.io.read_point_cloud(str(path)).point
+        columns = {"xyz": point.positions.numpy(), "rgb": point.colors.numpy(), "normals": point.normals.numpy()}
+        names = ("intensity", "sigma", "sigma_random", "sigma_systematic")
+        return columns | {name: point[name].numpy()[:, 0] for name in names}
+
+
+class TestXyz(WriterContract):
+    suffix = ".xyz"
+    # Written to the micrometre.
+    xyz_error = 0.51e-6
+
+    def read(self, path):
+        table = np.loadtxt(path)
+        assert table.shape[1] == 6
+        points = np.asarray(open3d().io.read_point_cloud(str(path)).points)
+        assert np.array_equal(points, table[:, :3])
+        return {"xyz": points, "rgb": table[:, 3:]}
+
+
+class TestPtx(WriterContract):
+    suffix = ".ptx"
+    xyz_error = 0.51e-6
+
+    def expected(self, cloud):
+        # A block per laser; a column runs from the last line to the first.
+        order = [(p, r) for laser in (0, 1) for p in range(laser, PROFILES, 2) for r in reversed(range(LINES))]
+        step, row = np.array([one for one in order if cloud.valid[one]]).T
+        return step, row
+
+    def read(self, path):
+        lines = path.read_text().splitlines()
+        assert len(lines) == 2 * (10 + PROFILES // 2 * LINES)
+        rows = []
+        for block in (lines[: len(lines) // 2], lines[len(lines) // 2 :]):
+            assert block[:2] == [str(PROFILES // 2), str(LINES)]
+            assert np.array_equal(np.array([line.split() for line in block[6:10]], float), np.eye(4))
+            rows += block[10:]
+        table = np.array([line.split() for line in rows], float)
+        holes = (table[:, :3] == 0).all(1)
+        assert not table[holes][:, 4:].any()
+        assert table[:, 3].min() >= 0 and table[:, 3].max() <= 1
+        return {"xyz": table[~holes, :3], "rgb": table[~holes, 4:]}
+
+
+class TestE57(WriterContract):
+    suffix = ".e57"
+
+    def read(self, path):
+        pye57 = pytest.importorskip("pye57", reason="the extra `export` is not installed")
+        file = pye57.E57(str(path))
+        scan = file.read_scan_raw(0)
+        header = file.get_header(0)
+        assert np.array_equal(header.rotation, [1, 0, 0, 0]) and not np.any(header.translation)
+        columns = {
+            "xyz": np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1),
+            "rgb": np.stack([scan[f"color{name}"] for name in ("Red", "Green", "Blue")], -1),
+            "intensity": scan["intensity"],
+            "step": scan["columnIndex"],
+            "row": scan["rowIndex"],
+        }
+        file.close()
+        return columns
+
+
+class TestLas(WriterContract):
+    suffix = ".las"
+    # Coordinates are multiples of 0.1 mm.
+    xyz_error = 0.51e-4
+    intensity_of = staticmethod(lambda dn: np.clip(np.round(dn * 257), 0, 65535))
+
+    def read(self, path):
+        laspy = pytest.importorskip("laspy", reason="the extra `export` is not installed")
+        las = laspy.read(path)
+        assert las.header.point_format.id == 7 and str(las.header.version) == "1.4"
+        names = ("intensity", "sigma", "sigma_random", "sigma_systematic", "step", "row")
+        colours = np.stack([las.red, las.green, las.blue], -1)
+        assert not (colours % 257).any()
+        return {
+            "xyz": np.asarray(las.xyz),
+            "rgb": colours // 257,
+            "normals": np.stack([las[f"normal_{axis}"] for axis in "xyz"], -1),
+            "laser": np.asarray(las.user_data),
+            **{name: np.asarray(las[name]) for name in names},
+        }
+
+
+class TestLaz(TestLas):
+    suffix = ".laz"
+
+    def test_it_is_compressed(self, path):
+        save_cloud(make_cloud(), path)
+        laspy = pytest.importorskip("laspy", reason="the extra `export` is not installed")
+        with laspy.open(path) as file:
+            assert file.header.are_points_compressed
+
+
+class TestNpz(WriterContract):
+    suffix = ".npz"
+
+    def read(self, path):
+        with np.load(path, allow_pickle=False) as arrays:
+            assert str(arrays["format"]) == "jaxscan-cloud/1" and str(arrays["unit"]) == "metre"
+            valid = arrays["valid"]
+            names = ("xyz", "rgb", "normals", "intensity", "sigma_random", "sigma_systematic")
+            return {name: arrays[name][valid] for name in names}
+
+    def test_double_precision_and_jax_arrays_are_taken(self, path):
+        wide = make_cloud(dtype=np.float64)
+        save_cloud(jax.tree.map(jnp.asarray, wide), path)
+        for name, field in vars(load_cloud(path)).items():
+            # Lossless means the masked entries and the type too.
+            assert np.array_equal(field, getattr(wide, name)) and field.dtype == getattr(wide, name).dtype
+
+
+def test_every_format_has_its_contract():
+    tested = {contract.suffix for contract in WriterContract.__subclasses__()} | {TestLaz.suffix}
+    assert tested == set(WRITERS)
+
+
+@pytest.mark.parametrize("suffix", sorted(READERS))
+def test_the_organised_grid_comes_back(tmp_path, suffix):
+    cloud = make_cloud()
+    save_cloud(cloud, tmp_path / f"room{suffix}")
+    back = load_cloud(tmp_path / f"room{suffix}")
+    for name in ("valid", "record", "laser", "angle"):
+        assert np.array_equal(getattr(back, name), getattr(cloud, name)), name
+    for name in ("xyz", "rgb", "normals", "intensity", "sigma_random", "sigma_systematic"):
+        assert np.array_equal(getattr(back, name)[cloud.valid], getattr(cloud, name)[cloud.valid]), name
+        if suffix == ".ply":
+            assert not getattr(back, name)[~cloud.valid].any(), name
+
+
+def test_blocks_do_not_show(tmp_path, monkeypatch):
+    from jaxscan.files import points
+
+    save_cloud(make_cloud(), tmp_path / "whole.ply")
+    # One profile per block, of which one is empty.
+    monkeypatch.setattr(points, "BLOCK_POINTS", LINES)
+    save_cloud(make_cloud(), tmp_path / "parts.ply")
+    assert (tmp_path / "whole.ply").read_bytes() == (tmp_path / "parts.ply").read_bytes()
+
+
+@pytest.mark.parametrize("name", ["room.obj", "room", "room.ply.gz"])
+def test_unknown_suffixes_list_the_known_ones(tmp_path, name):
+    with pytest.raises(CloudError, match=r"known are \.ply, \.npz, \.e57, \.las, \.laz, \.pcd, \.xyz, \.ptx"):
+        save_cloud(make_cloud(), tmp_path / name)
+    with pytest.raises(CloudError, match=r"known are \.ply, \.npz"):
+        load_cloud(tmp_path / name)
+
+
+def test_suffixes_are_not_case_sensitive(tmp_path):
+    save_cloud(make_cloud(), tmp_path / "ROOM.PLY")
+    assert load_cloud(tmp_path / "ROOM.PLY").valid.any()
+
+
+@pytest.mark.parametrize(("suffix", "module"), [(".e57", "pye57"), (".las", "laspy"), (".laz", "laspy")])
+def test_a_missing_extra_says_what_to_install(tmp_path, monkeypatch, suffix, module):
+    monkeypatch.setitem(__import__("sys").modules, module, None)
+    with pytest.raises(DependencyError, match=r'pip install "jaxscan\[export\]"'):
+        save_cloud(make_cloud(), tmp_path / f"room{suffix}")
+    assert os.listdir(tmp_path) == []
