@@ -1,0 +1,332 @@
+"""Calibration files: exact to the last bit, and every wrong number named."""
+
+import dataclasses
+import json
+import math
+import os
+
+import jax
+import numpy as np
+import pytest
+
+from jaxscan.calibration.observations import BoardViews, Observations, StripeViews
+from jaxscan.calibration.result import Calibration
+from jaxscan.errors import CalibrationError
+from jaxscan.files.calibration import calibration_digest, load_calibration, load_scanner, save_calibration
+from jaxscan.geometry import Charuco, Chessboard, LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
+
+
+def make_scanner(*, coefficients=5, lasers=("red", "green")):
+    rng = np.random.default_rng(5)
+    camera = Pinhole(
+        fx=np.asarray(1234.567 + 1 / 3),
+        fy=np.asarray(1234.1),
+        cx=np.asarray(640.2),
+        cy=np.asarray(511.9),
+        distortion=rng.normal(scale=0.1, size=coefficients),
+        width=1280,
+        height=1024,
+    )
+    sheets = []
+    for k in range(len(lasers)):
+        flat = LaserSheet.from_plane(np.array([1.0, 0.01 + 0.1 * k, 0.2]), 0.25 + 0.1 * k)
+        sheets.append(dataclasses.replace(flat, bow=rng.normal(scale=1e-4, size=2)))
+    table = Turntable.from_axis(np.array([-0.018, -0.9998, -0.0008]), np.array([-0.01, 0.1, -0.2]), gain=-1.0001)
+    table = dataclasses.replace(point_up(table, "-v"), harmonics=rng.normal(scale=1e-4, size=4))
+    scanner = Scanner(camera, stack_lasers(sheets), table, laser_names=tuple(lasers))
+    count = len(scanner.parameter_names())
+    factor = rng.normal(size=(count, count)) * np.logspace(-6, 0, count)[:, None]
+    factor[4] = 0  # A parameter held fixed.
+    return dataclasses.replace(scanner, covariance=factor @ factor.T)
+
+
+def make_observations(board=None):
+    board = Charuco(columns=4, rows=3, square=0.03, marker=0.022) if board is None else board
+    rng, corners = np.random.default_rng(6), len(board.corners())
+    return Observations(
+        board=board,
+        corners=BoardViews(
+            q=rng.uniform(0, 1000, (3, corners, 2)),
+            sigma=rng.uniform(0.1, 1, (3, corners)),
+            valid=rng.random((3, corners)) < 0.8,
+            angle=np.array([0.0, 0.1, 0.2]),
+            placement=np.array([0, 0, 1]),
+            record=np.array([4, 5, 9]),
+        ),
+        stripes=StripeViews(
+            q=rng.uniform(0, 1000, (2, 7, 2)),
+            sigma=rng.uniform(0.1, 1, (2, 7)),
+            valid=rng.random((2, 7)) < 0.8,
+            view=np.array([0, 2], np.int32),
+            laser=np.array([0, 1], np.int32),
+        ),
+        width=1280,
+        height=1024,
+        laser_names=("red", "green"),
+    )
+
+
+def make_calibration(scanner=None, **keys):
+    scanner = make_scanner() if scanner is None else scanner
+    return Calibration(
+        camera=scanner.camera,
+        scanner=scanner,
+        order=scanner.parameter_names(),
+        covariance=scanner.covariance,
+        quality={"corner_rms": np.float64(1.01), "views": [1, 2], "nested": {"a": None}},
+        provenance={"inputs": ["sha256:00"]},
+        **keys,
+    )
+
+
+def camera_alone():
+    scanner = make_scanner()
+    names = scanner.camera.parameter_names()
+    covariance = np.diag(np.arange(1.0, 1 + len(names)))
+    return Calibration(camera=scanner.camera, scanner=None, order=names, covariance=covariance, quality={})
+
+
+def same_bits(a, b):
+    """Equal structure, types and values, to the last bit of every float."""
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    for one, other in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        assert type(one) is type(other)
+        assert np.asarray(one).dtype == np.asarray(other).dtype
+        assert np.asarray(one).tobytes() == np.asarray(other).tobytes()
+
+
+@pytest.mark.parametrize("coefficients", [5, 8])
+@pytest.mark.parametrize("lasers", [("red",), ("red", "green")])
+def test_exact_to_the_last_bit(tmp_path, coefficients, lasers):
+    calibration = make_calibration(make_scanner(coefficients=coefficients, lasers=lasers))
+    save_calibration(calibration, tmp_path / "c.json")
+    scanner = load_scanner(tmp_path / "c.json")
+    same_bits(scanner, calibration.scanner)
+    for leaf in jax.tree.leaves(scanner):
+        assert isinstance(leaf, np.ndarray) and leaf.dtype == np.float64
+    back = load_calibration(tmp_path / "c.json")
+    same_bits(back.scanner, calibration.scanner)
+    same_bits(back.camera, calibration.camera)
+    assert back.covariance.tobytes() == calibration.covariance.tobytes()
+    assert back.order == calibration.order and back.observations is None
+    assert back.quality == {"corner_rms": 1.01, "views": [1, 2], "nested": {"a": None}}
+    assert back.provenance == calibration.provenance
+
+
+def test_what_is_saved_twice_is_the_same_file(tmp_path):
+    save_calibration(make_calibration(), tmp_path / "a.json")
+    save_calibration(load_calibration(tmp_path / "a.json"), tmp_path / "b.json")
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+    assert calibration_digest(tmp_path / "a.json") == calibration_digest(tmp_path / "b.json")
+    assert calibration_digest(tmp_path / "a.json").startswith("sha256:")
+
+
+def test_a_loaded_scanner_computes(tmp_path):
+    save_calibration(make_calibration(), tmp_path / "c.json")
+    q, phi = np.array([700.0, 300.0]), np.asarray(0.3)
+    points = [scanner.point(q, 1, phi)[0] for scanner in (make_scanner(), load_scanner(tmp_path / "c.json"))]
+    assert np.array_equal(*points)
+
+
+def test_the_file_is_as_the_page_says(tmp_path):
+    save_calibration(make_calibration(), tmp_path / "c.json")
+    data = json.loads((tmp_path / "c.json").read_text())
+    assert list(data) == ["format", "camera", "lasers", "turntable", "quality", "provenance", "covariance"]
+    assert list(data["camera"])[:5] == ["model", "width", "height", "up", "fx"]
+    assert list(data["camera"]["distortion"]) == ["k1", "k2", "p1", "p2", "k3"]
+    assert set(data["lasers"][1]) == {"name", "normal", "distance_m", "bow", "basis"}
+    assert set(data["turntable"]) == {"carries", "direction", "point_m", "gain", "harmonics", "basis"}
+    assert data["covariance"]["order"][9:12] == ["laser.red.n1", "laser.red.n2", "laser.red.d"]
+    # For people: a vector is a line.
+    assert f'"normal": {data["lasers"][0]["normal"]}' in (tmp_path / "c.json").read_text()
+
+
+@pytest.mark.parametrize("board", [None, Chessboard(columns=4, rows=3, square=0.1 / 3)])
+def test_observations_come_back(tmp_path, board):
+    calibration = make_calibration(observations=make_observations(board))
+    save_calibration(calibration, tmp_path / "c.json")
+    assert sorted(os.listdir(tmp_path)) == ["c.json", "c.npz"]
+    same_bits(load_calibration(tmp_path / "c.json").observations, calibration.observations)
+    # A reconstruction needs the JSON alone.
+    (tmp_path / "c.npz").unlink()
+    assert load_calibration(tmp_path / "c.json").observations is None
+    same_bits(load_scanner(tmp_path / "c.json"), calibration.scanner)
+
+
+def test_a_camera_alone(tmp_path):
+    save_calibration(camera_alone(), tmp_path / "camera.json")
+    back = load_calibration(tmp_path / "camera.json")
+    assert back.scanner is None
+    same_bits(back.camera, camera_alone().camera)
+    assert np.array_equal(back.covariance, camera_alone().covariance)
+    with pytest.raises(
+        CalibrationError, match=r"camera\.json: holds a camera alone.*cannot reconstruct; calibrate with"
+    ):
+        load_scanner(tmp_path / "camera.json")
+
+
+def test_without_covariance(tmp_path):
+    scanner = dataclasses.replace(make_scanner(), covariance=None)
+    bare = Calibration(scanner.camera, scanner, (), np.zeros((0, 0)), {})
+    save_calibration(bare, tmp_path / "c.json")
+    assert load_scanner(tmp_path / "c.json").covariance is None
+    assert load_calibration(tmp_path / "c.json").covariance.shape == (0, 0)
+
+
+def test_observations_of_a_replaced_calibration_do_not_stay(tmp_path):
+    save_calibration(make_calibration(observations=make_observations()), tmp_path / "c.json")
+    save_calibration(make_calibration(), tmp_path / "c.json")
+    assert os.listdir(tmp_path) == ["c.json"]
+
+
+def test_a_foreign_npz_is_left_alone(tmp_path):
+    np.savez(tmp_path / "c.npz", a=np.zeros(3))
+    before = (tmp_path / "c.npz").read_bytes()
+    save_calibration(make_calibration(), tmp_path / "c.json")
+    assert load_calibration(tmp_path / "c.json").observations is None
+    with pytest.raises(CalibrationError, match=r"c\.npz: exists and holds no observations; choose another name"):
+        save_calibration(make_calibration(observations=make_observations()), tmp_path / "c.json")
+    assert (tmp_path / "c.npz").read_bytes() == before
+    with pytest.raises(CalibrationError, match=r"end its name in \.json"):
+        save_calibration(make_calibration(), tmp_path / "c.npz")
+
+
+def test_settings_that_json_cannot_hold_become_null(tmp_path):
+    calibration = dataclasses.replace(
+        make_calibration(), provenance={"prior": math.inf, "list": [np.float64("nan"), 1]}
+    )
+    save_calibration(calibration, tmp_path / "c.json")
+    assert load_calibration(tmp_path / "c.json").provenance == {"prior": None, "list": [None, 1]}
+
+
+def test_a_calibration_that_is_not_finite_is_not_written(tmp_path):
+    scanner = make_scanner()
+    broken = dataclasses.replace(scanner, camera=dataclasses.replace(scanner.camera, fx=np.asarray(np.nan)))
+    with pytest.raises(CalibrationError, match=r"c\.json: cannot be written"):
+        save_calibration(make_calibration(broken), tmp_path / "c.json")
+    assert os.listdir(tmp_path) == []
+
+
+def edit(data, path, value):
+    *parents, last = path
+    for key in parents:
+        data = data[key]
+    if value is KeyError:
+        del data[last]
+    else:
+        data[last] = value
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (
+            ["format"],
+            "jaxscan-calibration/2",
+            'format: found "jaxscan-calibration/2", expected "jaxscan-calibration/1"',
+        ),
+        (["camera", "model"], "fisheye", 'camera.model: "fisheye" is reserved and not supported yet'),
+        (["camera", "model"], "omni", 'camera.model: found "omni", expected "pinhole"'),
+        (["camera", "fx"], NAN, "NaN"),
+        (["camera", "fx"], -5.0, "camera.fx: found -5.0, expected greater than 0"),
+        (["camera", "fx"], "1200", 'camera.fx: found "1200", expected a valid number'),
+        (["camera", "fx"], KeyError, "camera.fx: missing"),
+        (["camera", "skwe"], 1.0, 'camera.skwe: unknown key; the closest known one is "skew"'),
+        (["camera", "width"], 10**6, "camera.width: found 1000000, expected less than or equal to 65535"),
+        (["camera", "up"], "up", 'camera.up: found "up", expected "-v", "+v", "+u" or "-u"'),
+        (["camera", "distortion", "k4"], 0.1, "camera.distortion: k4, k5 and k6 come together or not at all"),
+        (["lasers", 1, "normal"], [1.0, 0.0, 0.1], "lasers[1]: normal: found a vector of length 1.0049"),
+        (["lasers", 0, "distance_m"], -0.2, "lasers[0].distance_m: found -0.2, expected greater than 0"),
+        (["lasers", 0, "basis", 1], [1.0, 0.0, 0.0], "lasers[0]: basis: expected two unit vectors, perpendicular"),
+        (["lasers", 0, "bow"], [0.0], "lasers[0].bow[1]: missing"),
+        (["lasers", 1, "name"], "red", "lasers: found the names red, red"),
+        (["turntable", "direction"], [0.0, -1.0, 0.1], "turntable: direction: found a vector of length 1.00498"),
+        (["turntable", "point_m"], [0.0, 0.5, 0.0], "turntable: direction · point_m = -0.5, expected 0"),
+        (["turntable", "gain"], 0.0, "turntable: gain = 0"),
+        (["turntable", "harmonics"], [0.0] * 5, "turntable.harmonics"),
+        (["turntable", "carries"], "camera", 'turntable.carries: found "camera", expected "scanner" or "object"'),
+        (["turntable"], KeyError, "lasers and turntable come together"),
+        (["lasers"], KeyError, "lasers and turntable come together"),
+        (["camera", "up"], "+v", 'turntable.direction: points down, expected towards the image\'s up "+v"'),
+        (["covariance", "matrix", 0, 1], 1e9, "covariance: matrix: not symmetric"),
+        (["covariance", "matrix", 3, 3], -1.0, "covariance: matrix: the variance of cy is negative"),
+        (["covariance", "matrix", 4], [1.0], "covariance: matrix: expected 28 rows of 28 numbers"),
+        (["covariance", "order", 0], "fz", "covariance.order: found fz, fy, cx"),
+        (["quality"], 3, "quality: found 3"),
+    ],
+)
+def test_every_wrong_number_is_named(tmp_path, path, value, message):
+    save_calibration(make_calibration(), tmp_path / "c.json")
+    data = json.loads((tmp_path / "c.json").read_text())
+    edit(data, path, value)
+    (tmp_path / "c.json").write_text(json.dumps(data))
+    for load in (load_scanner, load_calibration):
+        with pytest.raises(CalibrationError) as caught:
+            load(tmp_path / "c.json")
+        assert message in str(caught.value) and "c.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_covariance_that_is_none(tmp_path):
+    calibration = make_calibration()
+    scale = np.sqrt(np.diag(calibration.covariance))
+    # Three variables cannot all be perfectly anticorrelated: symmetric, and yet no covariance.
+    matrix = np.diag(np.diag(calibration.covariance))
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        matrix[a, b] = matrix[b, a] = -0.9 * scale[a] * scale[b]
+    with pytest.raises(CalibrationError, match="not positive semidefinite"):
+        save_calibration(dataclasses.replace(calibration, covariance=matrix), tmp_path / "c.json")
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "line 1: not valid JSON"),
+        ('{"format": 1,\n}', "line 2: not valid JSON"),
+        ("[]", "found [], expected a table"),
+        ("{}", "missing"),
+        ("[" * 100_000, "not valid JSON"),
+    ],
+)
+def test_what_is_no_calibration(tmp_path, text, message):
+    (tmp_path / "c.json").write_text(text)
+    with pytest.raises(CalibrationError) as caught:
+        load_scanner(tmp_path / "c.json")
+    assert message in str(caught.value) and "c.json" in str(caught.value)
+
+
+def test_a_missing_file(tmp_path):
+    for load in (load_scanner, load_calibration):
+        with pytest.raises(CalibrationError, match=r"c\.json: no such file"):
+            load(tmp_path / "c.json")
+    with pytest.raises(CalibrationError, match=r"c\.json: cannot be read"):
+        calibration_digest(tmp_path / "c.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("corners.q", np.zeros((3, 5, 2)), "corners.q: found float64 with shape (3, 5, 2)"),
+        ("corners.sigma", np.full((3, 6), np.inf), "corners.sigma is not finite"),
+        ("corners.angle", np.zeros(4), "corners.angle"),
+        ("corners.valid", np.zeros((3, 6)), "corners.valid: found float64"),
+        ("stripes.view", np.array([0, 3]), "stripes.view: found an index outside 0 ... 2"),
+        ("stripes.laser", np.array([-1, 0]), "stripes.laser: found an index outside 0 ... 1"),
+        ("stripes.q", None, "stripes.q is missing"),
+        ("corners.placement", np.array([{}] * 3, object), "not a readable .npz file"),
+    ],
+)
+def test_wrong_observations(tmp_path, name, value, message):
+    save_calibration(make_calibration(observations=make_observations()), tmp_path / "c.json")
+    with np.load(tmp_path / "c.npz") as good:
+        arrays = {key: good[key] for key in good.files}
+    arrays[name] = value
+    np.savez(tmp_path / "c.npz", **{key: array for key, array in arrays.items() if array is not None})
+    with pytest.raises(CalibrationError) as caught:
+        load_calibration(tmp_path / "c.json")
+    assert message in str(caught.value) and "c.npz" in str(caught.value)
+    # The scanner itself is not touched by it.
+    same_bits(load_scanner(tmp_path / "c.json"), make_scanner())
