@@ -18,6 +18,7 @@ from jaxscan.files.header import CaptureHeader as CaptureHeader
 from jaxscan.files.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, read_journal
 from jaxscan.files.journal import Record as Record
 from jaxscan.files.references import Folder, ImageRef, open_shard
+from jaxscan.files.resume import resume_capture as resume_capture
 from jaxscan.files.writer import CaptureWriter as CaptureWriter
 from jaxscan.files.writer import create_capture as create_capture
 from jaxscan.geometry import AbstractBoard

@@ -4,6 +4,7 @@ import json
 import math
 import os
 from collections import deque
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,13 +33,15 @@ class CaptureWriter:
     behind is therefore a readable capture of the records before it.
     """
 
-    def __init__(self, path: Path, header: CaptureHeader, *, durable: bool = True) -> None:
-        """Use `create_capture`."""
+    def __init__(
+        self, path: Path, header: CaptureHeader, *, durable: bool = True, taken: Mapping[int, int] | None = None
+    ) -> None:
+        """Use `create_capture` or `resume_capture`; `taken` counts the takes of each record so far."""
         self.path = path
         self.header = header
         self._durable = durable
-        self._taken: dict[int, int] = {}
-        self._next = 0
+        self._taken = dict(taken or {})
+        self._next = max(self._taken, default=-1) + 1
         self._pending: deque[_Pending] = deque()
         self._failed: CaptureError | None = None
         self._journal = open(path / JOURNAL_NAME, "ab")

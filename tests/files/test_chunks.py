@@ -1,6 +1,7 @@
 """Decoding ahead: the same frames as one by one, in bounded memory, and no threads left over."""
 
 import threading
+import time
 import tracemalloc
 import weakref
 
@@ -63,6 +64,8 @@ def test_no_more_than_three_chunks_exist():
         if row == 0:
             alive.append(weakref.ref(chunk.on))
         most = max(most, sum(ref() is not None for ref in alive))
+        # Long enough for a thread that is done to let go of its chunk.
+        time.sleep(0.001)
 
     seen = [int(chunk.on[0, 0, 0]) for chunk in decode_ahead(40, 2, (4, 6), False, load)]
     assert seen == list(range(0, 40, 2))

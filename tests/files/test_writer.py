@@ -10,7 +10,7 @@ import pytest
 
 from jaxscan.errors import CaptureError
 from jaxscan.files import writer
-from jaxscan.files.capture import CaptureHeader, create_capture, open_capture
+from jaxscan.files.capture import CaptureHeader, create_capture, open_capture, resume_capture
 from jaxscan.files.header import header_toml, parse_header
 
 
@@ -193,3 +193,35 @@ def test_records_that_do_not_fit(tmp_path, keys, message):
         assert capture.append(angle_deg=0.0, on=FRAMES[0]) == 0
     assert os.listdir(tmp_path / "room" / "on") == ["000000.png"]
     assert len(open_capture(tmp_path / "room")) == 1
+
+
+@pytest.mark.parametrize("end", ["whole", "no newline", "torn", "rubbish"])
+def test_resuming_after_a_crash(tmp_path, end):
+    path = tmp_path / "room"
+    with create_capture(path, header()) as capture:
+        for k in range(3):
+            capture.append(angle_deg=float(k), on=FRAMES[k])
+        capture.append(angle_deg=0.5, on=FRAMES[3], i=0)
+    data = (path / "frames.jsonl").read_bytes()
+    torn = {"whole": data, "no newline": data[:-1], "torn": data + b'{"i": 3, "ang', "rubbish": data + bytes(9) + b"\n"}
+    (path / "frames.jsonl").write_bytes(torn[end])
+    with resume_capture(path) as capture:
+        assert capture.append(angle_deg=3.0, on=FRAMES[4]) == 3
+        capture.append(angle_deg=0.25, on=FRAMES[5], i=0)
+    read = open_capture(path)
+    assert read.notes == () and [record.i for record in read.records] == [0, 1, 2, 3]
+    assert np.array_equal(read.frames(0)[0], FRAMES[5]) and np.array_equal(read.frames(3)[0], FRAMES[4])
+    assert [line.get("i", line.get("event")) for line in journal(path)] == [0, 1, 2, 0, "resume", 3, 0]
+    # No take was written over another.
+    assert len({line["on"] for line in journal(path) if "on" in line}) == 6
+
+
+def test_resuming_before_the_first_record_and_where_there_is_no_capture(tmp_path):
+    create_capture(tmp_path / "room", header()).close()
+    with resume_capture(tmp_path / "room") as capture:
+        assert capture.append(angle_deg=0.0, on=FRAMES[0]) == 0
+    with pytest.raises(CaptureError, match=r"nothing.*no such file"):
+        resume_capture(tmp_path / "nothing")
+    (tmp_path / "room" / "frames.jsonl").write_bytes(b"{torn\n{torn\n")
+    with pytest.raises(CaptureError, match="line 1"):
+        resume_capture(tmp_path / "room")

@@ -1,0 +1,52 @@
+"""Going on with a capture that was interrupted."""
+
+import json
+from collections import Counter
+from pathlib import Path
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.atomic import write_atomically
+from jaxscan.files.bounded import MEGABYTE, read_bounded
+from jaxscan.files.header import HEADER_NAME, parse_header
+from jaxscan.files.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, read_journal
+from jaxscan.files.writer import CaptureWriter
+
+
+def resume_capture(path: str | Path, *, durable: bool = True) -> CaptureWriter:
+    """Append to an existing capture.
+
+    A torn last line, which would stand in the middle from now on, is removed, and the event
+    "resume" is noted.
+
+    Args:
+        path: The folder.
+        durable: As of `create_capture`.
+
+    Returns:
+        The writer; its next number follows the largest in the journal.
+
+    Raises:
+        CaptureError: If it is no capture, or damaged in another way.
+    """
+    path = Path(path)
+    header_name, journal = str(path / HEADER_NAME), path / JOURNAL_NAME
+    header = parse_header(read_bounded(header_name, MEGABYTE, name=header_name, error=CaptureError), name=header_name)
+    data = read_bounded(journal, MAX_JOURNAL_BYTES, name=str(journal), error=CaptureError)
+    names = tuple(laser.name for laser in header.laser)
+    _, torn = read_journal(data, name=str(journal), kind=header.kind, laser_names=names)
+    lines = [line for line in data.split(b"\n") if line.strip()]
+    if torn:
+        lines.pop()
+    whole = b"".join(line + b"\n" for line in lines)
+    if whole != data:
+        write_atomically(journal, whole, durable=durable, error=CaptureError)
+    values = (json.loads(line) for line in lines)
+    taken = Counter(value["i"] for value in values if "i" in value)
+    try:
+        for folder in ("on", "off"):
+            (path / folder).mkdir(exist_ok=True)
+        writer = CaptureWriter(path, header, durable=durable, taken=taken)
+    except OSError as problem:
+        raise CaptureError(f"{path}: cannot be written: {problem.strerror or problem}.") from problem
+    writer.event("resume")
+    return writer
