@@ -1,16 +1,18 @@
 """Frames to stripes: the pure function of a chunk, and the public call on whole stacks."""
 
 import functools
-from typing import NamedTuple
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jax import lax
+from jaxtyping import Bool, Float, Int, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.fit import Window, fit_stripe, gather
+from jaxscan.stripes.fit import UNUSED, Window, fit_stripe, gather
 from jaxscan.stripes.frames import LaserLine, PixelFormat, Response, decode_table, frame_rank, laser_plane, laser_sites
 from jaxscan.stripes.locate import Candidate, locate
 from jaxscan.stripes.noise import estimate_noise
@@ -18,22 +20,27 @@ from jaxscan.stripes.select import accept
 from jaxscan.stripes.stripes import NoiseModel, Stripes, StripeSettings
 
 
+_LINE, _SETTINGS = LaserLine(), StripeSettings()
 _CHUNK = 16
 """Frames per call of the compiled function."""
 _SAMPLES = 24
-"""Samples of a fit's window; wide stripes are binned by two so that it holds them."""
+"""Samples of a fit's window."""
+_BIN_EXTENT_PX = 13.0
+"""Distance between half-maximum points from which two samples are taken as one [px]."""
+_LATTICE_VARIANCE = 1.7
+"""What the lattice adds to the square of a width that is measured on it [px^2]."""
 
 
 class FrameStripes(NamedTuple):
     """Fields of `Stripes` for the frames of a chunk, one laser; zero where not `valid`."""
 
-    u: Float[Array, "frames lines"]
-    sigma: Float[Array, "frames lines"]
-    amplitude: Float[Array, "frames lines"]
-    width: Float[Array, "frames lines"]
-    chi2: Float[Array, "frames lines"]
-    saturated: UInt8[Array, "frames lines"]
-    valid: Bool[Array, "frames lines"]
+    u: Float[Array, "*frames lines"]
+    sigma: Float[Array, "*frames lines"]
+    amplitude: Float[Array, "*frames lines"]
+    width: Float[Array, "*frames lines"]
+    chi2: Float[Array, "*frames lines"]
+    saturated: UInt8[Array, "*frames lines"]
+    valid: Bool[Array, "*frames lines"]
 
 
 def stripes_of_frames(
@@ -59,75 +66,111 @@ def stripes_of_frames(
         line: Which stripe to look for.
         settings: How stripes are found and believed.
     """
+    noise_read, noise_gain = (jnp.asarray(value, jnp.float32) for value in (noise_read, noise_gain))
     sites = laser_sites(pixel_format, line)
     lines = on.shape[2] if line.stripe_axis == "columns" else on.shape[1]
     on = laser_plane(on, pixel_format=pixel_format, line=line)
     off = None if off is None else laser_plane(off, pixel_format=pixel_format, line=line)
-    frames, plane_lines = on.shape[:2]
-    candidate = locate(on, off, pitch=sites.pitch)
-    window, middle, saturated, start = _window(
-        on, off, candidate, sites.pitch, noise_read, noise_gain, response, settings
-    )
-    fit = fit_stripe(window, *start, iterations=settings.iterations, max_width=1.2 * settings.max_width_px)
+
+    # Loops over frames stay within a CPU's caches, which is several times faster there; and what
+    # passes from one loop to the next is computed once, not again for every use.
+    candidate = _each_frame(lambda planes: locate(*planes, pitch=sites.pitch), (on, off))
+    placement = _place_window(candidate, sites.pitch)
+
+    def fit(planes_and_placement):
+        (on, off), placement = planes_and_placement
+        return _fit_frame(on, off, placement, noise_read, noise_gain, sites.pitch, response, settings)
+
+    stripes = _each_frame(fit, ((on, off), placement))
+    offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(on.shape[1]) % len(sites.offsets)]
+    stripes = stripes._replace(u=jnp.where(stripes.valid, stripes.u + offsets[None, :], 0.0))
+
+    def place(values: Array) -> Array:
+        if values.shape[1] == lines:
+            return values
+        image = jnp.zeros((len(values), lines), values.dtype)
+        last = sites.first_line + sites.line_step * values.shape[1]
+        return image.at[:, sites.first_line : last : sites.line_step].set(values)
+
+    return jax.tree.map(place, stripes)
+
+
+def _each_frame(function: Callable, arrays: Any) -> Any:
+    return lax.platform_dependent(arrays, cpu=lambda a: lax.map(function, a), default=lambda a: jax.vmap(function)(a))
+
+
+class Placement(NamedTuple):
+    """Where the window of every line lies."""
+
+    first: Int[Array, "*frames lines"]
+    """Its first sample; may lie outside the image."""
+    bins: Int[Array, "*frames lines"]
+    """Samples that are taken as one: two for wide stripes, which doubles the window's reach."""
+    start: Float[Array, "*frames lines"]
+    """The candidate, from the middle of the window [px]."""
+    extent: Float[Array, "*frames lines"]
+    """Distance between its half-maximum points [px]."""
+
+
+def _place_window(candidate: Candidate, pitch: int) -> Placement:
+    wide = (candidate.extent > _BIN_EXTENT_PX) & (pitch == 1)
+    bins = jnp.where(wide, 2, 1).astype(jnp.int32)
+    first = jnp.floor(candidate.u / pitch + 0.5).astype(jnp.int32) - bins * (_SAMPLES // 2)
+    return Placement(first, bins, candidate.u - _middle(first, bins, pitch), candidate.extent)
+
+
+def _middle(first: Int[Array, "..."], bins: Int[Array, "..."], pitch: int) -> Float[Array, "..."]:
+    """Middle of a window, from the line's first sample [px]."""
+    return pitch * (first.astype(jnp.float32) + 0.5 * (_SAMPLES * bins - 1).astype(jnp.float32))
+
+
+def _fit_frame(
+    on: UInt8[Array, "lines samples"],
+    off: UInt8[Array, "lines samples"] | None,
+    placement: Placement,
+    noise_read: Float[Array, ""],
+    noise_gain: Float[Array, ""],
+    pitch: int,
+    response: Response,
+    settings: StripeSettings,
+) -> FrameStripes:
+    """Stripe centres of one frame's plane, from each line's first sample [px]."""
+    window, saturated, start = _window(on, off, placement, pitch, noise_read, noise_gain, response, settings)
+    fit = fit_stripe(window, *start, iterations=settings.iterations, max_width=1.1 * settings.max_width_px)
     valid, sigma, chi2 = accept(
         fit,
-        reach=0.5 * _SAMPLES * jnp.abs(window.x[1] - window.x[0]),
+        reach=0.5 * _SAMPLES * pitch * window.aperture,
         parameters=3 if off is not None else 4,
         settings=settings,
     )
-    u = middle + fit.u
-    valid = valid & (u >= -0.5) & (u <= sites.pitch * on.shape[2] - 0.5)
-    if len(sites.offsets) > 1 or sites.offsets[0]:
-        offsets = jnp.asarray(sites.offsets, u.dtype)
-        u = u + jnp.tile(offsets, frames * plane_lines // len(sites.offsets))
-
-    def place(values: Array) -> Array:
-        plane = jnp.where(valid, values, jnp.zeros_like(values)).reshape(frames, plane_lines)
-        if plane_lines == lines:
-            return plane
-        image = jnp.zeros((frames, lines), plane.dtype)
-        last = sites.first_line + sites.line_step * plane_lines
-        return image.at[:, sites.first_line : last : sites.line_step].set(plane)
-
-    return FrameStripes(
-        u=place(u),
-        sigma=place(sigma),
-        amplitude=place(fit.amplitude),
-        width=place(fit.width),
-        chi2=place(chi2),
-        saturated=place(saturated),
-        valid=place(valid),
-    )
+    u = _middle(placement.first, placement.bins, pitch) + fit.u
+    valid = valid & (u >= -0.5) & (u <= pitch * (on.shape[1] - 1) + 0.5)
+    found = FrameStripes(u, sigma, fit.amplitude, fit.width, chi2, saturated, valid)
+    return jax.tree.map(lambda field: jnp.where(valid, field, jnp.zeros_like(field)), found)
 
 
 def _window(
-    on: UInt8[Array, "frames lines samples"],
-    off: UInt8[Array, "frames lines samples"] | None,
-    candidate: Candidate,
+    on: UInt8[Array, "lines samples"],
+    off: UInt8[Array, "lines samples"] | None,
+    placement: Placement,
     pitch: int,
     noise_read: Float[Array, ""],
     noise_gain: Float[Array, ""],
     response: Response,
     settings: StripeSettings,
-) -> tuple[Window, Float[Array, " rows"], UInt8[Array, " rows"], tuple]:
+) -> tuple[Window, UInt8[Array, " lines"], tuple]:
     """The samples around each candidate, and where the fit starts."""
-    columns = on.shape[2]
-    rows = on.shape[0] * on.shape[1]
-    # Wide stripes do not need every pixel: two as one sample double the window's reach.
-    bins = jnp.where(candidate.extent > _BIN_EXTENT_PX, 2, 1) if pitch == 1 else jnp.ones(rows, jnp.int32)
-    bins = bins.astype(jnp.int32)
-    spacing = bins * pitch
-    first = jnp.round(candidate.u / pitch).astype(jnp.int32) - bins * (_SAMPLES // 2)
+    rows, columns = on.shape
+    first, bins, u, extent = placement
     sample = jnp.arange(_SAMPLES, dtype=jnp.int32)[:, None]
     index = first[None, :] + bins[None, :] * sample
     second = index + bins[None, :] - 1
     inside = (index >= 0) & (second < columns)
     row_start = columns * jnp.arange(rows, dtype=jnp.int32)[None, :]
     index, second = (jnp.clip(i, 0, columns - 1) + row_start for i in (index, second))
-    middle = pitch * (first.astype(jnp.float32) + 0.5 * (bins - 1).astype(jnp.float32)) + 0.5 * (
-        _SAMPLES - 1
-    ) * spacing.astype(jnp.float32)
-    x = spacing.astype(jnp.float32)[None, :] * (sample.astype(jnp.float32) - 0.5 * (_SAMPLES - 1))
+    aperture = bins.astype(jnp.float32)
+    per_bin = 1.0 / aperture
+    x = (pitch * aperture)[None, :] * (sample.astype(jnp.float32) - 0.5 * (_SAMPLES - 1))
 
     on_codes, on_codes_2 = gather(on, index), gather(on, second)
     level, rounding = _decode(on_codes, on_codes_2, response)
@@ -139,42 +182,38 @@ def _window(
         variance = variance + noise_read**2 + rounding + 2.0 * dark / noise_gain
         clipped = clipped | (jnp.maximum(off_codes, off_codes_2) >= settings.saturation)
         level = level - dark
-    u = candidate.u - middle
-    near = jnp.abs(x - u[None, :]) <= 4.0 + 2.0 * candidate.extent[None, :]
-    near = near & inside
-    used = near & ~clipped
+    # What lies further away belongs to something else.
+    near = inside & (jnp.abs(x - u[None, :]) <= 2.5 + 0.75 * extent[None, :])
     count = (on_codes >= settings.saturation).astype(jnp.uint8)
     count = count + ((on_codes_2 >= settings.saturation) & (bins == 2)[None, :]).astype(jnp.uint8)
     saturated = jnp.sum(jnp.where(near, count, jnp.uint8(0)), 0, dtype=jnp.uint8)
 
-    width = jnp.clip(candidate.extent / 2.355, 0.6, settings.max_width_px)
     background = None
     top = jnp.max(jnp.where(near, level, -1e3), 0)
     if off is None:
-        bottom = jnp.min(jnp.where(near, level, 1e3), 0)
-        background = bottom
-        variance = variance + jnp.maximum(bottom, 0.0)[None, :] / noise_gain
-        top = top - bottom
-    amplitude = jnp.maximum(top, 1.0) * jnp.where(saturated > 0, 1.5, 1.0)
-    per_bin = 1.0 / bins.astype(jnp.float32)
+        background = jnp.min(jnp.where(near, level, 1e3), 0)
+        variance = variance + jnp.maximum(background, 0.0)[None, :] / noise_gain
+        top = top - background
+    # The half-widths at half of the maximum and at the clipped top give width and amplitude of
+    # a Gaussian that is cut off. Where it is not, the lattice's triangle lowered the maximum.
+    flat = 0.5 * pitch * saturated.astype(jnp.float32)
+    spread = jnp.where(saturated > 0, 1 / 3, _LATTICE_VARIANCE)
+    squared = (0.25 * extent**2 - flat**2) / (2.0 * math.log(2.0)) - spread
+    width = jnp.clip(jnp.sqrt(jnp.maximum(squared, 0.64)), 0.8, settings.max_width_px)
+    amplitude = jnp.maximum(top, 1.0) * jnp.exp(jnp.minimum(0.5 * (flat / width) ** 2, 1.5))
     window = Window(
         x=x,
         y=level,
-        variance=variance * per_bin[None, :],
-        used=used,
-        aperture=bins.astype(jnp.float32),
+        variance=jnp.where(near & ~clipped, variance * per_bin[None, :], UNUSED),
+        aperture=aperture,
         shot=per_bin / noise_gain,
     )
-    return window, middle, saturated, (u, amplitude, width, background)
-
-
-_BIN_EXTENT_PX = 11.0
-"""Distance between half-maximum points from which samples are binned by two [px]."""
+    return window, saturated, (u, amplitude, width, background)
 
 
 def _decode(
-    codes: UInt8[Array, "samples rows"], codes_2: UInt8[Array, "samples rows"], response: Response
-) -> tuple[Float[Array, "samples rows"], Float[Array, "samples rows"] | float]:
+    codes: UInt8[Array, "window lines"], codes_2: UInt8[Array, "window lines"], response: Response
+) -> tuple[Float[Array, "window lines"], Float[Array, "window lines"] | float]:
     """Mean linear level of two codes [DN], and the variance that rounding gives it [DN^2]."""
     if response == "linear":
         return 0.5 * (codes.astype(jnp.float32) + codes_2.astype(jnp.float32)), 1 / 12
@@ -204,8 +243,8 @@ def extract_stripes(
     *,
     pixel_format: PixelFormat = "mono8",
     response: Response = "linear",
-    line: LaserLine = LaserLine(),
-    settings: StripeSettings = StripeSettings(),
+    line: LaserLine = _LINE,
+    settings: StripeSettings = _SETTINGS,
     noise: NoiseModel | None = None,
 ) -> Stripes:
     """Sub-pixel centre of the laser's stripe on every line of every frame.
@@ -232,15 +271,11 @@ def extract_stripes(
     parts = []
     for start in range(0, len(on), _CHUNK):
         chunk = [None if a is None else _padded(a[start : start + _CHUNK], len(on)) for a in (on, off)]
-        part = _compiled(
-            *chunk, read, gain, pixel_format=pixel_format, response=response, line=line, settings=settings
-        )
-        parts.append(jax.tree.map(lambda a, n=len(on) - start: a[:n], part))
-    joined = jax.tree.map(lambda *a: jnp.concatenate(a), *parts)
+        part = _compiled(*chunk, read, gain, pixel_format=pixel_format, response=response, line=line, settings=settings)
+        parts.append(part)
     count = len(on)
-    return Stripes(
-        **joined._asdict(), record=jnp.arange(count, dtype=jnp.int32), laser=jnp.zeros(count, jnp.int32)
-    )
+    joined = jax.tree.map(lambda *a: jnp.concatenate(a)[:count], *parts)
+    return Stripes(**joined._asdict(), record=jnp.arange(count, dtype=jnp.int32), laser=jnp.zeros(count, jnp.int32))
 
 
 def _padded(frames: Array, total: int) -> Array:

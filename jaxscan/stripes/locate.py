@@ -15,7 +15,7 @@ from jaxtyping import Float, Int, Int16, UInt8
 from jaxscan.geometry import Array
 
 
-HALF_SPAN = 16
+HALF_SPAN = 12
 """Lattice points on either side of the maximum in which the stripe's extent is measured."""
 _GROUPS = 32
 _FLANK = 8
@@ -23,15 +23,15 @@ _FLANK_GAP = 4
 
 
 class Candidate(NamedTuple):
-    """The strongest stripe-like maximum of each line; flat over [frames * lines]."""
+    """The strongest stripe-like maximum of each line."""
 
-    u: Float[Array, " rows"]
+    u: Float[Array, " lines"]
     """Middle between the half-maximum points [px from the line's first sample]."""
-    extent: Float[Array, " rows"]
+    extent: Float[Array, " lines"]
     """Distance between the half-maximum points [px]."""
 
 
-def locate(on: UInt8[Array, "frames lines samples"], off: Array | None, *, pitch: int) -> Candidate:
+def locate(on: UInt8[Array, "lines samples"], off: Array | None, *, pitch: int) -> Candidate:
     """The best candidate of every line.
 
     Args:
@@ -56,61 +56,71 @@ def locate(on: UInt8[Array, "frames lines samples"], off: Array | None, *, pitch
     return Candidate(u=step * middle + shift, extent=step * (left + right))
 
 
-def _lattice(samples: UInt8[Array, "frames lines samples"], pitch: int) -> Int16[Array, "frames lines points"]:
+def _lattice(samples: UInt8[Array, "lines samples"], pitch: int) -> Int16[Array, "lines points"]:
     if pitch == 2:
         return samples.astype(jnp.int16)
-    frames, lines, count = samples.shape
-    pairs = samples[..., : count // 2 * 2].reshape(frames, lines, count // 2, 2)
+    lines, count = samples.shape
+    pairs = samples[:, : count // 2 * 2].reshape(lines, count // 2, 2)
     both = lax.bitcast_convert_type(pairs, jnp.uint16)
     return ((both & 0xFF) + (both >> 8)).astype(jnp.int16)
 
 
-def _window_sum(values: Int16[Array, "f l p"], size: int, before: int, after: int) -> Int16[Array, "f l q"]:
-    return lax.reduce_window(
-        values, jnp.int16(0), lax.add, (1, 1, size), (1, 1, 1), ((0, 0), (0, 0), (before, after))
-    )
+def _window_sum(values: Int16[Array, "l p"], size: int, before: int, after: int) -> Int16[Array, "l q"]:
+    return lax.reduce_window(values, jnp.int16(0), lax.add, (1, size), (1, 1), ((0, 0), (before, after)))
 
 
-def _surround(lattice: Int16[Array, "f l p"], padded: int) -> Int16[Array, "f l q"]:
+def _surround(lattice: Int16[Array, "l p"], padded: int) -> Int16[Array, "l q"]:
     """The higher of the mean levels on both sides, in units of the triangle's response."""
-    length = lattice.shape[-1]
-    missing = jnp.zeros((*lattice.shape[:2], _FLANK + _FLANK_GAP), jnp.int16)
+    far = _FLANK_GAP + _FLANK - 1
+    left = _window_sum(lattice, _FLANK, far, padded - _FLANK_GAP)
+    right = _window_sum(lattice, _FLANK, -_FLANK_GAP, padded + far)
     # A mean of 8 points weighs 4 in the triangle.
-    means = jnp.concatenate([missing, _window_sum(lattice, _FLANK, 0, 0) >> 1, missing], -1)
-    right_from = 2 * _FLANK_GAP + _FLANK
-    left, right = means[..., 1 : 1 + length], means[..., right_from : right_from + length]
-    return jnp.pad(jnp.maximum(left, right), ((0, 0), (0, 0), (0, padded)))
+    return jnp.maximum(left, right) >> 1
 
 
-def _argmax(response: Int16[Array, "f l q"]) -> tuple[Int[Array, " rows"], Int[Array, " rows"]]:
+def _argmax(response: Int16[Array, "l q"]) -> tuple[Int[Array, " lines"], Int[Array, " lines"]]:
     """Index and value of each line's maximum.
 
     Value and group number share one unsigned 16-bit key (a response is at most 2040), so the
     maximum over groups runs along a leading axis; only its short result is reduced along lanes.
     """
-    frames, lines, length = response.shape
+    lines, length = response.shape
     lanes = length // _GROUPS
     key = jnp.maximum(response, 0).astype(jnp.uint16) << 5
-    key = key.reshape(frames * lines, _GROUPS, lanes) | jnp.arange(_GROUPS, dtype=jnp.uint16)[None, :, None]
+    key = key.reshape(lines, _GROUPS, lanes) | jnp.arange(_GROUPS, dtype=jnp.uint16)[None, :, None]
     key = jnp.max(key, 1).astype(jnp.int32)
     key = jnp.max(key << 12 | jnp.arange(lanes, dtype=jnp.int32)[None, :], -1)
     return (key >> 12 & 31) * lanes + (key & 4095), key >> 17
 
 
 def _half_maximum(
-    lattice: Int16[Array, "f l p"], best: Int[Array, " rows"], peak: Int[Array, " rows"]
-) -> tuple[Float[Array, " rows"], Float[Array, " rows"]]:
+    lattice: Int16[Array, "l p"], best: Int[Array, " lines"], peak: Int[Array, " lines"]
+) -> tuple[Float[Array, " lines"], Float[Array, " lines"]]:
     """Distance to half of the maximum on either side [lattice points]."""
     length = lattice.shape[-1]
     offset = jnp.arange(-HALF_SPAN, HALF_SPAN + 1, dtype=jnp.int32)[:, None]
-    point = best[None, :] + offset
-    row = jnp.arange(best.shape[0], dtype=jnp.int32)[None, :]
-    index = jnp.clip(point, 0, length - 1) + length * row
-    value = lattice.reshape(-1).at[index].get(mode="promise_in_bounds").astype(jnp.int32)
+    row_start = length * jnp.arange(best.shape[0], dtype=jnp.int32)
+    flat = jnp.asarray(lattice).reshape(-1)
+
+    def at(point):
+        index = jnp.clip(point, 0, length - 1) + row_start
+        return flat.at[index].get(mode="promise_in_bounds").astype(jnp.int32)
+
+    triangle = at(best - 1) + 2 * at(best) + at(best + 1)
     # The triangle weighs 4 lattice points; what it counts beyond the peak is background.
-    triangle = value[HALF_SPAN - 1] + 2 * value[HALF_SPAN] + value[HALF_SPAN + 1]
-    outside = (8 * value < (2 * triangle - peak)[None, :]) | (point < 0) | (point >= length)
+    half = 2 * triangle - peak
+    point = best[None, :] + offset
+    index = jnp.clip(point, 0, length - 1) + row_start[None, :]
+    value = flat.at[index].get(mode="promise_in_bounds").astype(jnp.int32)
+    outside = (8 * value < half[None, :]) | (point < 0) | (point >= length)
     distance = jnp.where(outside, jnp.abs(offset), HALF_SPAN)
+
+    def crossing(first_outside, side):
+        inner, outer = at(best + side * (first_outside - 1)), at(best + side * first_outside)
+        drop = jnp.maximum(inner - outer, 1).astype(jnp.float32)
+        fraction = (inner.astype(jnp.float32) - half.astype(jnp.float32) / 8.0) / drop
+        return first_outside.astype(jnp.float32) - 1.0 + jnp.clip(fraction, 0.0, 1.0)
+
     left = jnp.min(distance[:HALF_SPAN], 0)
     right = jnp.min(distance[HALF_SPAN + 1 :], 0)
-    return left.astype(jnp.float32) - 0.5, right.astype(jnp.float32) - 0.5
+    return crossing(left, -1), crossing(right, 1)

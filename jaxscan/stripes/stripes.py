@@ -52,15 +52,15 @@ class StripeSettings:
     """Smallest accepted signal-to-noise ratio of the whole stripe, sqrt(sum signal^2 / variance) [1]."""
     min_width_px: float = 0.4
     """Smallest accepted standard deviation of a stripe [px]."""
-    max_width_px: float = 6.0
+    max_width_px: float = 13.0
     """Largest accepted standard deviation of a stripe [px]."""
     max_sigma_px: float = 1.0
     """Largest accepted standard deviation of a centre [px]."""
     max_chi2: float = 4.0
     """Largest accepted chi-squared per degree of freedom, but for `max_misfit` [1]."""
-    max_misfit: float = 0.3
+    max_misfit: float = 0.5
     """Accepted misfit of a stripe's shape, as a fraction of its root mean square [1]."""
     saturation: int = 254
     """Pixels at or above this level [DN] are taken as clipped and left out of the fit."""
-    iterations: int = 5
+    iterations: int = 4
     """Steps of the fit."""
