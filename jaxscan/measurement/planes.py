@@ -98,7 +98,8 @@ def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> Plane
     extent = np.sqrt(np.mean(((patch.p - plane.centre) @ plane.axes.T) ** 2, axis=0))
     residual = patch.p @ plane.normal - plane.distance
     rms = float(np.sqrt(np.mean(residual**2)))
-    if extent.min() <= max(2.0 * rms, 1e-9):
+    # Points along a line lie in many planes.
+    if extent.min() <= max(2.0 * rms, 0.05 * extent.max()):
         raise MeasurementError(
             f"The {len(patch.p)} points within {radius_m} m of {_text(point)} determine no plane; "
             "pick a flat place or a larger radius."

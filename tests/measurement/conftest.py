@@ -30,13 +30,13 @@ def box_room(
     turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
     tip = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
     inside = rays @ (turn @ tip)
+    inside = np.where(inside == 0, 1e-15, inside)
     low = np.array([-size[0] / 2, -size[1] / 2, 0.0]) - at
-    with np.errstate(divide="ignore"):
-        far = np.where(inside > 0, (low + size) / inside, low / inside).min(-1)
-        for box in furniture:
-            ends = [(np.array(corner) - at) / inside for corner in box]
-            enter, leave = np.minimum(*ends).max(-1), np.maximum(*ends).min(-1)
-            far = np.where((enter < leave) & (enter > 0) & (enter < far), enter, far)
+    far = np.where(inside > 0, (low + size) / inside, low / inside).min(-1)
+    for box in furniture:
+        ends = [(np.array(corner) - at) / inside for corner in box]
+        enter, leave = np.minimum(*ends).max(-1), np.maximum(*ends).min(-1)
+        far = np.where((enter < leave) & (enter > 0) & (enter < far), enter, far)
     sigma = noise * (far / 2.5) ** 2
     far = far + sigma * rng.normal(size=far.shape)
     return SimpleNamespace(

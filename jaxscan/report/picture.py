@@ -1,0 +1,255 @@
+"""Pictures of coloured clouds, drawn in software: no display, no OpenGL.
+
+Points are projected into a depth buffer, splatted to about the size of their spacing, holes
+between them closed, and shaded by the depth of their surroundings, which makes a cloud without
+shadows readable (eye-dome lighting; Boucheny 2009).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+BACKGROUND = np.array([244.0, 245.0, 247.0], np.float32)
+SPLAT_M = 0.011
+"""Size of a point [m]: about the spacing of a scan in steps of 0.1 degrees at 5 m."""
+MAX_SPLAT_PX = 3
+SHADING = 9.0
+"""Strength of the shading by depth."""
+FOV_DEG = 40.0
+
+
+@dataclass(frozen=True)
+class View:
+    """A perspective camera of the picture."""
+
+    eye: tuple[float, float, float]
+    """Where it stands [m]."""
+    target: tuple[float, float, float]
+    """Where it looks [m]: the middle of the picture."""
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    fov_deg: float = FOV_DEG
+    """Field of view across the picture's width."""
+    cut_away: bool = True
+    """Leave out surfaces that turn their back to the eye, and what hides the room: the ceiling and
+    the walls on the eye's side."""
+
+
+def room_view(xyz: np.ndarray, size: tuple[int, int] = (1600, 900)) -> View:
+    """Into a room from above one of its corners.
+
+    Args:
+        xyz: Points [n, 3], m, z up.
+        size: Width and height of the picture [px].
+    """
+    axes, low, high = _room_box(xyz)
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1).reshape(-1, 3) @ axes
+    extent = np.maximum(high - low, 0.1)
+    # From a corner, looking more along the longer side, so that both far walls are seen.
+    sideways = np.array([-0.62, -0.78]) if extent[0] < extent[1] else np.array([-0.78, -0.62])
+    away = np.array([*sideways, 0.9]) @ axes
+    away = away / np.linalg.norm(away)
+    right = np.cross(-away, (0.0, 0.0, 1.0))
+    right = right / np.linalg.norm(right)
+    down = np.cross(-away, right)
+    reach = np.tan(0.5 * np.radians(FOV_DEG)) * 0.96
+    shape = np.array([1.0, size[1] / size[0]])
+    # The corner nearest the eye is cut away with the ceiling and the near walls.
+    corners = np.delete(corners, np.argmax(corners @ away), axis=0)
+    target, distance = corners.mean(0), float(np.linalg.norm(extent))
+    for _ in range(20):
+        # Put the middle of the projected box into the middle of the picture, and fill it.
+        local = (corners - target - distance * away) @ np.stack([right, down, -away], 1)
+        seen = local[:, :2] / local[:, 2:] / shape
+        middle = 0.5 * (seen.min(0) + seen.max(0)) * shape * distance
+        target = target + middle[0] * right + middle[1] * down
+        distance *= 1.0 + 0.7 * (0.5 * np.ptp(seen, axis=0).max() / reach - 1.0)
+        distance = float(np.clip(distance, 0.6 * np.linalg.norm(extent), 6.0 * np.linalg.norm(extent)))
+    return View(_triple(target + distance * away), _triple(target))
+
+
+def _triple(vector: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in vector)
+    return x, y, z
+
+
+def draw_cloud(
+    xyz: np.ndarray,
+    rgb: np.ndarray,
+    *,
+    normals: np.ndarray | None = None,
+    size: tuple[int, int] = (1600, 900),
+    view: View | None = None,
+) -> np.ndarray:
+    """Draw a coloured cloud.
+
+    Args:
+        xyz: Points [..., 3], m; rows that are zero are taken as missing.
+        rgb: Colours [..., 3], uint8.
+        normals: Normals towards the scanner [..., 3], zero where unknown; they tell which surfaces
+            turn their back to the eye.
+        size: Width and height of the picture [px].
+        view: Where to look from; into a room from above a corner where not given.
+
+    Returns:
+        Picture, uint8 [height, width, 3], RGB.
+    """
+    points = np.asarray(xyz, np.float32).reshape(-1, 3)
+    colours = np.asarray(rgb, np.uint8).reshape(-1, 3)
+    exists = points.any(axis=1)
+    points, colours = points[exists], colours[exists]
+    width, height = size
+    if len(points) == 0:
+        return np.broadcast_to(BACKGROUND.astype(np.uint8), (height, width, 3)).copy()
+    view = room_view(points, size) if view is None else view
+    if view.cut_away:
+        towards = None if normals is None else np.asarray(normals, np.float32).reshape(-1, 3)[exists]
+        kept = _in_sight(points, towards, np.array(view.eye, np.float32))
+        points, colours = points[kept], colours[kept]
+    focal = 0.5 * width / np.tan(0.5 * np.radians(view.fov_deg))
+    depth, picture = _splat(points, colours, view, focal, size)
+    depth, picture = _close_holes(depth, picture, focal)
+    return _shade(depth, picture)
+
+
+def _room_box(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The upright box of the least area around a cloud: its axes [3, 3] and its ends along them.
+
+    The last half per cent of the points is left out on every side.
+    """
+    some = xyz[:: max(1, len(xyz) // 30_000)].astype(np.float64)
+    best: tuple[float, np.ndarray, np.ndarray, np.ndarray] | None = None
+    for yaw in np.radians(np.arange(0.0, 90.0, 2.0)):
+        c, s = np.cos(yaw), np.sin(yaw)
+        axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        low, high = np.percentile(some @ axes.T, [0.5, 99.5], axis=0)
+        area = float(np.prod((high - low)[:2]))
+        if best is None or area < best[0]:
+            best = (area, axes, low, high)
+    if best is None:
+        raise ValueError("A box needs at least one point.")
+    return best[1:]
+
+
+def _in_sight(points: np.ndarray, normals: np.ndarray | None, eye: np.ndarray) -> np.ndarray:
+    """Which points to draw when looking into a room from outside."""
+    axes, low, high = _room_box(points)
+    axes = axes.astype(np.float32)
+    margin = 0.02 * float(np.linalg.norm(high - low))
+    local, seen_from = points @ axes.T, axes @ eye
+    kept = np.ones(len(points), bool)
+    for axis in range(3):
+        # A slab along whatever stands between the eye and the room: ceiling and near walls.
+        if seen_from[axis] < low[axis]:
+            kept &= local[:, axis] > low[axis] + margin
+        if seen_from[axis] > high[axis]:
+            kept &= local[:, axis] < high[axis] - margin
+    if normals is not None:
+        known = normals.any(axis=1)
+        kept &= (np.einsum("ij,ij->i", normals, eye - points) > 0) | ~known
+    return kept
+
+
+def _splat(
+    points: np.ndarray, colours: np.ndarray, view: View, focal: float, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest point per pixel: depth (infinite where none) and colour."""
+    width, height = size
+    forward = np.array(view.target) - np.array(view.eye)
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, view.up)
+    right = right / np.linalg.norm(right)
+    axes = np.stack([right, np.cross(forward, right), forward]).astype(np.float32)
+    local = (points - np.array(view.eye, np.float32)) @ axes.T
+    ahead = local[:, 2] > 0.05
+    local, colours = local[ahead], colours[ahead]
+    u = np.round(focal * local[:, 0] / local[:, 2] + 0.5 * width).astype(np.int32)
+    v = np.round(focal * local[:, 1] / local[:, 2] + 0.5 * height).astype(np.int32)
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    pixel = (v[inside] * width + u[inside]).astype(np.int64)
+    # One integer per point whose order is that of the depth and which carries the point's number.
+    key = (local[inside, 2].view(np.int32).astype(np.int64) << 32) | np.flatnonzero(inside)
+    nearest = np.full(width * height, np.iinfo(np.int64).max)
+    np.minimum.at(nearest, pixel, key)
+    hit = nearest < np.iinfo(np.int64).max
+    index = nearest[hit] & 0xFFFFFFFF
+    depth = np.full(width * height, np.inf, np.float32)
+    picture = np.zeros((width * height, 3), np.float32)
+    depth[hit], picture[hit] = local[index, 2], colours[index]
+    return depth.reshape(height, width), picture.reshape(height, width, 3)
+
+
+def _close_holes(depth: np.ndarray, picture: np.ndarray, focal: float) -> tuple[np.ndarray, np.ndarray]:
+    """Grow every point to its size on the picture, nearest first."""
+    reach = np.clip(0.5 * focal * SPLAT_M / depth, 0.0, MAX_SPLAT_PX)
+    reach[~np.isfinite(depth)] = 0.0
+    best, source = depth.copy(), np.arange(depth.size).reshape(depth.shape)
+    r = MAX_SPLAT_PX
+    rows, columns = depth.shape
+    for dv in range(-r, r + 1):
+        for du in range(-r, r + 1):
+            apart = np.hypot(du, dv)
+            if apart == 0 or apart > r + 0.3:
+                continue
+            to = (slice(max(dv, 0), rows + min(dv, 0)), slice(max(du, 0), columns + min(du, 0)))
+            of = (slice(max(-dv, 0), rows + min(-dv, 0)), slice(max(-du, 0), columns + min(-du, 0)))
+            # A point keeps its own pixel unless a clearly nearer one covers it.
+            candidate = depth[of] * np.float32(1.0 + 0.004 * apart)
+            take = (reach[of] + 0.5 >= apart) & (candidate < best[to])
+            np.copyto(best[to], candidate, where=take)
+            np.copyto(source[to], np.arange(depth.size).reshape(depth.shape)[of], where=take)
+    return best, picture.reshape(-1, 3)[source.ravel()].reshape(picture.shape)
+
+
+def _shade(depth: np.ndarray, picture: np.ndarray) -> np.ndarray:
+    """Darken pixels that lie behind their surroundings, and lay the picture on its background."""
+    seen = np.isfinite(depth)
+    log = np.log2(np.where(seen, depth, 1.0)).astype(np.float32)
+    shadow = np.zeros_like(log)
+    for distance in (2, 5):
+        for dv, du in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+            moved = np.roll(log, (dv * distance, du * distance), (0, 1))
+            both = seen & np.roll(seen, (dv * distance, du * distance), (0, 1))
+            shadow += np.where(both, np.clip(log - moved, 0.0, 0.08), 0.0)
+    light = np.exp(-SHADING * shadow / 8.0)[:, :, None]
+    shaded = np.where(seen[:, :, None], picture * light, BACKGROUND)
+    return np.clip(np.round(shaded), 0, 255).astype(np.uint8)
+
+
+def panorama(
+    xyz: np.ndarray, rgb: np.ndarray, *, size: tuple[int, int] = (1800, 600), up_limit_deg: float = 60.0
+) -> np.ndarray:
+    """The room all around as the scanner sees it: azimuth across (to the right as one turns to the
+    right), elevation upwards.
+
+    Args:
+        xyz: Points [..., 3], m, scanner frame; rows that are zero are taken as missing.
+        rgb: Colours [..., 3], uint8.
+        size: Width and height of the picture [px]; less height where the cloud has less.
+        up_limit_deg: Largest elevation shown, up and down.
+
+    Returns:
+        Picture, uint8 [height, width, 3], RGB.
+    """
+    points = np.asarray(xyz, np.float32).reshape(-1, 3)
+    colours = np.asarray(rgb, np.uint8).reshape(-1, 3)
+    exists = points.any(axis=1)
+    points, colours = points[exists], colours[exists]
+    width, height = size
+    if len(points) == 0:
+        return np.broadcast_to(BACKGROUND.astype(np.uint8), (height, width, 3)).copy()
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    low, high = np.clip(np.percentile(elevation, [0.1, 99.9]), -np.radians(up_limit_deg), np.radians(up_limit_deg))
+    # Square pixels in angle where the height allows.
+    height = int(np.clip(round((high - low) * width / (2 * np.pi)), 16, height))
+    u = np.floor((np.pi - np.arctan2(points[:, 1], points[:, 0])) / (2 * np.pi) * width).astype(np.int64) % width
+    v = np.floor((high - elevation) / max(high - low, 1e-6) * height).astype(np.int64)
+    inside = (v >= 0) & (v < height)
+    pixel = v[inside] * width + u[inside]
+    count = np.bincount(pixel, minlength=width * height)
+    sums = [np.bincount(pixel, colours[inside, c], width * height) for c in range(3)]
+    picture = (np.stack(sums, -1) / np.maximum(count, 1)[:, None]).reshape(height, width, 3)
+    depth = np.where(count.reshape(height, width) > 0, 1.0, np.inf).astype(np.float32)
+    filled, picture = _close_holes(depth, picture.astype(np.float32), 4.0 / SPLAT_M)
+    shown = np.where(np.isfinite(filled)[:, :, None], picture, BACKGROUND)
+    return np.clip(np.round(shown), 0, 255).astype(np.uint8)
