@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float
 
 from jaxscan.geometry import Array
 
@@ -191,8 +191,3 @@ def _solve(
     for i in reversed(range(size)):
         step[i] = forward[i] / pivots[i] - sum(lower[k][i] * step[k] for k in range(i + 1, size))
     return step, pivots[-1]
-
-
-def gather(samples: Shaped[Array, "..."], index: Int[Array, "..."]) -> Shaped[Array, "..."]:
-    """Elements of a flat array; every index must be inside."""
-    return jnp.asarray(samples).reshape(-1).at[index].get(mode="promise_in_bounds")

@@ -18,7 +18,6 @@ from jaxscan.geometry import Array
 HALF_SPAN = 12
 """Lattice points on either side of the maximum in which the stripe's extent is measured."""
 _GROUPS = 32
-_FLANK = 8
 _FLANK_GAP = 4
 
 
@@ -45,7 +44,7 @@ def locate(on: UInt8[Array, "lines samples"], off: Array | None, *, pitch: int) 
         lattice = lattice - _lattice(off, pitch)
     length = lattice.shape[-1]
     padded = -length % _GROUPS
-    response = _window_sum(_window_sum(lattice, 2, 1, 0), 2, 0, 1 + padded)
+    response = _window_sum(_window_sum(lattice, 1, 1, 0), 1, 0, 1 + padded)
     if off is None:
         response = response - _surround(lattice, padded)
     best, peak = _argmax(response)
@@ -65,17 +64,22 @@ def _lattice(samples: UInt8[Array, "lines samples"], pitch: int) -> Int16[Array,
     return ((both & 0xFF) + (both >> 8)).astype(jnp.int16)
 
 
-def _window_sum(values: Int16[Array, "l p"], size: int, before: int, after: int) -> Int16[Array, "l q"]:
-    return lax.reduce_window(values, jnp.int16(0), lax.add, (1, size), (1, 1), ((0, 0), (before, after)))
+def _window_sum(values: Int16[Array, "l p"], distance: int, before: int, after: int) -> Int16[Array, "l q"]:
+    """Sum of two points `distance` apart, with zeros around the line."""
+    padding = ((0, 0), (before, after))
+    return lax.reduce_window(values, jnp.int16(0), lax.add, (1, 2), (1, 1), padding, window_dilation=(1, distance))
 
 
 def _surround(lattice: Int16[Array, "l p"], padded: int) -> Int16[Array, "l q"]:
     """The higher of the mean levels on both sides, in units of the triangle's response."""
-    far = _FLANK_GAP + _FLANK - 1
-    left = _window_sum(lattice, _FLANK, far, padded - _FLANK_GAP)
-    right = _window_sum(lattice, _FLANK, -_FLANK_GAP, padded + far)
-    # A mean of 8 points weighs 4 in the triangle.
-    return jnp.maximum(left, right) >> 1
+    flank = lattice
+    for distance in (1, 2, 4):
+        flank = _window_sum(flank, distance, 0, distance)
+    # Point k of `flank` now holds points k to k + 7; a mean of 8 weighs 4 in the triangle.
+    left, right = _FLANK_GAP + 7, _FLANK_GAP
+    padding = ((0, 0), (left, right + padded))
+    higher = lax.reduce_window(flank, jnp.int16(0), lax.max, (1, 2), (1, 1), padding, window_dilation=(1, left + right))
+    return higher >> 1
 
 
 def _argmax(response: Int16[Array, "l q"]) -> tuple[Int[Array, " lines"], Int[Array, " lines"]]:

@@ -1,0 +1,125 @@
+"""The samples around each candidate, and where the fit starts."""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Float, Int, Shaped, UInt8
+
+from jaxscan.geometry import Array
+from jaxscan.stripes.fit import UNUSED, Window
+from jaxscan.stripes.frames import Response, decode_table
+from jaxscan.stripes.locate import Candidate
+from jaxscan.stripes.stripes import StripeSettings
+
+
+SAMPLES = 24
+"""Samples of a fit's window."""
+_BIN_EXTENT_PX = 13.0
+"""Distance between half-maximum points from which two samples are taken as one [px]."""
+_LATTICE_VARIANCE = 1.7
+"""What the lattice adds to the square of a width that is measured on it [px^2]."""
+
+
+class Placement(NamedTuple):
+    """Where the window of every line lies."""
+
+    first: Int[Array, "*frames lines"]
+    """Its first sample; may lie outside the image."""
+    bins: Int[Array, "*frames lines"]
+    """Samples that are taken as one: two for wide stripes, which doubles the window's reach."""
+    start: Float[Array, "*frames lines"]
+    """The candidate, from the middle of the window [px]."""
+    extent: Float[Array, "*frames lines"]
+    """Distance between its half-maximum points [px]."""
+
+
+def place_window(candidate: Candidate, pitch: int) -> Placement:
+    wide = (candidate.extent > _BIN_EXTENT_PX) & (pitch == 1)
+    bins = jnp.where(wide, 2, 1).astype(jnp.int32)
+    first = jnp.floor(candidate.u / pitch + 0.5).astype(jnp.int32) - bins * (SAMPLES // 2)
+    return Placement(first, bins, candidate.u - window_middle(first, bins, pitch), candidate.extent)
+
+
+def window_middle(first: Int[Array, "..."], bins: Int[Array, "..."], pitch: int) -> Float[Array, "..."]:
+    """Middle of a window, from the line's first sample [px]."""
+    return pitch * (first.astype(jnp.float32) + 0.5 * (SAMPLES * bins - 1).astype(jnp.float32))
+
+
+def cut_window(
+    on: UInt8[Array, "lines samples"],
+    off: UInt8[Array, "lines samples"] | None,
+    placement: Placement,
+    pitch: int,
+    noise_read: Float[Array, ""],
+    noise_gain: Float[Array, ""],
+    response: Response,
+    settings: StripeSettings,
+) -> tuple[Window, UInt8[Array, " lines"], tuple]:
+    """The samples around each candidate, and where the fit starts."""
+    rows, columns = on.shape
+    first, bins, u, extent = placement
+    sample = jnp.arange(SAMPLES, dtype=jnp.int32)[:, None]
+    index = first[None, :] + bins[None, :] * sample
+    second = index + bins[None, :] - 1
+    inside = (index >= 0) & (second < columns)
+    row_start = columns * jnp.arange(rows, dtype=jnp.int32)[None, :]
+    index, second = (jnp.clip(i, 0, columns - 1) + row_start for i in (index, second))
+    aperture = bins.astype(jnp.float32)
+    per_bin = 1.0 / aperture
+    x = (pitch * aperture)[None, :] * (sample.astype(jnp.float32) - 0.5 * (SAMPLES - 1))
+
+    on_codes, on_codes_2 = _gather(on, index), _gather(on, second)
+    level, rounding = _decode(on_codes, on_codes_2, response)
+    variance = noise_read**2 + rounding
+    clipped = jnp.maximum(on_codes, on_codes_2) >= settings.saturation
+    if off is not None:
+        off_codes, off_codes_2 = _gather(off, index), _gather(off, second)
+        dark, rounding = _decode(off_codes, off_codes_2, response)
+        variance = variance + noise_read**2 + rounding + 2.0 * dark / noise_gain
+        clipped = clipped | (jnp.maximum(off_codes, off_codes_2) >= settings.saturation)
+        level = level - dark
+    # What lies further away belongs to something else.
+    near = inside & (jnp.abs(x - u[None, :]) <= 2.5 + 0.75 * extent[None, :])
+    count = (on_codes >= settings.saturation).astype(jnp.uint8)
+    count = count + ((on_codes_2 >= settings.saturation) & (bins == 2)[None, :]).astype(jnp.uint8)
+    saturated = jnp.sum(jnp.where(near, count, jnp.uint8(0)), 0, dtype=jnp.uint8)
+
+    background = None
+    top = jnp.max(jnp.where(near, level, -1e3), 0)
+    if off is None:
+        background = jnp.min(jnp.where(near, level, 1e3), 0)
+        variance = variance + jnp.maximum(background, 0.0)[None, :] / noise_gain
+        top = top - background
+    # The half-widths at half of the maximum and at the clipped top give width and amplitude of
+    # a Gaussian that is cut off. Where it is not, the lattice's triangle lowered the maximum.
+    flat = 0.5 * pitch * saturated.astype(jnp.float32)
+    spread = jnp.where(saturated > 0, 1 / 3, _LATTICE_VARIANCE)
+    squared = (0.25 * extent**2 - flat**2) / (2.0 * math.log(2.0)) - spread
+    width = jnp.clip(jnp.sqrt(jnp.maximum(squared, 0.64)), 0.8, settings.max_width_px)
+    amplitude = jnp.maximum(top, 1.0) * jnp.exp(jnp.minimum(0.5 * (flat / width) ** 2, 1.5))
+    window = Window(
+        x=x,
+        y=level,
+        variance=jnp.where(near & ~clipped, variance * per_bin[None, :], UNUSED),
+        aperture=aperture,
+        shot=per_bin / noise_gain,
+    )
+    return window, saturated, (u, amplitude, width, background)
+
+
+def _decode(
+    codes: UInt8[Array, "window lines"], codes_2: UInt8[Array, "window lines"], response: Response
+) -> tuple[Float[Array, "window lines"], Float[Array, "window lines"] | float]:
+    """Mean linear level of two codes [DN], and the variance that rounding gives it [DN^2]."""
+    if response == "linear":
+        return 0.5 * (codes.astype(jnp.float32) + codes_2.astype(jnp.float32)), 1 / 12
+    level, slope = decode_table(response)
+    table = jnp.asarray(level, jnp.float32)
+    rounding = jnp.asarray(slope**2 / 12, jnp.float32)
+    return 0.5 * (table[codes] + table[codes_2]), 0.5 * (rounding[codes] + rounding[codes_2])
+
+
+def _gather(samples: Shaped[Array, "..."], index: Int[Array, "..."]) -> Shaped[Array, "..."]:
+    """Elements of a flat array; every index must be inside."""
+    return jnp.asarray(samples).reshape(-1).at[index].get(mode="promise_in_bounds")
