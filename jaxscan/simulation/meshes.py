@@ -8,6 +8,9 @@ import numpy as np
 from jaxscan.simulation.textures import Material
 
 
+Place = tuple[float | int, float | int, float | int]
+
+
 class Surface(NamedTuple):
     """Part of a mesh with one material; u = (p - origin) . along_u, v likewise [m]."""
 
@@ -39,8 +42,8 @@ class Mesh:
 
     def box(
         self,
-        foot: tuple[float, float, float],
-        size: tuple[float, float, float],
+        foot: Place,
+        size: Place,
         material: Material,
         *,
         yaw: float = 0.0,
@@ -51,7 +54,9 @@ class Mesh:
         `front` is the material of the face towards its own -y, where it differs.
         """
         c, s = np.cos(yaw), np.sin(yaw)
-        x, y, z = (length * np.array(axis) for length, axis in zip(size, ((c, s, 0), (-s, c, 0), (0, 0, 1)), strict=True))
+        x, y, z = (
+            length * np.array(axis) for length, axis in zip(size, ((c, s, 0), (-s, c, 0), (0, 0, 1)), strict=True)
+        )
         low = np.asarray(foot) - (x + y) / 2
         self.quad(low, x, z, material if front is None else front)
         self.quad(low + x + y, -x, z, material)
@@ -60,7 +65,7 @@ class Mesh:
         self.quad(low + z, x, y, material)
         self.quad(low + y, x, -y, material)
 
-    def lathe(self, centre: tuple[float, float, float], profile: np.ndarray, material: Material, *, sides: int = 40) -> None:
+    def lathe(self, centre: Place, profile: np.ndarray, material: Material, *, sides: int = 40) -> None:
         """A solid of revolution: `profile` [n, 2] of radius and height above `centre`; v is the height."""
         angle = np.linspace(0, 2 * np.pi, sides + 1)
         ring = np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -74,11 +79,11 @@ class Mesh:
         up, side = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
         self.add(corners[area > 1e-12], Surface(material, np.asarray(centre, np.float64), side, up))
 
-    def cylinder(self, foot: tuple[float, float, float], radius: float, height: float, material: Material) -> None:
+    def cylinder(self, foot: Place, radius: float, height: float, material: Material) -> None:
         """An upright cylinder with lids."""
         self.lathe(foot, np.array([[0, 0], [radius, 0], [radius, height], [0, height]]), material)
 
-    def sphere(self, centre: tuple[float, float, float], radius: float, material: Material) -> None:
+    def sphere(self, centre: Place, radius: float, material: Material) -> None:
         """A ball; v is the height above its middle."""
         angle = np.linspace(-np.pi / 2, np.pi / 2, 25)
         self.lathe(centre, radius * np.stack([np.cos(angle), np.sin(angle)], -1), material, sides=48)

@@ -22,8 +22,7 @@ def psf_weights(psf_px: float, samples: int) -> np.ndarray:
         sample's own. Each column has the sum `1 / samples`: light is conserved, and a uniform
         field of value 1 gives 1.
     """
-    # What is left out lies beyond four standard deviations of the pixel's near side.
-    radius = max(1, math.ceil(4 * psf_px - 0.5))
+    radius = max(1, math.ceil(4 * psf_px))
     at = (np.arange(samples) + 0.5) / samples - 0.5
     fine = 32
     within = (np.arange(fine) + 0.5) / fine - 0.5
@@ -34,7 +33,12 @@ def psf_weights(psf_px: float, samples: int) -> np.ndarray:
 
 
 def splat(
-    values: np.ndarray, rows: np.ndarray, columns: np.ndarray, weights_v: np.ndarray, weights_u: np.ndarray, shape: tuple[int, int]
+    values: np.ndarray,
+    rows: np.ndarray,
+    columns: np.ndarray,
+    weights_v: np.ndarray,
+    weights_u: np.ndarray,
+    shape: tuple[int, int],
 ) -> np.ndarray:
     """Image of samples given for some of the pixels only.
 
@@ -72,7 +76,7 @@ def integrate(samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
     Returns:
         float32 [rows, columns].
     """
-    n_u, n_v, height, width = samples.shape
+    _, n_v, height, width = samples.shape
     taps = len(weights)
     # Weight taps - 1 - k: what pixel 0 receives from the pixel k - radius beside it.
     kernel = weights[::-1]

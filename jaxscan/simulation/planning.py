@@ -27,7 +27,7 @@ _MARGIN_PX = 6.0
 _CLEARANCE = 0.03
 _CHOICES = 6
 """Sound poses among which the one is taken that shows the board where few have yet."""
-_TRIES = 4000
+_TRIES = 2000
 
 
 def plan_boards(rig: Rig, scene: Scene, rng: np.random.Generator) -> list[Placement]:
@@ -76,8 +76,9 @@ def _pose(
         if len(angles) == turns and all(_clear(rig, scene, pose, phi) for phi in angles):
             return pose, angles
     raise ConfigError(
-        f"No pose of the board ({spec.columns} x {spec.rows}, {spec.square_mm} mm) was found within {list(spec.range_m)} m "
-        f"that the camera sees and the laser crosses: change [boards] range_m, the board's size, or the room."
+        f"No pose of the board ({spec.columns} x {spec.rows}, {spec.square_mm} mm) was found within "
+        f"{list(spec.range_m)} m that the camera sees and the laser crosses: change [boards] range_m, the board's "
+        "size, or the room."
     )
 
 
@@ -159,7 +160,10 @@ def _turns(rig: Rig, pose: Motion, count: int) -> tuple[float, ...]:
     ends = []
     for sign in (-1.0, 1.0):
         phi = 0.0
-        while abs(phi) < np.pi / 4 and _sees(rig, rig.pose(phi + sign * 0.01).inverse() @ scanner_from_board):
+        while abs(phi) < np.pi / 4:
+            turned = rig.pose(phi + sign * 0.01).inverse() @ scanner_from_board
+            if not _sees(rig, turned) or not _faces(turned):
+                break
             phi += sign * 0.01
         ends.append(phi)
     if ends[1] - ends[0] < 0.1:

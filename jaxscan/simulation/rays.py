@@ -18,8 +18,8 @@ class RayTable:
     """Normalised image coordinates of every pixel centre, and how they change along u and v.
 
     All arrays are float32 [height, width]. The pixel (row, column) looks along (x, y, 1);
-    (x + x_u du + x_v dv, …) is exact to 1e-5 px within the pixel, since a lens bends over
-    hundreds of pixels.
+    (x + x_u du + x_v dv, …) holds to 1e-4 px within the pixel, since a lens bends over hundreds
+    of pixels.
     """
 
     x: np.ndarray

@@ -180,7 +180,7 @@ def _sheet(spec: LaserSpec, config: SimulationConfig, rays: RayTable) -> Sheet:
     sheet = Sheet(spec, normal, distance, origin, ahead, across, np.zeros((0, 0), np.float32), 1.0)
     # The stripe on the reference wall, as wide as sheet, lens and pixel make it together.
     r = spec.range_m
-    width_m = float(sheet.thickness(np.array(r)))
+    width_m = float(sheet.thickness(np.array([r]))[0])
     width_px = width_m * config.camera.fx / r
     seen_px = np.sqrt(width_px**2 + config.sensor.psf_px**2 + 1 / 12)
     power = spec.peak_dn / WALL_ALBEDO * r * np.sqrt(2 * np.pi) * width_m * seen_px / width_px

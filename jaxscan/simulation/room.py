@@ -131,8 +131,8 @@ def _sofa(mesh: Mesh, room: RoomSpec) -> None:
     def part(across: float, along: float, z: float, size: tuple[float, float, float], material: Material) -> None:
         mesh.box((x - 0.03 - across, at + along, z), size, material, yaw=-np.pi / 2)
 
-    part(0.42, 0, 0.06, (1.7, 0.80, 0.36), _SOFA)
-    part(0.12, 0, 0.42, (1.7, 0.20, 0.42), _SOFA)
+    part(0.42, 0.0, 0.06, (1.7, 0.80, 0.36), _SOFA)
+    part(0.12, 0.0, 0.42, (1.7, 0.20, 0.42), _SOFA)
     for side in (-1, 1):
         part(0.42, side * 0.92, 0.06, (0.16, 0.80, 0.56), _SOFA)
         part(0.34, side * 0.55, 0.42, (0.42, 0.16, 0.38), _CUSHION)
@@ -152,7 +152,12 @@ def _shelf(mesh: Mesh, room: RoomSpec) -> None:
     for number, level in enumerate(levels[:-1]):
         spines = Material(_BOOKS, partial(books, width=0.035 + 0.006 * number, height=gap, colours=len(_BOOKS)))
         length = width - 0.07 - 0.2 * (number % 2)
-        mesh.box((middle - 0.1 * (number % 2), front + 0.03, float(level) + 0.03), (length, 0.18, 0.75 * gap), _DARK, front=spines)
+        mesh.box(
+            (middle - 0.1 * (number % 2), front + 0.03, float(level) + 0.03),
+            (length, 0.18, 0.75 * gap),
+            _DARK,
+            front=spines,
+        )
 
 
 def _table(mesh: Mesh, room: RoomSpec) -> None:
@@ -182,12 +187,12 @@ def _chair(mesh: Mesh, x: float, y: float, yaw: float) -> None:
     def part(dx: float, dy: float, z: float, size: tuple[float, float, float]) -> None:
         mesh.box((x + c * dx - s * dy, y + s * dx + c * dy, z), size, _CHAIR, yaw=yaw)
 
-    part(0, 0, 0.43, (0.42, 0.42, 0.035))
+    part(0.0, 0.0, 0.43, (0.42, 0.42, 0.035))
     for dx in (-0.18, 0.18):
-        part(dx, 0.18, 0, (0.035, 0.035, 0.43))
-        part(dx, -0.19, 0, (0.035, 0.035, 0.92))
+        part(dx, 0.18, 0.0, (0.035, 0.035, 0.43))
+        part(dx, -0.19, 0.0, (0.035, 0.035, 0.92))
     for z in (0.58, 0.72, 0.86):
-        part(0, -0.19, z, (0.36, 0.02, 0.06))
+        part(0.0, -0.19, z, (0.36, 0.02, 0.06))
 
 
 _CHAIR = Material(((0.58, 0.22, 0.16), (0.50, 0.18, 0.13)), wood)
@@ -198,7 +203,12 @@ def _small_things(mesh: Mesh, room: RoomSpec) -> None:
     x, y, _ = room.size_m
     rug = Material(
         ((0.62, 0.20, 0.18), (0.76, 0.64, 0.42), (0.22, 0.24, 0.36)),
-        framed((1.8, 1.3), ((0.62, 0.20, 0.18), (0.76, 0.64, 0.42), (0.22, 0.24, 0.36)), partial(dots, period=0.26, radius=0.09), 0.1).pattern,
+        framed(
+            (1.8, 1.3),
+            ((0.62, 0.20, 0.18), (0.76, 0.64, 0.42), (0.22, 0.24, 0.36)),
+            partial(dots, period=0.26, radius=0.09),
+            0.1,
+        ).pattern,
     )
     mesh.quad(np.array([0.5 * x - 0.9, 0.36 * y - 0.65, 0.008]), np.array([1.8, 0, 0]), np.array([0, 1.3, 0]), rug)
     shade = Material(((0.84, 0.76, 0.56),), glow=0.25)
@@ -206,22 +216,42 @@ def _small_things(mesh: Mesh, room: RoomSpec) -> None:
     mesh.cylinder((x - 0.32, y - 0.9, 0.025), 0.014, 1.45, _BRASS)
     mesh.sphere((x - 0.32, y - 0.9, 1.58), 0.16, shade)
     mesh.lathe((x - 0.35, 0.38, 0), np.array([[0, 0], [0.12, 0], [0.17, 0.32], [0.15, 0.32], [0, 0.28]]), _POT)
-    for dx, dy, z, radius in ((0, 0, 0.62, 0.20), (-0.10, 0.08, 0.85, 0.16), (0.08, 0.02, 0.98, 0.14), (-0.02, -0.06, 1.14, 0.10)):
+    for dx, dy, z, radius in (
+        (0, 0, 0.62, 0.20),
+        (-0.10, 0.08, 0.85, 0.16),
+        (0.08, 0.02, 0.98, 0.14),
+        (-0.02, -0.06, 1.14, 0.10),
+    ):
         mesh.sphere((x - 0.35 + dx, 0.38 + dy, z), radius, _LEAF)
     mesh.sphere((0.55, 0.30 * y + 0.75, 0.13), 0.13, _BALL)
-    drawers = framed((0.9, 0.7), ((0.70, 0.68, 0.62), (0.40, 0.38, 0.34), (0.56, 0.54, 0.48)), partial(tiles, size=0.23), 0.03)
+    drawers = framed(
+        (0.9, 0.7), ((0.70, 0.68, 0.62), (0.40, 0.38, 0.34), (0.56, 0.54, 0.48)), partial(tiles, size=0.23), 0.03
+    )
     mesh.box((0.25, 0.25 * y, 0), (0.9, 0.42, 0.7), Material(((0.60, 0.58, 0.52),)), yaw=np.pi / 2, front=drawers)
 
 
-def set_table(spec: ObjectSpec) -> Mesh:
-    """A vase, a block and a ball on the turntable's plate; scanner coordinates."""
+def set_table(spec: ObjectSpec, *, empty: bool = False) -> Mesh:
+    """A vase, a block and a ball on the turntable's plate, or the plate alone; scanner coordinates."""
     mesh = Mesh()
     z, h = spec.base_z_m, spec.height_m
     plate = Material(((0.34, 0.34, 0.36), (0.46, 0.46, 0.48)), partial(rings, period=0.04, centre=(0.0, 0.0)))
     r = spec.plate_radius_m
     mesh.cylinder((0, 0, z - 0.02), r, 0.02, plate)
+    if empty:
+        return mesh
     outline = np.array(
-        [[0, 0], [0.20, 0], [0.30, 0.12], [0.36, 0.30], [0.33, 0.48], [0.20, 0.66], [0.14, 0.80], [0.18, 0.93], [0.24, 1.0], [0, 0.97]]
+        [
+            [0, 0],
+            [0.20, 0],
+            [0.30, 0.12],
+            [0.36, 0.30],
+            [0.33, 0.48],
+            [0.20, 0.66],
+            [0.14, 0.80],
+            [0.18, 0.93],
+            [0.24, 1.0],
+            [0, 0.97],
+        ]
     )
     vase = Material(((0.22, 0.42, 0.60), (0.80, 0.76, 0.66)), partial(_height_bands, period=0.22 * h))
     mesh.lathe((0.0, 0.0, z), h * outline, vase, sides=96)

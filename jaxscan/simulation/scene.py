@@ -134,14 +134,17 @@ def room_from_scanner(config: SimulationConfig) -> Motion:
 
 
 @lru_cache(maxsize=4)
-def make_scene(config: SimulationConfig) -> Scene:
-    """The scene of a configuration; the last few are kept."""
+def make_scene(config: SimulationConfig, *, boards: bool = False) -> Scene:
+    """The scene of a configuration; the last few are kept.
+
+    Where the table carries an object, that is taken off to make place for `boards`.
+    """
     if config.room is not None:
         mesh = furnish(config.room)
         size = np.array(config.room.size_m)
         lamp, reach = size * (0.5, 0.5, LAMP_HEIGHT_SHARE), float(np.mean(size[:2]) / 2)
     elif config.object is not None:
-        mesh = set_table(config.object)
+        mesh = set_table(config.object, empty=boards)
         lamp, reach = np.array([-0.6, 0.8, 1.0]), 1.4
     else:
         mesh, lamp, reach = Mesh(), np.zeros(3), 1.0

@@ -3,7 +3,7 @@
 Metres, radians and pixels unless the key says otherwise.
 """
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -102,7 +102,7 @@ class LaserSpec(Section):
     range_m: Positive = 2.0
 
     @model_validator(mode="after")
-    def _one_form(self) -> Self:
+    def _one_form(self) -> "LaserSpec":
         forms = {
             "a, b, c_mm": (self.a, self.b, self.c_mm),
             "normal, distance_m": (self.normal, self.distance_m),
@@ -138,7 +138,7 @@ class TurntableSpec(Section):
     carries: Literal["scanner", "object"] = "scanner"
 
     @model_validator(mode="after")
-    def _one_form(self) -> Self:
+    def _one_form(self) -> "TurntableSpec":
         if (self.tr is None) == (self.direction is None or self.point_m is None):
             raise ValueError("a turntable needs either `direction` and `point_m`, or `tr`")
         if self.tr is not None and len(self.tr) != 4:
@@ -157,7 +157,7 @@ class RoomSpec(Section):
     furniture: bool = True
 
     @model_validator(mode="after")
-    def _rig_inside(self) -> Self:
+    def _rig_inside(self) -> "RoomSpec":
         if not all(0 < at < size for at, size in zip(self.rig_m, self.size_m, strict=True)):
             raise ValueError(f"`rig_m` {self.rig_m} must lie inside the room of {self.size_m} m")
         return self
@@ -215,9 +215,12 @@ class BoardsSpec(Section):
 
     def board(self) -> AbstractBoard:
         """The board of the geometry, for corners and outline."""
+        columns, rows, square = self.columns, self.rows, self.square_mm / 1000
         if self.type == "chessboard":
-            return Chessboard(self.columns, self.rows, self.square_mm / 1000)
-        return Charuco(self.columns, self.rows, self.square_mm / 1000, self.marker_mm / 1000, self.dictionary)
+            return Chessboard(columns=columns, rows=rows, square=square)
+        return Charuco(
+            columns=columns, rows=rows, square=square, marker=self.marker_mm / 1000, dictionary=self.dictionary
+        )
 
 
 class PlanSpec(Section):
@@ -248,7 +251,7 @@ class SimulationConfig(Section):
         return value if isinstance(value, list | tuple) else [value]
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _consistent(self) -> "SimulationConfig":
         if (self.room is None) == (self.object is None):
             raise ValueError("a simulation needs either [room] or [object]")
         if not self.laser:

@@ -10,36 +10,20 @@ ray, so depth edges, shadows and printed edges cut the stripe where they do in t
 """
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
+from jaxscan.simulation.boards import SeenBoard
 from jaxscan.simulation.optics import psf_weights, splat
 from jaxscan.simulation.rig import Motion, Rig, Sheet
 from jaxscan.simulation.scene import Scene
 
 
-SAMPLES_V = 2
+SAMPLES_ALONG = 2
+"""Samples per pixel along the stripe."""
 _BAND = 5.5
 """Half width of the sampled band, in standard deviations of the sheet: beyond it is 3e-7 of the peak."""
-
-
-class Target(Protocol):
-    """Something flat held into the scene; coordinates (x, y, 1) z in the camera frame."""
-
-    def hit(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Depth (inf where missed), and board coordinates."""
-        ...
-
-    def albedo(self, bx: np.ndarray, by: np.ndarray) -> np.ndarray: ...
-
-    def normal(self) -> np.ndarray:
-        """Unit normal towards the camera, camera frame."""
-        ...
-
-    def blocks(self, origin: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Whether it stands between `origin` and each point [n, 3], camera frame."""
-        ...
 
 
 class RowTruth(NamedTuple):
@@ -62,11 +46,14 @@ class Hits(NamedTuple):
     normal: np.ndarray
     """Towards the camera."""
     triangle: np.ndarray
-    on_target: np.ndarray
-    board: tuple[np.ndarray, np.ndarray]
+    on_board: np.ndarray
+    place: tuple[np.ndarray, np.ndarray]
+    """Board coordinates [m]; without meaning beside the board."""
 
 
-def laser_image(rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, depth: np.ndarray, target: Target | None) -> np.ndarray:
+def laser_image(
+    rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, depth: np.ndarray, board: SeenBoard | None
+) -> np.ndarray:
     """The laser's light on every pixel, without noise, float32 [height, width], DN.
 
     Args:
@@ -75,21 +62,23 @@ def laser_image(rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, depth: np.nd
         scene: What it falls on.
         pose: T_scanner_cam.
         depth: Depth z of every pixel's centre, float32 [height, width]; inf where nothing is.
-        target: A board in front of the scene.
+        board: A board in front of the scene.
     """
     height, width = rig.rays.shape
-    samples = samples_across(rig, sheet)
+    samples_v, samples_u = SAMPLES_ALONG, samples_across(rig, sheet)
+    if sheet.spec.stripe_axis == "columns":
+        samples_v, samples_u = samples_u, samples_v
     rows, columns = np.divmod(np.flatnonzero(_band(sheet, rig, depth)), width)
     psf = rig.config.sensor.psf_px
-    weights = psf_weights(psf, SAMPLES_V), psf_weights(psf, samples)
+    weights = psf_weights(psf, samples_v), psf_weights(psf, samples_u)
     if len(rows) == 0:
         return np.zeros((height, width), np.float32)
-    dv = ((np.arange(SAMPLES_V) + 0.5) / SAMPLES_V - 0.5).repeat(samples).astype(np.float32)
-    du = np.tile((np.arange(samples) + 0.5) / samples - 0.5, SAMPLES_V).astype(np.float32)
+    dv = ((np.arange(samples_v) + 0.5) / samples_v - 0.5).repeat(samples_u).astype(np.float32)
+    du = np.tile((np.arange(samples_u) + 0.5) / samples_u - 0.5, samples_v).astype(np.float32)
     t = rig.rays
     x = t.x[rows, columns, None] + t.x_u[rows, columns, None] * du + t.x_v[rows, columns, None] * dv
     y = t.y[rows, columns, None] + t.y_u[rows, columns, None] * du + t.y_v[rows, columns, None] * dv
-    light = illuminate(rig, sheet, scene, pose, x.ravel(), y.ravel(), target)
+    light = illuminate(rig, sheet, scene, pose, x.ravel(), y.ravel(), board)
     return splat(light.reshape(x.shape), rows, columns, *weights, (height, width))
 
 
@@ -106,10 +95,10 @@ def samples_across(rig: Rig, sheet: Sheet) -> int:
 
 
 def illuminate(
-    rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, x: np.ndarray, y: np.ndarray, target: Target | None
+    rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, x: np.ndarray, y: np.ndarray, board: SeenBoard | None
 ) -> np.ndarray:
     """Light of the laser seen along rays (x, y, 1), float32 [n], DN on a pixel filled with it."""
-    hits = cast(scene, pose, x, y, target)
+    hits = cast(scene, pose, x, y, board)
     f = np.float32
     beside = hits.depth * sheet.slope_at(x, y).astype(f) - f(sheet.distance)
     legs = hits.points - sheet.origin.astype(f)
@@ -119,33 +108,35 @@ def illuminate(
     fan = _fan(sheet, legs)
     lit = np.flatnonzero((np.abs(beside) < f(_BAND) * thickness) & (cosine > 0) & (fan > 0) & np.isfinite(hits.depth))
     light = np.zeros(len(x), f)
-    lit = lit[~_shaded(sheet, scene, pose, hits.points[lit], hits.on_target[lit], target)]
+    lit = lit[~_shaded(sheet, scene, pose, hits.points[lit], hits.on_board[lit], board)]
     s = beside[lit] / thickness[lit]
     energy = f(sheet.power / math.sqrt(2 * math.pi)) / (r[lit] * thickness[lit])
-    light[lit] = energy * cosine[lit] * fan[lit] * np.exp(f(-0.5) * s * s) * _albedo(sheet, scene, pose, hits, lit, target)
+    light[lit] = (
+        energy * cosine[lit] * fan[lit] * np.exp(f(-0.5) * s * s) * _albedo(sheet, scene, pose, hits, lit, board)
+    )
     return light
 
 
-def cast(scene: Scene, pose: Motion, x: np.ndarray, y: np.ndarray, target: Target | None) -> Hits:
+def cast(scene: Scene, pose: Motion, x: np.ndarray, y: np.ndarray, board: SeenBoard | None) -> Hits:
     """What the rays (x, y, 1) of the camera meet."""
     directions = np.stack([x, y, np.ones_like(x)], -1)
     depth, triangle = scene.cast(pose.translation, pose.turn(directions))
     normal = pose.inverse().turn(scene.normal)[triangle]
-    on_target = np.zeros(len(x), bool)
-    board = np.zeros_like(x), np.zeros_like(x)
-    if target is not None:
-        nearer, bx, by = target.hit(x, y)
-        on_target, board = nearer < depth, (bx, by)
-        depth = np.where(on_target, nearer, depth)
-        normal = np.where(on_target[:, None], target.normal().astype(np.float32), normal)
+    on_board = np.zeros(len(x), bool)
+    place = np.zeros_like(x), np.zeros_like(x)
+    if board is not None:
+        nearer, bx, by = board.hit(x, y)
+        on_board, place = nearer < depth, (bx, by)
+        depth = np.where(on_board, nearer, depth)
+        normal = np.where(on_board[:, None], board.normal().astype(np.float32), normal)
     safe = np.where(np.isfinite(depth), depth, 0).astype(directions.dtype)
     points = directions * safe[:, None]
     away = np.einsum("ij,ij->i", normal, points) > 0
-    return Hits(safe, points, np.where(away[:, None], -normal, normal), triangle, on_target, board)
+    return Hits(safe, points, np.where(away[:, None], -normal, normal), triangle, on_board, place)
 
 
 def row_truth(
-    rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, depth: np.ndarray, light: np.ndarray, target: Target | None
+    rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, depth: np.ndarray, light: np.ndarray, board: SeenBoard | None
 ) -> RowTruth:
     """Centre of the stripe in every line, by following the sheet's zero crossing along it.
 
@@ -170,7 +161,7 @@ def row_truth(
 
     def beside(u: np.ndarray) -> np.ndarray:
         x, y = ray(u)
-        z = cast(scene, pose, x, y, target).depth
+        z = cast(scene, pose, x, y, board).depth
         return z * sheet.slope_at(x, y) - sheet.distance
 
     low, high = at.astype(np.float64), at + 1.0
@@ -184,7 +175,7 @@ def row_truth(
         high, f_high = np.where(left, high, u), np.where(left, f_high, value)
     x, y = ray(u)
     # At a jump of depth the sheet is crossed nowhere; a lit centre has light of its own.
-    real = (np.abs(beside(u)) < 2e-5) & (illuminate(rig, sheet, scene, pose, x, y, target) > 0)
+    real = (np.abs(beside(u)) < 2e-5) & (illuminate(rig, sheet, scene, pose, x, y, board) > 0)
     peak = np.zeros(len(u), np.float32)
     for step in (-1, 0, 1, 2):
         peak = np.maximum(peak, light[line, np.clip(at + step, 0, light.shape[1] - 1)])
@@ -194,7 +185,7 @@ def row_truth(
     valid = best >= 0
     valid[valid] &= real[best[valid]]
     chosen = best[valid]
-    points = pose.apply(cast(scene, pose, x[chosen], y[chosen], target).points)
+    points = pose.apply(cast(scene, pose, x[chosen], y[chosen], board).points)
     truth = RowTruth(np.zeros(lines), np.zeros(lines, np.float32), np.zeros((lines, 3)), valid)
     truth.u[valid], truth.amplitude[valid], truth.xyz[valid] = u[chosen], peak[chosen], points
     return truth
@@ -230,22 +221,22 @@ def _fan(sheet: Sheet, legs: np.ndarray) -> np.ndarray:
 
 
 def _shaded(
-    sheet: Sheet, scene: Scene, pose: Motion, points: np.ndarray, on_target: np.ndarray, target: Target | None
+    sheet: Sheet, scene: Scene, pose: Motion, points: np.ndarray, on_board: np.ndarray, board: SeenBoard | None
 ) -> np.ndarray:
     shaded = scene.blocked(pose.apply(sheet.origin), pose.apply(points))
-    if target is not None:
-        shaded |= ~on_target & target.blocks(sheet.origin, points)
+    if board is not None:
+        shaded |= ~on_board & board.blocks(sheet.origin, points)
     return shaded
 
 
 def _albedo(
-    sheet: Sheet, scene: Scene, pose: Motion, hits: Hits, lit: np.ndarray, target: Target | None
+    sheet: Sheet, scene: Scene, pose: Motion, hits: Hits, lit: np.ndarray, board: SeenBoard | None
 ) -> np.ndarray:
     channel = np.zeros((3, 1), np.float32)
     channel[("red", "green", "blue").index(sheet.spec.colour)] = 1
     albedo = scene.albedo(hits.triangle[lit], pose.apply(hits.points[lit]), channel)[:, 0]
-    if target is not None:
-        on_target = hits.on_target[lit]
-        board = target.albedo(hits.board[0][lit][on_target], hits.board[1][lit][on_target])
-        albedo[on_target] = board
+    if board is not None:
+        on_board = hits.on_board[lit]
+        bx, by = hits.place
+        albedo[on_board] = board.albedo(bx[lit][on_board], by[lit][on_board])
     return albedo

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -71,7 +72,9 @@ def expect_sweep(config: SimulationConfig, *, every: int = 1) -> Iterator[Expect
     return _ahead(lambda job: expect_record(rig, scene, job[0], laser=job[1]), jobs)
 
 
-def expect_boards(config: SimulationConfig, texture: np.ndarray, *, seed: int | None = None) -> Iterator[ExpectedRecord]:
+def expect_boards(
+    config: SimulationConfig, texture: np.ndarray, *, seed: int | None = None
+) -> Iterator[ExpectedRecord]:
     """The frames of a board capture without noise; `seed` chooses the poses.
 
     Args:
@@ -79,7 +82,7 @@ def expect_boards(config: SimulationConfig, texture: np.ndarray, *, seed: int | 
         texture: Picture of the board's printed area, uint8 [rows, columns]; see `render_boards`.
         seed: Instead of the configuration's.
     """
-    rig, scene = make_rig(config), make_scene(config)
+    rig, scene = make_rig(config), make_scene(config, boards=True)
     picture = make_print(config.boards, texture)
     seed = config.seed if seed is None else seed
     jobs = [
@@ -120,7 +123,9 @@ def render_sweep(config: SimulationConfig, *, every: int = 1, seed: int | None =
     return _ahead(render, jobs)
 
 
-def render_boards(config: SimulationConfig, texture: np.ndarray, *, seed: int | None = None) -> Iterator[RenderedRecord]:
+def render_boards(
+    config: SimulationConfig, texture: np.ndarray, *, seed: int | None = None
+) -> Iterator[RenderedRecord]:
     """The frames of a board capture: free views at angle 0, then the placements.
 
     Args:
@@ -224,7 +229,7 @@ def _board_power(rig: Rig, sheet: Sheet, depth: np.ndarray) -> float:
     psf2 = rig.config.sensor.psf_px**2 + 1 / 12
 
     def strength(r: float) -> float:
-        width_px = float(sheet.thickness(np.array(r))) * rig.config.camera.fx / r
+        width_px = float(sheet.thickness(np.array([r]))[0]) * rig.config.camera.fx / r
         # Light per metre of stripe, on pixels of r / f, spread over the seen width.
         return 1 / np.sqrt(width_px**2 + psf2) * rig.config.camera.fx / r**2
 
@@ -239,11 +244,9 @@ def _ahead(function: Callable[[Item], Result], items: Iterable[Item], *, workers
     """`map` in order, a few items ahead in threads: NumPy and Open3D let go of the interpreter's lock."""
     waiting = iter(items)
     with ThreadPoolExecutor(workers) as pool:
-        running = deque(pool.submit(function, item) for item, _ in zip(waiting, range(workers + 1), strict=False))
+        running = deque(pool.submit(function, item) for item in islice(waiting, workers + 1))
         while running:
             done = running.popleft()
             result = done.result()
-            for item in waiting:
-                running.append(pool.submit(function, item))
-                break
+            running.extend(pool.submit(function, item) for item in islice(waiting, 1))
             yield result

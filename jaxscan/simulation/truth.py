@@ -53,7 +53,12 @@ def truth(config: SimulationConfig) -> dict[str, Any]:
     scanner = true_scanner(config)
     numbers = {name: _plain(value) for name, value in _parameters(scanner).items()}
     lasers = [
-        {"name": sheet.spec.name, "normal": _plain(sheet.normal), "distance_m": sheet.distance, "bow": list(sheet.spec.bow)}
+        {
+            "name": sheet.spec.name,
+            "normal": _plain(sheet.normal),
+            "distance_m": sheet.distance,
+            "bow": list(sheet.spec.bow),
+        }
         for sheet in rig.sheets
     ]
     out: dict[str, Any] = {
@@ -92,7 +97,11 @@ def _parameters(scanner: Scanner) -> dict[str, Any]:
         values |= dict(zip(("k1", "k2", "p1", "p2", "k3"), np.asarray(camera.distortion), strict=True))
     for index, name in enumerate(scanner.laser_names):
         sheet = jax.tree.map(lambda leaf, index=index: leaf[index], scanner.lasers)
-        values |= {f"laser.{name}.d": sheet.distance, f"laser.{name}.b2": sheet.bow[0], f"laser.{name}.b3": sheet.bow[1]}
+        values |= {
+            f"laser.{name}.d": sheet.distance,
+            f"laser.{name}.b2": sheet.bow[0],
+            f"laser.{name}.b3": sheet.bow[1],
+        }
     values["gain"] = table.gain
     values |= dict(zip(("c1", "s1", "c2", "s2"), np.asarray(table.harmonics), strict=True))
     return values

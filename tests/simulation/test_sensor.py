@@ -1,0 +1,100 @@
+"""The sensor: statistics of its noise, its response, its mosaic."""
+
+import numpy as np
+import pytest
+
+from jaxscan.simulation import SensorSpec, expose
+from jaxscan.simulation.sensor import channels, encode_srgb, laser_response, mosaic, speckled
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.Generator(np.random.SFC64(seed))
+
+
+@pytest.mark.parametrize("level", [0.0, 3.0, 40.0, 200.0])
+def test_noise_has_the_variance_of_the_model(level):
+    sensor = SensorSpec(electrons_per_dn=25.0, read_dn=1.5)
+    count = 200_000
+    sample = expose(np.full(count, level, np.float32), sensor, rng()).astype(float)
+    variance = sensor.read_dn**2 + level / sensor.electrons_per_dn + 1 / 12
+    if level >= 3 * variance**0.5 + 1:
+        # Five standard errors of mean and variance.
+        assert sample.mean() == pytest.approx(level, abs=5 * (variance / count) ** 0.5)
+        assert sample.var() == pytest.approx(variance, rel=5 * (2 / count) ** 0.5)
+    else:
+        # Near black the sensor clips at zero: brighter on average, and never negative.
+        assert sample.mean() > level and sample.var() < variance
+    assert (expose(np.full(9, -50, np.float32), sensor, rng()) == 0).all()
+
+
+def test_bright_light_saturates():
+    sensor = SensorSpec()
+    image = expose(np.array([100.0, 300.0, 1e5], np.float32), sensor, rng())
+    assert image.dtype == np.uint8
+    assert image[0] < 150 and image[1] == 255 and image[2] == 255
+
+
+def test_on_and_off_have_noise_of_their_own_and_a_seed_repeats_it():
+    sensor = SensorSpec()
+    flat = np.full((40, 50), 90, np.float32)
+    source = rng(3)
+    first, second = expose(flat, sensor, source), expose(flat, sensor, source)
+    assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.1  # 2000 samples: 4.5 standard errors
+    np.testing.assert_array_equal(first, expose(flat, sensor, rng(3)))
+    assert (first != expose(flat, sensor, rng(4))).any()
+
+
+@pytest.mark.parametrize(
+    ("pixel_format", "sites"),
+    [
+        ("bayer_rggb8", "RGGB"),
+        ("bayer_bggr8", "BGGR"),
+        ("bayer_grbg8", "GRBG"),
+        ("bayer_gbrg8", "GBRG"),
+    ],
+)
+def test_the_mosaic_takes_the_sites_of_its_name(pixel_format, sites):
+    image = np.zeros((5, 7, 3), np.float32)
+    image[..., 0], image[..., 1], image[..., 2] = 1, 2, 3
+    value = {"R": 1, "G": 2, "B": 3}
+    out = mosaic(image, pixel_format)
+    assert out.shape == (5, 7)
+    np.testing.assert_array_equal(out[:2, :2].ravel(), [value[letter] for letter in sites])
+    np.testing.assert_array_equal(out[2:4, 4:6], out[:2, :2])
+
+
+def test_a_colour_camera_sees_the_laser_mostly_in_its_channel():
+    sensor = SensorSpec(pixel_format="rgb8", crosstalk=0.05)
+    np.testing.assert_allclose(laser_response(sensor, "green"), [0.05, 1, 0.05])
+    assert mosaic(np.ones((2, 2, 3), np.float32), "rgb8").shape == (2, 2, 3)
+    assert channels(sensor).shape == (3, 3)
+    mono = SensorSpec()
+    np.testing.assert_allclose(laser_response(mono, "red"), [1])
+    assert channels(mono).sum() == pytest.approx(1)
+    assert mosaic(np.ones((2, 2, 1), np.float32), "mono8").shape == (2, 2)
+
+
+def test_the_srgb_curve_is_the_standard_s():
+    # IEC 61966-2-1: 18 % grey is 118 of 255; the ends stay; the two pieces meet.
+    values = encode_srgb(np.array([0.0, 0.18 * 255, 255.0, 0.0031308 * 255], np.float32))
+    np.testing.assert_allclose(values, [0, 117.6, 255, 12.92 * 0.0031308 * 255], atol=0.1)
+    image = expose(np.full(1000, 0.18 * 255, np.float32), SensorSpec(response="srgb", read_dn=0.1), rng())
+    assert abs(image.mean() - 117.6) < 0.3
+
+
+def test_speckle_has_its_contrast_and_its_length():
+    sensor = SensorSpec(speckle_contrast=0.2, speckle_px=3.0)
+    laser = np.zeros((4000, 30), np.float32)
+    laser[:, 10:20] = 100
+    lit = speckled(laser, sensor, rng())
+    assert (lit[:, :10] == 0).all() and (lit[:, 20:] == 0).all()
+    factor = lit[:, 10:20] / 100
+    # About 4000 / (2 sqrt(pi) 3) = 380 independent values along, three across: 5 standard errors of 1/sqrt(2 n).
+    assert factor.std() == pytest.approx(0.2, rel=0.12)
+    assert factor.mean() == pytest.approx(1, abs=0.03)
+    column = factor[:, 5] - factor[:, 5].mean()
+    for lag in (2, 4):
+        correlation = column[lag:] @ column[:-lag] / (column @ column)
+        # A Gaussian kernel of standard deviation s correlates over exp(-lag^2 / (4 s^2)).
+        assert correlation == pytest.approx(np.exp(-(lag**2) / (4 * 3.0**2)), abs=0.1)
+    assert speckled(laser, SensorSpec(), rng()) is laser
