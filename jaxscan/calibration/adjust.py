@@ -24,6 +24,10 @@ _MIN_NOISE = 1e-3
 # step where the last solve ended beside the minimum.
 _SEED_DAMPING = 1e-4
 _NEAR_DAMPING = 1e-10
+# Root mean square change of whitened residuals and scaled unknowns at which a solve stops: while
+# weights still change, and at the end (convergence is nearly quadratic, so less than that is left).
+_ROUGH = 1e-3
+_FINE = 1e-7
 _ROBUST_ROUNDS = 3
 _REJECTION_ROUNDS = 6
 
@@ -76,7 +80,7 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
         state = replace(state, stripe_noise=_spread(stripe[data.stripe_valid]))
         corner_damp = _huber(np.abs(corner).max(-1) / state.corner_noise, settings.huber)
         stripe_damp = _huber(np.abs(stripe) / state.stripe_noise, settings.huber)
-        state = _solved(state, data, slopes, settings, corner_damp, stripe_damp)
+        state = _solved(state, data, slopes, settings, corner_damp, stripe_damp, _ROUGH)
     if rejection:
         state = _reject(state, data, settings)
     corner, stripe, slopes = _whitened(state.problem, data)
@@ -116,7 +120,7 @@ def prior_weights(names: tuple[str, ...], lasers: int, free: tuple[Block, ...], 
 
 
 def _reject(state: _State, data: Prepared, settings: CalibrationSettings) -> _State:
-    for _ in range(_REJECTION_ROUNDS):
+    for round_number in range(_REJECTION_ROUNDS):
         corner, stripe, slopes = _whitened(state.problem, data)
         linearised = _linearised(_weighted(state, data, slopes, settings, 1.0, 1.0))
         noise = _noise(corner, stripe, linearised, state) if settings.estimate_noise else (1.0, 1.0)
@@ -126,6 +130,7 @@ def _reject(state: _State, data: Prepared, settings: CalibrationSettings) -> _St
         stripe_size = np.abs(stripe) / room(np.asarray(linearised.stripe_leverage)) / noise[1]
         corner_keep = _keep(corner_size, data.corner_valid, state.corner_keep, settings)
         stripe_keep = _keep(stripe_size, data.stripe_valid, state.stripe_keep, settings)
+        last = round_number == _REJECTION_ROUNDS - 1
         same = np.array_equal(corner_keep, state.corner_keep) and np.array_equal(stripe_keep, state.stripe_keep)
         settled = max(abs(noise[0] / state.corner_noise - 1.0), abs(noise[1] / state.stripe_noise - 1.0)) < 0.01
         state = replace(
@@ -135,7 +140,7 @@ def _reject(state: _State, data: Prepared, settings: CalibrationSettings) -> _St
             corner_noise=noise[0],
             stripe_noise=noise[1],
         )
-        state = _solved(state, data, slopes, settings, 1.0, 1.0)
+        state = _solved(state, data, slopes, settings, 1.0, 1.0, _FINE if last or (same and settled) else _ROUGH)
         if same and settled:
             break
     return state
@@ -217,9 +222,11 @@ def _solved(
     settings: CalibrationSettings,
     corner_damp: np.ndarray | float,
     stripe_damp: np.ndarray | float,
+    tolerance: float,
 ) -> _State:
     damping = np.asarray(_SEED_DAMPING if state.steps == 0 else _NEAR_DAMPING)
-    solution = solve(_weighted(state, data, slopes, settings, corner_damp, stripe_damp), damping, settings.max_steps)
+    weighted = _weighted(state, data, slopes, settings, corner_damp, stripe_damp)
+    solution = solve(weighted, damping, np.asarray(tolerance), settings.max_steps)
     return replace(state, problem=solution.problem, steps=state.steps + int(solution.steps))
 
 

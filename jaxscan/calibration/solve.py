@@ -19,9 +19,6 @@ from jaxscan.calibration.residuals import Problem, Residuals, Step, move, residu
 from jaxscan.geometry import Array
 
 
-# Change of the last step in scaled unknowns and in whitened residuals; convergence is nearly
-# quadratic, so what is left is far smaller.
-_TOLERANCE = 1e-7
 # Relative rounding error of a sum of some ten thousand squares.
 _ROUNDING = 1e-13
 
@@ -94,8 +91,8 @@ class BlockArrowLM(optx.AbstractGaussNewton):
     """optimistix' Gauss-Newton loop and trust region round `BlockArrowDescent`."""
 
     descent: BlockArrowDescent
-    rtol: float = _TOLERANCE
-    atol: float = _TOLERANCE
+    rtol: Float[Array, ""]
+    atol: Float[Array, ""]
     norm: Callable = optx.rms_norm
     search: PatientTrustRegion = PatientTrustRegion()
     verbose: Callable = eqx.field(default=lambda **_: None, static=True)
@@ -111,12 +108,20 @@ class Solution(NamedTuple):
 
 
 @eqx.filter_jit
-def solve(problem: Problem, damping: Float[Array, ""], max_steps: int) -> Solution:
-    """Minimise the sum of squares of `residuals`; call in 64 bit."""
+def solve(problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, ""], max_steps: int) -> Solution:
+    """Minimise the sum of squares of `residuals`; call in 64 bit.
+
+    Args:
+        problem: With its weights.
+        damping: Of the first step, relative to the diagonal of J'J [1].
+        tolerance: Root mean square change of scaled unknowns and of whitened residuals at which
+            to stop [1].
+        max_steps: Steps at most.
+    """
     start = zero_step(problem)
     descent = BlockArrowDescent(problem.placement, problem.placement[problem.stripe_view], damping)
     solution = optx.least_squares(
-        residuals, BlockArrowLM(descent), start, args=problem, max_steps=max_steps, throw=False
+        residuals, BlockArrowLM(descent, tolerance, tolerance), start, args=problem, max_steps=max_steps, throw=False
     )
     return Solution(
         move(solution.value, problem), solution.stats["num_steps"], solution.result == optx.RESULTS.successful
