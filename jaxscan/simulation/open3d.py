@@ -12,7 +12,7 @@ _PACKAGES = "libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1 libudev1 libidn2-0"
 
 
 @cache
-def _open3d() -> ModuleType:
+def load_open3d() -> ModuleType:
     """The module open3d.
 
     Raises:

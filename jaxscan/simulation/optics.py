@@ -103,7 +103,7 @@ def _weighted_sum(
 
 
 def blur(image: np.ndarray, psf_px: float) -> np.ndarray:
-    """A picture sampled at pixel centres, blurred by lens and pixel [height, width(, channels)].
+    """A picture sampled at pixel centres, blurred by lens and pixel [..., height, width].
 
     Good enough for what is looked at but not measured: the room in its own light. Binomial
     passes (a, 1 - 2a, a) of the same variance, psf^2 + 1/12, stand for the Gaussian.
@@ -112,15 +112,15 @@ def blur(image: np.ndarray, psf_px: float) -> np.ndarray:
     passes = math.ceil(variance / 0.6)
     a = np.float32(variance / passes / 2)
     for _ in range(passes):
-        for axis in (0, 1):
-            image = np.ascontiguousarray(_binomial(image.swapaxes(0, axis), a).swapaxes(0, axis))
+        image = _binomial(_binomial(image, a).swapaxes(-1, -2), a).swapaxes(-1, -2)
     return image
 
 
 def _binomial(image: np.ndarray, a: np.float32) -> np.ndarray:
+    """(a, 1 - 2a, a) down the columns; beyond the border stands the border."""
     out = image * (1 - 2 * a)
-    out[1:] += a * image[:-1]
-    out[:-1] += a * image[1:]
-    out[0] += a * image[0]
-    out[-1] += a * image[-1]
+    out[..., 1:, :] += a * image[..., :-1, :]
+    out[..., :-1, :] += a * image[..., 1:, :]
+    out[..., 0, :] += a * image[..., 0, :]
+    out[..., -1, :] += a * image[..., -1, :]
     return out

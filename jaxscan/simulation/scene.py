@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxscan.simulation.meshes import Mesh
-from jaxscan.simulation.open3d import _open3d
+from jaxscan.simulation.open3d import load_open3d
 from jaxscan.simulation.rig import Motion, rodrigues
 from jaxscan.simulation.room import LAMP_HEIGHT_SHARE, furnish, set_table
 from jaxscan.simulation.spec import SimulationConfig
@@ -44,7 +44,7 @@ class Scene:
             t: float32 [rays]: hit = origin + t direction; inf where nothing is hit.
             triangle: int64 [rays]; the last index of `normal` where nothing is hit.
         """
-        tensor = _open3d().core.Tensor
+        tensor = load_open3d().core.Tensor
         hits = self.caster.cast_rays(tensor.from_numpy(_pack(origin, directions)))
         triangle = hits["primitive_ids"].numpy()
         nothing = len(self.normal) - 1
@@ -59,15 +59,15 @@ class Scene:
         distance = np.sqrt(np.einsum("ij,ij->i", legs, legs))
         # The leg is scaled so that its skin begins at 1, one far limit for all rays.
         legs = legs * np.maximum(1 - skin / np.maximum(distance, 1e-9), 0)[:, None]
-        tensor = _open3d().core.Tensor
+        tensor = load_open3d().core.Tensor
         return self.caster.test_occlusions(tensor.from_numpy(_pack(origin, legs)), tnear=0.0, tfar=1.0).numpy()
 
     def albedo(self, triangle: np.ndarray, points: np.ndarray, channels: np.ndarray) -> np.ndarray:
-        """Albedo float32 [n, channels] at hit points [n, 3]; `channels` [3, channels] weighs R, G, B."""
+        """Albedo float32 [channels, n] at hit points [n, 3]; `channels` [3, channels] weighs R, G, B."""
         return self._evaluate(triangle, points, channels)[0]
 
     def ambient(self, triangle: np.ndarray, points: np.ndarray, view: np.ndarray, channels: np.ndarray) -> np.ndarray:
-        """A picture in the room's own light, float32 [rows, columns, channels]; white in mean light is 1.
+        """A picture in the room's own light, float32 [channels, rows, columns]; white in mean light is 1.
 
         Args:
             triangle: Hit triangles [rows, columns].
@@ -75,26 +75,25 @@ class Scene:
             view: Where the camera is [3]; surfaces are seen from this side.
             channels: [3, channels], weights of R, G, B.
         """
-        shape = triangle.shape
         colour, glow = self._evaluate(triangle.ravel(), points.reshape(-1, 3), channels)
-        light = self.light(points, self.normal[triangle], view)
-        colour *= light.reshape(-1, 1)
-        colour += glow[:, None]
-        return colour.reshape(*shape, -1)
+        colour *= self.light(points, self.normal[triangle], view).ravel()
+        colour += glow
+        return colour.reshape(-1, *triangle.shape)
 
     def light(self, points: np.ndarray, normal: np.ndarray, view: np.ndarray) -> np.ndarray:
         """Strength of the room's light at points [rows, columns, 3] with normals of either sense, float32."""
         f = np.float32
-        towards_view = np.einsum("...j,...j", view.astype(f) - points, normal) < 0
-        sense = np.where(towards_view, f(-1), f(1))
-        leg = self.lamp.astype(f) - points
-        r2 = np.einsum("...j,...j", leg, leg)
-        cosine = np.maximum(np.einsum("...j,...j", leg, normal) * sense, 0) / np.sqrt(r2)
+        (x, y, z), (a, b, c) = (np.moveaxis(part, -1, 0) for part in (points, normal))
+        plane = a * x + b * y + c * z
+        (vx, vy, vz), (lx, ly, lz) = view.astype(f), self.lamp.astype(f)
+        sense = np.where(vx * a + vy * b + vz * c < plane, f(-1), f(1))
+        r2 = np.square(lx - x) + np.square(ly - y) + np.square(lz - z)
+        cosine = np.maximum((lx * a + ly * b + lz * c - plane) * sense, 0) / np.sqrt(r2)
         direct = cosine * f(0.95 * self.reach**2) / (r2 + f(0.6 * self.reach**2))
         if self.shadows:
             direct *= self._shadow(points)
         # Light from all sides: a little more from above than from below.
-        return f(0.66) + f(0.05) * normal[..., 2] * sense + direct
+        return f(0.66) + f(0.05) * c * sense + direct
 
     def _shadow(self, points: np.ndarray) -> np.ndarray:
         """Share of the lamp's light at points [rows, columns, 3]: looked up at every other one."""
@@ -107,19 +106,24 @@ class Scene:
     def _evaluate(
         self, triangle: np.ndarray, points: np.ndarray, channels: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Albedo [n, channels] and glow [n]: points are sorted by surface, each evaluated at once."""
+        """Albedo [channels, n] and glow [n]: points are sorted by surface, each evaluated at once."""
         surface = self.surface[triangle]
         order = np.argsort(surface.astype(np.uint16), kind="stable")
         counts = np.bincount(surface, minlength=len(self.mesh.surfaces) + 1)
         ends = np.cumsum(counts)
-        colour = np.zeros((len(points), channels.shape[1]), np.float32)
+        colour = np.zeros((channels.shape[1], len(points)), np.float32)
         glow = np.zeros(len(points), np.float32)
         for index in np.flatnonzero(counts[:-1]):
             part = order[ends[index] - counts[index] : ends[index]]
             material, origin, along_u, along_v = self.mesh.surfaces[index]
-            axes = np.stack([along_u, along_v], -1)
-            uv = points[part] @ axes.astype(np.float32) - (origin @ axes).astype(np.float32)
-            colour[part] = material.albedo(uv[:, 0], uv[:, 1], channels)
+            x, y, z = points.take(part, 0).T
+            u, v = (
+                x * np.float32(axis[0])
+                + y * np.float32(axis[1])
+                + (z * np.float32(axis[2]) - np.float32(axis @ origin))
+                for axis in (along_u, along_v)
+            )
+            colour[:, part] = material.albedo(u, v, channels)
             if material.glow:
                 glow[part] = material.glow
         return colour, glow
@@ -154,7 +158,7 @@ def make_scene(config: SimulationConfig, *, boards: bool = False) -> Scene:
 
 def build_scene(mesh: Mesh, lamp: np.ndarray, reach: float, *, shadows: bool) -> Scene:
     """A scene of a mesh in the scanner frame."""
-    o3d = _open3d()
+    o3d = load_open3d()
     corners = np.concatenate(mesh.triangles)
     caster = o3d.t.geometry.RaycastingScene()
     vertices = np.ascontiguousarray(corners.reshape(-1, 3), np.float32)

@@ -32,20 +32,20 @@ def laser_response(sensor: SensorSpec, colour: Colour) -> np.ndarray:
 
 
 def mosaic(image: np.ndarray, pixel_format: PixelFormat) -> np.ndarray:
-    """What the sensor's sites receive of an image [height, width, channels].
+    """What the sensor's sites receive of an image [channels, height, width].
 
     Returns:
         [height, width], or [height, width, 3] for rgb8.
     """
     if pixel_format == "rgb8":
-        return image
+        return np.ascontiguousarray(np.moveaxis(image, 0, -1))
     if pixel_format == "mono8":
-        return image[..., 0]
-    out = np.empty(image.shape[:2], image.dtype)
+        return image[0]
+    out = np.empty(image.shape[1:], image.dtype)
     for row in (0, 1):
         for column in (0, 1):
             colour = _SITES[pixel_format][row][column]
-            out[row::2, column::2] = image[row::2, column::2, colour]
+            out[row::2, column::2] = image[colour, row::2, column::2]
     return out
 
 

@@ -234,7 +234,7 @@ def _albedo(
 ) -> np.ndarray:
     channel = np.zeros((3, 1), np.float32)
     channel[("red", "green", "blue").index(sheet.spec.colour)] = 1
-    albedo = scene.albedo(hits.triangle[lit], pose.apply(hits.points[lit]), channel)[:, 0]
+    albedo = scene.albedo(hits.triangle[lit], pose.apply(hits.points[lit]), channel)[0]
     if board is not None:
         on_board = hits.on_board[lit]
         bx, by = hits.place

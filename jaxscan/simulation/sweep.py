@@ -169,13 +169,13 @@ def expect_record(
     if board is not None:
         in_front, _, _ = board.hit(rig.rays.x, rig.rays.y)
         where, fills, albedo, board = cover(rig, board, in_front)
-        light = _board_light(rig, scene, pose, board, where)[..., None] * np.float32(white)
-        off[where] = off[where] * (1 - fills[..., None]) + albedo[..., None] * light
+        light = _board_light(rig, scene, pose, board, where) * np.float32(white)
+        off[:, *where] = off[:, *where] * (1 - fills) + albedo * light
         depth = np.minimum(depth, in_front)
         scale = _board_power(rig, sheet, in_front)
     glow = laser_image(rig, sheet, scene, pose, depth, board) * np.float32(scale)
     truth = row_truth(rig, sheet, scene, pose, depth, glow, board)
-    lit = glow[..., None] * laser_response(sensor, sheet.spec.colour)
+    lit = glow * laser_response(sensor, sheet.spec.colour)[:, None, None]
     pixel_format = sensor.pixel_format
     return ExpectedRecord(phi, placement, mosaic(off, pixel_format), mosaic(lit, pixel_format), truth, laser)
 
@@ -198,14 +198,14 @@ def true_cloud(records: Iterable[ExpectedRecord | RenderedRecord]) -> tuple[np.n
 def _ambient(
     rig: Rig, scene: Scene, pose: Motion, rays: np.ndarray, depth: np.ndarray, triangle: np.ndarray
 ) -> np.ndarray:
-    """The scene in its own light through the lens, float32 [height, width, channels]; 1 is white."""
+    """The scene in its own light through the lens, float32 [channels, height, width]; 1 is white."""
     weights = channels(rig.config.sensor)
     hit = np.isfinite(depth)
     points = rays * np.where(hit, depth, np.float32(0))[:, None] + pose.translation.astype(np.float32)
     shape = rig.rays.shape
     image = scene.ambient(triangle.reshape(shape), points.reshape(*shape, 3), pose.translation, weights)
     if not hit.all():
-        image[~hit.reshape(shape)] = 0
+        image *= hit.reshape(shape)
     return blur(image, rig.config.sensor.psf_px)
 
 

@@ -34,8 +34,8 @@ def plain(u: np.ndarray, v: np.ndarray) -> Blend:
 
 def plaster(u: np.ndarray, v: np.ndarray) -> Blend:
     """One colour, a little uneven."""
-    shade = np.sin(7.1 * u + 2 * np.sin(3.3 * v)) * np.sin(5.7 * v + 2 * np.sin(4.1 * u))
-    return Blend(0, 0, 0.0, 1 + np.float32(0.03) * shade)
+    shade = np.sin(7.1 * u + 3 * np.sin(3.3 * v))
+    return Blend(0, 0, 0.0, 1 + np.float32(0.02) * shade)
 
 
 def stripes(u: np.ndarray, v: np.ndarray, *, period: float, share: float = 0.5) -> Blend:
@@ -136,13 +136,14 @@ class Material:
     """Light of its own, in units of a white surface in mean light."""
 
     def albedo(self, u: np.ndarray, v: np.ndarray, channels: np.ndarray) -> np.ndarray:
-        """Albedo [points, channels] at (u, v) [m]; `channels` [3, channels] weighs R, G and B."""
+        """Albedo [channels, points] at (u, v) [m]; `channels` [3, channels] weighs R, G and B."""
         palette = np.asarray(self.palette, np.float32) @ channels.astype(np.float32)
         first, second, mix, shade = self.pattern(u, v)
-        low = palette[first]
-        mix, shade = (np.asarray(value, np.float32)[..., None] for value in (mix, shade))
-        colour = (low + (palette[second] - low) * mix) * shade
-        return np.broadcast_to(colour, (len(u), palette.shape[1]))
+        planes = np.empty((palette.shape[1], len(u)), np.float32)
+        for plane, colours in zip(planes, palette.T, strict=True):
+            low = colours[first]
+            plane[:] = (low + (colours[second] - low) * mix) * shade
+        return planes
 
 
 def framed(size: tuple[float, float], palette: tuple[Rgb, ...], inner: Pattern, width: float = 0.04) -> Material:
