@@ -104,11 +104,12 @@ def _fit_frame(
     settings: StripeSettings,
 ) -> FrameStripes:
     """Stripe centres of one frame's plane, from each line's first sample [px]."""
-    window, saturated, start = cut_window(on, off, placement, pitch, noise_read, noise_gain, response, settings)
-    fit = fit_stripe(window, *start, iterations=settings.iterations, max_width=1.1 * settings.max_width_px)
+    window, saturated, first = cut_window(on, off, placement, pitch, noise_read, noise_gain, response, settings)
+    fit = fit_stripe(window, first, iterations=settings.iterations, max_width=1.1 * settings.max_width_px)
     valid, sigma, chi2 = accept(
         fit,
         reach=0.5 * SAMPLES * pitch * window.aperture,
+        tallest=jnp.where(saturated > 0, jnp.inf, 2.0 * first.amplitude),
         parameters=3 if off is not None else 4,
         settings=settings,
     )

@@ -36,6 +36,19 @@ class Window(NamedTuple):
     """Variance of `y` per DN of stripe [DN]."""
 
 
+class Start(NamedTuple):
+    """Where the fit starts."""
+
+    u: Float[Array, " rows"]
+    """Centre, from the window's middle [px]."""
+    amplitude: Float[Array, " rows"]
+    """Amplitude [DN]."""
+    width: Float[Array, " rows"]
+    """Standard deviation [px]."""
+    background: Float[Array, " rows"] | None
+    """Background [DN]; None where it is known to be 0."""
+
+
 class Fit(NamedTuple):
     """Result of the fit; `u` relative to the window's middle."""
 
@@ -91,16 +104,7 @@ def integrated_gaussian(
     return h, minus_slope, by_width
 
 
-def fit_stripe(
-    window: Window,
-    u: Float[Array, " rows"],
-    amplitude: Float[Array, " rows"],
-    width: Float[Array, " rows"],
-    background: Float[Array, " rows"] | None,
-    *,
-    iterations: int,
-    max_width: float,
-) -> Fit:
+def fit_stripe(window: Window, start: Start, *, iterations: int, max_width: float) -> Fit:
     r"""Fit centre, amplitude and width (and a constant background) of one stripe per row.
 
     Scoring: every step solves the weighted normal equations with weights
@@ -109,10 +113,7 @@ def fit_stripe(
 
     Args:
         window: The samples.
-        u: First centre, from the window's middle [px].
-        amplitude: First amplitude [DN].
-        width: First standard deviation [px].
-        background: First background [DN], or None where it is known to be 0.
+        start: Where to start; with a background where that is to be fitted too.
         iterations: Number of steps, the same for all rows.
         max_width: Largest width that a step may reach [px].
 
@@ -120,6 +121,7 @@ def fit_stripe(
         S. M. Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993,
         section 7.7 (scoring); equation 3.31 (information of a signal in Gaussian noise).
     """
+    u, amplitude, width, background = start
     free = background is not None
     base = jnp.zeros_like(u) if background is None else background
 

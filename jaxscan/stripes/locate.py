@@ -72,13 +72,15 @@ def _window_sum(values: Int16[Array, "l p"], distance: int, before: int, after: 
 
 def _surround(lattice: Int16[Array, "l p"], padded: int) -> Int16[Array, "l q"]:
     """The higher of the mean levels on both sides, in units of the triangle's response."""
-    flank = lattice
-    for distance in (1, 2, 4):
-        flank = _window_sum(flank, distance, 0, distance)
-    # Point k of `flank` now holds points k to k + 7; a mean of 8 weighs 4 in the triangle.
     left, right = _FLANK_GAP + 7, _FLANK_GAP
-    padding = ((0, 0), (left, right + padded))
-    higher = lax.reduce_window(flank, jnp.int16(0), lax.max, (1, 2), (1, 1), padding, window_dilation=(1, left + right))
+    # Beyond the image its last level goes on, or the image's border would be an edge.
+    flank: Array = jnp.pad(jnp.asarray(lattice), ((0, 0), (left, right + 7 + padded)), mode="edge")
+    for distance in (1, 2, 4):
+        flank = _window_sum(flank, distance, 0, 0)
+    # Point k of `flank` now holds 8 points from k - left on; a mean of 8 weighs 4 in the triangle.
+    higher = lax.reduce_window(
+        flank, jnp.int16(0), lax.max, (1, 2), (1, 1), ((0, 0), (0, 0)), window_dilation=(1, left + right)
+    )
     return higher >> 1
 
 

@@ -12,6 +12,7 @@ def accept(
     fit: Fit,
     *,
     reach: Float[Array, " rows"],
+    tallest: Float[Array, " rows"],
     parameters: int,
     settings: StripeSettings,
 ) -> tuple[Bool[Array, " rows"], Float[Array, " rows"], Float[Array, " rows"]]:
@@ -24,6 +25,8 @@ def accept(
     Args:
         fit: The fits.
         reach: Half of each row's window [px].
+        tallest: Largest amplitude that the samples allow [DN]: one side of an edge is no top of
+            a hill that lies mostly below the ground.
         parameters: Number of fitted parameters.
         settings: Limits.
 
@@ -45,6 +48,7 @@ def accept(
         & (sigma <= settings.max_sigma_px)
         & (fit.width >= settings.min_width_px)
         & (fit.width <= settings.max_width_px)
+        & (fit.amplitude <= tallest)
         & (fit.last_step <= 0.02 + 0.5 * sigma)
         & (jnp.abs(fit.u) <= reach)
         & explained

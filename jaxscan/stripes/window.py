@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int, Shaped, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.fit import UNUSED, Window
+from jaxscan.stripes.fit import UNUSED, Start, Window
 from jaxscan.stripes.frames import Response, decode_table
 from jaxscan.stripes.locate import Candidate
 from jaxscan.stripes.stripes import StripeSettings
@@ -55,7 +55,7 @@ def cut_window(
     noise_gain: Float[Array, ""],
     response: Response,
     settings: StripeSettings,
-) -> tuple[Window, UInt8[Array, " lines"], tuple]:
+) -> tuple[Window, UInt8[Array, " lines"], Start]:
     """The samples around each candidate, and where the fit starts."""
     rows, columns = on.shape
     first, bins, u, extent = placement
@@ -105,7 +105,7 @@ def cut_window(
         aperture=aperture,
         shot=per_bin / noise_gain,
     )
-    return window, saturated, (u, amplitude, width, background)
+    return window, saturated, Start(u, amplitude, width, background)
 
 
 def _decode(

@@ -1,0 +1,115 @@
+"""Which rows hold a stripe: faint ones are found, empty ones and edges are not."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxscan.stripes import NoiseModel, extract_stripes
+from jaxscan.stripes.locate import locate
+
+
+KNOWN = NoiseModel(read_dn=1.0, electrons_per_dn=40.0)
+# Standard deviation of a difference pixel: read noise, shot noise of 10 DN, rounding, twice.
+NOISE_DN = np.sqrt(2 * (1.0 + 10 / 40 + 1 / 12))
+
+
+def _empty(stripes, rows):
+    for name in ("u", "sigma", "amplitude", "width", "chi2", "saturated"):
+        assert np.all(np.asarray(getattr(stripes, name))[:, rows] == 0), name
+
+
+@pytest.mark.parametrize("width", [1.0, 2.0, 3.0])
+def test_faint_stripe_is_located(width, render):
+    u = np.random.default_rng(1).uniform(60, 1220, 1024)
+    scene = render(width, 5 * NOISE_DN, columns=1280, rows=1024, u=u)
+    candidate = jax.jit(lambda on, off: locate(on, off, pitch=1))(scene.on[0], scene.off[0])
+    found = np.abs(np.asarray(candidate.u) - u) < 3 * width + 1
+    assert found.mean() > 0.98
+
+
+def test_empty_rows_hold_no_point(render):
+    scene = render(1.0, 0.0, columns=640, rows=2048)
+    stripes = extract_stripes(scene.on, scene.off, noise=KNOWN)
+    valid = np.asarray(stripes.valid)
+    # 5 sigma of a matched filter over 640 places and several widths: about one row in 2000.
+    assert valid.mean() < 0.004
+    _empty(stripes, ~valid[0])
+
+
+@pytest.mark.slow
+def test_false_rows_on_many_empty_frames(render):
+    false = [
+        np.asarray(extract_stripes(s.on, s.off, noise=KNOWN).valid).mean()
+        for s in (render(1.0, 0.0, columns=1280, rows=4096, seed=seed) for seed in range(10))
+    ]
+    assert np.mean(false) < 0.002
+
+
+def test_poisoned_rows_change_nothing_elsewhere(render):
+    scene = render(1.5, 60.0)
+    clean = extract_stripes(scene.on, scene.off, noise=KNOWN)
+    rng = np.random.default_rng(5)
+    on, off = scene.on.copy(), scene.off.copy()
+    on[:, 500:900] = rng.integers(0, 256, on[:, 500:900].shape)
+    off[:, 500:900] = rng.integers(0, 256, off[:, 500:900].shape)
+    poisoned = extract_stripes(on, off, noise=KNOWN)
+    others = np.r_[0:500, 900:2048]
+    for name in ("u", "sigma", "amplitude", "width", "chi2", "saturated", "valid"):
+        before, after = np.asarray(getattr(clean, name)), np.asarray(getattr(poisoned, name))
+        np.testing.assert_array_equal(before[:, others], after[:, others])
+        assert np.all(np.isfinite(after))
+
+
+def test_garbage_away_from_the_stripe_changes_nothing(render):
+    scene = render(1.5, 60.0)
+    clean = extract_stripes(scene.on, scene.off, noise=KNOWN)
+    on = scene.on.copy()
+    # Half as bright and 25 px away at least: neither the maximum nor inside the window.
+    on[:, :, 4:7] = 30
+    on[:, :, -7:-4] = 30
+    disturbed = extract_stripes(on, scene.off, noise=KNOWN)
+    np.testing.assert_array_equal(np.asarray(clean.u), np.asarray(disturbed.u))
+
+
+def test_negative_stripe_and_edges_do_not_win(render, profile, sensor):
+    u = np.full(2048, 30.3)
+    camera = sensor()
+    ambient = np.full((2048, 96), 60.0)
+    ambient[:, 60:] = 200.0
+    dark = profile(np.full(2048, 75.0), 2.0, 90.0, 96)
+    on = camera.expose(1.005 * ambient + profile(u, 1.5, 40.0, 96))[None]
+    off = camera.expose(ambient + dark)[None]
+    stripes = extract_stripes(on, off, noise=KNOWN)
+    assert np.asarray(stripes.valid).mean() > 0.99
+    assert np.abs(np.asarray(stripes.u)[0] - u).max() < 1.0
+
+
+def test_albedo_edge_without_laser_off_frame(profile, sensor):
+    camera = sensor()
+    edge = np.full((2048, 96), 60.0)
+    edge[:, 60:] = 200.0
+    alone = extract_stripes(camera.expose(edge)[None], None, noise=KNOWN)
+    # An edge of 140 DN is no stripe, whatever the noise does beside it.
+    near_edge = np.asarray(alone.valid)[0] & (np.abs(np.asarray(alone.u)[0] - 60) < 8)
+    assert near_edge.mean() < 0.01
+    u = np.full(2048, 30.3)
+    both = extract_stripes(camera.expose(edge + profile(u, 1.5, 40.0, 96))[None], None, noise=KNOWN)
+    valid = np.asarray(both.valid)[0]
+    assert valid.mean() > 0.99
+    assert np.abs(np.asarray(both.u)[0] - u)[valid].max() < 1.0
+
+
+@pytest.mark.parametrize(("on", "off"), [(0, 0), (255, 255), (0, 255), (255, 0), (7, 3)])
+def test_flat_frames_hold_no_point(on, off):
+    shape = (1, 2048, 96)
+    stripes = extract_stripes(np.full(shape, on, np.uint8), np.full(shape, off, np.uint8), noise=KNOWN)
+    assert not np.any(np.asarray(stripes.valid))
+    _empty(stripes, np.arange(2048))
+
+
+def test_one_bright_pixel_is_finite():
+    on = np.zeros((1, 2048, 96), np.uint8)
+    on[0, np.arange(2048), np.arange(2048) % 96] = 255
+    stripes = extract_stripes(on, np.zeros_like(on), noise=KNOWN)
+    for name in ("u", "sigma", "amplitude", "width", "chi2"):
+        assert np.all(np.isfinite(np.asarray(getattr(stripes, name)))), name
