@@ -21,7 +21,7 @@ def sample_colour(frame: UInt8[Array, "..."], q: Float[Array, "2"], pixel_format
     """
     if pixel_format == "mono8":
         grey = _bilinear(frame, q, 0, 0, 1)
-        colour = jnp.stack([grey, grey, grey])
+        colour: Array = jnp.stack([grey, grey, grey])
     elif pixel_format == "rgb8":
         colour = _bilinear(frame, q, 0, 0, 1)
     else:
@@ -42,7 +42,9 @@ def _bilinear(frame: Array, q: Array, row: int, column: int, spacing: int) -> Ar
     def at(di, dj):
         # A lattice of one row or column has no neighbour: its weight there is zero.
         r, c = jnp.minimum(i + di, rows - 1), jnp.minimum(j + dj, columns - 1)
-        return frame.at[row + spacing * r, column + spacing * c].get(mode="promise_in_bounds").astype(q.dtype)
+        return (
+            jnp.asarray(frame).at[row + spacing * r, column + spacing * c].get(mode="promise_in_bounds").astype(q.dtype)
+        )
 
     upper = (1.0 - along_u) * at(0, 0) + along_u * at(0, 1)
     lower = (1.0 - along_u) * at(1, 0) + along_u * at(1, 1)

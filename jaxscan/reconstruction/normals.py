@@ -56,7 +56,7 @@ def grid_normals(
     half = int(np.clip(round(PROFILE_ANGLE / max(profile_step, 1e-6)), 1, MAX_PROFILES))
     steps = np.array([line_step, profile_step], np.float32)
     normals = np.zeros(xyz.shape, np.float32)
-    pending: list[tuple[int, tuple[jax.Array, jax.Array, jax.Array]]] = []
+    pending: list[tuple[int, tuple[Array, Array, Array]]] = []
     for start in range(0, profiles, BLOCK):
         window = (start - half, start + BLOCK + half)
         block = (_part(array, window) for array in (xyz, sigma, valid, centre))
@@ -68,7 +68,7 @@ def grid_normals(
     return normals
 
 
-def _store(normals: np.ndarray, start: int, block: tuple[jax.Array, jax.Array, jax.Array]) -> None:
+def _store(normals: np.ndarray, start: int, block: tuple[Array, Array, Array]) -> None:
     count = min(BLOCK, len(normals) - start)
     for axis in range(3):
         normals[start : start + count, :, axis] = np.asarray(block[axis])[:count]
@@ -93,7 +93,7 @@ def _block_normals(
     *,
     half_lines: int,
     half_profiles: int,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
+) -> tuple[Array, Array, Array]:
     # Components apart: [..., 3] as the fastest axis would keep the loops from being vectorised.
     p = tuple(xyz[:, :, axis] for axis in range(3))
     c = tuple(centre[:, None, axis] for axis in range(3))

@@ -88,7 +88,7 @@ def locate_points(
         exists = valid & found.valid
         systematic = rig.table.sigma(laser, number.astype(jnp.int32), u, found.incidence)
         if frame is None:
-            colour = jnp.zeros(3, jnp.uint8)
+            colour: Array = jnp.zeros(3, jnp.uint8)
         else:
             colour = sample_colour(frame, stripe_pixel(u, number, stripe_axis), pixel_format)
         values = (found.p_cam, amplitude, jnp.abs(found.slope) * sigma, systematic)
@@ -119,5 +119,5 @@ def line_step(camera: AbstractCamera, stripe_axis: StripeAxis) -> float:
 
 
 @jax.jit
-def _ray(camera: AbstractCamera, q: Float[Array, "2"]) -> jax.Array:
+def _ray(camera: AbstractCamera, q: Float[Array, "2"]) -> Array:
     return camera.unproject(q)

@@ -92,9 +92,7 @@ def _stream(
         size = len(on)
         lasers, phi = _padded(laser[records], size), _padded(angles[records], size)
         if stripes is not None:
-            fields = (stripes.u, stripes.sigma, stripes.amplitude)
-            taken = [_padded(np.asarray(field)[records].astype(np.float32), size) for field in fields]
-            centres = Centres(*taken, _padded(np.asarray(stripes.valid)[records], size))
+            centres = _centres(stripes, records, size)
             points = _from_stripes(rig, centres, off, lasers, phi, stripe_axis=stripe_axis, **options)
         else:
             points = _from_frames(rig, on, off, lasers, phi, *levels, line=line, response=sweep.response, **options)
@@ -154,6 +152,14 @@ def _from_stripes(
     return locate_points(
         rig, centres, off, laser, phi, pixel_format=pixel_format, stripe_axis=stripe_axis, settings=settings
     )
+
+
+def _centres(stripes: Stripes, records: np.ndarray, size: int) -> Centres:
+    u, sigma, amplitude = (
+        _padded(np.asarray(field)[records].astype(np.float32), size)
+        for field in (stripes.u, stripes.sigma, stripes.amplitude)
+    )
+    return Centres(u, sigma, amplitude, _padded(np.asarray(stripes.valid)[records], size))
 
 
 def _noise_of_start(sweep: SweepSource) -> NoiseModel:

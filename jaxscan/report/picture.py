@@ -1,8 +1,8 @@
 """Pictures of coloured clouds, drawn in software: no display, no OpenGL.
 
-Points are projected into a depth buffer, splatted to about the size of their spacing, holes
-between them closed, and shaded by the depth of their surroundings, which makes a cloud without
-shadows readable (eye-dome lighting; Boucheny 2009).
+Neighbouring profiles of one surface are joined, points are projected into a depth buffer, splatted
+to about the size of their spacing, and shaded by the depth of their surroundings, which makes a
+cloud without shadows readable (eye-dome lighting; Boucheny 2009). Dark rooms are brightened.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,10 @@ MAX_SPLAT_PX = 3
 SHADING = 9.0
 """Strength of the shading by depth."""
 FOV_DEG = 40.0
+JOINED = 4.0
+"""Neighbouring profiles are joined up to this many times their usual distance."""
+MAX_GAIN = 3.0
+MAX_BETWEEN, MAX_POINTS = 16, 4_000_000
 
 
 @dataclass(frozen=True)
@@ -84,7 +88,8 @@ def draw_cloud(
     """Draw a coloured cloud.
 
     Args:
-        xyz: Points [..., 3], m; rows that are zero are taken as missing.
+        xyz: Points [..., 3], m; rows that are zero are taken as missing. On the grid [profile, line, 3]
+            neighbouring profiles of one surface are joined.
         rgb: Colours [..., 3], uint8.
         normals: Normals towards the scanner [..., 3], zero where unknown; they tell which surfaces
             turn their back to the eye.
@@ -94,22 +99,50 @@ def draw_cloud(
     Returns:
         Picture, uint8 [height, width, 3], RGB.
     """
-    points = np.asarray(xyz, np.float32).reshape(-1, 3)
-    colours = np.asarray(rgb, np.uint8).reshape(-1, 3)
-    exists = points.any(axis=1)
-    points, colours = points[exists], colours[exists]
+    points, colours, towards = _between_profiles(xyz, rgb, normals)
     width, height = size
     if len(points) == 0:
         return np.broadcast_to(BACKGROUND.astype(np.uint8), (height, width, 3)).copy()
+    colours = _brightened(colours)
     view = room_view(points, size) if view is None else view
     if view.cut_away:
-        towards = None if normals is None else np.asarray(normals, np.float32).reshape(-1, 3)[exists]
         kept = _in_sight(points, towards, np.array(view.eye, np.float32))
         points, colours = points[kept], colours[kept]
     focal = 0.5 * width / np.tan(0.5 * np.radians(view.fov_deg))
     depth, picture = _splat(points, colours, view, focal, size)
     depth, picture = _close_holes(depth, picture, focal)
     return _shade(depth, picture)
+
+
+def _between_profiles(
+    xyz: np.ndarray, rgb: np.ndarray, normals: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """The existing points as a list, with more between those of neighbouring profiles of a grid
+    that lie on one surface, so that a coarse sweep shows surfaces and not stripes."""
+    fields = [np.asarray(xyz, np.float32), np.asarray(rgb).astype(np.float32)]
+    fields += [] if normals is None else [np.asarray(normals, np.float32)]
+    exists = np.asarray(fields[0].any(axis=-1))
+    parts = [[field[exists] for field in fields]]
+    if exists.ndim == 2 and len(exists) > 2 and exists.any():
+        following = [np.roll(field, -1, axis=0) for field in fields]
+        far = np.linalg.norm(fields[0], axis=-1)
+        gap = np.linalg.norm(following[0] - fields[0], axis=-1)
+        both = exists & np.roll(exists, -1, axis=0)
+        usual = float(np.median(gap[both] / far[both])) if both.any() else 0.0
+        both &= gap < JOINED * usual * np.minimum(far, np.roll(far, -1, axis=0))
+        added = int(np.clip(np.ceil(usual * float(np.median(far[exists])) / SPLAT_M) - 1, 0, MAX_BETWEEN))
+        added = min(added, MAX_POINTS // max(int(exists.sum()), 1))
+        for weight in np.arange(1, added + 1, dtype=np.float32) / (added + 1):
+            parts.append([(1 - weight) * a[both] + weight * b[both] for a, b in zip(fields, following, strict=True)])
+    points, colours, *towards = (np.concatenate(field) for field in zip(*parts, strict=True))
+    return points, colours.astype(np.uint8), towards[0] if towards else None
+
+
+def _brightened(colours: np.ndarray) -> np.ndarray:
+    """The same colours, brighter where even the brightest are dark."""
+    brightest = float(np.percentile(colours[:: max(1, len(colours) // 200_000)].max(axis=1), 98))
+    gain = np.clip(235.0 / max(brightest, 1.0), 1.0, MAX_GAIN)
+    return np.clip(colours.astype(np.float32) * gain, 0, 255).astype(np.uint8)
 
 
 def _room_box(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -231,13 +264,11 @@ def panorama(
     Returns:
         Picture, uint8 [height, width, 3], RGB.
     """
-    points = np.asarray(xyz, np.float32).reshape(-1, 3)
-    colours = np.asarray(rgb, np.uint8).reshape(-1, 3)
-    exists = points.any(axis=1)
-    points, colours = points[exists], colours[exists]
+    points, colours, _ = _between_profiles(xyz, rgb, None)
     width, height = size
     if len(points) == 0:
         return np.broadcast_to(BACKGROUND.astype(np.uint8), (height, width, 3)).copy()
+    colours = _brightened(colours)
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     low, high = np.clip(np.percentile(elevation, [0.1, 99.9]), -np.radians(up_limit_deg), np.radians(up_limit_deg))
     # Square pixels in angle where the height allows.
