@@ -1,0 +1,101 @@
+"""What must not matter: where the stripe is, how frames are grouped, precision, array kind."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxscan.stripes import LaserLine, NoiseModel, StripeSettings, extract_stripes, stripes_of_frames
+
+
+KNOWN = NoiseModel(read_dn=1.0, electrons_per_dn=40.0)
+FIELDS = ("u", "sigma", "amplitude", "width", "chi2", "saturated", "valid")
+
+
+@settings(max_examples=20, deadline=None)
+@given(shift=st.integers(-24, 24), width=st.sampled_from([1.0, 2.0, 3.0]))
+def test_shift_by_whole_pixels(render, shift, width):
+    scene = render(width, 100.0, rows=256, columns=128)
+    still = extract_stripes(scene.on, scene.off, noise=KNOWN)
+    moved = extract_stripes(np.roll(scene.on, shift, 2), np.roll(scene.off, shift, 2), noise=KNOWN)
+    both = np.asarray(still.valid & moved.valid)
+    assert both.mean() > 0.99
+    difference = (np.asarray(moved.u) - np.asarray(still.u) - shift)[both]
+    # A shift may move the window's ends by a sample, where about a hundredth of the information
+    # is: a tenth of sigma, four times that in the worst of 256 rows.
+    assert np.max(np.abs(difference) / np.asarray(still.sigma)[both]) < 0.4
+    assert np.median(np.abs(difference)) < 2e-4
+
+
+def test_more_frames_than_a_chunk(render):
+    scene = render(1.5, 80.0, rows=64)
+    on = np.concatenate([np.roll(scene.on, i, 1) for i in range(19)])
+    off = np.concatenate([np.roll(scene.off, i, 1) for i in range(19)])
+    stripes = extract_stripes(on, off, noise=KNOWN)
+    assert stripes.u.shape == (19, 64)
+    for i in range(19):
+        np.testing.assert_array_equal(np.asarray(stripes.u)[i], np.roll(np.asarray(stripes.u)[0], i))
+    np.testing.assert_array_equal(np.asarray(stripes.record), np.arange(19))
+
+
+@pytest.mark.parametrize(
+    ("u", "share"), [(0.3, 0.3), (3.0, 0.95), (6.0, 0.99), (89.2, 0.99), (92.0, 0.95), (94.7, 0.3)]
+)
+def test_stripe_at_the_borders(u, share, render):
+    scene = render(1.5, 150.0, u=np.full(2048, u))
+    stripes = extract_stripes(scene.on, scene.off, noise=KNOWN)
+    valid = np.asarray(stripes.valid)[0]
+    # With half of the profile outside the image not every fit comes to rest.
+    assert valid.mean() > share
+    pull = ((np.asarray(stripes.u)[0] - u) / np.where(valid, np.asarray(stripes.sigma)[0], 1.0))[valid]
+    # Part of the profile is cut off by the image: less information, but honest about it.
+    assert 0.85 < np.sqrt(np.mean(pull**2)) < 1.15
+
+
+@pytest.mark.parametrize("columns", [23, 65])
+def test_images_of_any_size(columns, render):
+    scene = render(1.0, 100.0, rows=64, columns=columns, u=np.full(64, columns / 2 - 0.3))
+    stripes = extract_stripes(scene.on, scene.off, noise=KNOWN)
+    assert np.all(np.asarray(stripes.valid))
+    # Six sigma of 0.022 px.
+    assert np.abs(np.asarray(stripes.u) - columns / 2 + 0.3).max() < 0.13
+
+
+def test_same_with_and_without_64_bit(render):
+    scene = render(1.5, 80.0)
+    results = []
+    for wide in (False, True):
+        with jax.enable_x64(wide):
+            results.append(extract_stripes(scene.on, scene.off))
+    for name in FIELDS:
+        a, b = (np.asarray(getattr(r, name)) for r in results)
+        assert a.dtype == b.dtype, name
+        # float32 in both: only the order of sums may differ.
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4, err_msg=name)
+    assert results[1].u.dtype == np.float32
+
+
+def test_numpy_and_jax_frames(render):
+    scene = render(1.5, 80.0)
+    a = extract_stripes(scene.on, scene.off)
+    b = extract_stripes(jnp.asarray(scene.on), jnp.asarray(scene.off))
+    for name in FIELDS:
+        np.testing.assert_array_equal(np.asarray(getattr(a, name)), np.asarray(getattr(b, name)))
+
+
+def test_pure_function_inside_a_larger_jit(render):
+    scene = render(1.5, 80.0)
+
+    @jax.jit
+    def mean_centre(on, off, read, gain):
+        stripes = stripes_of_frames(
+            on, off, read, gain, pixel_format="mono8", response="linear", line=LaserLine(), settings=StripeSettings()
+        )
+        return jnp.sum(jnp.where(stripes.valid, stripes.u, 0.0)) / jnp.sum(stripes.valid.astype(jnp.float32))
+
+    whole = extract_stripes(scene.on, scene.off, noise=KNOWN)
+    expected = np.asarray(whole.u)[np.asarray(whole.valid)].mean()
+    # A float32 mean over 2048 centres near 48 px.
+    assert abs(float(mean_centre(scene.on, scene.off, 1.0, 40.0)) - expected) < 1e-3
