@@ -157,17 +157,18 @@ def test_systematic_sigma_of_one_parameter_is_its_effect(scanner, scan):
     names, sigma = scanner.parameter_names(), np.sqrt(np.diag(scanner.covariance))
     nominal = measure_room(scan(np.zeros(len(names))))
     np.testing.assert_allclose(values_of_walls(nominal), SIZE[:2], atol=1e-6)
-    for name in ("cx", "laser.laser.n1", "laser.laser.d", "axis.p1"):
-        only = np.where(np.array(names) == name, sigma, 0.0)
-        alone = Scanner(scanner.camera, scanner.lasers, scanner.turntable, np.diag(only**2))
-        predicted = measure_room(scan(0 * only), scanner=alone)
-        effect = np.subtract(values_of_walls(measure_room(scan(only))), values_of_walls(nominal))
-        # The fit leaves out and weighs points by themselves, and looks at a third of them.
+    for name in ("cx", "laser.laser.d", "axis.p1"):
+        # A hundredth of a sigma: walls bend by less than their roughness, and no point changes sides.
+        small = np.where(np.array(names) == name, 0.01 * sigma, 0.0)
+        alone = Scanner(scanner.camera, scanner.lasers, scanner.turntable, np.diag(small**2))
+        predicted = measure_room(scan(0 * small), scanner=alone)
+        effect = np.subtract(values_of_walls(measure_room(scan(small))), values_of_walls(nominal))
+        # The prediction looks at some of the points, and float32 keeps 0.3 um of 4 m.
         np.testing.assert_allclose(
             [predicted.length.sigma_systematic_m, predicted.width.sigma_systematic_m],
             np.abs(effect),
-            rtol=0.1,
-            atol=3e-6,
+            rtol=0.05,
+            atol=1e-6,
         )
 
 
