@@ -35,6 +35,16 @@ WRITERS: dict[str, Writer] = {
 READERS: dict[str, Callable[[Path], PointCloud]] = {".ply": read_ply, ".npz": read_npz}
 
 
+def check_suffix(path: Path) -> None:
+    """See that a cloud can be written under this name, before the work that makes it.
+
+    Raises:
+        CloudError: If the suffix is not one of `WRITERS`.
+    """
+    if path.suffix.lower() not in WRITERS:
+        raise CloudError(f'{path}: cannot write "{path.suffix}", known are {", ".join(WRITERS)}.')
+
+
 def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str = "") -> None:
     """Write a cloud; PLY and NPZ can be loaded again.
 
@@ -49,9 +59,8 @@ def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str =
         DependencyError: If the format needs a library that is not installed.
     """
     path = Path(path)
-    writer = WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise CloudError(f'{path}: cannot write "{path.suffix}", known are {", ".join(WRITERS)}.')
+    check_suffix(path)
+    writer = WRITERS[path.suffix.lower()]
     if not calibration_digest.isascii() or not calibration_digest.isprintable():
         raise ValueError(f"`calibration_digest` must be printable ASCII, got {calibration_digest!r}.")
     host = jax.tree.map(np.asarray, cloud)

@@ -20,9 +20,9 @@ from .clouds import LINES, PROFILES, make_cloud
 def open3d():
     """Open3D, or a skip that says why."""
     try:
-        from jaxscan.simulation.open3d import _open3d
+        from jaxscan.simulation.open3d import load_open3d
 
-        return _open3d()
+        return load_open3d()
     except (ImportError, DependencyError) as problem:
         pytest.skip(f"Open3D does not load: {problem}")
 

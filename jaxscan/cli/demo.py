@@ -1,0 +1,193 @@
+"""`jaxscan demo`: the whole thing on a simulated rig, judged against its truth."""
+
+import importlib.resources
+import json as jsonlib
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+
+from jaxscan import api
+from jaxscan.cli.output import JsonTarget, console, emit_json, table
+from jaxscan.cli.progress import progress_bar
+from jaxscan.errors import CaptureError, MeasurementError
+from jaxscan.files.atomic import write_atomically
+from jaxscan.files.calibration import calibration_digest
+from jaxscan.geometry import Scanner
+from jaxscan.measurement import RoomBox
+from jaxscan.report.picture import draw_cloud
+from jaxscan.simulation import SimulationConfig, true_scanner
+from jaxscan.vision.images import encode_png
+
+
+COLUMNS = ("", "measured m", "truth m", "error mm", "predicted sigma mm")
+FILES = ("calibration.json", "room.ply", "room.png")
+PATCH_M = 0.1
+
+
+def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), json: JsonTarget = None) -> None:
+    """Calibrate, scan, reconstruct and measure a simulated room: `jaxscan demo`.
+
+    Writes calibration.json, room.ply, room.png and, in `captures`, the rendered images and their
+    truth. The estimators see the images alone; the truth is read for the comparison at the end.
+
+    Args:
+        output: Folder to write to.
+        json: Write the result as JSON too.
+    """
+    out = console(json)
+    started = time.perf_counter()
+    seconds: dict[str, float] = {}
+    with importlib.resources.as_file(importlib.resources.files("jaxscan.data") / "demo.toml") as path:
+        config = api.load_simulation(path)
+
+    captures = _render(config, output / "captures", out, seconds)
+    boards, sweep = api.open_capture(captures.boards), api.open_capture(captures.sweep)
+
+    lap = time.perf_counter()
+    with progress_bar("Calibrating from board images") as progress:
+        calibration = api.calibrate(boards, progress=progress)
+    api.save_calibration(calibration, output / "calibration.json")
+    scanner = api.load_scanner(output / "calibration.json")
+    seconds["calibrate"] = time.perf_counter() - lap
+    out.print(f"calibrated from {len(boards)} board pairs in {seconds['calibrate']:.1f} s")
+
+    lap = time.perf_counter()
+    with progress_bar("Reconstructing") as progress:
+        cloud = api.reconstruct(sweep, scanner, progress=progress)
+    seconds["reconstruct"] = time.perf_counter() - lap
+    points = int(np.asarray(cloud.valid).sum())
+    out.print(
+        f"reconstructed {points} points from {len(sweep)} pairs in {seconds['reconstruct']:.1f} s "
+        f"({points / seconds['reconstruct']:.0f} points a second, compiling included)"
+    )
+    api.save_cloud(cloud, output / "room.ply", calibration_digest=calibration_digest(output / "calibration.json"))
+    seen = cloud.valid
+    picture = draw_cloud(cloud.xyz[seen], cloud.rgb[seen], normals=cloud.normals[seen])
+    write_atomically(output / "room.png", encode_png(picture), error=CaptureError)
+
+    lap = time.perf_counter()
+    truth = jsonlib.loads(captures.truth.read_text())
+    true_cloud = api.load_cloud(captures.true_cloud)
+    box = api.measure_room(cloud, scanner=scanner)
+    comparison = api.compare_clouds(cloud, true_cloud, scanner=scanner)
+    room = _room_rows(box, config)
+    lengths = _length_rows(cloud, true_cloud, truth, scanner)
+    parameters = _calibration_rows(scanner, true_scanner(config))
+    seconds["measure"] = time.perf_counter() - lap
+    seconds["all"] = time.perf_counter() - started
+
+    out.print(table("Room, wall to wall", COLUMNS, [_row(entry) for entry in room]))
+    out.print(table("Distances between two patches of 10 cm", COLUMNS, [_row(entry) for entry in lengths]))
+    out.print(table("Calibration", ("parameter", "found", "truth", "error", "predicted sigma"), parameters))
+    out.print(
+        f"median error of a point along its ray {1e3 * comparison.along_ray_m.median_abs:.2f} mm; "
+        f"{100 * comparison.completeness:.1f} % of the lit cells have a point; {comparison.false_points} false points"
+    )
+    out.print(f"{seconds['all']:.0f} s in all; written: {', '.join(str(output / n) for n in FILES)}")
+    emit_json(json, "demo", {"room": room, "distances": lengths, "points": points, "seconds_s": seconds})
+
+
+def _render(config: SimulationConfig, folder: Path, out: Console, seconds: dict[str, float]) -> api.SimulatedCaptures:
+    """The captures, rendered now or by an earlier run of the same configuration."""
+    digest = api.simulation_digest(config)
+    if folder.exists():
+        made = api.SimulatedCaptures.of(folder)
+        if not made.truth.is_file() or jsonlib.loads(made.truth.read_text()).get("configuration") != digest:
+            raise CaptureError(f"{folder}: exists and is not this demo's; delete it or choose another folder with -o.")
+        out.print(f"captures of an earlier run: {folder}")
+        return made
+    lap = time.perf_counter()
+    with progress_bar("Rendering a simulated rig") as progress:
+        made = api.simulate(config, folder, progress=progress)
+    seconds["render"] = time.perf_counter() - lap
+    out.print(
+        f"rendered {made.board_pairs} board pairs and {made.sweep_pairs} sweep pairs of "
+        f"{config.camera.width} x {config.camera.height} in {seconds['render']:.1f} s"
+    )
+    return made
+
+
+def _room_rows(box: RoomBox, config: SimulationConfig) -> list[dict[str, Any]]:
+    if config.room is None:
+        return []
+    width, length = sorted(config.room.size_m[:2])
+    truth = {"length": length, "width": width, "height": config.room.size_m[2]}
+    return [
+        _entry(name, side.value_m, truth[name], side.sigma_m)
+        for name in truth
+        if (side := getattr(box, name)) is not None
+    ]
+
+
+def _length_rows(
+    cloud: api.PointCloud, true_cloud: api.PointCloud, truth: dict[str, Any], scanner: Scanner
+) -> list[dict[str, Any]]:
+    """Between the same two patches in the cloud and in the true one."""
+    rows = []
+    for length in truth["room"]["distances"]:
+        a, b = np.array(length["from_m"]), np.array(length["to_m"])
+        try:
+            found = api.measure_distance(cloud, a, b, radius_m=PATCH_M, scanner=scanner)
+            true = api.measure_distance(true_cloud, a, b, radius_m=PATCH_M)
+        except MeasurementError:
+            continue  # Behind furniture, or outside the field of view.
+        rows.append(_entry(length["name"], found.value_m, true.value_m, found.sigma_m))
+    return rows
+
+
+def _calibration_rows(found: Scanner, true: Scanner) -> list[tuple[str, ...]]:
+    """Found against true, with the predicted standard deviation."""
+    sigma = dict(zip(found.parameter_names(), np.sqrt(np.diag(np.asarray(found.covariance))), strict=True))
+    name = found.laser_names[0]
+    rows = []
+    for label in ("fx", "fy", "cx", "cy"):
+        rows.append(_number(f"{label}, px", getattr(found.camera, label), getattr(true.camera, label), sigma[label]))
+    sheets = found.laser(0), true.laser(0)
+    rows.append(_number("laser distance, mm", *(1e3 * s.distance for s in sheets), 1e3 * sigma[f"laser.{name}.d"]))
+    tilt = np.hypot(sigma[f"laser.{name}.n1"], sigma[f"laser.{name}.n2"])
+    rows.append(_angle("laser normal, mrad", sheets[0].normal, sheets[1].normal, tilt))
+    axes = found.turntable, true.turntable
+    rows.append(
+        _angle(
+            "axis direction, mrad", axes[0].direction, axes[1].direction, np.hypot(sigma["axis.d1"], sigma["axis.d2"])
+        )
+    )
+    offset = 1e3 * float(np.linalg.norm(axes[0].point - axes[1].point))
+    spread = 1e3 * np.hypot(sigma["axis.p1"], sigma["axis.p2"])
+    rows.append(("axis position, mm", "", "", f"{offset:.3f}", f"{spread:.3f}"))
+    rows.append(_number("gain", axes[0].gain, axes[1].gain, sigma["gain"], digits=6))
+    return rows
+
+
+def _number(label: str, found: Any, true: Any, sigma: float, *, digits: int = 3) -> tuple[str, ...]:
+    found, true = float(found), float(true)
+    return (label, *(f"{value:.{digits}f}" for value in (found, true, found - true, sigma)))
+
+
+def _angle(label: str, found: np.ndarray, true: np.ndarray, sigma: float) -> tuple[str, ...]:
+    between = np.arctan2(np.linalg.norm(np.cross(found, true)), np.dot(found, true))
+    return (label, "", "", f"{1e3 * between:.3f}", f"{1e3 * sigma:.3f}")
+
+
+def _entry(name: str, measured_m: float, truth_m: float, sigma_m: float) -> dict[str, Any]:
+    return {
+        "name": name,
+        "measured_m": float(measured_m),
+        "truth_m": float(truth_m),
+        "error_m": float(measured_m - truth_m),
+        "predicted_sigma_m": float(sigma_m),
+    }
+
+
+def _row(entry: dict[str, Any]) -> tuple[str, ...]:
+    return (
+        entry["name"],
+        f"{entry['measured_m']:.4f}",
+        f"{entry['truth_m']:.4f}",
+        f"{1e3 * entry['error_m']:+.2f}",
+        f"{1e3 * entry['predicted_sigma_m']:.2f}",
+    )
