@@ -82,7 +82,7 @@ def expect_boards(
         texture: Picture of the board's printed area, uint8 [rows, columns]; see `render_boards`.
         seed: Instead of the configuration's.
     """
-    rig, scene = make_rig(config), make_scene(config, boards=True)
+    rig, scene = make_rig(config), make_scene(config, boards=config.object is not None)
     picture = make_print(config.boards, texture)
     seed = config.seed if seed is None else seed
     jobs = [
