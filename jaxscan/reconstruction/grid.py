@@ -43,26 +43,11 @@ class GrowingCloud:
             angle: The table's angle of each profile [rad].
             line_step: Angle between neighbouring lines [rad].
         """
-        normals = np.zeros(self.xyz.shape, np.float32)
-        for index in np.unique(laser):
-            # Neighbours are profiles of the same laser, in the order of the angle.
-            profiles = np.flatnonzero(laser == index)
-            profiles = profiles[np.argsort(angle[profiles], kind="stable")]
-            whole = len(profiles) == len(laser) and bool(np.all(np.diff(profiles) == 1))
-            rows = slice(None) if whole else profiles
-            normals[rows] = grid_normals(
-                self.xyz[rows],
-                self.sigma_random[rows],
-                self.valid[rows],
-                self.centre[rows],
-                line_step=line_step,
-                profile_step=float(np.median(np.diff(angle[profiles]))) if len(profiles) > 1 else np.inf,
-            )
         return PointCloud(
             xyz=self.xyz,
             rgb=self.rgb,
             intensity=self.intensity,
-            normals=normals,
+            normals=self._normals(laser, angle, line_step),
             sigma_random=self.sigma_random,
             sigma_systematic=self.sigma_systematic,
             valid=self.valid,
@@ -70,3 +55,27 @@ class GrowingCloud:
             laser=laser,
             angle=angle,
         )
+
+    def _normals(self, laser: np.ndarray, angle: np.ndarray, line_step: float) -> np.ndarray:
+        """Neighbours are profiles of the same laser, in the order of the angle."""
+        parts = []
+        for index in np.unique(laser):
+            profiles = np.flatnonzero(laser == index)
+            profiles = profiles[np.argsort(angle[profiles], kind="stable")]
+            whole = len(profiles) == len(laser) and bool(np.all(np.diff(profiles) == 1))
+            rows = slice(None) if whole else profiles
+            found = grid_normals(
+                self.xyz[rows],
+                self.sigma_random[rows],
+                self.valid[rows],
+                self.centre[rows],
+                line_step=line_step,
+                profile_step=float(np.median(np.diff(angle[profiles]))) if len(profiles) > 1 else np.inf,
+            )
+            if whole:
+                return found
+            parts.append((rows, found))
+        normals = np.zeros(self.xyz.shape, np.float32)
+        for rows, found in parts:
+            normals[rows] = found
+        return normals
