@@ -11,7 +11,7 @@ from jaxtyping import Float
 from jaxscan.calibration.covariance import Linearised, linearise
 from jaxscan.calibration.parameters import block_of
 from jaxscan.calibration.prepare import Prepared
-from jaxscan.calibration.residuals import Problem, Residuals, prior_names, residuals, stripe_slopes
+from jaxscan.calibration.residuals import Problem, Residuals, camera_from_board, prior_names, residuals, stripe_offsets
 from jaxscan.calibration.settings import Block, CalibrationSettings
 from jaxscan.calibration.solve import solve, zero_step
 from jaxscan.errors import CalibrationError
@@ -198,7 +198,9 @@ def _evaluate(problem: Problem) -> tuple[Residuals, Float[Array, "stripes points
         problem,
         (jnp.ones_like(problem.corner_weight), jnp.ones_like(problem.stripe_weight)),
     )
-    return residuals(zero_step(plain), plain), stripe_slopes(plain)
+    start = zero_step(plain)
+    camera_step = start.shared[: len(plain.scanner.camera.parameter_names())]
+    return residuals(start, plain), stripe_offsets(plain, camera_from_board(plain), camera_step)[1]
 
 
 def _weighted(

@@ -40,7 +40,8 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
 
     Returns:
         The calibration; `quality` holds, in px unless named otherwise: `corner_rms_px` (root mean
-        square corner distance, all corners) and `corner_rms_kept_px`, `stripe_rms_px`, whitened
+        square corner distance of the corners in the solve, as `cv2.calibrateCamera` counts it) and
+        `corner_rms_all_px` (with the rejected ones), `stripe_rms_px`, whitened
         RMS per group, estimated noise over given sigma, counts, rejected shares, `per_view`,
         `condition`, `unobserved`, `prior_share`, `board_warp_m`, `steps`, `seconds`, `warnings`.
 
@@ -54,17 +55,16 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
     with jax.enable_x64(True):
         data = prepare(observations)
         first, poses = _camera_stage(observations, data, settings)
+        camera = _named(first.scanner, observations, None).camera
         lasers = [
-            seed_plane(lift_stripes(data, first.scanner.camera, poses, index), name)
+            seed_plane(lift_stripes(data, camera, poses, index), name)
             for index, name in enumerate(observations.laser_names)
         ]
         table = seed_axis(poses, data, observations.carries, observations.up)
-        scanner = Scanner(
-            first.scanner.camera, stack_lasers(lasers), table, laser_names=observations.laser_names, up=observations.up
-        )
+        scanner = Scanner(camera, stack_lasers(lasers), table, laser_names=observations.laser_names, up=observations.up)
         placements = average_placements(poses, data, table)
         problem = _problem(scanner, placements, first.warp, data, settings.free, settings)
-        result = _pointed_up(adjust(problem, data, settings), data, settings)
+        result = _pointed_up(adjust(problem, data, settings), observations, data, settings)
         return _calibration(result, observations, data, settings, started)
 
 
@@ -138,15 +138,17 @@ def _problem(
     settings: CalibrationSettings,
 ) -> Problem:
     names, lasers = shared_names(scanner), len(scanner.laser_names)
+    camera = scanner.camera
     xy = data.board[:, :2]
     half = np.maximum(np.ptp(xy, axis=0) / 2, 1e-12)
     return Problem(
-        scanner=scanner,
+        scanner=_anonymous(scanner),
         poses=poses,
         warp=np.asarray(warp),
         scales=parameter_scales(names, free),
         board=data.board,
         frame=np.concatenate([(xy.min(0) + xy.max(0)) / 2, half]),
+        centre=np.array([(camera.width - 1) / 2, (camera.height - 1) / 2]),
         corner_q=data.corner_q,
         corner_weight=np.zeros(data.corner_valid.shape),
         angle=data.angle,
@@ -159,11 +161,26 @@ def _problem(
     )
 
 
-def _pointed_up(result: Adjustment, data: Prepared, settings: CalibrationSettings) -> Adjustment:
+def _anonymous(scanner: Scanner) -> Scanner:
+    """Without names and sizes, which the solver does not need and would recompile for."""
+    names = tuple(str(index) for index in range(len(scanner.laser_names)))
+    camera = replace(scanner.camera, width=0, height=0)
+    return Scanner(camera, scanner.lasers, scanner.turntable, laser_names=names)
+
+
+def _named(scanner: Scanner, observations: Observations, covariance: np.ndarray | None) -> Scanner:
+    camera = replace(scanner.camera, width=observations.width, height=observations.height)
+    names = observations.laser_names or ("laser",)
+    return Scanner(camera, scanner.lasers, scanner.turntable, covariance, names, observations.up)
+
+
+def _pointed_up(
+    result: Adjustment, observations: Observations, data: Prepared, settings: CalibrationSettings
+) -> Adjustment:
     """The seed points up; only an axis that lies across the image can have swung over since."""
-    scanner = result.problem.scanner
-    table = point_up(scanner.turntable, scanner.up)
-    if table is scanner.turntable:
+    before = result.problem.scanner.turntable
+    table = point_up(before, observations.up)
+    if table is before:
         return result
     problem = eqx.tree_at(lambda p: p.scanner.turntable, result.problem, table)
     return adjust(problem, data, settings)
@@ -178,7 +195,8 @@ def _calibration(
     camera_only: bool = False,
 ) -> Calibration:
     problem = jax.tree.map(np.asarray, result.problem)
-    names = shared_names(problem.scanner)
+    named = _named(problem.scanner, observations, None)
+    names = shared_names(named)
     determination = determine(
         np.asarray(result.linearised.reduced), np.asarray(result.linearised.prior), problem.scales, names
     )
@@ -187,16 +205,13 @@ def _calibration(
             "The observations leave a combination of parameters undetermined: capture more board poses, tilted by 20 "
             "to 45 degrees and all over the image, and hold what is not needed (`free`)."
         )
-    order = problem.scanner.camera.parameter_names() if camera_only else problem.scanner.parameter_names()
+    order = named.camera.parameter_names() if camera_only else named.parameter_names()
     covariance = determination.covariance[: len(order), : len(order)]
     quality = _quality(result, determination, observations, data, names)
     quality["seconds"] = time.perf_counter() - started
-    scanner = None
-    if not camera_only:
-        scanner = eqx.tree_at(lambda s: s.covariance, problem.scanner, covariance, is_leaf=lambda leaf: leaf is None)
     return Calibration(
-        camera=problem.scanner.camera,
-        scanner=scanner,
+        camera=named.camera,
+        scanner=None if camera_only else _named(problem.scanner, observations, covariance),
         order=order,
         covariance=covariance,
         quality=quality,
@@ -220,8 +235,8 @@ def _quality(
     prior_cost = float(np.sum(prior**2)) / max(cost, 1e-300)
     warp = slice(len(names) - 2, len(names))
     quality: dict[str, Any] = {
-        "corner_rms_px": _rms(distance[data.corner_valid]),
-        "corner_rms_kept_px": _rms(distance[result.corner_keep]),
+        "corner_rms_px": _rms(distance[result.corner_keep]),
+        "corner_rms_all_px": _rms(distance[data.corner_valid]),
         "stripe_rms_px": _rms(result.stripe_error[result.stripe_keep]),
         "corner_rms_whitened": result.corner_rms,
         "stripe_rms_whitened": result.stripe_rms,

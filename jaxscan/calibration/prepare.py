@@ -7,8 +7,11 @@ import numpy as np
 from jaxscan.calibration.observations import Observations
 
 
-# Shapes are rounded up to these, so that captures of about the same size share a compilation.
-_BUCKETS = (8, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048)
+# Shapes are rounded up to these, so that captures of about the same size share a compilation;
+# the first are where the time of a solve begins to be more than overhead.
+_VIEWS = (24, 48, 72, 96, 144, 192, 288, 384, 576, 768, 1152, 1536, 2304)
+_POINTS = (64, 128, 256, 512, 1024, 2048, 4096)
+_CORNERS = (96, 192, 384, 768, 1536)
 _MIN_CORNERS = 6
 
 
@@ -16,7 +19,7 @@ class Prepared(NamedTuple):
     """Host arrays in float64; everything that is not valid is harmless."""
 
     board: np.ndarray
-    """Corners of the flat board [corners, 3]."""
+    """Corners of the flat board [corners, 3]; padding repeats the first."""
     corner_q: np.ndarray
     corner_sigma: np.ndarray
     corner_valid: np.ndarray
@@ -47,12 +50,13 @@ def prepare(observations: Observations) -> Prepared:
     placement = np.zeros(len(usable), np.int32)
     if usable.any():
         placement[usable] = np.unique(np.asarray(corners.placement)[usable], return_inverse=True)[1]
-    views, rows, points = _bucket(len(usable)), _bucket(len(view)), _bucket(stripe_q.shape[1])
+    views, rows = _bucket(len(usable), _VIEWS), _bucket(len(view), _VIEWS)
+    points, count = _bucket(stripe_q.shape[1], _POINTS), _bucket(len(board), _CORNERS)
     return Prepared(
-        board=board,
-        corner_q=_pad(q, (views,), centre),
-        corner_sigma=_pad(sigma, (views,), 1.0),
-        corner_valid=_pad(valid, (views,), False),
+        board=_pad(board, (count,), board[0]),
+        corner_q=_pad(q, (views, count), centre),
+        corner_sigma=_pad(sigma, (views, count), 1.0),
+        corner_valid=_pad(valid, (views, count), False),
         angle=_pad(np.where(usable, np.asarray(corners.angle, np.float64), 0.0), (views,), 0.0),
         placement=_pad(placement, (views,), 0),
         usable=_pad(usable, (views,), False),
@@ -80,8 +84,8 @@ def _fixes_pose(points: np.ndarray) -> bool:
     return bool(spread[1] > 0.05 * spread[0])
 
 
-def _bucket(count: int) -> int:
-    return next((size for size in _BUCKETS if size >= count), count)
+def _bucket(count: int, sizes: tuple[int, ...]) -> int:
+    return next((size for size in sizes if size >= count), count)
 
 
 def _pad(array: np.ndarray, shape: tuple[int, ...], fill: np.ndarray | float | bool) -> np.ndarray:
