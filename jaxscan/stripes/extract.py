@@ -40,8 +40,8 @@ class FrameStripes(NamedTuple):
 def stripes_of_frames(
     on: UInt8[Array, "frames ..."],
     off: UInt8[Array, "frames ..."] | None,
-    noise_read: Float[Array, ""],
-    noise_gain: Float[Array, ""],
+    noise_read: Float[Array, ""] | float,
+    noise_gain: Float[Array, ""] | float,
     *,
     pixel_format: PixelFormat,
     response: Response,
@@ -60,7 +60,7 @@ def stripes_of_frames(
         line: Which stripe to look for.
         settings: How stripes are found and believed.
     """
-    noise_read, noise_gain = (jnp.asarray(value, jnp.float32) for value in (noise_read, noise_gain))
+    read, gain = jnp.asarray(noise_read, jnp.float32), jnp.asarray(noise_gain, jnp.float32)
     sites = laser_sites(pixel_format, line)
     lines = on.shape[2] if line.stripe_axis == "columns" else on.shape[1]
     on = laser_plane(on, pixel_format=pixel_format, line=line)
@@ -73,7 +73,7 @@ def stripes_of_frames(
 
     def fit(planes_and_placement):
         (on, off), placement = planes_and_placement
-        return _fit_frame(on, off, placement, noise_read, noise_gain, sites.pitch, response, settings)
+        return _fit_frame(on, off, placement, read, gain, sites.pitch, response, settings)
 
     stripes = _each_frame(fit, ((on, off), placement))
     offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(on.shape[1]) % len(sites.offsets)]
@@ -90,6 +90,7 @@ def stripes_of_frames(
 
 
 def _each_frame(function: Callable, arrays: Any) -> Any:
+    """A function of one frame over all frames: in a loop on a CPU, at once elsewhere."""
     return lax.platform_dependent(arrays, cpu=lambda a: lax.map(function, a), default=lambda a: jax.vmap(function)(a))
 
 

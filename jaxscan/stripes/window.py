@@ -35,6 +35,7 @@ class Placement(NamedTuple):
 
 
 def place_window(candidate: Candidate, pitch: int) -> Placement:
+    """Centre a window on each candidate, of twice the reach where the stripe is wide."""
     wide = (candidate.extent > _BIN_EXTENT_PX) & (pitch == 1)
     bins = jnp.where(wide, 2, 1).astype(jnp.int32)
     first = jnp.floor(candidate.u / pitch + 0.5).astype(jnp.int32) - bins * (SAMPLES // 2)

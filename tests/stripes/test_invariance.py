@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxscan.stripes import LaserLine, NoiseModel, StripeSettings, extract_stripes, stripes_of_frames
+from jaxscan.stripes import LaserLine, NoiseModel, StripeSettings, extract, extract_stripes, stripes_of_frames
 
 
 KNOWN = NoiseModel(read_dn=1.0, electrons_per_dn=40.0)
@@ -99,3 +99,17 @@ def test_pure_function_inside_a_larger_jit(render):
     expected = np.asarray(whole.u)[np.asarray(whole.valid)].mean()
     # A float32 mean over 2048 centres near 48 px.
     assert abs(float(mean_centre(scene.on, scene.off, 1.0, 40.0)) - expected) < 1e-3
+
+
+def test_all_frames_at_once_is_the_same_as_one_by_one(render, monkeypatch):
+    # An accelerator takes all frames of a chunk at once; a CPU loops over them.
+    scene = render(1.5, 80.0, rows=64)
+    on, off = (np.concatenate([frame, frame[:, ::-1]]) for frame in (scene.on, scene.off))
+    one_by_one = extract_stripes(on, off, noise=KNOWN)
+    monkeypatch.setattr(extract, "_each_frame", lambda function, arrays: jax.vmap(function)(arrays))
+    options = {"pixel_format": "mono8", "response": "linear", "line": LaserLine(), "settings": StripeSettings()}
+    at_once = jax.jit(lambda *pair: stripes_of_frames(*pair, 1.0, 40.0, **options))(on, off)
+    for name in FIELDS:
+        a, b = np.asarray(getattr(one_by_one, name)), np.asarray(getattr(at_once, name))
+        # The order of float32 sums may differ.
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4, err_msg=name)
