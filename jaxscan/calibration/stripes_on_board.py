@@ -1,131 +1,163 @@
-"""Which stripe points of a board image say where the laser sheet is.
+"""Which points of an extracted stripe lie on the board, and can be trusted there."""
 
-A point counts where it lies on the printed board and where the print under it is even: an edge
-under the stripe reflects one side of it more than the other and moves its centre by far more than
-its noise.
-"""
-
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from jaxscan.calibration.observations import StripeViews
 from jaxscan.geometry import AbstractBoard
 
 
+# A stripe closer to the edge of the printed area than this share of a square is left out, and so
+# is one farther than this from any corner that was found: there the map to the board is a guess.
+_EDGE_MARGIN = 0.1
+_REACH = 1.2
+# The print's pattern may move the centre of a stripe by so much [px].
+_MAX_ALBEDO_SHIFT = 0.05
+_MIN_POINTS = 8
+
+
 class BoardStripe(NamedTuple):
-    """Stripe points on one board."""
+    """Stripe points of one laser on one board view, padded with entries that are not valid."""
 
     q: np.ndarray
-    """Centres (u, v) [points, 2], px."""
+    """float64 [points, 2]: (u, v) [px]."""
     sigma: np.ndarray
-    """Standard deviation across the stripe [points], px."""
+    """float64 [points]: standard deviation across the stripe [px]."""
+    valid: np.ndarray
+    """bool [points]."""
 
 
-MARGIN_SQUARES = 0.2
-"""How far inside the printed outline a point must lie: what a homography, which knows no lens
-distortion, may be wrong by at the rim of the board."""
-REACH_WIDTHS = 3.0
-"""The print must be even as far from the centre as the stripe reaches, in its widths ..."""
-REACH_PX = 1.5
-"""... and the pixels that blur into it."""
-UNEVEN = 0.12
-"""Largest accepted range of the print's brightness there, relative to its mean. A gradient g per
-pixel moves the centre of a stripe of width w by g w^2, so this is below 0.02 px for any w."""
-NOISE_RANGE = 4.0
-"""Standard deviations of the noise by which the range may be larger."""
-
-
-def select_board_stripe(
+def select_board_stripes(
     u: np.ndarray,
     sigma: np.ndarray,
-    width: np.ndarray,
     valid: np.ndarray,
     *,
     corners: np.ndarray,
     corners_valid: np.ndarray,
     board: AbstractBoard,
-    off: np.ndarray | None,
-    columns: bool = False,
+    off: np.ndarray | None = None,
+    width: np.ndarray | float = 1.5,
+    stripe_axis: Literal["rows", "columns"] = "rows",
+    points: int = 512,
 ) -> BoardStripe:
-    """The usable points of one stripe in one image.
+    """Keep the stripe points that lie on the board and that its print does not pull aside.
+
+    A point is on the board where a map fitted to the corners (homography, and what the lens adds
+    to it as a cubic) puts it inside the printed area. Where the laser-off image changes under the
+    stripe, brighter paper draws the stripe's centre towards it; points are dropped whose centre
+    would move by more than 0.05 px.
 
     Args:
-        u: Stripe centres of one profile [lines], px.
-        sigma: Their standard deviations [lines], px.
-        width: Widths of the stripe [lines], px.
-        valid: Which of them there are [lines].
-        corners: Board corners found in the image [corners, 2], px.
-        corners_valid: Which of them were found [corners].
-        board: The board.
-        off: Grey laser-off image, uint8 [rows, columns]; without one the print cannot be judged
-            and every point on the board counts.
-        columns: Lines are image columns, `u` counts rows.
+        u: Stripe centre per line [lines], px across the line.
+        sigma: Standard deviation of `u` [lines], px.
+        valid: [lines].
+        corners: Corners found on the same board pose [corners, 2], px.
+        corners_valid: [corners].
+        board: The board they belong to.
+        off: Laser-off image [rows, columns], grey, or None.
+        width: Standard deviation of the stripe's profile, one or [lines], px.
+        stripe_axis: "rows" where a line is an image row, "columns" where it is a column.
+        points: Number of points to return; longer stripes are thinned evenly.
 
     Returns:
-        The points, in the order of their lines; perhaps none.
+        The points; none is valid where fewer than 8 remain.
+
+    Source: Curless and Levoy, Better optical triangulation through spacetime analysis (1995),
+    for the error at edges of reflectance.
     """
-    line = np.flatnonzero(valid)
-    across = np.asarray(u, np.float64)[line]
-    q = np.column_stack([line, across] if columns else [across, line]).astype(np.float64)
-    keep = _on_board(q, board, np.asarray(corners)[corners_valid], board.corners()[corners_valid])
-    if off is not None:
-        keep &= _even(off.T if columns else off, line, across, np.asarray(width, np.float64)[line])
-    return BoardStripe(q[keep], np.asarray(sigma, np.float64)[line][keep])
+    lines = np.arange(len(u), dtype=np.float64)
+    centre = np.where(valid, np.asarray(u, np.float64), 0.0)
+    q = np.column_stack([centre, lines] if stripe_axis == "rows" else [lines, centre])
+    keep = np.asarray(valid, bool) & np.isfinite(centre)
+    keep &= _on_board(q, np.asarray(corners, np.float64), np.asarray(corners_valid, bool), board)
+    if off is not None and keep.any():
+        image = np.asarray(off, np.float64) if stripe_axis == "rows" else np.asarray(off, np.float64).T
+        spread = np.broadcast_to(np.asarray(width, np.float64), centre.shape)
+        keep &= np.abs(_albedo_shift(image, centre, np.where(keep, spread, 1.5))) <= _MAX_ALBEDO_SHIFT
+    result = BoardStripe(np.zeros((points, 2)), np.ones(points), np.zeros(points, bool))
+    chosen = np.flatnonzero(keep)
+    if len(chosen) < _MIN_POINTS:
+        return result
+    # `sigma` is measured along the line; across a slanted stripe the same error is shorter.
+    slope = np.polyfit(lines[chosen] - lines[chosen].mean(), centre[chosen], 1)[0]
+    if len(chosen) > points:
+        chosen = chosen[np.linspace(0, len(chosen) - 1, points).round().astype(int)]
+    result.q[: len(chosen)] = q[chosen]
+    result.sigma[: len(chosen)] = np.asarray(sigma, np.float64)[chosen] / np.hypot(1.0, slope)
+    result.valid[: len(chosen)] = True
+    return result
 
 
-def _on_board(q: np.ndarray, board: AbstractBoard, corners: np.ndarray, on_board: np.ndarray) -> np.ndarray:
-    to_board = _homography(corners, on_board[:, :2])
-    mapped = np.column_stack([q, np.ones(len(q))]) @ to_board.T
-    in_front = mapped[:, 2] * np.sign(np.median((np.column_stack([corners, np.ones(len(corners))]) @ to_board.T)[:, 2]))
-    safe = np.where(in_front > 1e-12, mapped[:, 2], 1.0)
-    p = mapped[:, :2] / safe[:, None]
-    outline, margin = board.outline(), MARGIN_SQUARES * board.square
-    inside = np.all((p > outline.min(0) + margin) & (p < outline.max(0) - margin), axis=1)
-    return inside & (in_front > 1e-12)
+def stack_stripes(stripes: Sequence[tuple[BoardStripe, int, int]], points: int = 512) -> StripeViews:
+    """All stripes of a capture, given as (stripe, row of `BoardViews`, laser); empty ones are left out."""
+    kept = [(stripe, view, laser) for stripe, view, laser in stripes if stripe.valid.any()]
+    return StripeViews(
+        q=np.stack([s.q for s, _, _ in kept]) if kept else np.zeros((0, points, 2)),
+        sigma=np.stack([s.sigma for s, _, _ in kept]) if kept else np.zeros((0, points)),
+        valid=np.stack([s.valid for s, _, _ in kept]) if kept else np.zeros((0, points), bool),
+        view=np.array([view for _, view, _ in kept], np.int32),
+        laser=np.array([laser for _, _, laser in kept], np.int32),
+    )
 
 
-def _homography(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The 3 x 3 map of [n, 2] onto [n, 2] points, by the normalised linear method."""
-
-    def normaliser(points: np.ndarray) -> np.ndarray:
-        centre, scale = points.mean(0), np.sqrt(2) / max(float(points.std(0).mean()), 1e-12)
-        return np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])
-
-    S, T = normaliser(source), normaliser(target)
-    a = np.column_stack([source, np.ones(len(source))]) @ S.T
-    b = np.column_stack([target, np.ones(len(target))]) @ T.T
-    zero = np.zeros_like(a)
-    rows = np.concatenate([np.hstack([a, zero, -b[:, :1] * a]), np.hstack([zero, a, -b[:, 1:2] * a])])
-    h = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
-    return np.linalg.solve(T, h @ S)
+def _on_board(q: np.ndarray, corners: np.ndarray, valid: np.ndarray, board: AbstractBoard) -> np.ndarray:
+    xy = _board_map(corners[valid], board.corners()[valid, :2], q) / board.square
+    outline = board.outline() / board.square
+    found = board.corners()[valid, :2] / board.square
+    low = np.maximum(outline.min(0) + _EDGE_MARGIN, found.min(0) - _REACH)
+    high = np.minimum(outline.max(0) - _EDGE_MARGIN, found.max(0) + _REACH)
+    return np.all((xy > low) & (xy < high), axis=1)
 
 
-def _even(off: np.ndarray, line: np.ndarray, across: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """Whether the print is even under the stripe at each point."""
-    # Three lines together: the print is even along the stripe too, and the noise is less.
-    padded = np.pad(off, ((1, 1), (0, 0)), mode="edge").astype(np.float32)
-    smooth = (padded[:-2] + padded[1:-1] + padded[2:]) / 3
-    noise = _noise(off) / np.sqrt(3.0)
-    reach = REACH_WIDTHS * width + REACH_PX
-    most = int(np.ceil(reach.max(initial=1.0)))
-    step = np.arange(-most, most + 1)
-    at = np.rint(across).astype(int)[:, None] + step
-    inside = (at >= 0) & (at < off.shape[1])
-    # Neighbouring lines as well: the edge of a square slants into the stripe.
-    lowest, highest, total = (np.full(len(line), start) for start in (np.inf, -np.inf, 0.0))
-    for beside in (-2, 0, 2):
-        values = smooth[np.clip(line + beside, 0, len(off) - 1)[:, None], np.clip(at, 0, off.shape[1] - 1)]
-        counts = inside & (np.abs(at - across[:, None]) <= reach[:, None])
-        lowest = np.minimum(lowest, np.min(np.where(counts, values, np.inf), axis=1))
-        highest = np.maximum(highest, np.max(np.where(counts, values, -np.inf), axis=1))
-        total = total + np.mean(values, axis=1, where=counts)
-    return inside.all(axis=1) & (highest - lowest <= UNEVEN * total / 3 + NOISE_RANGE * noise)
+def _board_map(corners: np.ndarray, xy: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Board coordinates of pixels, interpolated between corners."""
+    centre, size = corners.mean(0), max(float(np.abs(corners - corners.mean(0)).max()), 1e-12)
+    a, b = (corners - centre) / size, (q - centre) / size
+    scale = max(float(np.abs(xy - xy.mean(0)).max()), 1e-12)
+    target = (xy - xy.mean(0)) / scale
+    x, one = np.column_stack([a, np.ones(len(a))]), np.zeros((len(a), 3))
+    system = np.concatenate(
+        [np.hstack([x, one, -target[:, :1] * x]), np.hstack([one, x, -target[:, 1:] * x])],
+    )
+    homography = np.linalg.svd(system, full_matrices=False)[2][-1].reshape(3, 3)
+    mapped_corners, mapped = _apply(homography, a), _apply(homography, b)
+    terms = 10 if len(a) >= 30 else 0
+    if terms:
+        # Beyond the corners the cubic runs away; what the lens adds at the edge is kept there.
+        inside = np.clip(b, a.min(0), a.max(0))
+        fit = np.linalg.lstsq(_cubic(a), target - mapped_corners, rcond=None)[0]
+        mapped = mapped + _cubic(inside) @ fit
+    return mapped * scale + xy.mean(0)
 
 
-def _noise(image: np.ndarray) -> float:
-    """Standard deviation of the pixel noise, from second differences, which see no gradient."""
-    values = image.astype(np.float32)
-    second = values[:, 2:] - 2 * values[:, 1:-1] + values[:, :-2]
-    # The median forgets the edges; 1.4826 makes it a standard deviation, sqrt(6) is the filter's
-    # gain, and a sensor that resolves no noise still rounds.
-    return max(1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0), 1 / np.sqrt(12.0))
+def _apply(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
+    image = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    weight = np.where(np.abs(image[:, 2:]) < 1e-12, 1e-12, image[:, 2:])
+    return image[:, :2] / weight
+
+
+def _cubic(points: np.ndarray) -> np.ndarray:
+    x, y = points[:, 0], points[:, 1]
+    return np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
+
+
+def _albedo_shift(image: np.ndarray, centre: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """How far [px] the brightness under a Gaussian stripe moves its centre of mass, per line."""
+    count, samples = image.shape
+    # Three lines together: the pattern does not change within them, the noise averages out.
+    padded = np.concatenate([image[:1], image, image[-1:]])
+    smooth = (padded[:-2] + padded[1:-1] + padded[2:]) / 3.0
+    offsets = np.arange(-12, 13)
+    first = np.rint(centre).astype(int)
+    index = first[:, None] + offsets[None]
+    inside = (index >= 0) & (index < samples)
+    level = np.where(inside, smooth[np.arange(count)[:, None], np.clip(index, 0, samples - 1)], 0.0)
+    distance = index - centre[:, None]
+    weight = np.where(inside, np.exp(-0.5 * np.square(distance / width[:, None])), 0.0)
+    # Even illumination keeps the centre where it is, so only the change of level counts.
+    total = np.sum(level * weight, axis=1)
+    mean = np.sum(weight * distance, axis=1) / np.maximum(weight.sum(1), 1e-12)
+    moved = np.sum(level * weight * distance, axis=1) / np.maximum(total, 1e-12)
+    return np.where(total > 0, moved - mean, 0.0)
