@@ -19,8 +19,9 @@ from jaxscan.stripes.noise import estimate_noise
 from jaxscan.stripes.stripes import NoiseModel, Stripes
 
 
-CHUNK_BYTES = 48e6
-"""Frames per chunk: enough to keep the cores busy, little against any memory."""
+CHUNK_BYTES = 20e6
+"""Frames per chunk: enough to keep the cores busy, little enough that what is copied is still in
+the cache when it is used: 8 pairs of 1280 x 1024 took a quarter less processor time than 18."""
 
 NOISE_RECORDS = 8
 """Records at the start of the sweep from which the noise is estimated where it is not given."""

@@ -19,7 +19,7 @@ class ReconstructSettings:
     """Smallest accepted incidence (`LaserSheet.intersect`), about the sine of the angle between
     ray and sheet: below it a stripe says next to nothing about the range."""
     chunk_records: int | None = None
-    """Records computed at a time; None: as many as fill about 48 MB with frames."""
+    """Records computed at a time; None: as many as fill about 20 MB with frames."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.min_range_m < self.max_range_m:
