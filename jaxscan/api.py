@@ -15,15 +15,16 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, cast
 import numpy as np
 
 from jaxscan.calibration import (
+    BoardStripe,
     BoardViews,
     Calibration,
     CalibrationSettings,
     Observations,
-    StripeViews,
     calibrate_camera,
     calibrate_observations,
+    select_board_stripes,
+    stack_stripes,
 )
-from jaxscan.calibration.stripes_on_board import BoardStripe, select_board_stripe
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.atomic import write_atomically
 from jaxscan.files.calibration import load_calibration as load_calibration
@@ -64,8 +65,6 @@ Progress = Callable[[int, int], None]
 
 BATCH_RECORDS = 8
 """Board records looked at together: enough for all cores, little against any memory."""
-STRIPE_POINTS = 512
-"""Stripe points of one image that the solve takes at most: more say little more."""
 TEXTURE_PX = 60
 """Pixels per square of the picture from which boards are rendered."""
 
@@ -198,14 +197,19 @@ def _board_stripe(stripes: Stripes, row: int, view: _View, capture: Capture, boa
     from jaxscan.vision.grey import to_grey
 
     corners, line = cast("FoundCorners", view.corners), capture.lines[cast(int, view.record.laser)]
-    profile = [np.asarray(field)[row] for field in (stripes.u, stripes.sigma, stripes.width, stripes.valid)]
-    return select_board_stripe(
-        *profile,
+    u, sigma, valid, width = (
+        np.asarray(field)[row] for field in (stripes.u, stripes.sigma, stripes.valid, stripes.width)
+    )
+    return select_board_stripes(
+        u,
+        sigma,
+        valid,
         corners=corners.q,
         corners_valid=corners.valid,
         board=board,
         off=None if view.off is None else to_grey(view.off, capture.pixel_format),
-        columns=line.stripe_axis == "columns",
+        width=np.where(valid, width, 1.0),
+        stripe_axis=line.stripe_axis,
     )
 
 
@@ -220,8 +224,11 @@ def _observations(views: list[_View], first: Capture, board: AbstractBoard) -> O
         for view in views
     ]
     number = {key: index for index, key in enumerate(dict.fromkeys(keys))}
-    striped = [i for i, view in enumerate(views) if view.stripe is not None and len(view.stripe.q)]
-    stripes = [_thinned(cast(BoardStripe, views[i].stripe)) for i in striped]
+    stripes = [
+        (view.stripe, index, cast(int, view.record.laser))
+        for index, view in enumerate(views)
+        if view.stripe is not None
+    ]
     width, height = first.image_size
     return Observations(
         board=board,
@@ -233,28 +240,13 @@ def _observations(views: list[_View], first: Capture, board: AbstractBoard) -> O
             placement=np.array([number[key] for key in keys], np.int32),
             record=np.array([view.record.i for view in views], np.int32),
         ),
-        stripes=StripeViews(
-            q=np.stack([stripe[0] for stripe in stripes]) if stripes else np.zeros((0, STRIPE_POINTS, 2)),
-            sigma=np.stack([stripe[1] for stripe in stripes]) if stripes else np.ones((0, STRIPE_POINTS)),
-            valid=np.stack([stripe[2] for stripe in stripes]) if stripes else np.zeros((0, STRIPE_POINTS), bool),
-            view=np.array(striped, np.int32),
-            laser=np.array([views[i].record.laser for i in striped], np.int32),
-        ),
+        stripes=stack_stripes(stripes),
         width=width,
         height=height,
         laser_names=tuple(line.name for line in first.lines),
         up=first.header.camera.up,
         carries=first.carries or "scanner",
     )
-
-
-def _thinned(stripe: BoardStripe) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """At most `STRIPE_POINTS` of the points, evenly, padded to that number."""
-    count = min(len(stripe.q), STRIPE_POINTS)
-    chosen = np.linspace(0, len(stripe.q) - 1, count).round().astype(int)
-    q, sigma, valid = np.zeros((STRIPE_POINTS, 2)), np.ones(STRIPE_POINTS), np.arange(STRIPE_POINTS) < count
-    q[:count], sigma[:count] = stripe.q[chosen], stripe.sigma[chosen]
-    return q, sigma, valid
 
 
 def _describe(board: AbstractBoard) -> str:

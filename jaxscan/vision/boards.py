@@ -12,7 +12,7 @@ Detector = Literal["auto", "sb", "classic"]
 
 # What each way of finding corners leaves as noise on a sharp, well exposed board; only a prior,
 # the calibration estimates it again.
-_SIGMA_PX = {"sb": 0.05, "classic": 0.10, "charuco": 0.08}
+_SIGMA_PX = {"auto": 0.035, "sb": 0.10, "classic": 0.035, "charuco": 0.06}
 # Squares that are projected smaller than this [px] hold fewer edge pixels than a corner needs.
 _SMALL_SQUARE_PX = 12.0
 _MIN_CORNERS = 6
@@ -42,8 +42,8 @@ def find_corners(image: np.ndarray, board: AbstractBoard, *, detector: Detector 
     Args:
         image: uint8 [rows, columns].
         board: What to look for.
-        detector: For chessboards: "sb" (sector based), "classic" (with `cornerSubPix`), or
-            "auto": the first, and the second where it finds nothing.
+        detector: For chessboards: "sb" (sector based), "classic" (refined by `cornerSubPix`), or
+            "auto": the first to find, the second where it finds nothing, both refined.
 
     Returns:
         The corners, or None where the board is not found or fewer than 6 corners that are not
@@ -79,24 +79,34 @@ def board_texture(board: AbstractBoard, pixels_per_square: int) -> np.ndarray:
 
 
 def _find_chessboard(image: np.ndarray, board: Chessboard, detector: Detector) -> FoundCorners | None:
-    q, used = None, "sb"
+    q, used = None, detector
     if detector in ("auto", "sb"):
-        flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
-        found, corners = cv2.findChessboardCornersSB(image, board.grid(), flags=flags)
-        q = _points(corners) if found else None
+        q = _find_sectors(image, board, accurate=detector == "sb")
     if q is None and detector in ("auto", "classic"):
-        used = "classic"
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         found, corners = cv2.findChessboardCorners(image, board.grid(), flags=flags)
-        if found:
-            q = _points(corners)
-            # A window that reaches the neighbouring corners moves the corner towards them.
-            half = int(np.clip(np.floor(0.3 * _square_sizes(q, np.ones(len(q), bool), board).min()), 2, 11))
-            q = _refine(image, q, half)
+        q = _points(corners) if found else None
     if q is None or len(q) != board.columns * board.rows:
         return None
+    if detector != "sb":
+        # The sector detector finds the most boards; its corners are biased by some hundredths of
+        # a pixel per view, which the gradient-based refinement is not. A window that reaches the
+        # neighbouring corners would move the corner towards them.
+        smallest = _square_sizes(q, np.ones(len(q), bool), board).min()
+        q = _refine(image, q, int(np.clip(np.floor(smallest / 3), 2, 11)))
     q = _canonical_order(image, q, board)
     return _with_sigma(q, np.ones(len(q), bool), board, _SIGMA_PX[used])
+
+
+def _find_sectors(image: np.ndarray, board: Chessboard, *, accurate: bool) -> np.ndarray | None:
+    """Corners by the sector based detector, exhaustively only where the quick search fails."""
+    accuracy = cv2.CALIB_CB_ACCURACY if accurate else 0
+    for effort in (0, cv2.CALIB_CB_EXHAUSTIVE):
+        flags = effort | accuracy | cv2.CALIB_CB_NORMALIZE_IMAGE
+        found, corners = cv2.findChessboardCornersSB(image, board.grid(), flags=flags)
+        if found:
+            return _points(corners)
+    return None
 
 
 def _canonical_order(image: np.ndarray, q: np.ndarray, board: Chessboard) -> np.ndarray:
