@@ -18,7 +18,7 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.seed import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
 from jaxscan.calibration.settings import CAMERA_BLOCKS, Block, CalibrationSettings
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import LaserSheet, Scanner, Turntable, point_up, stack_lasers
+from jaxscan.geometry import Array, LaserSheet, Scanner, Turntable, point_up, stack_lasers
 from jaxscan.geometry.scanner import UP_VECTORS
 
 
@@ -132,7 +132,7 @@ def _coefficients(settings: CalibrationSettings) -> int:
 def _problem(
     scanner: Scanner,
     poses: np.ndarray,
-    warp: np.ndarray,
+    warp: Array,
     data: Prepared,
     free: tuple[Block, ...],
     settings: CalibrationSettings,

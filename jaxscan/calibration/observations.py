@@ -4,6 +4,8 @@ import equinox as eqx
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import AbstractBoard, Array
+from jaxscan.geometry.scanner import Up
+from jaxscan.geometry.turntable import Carries
 
 
 class BoardViews(eqx.Module):
@@ -47,5 +49,5 @@ class Observations(eqx.Module):
     width: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
     laser_names: tuple[str, ...] = eqx.field(static=True)
-    up: str = eqx.field(static=True, default="-v")
-    carries: str = eqx.field(static=True, default="scanner")
+    up: Up = eqx.field(static=True, default="-v")
+    carries: Carries = eqx.field(static=True, default="scanner")

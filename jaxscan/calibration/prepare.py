@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.calibration.observations import Observations
+from jaxscan.geometry import Array
 
 
 # Shapes are rounded up to these, so that captures of about the same size share a compilation;
@@ -68,13 +69,11 @@ def prepare(observations: Observations) -> Prepared:
     )
 
 
-def _clean(
-    q: np.ndarray, sigma: np.ndarray, valid: np.ndarray, centre: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    q, sigma, valid = np.asarray(q, np.float64), np.asarray(sigma, np.float64), np.asarray(valid, bool)
-    valid = valid & np.isfinite(q).all(-1) & np.isfinite(sigma) & (sigma > 0)
+def _clean(q: Array, sigma: Array, valid: Array, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    pixel, noise = np.asarray(q, np.float64), np.asarray(sigma, np.float64)
+    good = np.asarray(valid, bool) & np.isfinite(pixel).all(-1) & np.isfinite(noise) & (noise > 0)
     # Whatever stands in an entry that is not valid must not reach any arithmetic: 0 x NaN is NaN.
-    return np.where(valid[..., None], q, centre), np.where(valid, sigma, 1.0), valid
+    return np.where(good[..., None], pixel, centre), np.where(good, noise, 1.0), good
 
 
 def _fixes_pose(points: np.ndarray) -> bool:
@@ -88,7 +87,7 @@ def _bucket(count: int, sizes: tuple[int, ...]) -> int:
     return next((size for size in sizes if size >= count), count)
 
 
-def _pad(array: np.ndarray, shape: tuple[int, ...], fill: np.ndarray | float | bool) -> np.ndarray:
+def _pad(array: np.ndarray, shape: tuple[int, ...], fill: np.ndarray | float | int) -> np.ndarray:
     padded = np.empty(shape + array.shape[len(shape) :], array.dtype)
     padded[...] = fill
     padded[tuple(slice(0, n) for n in array.shape[: len(shape)])] = array

@@ -9,6 +9,7 @@ from jaxscan.calibration.prepare import Prepared
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Array, LaserSheet, Pinhole, Turntable, fit_axis, fit_plane, point_up
 from jaxscan.geometry.scanner import Up
+from jaxscan.geometry.turntable import Carries
 
 
 # Boards whose normals differ by less show the camera one vanishing line: focal length and
@@ -107,7 +108,7 @@ def seed_plane(points: np.ndarray, name: str) -> LaserSheet:
     return LaserSheet.from_plane(plane.normal, plane.distance)
 
 
-def seed_axis(poses: np.ndarray, data: Prepared, carries: str, up: Up) -> Turntable:
+def seed_axis(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> Turntable:
     """Axis and sense of the table from placements seen at several angles.
 
     Args:

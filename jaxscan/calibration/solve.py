@@ -62,7 +62,7 @@ class BlockArrowDescent(optx.AbstractDescent):
         corner, stripe, prior = jacobian_columns(f_info.jac.mv, y)
         return form_blocks(corner, stripe, prior, f_info.residual, self.view_owner, self.stripe_owner, len(y.local))
 
-    def step(self, step_size: Any, state: Blocks) -> tuple[Step, optx.RESULTS]:
+    def step(self, step_size: Any, state: Blocks) -> tuple[Step, Any]:
         shared, local = schur_step(state, self.damping / step_size)
         return Step(-shared, -local), optx.RESULTS.successful
 
@@ -90,12 +90,12 @@ class PatientTrustRegion(optx.AbstractSearch):
 class BlockArrowLM(optx.AbstractGaussNewton):
     """optimistix' Gauss-Newton loop and trust region round `BlockArrowDescent`."""
 
-    descent: BlockArrowDescent
-    rtol: Float[Array, ""]
-    atol: Float[Array, ""]
-    norm: Callable = optx.rms_norm
-    search: PatientTrustRegion = PatientTrustRegion()
-    verbose: Callable = eqx.field(default=lambda **_: None, static=True)
+    rtol: Any
+    atol: Any
+    descent: Any
+    norm: Any = optx.rms_norm
+    search: Any = PatientTrustRegion()
+    verbose: Any = eqx.field(default=lambda **_: None, static=True)
 
 
 class Solution(NamedTuple):
@@ -120,8 +120,13 @@ def solve(problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, "
     """
     start = zero_step(problem)
     descent = BlockArrowDescent(problem.placement, problem.placement[problem.stripe_view], damping)
-    solution = optx.least_squares(
-        residuals, BlockArrowLM(descent, tolerance, tolerance), start, args=problem, max_steps=max_steps, throw=False
+    solution: Any = optx.least_squares(
+        residuals,
+        BlockArrowLM(descent=descent, rtol=tolerance, atol=tolerance),
+        start,
+        args=problem,
+        max_steps=max_steps,
+        throw=False,
     )
     return Solution(
         move(solution.value, problem), solution.stats["num_steps"], solution.result == optx.RESULTS.successful

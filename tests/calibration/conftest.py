@@ -105,9 +105,7 @@ def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, s
     """Perfect observations: free board views at angle 0, then placements seen from several angles."""
     random = np.random.default_rng(seed)
     corners = rig.board.corners()
-    corners = corners + np.column_stack(
-        [np.zeros((len(corners), 2)), board_height(rig, corners[:, 0], corners[:, 1])]
-    )
+    corners = corners + np.column_stack([np.zeros((len(corners), 2)), board_height(rig, corners[:, 0], corners[:, 1])])
     middle = corners.mean(0)
     views, number = [], 0
     while number < free + placements:

@@ -1,0 +1,85 @@
+"""Captures that do not determine a scanner say in one line what is missing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jaxscan.calibration import calibrate_camera, calibrate_observations
+from jaxscan.errors import CalibrationError
+
+
+def refusal(observations, call=calibrate_observations):
+    with pytest.raises(CalibrationError) as found:
+        call(observations)
+    message = str(found.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.fixture(scope="module")
+def observed(world):
+    return world.with_noise(world.observe(world.Rig()), 0)
+
+
+def test_no_board_in_any_view(observed):
+    corners = replace(observed.corners, valid=np.zeros_like(observed.corners.valid))
+    assert "not found in any view" in refusal(replace(observed, corners=corners))
+
+
+def test_corners_on_one_line_are_no_board(observed):
+    valid = np.zeros_like(observed.corners.valid)
+    valid[:, :9] = True
+    assert "not found in any view" in refusal(replace(observed, corners=replace(observed.corners, valid=valid)))
+
+
+def test_too_few_views(observed):
+    valid = observed.corners.valid.copy()
+    valid[2:] = False
+    message = refusal(replace(observed, corners=replace(observed.corners, valid=valid)))
+    assert "2 view" in message and "tilted" in message
+
+
+@pytest.mark.parametrize("tilt", [0.0, 30.0])
+def test_views_at_the_same_tilt(world, observed, tilt):
+    rig = world.Rig()
+    board = rig.board.corners() - rig.board.corners().mean(0)
+    rotation = world.rodrigues(np.radians([tilt, 0.0, 0.0]))
+    places = [(-0.1, -0.1, 0.9), (0.1, 0.05, 1.0), (0.0, 0.1, 1.2), (0.05, -0.05, 1.1)]
+    q = np.array([world.project(rig, board @ rotation.T + np.array(place)) for place in places])
+    q = q + 0.1 * np.random.default_rng(0).normal(size=q.shape)
+    corners = replace(
+        observed.corners,
+        q=q,
+        **{name: getattr(observed.corners, name)[:4] for name in ("sigma", "valid", "angle", "placement", "record")},
+    )
+    assert "same tilt" in refusal(replace(observed, corners=corners), calibrate_camera)
+
+
+def test_no_stripes(observed):
+    stripes = replace(observed.stripes, valid=np.zeros_like(observed.stripes.valid))
+    assert "laser on and off" in refusal(replace(observed, stripes=stripes))
+
+
+def test_stripes_on_one_board_pose(observed):
+    valid = observed.stripes.valid.copy()
+    valid[1:] = False
+    message = refusal(replace(observed, stripes=replace(observed.stripes, valid=valid)))
+    assert "one line" in message and "different distances" in message
+
+
+def test_board_never_seen_from_two_angles(observed):
+    count = len(observed.corners.placement)
+    corners = replace(observed.corners, placement=np.arange(count, dtype=np.int32))
+    message = refusal(replace(observed, corners=corners))
+    assert "leave the board standing and turn the table" in message
+
+
+def test_one_angle_only(observed):
+    corners = replace(observed.corners, angle=np.zeros_like(observed.corners.angle))
+    assert "two table angles" in refusal(replace(observed, corners=corners))
+
+
+def test_angles_of_another_scale(observed):
+    corners = replace(observed.corners, angle=observed.corners.angle * 2)
+    assert "steps per turn" in refusal(replace(observed, corners=corners))
