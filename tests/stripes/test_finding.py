@@ -18,11 +18,14 @@ def _empty(stripes, rows):
         assert np.all(np.asarray(getattr(stripes, name))[:, rows] == 0), name
 
 
+LOCATE = jax.jit(lambda on, off: locate(on, off, pitch=1))
+
+
 @pytest.mark.parametrize("width", [1.0, 2.0, 3.0])
 def test_faint_stripe_is_located(width, render):
     u = np.random.default_rng(1).uniform(60, 1220, 1024)
     scene = render(width, 5 * NOISE_DN, columns=1280, rows=1024, u=u)
-    candidate = jax.jit(lambda on, off: locate(on, off, pitch=1))(scene.on[0], scene.off[0])
+    candidate = LOCATE(scene.on[0], scene.off[0])
     found = np.abs(np.asarray(candidate.u) - u) < 3 * width + 1
     assert found.mean() > 0.98
 

@@ -28,11 +28,10 @@ def test_rgb_reads_the_lasers_channel(render):
     scene = render(1.5, 80.0)
     mono = extract_stripes(scene.on, scene.off, noise=KNOWN)
     rng = np.random.default_rng(0)
-    for index, colour in ((0, "red"), (2, "blue")):
-        on = rng.integers(0, 256, (*scene.on.shape, 3), dtype=np.uint8)
-        off = rng.integers(0, 256, (*scene.on.shape, 3), dtype=np.uint8)
-        on[..., index], off[..., index] = scene.on, scene.off
-        _same(mono, extract_stripes(on, off, pixel_format="rgb8", line=LaserLine(colour=colour), noise=KNOWN))
+    on = rng.integers(0, 256, (*scene.on.shape, 3), dtype=np.uint8)
+    off = rng.integers(0, 256, (*scene.on.shape, 3), dtype=np.uint8)
+    on[..., 2], off[..., 2] = scene.on, scene.off
+    _same(mono, extract_stripes(on, off, pixel_format="rgb8", line=LaserLine(colour="blue"), noise=KNOWN))
 
 
 @pytest.mark.parametrize("tile", TILES)

@@ -17,14 +17,14 @@ FIELDS = ("u", "sigma", "amplitude", "width", "chi2", "saturated", "valid")
 @settings(max_examples=20, deadline=None)
 @given(shift=st.integers(-24, 24), width=st.sampled_from([1.0, 2.0, 3.0]))
 def test_shift_by_whole_pixels(render, shift, width):
-    scene = render(width, 100.0, rows=256, columns=128)
+    scene = render(width, 100.0)
     still = extract_stripes(scene.on, scene.off, noise=KNOWN)
     moved = extract_stripes(np.roll(scene.on, shift, 2), np.roll(scene.off, shift, 2), noise=KNOWN)
     both = np.asarray(still.valid & moved.valid)
     assert both.mean() > 0.99
     difference = (np.asarray(moved.u) - np.asarray(still.u) - shift)[both]
     # A shift may move the window's ends by a sample, where about a hundredth of the information
-    # is: a tenth of sigma, four times that in the worst of 256 rows.
+    # is: a tenth of sigma, four times that in the worst of 2048 rows.
     assert np.max(np.abs(difference) / np.asarray(still.sigma)[both]) < 0.4
     assert np.median(np.abs(difference)) < 2e-4
 
