@@ -117,35 +117,42 @@ class Pinhole(AbstractCamera):
 
 
 def _distort(x: Float[Array, "2"], k: Float[Array, " k"]) -> Float[Array, "2"]:
-    r2 = x[0] * x[0] + x[1] * x[1]
+    return jnp.stack(_distort_xy(x[0], x[1], k))
+
+
+def _distort_xy(x: Array, y: Array, k: Float[Array, " k"]) -> tuple[Array, Array]:
+    r2 = x * x + y * y
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
     if k.shape[0] == 8:
         radial = radial / (1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
-    xy = 2.0 * x[0] * x[1]
-    return jnp.stack(
-        [
-            x[0] * radial + k[2] * xy + k[3] * (r2 + 2.0 * x[0] * x[0]),
-            x[1] * radial + k[2] * (r2 + 2.0 * x[1] * x[1]) + k[3] * xy,
-        ]
-    )
+    xy = 2.0 * x * y
+    return x * radial + k[2] * xy + k[3] * (r2 + 2.0 * x * x), y * radial + k[2] * (r2 + 2.0 * y * y) + k[3] * xy
 
 
 def _undistort(target: Float[Array, "2"], k: Float[Array, " k"]) -> Float[Array, "2"]:
-    """Solve `_distort(x, k) = target`."""
+    """Solve `_distort(x, k) = target`.
 
-    def newton(x, k, target):
-        (a, b), (c, d) = jax.jacfwd(_distort)(x, k)
-        error = _distort(x, k) - target
+    The coordinates are kept apart: as the fastest axis of an array of millions of points, a pair
+    would keep the loop from being vectorised (3.5 times slower).
+    """
+
+    def newton(x, y, k, target_x, target_y):
+        one, zero = jnp.ones_like(x), jnp.zeros_like(x)
+        (distorted_x, distorted_y), (a, c) = jax.jvp(lambda x, y: _distort_xy(x, y, k), (x, y), (one, zero))
+        _, (b, d) = jax.jvp(lambda x, y: _distort_xy(x, y, k), (x, y), (zero, one))
+        error_x, error_y = distorted_x - target_x, distorted_y - target_y
         det = a * d - b * c
         det = jnp.where(det == 0, 1.0, det).astype(det.dtype)
-        step = jnp.stack([d * error[0] - b * error[1], a * error[1] - c * error[0]]) / det
+        step_x, step_y = (d * error_x - b * error_y) / det, (a * error_y - c * error_x) / det
         # Far outside the image, where the lens model folds over, a full step can leave the
         # basin for good; inside it no step is this long.
-        length = jnp.sqrt(jnp.sum(step * step) + jnp.finfo(step.dtype).tiny)
-        return x - step * jnp.minimum(1.0, 0.5 / length)
+        length = jnp.sqrt(step_x * step_x + step_y * step_y + jnp.finfo(step_x.dtype).tiny)
+        shorter = jnp.minimum(1.0, 0.5 / length)
+        return x - step_x * shorter, y - step_y * shorter
 
-    fixed_k, fixed_target = jax.lax.stop_gradient((k, target))
+    fixed_k, fixed = jax.lax.stop_gradient((k, target))
     iterations = 6 if target.dtype == jnp.float32 else 12
-    x = jax.lax.fori_loop(0, iterations, lambda _, x: newton(x, fixed_k, fixed_target), fixed_target)
+    x, y = jax.lax.fori_loop(0, iterations, lambda _, p: newton(*p, fixed_k, fixed[0], fixed[1]), (fixed[0], fixed[1]))
     # One last step carries the derivative: at the solution it is the implicit function theorem.
-    return newton(jax.lax.stop_gradient(x), k, target)
+    x, y = jax.lax.stop_gradient((x, y))
+    return jnp.stack(newton(x, y, k, target[0], target[1]))
