@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Array, Scanner
+from jaxscan.reconstruction.ahead import map_ahead, workers
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.grid import GrowingCloud
 from jaxscan.reconstruction.points import Centres, Points, Rig, line_step, locate_points
@@ -25,6 +26,9 @@ the cache when it is used: 8 pairs of 1280 x 1024 took a quarter less processor 
 
 NOISE_RECORDS = 8
 """Records at the start of the sweep from which the noise is estimated where it is not given."""
+
+Batch = tuple[np.ndarray, LaserLine, Array, Array | None]
+"""Record numbers, laser line, on, off: frames beyond the record numbers are padding."""
 
 
 def reconstruct(
@@ -88,23 +92,24 @@ def _stream(
     if stripes is None:
         noise = noise or _noise_of_start(sweep)
         levels = np.float32(noise.read_dn), np.float32(noise.electrons_per_dn)
-    pending: list[tuple[np.ndarray, Points]] = []
-    for records, line, on, off in _batches(sweep, _chunk_records(sweep, settings)):
+
+    def compute(batch: Batch) -> tuple[np.ndarray, Points]:
+        records, line, on, off = batch
         size = len(on)
         lasers, phi = _padded(laser[records], size), _padded(angles[records], size)
-        if stripes is not None:
-            centres = _centres(stripes, records, size)
-            points = _from_stripes(rig, centres, off, lasers, phi, stripe_axis=stripe_axis, **options)
-        else:
-            points = _from_frames(rig, on, off, lasers, phi, *levels, line=line, response=sweep.response, **options)
-        pending.append((records, points))
-        # Fetching only the chunk before keeps the device busy while this one is copied.
-        if len(pending) > 1:
-            cloud.store(*pending.pop(0))
+        # JAX keeps this setting per thread.
+        with jax.enable_x64(False):
+            if stripes is not None:
+                centres = _centres(stripes, records, size)
+                points = _from_stripes(rig, centres, off, lasers, phi, stripe_axis=stripe_axis, **options)
+            else:
+                points = _from_frames(rig, on, off, lasers, phi, *levels, line=line, response=sweep.response, **options)
+            return records, jax.tree.map(np.asarray, points)
+
+    for records, points in map_ahead(compute, _batches(sweep, _chunk_records(sweep, settings)), workers()):
+        cloud.store(records, points)
         if progress is not None:
             progress(int(records[-1]) + 1, len(sweep))
-    for records, points in pending:
-        cloud.store(records, points)
 
 
 @functools.partial(jax.jit, static_argnames=("pixel_format", "response", "line", "settings"))
@@ -183,7 +188,7 @@ def _chunk_records(sweep: SweepSource, settings: ReconstructSettings) -> int:
     return min(max(1, round(CHUNK_BYTES / pair)), len(sweep))
 
 
-def _batches(sweep: SweepSource, size: int) -> Iterator[tuple[np.ndarray, LaserLine, Array, Array | None]]:
+def _batches(sweep: SweepSource, size: int) -> Iterator[Batch]:
     """The sweep in batches of exactly `size` frames: record numbers, laser line, on, off.
 
     The records of a batch show lasers that look the same; frames beyond its record numbers are
