@@ -4,16 +4,14 @@ from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from jaxscan.calibration.covariance import Linearised, linearise
 from jaxscan.calibration.parameters import block_of
 from jaxscan.calibration.prepare import Prepared
-from jaxscan.calibration.residuals import Problem, Residuals, camera_from_board, prior_names, residuals, stripe_offsets
+from jaxscan.calibration.residuals import Measured, Problem, prior_names
 from jaxscan.calibration.settings import Block, CalibrationSettings
-from jaxscan.calibration.solve import solve, zero_step
+from jaxscan.calibration.solve import solve
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 
@@ -75,7 +73,7 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
     """
     state = _State(problem, data.corner_valid, data.stripe_valid)
     for _ in range(_ROBUST_ROUNDS if rejection else 2):
-        corner, stripe, slopes = _whitened(state.problem, data)
+        corner, stripe, slopes = _whitened(_linearised(state.problem).measured, data)
         state = replace(state, corner_noise=_spread(corner[data.corner_valid]))
         state = replace(state, stripe_noise=_spread(stripe[data.stripe_valid]))
         corner_damp = _huber(np.abs(corner).max(-1) / state.corner_noise, settings.huber)
@@ -83,11 +81,11 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
         state = _solved(state, data, slopes, settings, corner_damp, stripe_damp, _ROUGH)
     if rejection:
         state = _reject(state, data, settings)
-    corner, stripe, slopes = _whitened(state.problem, data)
-    linearised = _linearised(_weighted(state, data, slopes, settings, 1.0, 1.0))
+    linearised = _linearised(state.problem)
+    corner, stripe, _ = _whitened(linearised.measured, data)
     corner_rms, stripe_rms = _noise(corner, stripe, linearised, state)
     return Adjustment(
-        problem=_weighted(state, data, slopes, settings, 1.0, 1.0),
+        problem=state.problem,
         linearised=linearised,
         corner_error=corner * data.corner_sigma[..., None],
         stripe_error=stripe * data.stripe_sigma,
@@ -121,8 +119,8 @@ def prior_weights(names: tuple[str, ...], lasers: int, free: tuple[Block, ...], 
 
 def _reject(state: _State, data: Prepared, settings: CalibrationSettings) -> _State:
     for round_number in range(_REJECTION_ROUNDS):
-        corner, stripe, slopes = _whitened(state.problem, data)
-        linearised = _linearised(_weighted(state, data, slopes, settings, 1.0, 1.0))
+        linearised = _linearised(state.problem)
+        corner, stripe, slopes = _whitened(linearised.measured, data)
         noise = _noise(corner, stripe, linearised, state) if settings.estimate_noise else (1.0, 1.0)
         room = lambda leverage: np.sqrt(np.clip(1.0 - leverage, 0.05, 1.0))
         corner_room = room(np.asarray(linearised.corner_leverage)).reshape(corner.shape)
@@ -180,27 +178,14 @@ def _huber(size: np.ndarray, threshold: float) -> np.ndarray:
     return np.sqrt(np.minimum(1.0, threshold / np.maximum(size, threshold)))
 
 
-def _whitened(problem: Problem, data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _whitened(measured: Measured, data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Residuals in units of the given sigmas, and |grad_q e|; 0 and 1 where there is nothing."""
-    plain, slopes = jax.tree.map(np.asarray, _evaluate(problem))
-    corner = np.where(data.corner_valid[..., None], plain.corner / data.corner_sigma[..., None], 0.0)
-    slopes = np.where(data.stripe_valid & (slopes > 0), slopes, 1.0)
-    stripe = np.where(data.stripe_valid, plain.stripe / (slopes * data.stripe_sigma), 0.0)
+    corner = np.where(data.corner_valid[..., None], measured.corner / data.corner_sigma[..., None], 0.0)
+    slopes = np.where(data.stripe_valid & (measured.slope > 0), measured.slope, 1.0)
+    stripe = np.where(data.stripe_valid, measured.offset / (slopes * data.stripe_sigma), 0.0)
     if not (np.isfinite(corner).all() and np.isfinite(stripe).all()):
         raise CalibrationError("The solve left the range of numbers: the observations contradict each other.")
     return corner, stripe, slopes
-
-
-@eqx.filter_jit
-def _evaluate(problem: Problem) -> tuple[Residuals, Float[Array, "stripes points"]]:
-    plain = eqx.tree_at(
-        lambda p: (p.corner_weight, p.stripe_weight),
-        problem,
-        (jnp.ones_like(problem.corner_weight), jnp.ones_like(problem.stripe_weight)),
-    )
-    start = zero_step(plain)
-    camera_step = start.shared[: len(plain.scanner.camera.parameter_names())]
-    return residuals(start, plain), stripe_offsets(plain, camera_from_board(plain), camera_step)[1]
 
 
 def _weighted(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.residuals import Problem, Residuals, residuals
+from jaxscan.calibration.residuals import Measured, Problem, Residuals, measure
 from jaxscan.calibration.solve import Columns, form_blocks, jacobian_columns, reduce_blocks, zero_step
 from jaxscan.geometry import Array
 
@@ -17,6 +17,7 @@ class Linearised(NamedTuple):
     """The problem at its minimum, to first order; scaled unknowns."""
 
     residual: Residuals
+    measured: Measured
     corner_leverage: Float[Array, "views rows"]
     """Share of each whitened residual that the fit takes up, 0 ... 1 [1]."""
     stripe_leverage: Float[Array, "stripes points"]
@@ -30,7 +31,7 @@ class Linearised(NamedTuple):
 def linearise(problem: Problem) -> Linearised:
     """Information and leverages, undamped; call in 64 bit."""
     start = zero_step(problem)
-    residual, product = jax.linearize(lambda step: residuals(step, problem), start)
+    residual, product, measured = jax.linearize(lambda step: measure(step, problem), start, has_aux=True)
     corner, stripe, prior = jacobian_columns(product, start)
     view_owner, stripe_owner = problem.placement, problem.placement[problem.stripe_view]
     blocks = form_blocks(corner, stripe, prior, residual, view_owner, stripe_owner, problem.poses.shape[0])
@@ -46,7 +47,9 @@ def linearise(problem: Problem) -> Linearised:
         share = share + 2.0 * jnp.einsum("kvm,vkd,dvm->vm", columns.shared, cross_covariance[owner], columns.local)
         return share + jnp.einsum("dvm,vde,evm->vm", columns.local, local_covariance[owner], columns.local)
 
-    return Linearised(residual, leverage(corner, view_owner), leverage(stripe, stripe_owner), reduced, prior @ prior.T)
+    return Linearised(
+        residual, measured, leverage(corner, view_owner), leverage(stripe, stripe_owner), reduced, prior @ prior.T
+    )
 
 
 class Determination(NamedTuple):

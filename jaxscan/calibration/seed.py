@@ -206,13 +206,18 @@ def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray, lase
 
 
 @jax.jit
+def _motions(table: Turntable, angle: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
+    return jax.vmap(table.motion)(jnp.asarray(angle))
+
+
+@jax.jit
 def _rays(camera: AbstractCamera, q: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
     return jax.vmap(camera.unproject)(jnp.asarray(q))
 
 
 def average_placements(poses: np.ndarray, data: Prepared, table: Turntable) -> np.ndarray:
     """T_cam0_board of every placement [views, 4, 4] (as many as views; the rest is identity)."""
-    motions = np.asarray(jax.vmap(table.motion)(jnp.asarray(data.angle)))
+    motions = np.asarray(_motions(table, data.angle))
     result = np.tile(np.eye(4), (len(data.usable), 1, 1))
     for number in np.unique(data.placement[data.usable]):
         views = np.flatnonzero(data.usable & (data.placement == number))

@@ -92,7 +92,7 @@ class BlockArrowLM(optx.AbstractGaussNewton):
 
     rtol: Any
     atol: Any
-    descent: Any
+    descent: Any  # type: ignore[misc]
     norm: Any = optx.rms_norm
     search: Any = PatientTrustRegion()
     verbose: Any = eqx.field(default=lambda **_: None, static=True)

@@ -1,0 +1,118 @@
+"""Which stripe points count as lying on the board."""
+
+import numpy as np
+import pytest
+
+from jaxscan.calibration import select_board_stripes, stack_stripes
+from jaxscan.geometry import Chessboard
+
+
+@pytest.fixture(scope="module")
+def seen(world):
+    """Corners of a tilted board, and a line along its middle: u(v), with where it is on the board."""
+    rig = world.Rig(lens=(-0.2, 0.05, 0.0, 0.0, 0.0))
+    rotation = world.rodrigues(np.array([0.3, -0.25, 0.05]))
+    middle = rig.board.corners().mean(0)
+    place = np.array([0.02, 0.01, 0.8])
+    view = lambda p: world.project(rig, (p - middle) @ rotation.T + place)
+    y = np.linspace(-0.1, 0.31, 4000)
+    # On a board of 35 mm squares x = 0.1225 m runs through the middles of a column of squares.
+    line = view(np.column_stack([np.full_like(y, 0.1225), y, np.zeros_like(y)]))
+    rows = np.arange(1024.0)
+    inside = (rows > line[0, 1]) & (rows < line[-1, 1])
+    u = np.interp(rows, line[:, 1], line[:, 0])
+    along = np.interp(rows, line[:, 1], y)
+    return rig, view, u, along, inside
+
+
+def select(seen, **changes):
+    rig, view, u, _, inside = seen
+    corners = view(rig.board.corners())
+    arguments = dict(corners=corners, corners_valid=np.ones(len(corners), bool), board=rig.board, points=1024)
+    return select_board_stripes(u, np.full(1024, 0.1), inside, **(arguments | changes))
+
+
+def test_points_on_the_print_and_no_others(seen):
+    rig, _, _, along, _ = seen
+    stripe = select(seen)
+    found = np.zeros(1024, bool)
+    found[stripe.q[stripe.valid, 1].astype(int)] = True
+    low, high = rig.board.outline()[:, 1].min(), rig.board.outline()[:, 1].max()
+    # The margin is a tenth of a square; the map may err by as much again at the very edge.
+    assert not found[(along < low + 0.05 * 0.035) | (along > high - 0.05 * 0.035)].any()
+    assert found[(along > low + 0.2 * 0.035) & (along < high - 0.2 * 0.035)].all()
+
+
+def test_sigma_is_across_the_stripe(seen):
+    stripe = select(seen)
+    q = stripe.q[stripe.valid]
+    slope = np.polyfit(q[:, 1], q[:, 0], 1)[0]
+    np.testing.assert_allclose(stripe.sigma[stripe.valid], 0.1 * np.cos(np.arctan(slope)), rtol=1e-9)
+
+
+def test_far_from_any_corner_found_nothing_is_believed(seen):
+    rig = seen[0]
+    valid = rig.board.corners()[:, 1] < 0.08
+    stripe = select(seen, corners_valid=valid)
+    full = select(seen)
+    assert 0 < stripe.valid.sum() < 0.75 * full.valid.sum()
+
+
+def test_rows_beside_a_printed_edge_are_dropped(seen):
+    rig, view, u, _, inside = seen
+    image = np.full((1024, 1280), 120, np.uint8)
+    rows = np.arange(1024)
+    # An edge that crosses the stripe at a shallow angle: dark on its right.
+    edge = u + (rows - 600) * 0.05
+    image[np.arange(1280)[None] > edge[:, None]] = 30
+    stripe = select(seen, off=image)
+    found = np.zeros(1024, bool)
+    found[stripe.q[stripe.valid, 1].astype(int)] = True
+    reference = np.zeros(1024, bool)
+    plain = select(seen)
+    reference[plain.q[plain.valid, 1].astype(int)] = True
+    close = np.abs(edge - u) < 2.0
+    far = np.abs(edge - u) > 8.0
+    assert reference[close].any() and not found[close].any()
+    np.testing.assert_array_equal(found[far], reference[far])
+    # An even image drops nothing, noise of a dark frame included.
+    grey = (60 + np.random.default_rng(0).normal(size=image.shape)).round().astype(np.uint8)
+    assert select(seen, off=grey).valid.sum() == plain.valid.sum()
+
+
+def test_columns_are_rows_of_the_transposed_image(seen):
+    rig, view, u, _, inside = seen
+    image = np.full((1024, 1280), 120, np.uint8)
+    image[:, 640:] = 30
+    rows = select(seen, off=image)
+    columns = select(
+        seen, off=np.ascontiguousarray(image.T), corners=view(rig.board.corners())[:, ::-1], stripe_axis="columns"
+    )
+    np.testing.assert_array_equal(rows.valid, columns.valid)
+    np.testing.assert_allclose(rows.q, columns.q[:, ::-1], atol=1e-9)
+
+
+def test_thinning_and_stacking(seen):
+    stripe = select(seen, points=64)
+    full = select(seen)
+    assert stripe.valid.all() and stripe.q.shape == (64, 2)
+    assert stripe.q[0, 1] == full.q[0, 1] and stripe.q[-1, 1] == full.q[full.valid][-1, 1]
+    nothing = select_board_stripes(
+        np.zeros(10),
+        np.ones(10),
+        np.zeros(10, bool),
+        corners=seen[1](seen[0].board.corners()),
+        corners_valid=np.ones(63, bool),
+        board=seen[0].board,
+        points=64,
+    )
+    stack = stack_stripes([(nothing, 0, 0), (stripe, 3, 1)], points=64)
+    assert stack.q.shape == (1, 64, 2) and stack.view.tolist() == [3] and stack.laser.tolist() == [1]
+    assert stack_stripes([], points=64).q.shape == (0, 64, 2)
+
+
+def test_a_board_of_few_corners(seen):
+    board = Chessboard(3, 3, 0.105)
+    view = seen[1]
+    stripe = select(seen, corners=view(board.corners()), corners_valid=np.ones(9, bool), board=board)
+    assert stripe.valid.sum() > 100

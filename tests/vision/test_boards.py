@@ -1,0 +1,134 @@
+"""Corners in rendered and in real pictures of boards."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxscan.geometry import Charuco, Chessboard
+from jaxscan.vision.boards import board_texture, find_corners
+
+
+CHESS = Chessboard(8, 5, 0.03)
+CHARUCO = Charuco(8, 6, 0.03, 0.022)
+DATA = Path(__file__).parents[1] / "data"
+
+
+def seen(board, homography, size=(800, 600), *, oversampling=4, blur=0.8, noise=1.5, seed=0):
+    """A picture through a homography (board metres to pixels), averaged over sub-pixels."""
+    per_square = 40
+    texture = np.pad(board_texture(board, per_square), per_square, constant_values=255).astype(np.float32)
+    x0, y0 = board.outline().min(0) - board.square
+    to_texture = np.array(
+        [[1 / board.square, 0, -x0 / board.square], [0, 1 / board.square, -y0 / board.square], [0, 0, 1]]
+    )
+    to_texture = np.diag([per_square, per_square, 1]) @ to_texture
+    to_texture[:2] -= 0.5 * to_texture[2]
+    # Looked up by hand: warping in OpenCV 4 rounds positions to 1/32 px.
+    step = (np.arange(oversampling) + 0.5) / oversampling - 0.5
+    u = (np.arange(size[0])[:, None] + step).ravel()
+    v = (np.arange(size[1])[:, None] + step).ravel()
+    q = np.stack([*np.meshgrid(u, v), np.ones((len(v), len(u)))], -1)
+    p = q @ (to_texture @ np.linalg.inv(homography)).T
+    column = np.clip(np.rint(p[..., 0] / p[..., 2]), 0, texture.shape[1] - 1).astype(int)
+    row = np.clip(np.rint(p[..., 1] / p[..., 2]), 0, texture.shape[0] - 1).astype(int)
+    fine = texture[row, column].reshape(size[1], oversampling, size[0], oversampling).mean((1, 3))
+    fine = cv2.GaussianBlur(20 + 0.7 * fine, (0, 0), blur)
+    fine = fine + noise * np.random.default_rng(seed).normal(size=fine.shape)
+    return np.clip(np.rint(fine), 0, 255).astype(np.uint8)
+
+
+def pose(tilt=0.35, turn=0.1, size=1700.0, shift=(190.0, 190.0)):
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([[size * c, -size * s, shift[0]], [size * s, size * c, shift[1]], [tilt, -0.5 * tilt, 1.0]])
+
+
+def expected(board, homography):
+    p = np.column_stack([board.corners()[:, :2], np.ones(len(board.corners()))]) @ homography.T
+    return p[:, :2] / p[:, 2:]
+
+
+@pytest.mark.parametrize(
+    ("board", "detector", "rms"), [(CHESS, "sb", 0.06), (CHESS, "classic", 0.1), (CHARUCO, "auto", 0.1)]
+)
+def test_corners_in_a_rendered_picture(board, detector, rms):
+    found = find_corners(seen(board, pose()), board, detector=detector)
+    assert found is not None and found.valid.all()
+    error = found.q - expected(board, pose())
+    # Sampling of the texture errs by 1/160 square (0.3 px at 50 px) before averaging, noise by
+    # 0.02-0.05 px; unrefined ChArUco corners would be 0.29 px off.
+    assert np.sqrt(np.mean(error**2)) < rms
+    assert np.abs(error).max() < 4 * rms
+    # The prior is honest to a factor of three, which is all it is for.
+    assert 1 / 3 < np.mean(found.sigma) / max(np.sqrt(np.mean(error**2)), 0.03) < 4
+
+
+@pytest.mark.parametrize("detector", ["sb", "classic"])
+def test_a_board_upside_down_is_known_by_its_black_corner(detector):
+    picture = seen(CHESS, pose())
+    upright = find_corners(picture, CHESS, detector=detector)
+    turned = find_corners(np.ascontiguousarray(picture[::-1, ::-1]), CHESS, detector=detector)
+    back = np.array([799.0, 599.0]) - turned.q
+    # The same corners with the same numbers, though the picture is upside down.
+    assert np.abs(back - upright.q).max() < 0.1
+
+
+@pytest.mark.parametrize("detector", ["sb", "classic"])
+def test_order_of_an_ambiguous_board_is_right_handed_and_points_right(detector):
+    board = Chessboard(7, 5, 0.03)
+    for turn in (0.0, 0.6, -0.6):
+        h = pose(turn=turn, size=1400.0, shift=(300.0, 250.0) if turn else (200.0, 200.0))
+        found = find_corners(seen(board, h), board, detector=detector)
+        assert np.abs(found.q - expected(board, h)).max() < 0.5
+
+
+def test_charuco_may_be_partly_hidden():
+    picture = seen(CHARUCO, pose())
+    picture[:, 420:] = 128
+    found = find_corners(picture, CHARUCO)
+    truth = expected(CHARUCO, pose())
+    assert 6 <= found.valid.sum() < len(found.valid)
+    assert not found.valid[truth[:, 0] > 425].any()
+    assert np.abs(found.q - truth)[found.valid].max() < 0.4
+    assert not found.q[~found.valid].any()
+
+
+def test_nothing_is_found_where_nothing_is():
+    grey = np.random.default_rng(0).integers(90, 110, (300, 400)).astype(np.uint8)
+    assert find_corners(grey, CHARUCO) is None
+    assert find_corners(grey, CHESS, detector="classic") is None
+    picture = seen(CHARUCO, pose())
+    picture[:, 300:] = 128
+    picture[260:] = 128
+    assert find_corners(picture, CHARUCO) is None
+
+
+def test_a_wrong_picture_is_refused():
+    with pytest.raises(ValueError, match="uint8"):
+        find_corners(np.zeros((10, 10), np.float32), CHESS)
+    with pytest.raises(ValueError, match="dictionary"):
+        find_corners(np.zeros((100, 100), np.uint8), Charuco(5, 4, 0.03, 0.02, "DICT_NONE"))
+
+
+def test_textures_fill_the_outline():
+    chess = board_texture(CHESS, 10)
+    assert chess.shape == (60, 90) and chess[0, 0] == 0 and chess[0, 10] == 255 and chess[10, 0] == 255
+    charuco = board_texture(CHARUCO, 60)
+    assert charuco.shape == (360, 480)
+    padded = np.pad(charuco, 60, constant_values=255)
+    found = find_corners(padded, CHARUCO)
+    # Corner (1, 1) of the squares is the common corner of four texture pixels, half a pixel up and left.
+    truth = CHARUCO.corners()[:, :2] / 0.03 * 60 - 0.5 + 60
+    assert found.valid.all() and np.abs(found.q - truth).max() < 0.05
+
+
+def test_small_squares_are_refined_in_a_small_window():
+    path = DATA / "opencv_stereo_chess/left02.jpg"
+    if not path.exists():
+        pytest.skip("real data opencv_stereo_chess are not here")
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    board = Chessboard(9, 6, 0.025)
+    sector, classic = (find_corners(image, board, detector=d) for d in ("sb", "classic"))
+    # With a half window of 11 px the corners of this picture move by a pixel and more.
+    assert np.median(np.linalg.norm(sector.q - classic.q, axis=1)) < 0.3
