@@ -11,7 +11,7 @@ import numpy as np
 from jaxscan.calibration.adjust import Adjustment, adjust, prior_weights
 from jaxscan.calibration.covariance import Determination, determine
 from jaxscan.calibration.observations import Observations
-from jaxscan.calibration.parameters import parameter_scales, shared_names
+from jaxscan.calibration.parameters import ANGLE_PARAMETERS, parameter_scales, shared_names
 from jaxscan.calibration.prepare import Prepared, prepare
 from jaxscan.calibration.residuals import Problem, camera_from_board, prior_names
 from jaxscan.calibration.result import Calibration
@@ -20,6 +20,7 @@ from jaxscan.calibration.settings import CAMERA_BLOCKS, Block, CalibrationSettin
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array, LaserSheet, Scanner, Turntable, point_up, stack_lasers
 from jaxscan.geometry.scanner import UP_VECTORS
+from jaxscan.geometry.turntable import Carries
 
 
 # More than this is worth a word in the report: the priors should only hold what nothing else does.
@@ -162,16 +163,28 @@ def _problem(
 
 
 def _anonymous(scanner: Scanner) -> Scanner:
-    """Without names and sizes, which the solver does not need and would recompile for."""
+    """As the solver sees it: without names and sizes, and with a table that carries the scanner.
+
+    The solver needs none of these, and would compile again for each.
+    """
     names = tuple(str(index) for index in range(len(scanner.laser_names)))
     camera = replace(scanner.camera, width=0, height=0)
-    return Scanner(camera, scanner.lasers, scanner.turntable, laser_names=names)
+    return Scanner(camera, scanner.lasers, _carrying(scanner.turntable, "scanner"), laser_names=names)
 
 
 def _named(scanner: Scanner, observations: Observations, covariance: np.ndarray | None) -> Scanner:
+    """The inverse of `_anonymous`."""
     camera = replace(scanner.camera, width=observations.width, height=observations.height)
     names = observations.laser_names or ("laser",)
-    return Scanner(camera, scanner.lasers, scanner.turntable, covariance, names, observations.up)
+    table = _carrying(scanner.turntable, observations.carries)
+    return Scanner(camera, scanner.lasers, table, covariance, names, observations.up)
+
+
+def _carrying(table: Turntable, carries: Carries) -> Turntable:
+    """The same motion of boards in front of the camera: what turns backwards, turns the other part."""
+    if table.carries == carries:
+        return table
+    return Turntable(table.direction, table.point, -table.gain, -table.harmonics, table.basis, carries)
 
 
 def _pointed_up(
@@ -206,7 +219,9 @@ def _calibration(
             "to 45 degrees and all over the image, and hold what is not needed (`free`)."
         )
     order = named.camera.parameter_names() if camera_only else named.parameter_names()
-    covariance = determination.covariance[: len(order), : len(order)]
+    turned = -1.0 if observations.carries == "object" else 1.0
+    sign = np.array([turned if name in ANGLE_PARAMETERS else 1.0 for name in order])
+    covariance = determination.covariance[: len(order), : len(order)] * np.outer(sign, sign)
     quality = _quality(result, determination, observations, data, names)
     quality["seconds"] = time.perf_counter() - started
     return Calibration(

@@ -8,6 +8,7 @@ from jaxscan.geometry import Array, Scanner, exponential
 
 
 WARP_PARAMETERS = ("warp.x", "warp.y")
+ANGLE_PARAMETERS = (*BLOCKS["gain"], *BLOCKS["harmonics"])
 LOCAL_SCALE = 1e-2
 """Unit of a board's pose steps [m, rad]."""
 

@@ -140,20 +140,30 @@ def test_strong_distortion_is_no_trouble_for_the_seed(world):
     assert np.abs(world.errors(calibration.scanner, rig)).max() < 1e-6
 
 
-def test_a_table_that_counts_backwards_under_an_object_and_two_lasers(world):
-    rig = world.Rig(
-        gain=-1.0005,
-        carries="object",
-        up="+v",
-        normals=((0.990, -0.010, 0.140), (0.985, 0.02, 0.15)),
-        distances=(0.200, 0.205),
-    )
-    scanner = calibrate_observations(world.observe(rig)).scanner
+def check_object_on_a_table(world, **rig):
+    rig = world.Rig(gain=-1.0005, carries="object", up="+v", **rig)
+    calibration = calibrate_observations(world.with_noise(world.observe(rig), 0))
+    scanner = calibration.scanner
     assert scanner.turntable.direction[1] > 0
+    assert scanner.turntable.carries == "object" and scanner.up == "+v"
     # Seen from the other side the table turns the other way.
-    assert scanner.turntable.gain == pytest.approx(1.0005, abs=1e-7)
+    assert scanner.turntable.gain == pytest.approx(1.0005, abs=4e-3)
+    value, size = normalised_error(calibration, world.errors(scanner, rig))
+    assert value < size + 4 * np.sqrt(2 * size)
+    assert np.abs(world.errors(calibrate_observations(world.observe(rig)).scanner, rig)).max() < 1e-6
+    return scanner
+
+
+def test_an_object_on_a_table_that_counts_backwards(world):
+    check_object_on_a_table(world)
+
+
+@pytest.mark.slow
+def test_two_lasers(world):
+    scanner = check_object_on_a_table(
+        world, normals=((0.990, -0.010, 0.140), (0.985, 0.02, 0.15)), distances=(0.200, 0.205)
+    )
     assert scanner.laser_names == ("laser", "laser1")
-    assert np.abs(world.errors(scanner, rig)).max() < 1e-6
 
 
 def test_default_precision_of_the_caller_does_not_matter(world, perfect, noisy):

@@ -64,6 +64,15 @@ def dense(problem):
     return vector, np.asarray(jax.jit(jax.jacfwd(vector))(flat)), np.asarray(flat)
 
 
+@jax.jit
+def linearised(problem):
+    """Residuals and the blocks of the normal equations."""
+    start = zero_step(problem)
+    residual, product = jax.linearize(lambda step: residuals(step, problem), start)
+    owner = problem.placement[problem.stripe_view]
+    return form_blocks(*jacobian_columns(product, start), residual, problem.placement, owner, 4)
+
+
 def test_derivatives_are_those_of_finite_differences(dense):
     vector, jacobian, start = dense
     step = 1e-4
@@ -82,11 +91,7 @@ def test_derivatives_are_those_of_finite_differences(dense):
 
 def test_the_step_is_that_of_dense_least_squares(problem, dense):
     vector, jacobian, flat = dense
-    start = zero_step(problem)
-    residual, product = jax.linearize(lambda step: residuals(step, problem), start)
-    corner, stripe, prior = jacobian_columns(product, start)
-    owner = problem.placement[problem.stripe_view]
-    blocks = form_blocks(corner, stripe, prior, residual, jnp.asarray(problem.placement), jnp.asarray(owner), 4)
+    blocks = linearised(jax.tree.map(jnp.asarray, problem))
     for damping in (0.0, 1e-3, 1.0):
         shared, local = schur_step(blocks, jnp.asarray(damping))
         ours = np.concatenate([np.asarray(shared), np.asarray(local).ravel()])
@@ -104,12 +109,7 @@ def test_the_step_is_that_of_dense_least_squares(problem, dense):
 def test_held_parameters_do_not_move(problem):
     names = shared_names(problem.scanner)
     held = eqx.tree_at(lambda p: p.scales, problem, parameter_scales(names, ("focal", "laser")))
-    start = zero_step(held)
-    residual, product = jax.linearize(lambda step: residuals(step, held), start)
-    columns = jacobian_columns(product, start)
-    blocks = form_blocks(
-        *columns, residual, jnp.asarray(held.placement), jnp.asarray(held.placement[held.stripe_view]), 4
-    )
+    blocks = linearised(jax.tree.map(jnp.asarray, held))
     shared, _ = schur_step(blocks, jnp.asarray(1e-3))
     moved = {name for name, value in zip(names, np.asarray(shared), strict=True) if value != 0}
     assert moved == {"fx", "fy", "laser.laser.n1", "laser.laser.n2", "laser.laser.d"}

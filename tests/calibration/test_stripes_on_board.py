@@ -28,7 +28,7 @@ def seen(world):
 def select(seen, **changes):
     rig, view, u, _, inside = seen
     corners = view(rig.board.corners())
-    arguments = dict(corners=corners, corners_valid=np.ones(len(corners), bool), board=rig.board, points=1024)
+    arguments = {"corners": corners, "corners_valid": np.ones(len(corners), bool), "board": rig.board, "points": 1024}
     return select_board_stripes(u, np.full(1024, 0.1), inside, **(arguments | changes))
 
 
@@ -59,7 +59,7 @@ def test_far_from_any_corner_found_nothing_is_believed(seen):
 
 
 def test_rows_beside_a_printed_edge_are_dropped(seen):
-    rig, view, u, _, inside = seen
+    u = seen[2]
     image = np.full((1024, 1280), 120, np.uint8)
     rows = np.arange(1024)
     # An edge that crosses the stripe at a shallow angle: dark on its right.
@@ -81,7 +81,7 @@ def test_rows_beside_a_printed_edge_are_dropped(seen):
 
 
 def test_columns_are_rows_of_the_transposed_image(seen):
-    rig, view, u, _, inside = seen
+    rig, view = seen[:2]
     image = np.full((1024, 1280), 120, np.uint8)
     image[:, 640:] = 30
     rows = select(seen, off=image)

@@ -15,9 +15,9 @@ CHARUCO = Charuco(8, 6, 0.03, 0.022)
 DATA = Path(__file__).parents[1] / "data"
 
 
-def seen(board, homography, size=(800, 600), *, oversampling=4, blur=0.8, noise=1.5, seed=0):
+def seen(board, homography, size=(800, 600), *, oversampling=8, blur=0.8, noise=1.5, seed=0):
     """A picture through a homography (board metres to pixels), averaged over sub-pixels."""
-    per_square = 40
+    per_square = 300
     texture = np.pad(board_texture(board, per_square), per_square, constant_values=255).astype(np.float32)
     x0, y0 = board.outline().min(0) - board.square
     to_texture = np.array(
