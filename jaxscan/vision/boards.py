@@ -99,11 +99,14 @@ def _find_chessboard(image: np.ndarray, board: Chessboard, detector: Detector) -
 
 
 def _find_sectors(image: np.ndarray, board: Chessboard, *, accurate: bool) -> np.ndarray | None:
-    """Corners by the sector based detector, exhaustively only where the quick search fails."""
+    """Corners by the sector based detector, exhaustively only where the quick search fails.
+
+    The histogram equalisation of CALIB_CB_NORMALIZE_IMAGE costs a factor of ten in accuracy (0.18 px
+    in place of 0.014 px on rendered boards), so it is the last resort.
+    """
     accuracy = cv2.CALIB_CB_ACCURACY if accurate else 0
-    for effort in (0, cv2.CALIB_CB_EXHAUSTIVE):
-        flags = effort | accuracy | cv2.CALIB_CB_NORMALIZE_IMAGE
-        found, corners = cv2.findChessboardCornersSB(image, board.grid(), flags=flags)
+    for effort in (0, cv2.CALIB_CB_EXHAUSTIVE, cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE):
+        found, corners = cv2.findChessboardCornersSB(image, board.grid(), flags=effort | accuracy)
         if found:
             return _points(corners)
     return None
