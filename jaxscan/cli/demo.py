@@ -1,7 +1,6 @@
 """`jaxscan demo`: the whole thing on a simulated rig, judged against its truth."""
 
 import importlib.resources
-import json as jsonlib
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,10 +10,11 @@ import tyro
 from rich.console import Console
 
 from jaxscan import api
-from jaxscan.cli.output import JsonTarget, console, emit_json, table
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import CaptureError, MeasurementError
 from jaxscan.files.atomic import write_atomically
+from jaxscan.files.bounded import MEGABYTE, parse_json, read_bounded
 from jaxscan.files.calibration import calibration_digest
 from jaxscan.geometry import Scanner
 from jaxscan.measurement import RoomBox
@@ -38,6 +38,8 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
         output: Folder to write to.
         json: Write the result as JSON too.
     """
+    check_json(json)
+    _check_folder(output)
     out = console(json)
     started = time.perf_counter()
     seconds: dict[str, float] = {}
@@ -65,12 +67,11 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
         f"({points / seconds['reconstruct']:.0f} points a second, compiling included)"
     )
     api.save_cloud(cloud, output / "room.ply", calibration_digest=calibration_digest(output / "calibration.json"))
-    seen = cloud.valid
-    picture = draw_cloud(cloud.xyz[seen], cloud.rgb[seen], normals=cloud.normals[seen])
+    picture = draw_cloud(cloud.xyz, cloud.rgb, normals=cloud.normals)
     write_atomically(output / "room.png", encode_png(picture), error=CaptureError)
 
     lap = time.perf_counter()
-    truth = jsonlib.loads(captures.truth.read_text())
+    truth = _read_truth(captures.truth)
     true_cloud = api.load_cloud(captures.true_cloud)
     box = api.measure_room(cloud, scanner=scanner)
     comparison = api.compare_clouds(cloud, true_cloud, scanner=scanner)
@@ -91,13 +92,27 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     emit_json(json, "demo", {"room": room, "distances": lengths, "points": points, "seconds_s": seconds})
 
 
+def _check_folder(output: Path) -> None:
+    """Refuse a folder that holds anything but an earlier demo."""
+    if output.exists() and not output.is_dir():
+        raise CaptureError(f"{output}: is a file; choose another folder with -o.")
+    if output.exists() and any(output.iterdir()) and not (output / "captures" / "truth.json").is_file():
+        raise CaptureError(f"{output}: holds something else than a demo; choose another folder with -o.")
+
+
+def _read_truth(path: Path) -> dict[str, Any]:
+    return parse_json(
+        read_bounded(path, MEGABYTE, name=str(path), error=CaptureError), name=str(path), error=CaptureError
+    )
+
+
 def _render(config: SimulationConfig, folder: Path, out: Console, seconds: dict[str, float]) -> api.SimulatedCaptures:
     """The captures, rendered now or by an earlier run of the same configuration."""
     digest = api.simulation_digest(config)
     if folder.exists():
-        made = api.SimulatedCaptures.of(folder)
-        if not made.truth.is_file() or jsonlib.loads(made.truth.read_text()).get("configuration") != digest:
+        if _read_truth(folder / "truth.json").get("configuration") != digest:
             raise CaptureError(f"{folder}: exists and is not this demo's; delete it or choose another folder with -o.")
+        made = api.SimulatedCaptures.of(folder)
         out.print(f"captures of an earlier run: {folder}")
         return made
     lap = time.perf_counter()
