@@ -74,6 +74,7 @@ def main() -> None:
     parser.add_argument("config", nargs="?", type=Path, default=Path("configs/paper.toml"))
     parser.add_argument("--every", type=int, default=10, help="every n-th step of the sweep")
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep board captures, calibrations and clouds here")
     parser.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
     arguments = parser.parse_args()
     config = jaxscan.load_simulation(arguments.config)
@@ -82,7 +83,8 @@ def main() -> None:
     seeds = range(1, arguments.seeds + 1)
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        scanners = {seed: calibrated(config, seed, Path(folder) / str(seed)) for seed in seeds}
+        kept = arguments.keep or Path(folder)
+        scanners = {seed: calibrated(config, seed, kept / str(seed)) for seed in seeds}
     parts: dict[int, list] = {seed: [] for seed in seeds}
     visible, found = dict.fromkeys(seeds, 0), dict.fromkeys(seeds, 0)
     records = expect_sweep(config, every=arguments.every)
@@ -96,15 +98,16 @@ def main() -> None:
     truth = {"length": length, "width": width, "height": config.room.size_m[2]}
     rows = []
     for seed in seeds:
-        box = jaxscan.measure_room(joined(parts[seed]), scanner=scanners[seed])
+        cloud = joined(parts[seed])
+        if arguments.keep:
+            jaxscan.save_cloud(cloud, arguments.keep / str(seed) / "room.npz")
+        box = jaxscan.measure_room(cloud, scanner=scanners[seed])
         for name, true in truth.items():
             side = getattr(box, name)
             if side is not None:
                 error, sigma = side.value_m - true, side.sigma_m
                 rows.append({"seed": seed, "side": name, "error_m": error, "sigma_m": sigma})
-                print(
-                    f"seed {seed} {name:>7}: {1e3 * error:+7.3f} mm, predicted sigma {1e3 * sigma:.3f} mm, {error / sigma:+.2f}"
-                )
+                print(f"seed {seed} {name:>7}: {1e3 * error:+7.3f} mm = {error / sigma:+.2f} predicted sigmas")
         print(f"seed {seed}: {100 * found[seed] / visible[seed]:.2f} % of {visible[seed]} visible rows have a point")
     metrics = []
     for name in truth:
