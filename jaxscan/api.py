@@ -92,6 +92,8 @@ def calibrate(
         CalibrationError: If something cannot be determined; the message says what to capture.
     """
     captures = [captures] if isinstance(captures, Capture) else list(captures)
+    if not captures:
+        raise CaptureError("No capture was given; a calibration needs at least one capture of a board.")
     observations = observe_boards(captures, with_stripes=not only_camera, progress=progress)
     solve = calibrate_camera if only_camera else calibrate_observations
     result = solve(observations, settings=settings or CalibrationSettings())
@@ -316,13 +318,16 @@ def simulate(
     from jaxscan.vision.boards import board_texture
 
     folder = Path(folder)
+    target = Path(os.path.abspath(folder))
+    if target == Path.cwd():
+        raise CaptureError(f"{folder}: is the folder you are in; name one that is to be made.")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise CaptureError(f"{folder}: exists and is not empty; choose another folder, a capture is never overwritten.")
     spec = config.boards
     boards = spec.free_views + spec.placements * spec.angles
     steps = len(sweep_angles(config, every=every)) * len(config.laser)
     total = steps + boards * len(config.laser)
-    partial = folder.with_name(f".{folder.name}.partial-{os.getpid()}")
+    partial = target.with_name(f".{target.name}.partial-{os.getpid()}")
     made = SimulatedCaptures(partial, boards * len(config.laser), steps)
     done = itertools.count(1)
 
@@ -342,8 +347,8 @@ def simulate(
         write_atomically(made.truth, json.dumps(true, indent=2).encode(), error=CaptureError)
         save_cloud(_cloud_of_truth(truths), made.true_cloud)
         if folder.exists():
-            folder.rmdir()
-        partial.rename(folder)
+            target.rmdir()
+        partial.rename(target)
     except OSError as problem:
         raise CaptureError(f"{folder}: cannot be written: {problem.strerror or problem}.") from problem
     finally:

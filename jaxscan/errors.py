@@ -25,5 +25,9 @@ class MeasurementError(JaxscanError):
     """A cloud that does not hold what is to be measured."""
 
 
+class OptionError(JaxscanError):
+    """An option of the command line whose value cannot be meant."""
+
+
 class DependencyError(JaxscanError):
     """A library or system package that is needed for this call and is not installed."""

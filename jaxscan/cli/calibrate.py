@@ -7,13 +7,14 @@ import tyro
 
 from jaxscan import api
 from jaxscan.cli.options import OutputPath
-from jaxscan.cli.output import JsonTarget, console, emit_json, table
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
 from jaxscan.cli.progress import progress_bar
+from jaxscan.files.calibration import check_calibration_path
 from jaxscan.report.calibration import parameter_rows, quality_lines
 
 
 def calibrate(
-    captures: Annotated[tuple[Path, *tuple[Path, ...]], tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")],
+    captures: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")],
     /,
     *,
     output: OutputPath,
@@ -29,6 +30,8 @@ def calibrate(
             cannot reconstruct.
         json: Write the result as JSON too.
     """
+    check_calibration_path(output)
+    check_json(json)
     opened = [api.open_capture(path) for path in captures]
     out = console(json)
     for capture in opened:

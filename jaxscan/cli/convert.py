@@ -8,8 +8,8 @@ import tyro
 
 from jaxscan import api
 from jaxscan.cli.options import CloudPath
-from jaxscan.cli.output import JsonTarget, console, emit_json
-from jaxscan.files.clouds import check_suffix
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.files.clouds import check_cloud_path
 
 
 def convert(
@@ -26,7 +26,8 @@ def convert(
         target: Cloud to write; the suffix chooses the format (.ply .e57 .laz .las .pcd .xyz .ptx .npz).
         json: Write the result as JSON too.
     """
-    check_suffix(target)
+    check_cloud_path(target)
+    check_json(json)
     cloud = api.load_cloud(source)
     api.save_cloud(cloud, target)
     points = int(np.asarray(cloud.valid).sum())

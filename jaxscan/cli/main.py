@@ -52,7 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except JaxscanError as error:
         if debug:
             raise
-        print(f"jaxscan: {error}", file=sys.stderr)
+        # Foreign libraries explain themselves in several lines.
+        print("jaxscan:", *str(error).split(), file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         if debug:
@@ -65,6 +66,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _keep_compiled_code() -> None:
     """Compile once per machine, not once per run."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxscan" / "compiled"
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
     jax.config.update("jax_compilation_cache_dir", str(cache))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 

@@ -9,8 +9,8 @@ import numpy as np
 import tyro
 
 from jaxscan import api
-from jaxscan.cli.options import CloudPath
-from jaxscan.cli.output import JsonTarget, console, emit_json, table
+from jaxscan.cli.options import CloudPath, finite, positive
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
 from jaxscan.measurement import Dimension, ErrorStatistics
 
 
@@ -30,6 +30,7 @@ def room(cloud: CloudPath, /, *, calibration: Calibration = None, json: JsonTarg
         calibration: The scanner it was made with; then sigma includes the calibration's part.
         json: Write the result as JSON too.
     """
+    check_json(json)
     scanner = None if calibration is None else api.load_scanner(calibration)
     box = api.measure_room(api.load_cloud(cloud), scanner=scanner)
     sides = {name: side for name in ("length", "width", "height") if (side := getattr(box, name)) is not None}
@@ -60,6 +61,10 @@ def distance(
         calibration: The scanner it was made with; then sigma includes the calibration's part.
         json: Write the result as JSON too.
     """
+    finite("--a", a)
+    finite("--b", b)
+    positive("--radius-mm", radius_mm)
+    check_json(json)
     scanner = None if calibration is None else api.load_scanner(calibration)
     found = api.measure_distance(
         api.load_cloud(cloud), np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner
@@ -84,6 +89,9 @@ def plane(cloud: CloudPath, /, *, at: Point, radius_mm: float = 200.0, json: Jso
         radius_mm: Points this near to it are taken.
         json: Write the result as JSON too.
     """
+    finite("--at", at)
+    positive("--radius-mm", radius_mm)
+    check_json(json)
     found = api.measure_plane(api.load_cloud(cloud), np.array(at), radius_m=radius_mm / 1e3)
     console(json).print(
         f"RMS {1e3 * found.rms_m:.2f} mm, 95 % of {found.points} points within {1e3 * found.range95_m:.2f} mm, "
@@ -101,6 +109,7 @@ def compare(cloud: CloudPath, truth: CloudPath, /, *, calibration: Calibration =
         calibration: The scanner it was made with, for errors along the ray.
         json: Write the result as JSON too.
     """
+    check_json(json)
     scanner = None if calibration is None else api.load_scanner(calibration)
     found = api.compare_clouds(api.load_cloud(cloud), api.load_cloud(truth), scanner=scanner)
     rows = [_error_row("distance", found.error_m)]

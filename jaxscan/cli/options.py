@@ -1,12 +1,46 @@
-"""Arguments that several verbs share."""
+"""Arguments that several verbs share, and what is asked of them before the work begins."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+
+from jaxscan.errors import OptionError
 
 
 CapturePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
 CloudPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CLOUD")]
 OutputPath = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 CalibrationPath = Annotated[Path, tyro.conf.arg(aliases=["-c"])]
+
+
+def at_least(smallest: int, option: str, value: int | None) -> None:
+    """Refuse a count below `smallest`.
+
+    Raises:
+        OptionError: With the option's name and what may stand there.
+    """
+    if value is not None and value < smallest:
+        raise OptionError(f"{option}: found {value}, expected {smallest} or more.")
+
+
+def positive(option: str, *values: float) -> None:
+    """Refuse lengths that are none.
+
+    Raises:
+        OptionError: With the option's name and what may stand there.
+    """
+    for value in values:
+        if not (math.isfinite(value) and value > 0):
+            raise OptionError(f"{option}: found {value:g}, expected a number above 0.")
+
+
+def finite(option: str, values: tuple[float, ...]) -> None:
+    """Refuse places that are nowhere.
+
+    Raises:
+        OptionError: With the option's name and what may stand there.
+    """
+    if not all(math.isfinite(value) for value in values):
+        raise OptionError(f"{option}: found {' '.join(f'{value:g}' for value in values)}, expected finite numbers.")

@@ -10,12 +10,22 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from jaxscan.files.atomic import write_atomically
+from jaxscan.files.atomic import check_writable, write_atomically
 
 
 JsonTarget = Annotated[
     str | None, tyro.conf.arg(name="json", metavar="FILE", help="Write the result as JSON too (- for standard output).")
 ]
+
+
+def check_json(target: str | None) -> None:
+    """See that the JSON can be written, before the work that makes it.
+
+    Raises:
+        JaxscanError: If its folder is missing or cannot be written.
+    """
+    if target is not None and target != "-":
+        check_writable(target)
 
 
 def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
@@ -31,7 +41,11 @@ def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
 
 def console(json_target: str | None = None) -> Console:
     """Where people read: standard output, unless that is where the JSON goes."""
-    return Console(stderr=json_target == "-", highlight=False)
+    # A path that is wrapped, or of which a part is taken for markup, cannot be used again.
+    made = Console(stderr=json_target == "-", highlight=False, markup=False, soft_wrap=True)
+    if not made.is_terminal:
+        made.width = 160
+    return made
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

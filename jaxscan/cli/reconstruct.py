@@ -5,11 +5,11 @@ import time
 import numpy as np
 
 from jaxscan import api
-from jaxscan.cli.options import CalibrationPath, CapturePath, OutputPath
-from jaxscan.cli.output import JsonTarget, console, emit_json
+from jaxscan.cli.options import CalibrationPath, CapturePath, OutputPath, at_least
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 from jaxscan.files.calibration import calibration_digest
-from jaxscan.files.clouds import check_suffix
+from jaxscan.files.clouds import check_cloud_path
 
 
 def reconstruct(
@@ -30,7 +30,9 @@ def reconstruct(
         every: Use every n-th record only.
         json: Write the result as JSON too.
     """
-    check_suffix(output)
+    at_least(1, "--every", every)
+    check_cloud_path(output)
+    check_json(json)
     sweep = api.open_capture(capture).every(every)
     scanner = api.load_scanner(calibration)
     out = console(json)

@@ -1,13 +1,14 @@
 """`jaxscan simulate`: a known rig in a known room, rendered as captures."""
 
+import time
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from jaxscan import api
-from jaxscan.cli.options import OutputPath
-from jaxscan.cli.output import JsonTarget, console, emit_json
+from jaxscan.cli.options import OutputPath, at_least
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 
 
@@ -32,20 +33,27 @@ def simulate(
         seed: Seed of noise and board poses, instead of the one in the configuration.
         json: Write the result as JSON too.
     """
+    at_least(1, "--every", every)
+    at_least(0, "--seed", seed)
+    check_json(json)
     settings = api.load_simulation(config)
+    start = time.perf_counter()
     with progress_bar("Rendering") as progress:
         made = api.simulate(settings, output, every=every, seed=seed, progress=progress)
-    out = console(json)
-    out.print(f"{made.board_pairs} board pairs and {made.sweep_pairs} sweep pairs in {made.seconds:.0f} s: {output}")
+    seconds = time.perf_counter() - start
+    console(json).print(
+        f"{made.board_pairs} board pairs and {made.sweep_pairs} sweep pairs in {seconds:.0f} s: {output}"
+    )
     emit_json(
         json,
         "simulate",
         {
-            "boards": str(made.boards) if made.boards else None,
+            "boards": str(made.boards) if made.board_pairs else None,
             "sweep": str(made.sweep),
             "truth": str(made.truth),
+            "true_cloud": str(made.true_cloud),
             "board_pairs": made.board_pairs,
             "sweep_pairs": made.sweep_pairs,
-            "seconds_s": made.seconds,
+            "seconds_s": seconds,
         },
     )

@@ -48,6 +48,25 @@ def write_atomically(
         part.unlink(missing_ok=True)
 
 
+def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError) -> None:
+    """See that a file can be written under this name, before the work that makes its content.
+
+    Args:
+        path: The file.
+        error: Type of the error raised.
+
+    Raises:
+        JaxscanError: Of type `error`, if `write_atomically` would refuse.
+    """
+    target = Path(os.path.realpath(path))
+    try:
+        _check_target(target)
+        if not os.access(target.parent, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as problem:
+        raise error(_explain(path, target, problem)) from problem
+
+
 def _check_target(target: Path) -> None:
     # Foreign libraries have errors of their own for this.
     if not target.parent.is_dir():

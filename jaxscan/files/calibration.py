@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
-from jaxscan.files.atomic import write_atomically
+from jaxscan.files.atomic import check_writable, write_atomically
 from jaxscan.files.bounded import MEGABYTE, file_digest, parse_json, read_bounded
 from jaxscan.files.calibration_model import CALIBRATION_FORMAT, CalibrationTable
 from jaxscan.files.observations import is_observations, observations_path, read_observations, write_observations
@@ -32,10 +32,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
         CalibrationError: If the calibration is inconsistent, or cannot be written.
     """
     path = Path(path)
-    if path.suffix.lower() == ".npz":
-        raise CalibrationError(
-            f"{path}: a calibration is JSON; end its name in .json (the .npz beside it is made too)."
-        )
+    check_calibration_path(path)
     try:
         text = readable_json(_tables(calibration))
     except (TypeError, ValueError) as problem:
@@ -49,6 +46,19 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     if calibration.observations is None and is_observations(beside):
         # Those of the calibration that was just replaced.
         beside.unlink()
+
+
+def check_calibration_path(path: str | Path) -> None:
+    """See that a calibration can be written under this name, before the work that makes it.
+
+    Raises:
+        CalibrationError: If the suffix is that of the file beside it, or nothing can be written there.
+    """
+    if Path(path).suffix.lower() == ".npz":
+        raise CalibrationError(
+            f"{path}: a calibration is JSON; end its name in .json (the .npz beside it is made too)."
+        )
+    check_writable(path, error=CalibrationError)
 
 
 def load_calibration(path: str | Path) -> Calibration:

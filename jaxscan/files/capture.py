@@ -133,8 +133,8 @@ class Capture:
         """
         if size < 1:
             raise ValueError(f"`size` must be at least 1, got {size}.")
-        for record in self.records:
-            self._known(record, "on", record.on)
+        if self.header.kind != "sweep":
+            raise CaptureError(f"{self.path}: is a calibration capture; only a sweep can be reconstructed.")
         with_off = bool(self.records) and all(record.off is not None for record in self.records)
 
         def load(index: int, chunk: FrameChunk, row: int) -> None:

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.atomic import write_atomically
+from jaxscan.files.atomic import check_writable, write_atomically
 from jaxscan.files.e57 import write_e57
 from jaxscan.files.las import write_las
 from jaxscan.files.npz import read_npz, write_npz
@@ -35,14 +35,15 @@ WRITERS: dict[str, Writer] = {
 READERS: dict[str, Callable[[Path], PointCloud]] = {".ply": read_ply, ".npz": read_npz}
 
 
-def check_suffix(path: Path) -> None:
+def check_cloud_path(path: Path) -> None:
     """See that a cloud can be written under this name, before the work that makes it.
 
     Raises:
-        CloudError: If the suffix is not one of `WRITERS`.
+        CloudError: If the suffix is not one of `WRITERS`, or nothing can be written there.
     """
     if path.suffix.lower() not in WRITERS:
         raise CloudError(f'{path}: cannot write "{path.suffix}", known are {", ".join(WRITERS)}.')
+    check_writable(path, error=CloudError)
 
 
 def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str = "") -> None:
@@ -59,7 +60,7 @@ def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str =
         DependencyError: If the format needs a library that is not installed.
     """
     path = Path(path)
-    check_suffix(path)
+    check_cloud_path(path)
     writer = WRITERS[path.suffix.lower()]
     if not calibration_digest.isascii() or not calibration_digest.isprintable():
         raise ValueError(f"`calibration_digest` must be printable ASCII, got {calibration_digest!r}.")

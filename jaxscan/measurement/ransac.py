@@ -11,6 +11,9 @@ VOTERS = 12000
 HYPOTHESES = 500
 PATCH_M = 0.3
 """Radius of the patch behind one hypothesis [m]."""
+MIN_PROFILES = 3
+"""Profiles in a patch, at least: a sheet of light is a plane itself, so the points of one profile,
+or of two that face each other, lie on a plane wherever they are."""
 GROWN = 8
 """Best hypotheses of a round that are grown over their inliers before the winner is chosen."""
 MIN_SHARE = 0.008
@@ -50,9 +53,11 @@ def find_planes(samples: Samples, *, seed: int) -> list[tuple[Plane, np.ndarray]
 def _hypotheses(voters: Samples, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     origin = spread_out(len(voters.p), HYPOTHESES, rng)
     groups = cKDTree(voters.p).query_ball_point(voters.p[origin], PATCH_M)
+    # The clouds of other programs know no profiles.
+    profiles = min(MIN_PROFILES, len(np.unique(voters.profile)))
     normals, distances, kept = [], [], []
     for seed_point, group in zip(origin, groups, strict=True):
-        if len(group) < 6:
+        if len(group) < 6 or len(np.unique(voters.profile[group])) < profiles:
             continue
         p = voters.p[group]
         centre = p.mean(0)

@@ -83,7 +83,7 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
     if not found:
         raise MeasurementError(
             f"No two opposite walls among {len(planes)} planes in {len(samples.p)} points; "
-            "a room must be scanned from within, all around."
+            "a room must be scanned from within, all around, in steps of a few degrees."
         )
     centre = _centre(found)
     level = [abs(pair[0].plane.normal[2]) > 0.5 for pair in found]

@@ -40,6 +40,8 @@ class Samples(NamedTuple):
     """Laser of each point [n]."""
     angle: np.ndarray
     """The table's angle [n], rad from home."""
+    profile: np.ndarray
+    """Profile of each point [n]."""
 
     def take(self, index: np.ndarray) -> "Samples":
         """The points at `index` (numbers or a mask)."""
@@ -68,6 +70,7 @@ def samples_of(cloud: Cloud) -> Samples:
         sigma=np.maximum(np.asarray(cloud.sigma_random)[valid].astype(np.float64), SIGMA_FLOOR_M),
         laser=np.asarray(cloud.laser)[profile],
         angle=np.asarray(cloud.angle, np.float64)[profile],
+        profile=profile,
     )
 
 

@@ -37,7 +37,7 @@ def quality_lines(calibration: Calibration) -> list[str]:
     quality = calibration.quality
     lines = [
         f"corners: {quality['corners']} in {quality['views']} views, {quality['corners_rejected']} rejected, "
-        f"RMS {quality['corner_rms_kept_px']:.3f} px, whitened {quality['corner_rms_whitened']:.3f}"
+        f"RMS {quality['corner_rms_px']:.3f} px, whitened {quality['corner_rms_whitened']:.3f}"
     ]
     if calibration.scanner is not None:
         lines.append(
