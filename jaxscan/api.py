@@ -40,6 +40,7 @@ from jaxscan.geometry import AbstractBoard, Charuco
 from jaxscan.geometry import Scanner as Scanner
 from jaxscan.geometry import fit_axis as fit_axis
 from jaxscan.geometry import fit_plane as fit_plane
+from jaxscan.geometry.turntable import Carries
 from jaxscan.measurement import compare_clouds as compare_clouds
 from jaxscan.measurement import measure_distance as measure_distance
 from jaxscan.measurement import measure_plane as measure_plane
@@ -247,7 +248,7 @@ def _observations(views: list[_View], first: Capture, board: AbstractBoard) -> O
         height=height,
         laser_names=tuple(line.name for line in first.lines),
         up=first.header.camera.up,
-        carries=first.carries or "scanner",
+        carries=cast(Carries, first.carries or "scanner"),
     )
 
 

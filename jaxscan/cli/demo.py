@@ -16,7 +16,7 @@ from jaxscan.errors import CaptureError, MeasurementError
 from jaxscan.files.atomic import write_atomically
 from jaxscan.files.bounded import MEGABYTE, parse_json, read_bounded
 from jaxscan.files.calibration import calibration_digest
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Array, Scanner
 from jaxscan.measurement import RoomBox
 from jaxscan.report.picture import draw_cloud
 from jaxscan.simulation import SimulationConfig, true_scanner
@@ -67,7 +67,7 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
         f"({points / seconds['reconstruct']:.0f} points a second, compiling included)"
     )
     api.save_cloud(cloud, output / "room.ply", calibration_digest=calibration_digest(output / "calibration.json"))
-    picture = draw_cloud(cloud.xyz, cloud.rgb, normals=cloud.normals)
+    picture = draw_cloud(*(np.asarray(field) for field in (cloud.xyz, cloud.rgb)), normals=np.asarray(cloud.normals))
     write_atomically(output / "room.png", encode_png(picture), error=CaptureError)
 
     lap = time.perf_counter()
@@ -84,9 +84,11 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     out.print(table("Room, wall to wall", COLUMNS, [_row(entry) for entry in room]))
     out.print(table("Distances between two patches of 10 cm", COLUMNS, [_row(entry) for entry in lengths]))
     out.print(table("Calibration", ("parameter", "found", "truth", "error", "predicted sigma"), parameters))
+    if comparison.along_ray_m is not None:
+        out.print(f"median error of a point along its ray {1e3 * comparison.along_ray_m.median_abs:.2f} mm")
     out.print(
-        f"median error of a point along its ray {1e3 * comparison.along_ray_m.median_abs:.2f} mm; "
-        f"{100 * comparison.completeness:.1f} % of the lit cells have a point; {comparison.false_points} false points"
+        f"{100 * comparison.completeness:.1f} % of the lit cells have a point; "
+        f"{comparison.false_points} points where the truth has none"
     )
     out.print(f"{seconds['all']:.0f} s in all; written: {', '.join(str(output / n) for n in FILES)}")
     emit_json(json, "demo", {"room": room, "distances": lengths, "points": points, "seconds_s": seconds})
@@ -162,15 +164,13 @@ def _calibration_rows(found: Scanner, true: Scanner) -> list[tuple[str, ...]]:
     for label in ("fx", "fy", "cx", "cy"):
         rows.append(_number(f"{label}, px", getattr(found.camera, label), getattr(true.camera, label), sigma[label]))
     sheets = found.laser(0), true.laser(0)
-    rows.append(_number("laser distance, mm", *(1e3 * s.distance for s in sheets), 1e3 * sigma[f"laser.{name}.d"]))
+    distances = [1e3 * float(sheet.distance) for sheet in sheets]
+    rows.append(_number("laser distance, mm", distances[0], distances[1], 1e3 * sigma[f"laser.{name}.d"]))
     tilt = np.hypot(sigma[f"laser.{name}.n1"], sigma[f"laser.{name}.n2"])
     rows.append(_angle("laser normal, mrad", sheets[0].normal, sheets[1].normal, tilt))
     axes = found.turntable, true.turntable
-    rows.append(
-        _angle(
-            "axis direction, mrad", axes[0].direction, axes[1].direction, np.hypot(sigma["axis.d1"], sigma["axis.d2"])
-        )
-    )
+    tilt = np.hypot(sigma["axis.d1"], sigma["axis.d2"])
+    rows.append(_angle("axis direction, mrad", axes[0].direction, axes[1].direction, tilt))
     offset = 1e3 * float(np.linalg.norm(axes[0].point - axes[1].point))
     spread = 1e3 * np.hypot(sigma["axis.p1"], sigma["axis.p2"])
     rows.append(("axis position, mm", "", "", f"{offset:.3f}", f"{spread:.3f}"))
@@ -183,7 +183,7 @@ def _number(label: str, found: Any, true: Any, sigma: float, *, digits: int = 3)
     return (label, *(f"{value:.{digits}f}" for value in (found, true, found - true, sigma)))
 
 
-def _angle(label: str, found: np.ndarray, true: np.ndarray, sigma: float) -> tuple[str, ...]:
+def _angle(label: str, found: Array, true: Array, sigma: float) -> tuple[str, ...]:
     between = np.arctan2(np.linalg.norm(np.cross(found, true)), np.dot(found, true))
     return (label, "", "", f"{1e3 * between:.3f}", f"{1e3 * sigma:.3f}")
 

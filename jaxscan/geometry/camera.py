@@ -152,7 +152,9 @@ def _undistort(target: Float[Array, "2"], k: Float[Array, " k"]) -> Float[Array,
 
     fixed_k, fixed = jax.lax.stop_gradient((k, target))
     iterations = 6 if target.dtype == jnp.float32 else 12
-    x, y = jax.lax.fori_loop(0, iterations, lambda _, p: newton(*p, fixed_k, fixed[0], fixed[1]), (fixed[0], fixed[1]))
+    x, y = jax.lax.fori_loop(
+        0, iterations, lambda _, p: newton(p[0], p[1], fixed_k, fixed[0], fixed[1]), (fixed[0], fixed[1])
+    )
     # One last step carries the derivative: at the solution it is the implicit function theorem.
     x, y = jax.lax.stop_gradient((x, y))
     return jnp.stack(newton(x, y, k, target[0], target[1]))
