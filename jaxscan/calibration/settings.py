@@ -77,9 +77,14 @@ class CalibrationSettings:
         "laser",
         "axis",
         "gain",
+        "harmonics",
         "warp",
     )
-    """What is estimated; everything else is held. "rational" adds k4, k5, k6 to the camera."""
+    """What is estimated; everything else is held. "rational" adds k4, k5, k6 to the camera.
+
+    The table's harmonics are free although boards over a few tens of degrees hardly see them:
+    their prior then says in the covariance what is not known. Held at 0, a table with errors of
+    0.3 mrad gives a covariance that is far too small."""
     priors: Priors = field(default_factory=Priors)
     huber: float = 1.345
     """Residuals beyond this many standard deviations are down-weighted at first [1]."""

@@ -26,6 +26,7 @@ class Rig:
     axis: tuple[float, float, float] = (0.010, -0.9999, 0.012)
     axis_point: tuple[float, float, float] = (0.020, 0.0, -0.150)
     gain: float = 1.0
+    harmonics: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
     warp: tuple[float, float] = (0.0, 0.0)
     carries: str = "scanner"
     up: str = "-v"
@@ -66,7 +67,11 @@ def project(rig, points):
 
 def seen_from(rig, rotation, translation, phi):
     """A board pose of angle 0 as the camera sees it at table angle phi."""
-    theta = rig.gain * phi * (1 if rig.carries == "scanner" else -1)
+    c1, s1, c2, s2 = rig.harmonics
+    theta = (
+        rig.gain * phi + c1 * (np.cos(phi) - 1) + s1 * np.sin(phi) + c2 * (np.cos(2 * phi) - 1) + s2 * np.sin(2 * phi)
+    )
+    theta = theta if rig.carries == "scanner" else -theta
     back = rodrigues(-theta * rig.direction())
     return back @ rotation, back @ (translation - rig.foot()) + rig.foot()
 
@@ -182,7 +187,7 @@ def errors(scanner, rig):
     sense = np.sign(table.direction @ rig.direction())
     parts += list(-table.basis @ (sense * rig.direction()))
     parts += list(table.basis @ (table.point - rig.foot()))
-    parts += [table.gain - sense * rig.gain, *table.harmonics]
+    parts += [table.gain - sense * rig.gain, *(table.harmonics - sense * np.array(rig.harmonics))]
     return np.array([float(p) for p in parts])
 
 

@@ -48,16 +48,16 @@ def test_errors_are_as_the_covariance_says(world, noisy):
     values = [normalised_error(c, world.errors(c.scanner, world.Rig())) for c in noisy]
     count = sum(size for _, size in values)
     total = sum(value for value, _ in values)
-    # Chi-squared with 8 x 17 degrees of freedom: 4 standard deviations either way.
-    assert abs(total - count) < 4 * np.sqrt(2 * count)
+    # Chi-squared with 8 x 21 degrees of freedom: 4 standard deviations either way. Four to five of
+    # the 21 are known from priors that are the truth here, so the lower bound is without those.
+    assert count - 5 * 8 - 4 * np.sqrt(2 * count) < total < count + 4 * np.sqrt(2 * count)
 
 
 def test_held_parameters_stay_and_have_no_variance(noisy):
     calibration = noisy[0]
     names = list(calibration.order)
-    for name in ("laser.laser.b2", "c1", "s2"):
+    for name in ("laser.laser.b2", "laser.laser.b3"):
         assert not calibration.covariance[names.index(name)].any()
-    assert not calibration.scanner.turntable.harmonics.any()
     assert not calibration.scanner.lasers.bow.any()
     np.testing.assert_array_equal(calibration.scanner.covariance, calibration.covariance)
 
@@ -134,6 +134,19 @@ def test_a_bowed_board_is_found_out(world):
     assert flat.quality["corner_rms_px"] > 0.02
 
 
+def test_a_table_with_angle_errors_does_not_make_the_covariance_lie(world):
+    rig = world.Rig(harmonics=(3e-4, -2e-4, 1e-4, 1e-4), gain=1.0004)
+    observed = world.observe(rig)
+    values = []
+    for seed in range(4):
+        calibration = calibrate_observations(world.with_noise(observed, seed))
+        error = world.errors(calibration.scanner, rig)
+        values.append(normalised_error(calibration, error))
+    total, count = sum(v for v, _ in values), sum(n for _, n in values)
+    # The prior's part of the error is the same in all four runs, hence the wider band.
+    assert total < count + 8 * np.sqrt(2 * count)
+
+
 def test_strong_distortion_is_no_trouble_for_the_seed(world):
     rig = world.Rig(lens=(-0.30, 0.10, 0.0, 0.0, 0.0))
     calibration = calibrate_observations(world.observe(rig))
@@ -150,7 +163,10 @@ def check_object_on_a_table(world, **rig):
     assert scanner.turntable.gain == pytest.approx(1.0005, abs=4e-3)
     value, size = normalised_error(calibration, world.errors(scanner, rig))
     assert value < size + 4 * np.sqrt(2 * size)
-    assert np.abs(world.errors(calibrate_observations(world.observe(rig)).scanner, rig)).max() < 1e-6
+    # Gain and harmonics share what boards over 20 degrees show of them by their priors, so only a
+    # table without errors is recovered to the last digit.
+    exact = replace(rig, gain=-1.0)
+    assert np.abs(world.errors(calibrate_observations(world.observe(exact)).scanner, exact)).max() < 1e-6
     return scanner
 
 
@@ -181,9 +197,12 @@ def test_monte_carlo(world, perfect):
     error = np.array([world.errors(c.scanner, world.Rig()) for c in runs])
     free = np.diag(runs[0].covariance) > 0
     ratio = error.std(0)[free] / np.sqrt(np.mean([np.diag(c.covariance)[free] for c in runs], axis=0))
-    # The gain's prior is the truth itself, so errors along it are smaller than predicted, never larger.
+    names = np.array(runs[0].order)[free]
+    # 200 runs give a standard deviation to 5 %: three of these either way.
     assert ratio.max() < 1.15
-    assert np.sort(ratio)[2] > 0.85
+    # Gain and harmonics have priors that are the truth itself, so their errors are smaller than said.
+    seen = [name.startswith(("f", "c", "k", "laser")) and name not in ("c1", "c2") for name in names]
+    assert ratio[seen].min() > 0.85
     values = np.array([normalised_error(c, e)[0] for c, e in zip(runs, error, strict=True)])
     assert values.mean() < free.sum() + 3 * np.sqrt(2 * free.sum() / len(runs))
     for group in ("corner", "stripe"):
