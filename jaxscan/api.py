@@ -95,6 +95,11 @@ def calibrate(
     captures = [captures] if isinstance(captures, Capture) else list(captures)
     if not captures:
         raise CaptureError("No capture was given; a calibration needs at least one capture of a board.")
+    if not only_camera and not captures[0].lines:
+        raise CalibrationError(
+            f"{captures[0].path}: lists no [[laser]], so there is no laser plane to be found: capture the board with "
+            "the laser on and off, or calibrate the camera alone (`--only camera`, `only_camera=True`)."
+        )
     observations = observe_boards(captures, with_stripes=not only_camera, progress=progress)
     solve = calibrate_camera if only_camera else calibrate_observations
     result = solve(observations, settings=settings or CalibrationSettings())

@@ -1,5 +1,9 @@
 """Strict settings for every test: 64 bit, no silent promotion, shapes and types checked."""
 
+import json
+from pathlib import Path
+from typing import NamedTuple
+
 import jax
 import pytest
 
@@ -12,3 +16,87 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 @pytest.fixture(autouse=True)
 def _no_colour(monkeypatch):
     monkeypatch.setenv("NO_COLOR", "1")
+
+
+TINY = """
+seed = 3
+[camera]
+width = 320
+height = 256
+fx = 215.0
+fy = 215.2
+cx = 161.2
+cy = 127.1
+k1 = -0.05
+k2 = 0.01
+[sensor]
+psf_px = 0.8
+[laser]
+name = "red"
+baseline_m = 0.3
+crossing_m = 2.0
+fan_deg = 110.0
+waist_mm = 1.5
+[turntable]
+direction = [0.012, -0.99989, 0.008]
+point_m = [0.12, 0.0, -0.06]
+[room]
+size_m = [3.2, 3.8, 2.4]
+rig_m = [1.5, 1.8, 1.2]
+furniture = false
+[boards]
+type = "chessboard"
+columns = 7
+rows = 5
+square_mm = 80.0
+free_views = 12
+placements = 3
+angles = 3
+range_m = [0.7, 1.6]
+[plan]
+steps = 60
+"""
+
+
+class TinyRig(NamedTuple):
+    """A small simulated rig that went the whole way once, on the command line. Copy, do not change."""
+
+    folder: Path
+    config: Path
+    boards: Path
+    sweep: Path
+    truth: Path
+    true_cloud: Path
+    calibration: Path
+    cloud: Path
+    results: dict
+    """What each verb wrote as JSON, by its name."""
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory):
+    """Simulate, calibrate, reconstruct, measure: once for all tests."""
+    from jaxscan.cli.main import main
+
+    folder = tmp_path_factory.mktemp("tiny")
+    config, calibration, cloud = folder / "rig.toml", folder / "calibration.json", folder / "room.ply"
+    config.write_text(TINY)
+    captures = folder / "captures"
+    verbs = {
+        "simulate": [config, "-o", captures],
+        "calibrate": [captures / "boards", "-o", calibration],
+        "reconstruct": [captures / "sweep", "-c", calibration, "-o", cloud],
+        "measure-room": [cloud, "-c", calibration],
+        "measure-compare": [cloud, captures / "truth.npz", "-c", calibration],
+    }
+    results = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+        for verb, words in verbs.items():
+            target = folder / f"{verb}.json"
+            assert main([*verb.split("-"), *map(str, words), "--json", str(target)]) == 0, verb
+            results[verb] = json.loads(target.read_text())
+    truth, true_cloud = captures / "truth.json", captures / "truth.npz"
+    return TinyRig(
+        folder, config, captures / "boards", captures / "sweep", truth, true_cloud, calibration, cloud, results
+    )

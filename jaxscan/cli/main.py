@@ -65,6 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _keep_compiled_code() -> None:
     """Compile once per machine, not once per run."""
+    if jax.config.jax_compilation_cache_dir is not None:
+        return
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxscan" / "compiled"
     try:
         cache.mkdir(parents=True, exist_ok=True)

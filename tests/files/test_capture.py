@@ -111,6 +111,8 @@ def test_a_calibration_capture(folder):
     with pytest.raises(CaptureError, match="record 3: angle_deg is null"):
         _ = capture.angles
     with pytest.raises(CaptureError, match="record 1: on is null"):
+        _ = capture.laser
+    with pytest.raises(CaptureError, match="is a calibration capture; only a sweep can be reconstructed"):
         capture.chunks(2)
 
 

@@ -1,0 +1,60 @@
+"""What tests of the command line share: a way to run it, and copies of captures to damage."""
+
+import shutil
+from typing import NamedTuple
+
+import pytest
+
+from jaxscan.cli.main import main
+
+
+class Ran(NamedTuple):
+    """How a verb ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(capsys, monkeypatch, tmp_path_factory):
+    """`jaxscan` with these words, in this process; usage errors leave by SystemExit, as in a shell."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+
+    def call(*words):
+        capsys.readouterr()
+        try:
+            code = main([str(word) for word in words])
+        except SystemExit as left:
+            code = left.code
+        captured = capsys.readouterr()
+        return Ran(code, captured.out, captured.err)
+
+    return call
+
+
+@pytest.fixture
+def refused(run):
+    """The one line on standard error with which a verb refuses."""
+
+    def call(*words):
+        ran = run(*words)
+        assert ran.code == 1, ran
+        assert ran.out == "", "nothing is reported before the input is known to be good"
+        assert ran.err.startswith("jaxscan: ") and ran.err.endswith("\n") and ran.err.count("\n") == 1, ran.err
+        assert "Traceback" not in ran.err and "Error" not in ran.err
+        return ran.err
+
+    return call
+
+
+@pytest.fixture
+def sweep(tiny, tmp_path):
+    """A copy of the sweep to damage."""
+    return shutil.copytree(tiny.sweep, tmp_path / "sweep")
+
+
+@pytest.fixture
+def boards(tiny, tmp_path):
+    """A copy of the board capture to damage."""
+    return shutil.copytree(tiny.boards, tmp_path / "boards")

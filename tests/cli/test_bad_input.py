@@ -1,0 +1,417 @@
+"""Bad input ends in one line that says what was found, and leaves nothing half-written behind."""
+
+import json
+import re
+import shutil
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+import jaxscan
+from jaxscan.reconstruction import PointCloud
+from jaxscan.vision.images import encode_png
+
+
+def journal(capture, change):
+    """Rewrite a capture's journal record by record; None drops a record."""
+    path = capture / "frames.jsonl"
+    records = [change(json.loads(line)) for line in path.read_text().splitlines()]
+    path.write_text("".join(json.dumps(record) + "\n" for record in records if record is not None))
+
+
+def edit(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+@pytest.fixture
+def reconstruct(tiny, tmp_path, refused):
+    """Reconstruction that must be refused and leave nothing behind."""
+
+    def call(capture, *words, calibration=tiny.calibration, output=tmp_path / "out" / "a.ply"):
+        (tmp_path / "out").mkdir(exist_ok=True)
+        message = refused("reconstruct", capture, "-c", calibration, "-o", output, *words)
+        assert list((tmp_path / "out").iterdir()) == []
+        return message
+
+    return call
+
+
+@pytest.fixture
+def calibrate(tmp_path, refused):
+    """Calibration that must be refused and leave nothing behind."""
+
+    def call(*words):
+        (tmp_path / "out").mkdir(exist_ok=True)
+        message = refused("calibrate", *words, "-o", tmp_path / "out" / "a.json")
+        assert list((tmp_path / "out").iterdir()) == []
+        return message
+
+    return call
+
+
+class TestImages:
+    def test_missing(self, sweep, reconstruct):
+        (sweep / "on" / "000007.png").unlink()
+        assert "on/000007.png: no such file" in reconstruct(sweep)
+
+    def test_truncated(self, sweep, reconstruct):
+        image = sweep / "off" / "000011.png"
+        image.write_bytes(image.read_bytes()[:-2000])
+        assert "off/000011.png" in reconstruct(sweep)
+
+    def test_empty(self, sweep, reconstruct):
+        (sweep / "on" / "000000.png").write_bytes(b"")
+        assert "on/000000.png" in reconstruct(sweep)
+
+    def test_wrong_size(self, sweep, reconstruct):
+        (sweep / "on" / "000003.png").write_bytes(encode_png(np.zeros((256, 318), np.uint8)))
+        message = reconstruct(sweep)
+        assert "on/000003.png" in message and "318" in message and "320" in message
+
+    def test_truncated_board(self, boards, calibrate):
+        image = boards / "off" / "000002.png"
+        image.write_bytes(image.read_bytes()[:3000])
+        assert "off/000002.png" in calibrate(boards)
+
+
+class TestJournal:
+    def test_torn_last_line_is_dropped_and_said(self, sweep, tiny, run, tmp_path):
+        path = sweep / "frames.jsonl"
+        path.write_bytes(path.read_bytes()[:-20])
+        ran = run("reconstruct", sweep, "-c", tiny.calibration, "-o", tmp_path / "a.npz")
+        assert ran.code == 0 and ran.err == ""
+        assert re.search(r"^note: .*line 60: .*left out", ran.out, re.MULTILINE)
+        assert len(jaxscan.load_cloud(tmp_path / "a.npz").valid) == 59
+
+    def test_broken_middle_line_is_refused_with_its_number(self, sweep, reconstruct):
+        path = sweep / "frames.jsonl"
+        lines = path.read_text().splitlines()
+        lines[20] = lines[20][:-9]
+        path.write_text("\n".join(lines) + "\n")
+        assert "frames.jsonl: line 21: not a complete JSON object" in reconstruct(sweep)
+
+    @pytest.mark.parametrize("path", ["../secret.png", "/etc/passwd", "on/../../secret.png"])
+    def test_a_path_that_leaves_the_folder(self, sweep, reconstruct, path):
+        journal(sweep, lambda record: {**record, "on": path} if record["i"] == 4 else record)
+        message = reconstruct(sweep)
+        assert "line 5" in message and "inside the capture's folder" in message
+
+    def test_a_link_that_leaves_the_folder(self, sweep, tmp_path, reconstruct):
+        image = sweep / "on" / "000004.png"
+        shutil.move(image, tmp_path / "elsewhere.png")
+        image.symlink_to(tmp_path / "elsewhere.png")
+        assert "leads out of the capture's folder" in reconstruct(sweep)
+
+    def test_missing(self, sweep, reconstruct):
+        (sweep / "frames.jsonl").unlink()
+        assert "frames.jsonl: no such file" in reconstruct(sweep)
+
+    def test_no_record(self, sweep, reconstruct):
+        (sweep / "frames.jsonl").write_text("")
+        assert "holds no complete record" in reconstruct(sweep)
+
+
+class TestHeader:
+    def test_unknown_key(self, sweep, reconstruct):
+        edit(sweep / "capture.toml", "width", "widht")
+        message = reconstruct(sweep)
+        assert "camera.widht: unknown key" in message and '"width"' in message
+
+    def test_missing(self, sweep, reconstruct):
+        (sweep / "capture.toml").unlink()
+        assert "capture.toml: no such file" in reconstruct(sweep)
+
+    def test_no_capture_at_all(self, tmp_path, reconstruct, calibrate):
+        assert "no such folder" in reconstruct(tmp_path / "nowhere")
+        assert "no such folder" in calibrate(tmp_path / "nowhere")
+
+    def test_broken(self, sweep, reconstruct):
+        edit(sweep / "capture.toml", "[camera]", "[camera")
+        assert "not valid TOML" in reconstruct(sweep)
+
+
+class TestWrongCapture:
+    def test_a_sweep_given_to_calibrate(self, tiny, calibrate):
+        assert "is a sweep; a calibration needs captures of a board" in calibrate(tiny.sweep)
+
+    def test_boards_given_to_reconstruct(self, tiny, reconstruct):
+        assert "is a calibration capture; only a sweep can be reconstructed" in reconstruct(tiny.boards)
+
+    def test_another_board(self, tiny, boards, calibrate):
+        edit(boards / "capture.toml", "square_mm = 80.0", "square_mm = 81.0")
+        message = calibrate(tiny.boards, boards)
+        assert "its [board] differs" in message
+
+    def test_no_capture_named(self, calibrate):
+        assert "at least one capture" in calibrate()
+
+    def test_a_board_that_is_in_no_image(self, boards, calibrate):
+        header = boards / "capture.toml"
+        edit(header, "columns = 7", "columns = 9")
+        journal(boards, lambda record: record if record["i"] < 4 else None)
+        message = calibrate(boards)
+        assert "found in none of 4 records" in message and "9 x 5 inner corners" in message
+
+    def test_no_laser_images(self, boards, calibrate):
+        journal(boards, lambda record: {**record, "on": None})
+        message = calibrate(boards)
+        assert "laser on and off" in message and "'red'" in message
+
+    def test_no_laser_in_the_header(self, boards, calibrate):
+        text = (boards / "capture.toml").read_text()
+        (boards / "capture.toml").write_text(re.sub(r"\[\[laser\]\]\n(\w+ = .*\n)+", "", text))
+        journal(boards, lambda record: {**record, "on": None, "lasers": []})
+        message = calibrate(boards)
+        assert "lists no [[laser]]" in message and "capture the board with the laser on and off" in message
+
+    def test_one_table_angle_only(self, boards, calibrate):
+        journal(boards, lambda record: {**record, "angle_deg": 0.0})
+        message = calibrate(boards)
+        assert "two table angles" in message and "turn the table between images" in message
+
+    def test_two_views(self, boards, calibrate):
+        journal(boards, lambda record: record if record["i"] < 2 else None)
+        assert "2 view" in calibrate(boards)
+
+    def test_no_stripe_at_all(self, sweep, reconstruct):
+        journal(sweep, lambda record: {**record, "on": record["off"]})
+        message = reconstruct(sweep)
+        assert "No stripe was found" in message and "laser was lit" in message
+
+
+class TestCalibration:
+    def test_of_another_image_size(self, tiny, sweep, reconstruct, tmp_path):
+        text = json.loads(tiny.calibration.read_text())
+        text["camera"] |= {"width": 640, "height": 512}
+        (tmp_path / "other.json").write_text(json.dumps(text))
+        message = reconstruct(sweep, calibration=tmp_path / "other.json")
+        assert "640 x 512" in message and "320 x 256" in message
+
+    def test_of_a_table_that_carries_the_object(self, tiny, sweep, reconstruct):
+        edit(sweep / "capture.toml", 'carries = "scanner"', 'carries = "object"')
+        assert "carries the object" in reconstruct(sweep)
+
+    @pytest.mark.parametrize("damage", ["", "{", "[]", "null", '{"format": "jaxscan-calibration/1"}', "\x00\xff"])
+    def test_corrupted(self, tiny, reconstruct, tmp_path, damage):
+        (tmp_path / "bad.json").write_text(damage, encoding="latin-1")
+        assert "bad.json" in reconstruct(tiny.sweep, calibration=tmp_path / "bad.json")
+
+    def test_truncated(self, tiny, reconstruct, tmp_path):
+        (tmp_path / "bad.json").write_bytes(tiny.calibration.read_bytes()[:1500])
+        assert "bad.json: line" in reconstruct(tiny.sweep, calibration=tmp_path / "bad.json")
+
+    def test_not_a_number(self, tiny, reconstruct, tmp_path):
+        text = re.sub(r'"fx": [\d.]+', '"fx": NaN', tiny.calibration.read_text())
+        (tmp_path / "bad.json").write_text(text)
+        assert "NaN" in reconstruct(tiny.sweep, calibration=tmp_path / "bad.json")
+
+    def test_missing(self, tiny, reconstruct, tmp_path):
+        assert "no such file" in reconstruct(tiny.sweep, calibration=tmp_path / "nowhere.json")
+
+
+class TestOutput:
+    """Where nothing can be written, no work is done."""
+
+    @pytest.fixture(autouse=True)
+    def _no_work(self, monkeypatch):
+        def work(*words, **options):
+            raise AssertionError("worked before it looked where to write")
+
+        for name in ("open_capture", "load_cloud", "load_simulation"):
+            monkeypatch.setattr(f"jaxscan.api.{name}", work)
+
+    def test_unknown_suffix(self, tiny, reconstruct, refused, tmp_path):
+        message = reconstruct(tiny.sweep, output=tmp_path / "out" / "a.stl")
+        assert '".stl"' in message and ".ply" in message
+        assert '".stl"' in refused("convert", tiny.cloud, tmp_path / "a.stl")
+
+    def test_missing_folder(self, tiny, reconstruct, refused, tmp_path):
+        nowhere = tmp_path / "nowhere"
+        assert "create it first" in reconstruct(tiny.sweep, output=nowhere / "a.ply")
+        assert "create it first" in refused("calibrate", tiny.boards, "-o", nowhere / "a.json")
+        assert "create it first" in refused("convert", tiny.cloud, nowhere / "a.ply")
+        assert not nowhere.exists()
+
+    def test_a_file_instead_of_a_folder(self, tiny, reconstruct):
+        assert "does not exist" in reconstruct(tiny.sweep, output=tiny.cloud / "a.ply")
+
+    def test_a_folder_instead_of_a_file(self, tiny, refused, tmp_path):
+        (tmp_path / "a.ply").mkdir()
+        message = refused("reconstruct", tiny.sweep, "-c", tiny.calibration, "-o", tmp_path / "a.ply")
+        assert "not a regular file" in message
+
+    def test_a_folder_that_cannot_be_written(self, tiny, refused, tmp_path, monkeypatch):
+        # Nothing is forbidden to root, so the system's answer is replaced.
+        monkeypatch.setattr("jaxscan.files.atomic.os.access", lambda *asked: False)
+        for words in (
+            ["reconstruct", tiny.sweep, "-c", tiny.calibration, "-o", tmp_path / "a.ply"],
+            ["calibrate", tiny.boards, "-o", tmp_path / "a.json"],
+        ):
+            assert "Permission denied" in refused(*words)
+
+    def test_a_calibration_is_json(self, tiny, refused, tmp_path):
+        assert "end its name in .json" in refused("calibrate", tiny.boards, "-o", tmp_path / "a.npz")
+
+    @pytest.mark.parametrize(
+        "words",
+        [
+            ["reconstruct", "{sweep}", "-c", "{calibration}", "-o", "{tmp}/a.ply"],
+            ["calibrate", "{boards}", "-o", "{tmp}/a.json"],
+            ["simulate", "{config}", "-o", "{tmp}/a"],
+            ["convert", "{cloud}", "{tmp}/a.ply"],
+            ["measure", "room", "{cloud}"],
+            ["measure", "plane", "{cloud}", "--at", "1", "0", "0"],
+            ["measure", "distance", "{cloud}", "--a", "1", "0", "0", "--b", "1", "1", "0"],
+            ["measure", "compare", "{cloud}", "{cloud}"],
+            ["demo", "-o", "{tmp}/demo"],
+        ],
+    )
+    def test_json_into_a_missing_folder(self, tiny, refused, tmp_path, words):
+        filled = [word.format(tmp=tmp_path, **tiny._asdict()) for word in words]
+        assert "create it first" in refused(*filled, "--json", tmp_path / "nowhere" / "a.json")
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestOptions:
+    @pytest.mark.parametrize("every", [0, -3])
+    def test_every(self, tiny, reconstruct, refused, tmp_path, every):
+        assert f"--every: found {every}, expected 1 or more" in reconstruct(tiny.sweep, "--every", every)
+        assert "--every" in refused("simulate", tiny.config, "-o", tmp_path / "s", "--every", every)
+        assert not (tmp_path / "s").exists()
+
+    def test_seed(self, tiny, refused, tmp_path):
+        assert "--seed" in refused("simulate", tiny.config, "-o", tmp_path / "s", "--seed", -1)
+
+    @pytest.mark.parametrize("radius", [0, -1, "nan", "inf"])
+    def test_radius(self, tiny, refused, radius):
+        words = ["measure", "plane", tiny.cloud, "--at", 1, 0, 0, "--radius-mm", radius]
+        assert "--radius-mm" in refused(*words)
+
+    def test_places(self, tiny, refused):
+        assert "--at" in refused("measure", "plane", tiny.cloud, "--at", "nan", 0, 0)
+        assert "--b" in refused("measure", "distance", tiny.cloud, "--a", 1, 0, 0, "--b", 0, "inf", 0)
+
+
+class TestSimulate:
+    def test_unknown_key(self, tiny, refused, tmp_path):
+        config = tmp_path / "rig.toml"
+        config.write_text(tiny.config.read_text().replace("free_views", "free_view"))
+        message = refused("simulate", config, "-o", tmp_path / "s")
+        assert "boards.free_view: unknown key" in message and '"free_views"' in message
+
+    def test_missing(self, refused, tmp_path):
+        assert "no such file" in refused("simulate", tmp_path / "nowhere.toml", "-o", tmp_path / "s")
+
+    @pytest.mark.parametrize(
+        ("old", "new", "said"),
+        [
+            ("width = 320", "width = -5", "camera.width"),
+            ("width = 320", 'width = "wide"', "camera.width"),
+            ("[room]", "[rom]", '"room"'),
+            ("rig_m = [1.5", "rig_m = [9.5", "inside the room"),
+            ("range_m = [0.7, 1.6]", "range_m = [1.7, 0.6]", "range_m"),
+            ("crossing_m = 2.0", "", "sheet"),
+            ("seed = 3", "seed = -3", "seed"),
+            ("columns = 7", "columns = 1", "columns"),
+        ],
+    )
+    def test_values_without_meaning(self, tiny, refused, tmp_path, old, new, said):
+        config = tmp_path / "rig.toml"
+        shutil.copy(tiny.config, config)
+        edit(config, old, new)
+        assert said in refused("simulate", config, "-o", tmp_path / "s")
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["rig.toml"]
+
+    def test_a_folder_that_is_not_empty(self, tiny, refused, tmp_path):
+        (tmp_path / "mine.txt").write_text("mine")
+        assert "exists and is not empty" in refused("simulate", tiny.config, "-o", tmp_path)
+        assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
+
+    def test_the_folder_one_is_in(self, tiny, refused, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        assert "is the folder you are in" in refused("simulate", tiny.config, "-o", ".")
+
+    def test_interrupted(self, tiny, run, tmp_path, monkeypatch):
+        """Control-C after some pairs: exit code 130, and no folder."""
+        from jaxscan.cli import simulate
+
+        @contextmanager
+        def interrupting(what):
+            def progress(done, total):
+                if done == 3:
+                    raise KeyboardInterrupt
+
+            yield progress
+
+        monkeypatch.setattr(simulate, "progress_bar", interrupting)
+        ran = run("simulate", tiny.config, "-o", tmp_path / "s")
+        assert (ran.code, ran.out, ran.err) == (130, "", "jaxscan: interrupted\n")
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestDemo:
+    def test_into_a_folder_that_holds_something_else(self, refused, tmp_path):
+        (tmp_path / "calibration.json").write_text("mine")
+        assert "holds something else than a demo" in refused("demo", "-o", tmp_path)
+        assert (tmp_path / "calibration.json").read_text() == "mine"
+        assert len(list(tmp_path.iterdir())) == 1
+
+    def test_into_captures_of_another_rig(self, tiny, refused, tmp_path):
+        (tmp_path / "captures").symlink_to(tiny.boards.parent)
+        assert "is not this demo's" in refused("demo", "-o", tmp_path)
+
+    def test_into_a_file(self, tiny, refused):
+        assert "is a file" in refused("demo", "-o", tiny.config)
+
+    def test_a_broken_truth(self, refused, tmp_path):
+        (tmp_path / "captures").mkdir()
+        (tmp_path / "captures" / "truth.json").write_text("{")
+        assert "not valid JSON" in refused("demo", "-o", tmp_path)
+
+
+class TestClouds:
+    def test_missing(self, refused, tmp_path):
+        for words in (
+            ["measure", "room", tmp_path / "nowhere.ply"],
+            ["convert", tmp_path / "nowhere.ply", tmp_path / "a.npz"],
+        ):
+            assert "no such file" in refused(*words)
+        assert list(tmp_path.iterdir()) == []
+
+    def test_unknown_suffix(self, refused, tmp_path):
+        assert '".stl"' in refused("measure", "room", tmp_path / "a.stl")
+
+    def test_truncated(self, tiny, refused, tmp_path):
+        (tmp_path / "a.ply").write_bytes(tiny.cloud.read_bytes()[:-1000])
+        assert "a.ply" in refused("measure", "room", tmp_path / "a.ply")
+
+    def test_a_room_without_walls(self, refused, tmp_path):
+        random = np.random.default_rng(0)
+        direction = random.normal(size=(40, 50, 3))
+        xyz = 2 * direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+        jaxscan.save_cloud(_cloud(xyz), tmp_path / "ball.npz")
+        assert "No two opposite walls" in refused("measure", "room", tmp_path / "ball.npz")
+
+    def test_nothing_at_the_picked_place(self, tiny, refused):
+        assert refused("measure", "plane", tiny.cloud, "--at", 50, 0, 0)
+        assert refused("measure", "distance", tiny.cloud, "--a", 50, 0, 0, "--b", 1, 0, 0)
+
+
+def _cloud(xyz):
+    grid = xyz.shape[:2]
+    flat = np.zeros(grid, np.float32)
+    return PointCloud(
+        xyz=xyz.astype(np.float32),
+        rgb=np.zeros((*grid, 3), np.uint8),
+        intensity=flat,
+        normals=np.zeros((*grid, 3), np.float32),
+        sigma_random=flat + np.float32(1e-3),
+        sigma_systematic=flat,
+        valid=np.ones(grid, bool),
+        record=np.arange(grid[0], dtype=np.int32),
+        laser=np.zeros(grid[0], np.int32),
+        angle=np.linspace(0, 6, grid[0]),
+    )
