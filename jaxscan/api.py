@@ -119,6 +119,14 @@ def observe_boards(
     Corners are looked for in the laser-off image where there is one. Views with the same
     placement share a board pose; a view of unknown table angle is a placement of its own.
 
+    Args:
+        captures: Calibration captures of the same board, camera and rig.
+        with_stripes: Look for stripes too; they are not needed for a camera alone.
+        progress: Called with (records done, records in all).
+
+    Returns:
+        What `calibrate` solves from.
+
     Raises:
         CaptureError: If a capture is not a calibration capture, or they do not belong together.
         CalibrationError: If the board is found in no image.
@@ -316,6 +324,9 @@ def simulate(
         seed: Of noise and board poses, instead of the configuration's.
         progress: Called with (pairs done, pairs in all).
 
+    Returns:
+        Where everything was written, and how many pairs.
+
     Raises:
         CaptureError: If the folder exists and is not empty, or cannot be written.
         DependencyError: If Open3D or a system library that it needs is missing.
@@ -364,6 +375,12 @@ def simulate(
 
 def load_simulation(path: str | Path) -> SimulationConfig:
     """A simulated rig from a TOML file; see configs/.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The configuration, checked.
 
     Raises:
         ConfigError: With the key that is unknown, missing or wrong.

@@ -64,6 +64,9 @@ def check_calibration_path(path: str | Path) -> None:
 def load_calibration(path: str | Path) -> Calibration:
     """Read a calibration, with its observations where they lie beside it.
 
+    Args:
+        path: The JSON file.
+
     Returns:
         The calibration; `scanner` is None where the file holds a camera alone, `observations`
         is None where there are none.
@@ -90,6 +93,9 @@ def load_calibration(path: str | Path) -> Calibration:
 
 def load_scanner(path: str | Path) -> Scanner:
     """Read the scanner of a calibration file; the JSON alone suffices.
+
+    Args:
+        path: The JSON file.
 
     Returns:
         The scanner with NumPy float64 leaves, and its covariance where the file has one.

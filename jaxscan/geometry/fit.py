@@ -30,7 +30,13 @@ class AxisFit(NamedTuple):
 
 
 def fit_plane(points: Array) -> PlaneFit:
-    """Total least squares plane through `points` [n, 3].
+    """Total least squares plane through points.
+
+    Args:
+        points: The points [n, 3], m; n is 3 or more.
+
+    Returns:
+        The plane, with its normal, its distance, and how well the points fit.
 
     Raises:
         ValueError: If there are fewer than 3 points.

@@ -50,6 +50,9 @@ def measure_distance(
         radius_m: Points within this distance of a picked point belong to its patch [m].
         scanner: The scanner the cloud was made with; its covariance gives the systematic part.
 
+    Returns:
+        The distance [m] with its predicted standard deviation, and that between the patches' planes.
+
     Raises:
         MeasurementError: If a patch has too few points, or the patches are one.
     """

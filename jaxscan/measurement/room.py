@@ -1,6 +1,6 @@
 """The dimensions of a room, from wall to wall."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class RoomBox:
     height: Dimension | None
     centre_m: np.ndarray
     """Middle between the walls [3], m, scanner frame: where distances are taken."""
-    walls: tuple[Wall, ...]
+    walls: tuple[Wall, ...] = field(repr=False)
     """Every bounding plane that was found, with its points, normals pointing out of the room."""
 
 
@@ -71,6 +71,9 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
         cloud: The room, scanned from within; z of the scanner frame is vertical within 10 degrees.
         scanner: The scanner it was made with; its covariance gives the systematic part of sigma.
         seed: Of the random hypotheses; the result is deterministic.
+
+    Returns:
+        Length, width and height [m] as far as they were seen, each with its standard deviation.
 
     Raises:
         MeasurementError: If no two opposite walls are found.
