@@ -140,11 +140,13 @@ def observe_boards(
             for start in range(0, len(capture), BATCH_RECORDS):
                 indices = range(start, min(start + BATCH_RECORDS, len(capture)))
                 looked = list(pool.map(functools.partial(_look_for_board, number, capture, board), indices))
-                views += _with_stripes(looked, capture, board) if with_stripes else looked
+                seen = _with_stripes(looked, capture, board) if with_stripes else looked
+                # Frames go as soon as they are read: a capture may be larger than the memory.
+                views += [view._replace(on=None, off=None) for view in seen]
                 done += len(indices)
                 if progress is not None:
                     progress(done, total)
-    found = [view._replace(on=None, off=None) for view in views if view.corners is not None]
+    found = [view for view in views if view.corners is not None]
     if not found:
         raise CalibrationError(
             f"The board ({_describe(board)}) was found in none of {total} records: check the [board] table of "

@@ -1,6 +1,7 @@
 """Strict settings for every test: 64 bit, no silent promotion, shapes and types checked."""
 
 import json
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +12,23 @@ import pytest
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+def pytest_collection_modifyitems(items):
+    """Without Open3D the tests that render are skipped, by name; JAXSCAN_REQUIRE_OPEN3D=1 refuses that."""
+    rendering = [item for item in items if "tiny" in item.fixturenames or "simulation" in item.path.parts]
+    if not rendering:
+        return
+    from jaxscan.errors import DependencyError
+    from jaxscan.simulation.open3d import load_open3d
+
+    try:
+        load_open3d()
+    except DependencyError as problem:
+        if os.environ.get("JAXSCAN_REQUIRE_OPEN3D"):
+            raise pytest.UsageError(str(problem)) from problem
+        for item in rendering:
+            item.add_marker(pytest.mark.skip(reason=str(problem)))
 
 
 @pytest.fixture(autouse=True)
