@@ -1,0 +1,226 @@
+"""Memory of a reconstruction: it must grow by the cloud alone, however long the sweep is.
+
+Every sweep is reconstructed at n, 2n and 4n records, each in a process of its own that looks at
+its anonymous memory (`RssAnon` in /proc/self/status) every two milliseconds and reports the
+largest value. Pages of mapped files, which the system drops when it needs room, are not in it;
+JAX, the compiled code and the compiler are. What the compiler takes varies from run to run by more
+than a cloud, so the same process reconstructs the sweep once, gives back what is free, and
+reconstructs it again: "needed" is what the peak lies above what was left (the least of three
+passes: how many chunks wait for each other is chance), and growth is what 2n and 4n records need
+more than n, per cell of the cloud's grid. The frames are synthetic stripes on noise, some
+distinct ones in turn.
+
+    python experiments/memory.py [--quick] [--json FILE]
+"""
+
+import argparse
+import ctypes
+import gc
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxscan.files.capture import open_capture
+from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.reconstruction import ReconstructSettings, reconstruct
+from jaxscan.vision.images import encode_png
+
+
+LIMIT_BYTES = 2e9
+"""Most that any of these sweeps may take."""
+GROWTH_BYTES = 60.0
+"""Most that a cell of the grid may take: 40 for the cloud's fields, the rest for its records."""
+ALLOCATOR = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_ARENA_MAX": "2"}
+"""Arrays are mapped one by one and unmapped when they are free, so that what is seen is what is used."""
+PASSES = 3
+DISTINCT = 8
+"""Different pairs of frames."""
+
+
+class Case(NamedTuple):
+    """A sweep that is reconstructed at n, 2n and 4n records."""
+
+    name: str
+    width: int
+    height: int
+    records: int
+    """4n."""
+    shards: bool
+    """Frames in .npy shards, or in PNG files."""
+    chunk_records: int | None
+    """Few enough that all chunks that are ever in flight are so at n records already."""
+
+
+CASES = (
+    Case("small, shards", 160, 128, 3600, True, 32),
+    Case("small, PNG", 160, 128, 3600, False, 32),
+    Case("large, PNG", 1280, 1024, 400, False, None),
+)
+QUICK = (Case("small, shards", 160, 128, 1200, True, 32), Case("large, PNG", 1280, 1024, 80, False, None))
+
+
+def make_scanner(width: int, height: int) -> Scanner:
+    """A rig that sees a wall at about 1.4 m where the stripe is."""
+    f, cx, cy = (np.float64(value) for value in (1.2 * width, (width - 1) / 2, (height - 1) / 2))
+    camera = Pinhole(f, f, cx, cy, np.array([-0.1, 0.05, 0.0, 0.0, 0.0]), width=width, height=height)
+    sheet = LaserSheet.from_plane(np.array([0.99, 0.0, 0.14]), 0.2)
+    return Scanner(camera, stack_lasers([sheet]), Turntable.from_axis([0.01, -1.0, 0.01], [0.02, 0.0, -0.15]))
+
+
+def make_frames(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of a stripe on a lit wall with noise, uint8 [DISTINCT, height, width]."""
+    random = np.random.default_rng(0)
+    rows, columns = np.mgrid[:height, :width].astype(np.float32)
+    on, off = (np.empty((DISTINCT, height, width), np.uint8) for _ in range(2))
+    room = 40.0 + 20.0 * np.sin(9.0 * columns / width) * np.cos(7.0 * rows / height)
+    for number in range(DISTINCT):
+        centre = 0.5 * width + 0.05 * width * np.sin(5.0 * rows[:, :1] / height + number)
+        for stack, light in ((on, room + 110.0 * np.exp(-0.5 * ((columns - centre) / 1.9) ** 2)), (off, room)):
+            noise = np.sqrt(1.0 + light / 40.0) * random.standard_normal(light.shape, np.float32)
+            stack[number] = np.clip(np.round(light + noise), 0, 255)
+    return on, off
+
+
+def write_capture(folder: Path, case: Case, records: int) -> None:
+    """A sweep of so many records; PNG files are named by several of them, shards hold a frame each."""
+    folder.mkdir()
+    header = f'format = "jaxscan-capture/1"\nkind = "sweep"\n[camera]\nwidth = {case.width}\nheight = {case.height}\n'
+    (folder / "capture.toml").write_text(header + 'pixel_format = "mono8"\n[laser]\nname = "laser"\n')
+    pairs = dict(zip(("on", "off"), make_frames(case.width, case.height), strict=True))
+    for kind, frames in pairs.items():
+        if case.shards:
+            shape = (records, case.height, case.width)
+            shard = np.lib.format.open_memmap(folder / f"{kind}.npy", mode="w+", dtype=np.uint8, shape=shape)
+            for start in range(0, records, DISTINCT):
+                shard[start : start + DISTINCT] = frames[: records - start]
+            shard.flush()
+        else:
+            for number, frame in enumerate(frames):
+                (folder / f"{kind}{number}.png").write_bytes(encode_png(frame))
+    with open(folder / "frames.jsonl", "w") as journal:
+        for i in range(records):
+            images = {kind: f"{kind}.npy#{i}" if case.shards else f"{kind}{i % DISTINCT}.png" for kind in pairs}
+            journal.write(json.dumps({"i": i, "angle_deg": 360.0 * i / records, **images}) + "\n")
+
+
+class Watch:
+    """The largest anonymous memory of this process while it is open."""
+
+    def __init__(self) -> None:
+        self.peak = 0
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def __enter__(self) -> "Watch":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *problem: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        while not self._done.wait(0.002):
+            self.peak = max(self.peak, anonymous_bytes())
+
+
+def anonymous_bytes() -> int:
+    """Resident memory of this process that belongs to no file [bytes]."""
+    with open("/proc/self/status") as status:
+        fields = dict(line.split(":", 1) for line in status)
+    return 1024 * sum(int(fields[name].split()[0]) for name in ("RssAnon", "RssShmem"))
+
+
+def child(folder: Path, chunk_records: int | None) -> None:
+    """Reconstruct a capture a few times and print what it took."""
+    settings = ReconstructSettings(chunk_records=chunk_records)
+    with Watch() as compiling:
+        sweep = open_capture(folder)
+        scanner = make_scanner(*sweep.image_size)
+        reconstruct(sweep, scanner, settings=settings)
+    peak, needed, seconds = compiling.peak, [], []
+    for _ in range(PASSES):
+        cloud = None
+        gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)
+        before = anonymous_bytes()
+        with Watch() as watch:
+            start = time.perf_counter()
+            cloud = reconstruct(sweep, scanner, settings=settings)
+            seconds.append(time.perf_counter() - start)
+        peak = max(peak, watch.peak)
+        needed.append(watch.peak - before)
+    fields = (cloud.xyz, cloud.rgb, cloud.intensity, cloud.normals)
+    fields += (cloud.sigma_random, cloud.sigma_systematic, cloud.valid)
+    found = {
+        "peak_bytes": peak,
+        "needed_bytes": min(needed),
+        "cells": int(cloud.valid.size),
+        "points": int(cloud.valid.sum()),
+        "cloud_bytes": sum(field.nbytes for field in fields),
+        "seconds_s": min(seconds),
+    }
+    print(json.dumps(found))
+
+
+def measure(case: Case) -> list[dict[str, Any]]:
+    """Peaks at n, 2n and 4n records."""
+    found = []
+    for records in (case.records // 4, case.records // 2, case.records):
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary) / "sweep"
+            write_capture(folder, case, records)
+            words = [sys.executable, __file__, "--child", str(folder)]
+            words += [] if case.chunk_records is None else ["--chunk-records", str(case.chunk_records)]
+            run = subprocess.run(words, stdout=subprocess.PIPE, check=True, env={**os.environ, **ALLOCATOR})
+        found.append({"records": records, **json.loads(run.stdout)})
+    return found
+
+
+def main() -> int:
+    """Print a table and the verdict; exit code 1 if memory is not what it should be."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="fewer records")
+    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON too")
+    parser.add_argument("--child", metavar="CAPTURE", help=argparse.SUPPRESS)
+    parser.add_argument("--chunk-records", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.child:
+        child(Path(options.child), options.chunk_records)
+        return 0
+    metrics: list[dict[str, Any]] = []
+    print(f"{'sweep':16} {'records':>8} {'peak MB':>8} {'needed MB':>9} {'cloud MB':>9} {'s':>6} {'bytes/cell':>11}")
+    for case in QUICK if options.quick else CASES:
+        found = measure(case)
+        first, last = found[0], found[-1]
+        for one in found:
+            cells = one["cells"] - first["cells"]
+            growth = f"{(one['needed_bytes'] - first['needed_bytes']) / cells:11.1f}" if cells else ""
+            peak, needed, cloud = (one[key] / 1e6 for key in ("peak_bytes", "needed_bytes", "cloud_bytes"))
+            line = f"{case.name:16} {one['records']:8} {peak:8.0f} {needed:9.1f} {cloud:9.1f}"
+            print(f"{line} {one['seconds_s']:6.1f} {growth}")
+        growth = last["needed_bytes"] - first["needed_bytes"]
+        slope = growth / (last["cells"] - first["cells"])
+        metrics += [
+            {"key": f"memory.{case.name}.peak", "value": last["peak_bytes"], "unit": "bytes", "limit": LIMIT_BYTES},
+            {"key": f"memory.{case.name}.growth", "value": slope, "unit": "bytes per cell", "limit": GROWTH_BYTES},
+        ]
+    failed = [metric for metric in metrics if metric["value"] > metric["limit"]]
+    for metric in failed:
+        print(f"too much: {metric['key']} = {metric['value']:.4g} {metric['unit']}, at most {metric['limit']:.4g}")
+    if options.json:
+        result = {"format": "jaxscan-experiment-memory/1", "metrics": metrics}
+        Path(options.json).write_text(json.dumps(result, indent=2) + "\n")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
