@@ -16,13 +16,24 @@ from jaxscan.stripes.frames import LaserLine, PixelFormat, Response, frame_rank,
 from jaxscan.stripes.locate import locate
 from jaxscan.stripes.noise import estimate_noise
 from jaxscan.stripes.select import accept
+from jaxscan.stripes.shifted import Shifted
 from jaxscan.stripes.stripes import NoiseModel, Stripes, StripeSettings
-from jaxscan.stripes.window import SAMPLES, Placement, cut_window, place_window, window_middle
+from jaxscan.stripes.window import (
+    FEW_SAMPLES,
+    SAMPLES,
+    Placement,
+    cut_window,
+    is_near,
+    place_window,
+    window_middle,
+)
 
 
 _LINE, _SETTINGS = LaserLine(), StripeSettings()
 _CHUNK = 16
 """Frames per call of the compiled function."""
+_REST = 0.02
+"""Error in standard deviations with which a fit may end early; it adds 0.04 % to the variance."""
 
 
 class FrameStripes(NamedTuple):
@@ -38,8 +49,8 @@ class FrameStripes(NamedTuple):
 
 
 def stripes_of_frames(
-    on: UInt8[Array, "frames ..."],
-    off: UInt8[Array, "frames ..."] | None,
+    on: UInt8[Array, "frames ..."] | Shifted,
+    off: UInt8[Array, "frames ..."] | Shifted | None,
     noise_read: Float[Array, ""] | float,
     noise_gain: Float[Array, ""] | float,
     *,
@@ -51,7 +62,8 @@ def stripes_of_frames(
     """Stripe centres of a chunk of frames: pure, of static shapes, to be traced in a larger jit.
 
     Args:
-        on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
+        on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3); `Shifted` ones only on
+            a CPU, and where `takes_shifted` says so.
         off: Laser-off frames of the same shape, or None.
         noise_read: Read noise of one frame [DN].
         noise_gain: Conversion gain [e-/DN].
@@ -63,19 +75,45 @@ def stripes_of_frames(
     read, gain = jnp.asarray(noise_read, jnp.float32), jnp.asarray(noise_gain, jnp.float32)
     sites = laser_sites(pixel_format, line)
     lines = on.shape[2] if line.stripe_axis == "columns" else on.shape[1]
-    on = laser_plane(on, pixel_format=pixel_format, line=line)
-    off = None if off is None else laser_plane(off, pixel_format=pixel_format, line=line)
+    on = on if isinstance(on, Shifted) else laser_plane(on, pixel_format=pixel_format, line=line)
+    if off is not None and not isinstance(off, Shifted):
+        off = laser_plane(off, pixel_format=pixel_format, line=line)
 
     # Loops over frames stay within a CPU's caches, which is several times faster there; and what
     # passes from one loop to the next is computed once, not again for every use.
-    candidate = _each_frame(lambda planes: locate(*planes, pitch=sites.pitch), (on, off))
+    def find(planes):
+        return locate(*planes, pitch=sites.pitch)
+
+    def find_one_by_one(planes):
+        return lax.map(lambda number: find(_pick(planes, number)), jnp.arange(len(planes[0])))
+
+    candidate = _each_frame(find, (on, off), find_one_by_one)
     placement = place_window(candidate, sites.pitch)
 
-    def fit(planes_and_placement):
+    def fit(planes_and_placement, samples=SAMPLES, binned=True):
         (on, off), placement = planes_and_placement
-        return _fit_frame(on, off, placement, read, gain, sites.pitch, response, settings)
+        how = {"samples": samples, "binned": binned}
+        return _fit_frame(on, off, placement, read, gain, sites.pitch, response, settings, **how)
 
-    stripes = _each_frame(fit, ((on, off), placement))
+    def fit_one_by_one(planes_and_placement):
+        planes, placement = planes_and_placement
+
+        def least(number_and_placement):
+            # Only what the frame's widest stripe needs. The frame is picked inside of the branch,
+            # or it would be copied.
+            number, placement = number_and_placement
+            edge = 0.5 * sites.pitch * (FEW_SAMPLES + 1)
+            long = jnp.any(is_near(jnp.array([[-edge], [edge]], jnp.float32), placement))
+            kind = jnp.where(jnp.any(placement.bins > 1), 2, jnp.where(long, 1, 0))
+            branches = [
+                lambda number, placement, kind=kind: fit((_pick(planes, number), placement), *kind)
+                for kind in ((FEW_SAMPLES, False), (SAMPLES, False), (SAMPLES, True))
+            ]
+            return lax.switch(kind, branches, number, placement)
+
+        return lax.map(least, (jnp.arange(len(planes[0])), placement))
+
+    stripes = _each_frame(fit, ((on, off), placement), fit_one_by_one)
     offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(on.shape[1]) % len(sites.offsets)]
     stripes = stripes._replace(u=jnp.where(stripes.valid, stripes.u + offsets[None, :], 0.0))
 
@@ -89,9 +127,31 @@ def stripes_of_frames(
     return jax.tree.map(place, stripes)
 
 
-def _each_frame(function: Callable, arrays: Any) -> Any:
-    """A function of one frame over all frames: in a loop on a CPU, at once elsewhere."""
-    return lax.platform_dependent(arrays, cpu=lambda a: lax.map(function, a), default=lambda a: jax.vmap(function)(a))
+def takes_shifted(pixel_format: PixelFormat, line: LaserLine) -> bool:
+    """Whether frames are their own laser plane, so that they need no rearranging in memory."""
+    return pixel_format == "mono8" and line.stripe_axis == "rows"
+
+
+def _is_shifted(frames: Any) -> bool:
+    return isinstance(frames, Shifted)
+
+
+def _pick(planes: Any, number: Array) -> Any:
+    """One of the frames of every stack."""
+    return jax.tree.map(lambda a: a[number].array() if _is_shifted(a) else a[number], planes, is_leaf=_is_shifted)
+
+
+def _each_frame(function: Callable, arrays: Any, one_by_one: Callable) -> Any:
+    """A function of one frame over all frames: in a loop on a CPU, at once elsewhere.
+
+    Args:
+        function: Takes the arrays of one frame.
+        arrays: Arrays with a leading axis over frames.
+        one_by_one: The loop; takes the arrays of all frames.
+    """
+    if any(_is_shifted(leaf) for leaf in jax.tree.leaves(arrays, is_leaf=_is_shifted)):
+        return one_by_one(arrays)
+    return lax.platform_dependent(arrays, cpu=one_by_one, default=lambda a: jax.vmap(function)(a))
 
 
 def _fit_frame(
@@ -103,10 +163,21 @@ def _fit_frame(
     pitch: int,
     response: Response,
     settings: StripeSettings,
+    *,
+    samples: int,
+    binned: bool,
 ) -> FrameStripes:
     """Stripe centres of one frame's plane, from each line's first sample [px]."""
-    window, saturated, first = cut_window(on, off, placement, pitch, noise_read, noise_gain, response, settings)
-    fit = fit_stripe(window, first, iterations=settings.iterations, max_width=1.1 * settings.max_width_px)
+    cut = functools.partial(cut_window, samples=samples, binned=binned)
+    window, saturated, first = cut(on, off, placement, pitch, noise_read, noise_gain, response, settings)
+    fit = fit_stripe(
+        window,
+        first,
+        iterations=settings.iterations,
+        max_width=1.1 * settings.max_width_px,
+        min_snr=settings.min_snr,
+        rest=_REST,
+    )
     valid, sigma, chi2 = accept(
         fit,
         reach=0.5 * SAMPLES * pitch * window.aperture,
@@ -116,7 +187,7 @@ def _fit_frame(
     )
     u = window_middle(placement.first, placement.bins, pitch) + fit.u
     valid = valid & (u >= -0.5) & (u <= pitch * (on.shape[1] - 1) + 0.5)
-    found = FrameStripes(u, sigma, fit.amplitude, fit.width, chi2, saturated, valid)
+    found = FrameStripes(u, sigma, fit.amplitude, fit.width, chi2, saturated.astype(jnp.uint8), valid)
     return jax.tree.map(lambda field: jnp.where(valid, field, jnp.zeros_like(field)), found)
 
 

@@ -7,6 +7,7 @@ vector over rows, and sums over the window need no shuffling.
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
@@ -104,7 +105,9 @@ def integrated_gaussian(
     return h, minus_slope, by_width
 
 
-def fit_stripe(window: Window, start: Start, *, iterations: int, max_width: float) -> Fit:
+def fit_stripe(
+    window: Window, start: Start, *, iterations: int, max_width: float, min_snr: float = 0.0, rest: float = 0.0
+) -> Fit:
     r"""Fit centre, amplitude and width (and a constant background) of one stripe per row.
 
     Scoring: every step solves the weighted normal equations with weights
@@ -114,19 +117,22 @@ def fit_stripe(window: Window, start: Start, *, iterations: int, max_width: floa
     Args:
         window: The samples.
         start: Where to start; with a background where that is to be fitted too.
-        iterations: Number of steps, the same for all rows.
+        iterations: Largest number of steps, the same for all rows.
         max_width: Largest width that a step may reach [px].
+        min_snr: Signal-to-noise ratio from which a row's steps are waited for [1].
+        rest: Error of the centre, in its standard deviations, with which the steps may end
+            before `iterations`: what a step leaves is about its size times the relative change
+            of the parameters.
 
     Source:
         S. M. Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993,
         section 7.7 (scoring); equation 3.31 (information of a signal in Gaussian noise).
     """
-    u, amplitude, width, background = start
-    free = background is not None
-    base = jnp.zeros_like(u) if background is None else background
+    free = start.background is not None
+    base = jnp.zeros_like(start.u) if start.background is None else start.background
 
-    def step(_, state):
-        u, amplitude, width, base, _ = state
+    def step(state):
+        number, moving, u, amplitude, width, base, _ = state
         h, slope, by_width = integrated_gaussian(window.x - u[None, :], width, window.aperture)
         model = amplitude[None, :] * h
         whiten = lax.rsqrt(window.variance + window.shot[None, :] * jnp.maximum(model, 0.0))
@@ -141,19 +147,30 @@ def fit_stripe(window: Window, start: Start, *, iterations: int, max_width: floa
         delta, information = _solve(normal, gradient)
         gain = sum(d * g for d, g in zip(delta, gradient, strict=True))
         chi2 = jnp.maximum(jnp.sum(residual * residual, 0) - gain, 0.0)
-        squared = amplitude * amplitude
         by_u, by_w, reach = delta[-1] / amplitude, delta[-2] / amplitude, jnp.maximum(width, 1.0)
-        return (
+        taller = jnp.clip(amplitude + delta[-3], 0.3 * amplitude, 3.0 * amplitude)
+        # By the new amplitude: the first one is the highest sample, which in noise is too high.
+        information, energy = taller * taller * information, taller * taller * normal[-3][-1]
+        change = (jnp.abs(by_u) + jnp.abs(by_w)) / width + jnp.abs(delta[-3]) / amplitude
+        left = by_u * change
+        # What still does not stand out of the noise after two steps is not waited for.
+        hopeful = (number < 1) | (energy >= (0.8 * min_snr) ** 2)
+        after = (
+            moving & (left * left * information > rest**2) & hopeful,
             u + jnp.clip(by_u, -reach, reach),
-            jnp.clip(amplitude + delta[-3], 0.3 * amplitude, 3.0 * amplitude),
+            taller,
             jnp.clip(width + jnp.clip(by_w, -0.4 * width, 0.6 * width), MIN_WIDTH_PX, max_width),
             base + delta[0] if free else base,
-            (squared * information, squared * normal[-3][-1], chi2, by_u),
+            (information, energy, chi2, by_u),
         )
+        # A row at rest stays as it is, so that no row depends on its neighbours.
+        return number + 1, *jax.tree.map(lambda new, old: jnp.where(moving, new, old), after, state[1:])
 
-    none = jnp.zeros_like(u)
-    u, amplitude, width, base, summary = lax.fori_loop(
-        0, iterations, step, (u, amplitude, width, base, (none, none, none, none))
+    none = jnp.zeros_like(start.u)
+    everywhere = jnp.ones(start.u.shape, jnp.bool_)
+    first = (jnp.int32(0), everywhere, start.u, start.amplitude, start.width, base, (none,) * 4)
+    _, _, u, amplitude, width, _, summary = lax.while_loop(
+        lambda state: (state[0] < iterations) & jnp.any(state[1]), step, first
     )
     information, energy, chi2, last = summary
     determined = information > 0
@@ -167,6 +184,33 @@ def fit_stripe(window: Window, start: Start, *, iterations: int, max_width: floa
         samples=jnp.sum((window.variance < UNUSED).astype(u.dtype), 0),
         last_step=jnp.abs(last),
     )
+
+
+def sharpen(window: Window, start: Start) -> Start:
+    r"""A better start where no background is unknown: moments under a Gaussian weight.
+
+    The product of two Gaussians is one: from the mean and variance of the samples times a
+    Gaussian of centre $u_0$ and width $w_0$ follow centre and width of the samples,
+
+    $$1/w^2 = 1/v - 1/w_0^2, \qquad u = w^2 (m/v - u_0/w_0^2).$$
+
+    Args:
+        window: The samples; of a row with clipped ones the moments say nothing.
+        start: Centre and width of the weight.
+    """
+    x = window.x - start.u[None, :]
+    weight = jnp.where(window.variance < UNUSED, jnp.exp(-0.5 * (x / start.width[None, :]) ** 2), 0.0)
+    moment = weight * window.y
+    first = x * moment
+    total = jnp.maximum(jnp.sum(moment, 0), 1e-3)
+    mean = jnp.sum(first, 0) / total
+    square = start.width * start.width
+    variance = jnp.clip(jnp.sum(x * first, 0) / total - mean * mean, 0.25 * square, 0.8 * square)
+    found = variance * square / (square - variance)
+    shift = jnp.clip(found * mean / variance, -start.width, start.width)
+    # The weight sees the Gaussian after its integration over a sample.
+    width = jnp.sqrt(jnp.maximum(found - window.aperture**2 / 12, 0.25 * square))
+    return Start(start.u + shift, start.amplitude, width, start.background)
 
 
 def _solve(

@@ -4,10 +4,10 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Float, Int, Shaped, UInt8
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.fit import UNUSED, Start, Window
+from jaxscan.stripes.fit import UNUSED, Start, Window, sharpen
 from jaxscan.stripes.frames import Response, decode_table
 from jaxscan.stripes.locate import Candidate
 from jaxscan.stripes.stripes import StripeSettings
@@ -15,6 +15,8 @@ from jaxscan.stripes.stripes import StripeSettings
 
 SAMPLES = 24
 """Samples of a fit's window."""
+FEW_SAMPLES = 16
+"""Samples that hold all that counts of a narrow stripe."""
 _BIN_EXTENT_PX = 13.0
 """Distance between half-maximum points from which two samples are taken as one [px]."""
 _LATTICE_VARIANCE = 1.7
@@ -47,6 +49,11 @@ def window_middle(first: Int[Array, "..."], bins: Int[Array, "..."], pitch: int)
     return pitch * (first.astype(jnp.float32) + 0.5 * (SAMPLES * bins - 1).astype(jnp.float32))
 
 
+def is_near(x: Float[Array, "window #lines"], placement: Placement) -> Bool[Array, "window lines"]:
+    """Whether a place [px from the middle of the window] is close enough to belong to the candidate."""
+    return jnp.abs(x - placement.start[None, :]) <= 2.5 + 0.75 * placement.extent[None, :]
+
+
 def cut_window(
     on: UInt8[Array, "lines samples"],
     off: UInt8[Array, "lines samples"] | None,
@@ -56,11 +63,20 @@ def cut_window(
     noise_gain: Float[Array, ""],
     response: Response,
     settings: StripeSettings,
-) -> tuple[Window, UInt8[Array, " lines"], Start]:
-    """The samples around each candidate, and where the fit starts."""
+    *,
+    samples: int = SAMPLES,
+    binned: bool = True,
+) -> tuple[Window, Float[Array, " lines"], Start]:
+    """The samples around each candidate, their number of saturated ones, where the fit starts.
+
+    Args:
+        samples: Length of the window; its middle stays that of `SAMPLES`.
+        binned: Whether any line's samples are taken by two.
+    """
     rows, columns = on.shape
     first, bins, u, extent = placement
-    sample = jnp.arange(SAMPLES, dtype=jnp.int32)[:, None]
+    first = first + bins * ((SAMPLES - samples) // 2)
+    sample = jnp.arange(samples, dtype=jnp.int32)[:, None]
     index = first[None, :] + bins[None, :] * sample
     second = index + bins[None, :] - 1
     inside = (index >= 0) & (second < columns)
@@ -68,23 +84,31 @@ def cut_window(
     index, second = (jnp.clip(i, 0, columns - 1) + row_start for i in (index, second))
     aperture = bins.astype(jnp.float32)
     per_bin = 1.0 / aperture
-    x = (pitch * aperture)[None, :] * (sample.astype(jnp.float32) - 0.5 * (SAMPLES - 1))
+    x = (pitch * aperture)[None, :] * (sample.astype(jnp.float32) - 0.5 * (samples - 1))
 
-    on_codes, on_codes_2 = _gather(on, index), _gather(on, second)
-    level, rounding = _decode(on_codes, on_codes_2, response)
+    def read(frame):
+        """Mean level, the variance of its rounding, the highest code, how many are saturated."""
+        codes = _gather(frame, index)
+        if not binned:
+            level, rounding = _decode(codes, response)
+            return level, rounding, codes, codes >= settings.saturation
+        codes_2 = _gather(frame, second)
+        (level, rounding), (level_2, rounding_2) = _decode(codes, response), _decode(codes_2, response)
+        count = (codes >= settings.saturation).astype(jnp.float32)
+        count = count + ((codes_2 >= settings.saturation) & (bins == 2)[None, :]).astype(jnp.float32)
+        return 0.5 * (level + level_2), 0.5 * (rounding + rounding_2), jnp.maximum(codes, codes_2), count
+
+    level, rounding, highest, count = read(on)
     variance = noise_read**2 + rounding
-    clipped = jnp.maximum(on_codes, on_codes_2) >= settings.saturation
+    clipped = highest >= settings.saturation
     if off is not None:
-        off_codes, off_codes_2 = _gather(off, index), _gather(off, second)
-        dark, rounding = _decode(off_codes, off_codes_2, response)
+        dark, rounding, highest, _ = read(off)
         variance = variance + noise_read**2 + rounding + 2.0 * dark / noise_gain
-        clipped = clipped | (jnp.maximum(off_codes, off_codes_2) >= settings.saturation)
+        clipped = clipped | (highest >= settings.saturation)
         level = level - dark
     # What lies further away belongs to something else.
-    near = inside & (jnp.abs(x - u[None, :]) <= 2.5 + 0.75 * extent[None, :])
-    count = (on_codes >= settings.saturation).astype(jnp.uint8)
-    count = count + ((on_codes_2 >= settings.saturation) & (bins == 2)[None, :]).astype(jnp.uint8)
-    saturated = jnp.sum(jnp.where(near, count, jnp.uint8(0)), 0, dtype=jnp.uint8)
+    near = inside & is_near(x, placement)
+    saturated = jnp.sum(jnp.where(near, count.astype(jnp.float32), 0.0), 0)
 
     background = None
     top = jnp.max(jnp.where(near, level, -1e3), 0)
@@ -94,7 +118,7 @@ def cut_window(
         top = top - background
     # The half-widths at half of the maximum and at the clipped top give width and amplitude of
     # a Gaussian that is cut off. Where it is not, the lattice's triangle lowered the maximum.
-    flat = 0.5 * pitch * saturated.astype(jnp.float32)
+    flat = 0.5 * pitch * saturated
     spread = jnp.where(saturated > 0, 1 / 3, _LATTICE_VARIANCE)
     squared = (0.25 * extent**2 - flat**2) / (2.0 * math.log(2.0)) - spread
     width = jnp.clip(jnp.sqrt(jnp.maximum(squared, 0.64)), 0.8, settings.max_width_px)
@@ -106,19 +130,22 @@ def cut_window(
         aperture=aperture,
         shot=per_bin / noise_gain,
     )
-    return window, saturated, Start(u, amplitude, width, background)
+    start = Start(u, amplitude, width, background)
+    if background is None:
+        better = sharpen(window, start)
+        whole = saturated == 0
+        start = start._replace(u=jnp.where(whole, better.u, u), width=jnp.where(whole, better.width, width))
+    return window, saturated, start
 
 
 def _decode(
-    codes: UInt8[Array, "window lines"], codes_2: UInt8[Array, "window lines"], response: Response
+    codes: UInt8[Array, "window lines"], response: Response
 ) -> tuple[Float[Array, "window lines"], Float[Array, "window lines"] | float]:
-    """Mean linear level of two codes [DN], and the variance that rounding gives it [DN^2]."""
+    """Linear level [DN] of a code, and the variance that rounding gives it [DN^2]."""
     if response == "linear":
-        return 0.5 * (codes.astype(jnp.float32) + codes_2.astype(jnp.float32)), 1 / 12
+        return codes.astype(jnp.float32), 1 / 12
     level, slope = decode_table(response)
-    table = jnp.asarray(level, jnp.float32)
-    rounding = jnp.asarray(slope**2 / 12, jnp.float32)
-    return 0.5 * (table[codes] + table[codes_2]), 0.5 * (rounding[codes] + rounding[codes_2])
+    return jnp.asarray(level, jnp.float32)[codes], jnp.asarray(slope**2 / 12, jnp.float32)[codes]
 
 
 def _gather(samples: Shaped[Array, "..."], index: Int[Array, "..."]) -> Shaped[Array, "..."]:

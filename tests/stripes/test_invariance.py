@@ -106,7 +106,7 @@ def test_all_frames_at_once_is_the_same_as_one_by_one(render, monkeypatch):
     scene = render(1.5, 80.0, rows=64)
     on, off = (np.concatenate([frame, frame[:, ::-1]]) for frame in (scene.on, scene.off))
     one_by_one = extract_stripes(on, off, noise=KNOWN)
-    monkeypatch.setattr(extract, "_each_frame", lambda function, arrays: jax.vmap(function)(arrays))
+    monkeypatch.setattr(extract, "_each_frame", lambda function, arrays, *_: jax.vmap(function)(arrays))
     options = {"pixel_format": "mono8", "response": "linear", "line": LaserLine(), "settings": StripeSettings()}
     at_once = jax.jit(lambda *pair: stripes_of_frames(*pair, 1.0, 40.0, **options))(on, off)
     for name in FIELDS:
