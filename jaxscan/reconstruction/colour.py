@@ -5,13 +5,16 @@ from jaxtyping import Float, UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.frames import PixelFormat
+from jaxscan.stripes.shifted import Frames, Shifted
 
 
-def sample_colour(frame: UInt8[Array, "..."], q: Float[Array, "2"], pixel_format: PixelFormat) -> UInt8[Array, "3"]:
+def sample_colour(
+    frame: UInt8[Array, "..."] | Shifted, q: Float[Array, "2"], pixel_format: PixelFormat
+) -> UInt8[Array, "3"]:
     """Colour of a frame at a sub-pixel position, bilinear, in the frame's own response.
 
     Args:
-        frame: Laser-off frame [rows, columns] or, for rgb8, [rows, columns, 3].
+        frame: Laser-off frame [rows, columns] (`Shifted`, too) or, for rgb8, [rows, columns, 3].
         q: Position (u, v) [px]; outside the frame its edge is taken.
         pixel_format: How the frame is to be read. Of a Bayer frame every colour is interpolated
             among its own sites only.
@@ -32,7 +35,7 @@ def sample_colour(frame: UInt8[Array, "..."], q: Float[Array, "2"], pixel_format
     return jnp.round(colour).astype(jnp.uint8)
 
 
-def _bilinear(frame: Array, q: Array, row: int, column: int, spacing: int) -> Array:
+def _bilinear(frame: Frames, q: Array, row: int, column: int, spacing: int) -> Array:
     """Interpolate on the lattice of pixels (row + spacing i, column + spacing j)."""
     rows = (frame.shape[0] - row + spacing - 1) // spacing
     columns = (frame.shape[1] - column + spacing - 1) // spacing
@@ -42,9 +45,10 @@ def _bilinear(frame: Array, q: Array, row: int, column: int, spacing: int) -> Ar
     def at(di, dj):
         # A lattice of one row or column has no neighbour: its weight there is zero.
         r, c = jnp.minimum(i + di, rows - 1), jnp.minimum(j + dj, columns - 1)
-        return (
-            jnp.asarray(frame).at[row + spacing * r, column + spacing * c].get(mode="promise_in_bounds").astype(q.dtype)
-        )
+        r, c = row + spacing * r, column + spacing * c
+        if isinstance(frame, Shifted):
+            return frame.pixel(r, c).astype(q.dtype)
+        return jnp.asarray(frame).at[r, c].get(mode="promise_in_bounds").astype(q.dtype)
 
     upper = (1.0 - along_u) * at(0, 0) + along_u * at(0, 1)
     lower = (1.0 - along_u) * at(1, 0) + along_u * at(1, 1)

@@ -14,6 +14,7 @@ from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.triangulate import stripe_pixel, triangulate
 from jaxscan.reconstruction.uncertainty import RangeTable, range_table
 from jaxscan.stripes.frames import PixelFormat, StripeAxis
+from jaxscan.stripes.shifted import Shifted
 
 
 class Rig(eqx.Module):
@@ -57,7 +58,7 @@ class Centres(NamedTuple):
 def locate_points(
     rig: Rig,
     centres: Centres,
-    off: UInt8[Array, "records rows columns *colours"] | None,
+    off: UInt8[Array, "records rows columns *colours"] | Shifted | None,
     laser: Int[Array, " records"],
     phi: Float[Array, " records"],
     *,
@@ -77,6 +78,12 @@ def locate_points(
         stripe_axis: What a line is.
         settings: Range limits.
     """
+    frames: Array | None
+    if isinstance(off, Shifted):
+        shifted = off[jnp.arange(len(off), dtype=jnp.int32)]
+        frames, view = shifted.lead, lambda lead: Shifted(shifted.memory, lead, shifted.shape)
+    else:
+        frames, view = off, lambda frame: frame
     lines = centres.u.shape[1]
     line = jnp.arange(lines, dtype=jnp.float32)
 
@@ -90,7 +97,7 @@ def locate_points(
         if frame is None:
             colour: Array = jnp.zeros(3, jnp.uint8)
         else:
-            colour = sample_colour(frame, stripe_pixel(u, number, stripe_axis), pixel_format)
+            colour = sample_colour(view(frame), stripe_pixel(u, number, stripe_axis), pixel_format)
         values = (found.p_cam, amplitude, jnp.abs(found.slope) * sigma, systematic)
         kept = (jnp.where(exists, value, 0.0).astype(value.dtype) for value in values)
         return *kept, jnp.where(exists, colour, 0).astype(jnp.uint8), exists
@@ -100,7 +107,7 @@ def locate_points(
     # GPUs may multiply float32 matrices with 10 bits otherwise.
     with jax.default_matmul_precision("highest"):
         p_cam, intensity, sigma_random, sigma_systematic, rgb, valid = over_records(
-            centres.u, centres.sigma, centres.amplitude, centres.valid, line, laser, off
+            centres.u, centres.sigma, centres.amplitude, centres.valid, line, laser, frames
         )
         pose = jax.vmap(rig.scanner.pose)(phi)
     rotation, centre = pose[:, :3, :3], pose[:, :3, 3]

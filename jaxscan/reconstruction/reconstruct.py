@@ -8,15 +8,16 @@ import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Array, Scanner
-from jaxscan.reconstruction.ahead import map_ahead, workers
+from jaxscan.reconstruction.ahead import Lender, map_ahead, workers
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.grid import GrowingCloud
 from jaxscan.reconstruction.points import Centres, Points, Rig, line_step, locate_points
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import SweepSource
-from jaxscan.stripes.extract import stripes_of_frames
+from jaxscan.stripes.extract import stripes_of_frames, takes_shifted
 from jaxscan.stripes.frames import LaserLine, PixelFormat, Response, StripeAxis
 from jaxscan.stripes.noise import estimate_noise
+from jaxscan.stripes.shifted import Frames
 from jaxscan.stripes.stripes import NoiseModel, Stripes
 
 
@@ -93,17 +94,22 @@ def _stream(
         noise = noise or _noise_of_start(sweep)
         levels = np.float32(noise.read_dn), np.float32(noise.electrons_per_dn)
 
+    lender = Lender()
+
     def compute(batch: Batch) -> tuple[np.ndarray, Points]:
         records, line, on, off = batch
         size = len(on)
+        lent: tuple[Frames, Frames | None] = on, off
+        if takes_shifted(sweep.pixel_format, line):
+            lent = lender.lend("on", on), None if off is None else lender.lend("off", off)
         lasers, phi = _padded(laser[records], size), _padded(angles[records], size)
         # JAX keeps this setting per thread.
         with jax.enable_x64(False):
             if stripes is not None:
                 centres = _centres(stripes, records, size)
-                points = _from_stripes(rig, centres, off, lasers, phi, stripe_axis=stripe_axis, **options)
+                points = _from_stripes(rig, centres, lent[1], lasers, phi, stripe_axis=stripe_axis, **options)
             else:
-                points = _from_frames(rig, on, off, lasers, phi, *levels, line=line, response=sweep.response, **options)
+                points = _from_frames(rig, *lent, lasers, phi, *levels, line=line, response=sweep.response, **options)
             return records, jax.tree.map(np.asarray, points)
 
     for records, points in map_ahead(compute, _batches(sweep, _chunk_records(sweep, settings)), workers()):
@@ -115,8 +121,8 @@ def _stream(
 @functools.partial(jax.jit, static_argnames=("pixel_format", "response", "line", "settings"))
 def _from_frames(
     rig: Rig,
-    on: Array,
-    off: Array | None,
+    on: Frames,
+    off: Frames | None,
     laser: Array,
     phi: Array,
     noise_read: Array,
@@ -147,7 +153,7 @@ def _from_frames(
 def _from_stripes(
     rig: Rig,
     centres: Centres,
-    off: Array | None,
+    off: Frames | None,
     laser: Array,
     phi: Array,
     *,
