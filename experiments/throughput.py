@@ -1,18 +1,21 @@
 """Speed of a whole reconstruction against the usual NumPy and OpenCV pipeline, in one run.
 
-Both get the same stack of frames in memory and end with coloured points in the room. Ours also
+All get the same stack of frames in memory and end with coloured points in the room. Ours also
 gives sub-pixel centres by a weighted fit with their noise, normals and two sigmas per point; the
-usual pipeline gives centroids and nothing beside.
+usual pipeline, and a lean one that does without its box filter, give centroids and nothing beside.
+"stripes" and "points" time ours in two halves: frames to centres (in one thread), and the rest.
 
     python experiments/throughput.py [--quick] [--json FILE]
 """
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import cv2
 import jax
@@ -20,7 +23,7 @@ import numpy as np
 
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.reconstruction import Sweep, reconstruct
-from jaxscan.stripes.stripes import NoiseModel
+from jaxscan.stripes import NoiseModel, extract_stripes
 
 
 WIDTH, HEIGHT = 1280, 1024
@@ -54,29 +57,56 @@ def make_frames(pairs: int) -> tuple[np.ndarray, np.ndarray]:
     return on, off
 
 
-def usual_pipeline(scanner: Scanner, on: np.ndarray, off: np.ndarray, angle: np.ndarray) -> Callable[[], int]:
-    """The usual pipeline, frames over threads, everything that can be prepared prepared."""
+Centres = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""A frame's laser-on and laser-off image to the stripe's centre on every row, and where it is."""
+
+ROWS = np.arange(HEIGHT)[:, None]
+
+
+def usual_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As the well-known desk scanners do it, with their defaults, but for all rows at once.
+
+    Source: bqlabs/horus, `laser_segmentation.py` (subtract, threshold, 5 x 5 box, threshold,
+    highest pixel, centroid within 8 px); its forks do the same.
+    """
+    difference = cv2.subtract(on, off)
+    cv2.threshold(difference, 50, 255, cv2.THRESH_TOZERO, dst=difference)
+    cv2.blur(difference, (5, 5), dst=difference)
+    cv2.threshold(difference, 50, 255, cv2.THRESH_TOZERO, dst=difference)
+    return _centroid(difference, difference.argmax(axis=1), 8, 0)
+
+
+def lean_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least that gives a centroid: one blurred row at a time, one threshold."""
+    difference = cv2.subtract(on, off)
+    blurred = cv2.GaussianBlur(difference, (5, 1), 0)
+    peak = blurred.argmax(axis=1)
+    u, _ = _centroid(difference, peak, 6, 6)
+    return u, blurred[ROWS[:, 0], peak] > 12
+
+
+def _centroid(image: np.ndarray, peak: np.ndarray, reach: int, least: int) -> tuple[np.ndarray, np.ndarray]:
+    columns = np.clip(peak[:, None] + np.arange(-reach, reach + 1), 0, WIDTH - 1)
+    window = image[ROWS, columns].astype(np.float32)
+    window[window < least] = 0
+    total = window.sum(1)
+    return (window * columns).sum(1) / np.maximum(total, 1.0), total > 0
+
+
+def pipeline(centres: Centres, scanner: Scanner, on: np.ndarray, off: np.ndarray, angle: np.ndarray) -> Callable:
+    """From centres to coloured points: frames over threads, everything prepared that can be."""
     camera = scanner.camera
     matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], float)
     normal = np.asarray(scanner.lasers.normal[0], np.float32)
     distance = float(scanner.lasers.distance[0])
     with jax.enable_x64(True):
         poses = np.asarray(jax.jit(jax.vmap(scanner.as_dtype(np.float64).pose))(angle)).astype(np.float32)
-    rows = np.arange(HEIGHT)
-    offsets = np.arange(-6, 7)
     xyz = np.zeros((len(on), HEIGHT, 3), np.float32)
     rgb = np.zeros((len(on), HEIGHT, 3), np.uint8)
 
     def one(number: int) -> int:
-        difference = cv2.subtract(on[number], off[number])
-        blurred = cv2.GaussianBlur(difference, (5, 1), 0)
-        peak = blurred.argmax(axis=1)
-        valid = blurred[rows, peak] > 12
-        columns = np.clip(peak[:, None] + offsets, 0, WIDTH - 1)
-        window = difference[rows[:, None], columns].astype(np.float32)
-        window[window < 6] = 0
-        u = (window * columns).sum(1) / np.maximum(window.sum(1), 1.0)
-        found = rows[valid]
+        u, valid = centres(on[number], off[number])
+        found = np.flatnonzero(valid)
         q = np.stack([u[valid], found.astype(np.float32)], -1)[:, None, :].astype(np.float32)
         x = cv2.undistortPoints(q, matrix, DISTORTION)[:, 0]
         ray = np.column_stack([x, np.ones(len(x), np.float32)])
@@ -102,15 +132,24 @@ def read_everything(on: np.ndarray, off: np.ndarray) -> None:
         list(pool.map(np.sum, parts))
 
 
-def best_of(function: Callable[[], object], repeats: int) -> float:
-    """Seconds of the fastest of some runs, after one to warm up."""
-    function()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - start)
-    return min(times)
+class Time(NamedTuple):
+    """What a run takes [s]: the fastest of some."""
+
+    wall: float
+    processor: float
+    """Of all cores together; unlike the wall's it hardly depends on what else the machine does."""
+
+
+def best_of(functions: dict[str, Callable[[], object]], repeats: int) -> dict[str, Time]:
+    """Times of all functions, taken in turn, after one run each to warm up."""
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in functions}
+    for repeat in range(repeats + 1):
+        for name, function in functions.items():
+            start, used = time.perf_counter(), time.process_time()
+            function()
+            if repeat > 0:
+                times[name].append((time.perf_counter() - start, time.process_time() - used))
+    return {name: Time(min(wall for wall, _ in runs), min(cpu for _, cpu in runs)) for name, runs in times.items()}
 
 
 def measure(pairs: int, repeats: int) -> list[dict]:
@@ -119,38 +158,38 @@ def measure(pairs: int, repeats: int) -> list[dict]:
     on, off = make_frames(pairs)
     angle = np.radians(0.1) * np.arange(pairs)
     sweep, noise = Sweep(on, off, angle), NoiseModel()
-    read = best_of(lambda: read_everything(on, off), repeats)
-    ours = best_of(lambda: reconstruct(sweep, scanner, noise=noise), repeats)
-    usual, threads = min(
-        (best_of(run_with(threads, usual_pipeline(scanner, on, off, angle)), repeats), threads)
-        for threads in (1, THREADS)
+    stripes = extract_stripes(on, off, noise=noise)
+    peers = {"usual": usual_centres, "lean": lean_centres}
+    runs = {name: pipeline(centres, scanner, on, off, angle) for name, centres in peers.items()}
+    # OpenCV's own threads would only compete with the threads over frames.
+    cv2.setNumThreads(1)
+    times = best_of(
+        {
+            "read": lambda: read_everything(on, off),
+            "ours": lambda: reconstruct(sweep, scanner, noise=noise),
+            "stripes": lambda: np.asarray(extract_stripes(on, off, noise=noise).u),
+            "points": lambda: reconstruct(sweep, scanner, stripes=stripes, noise=noise),
+            **runs,
+        },
+        repeats,
     )
     cloud = reconstruct(sweep, scanner, noise=noise)
-    found = usual_pipeline(scanner, on, off, angle)()
-    rows = [
-        ("ours", 1e3 * ours / pairs, "ms/pair", "lower", 0.3),
-        ("usual", 1e3 * usual / pairs, "ms/pair", "lower", 0.3),
-        ("speedup", usual / ours, "1", "higher", 0.3),
-        ("plain_read", 1e3 * read / pairs, "ms/pair", "lower", 0.5),
-        ("bandwidth", (on.nbytes + off.nbytes) / read / 1e9, "GB/s", "higher", 0.5),
-        ("ours_points", float(cloud.valid.mean()), "of lines", "higher", 0.02),
-        ("usual_points", found / cloud.valid.size, "of lines", "higher", 0.02),
-        ("opencv_threads", threads, "1", "none", 1.0),
-    ]
+    rows = []
+    for name in ("ours", "usual", "lean", "read", "stripes", "points"):
+        rows.append((f"{name}_wall", 1e3 * times[name].wall / pairs, "ms/pair", "lower", 0.3))
+        rows.append((f"{name}_cpu", 1e3 * times[name].processor / pairs, "ms/pair", "lower", 0.2))
+    for name in peers:
+        rows.append((f"speedup_to_{name}", times[name].wall / times["ours"].wall, "1", "higher", 0.3))
+        rows.append((f"speedup_to_{name}_cpu", times[name].processor / times["ours"].processor, "1", "higher", 0.2))
+    rows.append(("bandwidth", (on.nbytes + off.nbytes) / times["read"].wall / 1e9, "GB/s", "higher", 0.5))
+    rows.append(("ours_points", float(cloud.valid.mean()), "of lines", "higher", 0.02))
+    for name, run in runs.items():
+        rows.append((f"{name}_points", run() / cloud.valid.size, "of lines", "higher", 0.02))
+    rows.append(("load", os.getloadavg()[0], "1", "none", 1.0))
     return [
         {"key": key, "value": value, "unit": unit, "direction": direction, "tolerance": tolerance}
         for key, value, unit, direction, tolerance in rows
     ]
-
-
-def run_with(threads: int, run: Callable[[], int]) -> Callable[[], int]:
-    """The pipeline with OpenCV's own threads set."""
-
-    def configured() -> int:
-        cv2.setNumThreads(threads)
-        return run()
-
-    return configured
 
 
 def main() -> None:
@@ -161,7 +200,7 @@ def main() -> None:
     pairs, repeats = (48, 1) if arguments.quick else (256, 4)
     metrics = measure(pairs, repeats)
     for row in metrics:
-        print(f"{row['key']:>16} {row['value']:10.3f} {row['unit']}", file=sys.stderr)
+        print(f"{row['key']:>20} {row['value']:10.3f} {row['unit']}", file=sys.stderr)
     if arguments.json:
         text = json.dumps(
             {"format": "jaxscan-throughput/1", "pairs": pairs, "quick": arguments.quick, "metrics": metrics}
