@@ -126,8 +126,8 @@ def _slopes(p, sigma, valid, centre, step, *, axis, half, least, carried=None):
     padded_valid = jnp.pad(valid, padding)
     size = valid.shape[axis]
 
-    def add(number, total):
-        count, first, second, sums, moments, others = total
+    def on_side(number):
+        """Weight, offset and difference of the neighbours `number - half` steps away."""
         x, y, z, range_k, variance_k, *more = (
             jax.lax.dynamic_slice_in_dim(column, number, size, axis) for column in padded
         )
@@ -135,19 +135,28 @@ def _slopes(p, sigma, valid, centre, step, *, axis, half, least, carried=None):
         k = (number - half).astype(far.dtype)
         gap = STEEPEST * jnp.abs(k) * step * far + 4.0 * jnp.sqrt(variance + variance_k)
         w = (valid & there & (jnp.abs(range_k - far) <= gap)).astype(far.dtype)
-        differences = tuple(w * (component - p[i]) for i, component in enumerate((x, y, z)))
+        return k, w, tuple(w * (component - p[i]) for i, component in enumerate((x, y, z))), tuple(w * m for m in more)
+
+    def add(distance, total):
+        # Both sides in one pass: the sums are read and written half as often.
+        count, first, second, sums, moments, others = total
+        k, w_after, after, more_after = on_side(half + distance)
+        _, w_before, before, more_before = on_side(half - distance)
+        both = w_after + w_before
         return (
-            count + w,
-            first + k * w,
-            second + (k * k) * w,
-            tuple(s + d for s, d in zip(sums, differences, strict=True)),
-            tuple(s + k * d for s, d in zip(moments, differences, strict=True)),
-            tuple(s + w * component for s, component in zip(others, more, strict=True)),
+            count + both,
+            first + k * (w_after - w_before),
+            second + (k * k) * both,
+            tuple(s + (a + b) for s, a, b in zip(sums, after, before, strict=True)),
+            tuple(s + k * (a - b) for s, a, b in zip(moments, after, before, strict=True)),
+            tuple(s + (a + b) for s, a, b in zip(others, more_after, more_before, strict=True)),
         )
 
     zero = jnp.zeros_like(far)
-    start = (zero, zero, zero, (zero,) * 3, (zero,) * 3, (zero,) * len(carried or ()))
-    count, first, second, sums, moments, others = jax.lax.fori_loop(0, 2 * half + 1, add, start)
+    itself = valid.astype(far.dtype)
+    own = tuple(itself * component for component in carried or ())
+    start = (itself, zero, zero, (zero,) * 3, (zero,) * 3, own)
+    count, first, second, sums, moments, others = jax.lax.fori_loop(1, half + 1, add, start)
     spread = count * second - first * first
     enough = (count >= least) & (spread > 0)
     safe = jnp.where(enough, spread, 1.0)
