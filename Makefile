@@ -12,12 +12,13 @@ LIBRARIES := libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1 libudev1 libidn2-0
 demo: $(INSTALLED) libraries
 	$(BIN)/jaxscan demo -o demo
 
-# Two processes: compiling, which is most of the time, keeps one core busy at a time.
+# Two processes: compiling, which is most of the time, keeps one core busy at a time. Whole files,
+# because the tests of a file share what is compiled.
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -q -n 2 --dist loadgroup
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 test-all: $(INSTALLED)
-	$(BIN)/python -m pytest -q -n 2 --dist loadgroup -m "slow or not slow"
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile -m "slow or not slow"
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

@@ -14,17 +14,8 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Say what runs together, and skip what cannot run.
-
-    Workers in parallel take whole files, whose tests share compiled functions, and all that
-    shares the tiny rig. Without Open3D the tests that render are skipped, by name;
-    JAXSCAN_REQUIRE_OPEN3D=1 refuses that.
-    """
-    for item in items:
-        group = "tiny" if "tiny" in item.fixturenames else str(item.path)
-        item.add_marker(pytest.mark.xdist_group(group))
+    """Without Open3D the tests that render are skipped, by name; JAXSCAN_REQUIRE_OPEN3D=1 refuses that."""
     rendering = [item for item in items if "tiny" in item.fixturenames or "simulation" in item.path.parts]
     if not rendering:
         return
