@@ -151,7 +151,7 @@ def _undistort(target: Float[Array, "2"], k: Float[Array, " k"]) -> Float[Array,
         return x - step_x * shorter, y - step_y * shorter
 
     fixed_k, fixed = jax.lax.stop_gradient((k, target))
-    iterations = 6 if target.dtype == jnp.float32 else 12
+    iterations = 4 if target.dtype == jnp.float32 else 12
     x, y = jax.lax.fori_loop(
         0, iterations, lambda _, p: newton(p[0], p[1], fixed_k, fixed[0], fixed[1]), (fixed[0], fixed[1])
     )

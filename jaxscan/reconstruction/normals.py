@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Array
+from jaxscan.reconstruction.ahead import map_ahead, workers
 
 
-BLOCK = 64
-"""Profiles computed at a time."""
+BLOCK = 32
+"""Profiles computed at a time: few enough that all cores have some to do."""
 LINE_ANGLE = np.radians(0.35)
 PROFILE_ANGLE = np.radians(0.4)
 """Half sizes of the window [rad], in lines and in profiles, before the limits below: 15 mm and
@@ -56,22 +57,20 @@ def grid_normals(
     half = int(np.clip(round(PROFILE_ANGLE / max(profile_step, 1e-6)), 1, MAX_PROFILES))
     steps = np.array([line_step, profile_step], np.float32)
     normals = np.zeros(xyz.shape, np.float32)
-    pending: list[tuple[int, tuple[Array, Array, Array]]] = []
-    for start in range(0, profiles, BLOCK):
+
+    def fill(start: int) -> None:
         window = (start - half, start + BLOCK + half)
         block = (_part(array, window) for array in (xyz, sigma, valid, centre))
-        pending.append((start, _block_normals(*block, steps, half_lines=half_lines, half_profiles=half)))
-        if len(pending) > 1:
-            _store(normals, *pending.pop(0))
-    for start, block_normals in pending:
-        _store(normals, start, block_normals)
+        # JAX keeps this setting per thread.
+        with jax.enable_x64(False):
+            found = _block_normals(*block, steps, half_lines=half_lines, half_profiles=half)
+            for axis in range(3):
+                part = normals[start : start + BLOCK, :, axis]
+                part[:] = np.asarray(found[axis])[: len(part)]
+
+    for _ in map_ahead(fill, range(0, profiles, BLOCK), workers()):
+        pass
     return normals
-
-
-def _store(normals: np.ndarray, start: int, block: tuple[Array, Array, Array]) -> None:
-    count = min(BLOCK, len(normals) - start)
-    for axis in range(3):
-        normals[start : start + count, :, axis] = np.asarray(block[axis])[:count]
 
 
 def _part(array: np.ndarray, window: tuple[int, int]) -> np.ndarray:
