@@ -35,19 +35,19 @@ class GrowingCloud:
         self.centre[rows] = np.asarray(points.centre)[:count]
         self.stripes += int(np.asarray(points.stripes)[:count].sum())
 
-    def finish(self, laser: np.ndarray, angle: np.ndarray, line_step: float) -> PointCloud:
+    def finish(self, laser: np.ndarray, angle: np.ndarray, line_step: float | None) -> PointCloud:
         """The cloud, with normals from its grid.
 
         Args:
             laser: Laser of each profile.
             angle: The table's angle of each profile [rad].
-            line_step: Angle between neighbouring lines [rad].
+            line_step: Angle between neighbouring lines [rad]; None for no normals.
         """
         return PointCloud(
             xyz=self.xyz,
             rgb=self.rgb,
             intensity=self.intensity,
-            normals=self._normals(laser, angle, line_step),
+            normals=np.zeros_like(self.xyz) if line_step is None else self._normals(laser, angle, line_step),
             sigma_random=self.sigma_random,
             sigma_systematic=self.sigma_systematic,
             valid=self.valid,

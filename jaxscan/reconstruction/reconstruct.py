@@ -73,7 +73,8 @@ def reconstruct(
     with jax.enable_x64(False):
         _stream(sweep, rig, cloud, laser, stripe_axis, stripes, settings, noise, progress)
         _check_result(cloud, settings)
-        return cloud.finish(laser, sweep.angles, line_step(rig.scanner.camera, stripe_axis))
+        between_lines = line_step(rig.scanner.camera, stripe_axis) if settings.normals else None
+        return cloud.finish(laser, sweep.angles, between_lines)
 
 
 def _stream(

@@ -189,3 +189,22 @@ def test_refusals(small_scanner, flat_stripes, frames):
         reconstruct(sweep, scanner, stripes=nothing)
     with pytest.raises(CalibrationError, match="448 stripe centres were found, but none"):
         reconstruct(sweep, scanner, stripes=stripes, settings=ReconstructSettings(min_range_m=20.0, max_range_m=21.0))
+
+
+def test_normals_can_be_left_out(small_scanner, stripes_on_plane, flat_stripes):
+    scanner = small_scanner()
+    phi = np.radians(np.arange(7) * 1.5)
+    u, seen = stripes_on_plane(scanner, phi, NORMAL, 2.0)
+    stripes = type(flat := flat_stripes(u.shape, u))(**{**vars(flat), "valid": seen})
+    frames = np.zeros((7, HEIGHT, WIDTH), np.uint8)
+    with_normals, without = (
+        reconstruct(
+            Sweep(frames, frames, phi),
+            scanner,
+            stripes=stripes,
+            settings=ReconstructSettings(chunk_records=7, normals=normals),
+        )
+        for normals in (True, False)
+    )
+    assert with_normals.normals.any() and not without.normals.any()
+    np.testing.assert_array_equal(without.xyz, with_normals.xyz)
