@@ -31,7 +31,10 @@ def _scene(records: int) -> tuple[np.ndarray, np.ndarray]:
     return (off + light).round().astype(np.uint8), off.round().astype(np.uint8)
 
 
-@pytest.mark.parametrize("address", [1, 16, 63])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize("address", [1, pytest.param(16, marks=SLOW), pytest.param(63, marks=SLOW)])
 def test_result_does_not_depend_on_where_frames_lie(small_scanner, address):
     on, off = _scene(7)
     scanner, phi, noise = small_scanner(), 0.01 * np.arange(7), NoiseModel()
