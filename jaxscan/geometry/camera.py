@@ -30,6 +30,10 @@ class AbstractCamera(eqx.Module):
         """Names of the minimal coordinates, in the order that `retract` takes them."""
 
     @abc.abstractmethod
+    def parameters(self) -> Float[Array, " params"]:
+        """Values of the minimal coordinates [px; 1 for distortion]."""
+
+    @abc.abstractmethod
     def retract(self, step: Float[Array, " params"]) -> "AbstractCamera":
         """This camera moved by `step` in its minimal coordinates [px; 1 for distortion]."""
 
@@ -91,6 +95,10 @@ class Pinhole(AbstractCamera):
     def parameter_names(self) -> tuple[str, ...]:
         names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
         return names[: 4 + np.shape(self.distortion)[-1]]
+
+    def parameters(self) -> Float[Array, " params"]:
+        pixels = jnp.stack([jnp.asarray(value) for value in (self.fx, self.fy, self.cx, self.cy)])
+        return jnp.concatenate([pixels, jnp.asarray(self.distortion)])
 
     def retract(self, step: Float[Array, " params"]) -> "Pinhole":
         return Pinhole(
