@@ -1,0 +1,35 @@
+"""The public verbs: what joins the core and the edges."""
+
+from jaxscan.api.boards import observe_boards as observe_boards
+from jaxscan.api.calibration import calibrate as calibrate
+from jaxscan.api.simulation import SimulatedCaptures as SimulatedCaptures
+from jaxscan.api.simulation import load_simulation as load_simulation
+from jaxscan.api.simulation import simulate as simulate
+from jaxscan.api.simulation import simulation_digest as simulation_digest
+from jaxscan.calibration import Calibration as Calibration
+from jaxscan.calibration import CalibrationSettings as CalibrationSettings
+from jaxscan.files.calibration import load_calibration as load_calibration
+from jaxscan.files.calibration import load_scanner as load_scanner
+from jaxscan.files.calibration import save_calibration as save_calibration
+from jaxscan.files.capture import Capture as Capture
+from jaxscan.files.capture import open_capture as open_capture
+from jaxscan.files.clouds import load_cloud as load_cloud
+from jaxscan.files.clouds import save_cloud as save_cloud
+from jaxscan.files.config import load_toml as load_toml
+from jaxscan.geometry import Scanner as Scanner
+from jaxscan.geometry import fit_axis as fit_axis
+from jaxscan.geometry import fit_plane as fit_plane
+from jaxscan.measurement import compare_clouds as compare_clouds
+from jaxscan.measurement import measure_distance as measure_distance
+from jaxscan.measurement import measure_plane as measure_plane
+from jaxscan.measurement import measure_room as measure_room
+from jaxscan.reconstruction import PointCloud as PointCloud
+from jaxscan.reconstruction import ReconstructSettings as ReconstructSettings
+from jaxscan.reconstruction import Sweep as Sweep
+from jaxscan.reconstruction import reconstruct as reconstruct
+from jaxscan.simulation import SimulationConfig as SimulationConfig
+from jaxscan.stripes import LaserLine as LaserLine
+from jaxscan.stripes import NoiseModel as NoiseModel
+from jaxscan.stripes import Stripes as Stripes
+from jaxscan.stripes import StripeSettings as StripeSettings
+from jaxscan.stripes import extract_stripes as extract_stripes
