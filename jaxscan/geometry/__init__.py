@@ -6,6 +6,7 @@ from jaxscan.geometry.board import Charuco as Charuco
 from jaxscan.geometry.board import Chessboard as Chessboard
 from jaxscan.geometry.camera import AbstractCamera as AbstractCamera
 from jaxscan.geometry.camera import Pinhole as Pinhole
+from jaxscan.geometry.fisheye import Fisheye as Fisheye
 from jaxscan.geometry.fit import AxisFit as AxisFit
 from jaxscan.geometry.fit import PlaneFit as PlaneFit
 from jaxscan.geometry.fit import fit_axis as fit_axis

@@ -1,0 +1,178 @@
+"""The fisheye camera: the angle to the optical axis, not its tangent, becomes the radius."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.geometry.arrays import Array, real
+from jaxscan.geometry.camera import AbstractCamera
+
+
+# Points of the search for the angle at which a lens folds over.
+_FOLD_GRID = 129
+# Below these the power series, with the terms given here, are exact to float64's rounding.
+_SMALL_SLOPE = 1e-4
+_SMALL_SQUARE = 1e-2
+
+
+class Fisheye(AbstractCamera):
+    r"""Fisheye after Kannala and Brandt, radially symmetric; sees beyond 90 degrees.
+
+    With $\theta = \mathrm{atan2}(\sqrt{X^2 + Y^2}, Z)$ and
+
+    $$\theta_d = \theta (1 + k_1 \theta^2 + k_2 \theta^4 + k_3 \theta^6 + k_4 \theta^8)$$
+
+    the pixel is $u = f_x \theta_d \cos\psi + c_x$, $v = f_y \theta_d \sin\psi + c_y$, where $\psi$
+    is the direction of $(X, Y)$.
+
+    Source: Kannala and Brandt, A generic camera model and calibration method for conventional,
+    wide-angle, and fish-eye lenses (2006), equation (6); scaled as OpenCV's fisheye module does.
+    """
+
+    fx: Float[Array, ""] = eqx.field(converter=real)
+    """Focal length along u [px/rad]."""
+    fy: Float[Array, ""] = eqx.field(converter=real)
+    """Focal length along v [px/rad]."""
+    cx: Float[Array, ""] = eqx.field(converter=real)
+    """Principal point, u [px]."""
+    cy: Float[Array, ""] = eqx.field(converter=real)
+    """Principal point, v [px]."""
+    distortion: Float[Array, "4"] = eqx.field(converter=real)
+    """k1 k2 k3 k4 [1]."""
+    width: int = eqx.field(static=True)
+    """Image width [px]."""
+    height: int = eqx.field(static=True)
+    """Image height [px]."""
+
+    def __check_init__(self) -> None:
+        if np.shape(self.distortion) != (4,):
+            raise ValueError(f"`distortion` must have 4 coefficients, got shape {np.shape(self.distortion)}.")
+
+    def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Pixel of a point [px].
+
+        Without meaning only straight behind the camera, and beyond the angle at which the
+        polynomial turns back.
+        """
+        per_radius, square = _angle(p[0], p[1], p[2])
+        scale = per_radius * _factor(square, self.distortion)
+        return jnp.stack([self.fx * (scale * p[0]) + self.cx, self.fy * (scale * p[1]) + self.cy])
+
+    def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Unit ray of a pixel, by Newton's method: 1e-10 px in float64, 1e-3 px in float32.
+
+        Pixels that no ray reaches get the ray of the largest angle on their side.
+        """
+        x, y = (q[0] - self.cx) / self.fx, (q[1] - self.cy) / self.fy
+        k = jnp.asarray(self.distortion)
+        last, reach = _fold(jax.lax.stop_gradient(k))
+        target = x * x + y * y
+        beyond = target > reach
+        inwards = jnp.sqrt(jnp.where(beyond, reach / jnp.where(beyond, target, 1.0), 1.0).astype(target.dtype))
+        square = _invert(jnp.where(beyond, reach, target).astype(target.dtype), k, last)
+        sinc, cosine = _sine_and_cosine(square)
+        scale = inwards * sinc / _factor(square, k)
+        ray = jnp.stack([scale * x, scale * y, cosine])
+        # Unit but for rounding.
+        return ray / jnp.linalg.norm(ray)
+
+    def parameter_names(self) -> tuple[str, ...]:
+        return ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
+
+    def parameters(self) -> Float[Array, " params"]:
+        pixels = jnp.stack([jnp.asarray(value) for value in (self.fx, self.fy, self.cx, self.cy)])
+        return jnp.concatenate([pixels, jnp.asarray(self.distortion)])
+
+    def retract(self, step: Float[Array, " params"]) -> "Fisheye":
+        return Fisheye(
+            fx=self.fx + step[0],
+            fy=self.fy + step[1],
+            cx=self.cx + step[2],
+            cy=self.cy + step[3],
+            distortion=self.distortion + step[4:],
+            width=self.width,
+            height=self.height,
+        )
+
+
+def _angle(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+    """theta over the radius hypot(x, y), and theta squared; both smooth where the radius is 0 and z > 0."""
+    radius2, z2 = x * x + y * y, z * z
+    near = (z > 0) & (radius2 < _SMALL_SLOPE * z2)
+    # Straight behind the camera the direction is lost; a harmless 1 keeps value and gradient finite.
+    lost = (z <= 0) & (radius2 <= jnp.finfo(z.dtype).eps ** 2 * z2)
+    safe_z = jnp.where(near, z, 1.0).astype(z.dtype)
+    slope2 = jnp.where(near, radius2, 0.0).astype(z.dtype) / (safe_z * safe_z)
+    series = 1.0 - slope2 * (1 / 3 - slope2 * (1 / 5 - slope2 / 7))
+    radius = jnp.sqrt(jnp.where(near | lost, 1.0, radius2).astype(z.dtype))
+    theta = jnp.arctan2(radius, jnp.where(near, 1.0, z).astype(z.dtype))
+    per_radius = jnp.where(near, series / safe_z, theta / radius).astype(z.dtype)
+    return per_radius, jnp.where(near, slope2 * series * series, theta * theta).astype(z.dtype)
+
+
+def _factor(square: Array, k: Float[Array, "4"]) -> Array:
+    """theta_d / theta, of theta squared."""
+    return 1.0 + square * (k[0] + square * (k[1] + square * (k[2] + square * k[3])))
+
+
+def _slope(square: Array, k: Float[Array, "4"]) -> Array:
+    """d theta_d / d theta, of theta squared."""
+    return 1.0 + square * (3.0 * k[0] + square * (5.0 * k[1] + square * (7.0 * k[2] + square * (9.0 * k[3]))))
+
+
+def _invert(target: Array, k: Float[Array, "4"], last: Array) -> Array:
+    """theta squared of theta_d squared, up to `last`.
+
+    Between the squares the relation is a polynomial that is smooth also at the axis, where the
+    angle itself, as the length of a vector, is not.
+    """
+
+    def newton(square, k, target):
+        factor = _factor(square, k)
+        # d (theta_d^2) / d (theta^2) = (theta_d / theta) d theta_d / d theta
+        slope = factor * _slope(square, k)
+        slope = jnp.where(slope > 0, slope, 1.0).astype(slope.dtype)
+        return (square * factor * factor - target) / slope
+
+    fixed_k, fixed = jax.lax.stop_gradient((k, target))
+
+    def closer(_, square):
+        # Beside the fold a full step can leave the branch for good; none goes more than half way
+        # to an end of it.
+        return jnp.clip(square - newton(square, fixed_k, fixed), 0.5 * square, 0.5 * (square + last))
+
+    iterations = 5 if target.dtype == jnp.float32 else 12
+    square = jax.lax.fori_loop(0, iterations, closer, jnp.minimum(fixed, last))
+    # One last step carries the derivative: at the solution it is the implicit function theorem.
+    square = jax.lax.stop_gradient(square)
+    return square - newton(square, k, target)
+
+
+def _fold(k: Float[Array, "4"]) -> tuple[Array, Array]:
+    """Up to where theta_d grows, at most straight behind: theta squared there, and theta_d squared."""
+    square = jnp.linspace(0.0, np.pi**2, _FOLD_GRID, dtype=k.dtype)
+    slope = _slope(square, k)
+    falling = slope <= 0
+    after = jnp.argmax(falling)
+    before = jnp.maximum(after - 1, 0)
+    down = jnp.where(falling[after], slope[before] - slope[after], 1.0).astype(k.dtype)
+    crossing = square[before] + slope[before] / down * (square[after] - square[before])
+    last = jnp.where(falling[after], crossing, square[-1]).astype(k.dtype)
+    factor = _factor(last, k)
+    return last, last * factor * factor
+
+
+def _sine_and_cosine(square: Array) -> tuple[Array, Array]:
+    """sin(theta) / theta and cos(theta) of theta squared, smooth at 0."""
+    near = square < _SMALL_SQUARE
+    s = jnp.where(near, square, 0.0).astype(square.dtype)
+    sinc = 1.0 - s / 6 * (1.0 - s / 20 * (1.0 - s / 42 * (1.0 - s / 72)))
+    cosine = 1.0 - s / 2 * (1.0 - s / 12 * (1.0 - s / 30 * (1.0 - s / 56 * (1.0 - s / 90))))
+    theta = jnp.sqrt(jnp.where(near, 1.0, square).astype(square.dtype))
+    far_sinc = jnp.sin(theta) / theta
+    return (
+        jnp.where(near, sinc, far_sinc).astype(square.dtype),
+        jnp.where(near, cosine, jnp.cos(theta)).astype(square.dtype),
+    )
