@@ -1,4 +1,4 @@
-"""`jaxscan convert`: one cloud format to another."""
+"""`jaxscan convert`: one cloud format to another, and a calibration to what other programs read."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,25 +7,34 @@ import numpy as np
 import tyro
 
 from jaxscan import api
-from jaxscan.cli.options import CloudPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.errors import OptionError
+from jaxscan.files.camera_formats import CameraFormat, check_camera_path, export_camera
 from jaxscan.files.clouds import check_cloud_path
 
 
 def convert(
-    source: CloudPath,
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")],
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUTPUT")],
     /,
     *,
+    format: CameraFormat | None = None,
     json: JsonTarget = None,
 ) -> None:
-    """Convert a cloud: `jaxscan convert room.ply room.e57`.
+    """Convert: `jaxscan convert room.ply room.e57`, or `jaxscan convert calibration.json camera.yaml`.
 
     Args:
-        source: Cloud to read (.ply or .npz).
-        target: Cloud to write; the suffix chooses the format (.ply .e57 .laz .las .pcd .xyz .ptx .npz).
+        source: Cloud (.ply or .npz) or calibration (.json) to read.
+        target: File to write; the suffix chooses the format: .ply .e57 .laz .las .pcd .xyz .ptx .npz for a
+            cloud, .yaml (OpenCV) or .cameramodel (mrcal) for a calibration.
+        format: Of a calibration, where its suffix does not say it: `ros` is a camera_info .yaml.
         json: Write the result as JSON too.
     """
+    if source.suffix.lower() == ".json":
+        _convert_calibration(source, target, format, json)
+        return
+    if format is not None:
+        raise OptionError(f"--format: is for calibrations (.json), and {source} is none; a cloud's suffix decides.")
     check_cloud_path(target)
     check_json(json)
     cloud = api.load_cloud(source)
@@ -33,3 +42,11 @@ def convert(
     points = int(np.asarray(cloud.valid).sum())
     console(json).print(f"written: {target} ({points} points)")
     emit_json(json, "convert", {"source": str(source), "cloud": str(target), "points": points})
+
+
+def _convert_calibration(source: Path, target: Path, camera_format: CameraFormat | None, json: JsonTarget) -> None:
+    chosen = check_camera_path(target, camera_format)
+    check_json(json)
+    export_camera(api.load_calibration(source), target, chosen)
+    console(json).print(f"written: {target} (camera for {chosen})")
+    emit_json(json, "convert", {"source": str(source), "camera": str(target), "camera_format": chosen})
