@@ -1,23 +1,23 @@
 """The joint solve round the solver: robust start, rejection of outliers, estimate of the noise."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
 
 from jaxscan.calibration.covariance import Linearised, linearise
-from jaxscan.calibration.parameters import block_of
+from jaxscan.calibration.noise import correlation_along, huber_weights, keep_inliers, noise_component, robust_noise
 from jaxscan.calibration.prepare import Prepared
-from jaxscan.calibration.residuals import Measured, Problem, prior_names
-from jaxscan.calibration.settings import Block, CalibrationSettings
+from jaxscan.calibration.problem import Problem
+from jaxscan.calibration.rows import corner_rows, stripe_rows
+from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve import solve
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 
 
-# The noise of data without any is taken as this share of the given sigma, so that weights stay finite.
-_MIN_NOISE = 1e-3
 # Damping at the start of a solve, relative to J'J: cautious from a seed, a plain Gauss-Newton
 # step where the last solve ended beside the minimum.
 _SEED_DAMPING = 1e-4
@@ -28,11 +28,14 @@ _ROUGH = 1e-3
 _FINE = 1e-7
 _ROBUST_ROUNDS = 3
 _REJECTION_ROUNDS = 6
+# A view that loses more of its corners than this is wrong as a whole.
+_MAX_LOST = 0.2
+_SETTLED = 0.01
 
 
 @dataclass(frozen=True)
 class Adjustment:
-    """The minimum, and what was kept to get there."""
+    """The minimum, and what was kept to get there; arrays padded as `Prepared` is."""
 
     problem: Problem
     """Seen from the minimum, with its final weights."""
@@ -41,15 +44,30 @@ class Adjustment:
     """Projected minus observed corners [views, corners, 2], px; rejected ones too."""
     stripe_error: np.ndarray
     """Sampson error of the stripe points [stripes, points], px; rejected ones too."""
+    corner_sigma: np.ndarray
+    """Given sigma times the estimated noise [px]."""
+    stripe_sigma: np.ndarray
     corner_keep: np.ndarray
     stripe_keep: np.ndarray
+    view_keep: np.ndarray
+    """Views [views] that were not dropped as a whole."""
     corner_noise: float
     """Estimated noise over the given sigma [1]."""
     stripe_noise: float
+    stripe_correlation: float
+    """Neighbours along a stripe that share one error [1]."""
     corner_rms: float
     """Whitened by the given sigmas, kept ones, per degree of freedom [1]."""
     stripe_rms: float
     steps: int
+
+
+class _Errors(NamedTuple):
+    """Residuals in units of the given sigmas, and |grad_q e|; 0 and 1 where there is nothing."""
+
+    corner: np.ndarray
+    stripe: np.ndarray
+    slope: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -57,8 +75,10 @@ class _State:
     problem: Problem
     corner_keep: np.ndarray
     stripe_keep: np.ndarray
+    view_keep: np.ndarray
     corner_noise: float = 1.0
     stripe_noise: float = 1.0
+    stripe_correlation: float = 1.0
     steps: int = 0
 
 
@@ -71,151 +91,154 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
     Raises:
         CalibrationError: If the solve breaks down.
     """
-    state = _State(problem, data.corner_valid, data.stripe_valid)
-    for _ in range(_ROBUST_ROUNDS if rejection else 2):
-        corner, stripe, slopes = _whitened(_linearised(state.problem).measured, data)
-        state = replace(state, corner_noise=_spread(corner[data.corner_valid]))
-        state = replace(state, stripe_noise=_spread(stripe[data.stripe_valid]))
-        corner_damp = _huber(np.abs(corner).max(-1) / state.corner_noise, settings.huber)
-        stripe_damp = _huber(np.abs(stripe) / state.stripe_noise, settings.huber)
-        state = _solved(state, data, slopes, settings, corner_damp, stripe_damp, _ROUGH)
+    state = _State(problem, data.corner_valid, data.stripe_valid, data.usable)
+    if settings.stripe_correlation is not None:
+        state = replace(state, stripe_correlation=settings.stripe_correlation)
+    errors = _whitened(*jax.tree.map(np.asarray, _evaluate(problem)), data)
+    for _ in range(_ROBUST_ROUNDS):
+        state = replace(
+            state,
+            corner_noise=robust_noise(errors.corner[data.corner_valid]),
+            stripe_noise=robust_noise(errors.stripe[data.stripe_valid]),
+        )
+        corner_damp = huber_weights(np.abs(errors.corner).max(-1) / state.corner_noise, settings.huber)
+        stripe_damp = huber_weights(np.abs(errors.stripe) / state.stripe_noise, settings.huber)
+        state, linearised, errors = _solved(state, data, errors, corner_damp, stripe_damp, _ROUGH, settings)
+        # Without outliers there is nothing to be robust against.
+        largest = max(_largest(errors.corner, data.corner_valid), _largest(errors.stripe, data.stripe_valid))
+        if largest < settings.reject_any:
+            break
     if rejection:
-        state = _reject(state, data, settings)
-    linearised = _linearised(state.problem)
-    corner, stripe, _ = _whitened(linearised.measured, data)
-    corner_rms, stripe_rms = _noise(corner, stripe, linearised, state)
+        state, linearised, errors = _reject(state, linearised, errors, data, settings)
+    corner_rms, stripe_rms = _noise(errors, linearised, state)
     return Adjustment(
         problem=state.problem,
         linearised=linearised,
-        corner_error=corner * data.corner_sigma[..., None],
-        stripe_error=stripe * data.stripe_sigma,
+        corner_error=errors.corner * data.corner_sigma[..., None],
+        stripe_error=errors.stripe * data.stripe_sigma,
+        corner_sigma=data.corner_sigma * state.corner_noise,
+        stripe_sigma=data.stripe_sigma * state.stripe_noise,
         corner_keep=state.corner_keep,
         stripe_keep=state.stripe_keep,
+        view_keep=state.view_keep,
         corner_noise=state.corner_noise,
         stripe_noise=state.stripe_noise,
+        stripe_correlation=state.stripe_correlation,
         corner_rms=corner_rms,
         stripe_rms=stripe_rms,
         steps=state.steps,
     )
 
 
-def prior_weights(names: tuple[str, ...], lasers: int, free: tuple[Block, ...], settings: CalibrationSettings) -> Array:
-    """1 / standard deviation of every prior; 0 for what is held."""
-    priors = settings.priors
-    sigma = {
-        "cx": priors.centre_px,
-        "cy": priors.centre_px,
-        "fx": priors.aspect,
-        "p1": priors.tangential,
-        "p2": priors.tangential,
-        "k3": priors.k3,
-        "gain": priors.gain,
-        **dict.fromkeys(("c1", "s1", "c2", "s2"), priors.harmonics),
-        **dict.fromkeys(("b2", "b3"), priors.bow),
-        **dict.fromkeys(("warp.x", "warp.y"), priors.warp),
-    }
-    return np.array([1.0 / sigma[name] if block_of(name) in free else 0.0 for name in prior_names(lasers)])
-
-
-def _reject(state: _State, data: Prepared, settings: CalibrationSettings) -> _State:
+def _reject(
+    state: _State, linearised: Linearised, errors: _Errors, data: Prepared, settings: CalibrationSettings
+) -> tuple[_State, Linearised, _Errors]:
+    limits = {"reject_any": settings.reject_any, "reject_all": settings.reject_all}
     for round_number in range(_REJECTION_ROUNDS):
-        linearised = _linearised(state.problem)
-        corner, stripe, slopes = _whitened(linearised.measured, data)
-        noise = _noise(corner, stripe, linearised, state) if settings.estimate_noise else (1.0, 1.0)
-        room = lambda leverage: np.sqrt(np.clip(1.0 - leverage, 0.05, 1.0))
-        corner_room = room(np.asarray(linearised.corner_leverage)).reshape(corner.shape)
-        corner_size = (np.abs(corner) / corner_room).max(-1) / noise[0]
-        stripe_size = np.abs(stripe) / room(np.asarray(linearised.stripe_leverage)) / noise[1]
-        corner_keep = _keep(corner_size, data.corner_valid, state.corner_keep, settings)
-        stripe_keep = _keep(stripe_size, data.stripe_valid, state.stripe_keep, settings)
-        last = round_number == _REJECTION_ROUNDS - 1
+        noise = _noise(errors, linearised, state) if settings.estimate_noise else (1.0, 1.0)
+        corner_size = np.abs(errors.corner).max(-1) / noise[0]
+        corner_room, stripe_room = _room(linearised.corner_leverage), _room(linearised.stripe_leverage)
+        corner_size = (np.abs(errors.corner) / corner_room.reshape(errors.corner.shape)).max(-1) / noise[0]
+        stripe_size = np.abs(errors.stripe) / stripe_room / noise[1]
+        corner_keep = keep_inliers(corner_size, data.corner_valid, state.corner_keep, **limits)
+        stripe_keep = keep_inliers(stripe_size, data.stripe_valid, state.stripe_keep, **limits)
+        lost = (data.corner_valid & ~corner_keep).sum(1) > _MAX_LOST * data.corner_valid.sum(1)
+        view_keep = state.view_keep & ~lost
+        _check_views(view_keep, state.view_keep)
+        corner_keep &= view_keep[:, None]
+        stripe_keep &= view_keep[data.stripe_view][:, None]
+        correlation = state.stripe_correlation
+        if settings.stripe_correlation is None:
+            correlation = correlation_along(errors.stripe, stripe_keep)
         same = np.array_equal(corner_keep, state.corner_keep) and np.array_equal(stripe_keep, state.stripe_keep)
-        settled = max(abs(noise[0] / state.corner_noise - 1.0), abs(noise[1] / state.stripe_noise - 1.0)) < 0.01
+        ratios = (noise[0] / state.corner_noise, noise[1] / state.stripe_noise, correlation / state.stripe_correlation)
+        settled = same and max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED
+        if settled and round_number > 0:
+            break
         state = replace(
             state,
             corner_keep=corner_keep,
             stripe_keep=stripe_keep,
+            view_keep=view_keep,
             corner_noise=noise[0],
             stripe_noise=noise[1],
+            stripe_correlation=correlation,
         )
-        state = _solved(state, data, slopes, settings, 1.0, 1.0, _FINE if last or (same and settled) else _ROUGH)
-        if same and settled:
-            break
-    return state
+        state, linearised, errors = _solved(state, data, errors, 1.0, 1.0, _FINE, settings)
+    return state, linearised, errors
 
 
-def _keep(size: np.ndarray, valid: np.ndarray, kept: np.ndarray, settings: CalibrationSettings) -> np.ndarray:
-    # Two thresholds: honest data with its few 4 sigma values is left whole, and where anything
-    # is plainly wrong its smaller neighbours go too. Source: mrcal, markOutliers.
-    if not np.any(valid & kept & (size > settings.reject_any)) and kept[valid].all():
-        return kept
-    return valid & (size <= settings.reject_all)
+def _check_views(kept: np.ndarray, before: np.ndarray) -> None:
+    if kept.sum() < 3 <= before.sum():
+        raise CalibrationError(
+            f"Only {kept.sum()} of {before.sum()} views agree with each other, and a camera needs at least 3: check "
+            "that all views show the board that [board] in capture.toml describes, sharp and flat, and capture more."
+        )
 
 
-def _noise(corner: np.ndarray, stripe: np.ndarray, linearised: Linearised, state: _State) -> tuple[float, float]:
-    """Root of each group's variance component: squares over redundancy (count less leverage)."""
+def _room(leverage: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.clip(1.0 - leverage, 0.05, 1.0))
+
+
+def _largest(residual: np.ndarray, valid: np.ndarray) -> float:
+    values = np.abs(residual[valid])
+    return float(values.max() / robust_noise(values)) if values.size else 0.0
+
+
+def _noise(errors: _Errors, linearised: Linearised, state: _State) -> tuple[float, float]:
+    """Root of each group's variance component."""
     corner_keep = np.repeat(state.corner_keep[..., None], 2, -1)
-    corner_leverage = np.asarray(linearised.corner_leverage).reshape(corner.shape)
+    corner_leverage = linearised.corner_leverage.reshape(errors.corner.shape)
     return (
-        _component(corner[corner_keep], corner_leverage[corner_keep]),
-        _component(stripe[state.stripe_keep], np.asarray(linearised.stripe_leverage)[state.stripe_keep]),
+        noise_component(errors.corner[corner_keep], corner_leverage[corner_keep]),
+        noise_component(
+            errors.stripe[state.stripe_keep], linearised.stripe_leverage[state.stripe_keep], state.stripe_correlation
+        ),
     )
 
 
-def _component(residual: np.ndarray, leverage: np.ndarray) -> float:
-    redundancy = len(residual) - leverage.sum()
-    if redundancy < 1.0:
-        return 1.0
-    return max(float(np.sqrt(np.sum(residual**2) / redundancy)), _MIN_NOISE)
-
-
-def _spread(values: np.ndarray) -> float:
-    # The median is not moved by outliers; 1.4826 makes it a standard deviation.
-    return max(1.4826 * float(np.median(np.abs(values))), _MIN_NOISE) if values.size else 1.0
-
-
-def _huber(size: np.ndarray, threshold: float) -> np.ndarray:
-    return np.sqrt(np.minimum(1.0, threshold / np.maximum(size, threshold)))
-
-
-def _whitened(measured: Measured, data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Residuals in units of the given sigmas, and |grad_q e|; 0 and 1 where there is nothing."""
-    corner = np.where(data.corner_valid[..., None], measured.corner / data.corner_sigma[..., None], 0.0)
-    slopes = np.where(data.stripe_valid & (measured.slope > 0), measured.slope, 1.0)
-    stripe = np.where(data.stripe_valid, measured.offset / (slopes * data.stripe_sigma), 0.0)
-    if not (np.isfinite(corner).all() and np.isfinite(stripe).all()):
+def _whitened(corner: Array, offset: Array, slope: Array, data: Prepared) -> _Errors:
+    slopes = np.where(data.stripe_valid & (slope > 0), slope, 1.0)
+    pixels = np.asarray(corner).reshape(data.corner_q.shape)
+    errors = _Errors(
+        np.where(data.corner_valid[..., None], pixels / data.corner_sigma[..., None], 0.0),
+        np.where(data.stripe_valid, offset / (slopes * data.stripe_sigma), 0.0),
+        slopes,
+    )
+    if not (np.isfinite(errors.corner).all() and np.isfinite(errors.stripe).all()):
         raise CalibrationError("The solve left the range of numbers: the observations contradict each other.")
-    return corner, stripe, slopes
-
-
-def _weighted(
-    state: _State,
-    data: Prepared,
-    slopes: np.ndarray,
-    settings: CalibrationSettings,
-    corner_damp: np.ndarray | float,
-    stripe_damp: np.ndarray | float,
-) -> Problem:
-    corner = state.corner_keep * corner_damp / (data.corner_sigma * state.corner_noise)
-    stripe = state.stripe_keep * stripe_damp / (data.stripe_sigma * state.stripe_noise * slopes)
-    stripe = stripe / np.sqrt(settings.stripe_correlation)
-    return eqx.tree_at(lambda p: (p.corner_weight, p.stripe_weight), state.problem, (corner, stripe))
+    return errors
 
 
 def _solved(
     state: _State,
     data: Prepared,
-    slopes: np.ndarray,
-    settings: CalibrationSettings,
+    errors: _Errors,
     corner_damp: np.ndarray | float,
     stripe_damp: np.ndarray | float,
     tolerance: float,
-) -> _State:
+    settings: CalibrationSettings,
+) -> tuple[_State, Linearised, _Errors]:
+    corner = state.corner_keep * corner_damp / (data.corner_sigma * state.corner_noise)
+    stripe = state.stripe_keep * stripe_damp / (data.stripe_sigma * state.stripe_noise * errors.slope)
+    stripe = stripe / np.sqrt(state.stripe_correlation)
+    weighted = eqx.tree_at(lambda p: (p.corner_weight, p.stripe_weight), state.problem, (corner, stripe))
     damping = np.asarray(_SEED_DAMPING if state.steps == 0 else _NEAR_DAMPING)
-    weighted = _weighted(state, data, slopes, settings, corner_damp, stripe_damp)
-    solution = solve(weighted, damping, np.asarray(tolerance), settings.max_steps)
-    return replace(state, problem=solution.problem, steps=state.steps + int(solution.steps))
+    solved, steps, linearised = jax.tree.map(
+        np.asarray, _settle(weighted, damping, np.asarray(tolerance), settings.max_steps)
+    )
+    state = replace(state, problem=solved, steps=state.steps + int(steps))
+    errors = _whitened(linearised.corner_error, linearised.offset, linearised.slope, data)
+    return state, linearised, errors
 
 
-def _linearised(problem: Problem) -> Linearised:
-    return jax.tree.map(np.asarray, linearise(problem))
+@eqx.filter_jit
+def _settle(problem: Problem, damping: Array, tolerance: Array, max_steps: int) -> tuple[Problem, Array, Linearised]:
+    solution = solve(problem, damping, tolerance, max_steps)
+    return solution.problem, solution.steps, linearise(solution.problem)
+
+
+@eqx.filter_jit
+def _evaluate(problem: Problem) -> tuple[Array, Array, Array]:
+    stripes, slope = stripe_rows(problem)
+    return corner_rows(problem).value, stripes.value, slope

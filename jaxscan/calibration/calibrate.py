@@ -1,31 +1,31 @@
 """Observations to a calibration: seed, joint solve, covariance, and numbers to judge it by."""
 
 import time
-from dataclasses import replace
-from typing import Any
+from dataclasses import asdict, replace
 
 import equinox as eqx
 import jax
 import numpy as np
 
-from jaxscan.calibration.adjust import Adjustment, adjust, prior_weights
-from jaxscan.calibration.covariance import Determination, determine
+from jaxscan.calibration.adjust import Adjustment, adjust
+from jaxscan.calibration.covariance import determine
 from jaxscan.calibration.observations import Observations
-from jaxscan.calibration.parameters import ANGLE_PARAMETERS, parameter_scales, shared_names
+from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_PARAMETERS, block_of, parameter_scales
 from jaxscan.calibration.prepare import Prepared, prepare
-from jaxscan.calibration.residuals import Problem, camera_from_board, prior_names
-from jaxscan.calibration.result import Calibration
+from jaxscan.calibration.problem import Problem, camera_from_board
+from jaxscan.calibration.quality import describe_quality
+from jaxscan.calibration.result import Calibration, Fit
+from jaxscan.calibration.rows import stripe_rays
 from jaxscan.calibration.seed import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
-from jaxscan.calibration.settings import CAMERA_BLOCKS, Block, CalibrationSettings
+from jaxscan.calibration.settings import CAMERA_BLOCKS, CalibrationSettings
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Array, LaserSheet, Scanner, Turntable, point_up, stack_lasers
-from jaxscan.geometry.scanner import UP_VECTORS
-from jaxscan.geometry.turntable import Carries
+from jaxscan.geometry import AbstractCamera, Array, LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
+from jaxscan.geometry.laser import LASER_PARAMETERS
+from jaxscan.geometry.turntable import AXIS_PARAMETERS, Carries
 
 
-# More than this is worth a word in the report: the priors should only hold what nothing else does.
-_PRIOR_COST_WARNING = 0.01
-_REJECTED_WARNING = 0.03
+_RATIONAL = 3
+"""Coefficients k4, k5, k6 that the solver always knows and mostly holds at 0."""
 
 
 def calibrate_observations(observations: Observations, *, settings: CalibrationSettings | None = None) -> Calibration:
@@ -55,16 +55,19 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
     started = time.perf_counter()
     with jax.enable_x64(True):
         data = prepare(observations)
-        first, poses = _camera_stage(observations, data, settings)
-        camera = _named(first.scanner, observations, None).camera
+        camera_data = _camera_data(data)
+        seed, poses = _seed(camera_data, observations, settings)
+        free = tuple(block for block in settings.free if block in CAMERA_BLOCKS)
+        start = _problem(seed, None, None, poses, camera_data, replace(settings, free=free))
+        first = adjust(start, camera_data, settings, rejection=False).problem
+        camera, poses = _named(first.camera, observations, settings), np.asarray(first.poses)
         lasers = [
             seed_plane(lift_stripes(data, camera, poses, index), name)
             for index, name in enumerate(observations.laser_names)
         ]
         table = seed_axis(poses, data, observations.carries, observations.up)
-        scanner = Scanner(camera, stack_lasers(lasers), table, laser_names=observations.laser_names, up=observations.up)
         placements = average_placements(poses, data, table)
-        problem = _problem(scanner, placements, first.warp, data, settings.free, settings)
+        problem = _problem(first.camera, stack_lasers(lasers), table, placements, data, settings)
         result = _pointed_up(adjust(problem, data, settings), observations, data, settings)
         return _calibration(result, observations, data, settings, started)
 
@@ -86,98 +89,120 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
     """
     settings = settings or CalibrationSettings()
     started = time.perf_counter()
+    free = tuple(block for block in settings.free if block in (*CAMERA_BLOCKS, "warp", "pitch"))
+    settings = replace(settings, free=free)
     with jax.enable_x64(True):
         data = _camera_data(prepare(observations))
-        camera, poses = seed_camera(data, observations.width, observations.height, _coefficients(settings))
-        free = tuple(block for block in settings.free if block in (*CAMERA_BLOCKS, "warp"))
-        problem = _problem(_stand_in(camera, observations), poses, np.zeros(2), data, free, settings)
-        result = adjust(problem, data, settings)
-        return _calibration(result, observations, data, replace(settings, free=free), started, camera_only=True)
-
-
-def _camera_stage(
-    observations: Observations, data: Prepared, settings: CalibrationSettings
-) -> tuple[Problem, np.ndarray]:
-    """Camera and T_cam_board of every view, each view by itself and without stripes."""
-    camera_data = _camera_data(data)
-    camera, poses = seed_camera(camera_data, observations.width, observations.height, _coefficients(settings))
-    free = tuple(block for block in settings.free if block in CAMERA_BLOCKS)
-    start = _problem(_stand_in(camera, observations), poses, np.zeros(2), camera_data, free, settings)
-    result = adjust(start, camera_data, settings, rejection=False)
-    return result.problem, np.asarray(result.problem.poses)
+        camera, poses = _seed(data, observations, settings)
+        problem = _problem(camera, None, None, poses, data, settings)
+        return _calibration(adjust(problem, data, settings), observations, data, settings, started)
 
 
 def _camera_data(data: Prepared) -> Prepared:
-    # Every view is a placement of its own, so a board that was moved by mistake does no harm.
+    """Corners alone. Every view is a placement of its own, so a board moved by mistake does no harm."""
+    points = data.stripe_q.shape[1]
     return data._replace(
         placement=np.where(data.usable, np.arange(len(data.usable)), 0).astype(np.int32),
         angle=np.zeros_like(data.angle),
-        stripe_valid=np.zeros_like(data.stripe_valid),
+        stripe_q=np.zeros((0, points, 2)),
+        stripe_sigma=np.zeros((0, points)),
+        stripe_valid=np.zeros((0, points), bool),
+        stripe_view=np.zeros(0, np.int32),
+        stripe_laser=np.zeros(0, np.int32),
     )
 
 
-def _stand_in(camera: Any, observations: Observations) -> Scanner:
-    """A scanner round a camera; what is not the camera is held and meets no observation."""
-    sheet = LaserSheet.from_plane(np.array([1.0, 0.0, 0.0]), 1.0)
-    table = Turntable.from_axis(
-        np.array(UP_VECTORS[observations.up]), np.array([0.0, 0.0, -0.1]), carries=observations.carries
-    )
-    names = observations.laser_names or ("laser",)
-    return Scanner(camera, stack_lasers([sheet] * len(names)), table, laser_names=names, up=observations.up)
+def _seed(
+    data: Prepared, observations: Observations, settings: CalibrationSettings
+) -> tuple[AbstractCamera, np.ndarray]:
+    """A first camera and T_cam_board of every view."""
+    if settings.camera == "fisheye":
+        from jaxscan.calibration.seed_fisheye import seed_fisheye
 
-
-def _coefficients(settings: CalibrationSettings) -> int:
-    return 8 if "rational" in settings.free else 5
+        return seed_fisheye(data, observations.width, observations.height)
+    return seed_camera(data, observations.width, observations.height, 5 + _RATIONAL)
 
 
 def _problem(
-    scanner: Scanner,
+    camera: AbstractCamera,
+    lasers: LaserSheet | None,
+    table: Turntable | None,
     poses: np.ndarray,
-    warp: Array,
     data: Prepared,
-    free: tuple[Block, ...],
     settings: CalibrationSettings,
 ) -> Problem:
-    names, lasers = shared_names(scanner), len(scanner.laser_names)
-    camera = scanner.camera
+    centre = (data.size[0] - 1) / 2, (data.size[1] - 1) / 2
+    # The solver needs neither names nor sizes, and would compile again for each.
+    camera = replace(camera, width=0, height=0)
+    sheets = stack_lasers([LaserSheet.from_plane(np.array([1.0, 0.0, 0.0]), 1.0)]) if lasers is None else lasers
+    if lasers is None:
+        sheets = jax.tree.map(lambda leaf: leaf[:0], sheets)
+    names = shared_names(camera, tuple(str(i) for i in range(len(sheets.distance))), table is not None)
+    expected = {"cx": centre[0], "cy": centre[1], "fx": 1.0, "gain": 1.0}
     xy = data.board[:, :2]
     half = np.maximum(np.ptp(xy, axis=0) / 2, 1e-12)
     return Problem(
-        scanner=_anonymous(scanner),
+        camera=camera,
+        lasers=sheets,
+        turntable=None if table is None else _carrying(table, "scanner"),
         poses=poses,
-        warp=np.asarray(warp),
-        scales=parameter_scales(names, free),
+        shape=np.zeros(len(BOARD_PARAMETERS)),
+        scales=parameter_scales(names, settings.free, settings.camera),
+        expected=np.array([expected.get(name, 0.0) for name in names]),
+        prior_weight=prior_weights(names, settings),
         board=data.board,
         frame=np.concatenate([(xy.min(0) + xy.max(0)) / 2, half]),
-        centre=np.array([(camera.width - 1) / 2, (camera.height - 1) / 2]),
         corner_q=data.corner_q,
         corner_weight=np.zeros(data.corner_valid.shape),
         angle=data.angle,
         placement=data.placement,
         stripe_q=data.stripe_q,
+        stripe_ray=_rays(camera, data.stripe_q),
         stripe_weight=np.zeros(data.stripe_valid.shape),
         stripe_view=data.stripe_view,
         stripe_laser=data.stripe_laser,
-        prior_weight=prior_weights(names, lasers, free, settings),
     )
 
 
-def _anonymous(scanner: Scanner) -> Scanner:
-    """As the solver sees it: without names and sizes, and with a table that carries the scanner.
-
-    The solver needs none of these, and would compile again for each.
-    """
-    names = tuple(str(index) for index in range(len(scanner.laser_names)))
-    camera = replace(scanner.camera, width=0, height=0)
-    return Scanner(camera, scanner.lasers, _carrying(scanner.turntable, "scanner"), laser_names=names)
+@jax.jit
+def _rays(camera: AbstractCamera, q: Array) -> Array:
+    return stripe_rays(camera, q)
 
 
-def _named(scanner: Scanner, observations: Observations, covariance: np.ndarray | None) -> Scanner:
-    """The inverse of `_anonymous`."""
-    camera = replace(scanner.camera, width=observations.width, height=observations.height)
-    names = observations.laser_names or ("laser",)
-    table = _carrying(scanner.turntable, observations.carries)
-    return Scanner(camera, scanner.lasers, table, covariance, names, observations.up)
+def shared_names(camera: AbstractCamera, lasers: tuple[str, ...], turns: bool) -> tuple[str, ...]:
+    """Names of the shared unknowns: the scanner's minimal coordinates, then the board's."""
+    sheets = tuple(f"laser.{name}.{part}" for name in lasers for part in LASER_PARAMETERS)
+    return camera.parameter_names() + sheets + (AXIS_PARAMETERS if turns else ()) + BOARD_PARAMETERS
+
+
+def prior_weights(names: tuple[str, ...], settings: CalibrationSettings) -> np.ndarray:
+    """1 / standard deviation of every prior; 0 where there is none, and for what is held."""
+    priors = settings.priors
+    sigma = {
+        **dict.fromkeys(("cx", "cy"), priors.centre_px),
+        "fx": priors.aspect,
+        **dict.fromkeys(("p1", "p2"), priors.tangential),
+        **dict.fromkeys(("k3", "k4", "k5", "k6"), priors.k3),
+        "gain": priors.gain,
+        **dict.fromkeys(("c1", "s1", "c2", "s2"), priors.harmonics),
+        **dict.fromkeys(("b2", "b3"), priors.bow),
+        **dict.fromkeys(("warp.x", "warp.y"), priors.warp),
+        "pitch": priors.pitch,
+    }
+    free = [block_of(name, settings.camera) in settings.free for name in names]
+    return np.array(
+        [
+            1.0 / sigma.get(name.rsplit(".", 1)[-1] if name.startswith("laser.") else name, np.inf) * is_free
+            for name, is_free in zip(names, free, strict=True)
+        ]
+    )
+
+
+def _named(camera: AbstractCamera, observations: Observations, settings: CalibrationSettings) -> AbstractCamera:
+    """The solver's camera with its size, and without coefficients that nobody asked for."""
+    if isinstance(camera, Pinhole) and "rational" not in settings.free:
+        camera = replace(camera, distortion=np.asarray(camera.distortion)[:-_RATIONAL])
+    return replace(camera, width=observations.width, height=observations.height)
 
 
 def _carrying(table: Turntable, carries: Carries) -> Turntable:
@@ -191,145 +216,70 @@ def _pointed_up(
     result: Adjustment, observations: Observations, data: Prepared, settings: CalibrationSettings
 ) -> Adjustment:
     """The seed points up; only an axis that lies across the image can have swung over since."""
-    before = result.problem.scanner.turntable
-    table = point_up(before, observations.up)
+    before = result.problem.turntable
+    table = before if before is None else point_up(before, observations.up)
     if table is before:
         return result
-    problem = eqx.tree_at(lambda p: p.scanner.turntable, result.problem, table)
-    return adjust(problem, data, settings)
+    return adjust(eqx.tree_at(lambda p: p.turntable, result.problem, table), data, settings)
 
 
 def _calibration(
-    result: Adjustment,
-    observations: Observations,
-    data: Prepared,
-    settings: CalibrationSettings,
-    started: float,
-    camera_only: bool = False,
+    result: Adjustment, observations: Observations, data: Prepared, settings: CalibrationSettings, started: float
 ) -> Calibration:
-    problem = jax.tree.map(np.asarray, result.problem)
-    named = _named(problem.scanner, observations, None)
-    names = shared_names(named)
-    determination = determine(
-        np.asarray(result.linearised.reduced), np.asarray(result.linearised.prior), problem.scales, names
-    )
+    problem, table = result.problem, result.problem.turntable
+    camera = _named(problem.camera, observations, settings)
+    lasers = observations.laser_names if table is not None else ()
+    names = shared_names(problem.camera, lasers, table is not None)
+    determination = determine(result.linearised.reduced, result.linearised.prior, problem.scales, names)
     if determination is None:
         raise CalibrationError(
             "The observations leave a combination of parameters undetermined: capture more board poses, tilted by 20 "
             "to 45 degrees and all over the image, and hold what is not needed (`free`)."
         )
-    order = named.camera.parameter_names() if camera_only else named.parameter_names()
+    every = shared_names(camera, lasers, table is not None)
+    kept = np.array([names.index(name) for name in every])
     turned = -1.0 if observations.carries == "object" else 1.0
-    sign = np.array([turned if name in ANGLE_PARAMETERS else 1.0 for name in order])
-    covariance = determination.covariance[: len(order), : len(order)] * np.outer(sign, sign)
-    quality = _quality(result, determination, observations, data, names)
+    sign = np.array([turned if name in ANGLE_PARAMETERS else 1.0 for name in every])
+    covariance = determination.covariance[np.ix_(kept, kept)] * np.outer(sign, sign)
+    count = len(every) - len(BOARD_PARAMETERS)
+    own = np.ascontiguousarray(covariance[:count, :count])
+    scanner = None
+    if table is not None:
+        named_table = _carrying(table, observations.carries)
+        scanner = Scanner(camera, problem.lasers, named_table, own, lasers, observations.up)
+    quality = describe_quality(result, determination, observations, data, names)
     quality["seconds"] = time.perf_counter() - started
     return Calibration(
-        camera=named.camera,
-        scanner=None if camera_only else _named(problem.scanner, observations, covariance),
-        order=order,
-        covariance=covariance,
+        camera=camera,
+        scanner=scanner,
+        order=every[:count],
+        covariance=own,
         quality=quality,
         observations=observations,
-        provenance={"settings": {"free": list(settings.free), "priors": vars(settings.priors)}},
+        provenance={"settings": asdict(settings)},
+        fit=_fit(result, observations, covariance),
     )
 
 
-def _quality(
-    result: Adjustment,
-    determination: Determination,
-    observations: Observations,
-    data: Prepared,
-    names: tuple[str, ...],
-) -> dict[str, Any]:
-    distance = np.linalg.norm(result.corner_error, axis=-1)
-    corners, stripes = int(data.corner_valid.sum()), int(data.stripe_valid.sum())
-    kept, kept_stripes = int(result.corner_keep.sum()), int(result.stripe_keep.sum())
-    prior = np.asarray(result.linearised.residual.prior)
-    cost = sum(float(np.sum(np.square(part))) for part in result.linearised.residual)
-    prior_cost = float(np.sum(prior**2)) / max(cost, 1e-300)
-    warp = slice(len(names) - 2, len(names))
-    quality: dict[str, Any] = {
-        "corner_rms_px": _rms(distance[result.corner_keep]),
-        "corner_rms_all_px": _rms(distance[data.corner_valid]),
-        "stripe_rms_px": _rms(result.stripe_error[result.stripe_keep]),
-        "corner_rms_whitened": result.corner_rms,
-        "stripe_rms_whitened": result.stripe_rms,
-        "corner_noise_over_sigma": result.corner_noise,
-        "stripe_noise_over_sigma": result.stripe_noise,
-        "views": int(data.usable.sum()),
-        "views_without_board": int(len(np.asarray(observations.corners.angle)) - data.usable.sum()),
-        "placements": len(np.unique(data.placement[data.usable])),
-        "corners": corners,
-        "corners_rejected": corners - kept,
-        "stripe_points": stripes,
-        "stripe_points_rejected": stripes - kept_stripes,
-        "per_view": _per_view(result, observations, data, distance),
-        "condition": determination.condition,
-        "unobserved": determination.unobserved,
-        "prior_share": {"cost": prior_cost, "information": determination.prior_share},
-        "prior_residuals": _prior_residuals(prior, len(observations.laser_names) or 1),
-        "board_warp_m": [float(value) for value in result.problem.warp],
-        "board_warp_sigma_m": [float(v) for v in np.sqrt(np.diag(determination.covariance)[warp])],
-        "steps": result.steps,
-    }
-    quality["warnings"] = _warnings(quality)
-    return quality
-
-
-def _per_view(
-    result: Adjustment, observations: Observations, data: Prepared, distance: np.ndarray
-) -> list[dict[str, float | int]]:
-    records = np.asarray(observations.corners.record)
-    depth = np.asarray(camera_from_board(result.problem))[:, 2, 3]
-    views = []
-    for view in np.flatnonzero(data.usable):
-        seen = data.corner_valid[view]
-        rows = data.stripe_view == view
-        points = result.stripe_keep & rows[:, None]
-        views.append(
-            {
-                "record": int(records[view]),
-                "corners": int(seen.sum()),
-                "corners_rejected": int((seen & ~result.corner_keep[view]).sum()),
-                "corner_rms_px": _rms(distance[view, seen]),
-                "stripe_points": int(points.sum()),
-                "stripe_rms_px": _rms(result.stripe_error[points]),
-                "board_z_m": float(depth[view]),
-            }
-        )
-    return views
-
-
-def _prior_residuals(prior: np.ndarray, lasers: int) -> dict[str, float]:
-    """Departure of each prior's parameter in units of the prior's standard deviation (largest of the lasers)."""
-    found: dict[str, float] = {}
-    for name, value in zip(prior_names(lasers), prior, strict=True):
-        label = "fx/fy" if name == "fx" else name
-        if abs(value) > abs(found.get(label, 0.0)):
-            found[label] = float(value)
-    return found
-
-
-def _warnings(quality: dict[str, Any]) -> list[str]:
-    warnings = []
-    if quality["prior_share"]["cost"] > _PRIOR_COST_WARNING:
-        warnings.append(f"priors carry {100 * quality['prior_share']['cost']:.1f} % of the cost")
-    for group in ("corners", "stripe_points"):
-        if quality[f"{group}_rejected"] > _REJECTED_WARNING * max(quality[group], 1):
-            share = 100 * quality[f"{group}_rejected"] / quality[group]
-            warnings.append(f"{share:.1f} % of the {group.replace('_', ' ')} were rejected")
-    for view in quality["per_view"]:
-        if view["corners_rejected"] > 0.2 * view["corners"]:
-            warnings.append(
-                f"record {view['record']}: {view['corners_rejected']} of {view['corners']} corners rejected"
-            )
-    for direction in quality["unobserved"]:
-        # The table's own angle errors are meant to be held by what is known of tables.
-        if not set(direction) & set(ANGLE_PARAMETERS):
-            warnings.append(f"held by priors rather than by data: {', '.join(direction)}")
-    return warnings
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0
+def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray) -> Fit:
+    """What became of every observation, without padding."""
+    views, corners = np.shape(observations.corners.valid)
+    stripes, points = np.shape(observations.stripes.valid)
+    corner = lambda values: np.ascontiguousarray(values[:views, :corners])
+    stripe = lambda values: np.ascontiguousarray(values[:stripes, :points])
+    kx, ky, pitch = (float(value) for value in result.problem.shape)
+    leverage = result.linearised.corner_leverage.reshape(result.corner_error.shape)
+    return Fit(
+        pose=np.asarray(camera_from_board(result.problem))[:views],
+        warp=np.array([kx, ky]),
+        pitch=pitch,
+        corner_error=corner(result.corner_error),
+        corner_sigma=corner(result.corner_sigma),
+        corner_leverage=corner(leverage),
+        corner_kept=corner(result.corner_keep),
+        stripe_error=stripe(result.stripe_error),
+        stripe_sigma=stripe(result.stripe_sigma),
+        stripe_leverage=stripe(result.linearised.stripe_leverage),
+        stripe_kept=stripe(result.stripe_keep),
+        covariance=covariance,
+    )

@@ -2,22 +2,28 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from jaxscan.calibration.residuals import Measured, Problem, Residuals, measure
-from jaxscan.calibration.solve import Columns, form_blocks, jacobian_columns, reduce_blocks, zero_step
+from jaxscan.calibration.problem import Problem, Step, move, zero_step
+from jaxscan.calibration.residuals import priors
+from jaxscan.calibration.rows import Departures, corner_rows, departures, stripe_rows
+from jaxscan.calibration.solve import Blocks, reduce_blocks
 from jaxscan.geometry import Array
 
 
 class Linearised(NamedTuple):
     """The problem at its minimum, to first order; scaled unknowns."""
 
-    residual: Residuals
-    measured: Measured
+    corner_error: Float[Array, "views rows"]
+    """Projected minus observed corners, u and v of each [px]."""
+    offset: Float[Array, "stripes points"]
+    """Distance e of a stripe point, lifted to its board, from its sheet [m]."""
+    slope: Float[Array, "stripes points"]
+    """|grad_q e|: what one pixel across the stripe is worth [m / px]."""
+    prior_residual: Float[Array, " shared"]
     corner_leverage: Float[Array, "views rows"]
     """Share of each whitened residual that the fit takes up, 0 ... 1 [1]."""
     stripe_leverage: Float[Array, "stripes points"]
@@ -27,28 +33,106 @@ class Linearised(NamedTuple):
     """The part of it that comes from the priors."""
 
 
-@eqx.filter_jit
 def linearise(problem: Problem) -> Linearised:
-    """Information and leverages, undamped; call in 64 bit."""
-    start = zero_step(problem)
-    residual, product, measured = jax.linearize(lambda step: measure(step, problem), start, has_aux=True)
-    corner, stripe, prior = jacobian_columns(product, start)
-    view_owner, stripe_owner = problem.placement, problem.placement[problem.stripe_view]
-    blocks = form_blocks(corner, stripe, prior, residual, view_owner, stripe_owner, problem.poses.shape[0])
-    reduced, coupling, _, _ = reduce_blocks(blocks, jnp.zeros((), start.shared.dtype))
-    shared_covariance = jnp.linalg.inv(reduced)
-    empty = jnp.diagonal(blocks.local, axis1=1, axis2=2) == 0
-    filled = blocks.local + jax.vmap(jnp.diag)(empty.astype(reduced.dtype))
-    cross_covariance = -jnp.einsum("kj,vdj->vkd", shared_covariance, coupling)
-    local_covariance = jnp.linalg.inv(filled) - jnp.einsum("vdk,vke->vde", coupling, cross_covariance)
+    """Errors, information and leverages at the point that the problem holds; traceable, in 64 bit."""
+    corners, (stripes, slope) = corner_rows(problem), stripe_rows(problem)
+    corner_weight, stripe_weight = jnp.repeat(problem.corner_weight, 2, axis=1), problem.stripe_weight
+    corner_slopes = corners.slopes * corner_weight[..., None]
+    stripe_slopes = stripes.slopes * stripe_weight[..., None]
+    chain = chains(problem)
+    prior_residual, prior = prior_information(problem)
+    view_owner, stripe_owner = problem.placement, problem.stripe_placement()
+    grams = (gram(corner_slopes, chain.corner), gram(stripe_slopes, chain.stripe))
+    blocks = _blocks(*grams, prior, view_owner, stripe_owner, len(problem.poses))
+    information = inverse_blocks(blocks)
 
-    def leverage(columns: Columns, owner: Array) -> Array:
-        share = jnp.einsum("kvm,kj,jvm->vm", columns.shared, shared_covariance, columns.shared)
-        share = share + 2.0 * jnp.einsum("kvm,vkd,dvm->vm", columns.shared, cross_covariance[owner], columns.local)
-        return share + jnp.einsum("dvm,vde,evm->vm", columns.local, local_covariance[owner], columns.local)
+    def leverage(slopes: Array, chain: Array, owner: Array) -> Array:
+        # The covariance of a view's departures, then that of each row.
+        own = information.of(owner)
+        small = jnp.einsum("kvd,vkj,jve->vde", chain, own, chain)
+        return jnp.einsum("vrd,vde,vre->vr", slopes, small, slopes)
 
     return Linearised(
-        residual, measured, leverage(corner, view_owner), leverage(stripe, stripe_owner), reduced, prior @ prior.T
+        corners.value,
+        stripes.value,
+        slope,
+        prior_residual,
+        leverage(corner_slopes, chain.corner, view_owner),
+        leverage(stripe_slopes, chain.stripe, stripe_owner),
+        information.reduced,
+        prior,
+    )
+
+
+def chains(problem: Problem) -> Departures:
+    """Derivatives of the departures by the shared unknowns and their own pose [unknowns, owners, departures]."""
+    start = zero_step(problem)
+    count = len(start.shared)
+    product = jax.linearize(lambda step: departures(step, problem), start)[1]
+    unit = jnp.eye(count + 6, dtype=start.shared.dtype)
+    # Poses of different placements meet different views, so all are moved at once.
+    return jax.vmap(lambda e: product(Step(e[:count], jnp.broadcast_to(e[None, count:], start.local.shape))))(unit)
+
+
+def gram(slopes: Float[Array, "owners rows departures"], chain: Float[Array, "unknowns owners departures"]) -> Array:
+    """J'J of every view or stripe, by the shared unknowns and its pose [owners, unknowns, unknowns]."""
+    small = jnp.einsum("vrd,vre->vde", slopes, slopes)
+    return jnp.einsum("kvd,vde,jve->vkj", chain, small, chain)
+
+
+def prior_information(problem: Problem) -> tuple[Float[Array, " shared"], Float[Array, "shared shared"]]:
+    """Residuals of the priors, and their part of the information of the scaled shared unknowns."""
+    start = zero_step(problem)
+    move_priors = lambda shared: priors(move(Step(shared, start.local), problem))
+    slopes = jax.jacfwd(move_priors)(start.shared)
+    return priors(problem), slopes.T @ slopes
+
+
+class Inverse(NamedTuple):
+    """The inverse of J'J, by blocks."""
+
+    reduced: Float[Array, "shared shared"]
+    shared: Float[Array, "shared shared"]
+    cross: Float[Array, "placements shared 6"]
+    local: Float[Array, "placements 6 6"]
+
+    def of(self, owner: Int[Array, " owners"]) -> Float[Array, "owners unknowns unknowns"]:
+        """Covariance of the shared unknowns together with the pose of each owner."""
+        shared = jnp.broadcast_to(self.shared[None], (owner.shape[0], *self.shared.shape))
+        cross = self.cross[owner]
+        return jnp.concatenate(
+            [
+                jnp.concatenate([shared, cross], axis=2),
+                jnp.concatenate([jnp.swapaxes(cross, 1, 2), self.local[owner]], axis=2),
+            ],
+            axis=1,
+        )
+
+
+def inverse_blocks(blocks: Blocks) -> Inverse:
+    """Covariances of the unknowns from the blocks of J'J."""
+    reduced, coupling, _, _ = reduce_blocks(blocks, jnp.zeros((), blocks.shared.dtype))
+    shared = jnp.linalg.inv(reduced)
+    empty = jnp.diagonal(blocks.local, axis1=1, axis2=2) == 0
+    filled = blocks.local + jax.vmap(jnp.diag)(empty.astype(reduced.dtype))
+    cross = -jnp.einsum("kj,vdj->vkd", shared, coupling)
+    return Inverse(reduced, shared, cross, jnp.linalg.inv(filled) - jnp.einsum("vdk,vke->vde", coupling, cross))
+
+
+def _blocks(
+    corner: Array, stripe: Array, prior: Array, view_owner: Array, stripe_owner: Array, placements: int
+) -> Blocks:
+    count = len(prior)
+    own = (
+        jnp.zeros((placements, *corner.shape[1:]), prior.dtype).at[view_owner].add(corner).at[stripe_owner].add(stripe)
+    )
+    zero = jnp.zeros(count, prior.dtype)
+    return Blocks(
+        own[:, :count, :count].sum(0) + prior,
+        own[:, :count, count:],
+        own[:, count:, count:],
+        zero,
+        jnp.zeros((placements, 6), prior.dtype),
     )
 
 

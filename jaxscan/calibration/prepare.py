@@ -19,6 +19,8 @@ _MIN_CORNERS = 6
 class Prepared(NamedTuple):
     """Host arrays in float64; everything that is not valid is harmless."""
 
+    size: tuple[int, int]
+    """Width and height of the images [px]."""
     board: np.ndarray
     """Corners of the flat board [corners, 3]; padding repeats the first."""
     corner_q: np.ndarray
@@ -54,6 +56,7 @@ def prepare(observations: Observations) -> Prepared:
     views, rows = _bucket(len(usable), _VIEWS), _bucket(len(view), _VIEWS)
     points, count = _bucket(stripe_q.shape[1], _POINTS), _bucket(len(board), _CORNERS)
     return Prepared(
+        size=(observations.width, observations.height),
         board=_pad(board, (count,), board[0]),
         corner_q=_pad(q, (views, count), centre),
         corner_sigma=_pad(sigma, (views, count), 1.0),

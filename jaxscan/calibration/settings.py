@@ -17,6 +17,7 @@ Block = Literal[
     "gain",
     "harmonics",
     "warp",
+    "pitch",
 ]
 
 BLOCKS: dict[Block, tuple[str, ...]] = {
@@ -32,9 +33,10 @@ BLOCKS: dict[Block, tuple[str, ...]] = {
     "gain": ("gain",),
     "harmonics": ("c1", "s1", "c2", "s2"),
     "warp": ("warp.x", "warp.y"),
+    "pitch": ("pitch",),
 }
 """What can be freed or held together, by the names of the minimal coordinates (those of a laser
-without its name, those of the board's warp at the end)."""
+without its name, those of the board at the end). Of a fisheye, k1 ... k4 are "radial"."""
 
 CAMERA_BLOCKS: tuple[Block, ...] = ("focal", "centre", "radial", "tangential", "k3", "rational")
 
@@ -53,7 +55,7 @@ class Priors:
     tangential: float = 2e-3
     """p1, p2 about 0 [1]."""
     k3: float = 1.0
-    """k3 (and k4, k5, k6) about 0 [1]."""
+    """k3 (and k4, k5, k6; of a fisheye k3 and k4) about 0 [1]."""
     gain: float = 1e-3
     """|gain| about 1: the accuracy of the table's gears and step count [1]."""
     harmonics: float = 3e-4
@@ -62,12 +64,16 @@ class Priors:
     """b2, b3 about 0 [rad / rad^2, rad / rad^3]."""
     warp: float = 2e-3
     """Bow of the board about 0 [m]."""
+    pitch: float = 1e-4
+    """Relative error of the board's squares about 0 [1]: how well the board was measured."""
 
 
 @dataclass(frozen=True)
 class CalibrationSettings:
     """How observations become a scanner."""
 
+    camera: Literal["pinhole", "fisheye"] = "pinhole"
+    """Model of the lens: with distortion after Brown and Conrady, or after Kannala and Brandt."""
     free: tuple[Block, ...] = (
         "focal",
         "centre",
@@ -84,7 +90,10 @@ class CalibrationSettings:
 
     The table's harmonics are free although boards over a few tens of degrees hardly see them:
     their prior then says in the covariance what is not known. Held at 0, a table with errors of
-    0.3 mrad gives a covariance that is far too small."""
+    0.3 mrad gives a covariance that is far too small.
+
+    "pitch" adds the size of the board's squares: no image shows it, so its prior alone says how
+    much of every length is uncertain with it."""
     priors: Priors = field(default_factory=Priors)
     huber: float = 1.345
     """Residuals beyond this many standard deviations are down-weighted at first [1]."""
@@ -95,7 +104,8 @@ class CalibrationSettings:
     estimate_noise: bool = True
     """Estimate the noise of corners and of stripes from their residuals; otherwise the given
     sigmas are taken at their word."""
-    stripe_correlation: float = 1.0
-    """Neighbouring stripe points that share one error (speckle): each counts as 1 / this [1]."""
+    stripe_correlation: float | None = None
+    """Neighbouring stripe points that share one error (speckle): each counts as 1 / this [1].
+    None: estimated from the residuals."""
     max_steps: int = 60
     """Steps of one least-squares solve."""

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Float, Int
 
-from jaxscan.calibration.residuals import Problem, Residuals, Step, move, residuals
+from jaxscan.calibration.problem import Problem, Step, move, zero_step
+from jaxscan.calibration.residuals import Residuals, residuals
 from jaxscan.geometry import Array
 
 
@@ -107,9 +108,8 @@ class Solution(NamedTuple):
     converged: Any
 
 
-@eqx.filter_jit
 def solve(problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, ""], max_steps: int) -> Solution:
-    """Minimise the sum of squares of `residuals`; call in 64 bit.
+    """Minimise the sum of squares of `residuals`; traceable, in 64 bit.
 
     Args:
         problem: With its weights.
@@ -119,7 +119,7 @@ def solve(problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, "
         max_steps: Steps at most.
     """
     start = zero_step(problem)
-    descent = BlockArrowDescent(problem.placement, problem.placement[problem.stripe_view], damping)
+    descent = BlockArrowDescent(problem.placement, problem.stripe_placement(), damping)
     solution: Any = optx.least_squares(
         residuals,
         BlockArrowLM(descent=descent, rtol=tolerance, atol=tolerance),
@@ -131,11 +131,6 @@ def solve(problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, "
     return Solution(
         move(solution.value, problem), solution.stats["num_steps"], solution.result == optx.RESULTS.successful
     )
-
-
-def zero_step(problem: Problem) -> Step:
-    """No step, in the shapes of the problem."""
-    return Step(jnp.zeros_like(problem.scales), jnp.zeros((problem.poses.shape[0], 6), problem.scales.dtype))
 
 
 def jacobian_columns(
@@ -154,7 +149,7 @@ def jacobian_columns(
     unit = jnp.eye(count + 6, dtype=y.shared.dtype)
     # Poses of different placements meet different residuals, so all are moved at once.
     columns = jax.vmap(lambda e: product(Step(e[:count], jnp.broadcast_to(e[None, count:], y.local.shape))))(unit)
-    split = lambda array: Columns(*jnp.split(array.reshape(*array.shape[:2], -1), [count]))
+    split = lambda array: Columns(*jnp.split(array, [count]))
     return split(columns.corner), split(columns.stripe), columns.prior[:count]
 
 
@@ -174,7 +169,7 @@ def form_blocks(
     local = jnp.zeros((placements, 6, 6), shared.dtype)
     local_gradient = jnp.zeros((placements, 6), shared.dtype)
     for columns, values, owner in (
-        (corner, residual.corner.reshape(residual.corner.shape[0], -1), view_owner),
+        (corner, residual.corner, view_owner),
         (stripe, residual.stripe, stripe_owner),
     ):
         flat = columns.shared.reshape(shared.shape[0], -1)

@@ -8,8 +8,9 @@ from jaxscan.geometry.arrays import Array
 
 def tangent_basis(direction: Float[Array, "3"]) -> Float[Array, "2 3"]:
     """Two orthonormal vectors perpendicular to the unit vector `direction`."""
-    # The coordinate axis that is least parallel to the direction is safe to cross with.
-    helper = jnp.zeros_like(jnp.asarray(direction)).at[jnp.argmin(jnp.abs(direction))].set(1.0)
+    # The coordinate axis after the largest component is safe to cross with. The least parallel one
+    # would be too, but which of two that is, changes with the last digits of an upright axis.
+    helper = jnp.zeros_like(jnp.asarray(direction)).at[(jnp.argmax(jnp.abs(direction)) + 1) % 3].set(1.0)
     first = jnp.cross(direction, helper)
     first = first / jnp.linalg.norm(first)
     return jnp.stack([first, jnp.cross(direction, first)])

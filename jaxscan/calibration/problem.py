@@ -1,0 +1,126 @@
+"""The joint problem: the unknowns, what was seen, and how much each of it counts."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from jaxscan.calibration.parameters import BOARD_PARAMETERS, move_pose
+from jaxscan.geometry import AbstractCamera, Array, LaserSheet, Turntable, invert
+
+
+class Problem(eqx.Module):
+    """Observations, weights, and the point from which steps are counted; arrays only.
+
+    All padding has weight 0. A weight is 1 over the standard deviation that the residual is
+    divided by, so a change of weights never recompiles anything.
+    """
+
+    camera: AbstractCamera
+    lasers: LaserSheet
+    """All sheets stacked; of length 0 where only the camera is sought."""
+    turntable: Turntable | None
+    """None where only the camera is sought: every view is then a placement of its own."""
+    poses: Float[Array, "placements 4 4"]
+    """T_cam0_board of every placement."""
+    shape: Float[Array, "3"]
+    """Height kx, ky [m] of the board's bow along its x and y (z into the board), and the relative
+    error of its pitch [1]."""
+    scales: Float[Array, " shared"]
+    expected: Float[Array, " shared"]
+    """What is expected of each shared unknown before any image, as `shared_values` gives them."""
+    prior_weight: Float[Array, " shared"]
+    board: Float[Array, "corners 3"]
+    """Corners of the flat board [m]."""
+    frame: Float[Array, "4"]
+    """Centre x, y and half extents in x, y of the corner grid [m]."""
+    corner_q: Float[Array, "views corners 2"]
+    corner_weight: Float[Array, "views corners"]
+    """1 / sigma [1 / px]."""
+    angle: Float[Array, " views"]
+    placement: Int[Array, " views"]
+    stripe_q: Float[Array, "stripes points 2"]
+    stripe_ray: Float[Array, "stripes points 3"]
+    """About the ray of each stripe point, from which Newton's method starts."""
+    stripe_weight: Float[Array, "stripes points"]
+    """1 / (|grad_q e| sigma) [1 / m]."""
+    stripe_view: Int[Array, " stripes"]
+    stripe_laser: Int[Array, " stripes"]
+
+    def stripe_placement(self) -> Int[Array, " stripes"]:
+        """The placement whose board each stripe lies on."""
+        return self.placement[self.stripe_view]
+
+
+class Step(NamedTuple):
+    """A step from the point that `Problem` holds, in scaled units."""
+
+    shared: Float[Array, " shared"]
+    local: Float[Array, "placements 6"]
+
+
+def zero_step(problem: Problem) -> Step:
+    """No step, in the shapes of the problem."""
+    return Step(jnp.zeros_like(problem.scales), jnp.zeros((problem.poses.shape[0], 6), problem.scales.dtype))
+
+
+def move(step: Step, problem: Problem) -> Problem:
+    """The same problem seen from the point that `step` leads to."""
+    shared = step.shared * problem.scales
+    camera_count, lasers = len(problem.camera.parameter_names()), problem.lasers.distance.shape[0]
+    axis = camera_count + 5 * lasers
+    moved = (
+        problem.camera.retract(shared[:camera_count]),
+        jax.vmap(LaserSheet.retract)(problem.lasers, shared[camera_count:axis].reshape(lasers, 5)),
+        None if problem.turntable is None else problem.turntable.retract(shared[axis : axis + 9]),
+        jax.vmap(move_pose)(problem.poses, step.local),
+        problem.shape + shared[-len(BOARD_PARAMETERS) :],
+    )
+    return eqx.tree_at(
+        lambda p: (p.camera, p.lasers, p.turntable, p.poses, p.shape), problem, moved, is_leaf=lambda x: x is None
+    )
+
+
+def camera_from_board(problem: Problem) -> Float[Array, "views 4 4"]:
+    """T_cam(phi)_board of every view."""
+    turntable = problem.turntable
+    if turntable is None:
+        return jnp.asarray(problem.poses)[problem.placement]
+    motion = jax.vmap(turntable.motion)(jnp.asarray(problem.angle))
+    return jax.vmap(lambda still, pose: invert(still) @ pose)(motion, jnp.asarray(problem.poses)[problem.placement])
+
+
+def board_points(problem: Problem) -> Float[Array, "corners 3"]:
+    """Corners of the board as it is: of its true pitch, and bowed [m]."""
+    height = jax.vmap(lambda x: warp_height(problem.frame, problem.shape, x[0], x[1]))(problem.board)
+    upright = jnp.array([[0.0, 0.0, 1.0]], problem.board.dtype)
+    return problem.board * (1.0 + problem.shape[2]) + height[:, None] * upright
+
+
+def warp_height(
+    frame: Float[Array, "4"], shape: Float[Array, "3"], x: Float[Array, ""], y: Float[Array, ""]
+) -> Float[Array, ""]:
+    """z of the bowed board at (x, y): kx (1 - x'^2) + ky (1 - y'^2), with x' = +-1 at the outer corners.
+
+    Source: mrcal's `calobject_warp`.
+    """
+    centre_x, centre_y, half_x, half_y = (frame[i] for i in range(4))
+    a, b = (x - centre_x) / half_x, (y - centre_y) / half_y
+    return shape[0] * (1.0 - a * a) + shape[1] * (1.0 - b * b)
+
+
+def shared_values(problem: Problem) -> Float[Array, " shared"]:
+    """What priors speak of, one value per shared unknown.
+
+    The values of the minimal coordinates; for fx the aspect fx / fy, for the gain its size, and 0
+    for directions, points and distances, of which nothing is known beforehand.
+    """
+    camera = problem.camera.parameters()
+    bow = jnp.asarray(problem.lasers.bow)
+    parts = [camera.at[0].divide(camera[1]), jnp.pad(bow, ((0, 0), (3, 0))).ravel()]
+    if problem.turntable is not None:
+        angle = jnp.append(jnp.abs(problem.turntable.gain), problem.turntable.harmonics)
+        parts.append(jnp.pad(angle, (4, 0)))
+    return jnp.concatenate([*parts, jnp.asarray(problem.shape)])
