@@ -35,17 +35,7 @@ def seed_camera(data: Prepared, width: int, height: int, coefficients: int) -> t
 
     Source: Zhang, A flexible new technique for camera calibration (2000), section 3.1.
     """
-    views = np.flatnonzero(data.usable)
-    if len(views) == 0:
-        raise CalibrationError(
-            "The board was not found in any view: "
-            "check `[board]` in capture.toml (type, columns, rows) and the exposure."
-        )
-    if len(views) < 3:
-        raise CalibrationError(
-            f"The board was found in {len(views)} view(s) and a camera needs at least 3: "
-            "capture 10 or more, tilted by 20 to 45 degrees in different directions."
-        )
+    views = usable_views(data)
     centre = np.array([(width - 1) / 2, (height - 1) / 2])
     homographies = {
         view: fit_homography(
@@ -58,13 +48,7 @@ def seed_camera(data: Prepared, width: int, height: int, coefficients: int) -> t
     # A hopeless focal length still gives normals, which then say what is wrong.
     for view, homography in homographies.items():
         poses[view] = pose_from_homography(homography, focal or 1.2 * max(width, height))
-    normals = poses[views, :3, 2]
-    tilt = np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))).max()
-    if focal is None or tilt < _MIN_TILT_DEG:
-        raise CalibrationError(
-            f"All {len(views)} views show the board at the same tilt (within {tilt:.1f} degrees), which determines no "
-            "camera: tilt the board by 20 to 45 degrees in different directions."
-        )
+    check_tilts(poses[views], determined=focal is not None)
     camera = Pinhole(
         fx=np.asarray(focal),
         fy=np.asarray(focal),
@@ -75,6 +59,41 @@ def seed_camera(data: Prepared, width: int, height: int, coefficients: int) -> t
         height=height,
     )
     return camera, poses
+
+
+def usable_views(data: Prepared) -> np.ndarray:
+    """Numbers of the views that fix a pose.
+
+    Raises:
+        CalibrationError: If they are too few for any camera.
+    """
+    views = np.flatnonzero(data.usable)
+    if len(views) == 0:
+        raise CalibrationError(
+            "The board was not found in any view: "
+            "check `[board]` in capture.toml (type, columns, rows) and the exposure."
+        )
+    if len(views) < 3:
+        raise CalibrationError(
+            f"The board was found in {len(views)} view(s) and a camera needs at least 3: "
+            "capture 10 or more, tilted by 20 to 45 degrees in different directions."
+        )
+    return views
+
+
+def check_tilts(poses: np.ndarray, *, determined: bool = True) -> None:
+    """See that boards at T_cam_board [views, 4, 4] are tilted differently.
+
+    Raises:
+        CalibrationError: If they are not, or the focal length was not `determined`.
+    """
+    normals = poses[:, :3, 2]
+    tilt = np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))).max()
+    if not determined or tilt < _MIN_TILT_DEG:
+        raise CalibrationError(
+            f"All {len(poses)} views show the board at the same tilt (within {tilt:.1f} degrees), which determines no "
+            "camera: tilt the board by 20 to 45 degrees in different directions."
+        )
 
 
 def seed_plane(points: np.ndarray, name: str) -> LaserSheet:

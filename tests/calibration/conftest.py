@@ -20,6 +20,7 @@ class Rig:
     focal: tuple[float, float] = (1201.0, 1202.0)
     centre: tuple[float, float] = (644.0, 507.0)
     lens: tuple[float, ...] = (-0.10, 0.06, 4e-4, -3e-4, 0.0)
+    """Of a pinhole k1 k2 p1 p2 k3; four numbers make a fisheye's k1 k2 k3 k4."""
     size: tuple[int, int] = (1280, 1024)
     normals: tuple[tuple[float, float, float], ...] = ((0.990, -0.010, 0.140),)
     distances: tuple[float, ...] = (0.200,)
@@ -55,6 +56,8 @@ def rodrigues(vector):
 
 
 def project(rig, points):
+    if len(rig.lens) == 4:
+        return project_fisheye(rig, points)
     x = points[..., :2] / points[..., 2:]
     k1, k2, p1, p2, k3 = rig.lens
     r2 = (x**2).sum(-1)
@@ -63,6 +66,14 @@ def project(rig, points):
     u1 = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
     v1 = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v
     return np.stack([rig.focal[0] * u1 + rig.centre[0], rig.focal[1] * v1 + rig.centre[1]], -1)
+
+
+def project_fisheye(rig, points):
+    radius = np.hypot(points[..., 0], points[..., 1])
+    theta = np.arctan2(radius, points[..., 2])
+    k1, k2, k3, k4 = rig.lens
+    theta_d = theta + k1 * theta**3 + k2 * theta**5 + k3 * theta**7 + k4 * theta**9
+    return rig.centre + np.array(rig.focal) * (theta_d / np.maximum(radius, 1e-300))[..., None] * points[..., :2]
 
 
 def seen_from(rig, rotation, translation, phi):
@@ -106,6 +117,38 @@ def stripe_on_board(rig, rotation, translation, laser, count):
     return np.column_stack([x, y, z])[inside] @ rotation.T + translation
 
 
+def in_reach(rig, points):
+    """Whether points lie within 100 degrees of the axis: a fisheye's polynomial may end soon after."""
+    return len(rig.lens) != 4 or (points[:, 2] > np.cos(np.radians(100)) * np.linalg.norm(points, axis=1)).all()
+
+
+def hold_ahead(rig, random, middle, tilt_deg):
+    """A board in front of the camera, beside the first sheet."""
+    z = random.uniform(0.7, 1.3)
+    x = rig.distances[0] / rig.normal()[0] - z * rig.normal()[2] / rig.normal()[0] + random.uniform(-0.05, 0.05)
+    axis = random.normal(size=3) * np.array([1, 1, 0.3])
+    rotation = rodrigues(np.radians(random.uniform(10, tilt_deg)) * axis / np.linalg.norm(axis))
+    return rotation, np.array([x, random.uniform(-0.2, 0.2) * z, z]) - rotation @ middle
+
+
+def hold_around(rig, random, middle, tilt_deg):
+    """A board facing the camera anywhere within 97 degrees of its axis, two of three times on the first sheet."""
+    n = rig.normal()
+    g = np.array([0.0, 0.0, 1.0]) - n[2] * n
+    g = g / np.linalg.norm(g)
+    tau, distance = np.radians(random.uniform(-90, 90)), random.uniform(0.45, 0.9)
+    towards = np.cos(tau) * g + np.sin(tau) * np.cross(n, g)
+    place = rig.distances[0] * n + distance * towards
+    if random.random() < 1 / 3:
+        theta, psi = np.radians(97 * np.sqrt(random.random())), random.uniform(0, 2 * np.pi)
+        place = distance * np.array([np.sin(theta) * np.cos(psi), np.sin(theta) * np.sin(psi), np.cos(theta)])
+    axis = np.cross([0.0, 0.0, 1.0], place)
+    facing = rodrigues(np.arctan2(np.linalg.norm(axis), place[2]) * axis / np.linalg.norm(axis))
+    axis = random.normal(size=3) * np.array([1, 1, 0.3])
+    rotation = facing @ rodrigues(np.radians(random.uniform(10, tilt_deg)) * axis / np.linalg.norm(axis))
+    return rotation, place - rotation @ middle
+
+
 def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, seed=0, stripes=True, tilt_deg=35.0):
     """Perfect observations: free board views at angle 0, then placements seen from several angles."""
     random = np.random.default_rng(seed)
@@ -116,21 +159,20 @@ def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, s
     while number < free + placements:
         turning = number >= free
         stops = np.radians(np.linspace(-span_deg / 2, span_deg / 2, angles)) if turning else np.zeros(1)
-        z = random.uniform(0.7, 1.3)
-        x = rig.distances[0] / rig.normal()[0] - z * rig.normal()[2] / rig.normal()[0] + random.uniform(-0.05, 0.05)
-        axis = random.normal(size=3) * np.array([1, 1, 0.3])
-        rotation = rodrigues(np.radians(random.uniform(10, tilt_deg)) * axis / np.linalg.norm(axis))
-        translation = np.array([x, random.uniform(-0.2, 0.2) * z, z]) - rotation @ middle
+        hold = hold_around if len(rig.lens) == 4 else hold_ahead
+        rotation, translation = hold(rig, random, middle, tilt_deg)
         poses = [seen_from(rig, rotation, translation, phi) for phi in stops]
         q = [project(rig, corners @ r.T + t) for r, t in poses]
-        if all((p > 5).all() and (p < np.array(rig.size) - 6).all() for p in q):
+        if all((p > 5).all() and (p < np.array(rig.size) - 6).all() for p in q) and all(
+            in_reach(rig, corners @ r.T + t) for r, t in poses
+        ):
             views += [(p, phi, number, *pose) for p, phi, pose in zip(q, stops, poses, strict=True)]
             number += 1
     rows = []
     for index, (_, _, _, r, t) in enumerate(views):
         for laser in range(len(rig.normals)) if stripes else ():
             p = stripe_on_board(rig, r, t, laser, points)
-            p = p[p[:, 2] > 0.2]
+            p = p[p[:, 2] > 0.2] if len(rig.lens) != 4 else p
             s = project(rig, p) if len(p) else np.zeros((0, 2))
             s = s[((s > 0) & (s < np.array(rig.size) - 1)).all(-1)] if len(s) else s
             if len(s):
