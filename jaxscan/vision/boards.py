@@ -6,16 +6,21 @@ import cv2
 import numpy as np
 
 from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
+from jaxscan.vision.refine import refine_corners
 
 
 Detector = Literal["auto", "sb", "classic"]
 
-# What each way of finding corners leaves as noise on a sharp, well exposed board; only a prior,
-# the calibration estimates it again.
+# What each way of finding corners leaves as noise on a sharp, well exposed board: a prior for
+# corners to which the model of a blurred crossing was not fitted, which measures its own.
 _SIGMA_PX = {"auto": 0.035, "sb": 0.10, "classic": 0.035, "charuco": 0.06}
 # Squares that are projected smaller than this [px] hold fewer edge pixels than a corner needs.
 _SMALL_SQUARE_PX = 12.0
 _MIN_CORNERS = 6
+# A window of this share of the smallest square to either side stays clear of the next corner.
+_WINDOW_SHARE = 0.3
+# The blur of a marker's edge reaches so far [px].
+_MARKER_BLUR_PX = 1.5
 
 
 class FoundCorners(NamedTuple):
@@ -29,8 +34,10 @@ class FoundCorners(NamedTuple):
     """bool [corners]."""
 
 
-def find_corners(image: np.ndarray, board: AbstractBoard, *, detector: Detector = "auto") -> FoundCorners | None:
-    """Find the corners of a board in one grey image, to a fraction of a pixel.
+def find_corners(
+    image: np.ndarray, board: AbstractBoard, *, detector: Detector = "auto", half_window: int | None = None
+) -> FoundCorners | None:
+    """Find the corners of a board in one grey image, to a hundredth of a pixel where it is sharp.
 
     Chessboards are searched as a whole; of a ChArUco board any part will do. A plain chessboard
     does not say which way round it is: the order returned is right-handed as seen, has the
@@ -42,8 +49,12 @@ def find_corners(image: np.ndarray, board: AbstractBoard, *, detector: Detector 
     Args:
         image: uint8 [rows, columns].
         board: What to look for.
-        detector: For chessboards: "sb" (sector based), "classic" (refined by `cornerSubPix`), or
-            "auto": the first to find, the second where it finds nothing, both refined.
+        detector: "auto": chessboards by sectors, or by the classic way where that finds nothing,
+            and each corner placed by `refine_corners` (where its model does not fit, by
+            `cornerSubPix`). "classic": OpenCV's first detector and `cornerSubPix` (of a ChArUco
+            board, the latter alone). "sb": the sector based detector as it is.
+        half_window: Half the side of the window in which corners are refined [px], instead of
+            one that the size of the squares allows. Too large a one spoils the corners.
 
     Returns:
         The corners, or None where the board is not found or fewer than 6 corners that are not
@@ -56,10 +67,12 @@ def find_corners(image: np.ndarray, board: AbstractBoard, *, detector: Detector 
         raise ValueError(f"`image` must be uint8 [rows, columns], got {image.dtype} with shape {image.shape}.")
     image = np.ascontiguousarray(image)
     if isinstance(board, Charuco):
-        return _find_charuco(image, board)
-    if not isinstance(board, Chessboard):
+        found = _find_charuco(image, board, half_window)
+    elif isinstance(board, Chessboard):
+        found = _find_chessboard(image, board, detector, half_window)
+    else:
         raise ValueError(f"No corner detector for a board of type {type(board).__name__}.")
-    return _find_chessboard(image, board, detector)
+    return _fitted(image, found, board, half_window) if found is not None and detector == "auto" else found
 
 
 def board_texture(board: AbstractBoard, pixels_per_square: int) -> np.ndarray:
@@ -78,7 +91,9 @@ def board_texture(board: AbstractBoard, pixels_per_square: int) -> np.ndarray:
     return np.kron((255 * white).astype(np.uint8), square)
 
 
-def _find_chessboard(image: np.ndarray, board: Chessboard, detector: Detector) -> FoundCorners | None:
+def _find_chessboard(
+    image: np.ndarray, board: Chessboard, detector: Detector, half_window: int | None
+) -> FoundCorners | None:
     q, used = None, detector
     if detector in ("auto", "sb"):
         q = _find_sectors(image, board, accurate=detector == "sb")
@@ -93,7 +108,7 @@ def _find_chessboard(image: np.ndarray, board: Chessboard, detector: Detector) -
         # a pixel per view, which the gradient-based refinement is not. A window that reaches the
         # neighbouring corners would move the corner towards them.
         smallest = _square_sizes(q, np.ones(len(q), bool), board).min()
-        q = _refine(image, q, int(np.clip(np.floor(smallest / 3), 2, 11)))
+        q = _refine(image, q, half_window or int(np.clip(np.floor(smallest / 3), 2, 11)))
     q = _canonical_order(image, q, board)
     return _with_sigma(q, np.ones(len(q), bool), board, _SIGMA_PX[used])
 
@@ -147,7 +162,7 @@ def _charuco(board: Charuco) -> "cv2.aruco.CharucoBoard":
     )
 
 
-def _find_charuco(image: np.ndarray, board: Charuco) -> FoundCorners | None:
+def _find_charuco(image: np.ndarray, board: Charuco, half_window: int | None) -> FoundCorners | None:
     corners, ids, _, _ = cv2.aruco.CharucoDetector(_charuco(board)).detectBoard(image)
     if ids is None or len(np.ravel(ids)) < _MIN_CORNERS:
         return None
@@ -160,9 +175,8 @@ def _find_charuco(image: np.ndarray, board: Charuco) -> FoundCorners | None:
     sizes = _square_sizes(q, valid, board)
     # The markers begin (1 - marker / square) / 2 of a square away; a window that reaches them
     # spoils the corner, and without refinement it is off by some tenths of a pixel.
-    gap = 0.5 * (1.0 - board.marker / board.square)
-    half = int(np.clip(np.floor(min(0.25, 1.3 * gap) * sizes[valid].min()), 2, 11))
-    refined = _refine(image, q[valid], half)
+    half = int(np.clip(np.floor(min(0.25, 1.3 * _marker_gap(board)) * sizes[valid].min()), 2, 11))
+    refined = _refine(image, q[valid], half_window or half)
     moved = np.hypot(*(refined - q[valid]).T)
     q[valid] = refined
     # A corner that ran away from its square has latched on to something else.
@@ -170,6 +184,54 @@ def _find_charuco(image: np.ndarray, board: Charuco) -> FoundCorners | None:
     if valid.sum() < _MIN_CORNERS or not _spans_plane(board.corners()[valid, :2]):
         return None
     return _with_sigma(np.where(valid[:, None], q, 0.0), valid, board, _SIGMA_PX["charuco"])
+
+
+def _marker_gap(board: Charuco) -> float:
+    """Distance of the markers from the edges of their squares, in squares."""
+    return 0.5 * (1.0 - board.marker / board.square)
+
+
+def _fitted(image: np.ndarray, found: FoundCorners, board: AbstractBoard, half_window: int | None) -> FoundCorners:
+    """The corners placed by the model of a blurred crossing, as far as it fits."""
+    edges, known = edge_directions(found.q, found.valid, board)
+    use = np.flatnonzero(found.valid & known)
+    sizes = _square_sizes(found.q, found.valid, board)[use]
+    half = _WINDOW_SHARE * sizes if half_window is None else np.full(len(use), float(half_window))
+    fit = refine_corners(image, found.q[use], edges[use], half, clear=clear_of_markers(board, sizes))
+    q, sigma = found.q.copy(), found.sigma.copy()
+    q[use[fit.valid]], sigma[use[fit.valid]] = fit.q[fit.valid], fit.sigma[fit.valid]
+    return FoundCorners(q, sigma, found.valid)
+
+
+def clear_of_markers(board: AbstractBoard, sizes: np.ndarray) -> np.ndarray | None:
+    """How far [px] from both edges pixels may lie and show no marker, for squares of `sizes` [px]; None: anywhere."""
+    return np.maximum(_marker_gap(board) * sizes - _MARKER_BLUR_PX, 2.0) if isinstance(board, Charuco) else None
+
+
+def edge_directions(q: np.ndarray, valid: np.ndarray, board: AbstractBoard) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors [corners, 2 (along x, along y), 2] of the edges at every corner, by its neighbours.
+
+    Returns:
+        edges: As above; zero where not known.
+        known: bool [corners]: there is a neighbour along either edge.
+    """
+    columns, rows = board.grid()
+    grid, seen = q.reshape(rows, columns, 2), valid.reshape(rows, columns)
+    edges = np.zeros((rows, columns, 2, 2))
+    for k, axis in enumerate((1, 0)):
+        before, after = _neighbours(axis)
+        step = np.where((seen[before] & seen[after])[..., None], grid[after] - grid[before], 0.0)
+        edges[(*before, k)] += step
+        edges[(*after, k)] += step
+    length = np.linalg.norm(edges, axis=-1, keepdims=True)
+    edges = edges / np.where(length > 0, length, 1.0)
+    return edges.reshape(-1, 2, 2), ((length > 0).all((2, 3)) & seen).ravel()
+
+
+def _neighbours(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Every corner that has a next one along an axis of the grid, and that next one."""
+    whole, first, second = slice(None), slice(None, -1), slice(1, None)
+    return ((first, whole), (second, whole)) if axis == 0 else ((whole, first), (whole, second))
 
 
 def _points(corners: np.ndarray) -> np.ndarray:
@@ -189,9 +251,7 @@ def _square_sizes(q: np.ndarray, valid: np.ndarray, board: AbstractBoard) -> np.
     grid, seen = q.reshape(rows, columns, 2), valid.reshape(rows, columns)
     size = np.full((rows, columns), np.inf)
     for axis in (0, 1):
-        first, second = [slice(None)] * 2, [slice(None)] * 2
-        first[axis], second[axis] = slice(None, -1), slice(1, None)
-        a, b = tuple(first), tuple(second)
+        a, b = _neighbours(axis)
         side = np.where(seen[a] & seen[b], np.linalg.norm(grid[a] - grid[b], axis=-1), np.inf)
         size[a], size[b] = np.minimum(size[a], side), np.minimum(size[b], side)
     known = np.isfinite(size)

@@ -29,10 +29,11 @@ def seen(board, homography, size=(800, 600), *, oversampling=8, blur=0.8, noise=
     step = (np.arange(oversampling) + 0.5) / oversampling - 0.5
     u = (np.arange(size[0])[:, None] + step).ravel()
     v = (np.arange(size[1])[:, None] + step).ravel()
-    q = np.stack([*np.meshgrid(u, v), np.ones((len(v), len(u)))], -1)
-    p = q @ (to_texture @ np.linalg.inv(homography)).T
-    column = np.clip(np.rint(p[..., 0] / p[..., 2]), 0, texture.shape[1] - 1).astype(int)
-    row = np.clip(np.rint(p[..., 1] / p[..., 2]), 0, texture.shape[0] - 1).astype(int)
+    u, v = u.astype(np.float32)[None], v.astype(np.float32)[:, None]
+    to_print = (to_texture @ np.linalg.inv(homography)).astype(np.float32)
+    x, y, w = (a * u + (b * v + c) for a, b, c in to_print)
+    column = np.clip(np.rint(x / w), 0, texture.shape[1] - 1).astype(np.int32)
+    row = np.clip(np.rint(y / w), 0, texture.shape[0] - 1).astype(np.int32)
     fine = texture[row, column].reshape(size[1], oversampling, size[0], oversampling).mean((1, 3))
     fine = cv2.GaussianBlur(20 + 0.7 * fine, (0, 0), blur)
     fine = fine + noise * np.random.default_rng(seed).normal(size=fine.shape)
@@ -50,18 +51,24 @@ def expected(board, homography):
 
 
 @pytest.mark.parametrize(
-    ("board", "detector", "rms"), [(CHESS, "sb", 0.06), (CHESS, "classic", 0.1), (CHARUCO, "auto", 0.1)]
+    ("board", "detector", "rms"),
+    [(CHESS, "sb", 0.06), (CHESS, "classic", 0.04), (CHESS, "auto", 0.012), (CHARUCO, "classic", 0.1)]
+    + [(CHARUCO, "auto", 0.012)],
 )
 def test_corners_in_a_rendered_picture(board, detector, rms):
     found = find_corners(seen(board, pose()), board, detector=detector)
     assert found is not None and found.valid.all()
     error = found.q - expected(board, pose())
-    # Sampling of the texture errs by 1/160 square (0.3 px at 50 px) before averaging, noise by
-    # 0.02-0.05 px; unrefined ChArUco corners would be 0.29 px off.
+    # Noise is worth 0.006 px to a fit of all pixels, cornerSubPix errs by 0.02 px and more, unrefined
+    # ChArUco corners by 0.29 px. The picture itself is drawn to some thousandths of a pixel.
     assert np.sqrt(np.mean(error**2)) < rms
     assert np.abs(error).max() < 4 * rms
-    # The prior is honest to a factor of three, which is all it is for.
-    assert 1 / 3 < np.mean(found.sigma) / max(np.sqrt(np.mean(error**2)), 0.03) < 4
+    size = np.sqrt(np.mean(error**2))
+    # What is fitted knows its noise; for the others there is a prior, honest to a factor of four.
+    if detector == "auto":
+        assert 0.7 < np.mean(found.sigma) / size < 1.4
+    else:
+        assert 1 / 4 < np.mean(found.sigma) / max(size, 0.03) < 4
 
 
 @pytest.mark.parametrize("detector", ["sb", "classic"])
