@@ -122,7 +122,7 @@ UP = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u"
 def make_rig(config: SimulationConfig) -> Rig:
     """The rig of a configuration; the last few are kept."""
     rays = ray_table(config.camera)
-    direction, point = _axis(config.turntable)
+    direction, point = turning_axis(config.turntable)
     if direction @ np.array(UP[config.camera.up]) < 0:
         direction = -direction
     ahead = np.array([0.0, 0.0, 1.0]) - direction[2] * direction
@@ -136,7 +136,8 @@ def make_rig(config: SimulationConfig) -> Rig:
     return Rig(config, rays, sheets, direction, point, base)
 
 
-def _axis(spec: TurntableSpec) -> tuple[np.ndarray, np.ndarray]:
+def turning_axis(spec: TurntableSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Unit direction of the axis, in either sense, and its point nearest the camera [m]."""
     if spec.tr is None:
         direction, point = np.array(spec.direction), np.array(spec.point_m)
         direction = direction / np.linalg.norm(direction)

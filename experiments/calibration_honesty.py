@@ -1,0 +1,159 @@
+"""Is the covariance true? Hundreds of full calibrations with fresh noise against what each of them says of itself.
+
+Thirty board views and four placements seen at nine table angles each, all with a stripe.
+
+What only a prior holds - gain and harmonics of the table - would look too good if its true value
+stood at the prior's mean in every run: the prior would then be better than it says. So their true
+values, and the ratio of the focal lengths, are drawn from their priors in every run, as the
+covariance has it. What the priors know of all other parameters is printed and is next to nothing.
+
+    python experiments/calibration_honesty.py [--runs 200] [--noise white] [--quick] [--json FILE]
+"""
+
+import sys
+import time
+from typing import NamedTuple
+
+import calibration_trials as trials
+import numpy as np
+
+from jaxscan.calibration import CalibrationSettings, calibrate_observations
+from jaxscan.calibration.lengths import Length, length_sigma, measure_lengths, typical_lengths
+from jaxscan.simulation import SimulationConfig, true_scanner
+from jaxscan.simulation.ideal_boards import BoardPoses, add_noise, draw_poses, ideal_boards
+
+
+WALLS_MM = {1.91: 1.1, 3.075: 1.7}
+"""Depth of opposite walls, m, and the most that the standard deviation of their distance may be."""
+POSE_SEED = 7
+
+
+class Run(NamedTuple):
+    """One calibration."""
+
+    error: np.ndarray
+    covariance: np.ndarray
+    length_error: np.ndarray
+    length_sigma: np.ndarray
+    chi2: tuple[float, float]
+    """Squares of whitened corner and stripe residuals per degree of freedom."""
+    counts: tuple[int, int]
+    rejected: int
+
+
+def drawn(config: SimulationConfig, random: np.random.Generator) -> SimulationConfig:
+    """The rig with values drawn from the priors where only these hold them."""
+    priors = CalibrationSettings().priors
+    table = config.turntable.model_copy(
+        update={
+            "gain": 1.0 + priors.gain * random.normal(),
+            "harmonics": tuple(priors.harmonics * random.normal(size=4)),
+        }
+    )
+    camera = config.camera.model_copy(update={"fy": config.camera.fx / (1.0 + priors.aspect * random.normal())})
+    return config.model_copy(update={"turntable": table, "camera": camera})
+
+
+def run(config: SimulationConfig, poses: BoardPoses, lengths: list[Length], seed: int, correlation: float) -> Run:
+    """Draw a truth and noise, calibrate, compare."""
+    random = np.random.default_rng([17, seed])
+    truth = drawn(config, random)
+    noisy = add_noise(ideal_boards(truth, poses), random, correlation=correlation)
+    result = calibrate_observations(trials.observations(noisy, truth))
+    quality = result.quality
+    return Run(
+        trials.errors(result.scanner, truth),
+        result.covariance,
+        measure_lengths(result.scanner, lengths) - measure_lengths(true_scanner(truth), lengths),
+        length_sigma(result.scanner, lengths),
+        (quality["corner_rms_whitened"] ** 2, quality["stripe_rms_whitened"] ** 2),
+        (2 * quality["corners"], quality["stripe_points"]),
+        quality["corners_rejected"] + quality["stripe_points_rejected"],
+    )
+
+
+def judged(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[Length], wide: float) -> list:
+    """All figures of one kind of noise; `wide` opens the bounds for small numbers of runs."""
+    figure = trials.Figure
+    error = np.array([each.error for each in runs])
+    covariance = np.array([each.covariance for each in runs])
+    free = np.diag(runs[0].covariance) > 0
+    error, covariance = error[:, free], covariance[:, free][:, :, free]
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    count, size = error.shape
+    # Each error against what its own run says: truths differ, and so do the covariances a little.
+    # About zero and not about the mean, so that a bias counts against us.
+    ratio = np.sqrt(np.mean((error / sigma) ** 2, axis=0))
+    inside = np.abs(error) <= 1.96 * sigma
+    nees = np.array([e @ np.linalg.solve(c, e) for e, c in zip(error, covariance, strict=True)])
+    band = 3 * np.sqrt(2 * size / count)
+    low, high = 1 - 0.15 * wide, 1 + 0.15 * wide
+    figures = []
+    for name, value in zip(np.array(names)[free], ratio, strict=True):
+        figures.append(figure(f"{label}: {name}, sample over predicted", value, "", low, high))
+    length_error = 1e3 * np.array([each.length_error for each in runs])
+    length_sigma = 1e3 * np.array([each.length_sigma for each in runs])
+    for index, length in enumerate(lengths):
+        title = f"{label}: {length.name} at {length.depth:g} m"
+        found, said = (np.sqrt(np.mean(values[:, index] ** 2)) for values in (length_error, length_sigma))
+        most = WALLS_MM.get(length.depth) if length.name == "half a turn" else None
+        figures += [
+            figure(f"{title}, predicted", said, "mm", high=most),
+            figure(f"{title}, sample", found, "mm", high=None if most is None else most * (1 + (wide - 1) / 2)),
+            figure(f"{title}, sample over predicted", found / said, "", low, high),
+        ]
+    weights = np.array(runs[0].counts, float)
+    chi2 = np.mean([each.chi2 for each in runs], axis=0)
+    coverage = 100 * inside.mean(0)
+    bias = np.abs(error.mean(0)) / sigma.mean(0)
+    return [
+        *figures,
+        figure(f"{label}: NEES, mean of {size} expected", nees.mean(), "", size - band, size + band),
+        figure(f"{label}: chi2 per degree of freedom", weights @ chi2 / weights.sum(), "", 0.97, 1.03),
+        figure(f"{label}: chi2 of corners", chi2[0], ""),
+        figure(f"{label}: chi2 of stripes", chi2[1], ""),
+        figure(f"{label}: 95 % intervals cover, all", coverage.mean(), "%", 95 - 3 * wide, 95 + 3 * wide),
+        figure(f"{label}: 95 % intervals cover, worst", coverage.min(), "%", 89 if wide == 1 else 95 - 6 * wide),
+        figure(f"{label}: largest bias", bias.max(), "sigma"),
+        figure(f"{label}: residuals rejected per run", np.mean([each.rejected for each in runs]), ""),
+    ]
+
+
+def prior_shares(covariance: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
+    """Posterior over prior variance: how much of a parameter's information the prior is at most."""
+    priors = CalibrationSettings().priors
+    sigma = dict.fromkeys(("cx", "cy"), priors.centre_px) | dict.fromkeys(("p1", "p2"), priors.tangential)
+    sigma |= {"k3": priors.k3, "gain": priors.gain} | dict.fromkeys(("c1", "s1", "c2", "s2"), priors.harmonics)
+    return {name: float(covariance[i, i] / sigma[name] ** 2) for i, name in enumerate(names) if name in sigma}
+
+
+def main() -> int:
+    parser = trials.parser(__doc__)
+    parser.add_argument("--runs", type=int, default=200)
+    parser.add_argument("--noise", choices=[*trials.CORRELATIONS, "both"], default="both")
+    arguments = parser.parse_args()
+    runs = 12 if arguments.quick else arguments.runs
+    config = trials.reference()
+    poses = draw_poses(config, POSE_SEED, free_views=30, placements=4, angles=9)
+    scanner = true_scanner(config)
+    lengths = typical_lengths(scanner, 0)
+    figures: list = []
+    for label, correlation in trials.CORRELATIONS.items():
+        if arguments.noise not in (label, "both"):
+            continue
+        started, found = time.perf_counter(), []
+        for seed in range(runs):
+            found.append(run(config, poses, lengths, seed, correlation))
+            if seed % 20 == 0:
+                trials.progress(f"{label}: {seed + 1} of {runs} runs, {time.perf_counter() - started:.0f} s")
+        # Few runs know a standard deviation badly: five times the bounds at 12 runs, four sigmas.
+        figures += judged(label, found, scanner.parameter_names(), lengths, 5.0 if arguments.quick else 1.0)
+        shares = prior_shares(found[0].covariance, scanner.parameter_names())
+        trials.progress(
+            "information from priors: " + ", ".join(f"{name} {share:.1e}" for name, share in shares.items())
+        )
+    return trials.report("calibration-honesty", figures, arguments.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,144 @@
+"""One joint solve against the usual sequence on the same data: how far off is the laser plane at 2.5 m?
+
+The usual sequence: the camera from board corners alone, then a plane through the stripe points,
+each lifted to its board; by total least squares and as the linear fit a X + b Y + Z = c, of which
+the better one counts. Its camera is ours without stripes, with the same priors and the board's
+bow, so that only the sequence differs. Two views of each set are one board before and after a
+turn by 10 degrees, which the joint solve needs to be a solve of the whole rig.
+
+Every pose set and every draw of noise counts alike. The depth error of a draw is the root mean
+square over all rows of the image of the depth found at the pixel where the true depth is 2.5 m.
+
+    python experiments/calibration_joint.py [--sets 5] [--draws 20] [--quick] [--json FILE]
+"""
+
+import sys
+import time
+from typing import NamedTuple
+
+import calibration_trials as trials
+import cv2
+import jax
+import numpy as np
+
+from jaxscan.calibration import Observations, calibrate_camera, calibrate_observations
+from jaxscan.calibration.lengths import depth_sigma, stripe_depths, stripe_pixels
+from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.simulation import SimulationConfig, true_scanner
+from jaxscan.simulation.ideal_boards import BoardPoses, add_noise, draw_poses, ideal_boards
+
+
+DEPTH_M = 2.5
+CASES = {"4 of 23": (23, 4, 0.85), "30 of 30": (30, 30, 0.65)}
+"""Views, views with a stripe, and the most that the joint error may be of the sequential one."""
+
+
+class Errors(NamedTuple):
+    """Depth errors of one draw [m]."""
+
+    joint: float
+    predicted: float
+    total: float
+    """Sequential, by total least squares."""
+    linear: float
+    """Sequential, by a X + b Y + Z = c."""
+
+
+def poses_of(config: SimulationConfig, views: int, stripes: int, seed: int) -> BoardPoses:
+    """So many views, the last two of them one board that was turned."""
+    free = views - 2
+    poses = draw_poses(config, seed, free_views=free, placements=1, angles=2, span_deg=10.0, lit=min(stripes, free))
+    return poses if stripes > free else poses._replace(lit=poses.lit & (poses.placement < free))
+
+
+def sequential(observed: Observations) -> tuple[LaserSheet, LaserSheet, Pinhole]:
+    """Planes by total least squares and by a linear fit, and the camera they belong to."""
+    result = calibrate_camera(observed)
+    camera, warp = result.camera, np.array(result.quality["board_warp_m"])
+    matrix, lens = np.asarray(camera.matrix()), np.asarray(camera.distortion)
+    board = np.asarray(observed.board.corners())
+    centre, half = (board.min(0) + board.max(0))[:2] / 2, np.ptp(board[:, :2], axis=0) / 2
+
+    def bow(xy: np.ndarray) -> np.ndarray:
+        return (1 - ((xy - centre) / half) ** 2) @ warp
+
+    board = board + np.column_stack([np.zeros((len(board), 2)), bow(board[:, :2])])
+    with jax.enable_x64(True):
+        rays = np.asarray(_rays(camera, observed.stripes.q))
+    points = []
+    for row, view in enumerate(observed.stripes.view):
+        _, turn, shift = cv2.solvePnP(board, observed.corners.q[view], matrix, lens, flags=cv2.SOLVEPNP_ITERATIVE)
+        rotation, shift = cv2.Rodrigues(turn)[0], shift[:, 0]
+        ray = rays[row][observed.stripes.valid[row]]
+        height = np.zeros(len(ray))
+        # On the board its own z is its bow: n . p = n . t + height.
+        for _ in range(4):
+            p = ray * ((rotation[:, 2] @ shift + height) / (ray @ rotation[:, 2]))[:, None]
+            height = bow(((p - shift) @ rotation)[:, :2])
+        points.append(p)
+    p = np.concatenate(points)
+    middle = p.mean(0)
+    normal = np.linalg.svd(p - middle, full_matrices=False)[2][2]
+    a, b, c = np.linalg.lstsq(np.column_stack([p[:, :2], -np.ones(len(p))]), -p[:, 2], rcond=None)[0]
+    return LaserSheet.from_plane(normal, normal @ middle), LaserSheet.from_abc(a, b, c), camera
+
+
+@jax.jit
+def _rays(camera: Pinhole, q: np.ndarray) -> jax.Array:
+    return jax.vmap(jax.vmap(camera.unproject))(q)
+
+
+def depth_error(scanner: Scanner, q: np.ndarray) -> float:
+    """Root mean square over rows [m]."""
+    return float(np.sqrt(np.mean((stripe_depths(scanner, 0, q) - DEPTH_M) ** 2)))
+
+
+def trial(observed: Observations, q: np.ndarray) -> Errors:
+    """One draw of noise, solved both ways."""
+    joint = calibrate_observations(observed).scanner
+    total, linear, camera = sequential(observed)
+    # A plane's depth has nothing to do with the table.
+    table = Turntable.from_axis([0.0, -1.0, 0.0], [0.0, 0.0, -0.1])
+    alone = [depth_error(Scanner(camera, stack_lasers([sheet]), table), q) for sheet in (total, linear)]
+    predicted = np.sqrt(np.mean(depth_sigma(joint, 0, q) ** 2))
+    return Errors(depth_error(joint, q), float(predicted), *alone)
+
+
+def main() -> int:
+    parser = trials.parser(__doc__)
+    parser.add_argument("--sets", type=int, default=5)
+    parser.add_argument("--draws", type=int, default=20)
+    arguments = parser.parse_args()
+    sets, draws = (1, 3) if arguments.quick else (arguments.sets, arguments.draws)
+    config = trials.reference()
+    q = stripe_pixels(true_scanner(config), 0, DEPTH_M)
+    figures = []
+    for name, (views, stripes, most) in CASES.items():
+        for noise, correlation in trials.CORRELATIONS.items():
+            started, found = time.perf_counter(), []
+            for number in range(sets):
+                ideal = ideal_boards(config, poses_of(config, views, stripes, 100 + number))
+                for draw in range(draws):
+                    noisy = add_noise(ideal, np.random.default_rng([number, draw]), correlation=correlation)
+                    found.append(trial(trials.observations(noisy, config), q))
+            errors = Errors(*np.array(found).T)
+            best = min(errors.total.mean(), errors.linear.mean())
+            label = f"{name}, {noise}"
+            trials.progress(f"{label}: {len(found)} draws, {time.perf_counter() - started:.0f} s")
+            figures += [
+                trials.Figure(f"{label}: joint", 1e3 * errors.joint.mean(), "mm"),
+                trials.Figure(f"{label}: sequential, total least squares", 1e3 * errors.total.mean(), "mm"),
+                trials.Figure(f"{label}: sequential, linear", 1e3 * errors.linear.mean(), "mm"),
+                trials.Figure(f"{label}: joint over sequential", errors.joint.mean() / best, "", high=most),
+                trials.Figure(
+                    f"{label}: joint over predicted (root mean square)",
+                    np.sqrt(np.mean(errors.joint**2) / np.mean(errors.predicted**2)),
+                    "",
+                    *((0.3, 2.0) if arguments.quick else (0.85, 1.15)),
+                ),
+            ]
+    return trials.report("calibration-joint", figures, arguments.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
