@@ -14,11 +14,10 @@ from jaxscan.files.calibration_model import CALIBRATION_FORMAT, CalibrationTable
 from jaxscan.files.observations import is_observations, observations_path, read_observations, write_observations
 from jaxscan.files.readable_json import readable_json
 from jaxscan.files.validation import check
-from jaxscan.geometry import AbstractCamera, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.geometry import AbstractCamera, Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 
 
 MAX_CALIBRATION_BYTES = 16 * MEGABYTE
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
@@ -81,7 +80,7 @@ def load_calibration(path: str | Path) -> Calibration:
     observations = read_observations(beside) if beside.exists() and is_observations(beside) else None
     covariance = _covariance(table)
     return Calibration(
-        camera=_camera(table) if scanner is None else scanner.camera,
+        camera=table.camera.camera() if scanner is None else scanner.camera,
         scanner=scanner,
         order=() if table.covariance is None else table.covariance.order,
         covariance=np.zeros((0, 0)) if covariance is None else covariance,
@@ -130,24 +129,13 @@ def _parse(data: bytes, *, name: str) -> CalibrationTable:
     value = parse_json(data, name=name, error=CalibrationError)
     table = check(CalibrationTable, value, name=name, error=CalibrationError)
     if table.covariance is not None:
-        camera = _camera(table) if table.turntable is None else _scanner(table)
+        camera = table.camera.camera() if table.turntable is None else _scanner(table)
         expected = camera.parameter_names()
         if table.covariance.order != expected:
             raise CalibrationError(
                 f"{name}: covariance.order: found {', '.join(table.covariance.order)}, expected {', '.join(expected)}."
             )
     return table
-
-
-def _camera(table: CalibrationTable) -> Pinhole:
-    camera = table.camera
-    fx, fy, cx, cy, skew = (
-        np.asarray(value, np.float64) for value in (camera.fx, camera.fy, camera.cx, camera.cy, camera.skew)
-    )
-    distortion = camera.distortion.coefficients()
-    return Pinhole(
-        fx=fx, fy=fy, cx=cx, cy=cy, distortion=distortion, width=camera.width, height=camera.height, skew=skew
-    )
 
 
 def _scanner(table: CalibrationTable) -> Scanner:
@@ -159,7 +147,7 @@ def _scanner(table: CalibrationTable) -> Scanner:
         for one in table.lasers
     ]
     return Scanner(
-        camera=_camera(table),
+        camera=table.camera.camera(),
         lasers=stack_lasers(sheets),
         turntable=Turntable(
             direction=np.array(turntable.direction, np.float64),
@@ -210,16 +198,20 @@ def _tables(calibration: Calibration) -> dict[str, Any]:
 
 
 def _camera_table(camera: AbstractCamera, up: str) -> dict[str, Any]:
-    if not isinstance(camera, Pinhole):
-        raise TypeError(f"a {type(camera).__name__} camera has no place in {CALIBRATION_FORMAT} yet")
-    distortion = _double(camera.distortion)
+    if isinstance(camera, Pinhole):
+        model, skew = "pinhole", _double(camera.skew)
+    elif isinstance(camera, Fisheye):
+        model, skew = "fisheye", 0.0
+    else:
+        raise TypeError(f"a {type(camera).__name__} camera has no place in {CALIBRATION_FORMAT}")
     return {
-        "model": "pinhole",
+        "model": model,
         "width": camera.width,
         "height": camera.height,
         "up": up,
-        **{name: _double(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy", "skew")},
-        "distortion": dict(zip(_DISTORTION, distortion, strict=False)),
+        **{name: _double(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")},
+        "skew": skew,
+        "distortion": dict(zip(camera.parameter_names()[4:], _double(camera.distortion), strict=True)),
     }
 
 

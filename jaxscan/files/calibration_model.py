@@ -7,6 +7,7 @@ import pydantic
 
 from jaxscan.files.header import MAX_PIXELS
 from jaxscan.files.validation import FileModel, Integer, Number
+from jaxscan.geometry import Fisheye, Pinhole
 from jaxscan.geometry.scanner import UP_VECTORS, Up
 from jaxscan.geometry.turntable import Carries
 
@@ -21,7 +22,7 @@ Positive = Annotated[Number, pydantic.Field(gt=0)]
 Extent = Annotated[Integer, pydantic.Field(ge=1, le=65535)]
 
 
-class DistortionTable(FileModel):
+class BrownTable(FileModel):
     """Brown-Conrady coefficients [1]."""
 
     k1: Number
@@ -34,7 +35,7 @@ class DistortionTable(FileModel):
     k6: Number | None = None
 
     @pydantic.model_validator(mode="after")
-    def _all_or_none(self) -> "DistortionTable":
+    def _all_or_none(self) -> "BrownTable":
         if len({self.k4 is None, self.k5 is None, self.k6 is None}) > 1:
             raise ValueError("k4, k5 and k6 come together or not at all")
         return self
@@ -45,10 +46,22 @@ class DistortionTable(FileModel):
         return np.array([value for value in every if value is not None], np.float64)
 
 
-class CameraTable(FileModel):
-    """A pinhole camera [px]."""
+class KannalaTable(FileModel):
+    """Kannala-Brandt coefficients [1]."""
 
-    model: Literal["pinhole"]
+    k1: Number
+    k2: Number
+    k3: Number
+    k4: Number
+
+    def coefficients(self) -> np.ndarray:
+        """In the order of `Fisheye.distortion`."""
+        return np.array([self.k1, self.k2, self.k3, self.k4], np.float64)
+
+
+class _CameraTable(FileModel):
+    """What every camera has [px]."""
+
     width: Extent
     height: Extent
     up: Up = "-v"
@@ -56,21 +69,52 @@ class CameraTable(FileModel):
     fy: Positive
     cx: Number
     cy: Number
-    skew: Number = 0.0
-    distortion: DistortionTable
 
-    @pydantic.field_validator("model", mode="before")
-    @classmethod
-    def _supported(cls, model: Any) -> Any:
-        if model == "fisheye":
-            raise ValueError('"fisheye" is reserved and not supported yet, expected "pinhole"')
-        return model
+    def numbers(self) -> dict[str, Any]:
+        """Arguments that every camera of the geometry takes."""
+        floats = {name: np.asarray(getattr(self, name), np.float64) for name in ("fx", "fy", "cx", "cy")}
+        return {**floats, "width": self.width, "height": self.height}
 
     @pydantic.model_validator(mode="after")
-    def _bounded(self) -> "CameraTable":
+    def _bounded(self) -> "_CameraTable":
         if self.width * self.height > MAX_PIXELS:
             raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
         return self
+
+
+class PinholeTable(_CameraTable):
+    """A pinhole camera [px]."""
+
+    model: Literal["pinhole"]
+    skew: Number = 0.0
+    distortion: BrownTable
+
+    def camera(self) -> Pinhole:
+        """The camera of the geometry."""
+        skew = np.asarray(self.skew, np.float64)
+        return Pinhole(**self.numbers(), distortion=self.distortion.coefficients(), skew=skew)
+
+
+class FisheyeTable(_CameraTable):
+    """A fisheye camera [px, px/rad]."""
+
+    model: Literal["fisheye"]
+    skew: Number = 0.0
+    distortion: KannalaTable
+
+    @pydantic.field_validator("skew")
+    @classmethod
+    def _upright(cls, skew: float) -> float:
+        if skew != 0.0:
+            raise ValueError(f"found {skew}, a fisheye has no skew: expected 0")
+        return skew
+
+    def camera(self) -> Fisheye:
+        """The camera of the geometry."""
+        return Fisheye(**self.numbers(), distortion=self.distortion.coefficients())
+
+
+CameraTable = Annotated[PinholeTable | FisheyeTable, pydantic.Field(discriminator="model")]
 
 
 class LaserTable(FileModel):

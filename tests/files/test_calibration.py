@@ -13,12 +13,23 @@ from jaxscan.calibration.observations import BoardViews, Observations, StripeVie
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import calibration_digest, load_calibration, load_scanner, save_calibration
-from jaxscan.geometry import Charuco, Chessboard, LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
+from jaxscan.geometry import (
+    Charuco,
+    Chessboard,
+    Fisheye,
+    LaserSheet,
+    Pinhole,
+    Scanner,
+    Turntable,
+    point_up,
+    stack_lasers,
+)
 
 
 def make_scanner(*, coefficients=5, lasers=("red", "green")):
     rng = np.random.default_rng(5)
-    camera = Pinhole(
+    # Four coefficients make a fisheye.
+    camera = (Fisheye if coefficients == 4 else Pinhole)(
         fx=np.asarray(1234.567 + 1 / 3),
         fy=np.asarray(1234.1),
         cx=np.asarray(640.2),
@@ -79,8 +90,8 @@ def make_calibration(scanner=None, **keys):
     )
 
 
-def camera_alone():
-    scanner = make_scanner()
+def camera_alone(coefficients=5):
+    scanner = make_scanner(coefficients=coefficients)
     names = scanner.camera.parameter_names()
     covariance = np.diag(np.arange(1.0, 1 + len(names)))
     return Calibration(camera=scanner.camera, scanner=None, order=names, covariance=covariance, quality={})
@@ -95,7 +106,7 @@ def same_bits(a, b):
         assert np.asarray(one).tobytes() == np.asarray(other).tobytes()
 
 
-@pytest.mark.parametrize("coefficients", [5, 8])
+@pytest.mark.parametrize("coefficients", [4, 5, 8])
 @pytest.mark.parametrize("lasers", [("red",), ("red", "green")])
 def test_exact_to_the_last_bit(tmp_path, coefficients, lasers):
     calibration = make_calibration(make_scanner(coefficients=coefficients, lasers=lasers))
@@ -153,12 +164,14 @@ def test_observations_come_back(tmp_path, board):
     same_bits(load_scanner(tmp_path / "c.json"), calibration.scanner)
 
 
-def test_a_camera_alone(tmp_path):
-    save_calibration(camera_alone(), tmp_path / "camera.json")
+@pytest.mark.parametrize("coefficients", [4, 5])
+def test_a_camera_alone(tmp_path, coefficients):
+    alone = camera_alone(coefficients)
+    save_calibration(alone, tmp_path / "camera.json")
     back = load_calibration(tmp_path / "camera.json")
     assert back.scanner is None
-    same_bits(back.camera, camera_alone().camera)
-    assert np.array_equal(back.covariance, camera_alone().covariance)
+    same_bits(back.camera, alone.camera)
+    assert np.array_equal(back.covariance, alone.covariance)
     with pytest.raises(
         CalibrationError, match=r"camera\.json: holds a camera alone.*cannot reconstruct; calibrate with"
     ):
@@ -228,8 +241,9 @@ NAN = float("nan")
             "jaxscan-calibration/2",
             'format: found "jaxscan-calibration/2", expected "jaxscan-calibration/1"',
         ),
-        (["camera", "model"], "fisheye", 'camera.model: "fisheye" is reserved and not supported yet'),
-        (["camera", "model"], "omni", 'camera.model: found "omni", expected "pinhole"'),
+        (["camera", "model"], "fisheye", "camera.distortion.p1: unknown key; the closest known one is"),
+        (["camera", "model"], "omni", 'camera.model: found "omni", expected "pinhole", "fisheye"'),
+        (["camera", "model"], KeyError, "camera.model: missing"),
         (["camera", "fx"], NAN, "NaN"),
         (["camera", "fx"], -5.0, "camera.fx: found -5.0, expected greater than 0"),
         (["camera", "fx"], "1200", 'camera.fx: found "1200", expected a valid number'),
@@ -267,6 +281,29 @@ def test_every_wrong_number_is_named(tmp_path, path, value, message):
         with pytest.raises(CalibrationError) as caught:
             load(tmp_path / "c.json")
         assert message in str(caught.value) and "c.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (["camera", "distortion", "k4"], KeyError, "camera.distortion.k4: missing"),
+        (["camera", "distortion", "k5"], 0.1, "camera.distortion.k5: unknown key"),
+        (["camera", "skew"], 1.5, "camera.skew: found 1.5, a fisheye has no skew"),
+        (["camera", "fy"], 0.0, "camera.fy: found 0.0, expected greater than 0"),
+        (["camera", "model"], "pinhole", "camera.distortion.p1: missing"),
+        (["camera"], KeyError, "camera: missing"),
+        (["covariance", "order", 4], "p1", "covariance.order: found fx, fy, cx, cy, p1"),
+    ],
+)
+def test_every_wrong_number_of_a_fisheye_is_named(tmp_path, path, value, message):
+    save_calibration(make_calibration(make_scanner(coefficients=4)), tmp_path / "c.json")
+    data = json.loads((tmp_path / "c.json").read_text())
+    assert list(data["camera"]["distortion"]) == ["k1", "k2", "k3", "k4"] and data["camera"]["skew"] == 0
+    edit(data, path, value)
+    (tmp_path / "c.json").write_text(json.dumps(data))
+    with pytest.raises(CalibrationError) as caught:
+        load_calibration(tmp_path / "c.json")
+    assert message in str(caught.value) and "c.json" in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_covariance_that_is_none(tmp_path):
