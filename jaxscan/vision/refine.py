@@ -23,7 +23,11 @@ _MAX_TURN = 0.35
 _MIN_SEEN = 0.6
 # No picture of whole numbers has less noise [DN].
 _QUANTISED_DN = 0.3
+# Blocks of so many pixels squared show whether neighbours err together, in so many corners of a
+# picture; the variance is raised by no more than this.
 _BLOCK = 3
+_SAMPLE = 16
+_MOST_SHARED = 1.5
 # What the model errs where nothing else does [px]: bent edges, quantised pictures.
 _FLOOR_PX = 2e-3
 
@@ -120,8 +124,8 @@ def _cut(
     weight = (inside[1][:, :, None] & inside[0][:, None, :]).reshape(flat)
     if clear is not None:
         weight = weight & (np.abs(_across(angle, u, v)).min(0) <= np.asarray(clear)[:, None])
-    pixels = (part.reshape(flat).astype(np.float32) for part in (level, u, v, weight))
-    return _Window(*pixels, seen, len(offset))
+    level, u, v, weight = (part.reshape(flat).astype(np.float32) for part in (level, u, v, weight))
+    return _Window(level, u, v, weight, seen, len(offset))
 
 
 def _across(angle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -230,8 +234,11 @@ def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, ha
     unknowns, jacobian = fit.unknowns, fit.jacobian
     count = window.weight.sum(1)
     normal = (jacobian @ jacobian.transpose(0, 2, 1)).astype(np.float64)
-    # A hair of damping, so that what sees nothing (outside the image) can be inverted and is dropped below.
-    inverse = np.linalg.inv(normal + 1e-9 * np.eye(_UNKNOWNS))
+    # Scaled to be well conditioned, with a hair of damping so that what sees nothing (outside the
+    # image) can be inverted too; it is dropped below.
+    scale = np.sqrt(np.maximum(np.einsum("cii->ci", normal), 1e-12))
+    both = scale[:, :, None] * scale[:, None, :]
+    inverse = np.linalg.inv(normal / both + 1e-6 * np.eye(_UNKNOWNS)) / both
     noise = np.sqrt((fit.residual**2).sum(1) / np.maximum(count - _UNKNOWNS, 1.0))
     contrast, blur = np.abs(unknowns[:, 5]), unknowns[:, 6]
     turned = np.abs((unknowns[:, 2:4] - angle + np.pi / 2) % np.pi - np.pi / 2).max(1)
@@ -244,23 +251,39 @@ def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, ha
     if valid.any():
         valid &= noise <= _ODD * np.median(np.maximum(noise[valid], _QUANTISED_DN))
     plain = noise**2 * np.einsum("cii->ci", inverse)[:, :2].mean(1)
-    sigma = np.sqrt(plain * _shared_noise(window, fit, inverse[:, :2], plain, valid) + _FLOOR_PX**2)
+    sigma = np.sqrt(plain * _shared_noise(window, fit, inverse, valid) + _FLOOR_PX**2)
     return RefinedCorners(np.where(valid[:, None], start + unknowns[:, :2], start), np.where(valid, sigma, 1.0), valid)
 
 
-def _shared_noise(window: _Window, fit: _Fit, inverse: np.ndarray, plain: np.ndarray, valid: np.ndarray) -> float:
-    """How much larger the variance is because neighbouring pixels err together (demosaicing, JPEG).
+def _shared_noise(window: _Window, fit: _Fit, inverse: np.ndarray, valid: np.ndarray) -> float:
+    """Variance of the corners over what white noise of the size of the residuals would give.
 
-    Squares of what blocks of pixels together move a corner, over what independent ones would;
-    the median of the picture, as the ratio of one corner is itself uncertain.
+    Pixels that lie together err together (demosaicing, JPEG). So the squares of what blocks of
+    pixels move the corners are compared with what they would be if the noise were white. One
+    number for the picture, as that of one corner is itself uncertain; and a bounded one, as
+    pictures weighted by a rough number are worse off than pictures that are not.
     """
-    if not valid.any():
+    some = np.flatnonzero(valid)
+    if len(some) == 0:
         return 1.0
-    pull = (inverse[valid] @ fit.jacobian[valid]) * fit.residual[valid][:, None]
-    pull = pull.reshape(len(pull), 2, window.side, window.side)
-    short = -window.side % _BLOCK
-    pull = np.pad(pull, ((0, 0), (0, 0), (0, short), (0, short)))
-    blocks = pull.shape[-1] // _BLOCK
-    together = pull.reshape(len(pull), 2, blocks, _BLOCK, blocks, _BLOCK).sum((3, 5))
-    ratio = (together**2).sum((1, 2, 3)) / 2.0 / plain[valid]
-    return max(float(np.median(ratio)), 1.0)
+    some = some[:: -(-len(some) // _SAMPLE)]
+    jacobian, residual, part = fit.jacobian[some], fit.residual[some], inverse[some]
+    influence = part[:, :2] @ jacobian
+    moved = _blocks(influence * residual[:, None], window.side)
+    alone = _blocks(influence**2, window.side).sum(-1)
+    # Part of every block's noise has gone into the nine unknowns.
+    taken = _blocks((influence[:, :, None] * jacobian[:, None]).reshape(len(some), 2 * _UNKNOWNS, -1), window.side)
+    taken = taken.reshape(len(some), 2, _UNKNOWNS, -1)
+    lost = np.einsum("ckib,cij,ckjb->ck", taken, part, taken, optimize=True)
+    noise = (residual**2).sum(1) / np.maximum(window.weight[some].sum(1) - _UNKNOWNS, 1.0)
+    ratio = ((moved**2).sum(-1) / np.maximum(alone - lost, 0.1 * alone)).mean(1) / np.maximum(noise, 1e-12)
+    return float(np.clip(np.minimum(ratio, 3.0 * np.median(ratio)).mean(), 1.0, _MOST_SHARED))
+
+
+def _blocks(images: np.ndarray, side: int) -> np.ndarray:
+    """Sums over blocks of 3 x 3 pixels [corners, images, blocks]."""
+    count, depth = images.shape[:2]
+    short = -side % _BLOCK
+    images = np.pad(images.reshape(count, depth, side, side), ((0, 0), (0, 0), (0, short), (0, short)))
+    blocks = images.shape[-1] // _BLOCK
+    return images.reshape(count, depth, blocks, _BLOCK, blocks, _BLOCK).sum((3, 5)).reshape(count, depth, -1)
