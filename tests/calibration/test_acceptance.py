@@ -1,0 +1,30 @@
+"""The quick form of the experiments that show what a calibration is worth.
+
+Few draws: their bounds are as wide as so few allow, at four standard deviations. The figures of
+the whole runs are those that count.
+"""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", ["joint", "honesty", "outliers"])
+def test_quick_form_meets_its_targets(name):
+    script = EXPERIMENTS / f"calibration_{name}.py"
+    run = subprocess.run([sys.executable, script, "--quick", "--json", "-"], capture_output=True, text=True)
+    assert run.stdout, run.stderr
+    found = json.loads(run.stdout)
+    assert found["format"] == f"jaxscan-calibration-{name}/1"
+    judged = [figure for figure in found["figures"] if figure["low"] is not None or figure["high"] is not None]
+    assert len(judged) >= 6
+    assert not [figure for figure in judged if not figure["met"]]
+    assert run.returncode == 0
