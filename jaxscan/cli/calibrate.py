@@ -6,11 +6,14 @@ from typing import Annotated, Literal
 import tyro
 
 from jaxscan import api
+from jaxscan.calibration import CalibrationSettings
+from jaxscan.calibration.settings import Block
 from jaxscan.cli.options import OutputPath
-from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
+from jaxscan.cli.summary import print_summary, summary, write_page
+from jaxscan.files.atomic import check_writable
 from jaxscan.files.calibration import check_calibration_path
-from jaxscan.report.calibration import parameter_rows, quality_lines
 
 
 def calibrate(
@@ -18,7 +21,11 @@ def calibrate(
     /,
     *,
     output: OutputPath,
+    report: Path | None = None,
     only: Literal["camera"] | None = None,
+    lens: Literal["pinhole", "fisheye"] = "pinhole",
+    free: tuple[Block, ...] = (),
+    hold: tuple[Block, ...] = (),
     json: JsonTarget = None,
 ) -> None:
     """Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.
@@ -26,22 +33,41 @@ def calibrate(
     Args:
         captures: One or more calibration captures of the same board and rig.
         output: Calibration file to write; its observations go into `<stem>.npz` beside it.
+        report: Page to write (HTML), with everything by which to judge the calibration.
         only: `camera`: intrinsics alone, from boards without laser or turning. Such a file
             cannot reconstruct.
+        lens: Model of the camera's lens.
+        free: Parameters to estimate beside the usual ones.
+        hold: Parameters not to estimate.
         json: Write the result as JSON too.
     """
     check_calibration_path(output)
     check_json(json)
+    if report is not None:
+        check_writable(report)
     opened = [api.open_capture(path) for path in captures]
     out = console(json)
     for capture in opened:
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
     with progress_bar("Looking for boards") as progress:
-        result = api.calibrate(opened, only_camera=only == "camera", progress=progress)
+        result = api.calibrate(
+            opened, settings=_settings(lens, free, hold), only_camera=only == "camera", progress=progress
+        )
     api.save_calibration(result, output)
-    out.print(table("Calibration", ("parameter", "value", "standard deviation"), parameter_rows(result)))
-    for line in quality_lines(result):
-        out.print(line)
-    out.print(f"written: {output}")
-    emit_json(json, "calibrate", {"calibration": str(output), "quality": result.quality})
+    written = [str(output)]
+    if report is not None:
+        write_page(result, report)
+        written.append(str(report))
+    print_summary(out, result)
+    out.print(f"written: {', '.join(written)}")
+    files = {"calibration": str(output)} | ({"report": str(report)} if report is not None else {})
+    emit_json(json, "calibrate", files | summary(result) | {"quality": result.quality})
+
+
+def _settings(
+    lens: Literal["pinhole", "fisheye"], free: tuple[Block, ...], hold: tuple[Block, ...]
+) -> CalibrationSettings:
+    usual = CalibrationSettings(camera=lens)
+    wanted = dict.fromkeys((*usual.free, *free))
+    return CalibrationSettings(camera=lens, free=tuple(block for block in wanted if block not in hold))

@@ -18,6 +18,7 @@ from jaxscan.cli.demo import demo
 from jaxscan.cli.doctor import doctor
 from jaxscan.cli.measure import MEASURES, measure
 from jaxscan.cli.reconstruct import reconstruct
+from jaxscan.cli.report import report
 from jaxscan.cli.simulate import simulate
 from jaxscan.errors import JaxscanError
 
@@ -29,6 +30,7 @@ VERBS: dict[str, Callable[..., Any]] = {
     "reconstruct": reconstruct,
     "measure": measure,
     "convert": convert,
+    "report": report,
     "doctor": doctor,
 }
 

@@ -1,51 +1,255 @@
-"""A calibration in words and numbers that people read."""
+"""A calibration in words: is it good, how good in millimetres, what is wrong, what to do next.
+
+A file may come from anywhere, so what it says of its quality is taken only where it is of the
+expected kind; what is missing is left out.
+"""
+
+import math
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from jaxscan.calibration import Calibration
-from jaxscan.geometry import Pinhole
 
 
-def parameter_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
-    """Name, value and standard deviation of what was estimated, in the units that are read."""
-    sigma = dict(zip(calibration.order, np.sqrt(np.maximum(np.diag(calibration.covariance), 0.0)), strict=True))
-    camera, rows = calibration.camera, []
-    if isinstance(camera, Pinhole):
-        for name in ("fx", "fy", "cx", "cy"):
-            rows.append((f"{name}, px", f"{float(getattr(camera, name)):.3f}", f"{sigma[name]:.3f}"))
-        names = camera.parameter_names()[4:]
-        for name, value in zip(names, np.asarray(camera.distortion), strict=True):
-            rows.append((name, f"{value:.5f}", f"{sigma[name]:.5f}"))
-    if calibration.scanner is None:
-        return rows
-    for index, name in enumerate(calibration.scanner.laser_names):
-        sheet = calibration.scanner.laser(index)
-        tilt = 1e3 * np.hypot(sigma[f"laser.{name}.n1"], sigma[f"laser.{name}.n2"])
-        rows.append((f"laser {name}: normal", _vector(sheet.normal), f"{tilt:.4f} mrad"))
-        distance = 1e3 * float(sheet.distance)
-        rows.append((f"laser {name}: distance, mm", f"{distance:.3f}", f"{1e3 * sigma[f'laser.{name}.d']:.3f}"))
-    table = calibration.scanner.turntable
-    tilt, shift = (np.hypot(sigma[f"axis.{c}1"], sigma[f"axis.{c}2"]) for c in "dp")
-    rows.append(("axis: direction", _vector(table.direction), f"{1e3 * tilt:.4f} mrad"))
-    rows.append(("axis: nearest point, mm", _vector(1e3 * np.asarray(table.point), 3), f"{1e3 * shift:.3f}"))
-    rows.append(("gain of the angle", f"{float(table.gain):+.6f}", f"{sigma['gain']:.6f}"))
-    return rows
+TESTS = {
+    "lens": (
+        "Do the corner residuals still depend on where in the image they lie?",
+        "the lens bends light in a way that its model does not have",
+    ),
+    "board": (
+        "Do the corner residuals still depend on where on the board they lie?",
+        "the board is not of the shape that it is taken for",
+    ),
+    "table": (
+        "Do the residuals still depend on the table's angle?",
+        "the table does not turn as its model does",
+    ),
+    "sheet": (
+        "Do the stripe residuals still depend on where on the sheet they lie?",
+        "the light sheet is not of the shape of its model",
+    ),
+    "halves": (
+        "Do two halves of the records give the same rig?",
+        "two halves of the records do not give the same rig",
+    ),
+}
+"""What each test of the verdict asks, and what it means when it fails."""
+
+FAILED_P = 1e-3
+"""A test whose statistic chance alone exceeds less often than this has failed."""
+
+# Whitened residuals this far from 1 are worth a word.
+_QUIET, _NOISY = 0.75, 1.33
+# A view whose kept residuals are this many times the usual ones is named, and so is one with this share rejected.
+_BAD_RATIO, _BAD_SHARE = 2.0, 0.2
 
 
-def quality_lines(calibration: Calibration) -> list[str]:
-    """What to judge a calibration by, a line each; the last ones are warnings."""
-    quality = calibration.quality
-    lines = [
-        f"corners: {quality['corners']} in {quality['views']} views, {quality['corners_rejected']} rejected, "
-        f"RMS {quality['corner_rms_px']:.3f} px, whitened {quality['corner_rms_whitened']:.3f}"
-    ]
-    if calibration.scanner is not None:
-        lines.append(
-            f"stripes: {quality['stripe_points']} points, {quality['stripe_points_rejected']} rejected, "
-            f"RMS {quality['stripe_rms_px']:.3f} px, whitened {quality['stripe_rms_whitened']:.3f}"
+class Verdict(NamedTuple):
+    """The first thing that a report says."""
+
+    kind: Literal["good", "bad", "open"]
+    headline: str
+    explanation: str
+
+
+class LengthLine(NamedTuple):
+    """What the calibration alone makes uncertain in one measured length."""
+
+    what: str
+    sigma_mm: float
+
+
+class BadView(NamedTuple):
+    """A record whose residuals stand out."""
+
+    record: int
+    why: str
+
+
+def verdict(calibration: Calibration) -> Verdict:
+    """Accepted or not, and why; "open" where nobody has judged."""
+    judged = calibration.quality.get("verdict")
+    if not isinstance(judged, dict) or not isinstance(judged.get("accepted"), bool):
+        return Verdict("open", "Not judged", "Nothing says whether the models of the rig suffice for these data.")
+    if judged["accepted"]:
+        count = len(outcomes(calibration))
+        return Verdict(
+            "good",
+            "Accepted",
+            f"Data and models agree in all of {count} tests: what is left in the residuals looks like noise."
+            if count
+            else "Data and models agree: what is left in the residuals looks like noise.",
         )
-    return lines + [f"warning: {warning}" for warning in quality["warnings"]]
+    failed = [TESTS[test.name][1] for test in outcomes(calibration) if test.failed and test.name in TESTS]
+    reason = "; ".join(failed) if failed else "the residuals are not the noise that they are taken for"
+    return Verdict(
+        "bad",
+        "Not accepted",
+        f"The solve ended, but {reason}. The standard deviations below do not cover this.",
+    )
 
 
-def _vector(values: object, digits: int = 5) -> str:
-    return " ".join(f"{value:.{digits}f}" for value in np.asarray(values))
+class Outcome(NamedTuple):
+    """One test of the verdict."""
+
+    name: str
+    statistic: float | None
+    dof: float | None
+    p: float | None
+    p_structure: float | None
+
+    @property
+    def failed(self) -> bool:
+        """Whether chance alone would hardly give this."""
+        known = [p for p in (self.p, self.p_structure) if p is not None]
+        return bool(known) and min(known) < FAILED_P
+
+
+def outcomes(calibration: Calibration) -> list[Outcome]:
+    """The tests of the verdict, where there is one."""
+    judged = calibration.quality.get("verdict")
+    tests = judged.get("tests") if isinstance(judged, dict) else None
+    return [
+        Outcome(test["name"], *(number(test, key) for key in ("statistic", "dof", "p", "p_structure")))
+        for test in (tests if isinstance(tests, list | tuple) else ())
+        if isinstance(test, dict) and isinstance(test.get("name"), str)
+    ]
+
+
+def lengths(calibration: Calibration) -> list[LengthLine]:
+    """Standard deviations of typical lengths, in words."""
+    lines = []
+    found = lasers_of(calibration)
+    for name, laser in found:
+        beside = f", laser {name}" if len(found) > 1 else ""
+        for length in records(laser, "lengths"):
+            value, depth, sigma = (number(length, key) for key in ("length_m", "depth_m", "sigma_mm"))
+            kind = length.get("name")
+            if value is None or depth is None or sigma is None or not isinstance(kind, str):
+                continue
+            if kind == "half a turn":
+                what = f"{metres(value)} between points half a turn apart{beside}"
+            else:
+                what = f"{metres(value)} {kind} at {metres(depth)}{beside}"
+            lines.append(LengthLine(what, sigma))
+    return lines
+
+
+def lasers_of(calibration: Calibration) -> list[tuple[str, dict[str, Any]]]:
+    """Name and predicted uncertainties of every laser."""
+    predicted = calibration.quality.get("lengths")
+    return [
+        (str(laser.get("name", "laser")), laser)
+        for laser in (records(predicted, "lasers") if isinstance(predicted, dict) else [])
+    ]
+
+
+def noise_lines(calibration: Calibration) -> list[str]:
+    """How large the residuals of each group are, and whether that is what was promised."""
+    quality, lines = calibration.quality, []
+    counts = {"corner": ("corners", "Corners", "corner detector"), "stripe": ("stripe_points", "Stripes", "stripe fit")}
+    for group, (key, title, source) in counts.items():
+        count, rejected = number(quality, key), number(quality, f"{key}_rejected")
+        rms, whitened = number(quality, f"{group}_rms_px"), number(quality, f"{group}_rms_whitened")
+        if not count or rms is None or whitened is None:
+            continue
+        if whitened > _NOISY:
+            words = f"{whitened:.2f} times what the {source} promised: it promises too much, or a model is too simple"
+        elif whitened < _QUIET:
+            words = f"{whitened:.2f} times what the {source} promised: quieter than it says"
+        else:
+            words = f"as the {source} promised (ratio {whitened:.2f})"
+        share = f", {100 * rejected / count:.1f} % rejected" if rejected else ", none rejected"
+        lines.append(f"{title}: {count:.0f}{share}; RMS {rms:.3f} px, {words}.")
+    return lines
+
+
+def warnings(calibration: Calibration) -> list[str]:
+    """What the solve itself warns of, but for records that `bad_views` names."""
+    named = tuple(f"record {view.record}{after}" for view in bad_views(calibration) for after in " :")
+    return [text for text in _strings(calibration.quality.get("warnings")) if not text.startswith(named)]
+
+
+def advice(calibration: Calibration) -> list[str]:
+    """What to capture or to change next."""
+    judged = calibration.quality.get("verdict")
+    return _strings(judged.get("advice")) if isinstance(judged, dict) else []
+
+
+def views(calibration: Calibration) -> list[dict[str, Any]]:
+    """`quality["per_view"]`, the worst first; where the fit is known, with the row `view` of the observations and
+    `kept_rms_px` of the corners that were not rejected."""
+    found = [view for view in records(calibration.quality, "per_view") if number(view, "record") is not None]
+    fit, observations = calibration.fit, calibration.observations
+    if fit is not None and observations is not None:
+        square = np.where(fit.corner_kept, np.sum(fit.corner_error**2, -1), 0.0).sum(1)
+        count = fit.corner_kept.sum(1)
+        rms = np.sqrt(square / np.maximum(count, 1))
+        # Several captures may have records of the same number; all of them stand in the order of the views.
+        rows = iter(enumerate(np.asarray(observations.corners.record).tolist()))
+        for place, view in enumerate(found):
+            row = next((row for row, record in rows if record == view["record"]), None)
+            if row is not None:
+                kept = {"kept_rms_px": float(rms[row])} if count[row] else {}
+                found[place] = view | {"view": row} | kept
+
+    def size(view: dict[str, Any]) -> float:
+        # Of a view that was left out as a whole nothing is kept.
+        return number(view, "kept_rms_px") or number(view, "corner_rms_px") or 0.0
+
+    return sorted(found, key=lambda view: -size(view))
+
+
+def bad_views(calibration: Calibration) -> list[BadView]:
+    """Records whose corners fit much worse than the others', worst first."""
+    every = views(calibration)
+    dropped = calibration.quality.get("views_dropped")
+    sizes = [size for view in every if (size := number(view, "kept_rms_px"))]
+    usual = float(np.median(sizes)) if sizes else 0.0
+    found = []
+    for view in every:
+        rms, kept, seen, gone = (
+            number(view, key) or 0.0 for key in ("corner_rms_px", "kept_rms_px", "corners", "corners_rejected")
+        )
+        why = []
+        if isinstance(dropped, list | tuple) and view["record"] in dropped:
+            why.append(f"left out, its corners are {rms:.2f} px off")
+        elif gone > _BAD_SHARE * seen:
+            why.append(f"{gone:.0f} of {seen:.0f} corners rejected")
+        if kept > _BAD_RATIO * usual > 0:
+            why.append(f"{kept:.2f} px where {usual:.2f} px are usual")
+        if why:
+            found.append(BadView(int(view["record"]), ", ".join(why)))
+    return found
+
+
+def metres(value: float) -> str:
+    """A length as people say it: 300 mm, 3.82 m."""
+    return f"{1e3 * value:.0f} mm" if value < 0.9995 else f"{value:.3g} m"
+
+
+def millimetres(sigma_mm: float) -> str:
+    """A standard deviation with two digits that mean something."""
+    if sigma_mm <= 0:
+        return "0 mm"
+    decimals = max(0, 1 - math.floor(math.log10(sigma_mm)))
+    return f"{sigma_mm:.{min(decimals, 6)}f} mm"
+
+
+def number(table: object, key: str) -> float | None:
+    """A finite number of a table; None where it is something else."""
+    value = table.get(key) if isinstance(table, dict) else None
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        return None
+    return float(value)
+
+
+def records(table: object, key: str) -> list[dict[str, Any]]:
+    """A list of tables inside a table; empty where it is something else."""
+    value = table.get(key) if isinstance(table, dict) else None
+    return [item for item in value if isinstance(item, dict)] if isinstance(value, list | tuple) else []
+
+
+def _strings(value: object) -> list[str]:
+    return [item for item in value if isinstance(item, str)] if isinstance(value, list | tuple) else []

@@ -1,0 +1,62 @@
+"""`jaxscan report`: the page of a stored calibration."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from jaxscan import api
+from jaxscan.api.again import solve_again
+from jaxscan.calibration import Calibration
+from jaxscan.cli.options import OutputPath
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.summary import summary, write_page
+from jaxscan.files.atomic import check_writable
+
+
+def report(
+    calibration: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CALIBRATION")],
+    /,
+    *,
+    output: OutputPath,
+    json: JsonTarget = None,
+) -> None:
+    """Draw a calibration's report: `jaxscan report calibration.json -o report.html`.
+
+    Solves again from the observations beside the file, with the settings that it names, and says whether the
+    stored parameters came out.
+
+    Args:
+        calibration: The calibration file.
+        output: Page to write: HTML that needs nothing else.
+        json: Write the result as JSON too.
+    """
+    check_writable(output)
+    check_json(json)
+    drawn, note, reproduced = _drawn(calibration)
+    write_page(drawn, output, notes=(note,))
+    out = console(json)
+    out.print(note, style="" if reproduced else "bold yellow")
+    out.print(f"written: {output}")
+    emit_json(
+        json,
+        "report",
+        {"calibration": str(calibration), "report": str(output), "reproduced": reproduced} | summary(drawn),
+    )
+
+
+def _drawn(path: Path) -> tuple[Calibration, str, bool | None]:
+    """What to draw, a remark on it, and whether the stored parameters came out; None if nobody can know."""
+    stored = api.load_calibration(path)
+    if stored.observations is None:
+        return stored, "The observations are not beside the calibration file, so residuals are not shown.", None
+    again = solve_again(stored, name=str(path))
+    if again.reproduced:
+        return again.calibration, "Solved again from the stored observations: the stored parameters came out.", True
+    return (
+        again.calibration,
+        f"Not reproduced: solved again from the stored observations, {again.parameter} is {again.departure:.3g} "
+        "standard deviations from the stored value. The file was changed since, or made by another version; "
+        "this report shows the new solution.",
+        False,
+    )

@@ -1,0 +1,66 @@
+"""What the command line says of a calibration: for people, for machines, and as a page."""
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from jaxscan.calibration import Calibration
+from jaxscan.cli.output import table
+from jaxscan.files.atomic import write_atomically
+from jaxscan.report import calibration as words
+from jaxscan.report.calibration_tables import outcome_rows, parameters
+
+
+_STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
+
+
+def print_summary(out: Console, calibration: Calibration) -> None:
+    """The verdict first, then lengths, noise, what is wrong, what to do, and the parameters."""
+    verdict = words.verdict(calibration)
+    out.print(f"{verdict.headline}. {verdict.explanation}", style=_STYLE[verdict.kind])
+    lengths = words.lengths(calibration)
+    if lengths:
+        out.print("What the calibration alone leaves uncertain (one standard deviation):")
+    for line in lengths:
+        out.print(f"  {words.millimetres(line.sigma_mm):>9}  {line.what}")
+    for text in words.noise_lines(calibration):
+        out.print(text)
+    for view in words.bad_views(calibration):
+        out.print(f"record {view.record}: {view.why}", style="yellow")
+    for text in words.warnings(calibration):
+        out.print(f"warning: {text}", style="yellow")
+    for text in words.advice(calibration):
+        out.print(f"next: {text}")
+    outcomes = outcome_rows(calibration)
+    if outcomes:
+        rows = [row[:6] for row in outcomes]
+        out.print(table("Tests", ("", "statistic", "dof", "p", "p of structure", "result"), rows))
+    rows = [parameter.row() for parameter in parameters(calibration)]
+    out.print(table("Parameters", ("parameter", "value", "standard deviation"), rows))
+
+
+def summary(calibration: Calibration) -> dict[str, Any]:
+    """The same as JSON."""
+    verdict = words.verdict(calibration)
+    return {
+        "verdict": {"kind": verdict.kind, "headline": verdict.headline, "explanation": verdict.explanation},
+        "lengths": [line._asdict() for line in words.lengths(calibration)],
+        "noise": words.noise_lines(calibration),
+        "bad_views": [view._asdict() for view in words.bad_views(calibration)],
+        "warnings": words.warnings(calibration),
+        "advice": words.advice(calibration),
+        "parameters": [parameter.as_json() for parameter in parameters(calibration)],
+    }
+
+
+def write_page(calibration: Calibration, path: Path, *, notes: tuple[str, ...] = ()) -> None:
+    """Write the report.
+
+    Raises:
+        JaxscanError: If the file cannot be written.
+    """
+    # Here, because only a report needs the library that draws.
+    from jaxscan.report.calibration_page import calibration_page
+
+    write_atomically(path, calibration_page(calibration, notes=notes).encode())

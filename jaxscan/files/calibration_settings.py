@@ -1,0 +1,44 @@
+"""The settings of a solve as a calibration file remembers them, so that it can be solved again."""
+
+import math
+from typing import Any
+
+import pydantic
+
+from jaxscan.calibration.settings import CalibrationSettings
+from jaxscan.errors import CalibrationError
+
+
+# Lengths of solves and thresholds are a stranger's choice, but not without end.
+_MAX_STEPS = 10_000
+
+
+def stored_settings(provenance: dict[str, Any], *, name: str) -> CalibrationSettings:
+    """Settings from the provenance of a calibration; what an older file does not say is as usual.
+
+    Args:
+        provenance: Of the file.
+        name: What messages call the file.
+
+    Raises:
+        CalibrationError: With the key, if a value cannot be meant.
+    """
+    settings = provenance.get("settings", {})
+    if not isinstance(settings, dict):
+        raise CalibrationError(f"{name}: provenance.settings: found {settings!r:.60}, expected a table.")
+    priors = settings.get("priors", {})
+    if isinstance(priors, dict):
+        # JSON has no infinity: a prior that is switched off is written as null.
+        priors = {key: math.inf if value is None else value for key, value in priors.items()}
+    try:
+        found = pydantic.TypeAdapter(CalibrationSettings).validate_python({**settings, "priors": priors})
+    except pydantic.ValidationError as problem:
+        first = problem.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in ("provenance", "settings", *first["loc"]))
+        raise CalibrationError(f"{name}: {key}: found {first['input']!r:.60}, {first['msg']}.") from None
+    numbers = (found.huber, found.reject_any, found.reject_all, *vars(found.priors).values())
+    if not all(number > 0 for number in numbers) or not 1 <= found.max_steps <= _MAX_STEPS:
+        raise CalibrationError(
+            f"{name}: provenance.settings: priors and thresholds must be above 0, and max_steps 1 to {_MAX_STEPS}."
+        )
+    return found

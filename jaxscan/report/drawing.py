@@ -1,0 +1,130 @@
+"""Figures as SVG inside a page: real text, few bytes, nothing referred to outside."""
+
+import io
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxscan.report.html import Html, element
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+# Of Okabe and Ito: told apart with any colour vision.
+BLUE, ORANGE, GREEN, RED, SKY, PURPLE = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"
+SERIES = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
+INK, SOFT, LINE = "#1c2530", "#5b6672", "#dfe3e8"
+RASTER_DPI = 180
+"""Resolution of marks by the thousand, which are drawn as pixels."""
+
+_STYLE: Any = {
+    "font.size": 9.0,
+    "font.family": "DejaVu Sans",
+    "axes.titlesize": 9.5,
+    "axes.labelcolor": SOFT,
+    "axes.edgecolor": SOFT,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "text.color": INK,
+    "grid.color": LINE,
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.6,
+}
+_GROUP_ID = re.compile(r' id="(?!C[0-9])[a-zA-Z][a-zA-Z0-9_.]*_[0-9]+"')
+_NUMBER = re.compile(r"-?[0-9]+\.[0-9]{3,}")
+_PATHS = re.compile(r' (?:d|x|y)="[^"]*"')
+
+
+def new_figure(width: float = 5.4, height: float = 3.3, *, fitted: bool = True) -> "Figure":
+    """An empty figure [inch] in the report's style, its axes fitted into it; no state outside it is touched."""
+    # Here, so that only those who draw wait for matplotlib.
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_STYLE):
+        return Figure(figsize=(width, height), layout="constrained" if fitted else None)
+
+
+def new_axes(figure: "Figure", *, grid: bool = True, **options: Any) -> Any:
+    """The one pair of axes of a figure, in the report's style."""
+    import matplotlib
+
+    with matplotlib.rc_context(_STYLE):
+        axes = figure.add_subplot(**options)
+        axes.grid(grid)
+        axes.tick_params(labelsize=8)
+        return axes
+
+
+def add_legend(axes: Any, *, inside: bool = False) -> None:
+    """A legend above the axes, or in their upper left; names are shown as they are written."""
+    style: Any = {"frameon": False, "fontsize": 8.5, "handletextpad": 0.5, "borderaxespad": 0.2}
+    if inside:
+        shown = axes.legend(loc="upper left", **style)
+    else:
+        count = len(axes.get_legend_handles_labels()[1])
+        shown = axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(count, 3), **style)
+    for text in shown.get_texts():
+        text.set_parse_math(False)
+
+
+def as_svg(figure: "Figure", name: str, description: str) -> Html:
+    """A figure as markup.
+
+    Args:
+        figure: What to draw.
+        name: Unlike that of any other figure on the page.
+        description: For those who cannot see it.
+    """
+    import matplotlib
+
+    # Text stays text, and the same figure gives the same bytes.
+    style = _STYLE | {"svg.fonttype": "none", "svg.hashsalt": name}
+    written = io.StringIO()
+    with matplotlib.rc_context(style):
+        figure.savefig(written, format="svg", dpi=RASTER_DPI, transparent=True, metadata={"Date": None})
+    text = written.getvalue()
+    text = text[text.index("<svg") :]
+    view = re.search(r'viewBox="([^"]*)"', text)
+    body = text[text.index(">") + 1 : text.rindex("</svg>")]
+    body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
+    # Groups have names that no one refers to and that every figure has again.
+    body = _GROUP_ID.sub("", body)
+    body = _PATHS.sub(lambda match: _NUMBER.sub(_short, match[0]), body)
+    body = re.sub(r"\s*\n\s*", "\n", body).replace('style="stroke-linejoin: miter"', "")
+    box = view[1] if view else "0 0 1 1"
+    # Not larger than drawn: a pixel and a third for every point, and a little more.
+    width = f"max-width:{1.6 * float(box.split()[2]):.0f}px"
+    return element("svg", Html(body.strip()), viewBox=box, style=width, role="img", aria_label=description)
+
+
+def plain(text: str, longest: int = 28) -> str:
+    """A name as figures can show it: letters that their font surely has, and no more than fit."""
+    shown = "".join(letter if " " <= letter <= "~" or "\xa1" <= letter <= "\xff" else "?" for letter in text)
+    return shown if len(shown) <= longest else shown[: longest - 1] + "…"
+
+
+def arrows(start: np.ndarray, vector: np.ndarray) -> Any:
+    """Arrows [n, 2] from `start` along `vector` as one path: a fraction of the bytes of a quiver's polygons."""
+    from matplotlib.path import Path
+
+    tip = start + vector
+    side = np.stack([-vector[:, 1], vector[:, 0]], -1)
+    barbs = [tip - 0.32 * vector + turn * 0.2 * side for turn in (1.0, -1.0)]
+    points = np.stack([start, tip, barbs[0], tip, barbs[1]], 1).reshape(-1, 2)
+    codes = np.tile([Path.MOVETO, Path.LINETO, Path.MOVETO, Path.LINETO, Path.LINETO], len(start))
+    return Path(points, codes) if len(points) else Path(np.zeros((0, 2)))
+
+
+def _short(match: re.Match[str]) -> str:
+    # A hundredth of a point is far below a screen's pixel.
+    return f"{float(match[0]):.2f}".rstrip("0").rstrip(".")

@@ -1,0 +1,136 @@
+"""Pages that stand alone: no scripts, no fonts, nothing fetched; text from strangers stays text."""
+
+import html
+from collections.abc import Iterable, Sequence
+
+
+class Html(str):
+    """Markup that is meant as such. Any other string is text, and is escaped."""
+
+
+Content = str | Html | Iterable["str | Html"]
+
+STYLE = """
+:root{--ink:#1c2530;--soft:#5b6672;--line:#e3e7eb;--paper:#fff;--wash:#f6f7f9;--blue:#0072b2;--good:#00735c;
+--bad:#b84300;--open:#7a5c00}
+*{box-sizing:border-box}
+html{-webkit-text-size-adjust:100%}
+body{margin:0;background:var(--wash);color:var(--ink);font:16px/1.55 system-ui,-apple-system,"Segoe UI",Roboto,
+"Helvetica Neue",Arial,sans-serif;overflow-wrap:break-word}
+main{max-width:1180px;margin:0 auto;padding:2.2rem 1.25rem 4rem}
+header p,.note{color:var(--soft)}
+h1{font-size:1.75rem;line-height:1.2;margin:0 0 .3rem;letter-spacing:-.01em}
+h2{font-size:1.2rem;line-height:1.3;margin:2.6rem 0 .35rem}
+h3{font-size:1rem;margin:1.4rem 0 .3rem}
+p{margin:.35rem 0 .8rem;max-width:50rem}
+ul{margin:.35rem 0 .8rem;padding-left:1.2rem;max-width:50rem}
+li{margin:.25rem 0}
+.verdict{background:var(--paper);border:1px solid var(--line);border-left:6px solid var(--soft);border-radius:6px;
+padding:1.1rem 1.3rem;margin:1.2rem 0}
+.verdict.good{border-left-color:var(--good)}.verdict.bad{border-left-color:var(--bad)}
+.verdict.open{border-left-color:#e0a800}
+.verdict strong{display:block;font-size:1.3rem;line-height:1.3;margin-bottom:.25rem}
+.verdict.good strong{color:var(--good)}.verdict.bad strong{color:var(--bad)}.verdict.open strong{color:var(--open)}
+.verdict p:last-child{margin-bottom:0}
+.tiles{display:grid;grid-template-columns:repeat(auto-fill,minmax(165px,1fr));gap:.7rem;margin:1rem 0}
+.tile{background:var(--paper);border:1px solid var(--line);border-radius:6px;padding:.7rem .9rem}
+.tile b{display:block;font-size:1.35rem;font-weight:600;line-height:1.25;white-space:nowrap}
+.tile span{display:block;color:var(--soft);font-size:.85rem;line-height:1.35}
+.scroll{overflow-x:auto;background:var(--paper);border:1px solid var(--line);border-radius:6px;margin:.6rem 0}
+.tall{max-height:30rem;overflow-y:auto}
+table{border-collapse:collapse;width:100%;font-size:.9rem;font-variant-numeric:tabular-nums}
+th,td{padding:.36rem .8rem;text-align:right;border-bottom:1px solid var(--line);white-space:nowrap}
+tr:last-child td{border-bottom:0}
+th{font-weight:600;color:var(--soft);font-size:.8rem;white-space:normal;vertical-align:bottom}
+thead th{position:sticky;top:0;background:var(--paper);box-shadow:inset 0 -1px 0 var(--line)}
+th:first-child,td:first-child{text-align:left}
+.words td:last-child,.words th:last-child{text-align:left;white-space:normal;min-width:17rem}
+@media (max-width:640px){.wrap td{white-space:normal}}
+tr.worse td{background:#fff4ec}
+.figures{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,31rem),1fr));gap:.9rem;margin:.8rem 0}
+.panels{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(47%,11.5rem),1fr));gap:.6rem;margin:.8rem 0}
+figure{margin:0;background:var(--paper);border:1px solid var(--line);border-radius:6px;padding:.7rem .7rem .5rem}
+.panels figure{padding:.35rem}
+figure.wide{overflow-x:auto}figure.wide svg{min-width:34rem;margin:0 auto}figure svg{margin:0 auto}
+figcaption{color:var(--soft);font-size:.85rem;line-height:1.4;padding:.3rem .3rem .2rem}
+figcaption b{color:var(--ink)}
+.panels figcaption{font-size:.78rem;padding:.1rem .2rem}
+svg{display:block;width:100%;height:auto}
+svg text{font-family:inherit!important}
+details summary{cursor:pointer;color:var(--blue);margin:.4rem 0}
+footer{margin-top:3rem;border-top:1px solid var(--line);padding-top:1rem;color:var(--soft);font-size:.85rem}
+@media (max-width:520px){body{font-size:15px}main{padding:1.2rem .8rem 3rem}th,td{padding:.32rem .55rem}
+.tile b{font-size:1.15rem}.tiles{grid-template-columns:repeat(2,1fr);gap:.5rem}figure{padding:.35rem}}
+@media print{body{background:#fff;font-size:10pt}main{max-width:none;padding:0}.tall{max-height:none}
+figure.wide svg{min-width:0}
+figure,.tile,.verdict,tr{break-inside:avoid}h2,h3{break-after:avoid}.scroll{overflow:visible}
+.figures{grid-template-columns:1fr 1fr}.panels{grid-template-columns:repeat(4,1fr)}
+.tiles{grid-template-columns:repeat(4,1fr)}@page{margin:14mm}}
+"""
+
+# Should anything slip through the escaping, a browser still neither runs nor fetches it.
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
+
+def escaped(text: object) -> Html:
+    """Any text as markup that shows it; control characters are left out."""
+    if isinstance(text, Html):
+        return text
+    shown = "".join(letter if letter.isprintable() else " " for letter in str(text))
+    return Html(html.escape(shown, quote=True))
+
+
+def element(name: str, *content: object, **attributes: str) -> Html:
+    """An element; strings inside are text unless they are `Html`. `class_` is `class`, `aria_label` `aria-label`."""
+    names = (key.rstrip("_").replace("_", "-") for key in attributes)
+    given = "".join(f' {key}="{escaped(value)}"' for key, value in zip(names, attributes.values(), strict=True))
+    return Html(f"<{name}{given}>{''.join(map(escaped, content))}</{name}>")
+
+
+def joined(parts: Iterable[str]) -> Html:
+    """Markup after markup."""
+    return Html("\n".join(map(escaped, parts)))
+
+
+def table(
+    columns: Sequence[str], rows: Sequence[Sequence[object]], *, kind: str = "", worse: Sequence[bool] = ()
+) -> Html:
+    """A table in a box of its own, which scrolls where the screen is narrow.
+
+    Args:
+        columns: Names of the columns; the first holds text, the others numbers.
+        rows: Cells.
+        kind: Classes of the box: "tall", "words", "wrap".
+        worse: Rows to mark.
+    """
+    head = element("thead", element("tr", *(element("th", column) for column in columns)))
+    marked = [*worse, *([False] * (len(rows) - len(worse)))]
+    body = [
+        element("tr", *(element("td", cell) for cell in row), **({"class_": "worse"} if mark else {}))
+        for row, mark in zip(rows, marked, strict=True)
+    ]
+    # A box that scrolls must be reached by keyboard.
+    return element(
+        "div", element("table", head, element("tbody", *body)), class_=f"scroll {kind}".strip(), tabindex="0"
+    )
+
+
+def bullets(items: Iterable[str]) -> Html:
+    """A list."""
+    return element("ul", *(element("li", item) for item in items))
+
+
+def section(title: str, *content: object) -> Html:
+    """A part of the page under its heading."""
+    return element("section", element("h2", title), *content)
+
+
+def page(title: str, *content: object) -> str:
+    """A whole document."""
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+        f"{element('title', title)}\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        f"{element('main', joined(map(escaped, content)))}\n</body>\n</html>\n"
+    )

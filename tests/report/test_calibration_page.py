@@ -1,0 +1,205 @@
+"""The calibration report: whole, alone, and safe from what strangers write into their files."""
+
+import dataclasses
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from jaxscan.geometry import Chessboard
+from jaxscan.report.calibration_page import calibration_page
+
+
+VOID = {"meta", "br", "img", "hr", "link", "input"}
+SECTIONS = [
+    "In words",
+    "Tests of the models",
+    "Parameters",
+    "Uncertainty against distance",
+    "Residuals over the image",
+    "Stripe and table",
+    "Are the residuals noise?",
+    "Views, worst first",
+    "Correlations",
+    "What the data say nothing about",
+    "Numbers of the solve",
+]
+
+
+class Document(HTMLParser):
+    """A page taken apart; refuses elements that are not closed in order, and names used twice."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.attributes, self.words = [], [], [], {}
+        self.ids = set()
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.attributes += [(tag, key, value) for key, value in attributes]
+        for key, value in attributes:
+            if key == "id":
+                assert value not in self.ids
+                self.ids.add(value)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.setdefault(self.open[-1] if self.open else "", []).append(data.strip())
+
+    def all_words(self):
+        return " ".join(word for words in self.words.values() for word in words)
+
+
+@pytest.fixture(scope="module")
+def text(calibration):
+    return calibration_page(calibration)
+
+
+@pytest.fixture(scope="module")
+def document(text):
+    return Document(text)
+
+
+def assert_alone(text, document):
+    """Nothing is fetched, nothing runs."""
+    assert "http" not in text.replace("http-equiv", "")
+    assert "//" not in re.sub(r'"data:image/png;base64,[^"]*"', "", text).replace("sha256://", "")
+    assert not {"script", "iframe", "object", "embed", "link", "base", "form", "img"} & set(document.tags)
+    for tag, key, value in document.attributes:
+        assert not key.startswith("on"), (tag, key)
+        if key.endswith("href") or key == "src":
+            assert value.startswith(("#", "data:image/png;base64,")), (tag, key, value[:40])
+        if "url(" in (value or ""):
+            assert re.findall(r"url\((.)", value) == ["#"] * value.count("url(")
+    assert ("meta", "content", "default-src 'none'; img-src data:; style-src 'unsafe-inline'") in document.attributes
+
+
+def test_every_section_is_there_in_order(document):
+    assert document.words["h2"] == SECTIONS
+
+
+def test_it_stands_alone(text, document):
+    assert_alone(text, document)
+    # Each reference inside leads somewhere.
+    for _, key, value in document.attributes:
+        if key.endswith("href") and value.startswith("#"):
+            assert value[1:] in document.ids
+
+
+def test_the_verdict_comes_first_and_in_millimetres(document):
+    words = document.all_words()
+    assert document.words["strong"] == ["Accepted"]
+    assert "± 0.053 mm" in document.words["b"] and "± 1.6 mm" in document.words["b"]
+    assert "300 mm along the stripe at 2.5 m, laser red" in words
+    assert "6.15 m between points half a turn apart, laser green" in words
+    assert "Capture the board in the corners of the image." in words
+
+
+def test_figures_have_text_and_every_view_its_panel(document):
+    assert document.tags.count("svg") == 2 + 3 + 4 + 1 + 1 + 1 + 6 + 1
+    assert sum(tag == "svg" and key == "aria-label" for tag, key, _ in document.attributes) == document.tags.count(
+        "svg"
+    )
+    for label in ("image row, px", "table angle, degrees", "depth, m", "c2 − s1", "axis.p1"):
+        assert label in document.words["text"] + document.words.get("tspan", []), label
+
+
+def test_refused_calibrations_say_why(made):
+    refused = dataclasses.replace(made(), fit=None)
+    verdict = refused.quality["verdict"]
+    verdict["accepted"], verdict["tests"][3]["p"] = False, 1e-9
+    page = Document(calibration_page(refused))
+    assert page.words["strong"] == ["Not accepted"]
+    assert "the light sheet is not of the shape of its model" in page.all_words()
+    assert ("tr", "class", "worse") in page.attributes
+
+
+HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)> $\\frac{x}$ &amp; \x00 \u202e 💥'
+
+
+def test_names_and_texts_of_strangers_stay_text(made):
+    hostile = made(laser_names=(HOSTILE[:64], "</text></svg><script>"))
+    hostile.quality["warnings"] = [HOSTILE]
+    hostile.quality["verdict"]["advice"] = [HOSTILE]
+    hostile.quality["verdict"]["tests"][0]["name"] = HOSTILE
+    hostile.quality["spectrum"][0]["direction"] = {HOSTILE: 1.0}
+    hostile.provenance["captures"] = [{"name": HOSTILE, "digest": HOSTILE}]
+    hostile.provenance["versions"] = {HOSTILE: HOSTILE}
+    text = calibration_page(hostile, notes=(HOSTILE,))
+    page = Document(text)
+    assert_alone(text, page)
+    assert "\x00" not in text and "\u202e" not in text
+    # It is shown as it was written, and not left out.
+    assert "<script>alert(1)</script><img src=x onerror=alert(2)>" in page.all_words()
+
+
+@pytest.mark.parametrize(
+    "quality",
+    [
+        {},
+        {"verdict": [], "lengths": 7, "per_view": {"a": 1}, "spectrum": "x", "warnings": None, "prior_share": []},
+        {
+            "verdict": {"accepted": "yes", "tests": [1, {"name": 3}], "advice": [4]},
+            "lengths": {"lasers": [{"name": 5, "depths": [{"depth_m": "far"}], "lengths": [{"sigma_mm": None}]}]},
+            "per_view": [{"record": "x"}, {"record": 100, "corner_rms_px": float("nan")}],
+            "spectrum": [{"sigma_over_prior": None}, {"sigma_over_prior": 1.0, "direction": {"a": "b"}}],
+            "board_warp_m": ["a", "b"],
+            "corners": True,
+        },
+    ],
+)
+def test_what_is_missing_or_of_another_kind_is_left_out(calibration, quality):
+    # Drawn once, where there is most to draw; figures take time.
+    fit = calibration.fit if "corners" in quality else None
+    page = Document(calibration_page(dataclasses.replace(calibration, quality=quality, fit=fit)))
+    assert page.words["strong"] == ["Not judged"]
+    assert ("Residuals over the image" in page.words["h2"]) == (fit is not None)
+    for title in ("Tests of the models", "Uncertainty against distance"):
+        assert title not in page.words["h2"]
+
+
+def test_a_file_without_observations(calibration):
+    page = Document(calibration_page(dataclasses.replace(calibration, fit=None, observations=None)))
+    drawn = {"Residuals over the image", "Stripe and table", "Are the residuals noise?"}
+    assert page.words["h2"] == [title for title in SECTIONS if title not in drawn]
+
+
+def test_a_camera_alone(calibration):
+    order = calibration.camera.parameter_names()
+    stripes = [f"stripe_{name}" for name in ("error", "sigma", "leverage", "kept")]
+    fit = dataclasses.replace(calibration.fit, **{name: getattr(calibration.fit, name)[:0] for name in stripes})
+    alone = dataclasses.replace(
+        calibration, scanner=None, order=order, covariance=calibration.covariance[:9, :9], fit=fit
+    )
+    page = Document(calibration_page(alone))
+    assert "camera alone, without laser and table" in page.all_words()
+    assert "Stripe and table" not in page.words["h2"]
+    assert "Uncertainty against distance" not in page.words["h2"]
+
+
+def test_a_camera_of_which_nothing_is_known(calibration):
+    """No covariance at all: written by hand, or from elsewhere."""
+    bare = dataclasses.replace(calibration, order=(), covariance=calibration.covariance[:0, :0], quality={}, fit=None)
+    page = Document(calibration_page(bare))
+    assert "Correlations" not in page.words["h2"]
+    assert "held" in page.words["td"]
+
+
+@pytest.mark.slow
+def test_a_large_one_is_small_enough(made):
+    """40 views of 88 corners with a thousand stripe points each: under 3 MB."""
+    text = calibration_page(made(views=40, points=1000, laser_names=("red",), board=Chessboard(11, 8, 0.04)))
+    assert len(text.encode()) < 3_000_000
+    Document(text)

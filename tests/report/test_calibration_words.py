@@ -1,0 +1,138 @@
+"""Words and rows about a calibration."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jaxscan.report import calibration as words
+from jaxscan.report.calibration_tables import Parameter, outcome_rows, parameters, quality_rows, view_rows
+
+
+def having(calibration, **quality):
+    return dataclasses.replace(calibration, quality={**calibration.quality, **quality})
+
+
+class TestVerdict:
+    def test_accepted(self, calibration):
+        found = words.verdict(calibration)
+        assert (found.kind, found.headline) == ("good", "Accepted")
+        assert "all of 5 tests" in found.explanation
+
+    @pytest.mark.parametrize("key", ["p", "p_structure"])
+    @pytest.mark.parametrize(("index", "name"), list(enumerate(words.TESTS)))
+    def test_not_accepted_says_which_model(self, calibration, index, name, key):
+        tests = [dict(test) for test in calibration.quality["verdict"]["tests"]]
+        tests[index][key] = 1e-5
+        refused = having(calibration, verdict={"accepted": False, "tests": tests})
+        found = words.verdict(refused)
+        assert found.kind == "bad"
+        for other, (_, meaning) in words.TESTS.items():
+            assert (meaning in found.explanation) == (other == name)
+        assert [row[5] for row in outcome_rows(refused)].count("fails") == 1
+
+    def test_a_solve_that_ended_is_never_called_right(self, calibration):
+        for judged in (None, {}, {"accepted": None}, "good"):
+            found = words.verdict(having(calibration, verdict=judged))
+            assert found.kind == "open" and "ccepted" not in found.headline
+
+
+def test_lengths(calibration):
+    along, half, *others = words.lengths(calibration)
+    assert along == words.LengthLine("300 mm along the stripe at 2.5 m, laser red", 0.0534)
+    assert half.what == "6.15 m between points half a turn apart, laser red"
+    assert [line.what.rsplit(" ", 1)[1] for line in others] == ["green", "green"]
+    alone = having(calibration, lengths={"lasers": calibration.quality["lengths"]["lasers"][:1]})
+    assert words.lengths(alone)[0].what == "300 mm along the stripe at 2.5 m"
+
+
+@pytest.mark.parametrize(
+    ("ratio", "said"),
+    [(0.5, "quieter than it says"), (1.05, "as the corner detector promised"), (3.0, "a model is too simple")],
+)
+def test_whitened_residuals_in_words(calibration, ratio, said):
+    corners, stripes = words.noise_lines(having(calibration, corner_rms_whitened=ratio))
+    assert said in corners and f"{ratio:.2f}" in corners
+    assert corners.startswith("Corners: 120, 0.8 % rejected; RMS 0.140 px")
+    assert stripes.startswith("Stripes: 480, none rejected")
+
+
+class TestBadViews:
+    def test_one_whose_kept_corners_are_far_off(self, calibration):
+        fit = dataclasses.replace(calibration.fit, corner_error=calibration.fit.corner_error.copy())
+        fit.corner_error[4] *= 5
+        (found,) = words.bad_views(dataclasses.replace(calibration, fit=fit))
+        assert found.record == 104 and "px are usual" in found.why
+        assert view_rows(dataclasses.replace(calibration, fit=fit))[0][0] == "104"
+
+    def test_one_outlier_makes_no_bad_view(self, calibration):
+        fit = dataclasses.replace(calibration.fit, corner_error=calibration.fit.corner_error.copy())
+        # The corner that was rejected.
+        fit.corner_error[1, 3] = 40.0
+        assert words.bad_views(dataclasses.replace(calibration, fit=fit)) == []
+
+    def test_one_with_many_corners_rejected(self, calibration):
+        views = [dict(view) for view in calibration.quality["per_view"]]
+        views[2]["corners_rejected"] = 9
+        (found,) = words.bad_views(having(calibration, per_view=views))
+        assert found == words.BadView(102, "9 of 20 corners rejected")
+
+    def test_one_left_out_is_named_once(self, calibration):
+        fit = dataclasses.replace(calibration.fit, corner_kept=calibration.fit.corner_kept.copy())
+        fit.corner_kept[3] = False
+        warnings = ["record 103 was left out: far off", "record 1030: something else", "the lamp was on"]
+        dropped = having(calibration, views_dropped=[103], warnings=warnings)
+        dropped = dataclasses.replace(dropped, fit=fit)
+        (found,) = words.bad_views(dropped)
+        assert found.record == 103 and found.why.startswith("left out")
+        assert words.warnings(dropped) == warnings[1:]
+
+    def test_records_of_two_captures_may_have_the_same_number(self, calibration):
+        """Each row of the table then belongs to the view at its own place."""
+        numbers = np.array([0, 1, 2, 0, 1, 2], np.int32)
+        corners = dataclasses.replace(calibration.observations.corners, record=numbers)
+        observations = dataclasses.replace(calibration.observations, corners=corners)
+        per_view = calibration.quality["per_view"]
+        views = [view | {"record": int(number)} for view, number in zip(per_view, numbers, strict=True)]
+        # The third has no usable board, so it is not listed.
+        listed = having(calibration, per_view=views[:2] + views[3:])
+        found = words.views(dataclasses.replace(listed, observations=observations))
+        assert sorted((view["view"], view["record"]) for view in found) == [(0, 0), (1, 1), (3, 0), (4, 1), (5, 2)]
+
+
+@pytest.mark.parametrize(
+    ("sigma", "text"), [(0.0, "0 mm"), (0.0534, "0.053 mm"), (0.96, "0.96 mm"), (1.62, "1.6 mm"), (74.2, "74 mm")]
+)
+def test_millimetres(sigma, text):
+    assert words.millimetres(sigma) == text
+
+
+class TestParameters:
+    def test_as_many_digits_as_mean_something(self):
+        assert Parameter("fx", (1201.23456,), 0.4321, "px").row() == ("fx, px", "1201.23", "0.43")
+        assert Parameter("k1", (-0.1,), 0.0, "").row() == ("k1", "-0.100000", "held")
+        direction = Parameter("axis", (0.0, -1.0, 0.0), 0.25, "direction")
+        assert direction.row() == ("axis", "0.00000 -1.00000 0.00000", "0.25 mrad")
+
+    def test_all_of_a_rig(self, calibration):
+        rows = {parameter.name: parameter for parameter in parameters(calibration)}
+        assert rows["fx"].value == (1201.25,) and rows["fx"].sigma == pytest.approx(0.4)
+        # A plane given with a normal of length 0.99989.
+        length = np.linalg.norm([0.99, -0.01, 0.14])
+        assert rows["laser red: distance"].value[0] == pytest.approx(200.0 / length)
+        # 1e-4 rad in each of two directions.
+        assert rows["axis: direction"].sigma == pytest.approx(0.1 * np.sqrt(2))
+        assert rows["board bow along y"].value == pytest.approx((-0.2,))
+        # Held, and therefore not listed.
+        assert not any("bow b" in name for name in rows)
+
+    def test_json_has_units(self, calibration):
+        for parameter in parameters(calibration):
+            entry = parameter.as_json()
+            assert set(entry) == {"name", "value", "unit", "sigma", "sigma_unit"}
+            assert entry["unit"] in ("px", "1", "mm", "mrad")
+
+
+def test_numbers_of_the_solve_that_are_not_there_are_left_out(calibration):
+    assert ("corner RMS, px", "0.1400") in quality_rows(calibration)
+    assert quality_rows(dataclasses.replace(calibration, quality={})) == []
