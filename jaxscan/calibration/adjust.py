@@ -11,9 +11,8 @@ from jaxscan.calibration.covariance import Linearised, linearise
 from jaxscan.calibration.noise import correlation_along, huber_weights, keep_inliers, noise_component, robust_noise
 from jaxscan.calibration.prepare import Prepared
 from jaxscan.calibration.problem import Problem
-from jaxscan.calibration.rows import corner_rows, stripe_rows
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve import solve
+from jaxscan.calibration.solve import Solution, solve
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 
@@ -94,7 +93,7 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
     state = _State(problem, data.corner_valid, data.stripe_valid, data.usable)
     if settings.stripe_correlation is not None:
         state = replace(state, stripe_correlation=settings.stripe_correlation)
-    errors = _whitened(*jax.tree.map(np.asarray, _evaluate(problem)), data)
+    linearised, errors = _at(problem, data)
     for _ in range(_ROBUST_ROUNDS):
         state = replace(
             state,
@@ -112,7 +111,7 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
         state, linearised, errors = _reject(state, linearised, errors, data, settings)
     corner_rms, stripe_rms = _noise(errors, linearised, state)
     return Adjustment(
-        problem=state.problem,
+        problem=jax.tree.map(np.asarray, state.problem),
         linearised=linearised,
         corner_error=errors.corner * data.corner_sigma[..., None],
         stripe_error=errors.stripe * data.stripe_sigma,
@@ -224,21 +223,22 @@ def _solved(
     stripe = stripe / np.sqrt(state.stripe_correlation)
     weighted = eqx.tree_at(lambda p: (p.corner_weight, p.stripe_weight), state.problem, (corner, stripe))
     damping = np.asarray(_SEED_DAMPING if state.steps == 0 else _NEAR_DAMPING)
-    solved, steps, linearised = jax.tree.map(
-        np.asarray, _settle(weighted, damping, np.asarray(tolerance), settings.max_steps)
-    )
-    state = replace(state, problem=solved, steps=state.steps + int(steps))
-    errors = _whitened(linearised.corner_error, linearised.offset, linearised.slope, data)
-    return state, linearised, errors
+    solution = _solve(weighted, damping, np.asarray(tolerance), settings.max_steps)
+    state = replace(state, problem=solution.problem, steps=state.steps + int(solution.steps))
+    return state, *_at(state.problem, data)
 
 
 @eqx.filter_jit
-def _settle(problem: Problem, damping: Array, tolerance: Array, max_steps: int) -> tuple[Problem, Array, Linearised]:
-    solution = solve(problem, damping, tolerance, max_steps)
-    return solution.problem, solution.steps, linearise(solution.problem)
+def _solve(problem: Problem, damping: Array, tolerance: Array, max_steps: int) -> Solution:
+    return solve(problem, damping, tolerance, max_steps)
 
 
 @eqx.filter_jit
-def _evaluate(problem: Problem) -> tuple[Array, Array, Array]:
-    stripes, slope = stripe_rows(problem)
-    return corner_rows(problem).value, stripes.value, slope
+def _linearise(problem: Problem) -> Linearised:
+    return linearise(problem)
+
+
+def _at(problem: Problem, data: Prepared) -> tuple[Linearised, _Errors]:
+    """The problem to first order at the point that it holds, on the host."""
+    linearised = jax.tree.map(np.asarray, _linearise(problem))
+    return linearised, _whitened(linearised.corner_error, linearised.offset, linearised.slope, data)

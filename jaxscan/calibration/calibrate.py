@@ -15,12 +15,12 @@ from jaxscan.calibration.prepare import Prepared, prepare
 from jaxscan.calibration.problem import Problem, camera_from_board
 from jaxscan.calibration.quality import describe_quality
 from jaxscan.calibration.result import Calibration, Fit
-from jaxscan.calibration.rows import stripe_rays
 from jaxscan.calibration.seed import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
 from jaxscan.calibration.settings import CAMERA_BLOCKS, CalibrationSettings
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractCamera, Array, LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
+from jaxscan.geometry import AbstractCamera, LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
 from jaxscan.geometry.laser import LASER_PARAMETERS
+from jaxscan.geometry.scanner import UP_VECTORS
 from jaxscan.geometry.turntable import AXIS_PARAMETERS, Carries
 
 
@@ -53,13 +53,17 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
     """
     settings = settings or CalibrationSettings()
     started = time.perf_counter()
+    if not observations.laser_names:
+        raise CalibrationError("The observations name no laser, so there is no laser sheet to be found.")
     with jax.enable_x64(True):
         data = prepare(observations)
-        camera_data = _camera_data(data)
-        seed, poses = _seed(camera_data, observations, settings)
+        # Each view by itself, without stripes and table: what is not the camera is held and meets no
+        # observation, so that both solves are one compiled function.
+        apart = _apart(data)._replace(stripe_valid=np.zeros_like(data.stripe_valid))
+        seed, poses = _seed(apart, observations, settings)
         free = tuple(block for block in settings.free if block in CAMERA_BLOCKS)
-        start = _problem(seed, None, None, poses, camera_data, replace(settings, free=free))
-        first = adjust(start, camera_data, settings, rejection=False).problem
+        start = _problem(seed, *_stand_ins(observations), poses, apart, replace(settings, free=free))
+        first = adjust(start, apart, settings, rejection=False).problem
         camera, poses = _named(first.camera, observations, settings), np.asarray(first.poses)
         lasers = [
             seed_plane(lift_stripes(data, camera, poses, index), name)
@@ -92,24 +96,34 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
     free = tuple(block for block in settings.free if block in (*CAMERA_BLOCKS, "warp", "pitch"))
     settings = replace(settings, free=free)
     with jax.enable_x64(True):
-        data = _camera_data(prepare(observations))
+        data = _without_stripes(_apart(prepare(observations)))
         camera, poses = _seed(data, observations, settings)
         problem = _problem(camera, None, None, poses, data, settings)
         return _calibration(adjust(problem, data, settings), observations, data, settings, started)
 
 
-def _camera_data(data: Prepared) -> Prepared:
-    """Corners alone. Every view is a placement of its own, so a board moved by mistake does no harm."""
-    points = data.stripe_q.shape[1]
+def _apart(data: Prepared) -> Prepared:
+    """Every view a placement of its own, so that a board moved by mistake does no harm."""
     return data._replace(
         placement=np.where(data.usable, np.arange(len(data.usable)), 0).astype(np.int32),
         angle=np.zeros_like(data.angle),
-        stripe_q=np.zeros((0, points, 2)),
-        stripe_sigma=np.zeros((0, points)),
-        stripe_valid=np.zeros((0, points), bool),
-        stripe_view=np.zeros(0, np.int32),
-        stripe_laser=np.zeros(0, np.int32),
     )
+
+
+def _without_stripes(data: Prepared) -> Prepared:
+    return data._replace(
+        stripe_q=data.stripe_q[:0],
+        stripe_sigma=data.stripe_sigma[:0],
+        stripe_valid=data.stripe_valid[:0],
+        stripe_view=data.stripe_view[:0],
+        stripe_laser=data.stripe_laser[:0],
+    )
+
+
+def _stand_ins(observations: Observations) -> tuple[LaserSheet, Turntable]:
+    sheet = LaserSheet.from_plane(np.array([1.0, 0.0, 0.0]), 1.0)
+    table = Turntable.from_axis(np.array(UP_VECTORS[observations.up]), np.array([0.0, 0.0, -0.1]))
+    return stack_lasers([sheet] * len(observations.laser_names)), table
 
 
 def _seed(
@@ -157,16 +171,10 @@ def _problem(
         angle=data.angle,
         placement=data.placement,
         stripe_q=data.stripe_q,
-        stripe_ray=_rays(camera, data.stripe_q),
         stripe_weight=np.zeros(data.stripe_valid.shape),
         stripe_view=data.stripe_view,
         stripe_laser=data.stripe_laser,
     )
-
-
-@jax.jit
-def _rays(camera: AbstractCamera, q: Array) -> Array:
-    return stripe_rays(camera, q)
 
 
 def shared_names(camera: AbstractCamera, lasers: tuple[str, ...], turns: bool) -> tuple[str, ...]:

@@ -42,8 +42,6 @@ class Problem(eqx.Module):
     angle: Float[Array, " views"]
     placement: Int[Array, " views"]
     stripe_q: Float[Array, "stripes points 2"]
-    stripe_ray: Float[Array, "stripes points 3"]
-    """About the ray of each stripe point, from which Newton's method starts."""
     stripe_weight: Float[Array, "stripes points"]
     """1 / (|grad_q e| sigma) [1 / m]."""
     stripe_view: Int[Array, " stripes"]

@@ -13,10 +13,6 @@ from jaxtyping import Float
 
 from jaxscan.calibration.problem import Problem, Step, board_points, camera_from_board, move, warp_height
 from jaxscan.geometry import AbstractCamera, Array, LaserSheet, invert, transform
-from jaxscan.geometry.tangent import tangent_basis
-
-
-_RAY_ITERATIONS = 3
 
 
 class Rows(NamedTuple):
@@ -96,89 +92,101 @@ def corner_rows(problem: Problem) -> Rows:
 def stripe_rows(problem: Problem) -> tuple[Rows, Float[Array, "stripes points"]]:
     r"""Distance e [m] of every stripe point, lifted to its board, from its sheet; and $|\nabla_q e|$ [m / px].
 
+    With $P = \lambda r$ on the board's surface, whose normal there is $m$ (board frame), a motion of
+    the board changes $\lambda$ by $(m \cdot v + (X \times m) \cdot \omega) / (R m \cdot r)$, and a
+    turn of the ray by $-\lambda\, (R m \cdot \delta r) / (R m \cdot r)$.
+
     Source: PAPER.md equations (5)-(8).
     """
-    camera, frame = problem.camera, problem.frame
-    count = len(camera.parameter_names())
-
-    def one(pose, sheet, q, ray):
-        ray, by_pixel = refine_ray(camera, q, ray)
-        value, (by_pose, by_sheet, by_shape, by_ray) = jax.value_and_grad(_offset, argnums=(1, 2, 3, 4))(
-            frame, pose[:3], sheet, problem.shape, ray
-        )
-        # Implicit function theorem: where the pixel of a ray moves one way, the ray of a pixel moves back.
-        by_q = by_ray @ by_pixel
-        moved = jax.jacfwd(lambda s: camera.retract(s).project(ray))(jnp.zeros(count, q.dtype))
-        turned = pose[:3, :3].T @ by_pose
-        rotation = turned[:, :3]
-        twist = jnp.stack(
-            [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-        )
-        sheet_slopes = jnp.concatenate([by_sheet.normal, by_sheet.distance[None], by_sheet.bow])
-        slopes = jnp.concatenate([-by_q @ moved, turned[:, 3], twist, by_shape[:2], sheet_slopes])
-        return value, slopes, jnp.linalg.norm(by_q)
-
-    def stripe(pose, laser, q, ray):
-        sheet = jax.tree.map(lambda leaf: leaf[laser], problem.lasers)
-        return jax.vmap(lambda q, ray: one(pose, sheet, q, ray))(q, ray)
-
-    poses = camera_from_board(problem)
+    count = len(problem.camera.parameter_names())
     if len(problem.lasers.distance) == 0:
-        shape = problem.stripe_q.shape[:2]
-        empty = jnp.zeros((*shape, count + 14), problem.shape.dtype)
+        empty = jnp.zeros((*problem.stripe_q.shape[:2], count + 14), problem.shape.dtype)
         return Rows(empty[..., 0], empty), empty[..., 0]
-    value, slopes, worth = jax.vmap(stripe)(
-        poses[problem.stripe_view], problem.stripe_laser, problem.stripe_q, problem.stripe_ray
-    )
+
+    def stripe(pose, laser, q):
+        sheet = jax.tree.map(lambda leaf: leaf[laser], problem.lasers)
+        return jax.vmap(lambda q: _stripe_row(problem, count, pose, sheet, q))(q)
+
+    poses = camera_from_board(problem)[problem.stripe_view]
+    value, slopes, worth = jax.vmap(stripe)(poses, problem.stripe_laser, problem.stripe_q)
     return Rows(value, slopes), worth
 
 
-def stripe_rays(camera: AbstractCamera, q: Float[Array, "stripes points 2"]) -> Float[Array, "stripes points 3"]:
-    """Rays of stripe points, for `Problem.stripe_ray`."""
-    return jax.vmap(jax.vmap(camera.unproject))(jnp.asarray(q))
+def _stripe_row(
+    problem: Problem, count: int, pose: Float[Array, "4 4"], sheet: LaserSheet, q: Float[Array, "2"]
+) -> tuple[Float[Array, ""], Float[Array, " departures"], Float[Array, ""]]:
+    # Sums are written out: products of 3 x 3 matrices by the ten thousand are slow.
+    camera = problem.camera
+    ray = camera.unproject(q)
+    range_m, point, normal = _meet_board(problem, pose, ray)
+    value, (by_sheet, by_point) = jax.value_and_grad(LaserSheet.offset, argnums=(0, 1))(sheet, range_m * ray)
+    surface = pose[:3, 0] * normal[0] + pose[:3, 1] * normal[1] + pose[:3, 2] * normal[2]
+    upright = _dot(surface, ray)
+    along = _dot(by_point, ray) / jnp.where(upright == 0, 1.0, upright).astype(ray.dtype)
+    by_ray = range_m * (by_point - along * surface)
+    by_q = _by_pixel(camera, ray, by_ray)
+    by_u, by_v = jax.jacfwd(lambda s: camera.retract(s).project(ray))(jnp.zeros(count, q.dtype))
+    rise = _bow_shape(problem, point)
+    slopes = [
+        # Implicit function theorem: where the pixel of a ray moves one way, the ray of a pixel moves back.
+        -(by_q[0] * by_u + by_q[1] * by_v),
+        along * normal,
+        along * _cross(point, normal),
+        along * rise,
+        by_sheet.normal,
+        by_sheet.distance[None],
+        by_sheet.bow,
+    ]
+    return value, jnp.concatenate(slopes), jnp.sqrt(by_q[0] * by_q[0] + by_q[1] * by_q[1])
 
 
-def refine_ray(
-    camera: AbstractCamera, q: Float[Array, "2"], ray: Float[Array, "3"]
-) -> tuple[Float[Array, "3"], Float[Array, "3 2"]]:
-    """The unit ray of a pixel by Newton's method from a near one, and its derivative by the pixel.
-
-    Three steps from a start that is right to a few hundredths of a radian reach 1e-10 px.
-    """
-
-    def slope(ray):
-        basis = tangent_basis(ray)
-        project = lambda t: camera.project(ray + t @ basis)
-        seen, by_u = jax.jvp(project, (jnp.zeros_like(q),), (jnp.zeros_like(q).at[0].set(1.0),))
-        _, by_v = jax.jvp(project, (jnp.zeros_like(q),), (jnp.zeros_like(q).at[1].set(1.0),))
-        det = by_u[0] * by_v[1] - by_v[0] * by_u[1]
-        inverse = jnp.stack([jnp.stack([by_v[1], -by_v[0]]), jnp.stack([-by_u[1], by_u[0]])]) / det
-        return seen, basis.T @ inverse
-
-    for _ in range(_RAY_ITERATIONS):
-        seen, by_pixel = slope(ray)
-        ray = ray + by_pixel @ (q - seen)
-        ray = ray / jnp.linalg.norm(ray)
-    return ray, slope(ray)[1]
-
-
-def _offset(
-    frame: Float[Array, "4"],
-    pose: Float[Array, "3 4"],
-    sheet: LaserSheet,
-    shape: Float[Array, "3"],
-    ray: Float[Array, "3"],
-) -> Float[Array, ""]:
-    rotation, origin = pose[:, :3], -pose[:, :3].T @ pose[:, 3]
-    direction = rotation.T @ ray
+def _meet_board(
+    problem: Problem, pose: Float[Array, "4 4"], ray: Float[Array, "3"]
+) -> tuple[Float[Array, ""], Float[Array, "3"], Float[Array, "3"]]:
+    """Where a ray meets the bowed board: range [m], point and surface normal in the board frame."""
+    origin = -jnp.stack([_dot(pose[:3, i], pose[:3, 3]) for i in range(3)])
+    direction = jnp.stack([_dot(pose[:3, i], ray) for i in range(3)])
     # A harmless 1 where the ray runs along the board; such a point has no meaning anyway.
     along_z = jnp.where(direction[2] == 0, 1.0, direction[2]).astype(ray.dtype)
     range_m = -origin[2] / along_z
     # Every round leaves the slope of the bow, less than a hundredth, of the error before.
-    for _ in range(3):
-        p = origin + range_m * direction
-        range_m = (warp_height(frame, shape, p[0], p[1]) - origin[2]) / along_z
-    return sheet.offset(range_m * ray)
+    for _ in range(4):
+        point = origin + range_m * direction
+        range_m = (warp_height(problem.frame, problem.shape, point[0], point[1]) - origin[2]) / along_z
+    point = origin + range_m * direction
+    centre, half = problem.frame[:2], problem.frame[2:]
+    slope = 2.0 * problem.shape[:2] * (point[:2] - centre) / (half * half)
+    return range_m, point, jnp.stack([slope[0], slope[1], jnp.ones_like(slope[0])])
+
+
+def _bow_shape(problem: Problem, point: Float[Array, "3"]) -> Float[Array, "2"]:
+    """How the surface rises with kx and ky."""
+    a = (point[:2] - problem.frame[:2]) / problem.frame[2:]
+    return 1.0 - a * a
+
+
+def _by_pixel(camera: AbstractCamera, ray: Float[Array, "3"], by_ray: Float[Array, "3"]) -> Float[Array, "2"]:
+    """Derivative by the pixel of something whose derivative by the ray is known."""
+    # Branch-free tangents of a unit vector. Source: Duff et al., Building an orthonormal basis, revisited (2017).
+    x, y, z = ray[0], ray[1], ray[2]
+    sign = jnp.where(z >= 0, 1.0, -1.0).astype(ray.dtype)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = jnp.stack([1.0 + sign * x * x * a, sign * b, -sign * x])
+    second = jnp.stack([b, sign + y * y * a, -y])
+    _, by_first = jax.jvp(camera.project, (ray,), (first,))
+    _, by_second = jax.jvp(camera.project, (ray,), (second,))
+    det = by_first[0] * by_second[1] - by_second[0] * by_first[1]
+    one, two = _dot(by_ray, first) / det, _dot(by_ray, second) / det
+    return jnp.stack([one * by_second[1] - two * by_first[1], two * by_first[0] - one * by_second[0]])
+
+
+def _dot(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, ""]:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, "3"]:
+    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _cross_matrix(p: Float[Array, "3"]) -> Float[Array, "3 3"]:

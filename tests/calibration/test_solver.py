@@ -13,7 +13,7 @@ from jaxscan.calibration.parameters import parameter_scales
 from jaxscan.calibration.prepare import prepare
 from jaxscan.calibration.problem import Problem, Step, camera_from_board, move, zero_step
 from jaxscan.calibration.residuals import residuals
-from jaxscan.calibration.rows import stripe_rays, stripe_rows
+from jaxscan.calibration.rows import stripe_rows
 from jaxscan.calibration.settings import BLOCKS
 from jaxscan.calibration.solve import form_blocks, jacobian_columns, schur_step
 from jaxscan.geometry import LaserSheet, Pinhole, Turntable, exponential, invert, stack_lasers, transform
@@ -41,9 +41,6 @@ def problem(world):
         [np.asarray(exponential(np.array([-0.1, -0.1, 0.9 + 0.1 * i, 0.3, -0.2 * i, 0.1]))) for i in range(4)]
     )
     half = np.ptp(rig.board.corners()[:, :2], axis=0) / 2
-    rays = np.asarray(stripe_rays(camera, data.stripe_q[:4, :12]))
-    # A start that is off by as much as a seed may be.
-    rays = rays + 0.01 * np.random.default_rng(0).normal(size=rays.shape)
     settings = CalibrationSettings(free=tuple(BLOCKS))
     return Problem(
         camera=camera,
@@ -61,7 +58,6 @@ def problem(world):
         angle=data.angle[:5],
         placement=data.placement[:5],
         stripe_q=data.stripe_q[:4, :12],
-        stripe_ray=rays / np.linalg.norm(rays, axis=-1, keepdims=True),
         stripe_weight=np.where(data.stripe_valid[:4, :12], 2000.0, 0.0),
         stripe_view=data.stripe_view[:4],
         stripe_laser=data.stripe_laser[:4],
