@@ -102,7 +102,7 @@ def tiny(tmp_path_factory):
     captures = folder / "captures"
     verbs = {
         "simulate": [config, "-o", captures],
-        "calibrate": [captures / "boards", "-o", calibration],
+        "calibrate": [captures / "boards", "-o", calibration, "--report", folder / "calibration.html"],
         "reconstruct": [captures / "sweep", "-c", calibration, "-o", cloud],
         "measure-room": [cloud, "-c", calibration],
         "measure-compare": [cloud, captures / "truth.npz", "-c", calibration],

@@ -52,7 +52,7 @@ def calibrate(
             out.print(f"note: {capture.path}: {note}")
     with progress_bar("Looking for boards") as progress:
         result = api.calibrate(
-            opened, settings=_settings(lens, free, hold), only_camera=only == "camera", progress=progress
+            opened, settings=calibration_settings(lens, free, hold), only_camera=only == "camera", progress=progress
         )
     api.save_calibration(result, output)
     written = [str(output)]
@@ -65,9 +65,10 @@ def calibrate(
     emit_json(json, "calibrate", files | summary(result) | {"quality": result.quality})
 
 
-def _settings(
+def calibration_settings(
     lens: Literal["pinhole", "fisheye"], free: tuple[Block, ...], hold: tuple[Block, ...]
 ) -> CalibrationSettings:
+    """The usual settings, with some blocks freed and some held."""
     usual = CalibrationSettings(camera=lens)
     wanted = dict.fromkeys((*usual.free, *free))
     return CalibrationSettings(camera=lens, free=tuple(block for block in wanted if block not in hold))

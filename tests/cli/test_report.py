@@ -1,0 +1,150 @@
+"""What the command line says of a calibration, its report, and its export to other programs."""
+
+import ast
+import dataclasses
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+import jaxscan
+from jaxscan.calibration import CalibrationSettings
+from jaxscan.cli.calibrate import calibration_settings
+from jaxscan.cli.output import console
+from jaxscan.cli.summary import print_summary
+
+
+@pytest.fixture(scope="module")
+def calibrated(tiny, tmp_path_factory):
+    """A copy of the calibration and its observations."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    for suffix in (".json", ".npz"):
+        shutil.copy(tiny.calibration.with_suffix(suffix), folder)
+    return folder / tiny.calibration.name
+
+
+def edited(calibrated, folder, change, *, observations=True):
+    """A copy of a calibration file with another content."""
+    content = json.loads(calibrated.read_text())
+    change(content)
+    path = folder / "edited.json"
+    path.write_text(json.dumps(content))
+    if observations:
+        shutil.copy(calibrated.with_suffix(".npz"), path.with_suffix(".npz"))
+    return path
+
+
+class TestCalibrate:
+    def test_the_json_carries_the_summary(self, tiny):
+        result = tiny.results["calibrate"]
+        assert result["verdict"]["kind"] in ("good", "bad", "open")
+        rows = {row["name"]: row for row in result["parameters"]}
+        scanner = jaxscan.load_scanner(tiny.calibration)
+        assert rows["fx"]["value"] == float(scanner.camera.fx)
+        assert rows["fx"]["sigma"] == pytest.approx(float(np.sqrt(scanner.covariance[0, 0])))
+        assert rows["laser red: distance"]["value"] == pytest.approx(1e3 * float(scanner.lasers.distance[0]))
+        assert result["noise"][0].startswith("Corners: ")
+
+    def test_writes_the_report(self, tiny):
+        assert tiny.results["calibrate"]["report"] == str(tiny.calibration.with_suffix(".html"))
+        assert "<h2>Views, worst first</h2>" in tiny.calibration.with_suffix(".html").read_text()
+
+    def test_prints_the_verdict_first(self, tiny, capsys):
+        stored = jaxscan.load_calibration(tiny.calibration)
+        lines = [{"name": "along the stripe", "depth_m": 2.5, "length_m": 0.3, "sigma_mm": 0.0534}]
+        tests = [{"name": "sheet", "statistic": 90.0, "dof": 20, "p": 1e-9, "p_structure": 1e-9}]
+        quality = {
+            **stored.quality,
+            "lengths": {"lasers": [{"name": "red", "depths": [], "lengths": lines}]},
+            "verdict": {"accepted": False, "tests": tests, "advice": ["Look at the sheet."]},
+            "warnings": ["[bold]not markup[/bold]"],
+        }
+        print_summary(console(), dataclasses.replace(stored, quality=quality))
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[0].startswith("Not accepted. The solve ended, but the light sheet is not of the shape")
+        assert lines[2].split() == "0.053 mm 300 mm along the stripe at 2.5 m".split()
+        assert lines[3].startswith("Corners: ") and lines[4].startswith("Stripes: ")
+        assert "warning: [bold]not markup[/bold]" in lines
+        assert "next: Look at the sheet." in lines
+        assert any(line.startswith("│ sheet") and "fails" in line for line in lines)
+        assert any(line.startswith("│ fx, px") for line in lines)
+
+    def test_blocks_are_freed_and_held(self):
+        settings = calibration_settings("fisheye", ("bow", "k3"), ("harmonics",))
+        usual = CalibrationSettings().free
+        assert settings.camera == "fisheye"
+        assert set(settings.free) == {*usual, "bow"} - {"harmonics"}
+        assert len(settings.free) == len(usual)
+
+    def test_a_report_that_cannot_be_written_is_refused_before_the_work(self, tiny, refused, tmp_path):
+        message = refused("calibrate", tiny.boards, "-o", tmp_path / "a.json", "--report", tmp_path / "no" / "a.html")
+        assert "does not exist" in message
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestReport:
+    def test_the_stored_parameters_come_out_again(self, calibrated, run, tmp_path):
+        page = tmp_path / "a.html"
+        ran = run("report", calibrated, "-o", page, "--json", "-")
+        assert ran.code == 0, ran.err
+        result = json.loads(ran.out)
+        assert result["format"] == "jaxscan-report/1"
+        assert result["reproduced"] is True
+        assert result["report"] == str(page)
+        text = page.read_text()
+        for title in ("Parameters", "Residuals over the image", "Stripe and table", "Correlations"):
+            assert f"<h2>{title}</h2>" in text
+        assert "the stored parameters came out" in text
+
+    def test_changed_parameters_are_called_out(self, calibrated, run, tmp_path):
+        path = edited(calibrated, tmp_path, lambda content: content["camera"].update(fx=content["camera"]["fx"] + 1))
+        ran = run("report", path, "-o", tmp_path / "a.html", "--json", "-")
+        assert ran.code == 0, ran.err
+        assert json.loads(ran.out)["reproduced"] is False
+        assert ran.err.startswith("Not reproduced: ") and "fx is" in ran.err
+        assert "Not reproduced: " in (tmp_path / "a.html").read_text()
+
+    def test_without_observations_the_rest_is_shown(self, calibrated, run, tmp_path):
+        path = edited(calibrated, tmp_path, lambda content: None, observations=False)
+        ran = run("report", path, "-o", tmp_path / "a.html", "--json", "-")
+        assert ran.code == 0, ran.err
+        assert json.loads(ran.out)["reproduced"] is None
+        text = (tmp_path / "a.html").read_text()
+        assert "<h2>Parameters</h2>" in text and "<h2>Stripe and table</h2>" not in text
+
+    @pytest.mark.parametrize(
+        ("settings", "said"),
+        [
+            (7, "provenance.settings: found 7, expected a table"),
+            ({"free": ["wings"]}, "provenance.settings.free.0: found 'wings'"),
+            ({"huber": -1.0}, "must be above 0"),
+            ({"max_steps": 10**9}, "max_steps 1 to 10000"),
+            ({"priors": {"gain": "wide"}}, "provenance.settings.priors.gain: found 'wide'"),
+        ],
+    )
+    def test_settings_that_cannot_be_meant_are_refused(self, calibrated, refused, tmp_path, settings, said):
+        path = edited(calibrated, tmp_path, lambda content: content["provenance"].update(settings=settings))
+        assert said in refused("report", path, "-o", tmp_path / "a.html")
+        assert not (tmp_path / "a.html").exists()
+
+
+class TestConvert:
+    def test_opencv(self, tiny, run, tmp_path):
+        ran = run("convert", tiny.calibration, tmp_path / "a.yaml", "--json", "-")
+        assert ran.code == 0, ran.err
+        assert json.loads(ran.out)["camera_format"] == "opencv"
+        file = cv2.FileStorage(str(tmp_path / "a.yaml"), cv2.FILE_STORAGE_READ)
+        assert file.getNode("camera_matrix").mat()[0, 0] == float(jaxscan.load_scanner(tiny.calibration).camera.fx)
+
+    def test_ros_and_mrcal(self, tiny, run, tmp_path):
+        assert run("convert", tiny.calibration, tmp_path / "a.yaml", "--format", "ros").code == 0
+        assert "distortion_model: plumb_bob" in (tmp_path / "a.yaml").read_text()
+        assert run("convert", tiny.calibration, tmp_path / "a.cameramodel").code == 0
+        assert ast.literal_eval((tmp_path / "a.cameramodel").read_text())["lensmodel"] == "LENSMODEL_OPENCV5"
+
+    def test_what_cannot_be_converted(self, tiny, refused, tmp_path):
+        assert "names no format" in refused("convert", tiny.calibration, tmp_path / "a.ply")
+        assert "--format: is for calibrations" in refused("convert", tiny.cloud, tmp_path / "a.xyz", "--format", "ros")
+        assert list(tmp_path.iterdir()) == []
