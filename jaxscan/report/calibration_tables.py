@@ -32,10 +32,12 @@ class Parameter(NamedTuple):
         return label, _digits(self.value, self.sigma), _significant(self.sigma) if self.sigma > 0 else "held"
 
     def as_json(self) -> dict[str, Any]:
-        """For machines."""
+        """For machines: units in the names of the keys; of a direction, sigma is the angle."""
         value = self.value[0] if len(self.value) == 1 else list(self.value)
-        unit = ("1", "mrad") if self.unit == "direction" else (self.unit or "1",) * 2
-        return {"name": self.name, "value": value, "unit": unit[0], "sigma": self.sigma, "sigma_unit": unit[1]}
+        if self.unit == "direction":
+            return {"name": self.name, "direction": value, "sigma_mrad": self.sigma}
+        unit = f"_{self.unit}" if self.unit else ""
+        return {"name": self.name, f"value{unit}": value, f"sigma{unit}": self.sigma}
 
 
 def parameters(calibration: Calibration) -> list[Parameter]:

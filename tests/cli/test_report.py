@@ -42,9 +42,9 @@ class TestCalibrate:
         assert result["verdict"]["kind"] in ("good", "bad", "open")
         rows = {row["name"]: row for row in result["parameters"]}
         scanner = jaxscan.load_scanner(tiny.calibration)
-        assert rows["fx"]["value"] == float(scanner.camera.fx)
-        assert rows["fx"]["sigma"] == pytest.approx(float(np.sqrt(scanner.covariance[0, 0])))
-        assert rows["laser red: distance"]["value"] == pytest.approx(1e3 * float(scanner.lasers.distance[0]))
+        assert rows["fx"]["value_px"] == float(scanner.camera.fx)
+        assert rows["fx"]["sigma_px"] == pytest.approx(float(np.sqrt(scanner.covariance[0, 0])))
+        assert rows["laser red: distance"]["value_mm"] == pytest.approx(1e3 * float(scanner.lasers.distance[0]))
         assert result["noise"][0].startswith("Corners: ")
 
     def test_writes_the_report(self, tiny):

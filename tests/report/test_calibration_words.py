@@ -126,11 +126,13 @@ class TestParameters:
         # Held, and therefore not listed.
         assert not any("bow b" in name for name in rows)
 
-    def test_json_has_units(self, calibration):
-        for parameter in parameters(calibration):
-            entry = parameter.as_json()
-            assert set(entry) == {"name", "value", "unit", "sigma", "sigma_unit"}
-            assert entry["unit"] in ("px", "1", "mm", "mrad")
+    def test_json_has_units_in_its_keys(self, calibration):
+        entries = {parameter.name: parameter.as_json() for parameter in parameters(calibration)}
+        assert set(entries["fx"]) == {"name", "value_px", "sigma_px"}
+        assert set(entries["k1"]) == {"name", "value", "sigma"}
+        assert set(entries["axis: nearest point"]) == {"name", "value_mm", "sigma_mm"}
+        assert len(entries["axis: direction"]["direction"]) == 3
+        assert entries["axis: direction"]["sigma_mrad"] == pytest.approx(0.1 * np.sqrt(2))
 
 
 def test_numbers_of_the_solve_that_are_not_there_are_left_out(calibration):
