@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxscan.errors import ConfigError
 from jaxscan.simulation.optics import integrate, psf_weights
+from jaxscan.simulation.rays import Numbers
 from jaxscan.simulation.rig import Motion, Rig
 from jaxscan.simulation.spec import BoardsSpec
 
@@ -99,22 +100,22 @@ class SeenBoard:
     picture: Print
     board_from_camera: Motion
 
-    def hit(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Depth along (x, y, 1), inf where missed, and board coordinates [m]."""
+    def hit(self, x: np.ndarray, y: np.ndarray, z: Numbers = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Depth along (x, y, z), inf where missed, and board coordinates [m]."""
         r = self.board_from_camera.rotation.astype(x.dtype)
         t = self.board_from_camera.translation.astype(x.dtype)
-        r0, r1, r2 = (row[0] * x + row[1] * y + row[2] for row in r)
+        r0, r1, r2 = (row[0] * x + row[1] * y + row[2] * z for row in r)
         towards = np.where(np.abs(r2) < 1e-9, x.dtype.type(1e-9), r2)
-        z = -t[2] / towards
-        bx, by = z * r0 + t[0], z * r1 + t[1]
+        depth = -t[2] / towards
+        bx, by = depth * r0 + t[0], depth * r1 + t[1]
         if self.picture.warp != (0.0, 0.0):
             # The bow is shallow: each round divides its error by ten, at the least.
             for _ in range(6):
-                z = (self.height(bx, by) - t[2]) / towards
-                bx, by = z * r0 + t[0], z * r1 + t[1]
+                depth = (self.height(bx, by) - t[2]) / towards
+                bx, by = depth * r0 + t[0], depth * r1 + t[1]
         low, high = self.picture.low.astype(x.dtype), self.picture.high.astype(x.dtype)
-        inside = (z > 0) & (bx >= low[0]) & (bx <= high[0]) & (by >= low[1]) & (by <= high[1])
-        return np.where(inside, z, x.dtype.type(np.inf)), bx, by
+        inside = (depth > 0) & (bx >= low[0]) & (bx <= high[0]) & (by >= low[1]) & (by <= high[1])
+        return np.where(inside, depth, x.dtype.type(np.inf)), bx, by
 
     def height(self, bx: np.ndarray, by: np.ndarray) -> np.ndarray:
         """Height of the bowed board at board coordinates [m]."""
@@ -204,14 +205,14 @@ def _strip(rig: Rig, board: SeenBoard, rows: slice, columns: slice, radius: int)
     i = np.clip(np.arange(rows.start - radius, rows.stop + radius), 0, height - 1)
     j = np.clip(np.arange(columns.start - radius, columns.stop + radius), 0, width - 1)
     block = np.ix_(i, j)
-    x, x_u, x_v, y, y_u, y_v = (table[block] for table in (t.x, t.x_u, t.x_v, t.y, t.y_u, t.y_v))
+    rays = t.at(*block)
     at = ((np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5).astype(np.float32)
     inside = np.empty((SAMPLES, SAMPLES, len(i), len(j)), np.float32)
     albedo = np.empty_like(inside)
     for m, du in enumerate(at):
         for n, dv in enumerate(at):
-            z, bx, by = board.hit(x + x_u * du + x_v * dv, y + y_u * du + y_v * dv)
-            inside[m, n] = np.isfinite(z)
+            depth, bx, by = board.hit(*rays.moved(du, dv))
+            inside[m, n] = np.isfinite(depth)
             albedo[m, n] = board.albedo(bx, by)
             albedo[m, n] *= inside[m, n]
     weights = psf_weights(rig.config.sensor.psf_px, SAMPLES)

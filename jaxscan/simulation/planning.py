@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import ConfigError
-from jaxscan.simulation.rays import distort
-from jaxscan.simulation.rig import Motion, Rig, rodrigues
+from jaxscan.simulation.rays import project
+from jaxscan.simulation.rig import Motion, Rig, Sheet, rodrigues
 from jaxscan.simulation.scene import Scene
+from jaxscan.simulation.spec import CameraSpec
 
 
 class Placement(NamedTuple):
@@ -91,6 +92,11 @@ def _draw(rig: Rig, rng: np.random.Generator, distance: float, *, crossed: bool)
     tilt = np.deg2rad(rng.uniform(*spec.tilt_deg))
     rotation = rodrigues(np.array([np.cos(axis), np.sin(axis), 0.0]), tilt)
     rotation = rotation @ rodrigues(np.array([0.0, 0.0, 1.0]), np.deg2rad(rng.uniform(-20, 20)))
+    middle = np.append(spec.board().outline().mean(0), 0.0)
+    if camera.model == "fisheye":
+        place = _place_around(camera, sheet if crossed else None, rng, distance, size)
+        rotation = _facing(place) @ rotation
+        return Motion(rotation, place - rotation @ middle)
     x = rng.uniform(-0.5, 0.5) * distance * camera.width / camera.fx
     y = rng.uniform(-0.5, 0.5) * distance * camera.height / camera.fy
     n = sheet.normal
@@ -98,8 +104,30 @@ def _draw(rig: Rig, rng: np.random.Generator, distance: float, *, crossed: bool)
         x = (sheet.distance - n[2] * distance - n[1] * y) / n[0] + rng.uniform(-0.4, 0.4) * size[0]
     elif crossed:
         y = (sheet.distance - n[2] * distance - n[0] * x) / n[1] + rng.uniform(-0.4, 0.4) * size[1]
-    middle = np.append(spec.board().outline().mean(0), 0.0)
     return Motion(rotation, np.array([x, y, distance]) - rotation @ middle)
+
+
+def _place_around(
+    camera: CameraSpec, sheet: Sheet | None, rng: np.random.Generator, distance: float, size: np.ndarray
+) -> np.ndarray:
+    """A place [3] at the given distance within a fisheye's field of view: beside a sheet, or anywhere."""
+    if sheet is None:
+        theta = np.deg2rad(camera.field_deg / 2) * np.sqrt(rng.uniform())
+        psi = rng.uniform(0, 2 * np.pi)
+        return distance * np.array([np.sin(theta) * np.cos(psi), np.sin(theta) * np.sin(psi), np.cos(theta)])
+    half = np.deg2rad(min(sheet.spec.fan_deg, camera.field_deg) / 2)
+    tau = rng.uniform(-half, half)
+    along = np.sqrt(max(distance**2 - sheet.distance**2, 0.0))
+    aside = rng.uniform(-0.4, 0.4) * size[0 if sheet.spec.stripe_axis == "rows" else 1]
+    ahead = np.cos(tau) * sheet.ahead + np.sin(tau) * sheet.across
+    return (sheet.distance + aside) * sheet.normal + along * ahead
+
+
+def _facing(place: np.ndarray) -> np.ndarray:
+    """The least rotation that turns z towards a place."""
+    axis = np.cross([0.0, 0.0, 1.0], place)
+    length = float(np.linalg.norm(axis))
+    return np.eye(3) if length == 0 else rodrigues(axis / length, float(np.arctan2(length, place[2])))
 
 
 def _extent(rig: Rig) -> np.ndarray:
@@ -110,13 +138,19 @@ def _extent(rig: Rig) -> np.ndarray:
 def _pixels(rig: Rig, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of points [n, 3] in the camera frame, and which are in the image."""
     camera = rig.config.camera
-    z = np.maximum(points[:, 2], 1e-6)
-    u, v = distort(camera, points[:, 0] / z, points[:, 1] / z)
+    if camera.model == "pinhole":
+        # Beyond the field of view the lens model folds back into the image.
+        reach = 0.6 * np.hypot(camera.width / camera.fx, camera.height / camera.fy)
+        straight = np.hypot(points[:, 0], points[:, 1]) < reach * np.maximum(points[:, 2], 1e-6)
+        straight &= points[:, 2] > 0.05
+        points = np.column_stack([points[:, :2], np.maximum(points[:, 2], 1e-6)])
+    else:
+        angle = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
+        straight = angle < np.deg2rad(camera.field_deg / 2) - _MARGIN_PX / camera.fx
+        straight &= np.linalg.norm(points, axis=1) > 0.05
+    u, v = project(camera, points)
     inside = (u > _MARGIN_PX) & (u < camera.width - 1 - _MARGIN_PX) & (v > _MARGIN_PX)
-    # Beyond the field of view the lens model folds back into the image.
-    reach = 0.6 * np.hypot(camera.width / camera.fx, camera.height / camera.fy)
-    straight = np.hypot(points[:, 0], points[:, 1]) < reach * z
-    return np.stack([u, v], -1), inside & (v < camera.height - 1 - _MARGIN_PX) & straight & (points[:, 2] > 0.05)
+    return np.stack([u, v], -1), inside & (v < camera.height - 1 - _MARGIN_PX) & straight
 
 
 def _sees(rig: Rig, pose: Motion) -> bool:

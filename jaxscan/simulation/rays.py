@@ -1,11 +1,12 @@
 """Which way the pixels of a camera look: tables, made once per camera.
 
-The inverse distortion here is a fixed point in NumPy, independent of the Newton iteration in
-`geometry`, so that an error in either shows as a difference.
+The inverse distortion here is a fixed point in NumPy (of a fisheye, a table), independent of the
+Newton iteration in `geometry`, so that an error in either shows as a difference.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,11 +14,37 @@ from jaxscan.errors import ConfigError
 from jaxscan.simulation.spec import CameraSpec
 
 
+Numbers = np.ndarray | float
+
+
+class Directions(NamedTuple):
+    """Ways (x, y, z) that some pixels look, and how they change along u and v.
+
+    z and its changes are the plain numbers 1 and 0 for a pinhole, which costs nothing.
+    """
+
+    x: np.ndarray
+    x_u: np.ndarray
+    x_v: np.ndarray
+    y: np.ndarray
+    y_u: np.ndarray
+    y_v: np.ndarray
+    z: Numbers = 1.0
+    z_u: Numbers = 0.0
+    z_v: Numbers = 0.0
+
+    def moved(self, du: Numbers | np.float32, dv: Numbers | np.float32) -> tuple[np.ndarray, np.ndarray, Numbers]:
+        """The same beside the pixels' centres [px]."""
+        z = self.z if isinstance(self.z, float) else self.z + self.z_u * du + self.z_v * dv
+        return self.x + self.x_u * du + self.x_v * dv, self.y + self.y_u * du + self.y_v * dv, z
+
+
 @dataclass(frozen=True, eq=False)
 class RayTable:
-    """Normalised image coordinates of every pixel centre, and how they change along u and v.
+    """The way (x, y, z) that every pixel's centre looks, and how it changes along u and v.
 
-    All arrays are float32 [height, width]. The pixel (row, column) looks along (x, y, 1);
+    All arrays are float32 [height, width]. A pinhole has (x, y, 1), normalised image coordinates,
+    along which a depth is z; a fisheye has unit vectors, along which a depth is a distance.
     (x + x_u du + x_v dv, …) holds to 1e-4 px within the pixel, since a lens bends over hundreds
     of pixels.
     """
@@ -29,7 +56,11 @@ class RayTable:
     y_u: np.ndarray
     y_v: np.ndarray
     directions: np.ndarray
-    """(x, y, 1) of all pixels, float32 [height * width, 3]."""
+    """(x, y, z) of all pixels, float32 [height * width, 3]."""
+    third: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    """z, z_u, z_v of a fisheye; None for a pinhole."""
+    sees: np.ndarray | None = None
+    """Pixels inside the field of view of a fisheye, bool; None where all are."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -37,9 +68,36 @@ class RayTable:
         height, width = self.x.shape
         return height, width
 
+    @property
+    def z(self) -> Numbers:
+        """1 for a pinhole."""
+        return 1.0 if self.third is None else self.third[0]
+
+    def at(self, *index: Any) -> Directions:
+        """Those of some pixels, by any index into [height, width] arrays."""
+        first = (table[index] for table in (self.x, self.x_u, self.x_v, self.y, self.y_u, self.y_v))
+        return Directions(*first, *(() if self.third is None else (table[index] for table in self.third)))
+
+
+def project(camera: CameraSpec, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (u, v) of points [n, 3], camera frame, float64; without meaning beyond the field of view."""
+    x, y, z = (points[..., i] for i in range(3))
+    if camera.model == "pinhole":
+        return distort(camera, x / z, y / z)
+    aside = np.hypot(x, y)
+    scale = _bent(camera, np.arctan2(aside, z)) / np.maximum(aside, 1e-300)
+    cx, cy = camera.centre()
+    return camera.fx * scale * x + cx, camera.fy * scale * y + cy
+
 
 def distort(camera: CameraSpec, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel (u, v) of normalised coordinates, float64."""
+    """Pixel (u, v) of normalised coordinates, float64, of a pinhole.
+
+    Raises:
+        ConfigError: If the camera is none.
+    """
+    if camera.model != "pinhole":
+        raise ConfigError(f"A {camera.model} has no normalised image coordinates: it sees beside and behind itself.")
     r2 = x * x + y * y
     radial = 1 + r2 * (camera.k1 + r2 * (camera.k2 + r2 * camera.k3))
     xd = x * radial + 2 * camera.p1 * x * y + camera.p2 * (r2 + 2 * x * x)
@@ -49,7 +107,7 @@ def distort(camera: CameraSpec, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarra
 
 
 def undistort(camera: CameraSpec, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normalised coordinates of pixels, float64, by the fixed point x <- x - (d(x) - target).
+    """Normalised coordinates of pixels of a pinhole, float64, by the fixed point x <- x - (d(x) - target).
 
     Raises:
         ConfigError: If the lens folds over inside the image, so that no inverse exists.
@@ -78,10 +136,46 @@ def ray_table(camera: CameraSpec) -> RayTable:
     """The table of a camera; the last few are kept."""
     # One pixel beyond every side, for central differences at the border.
     columns, rows = np.meshgrid(np.arange(-1.0, camera.width + 1), np.arange(-1.0, camera.height + 1))
-    x, y = undistort(camera, columns, rows)
+    fisheye = camera.model == "fisheye"
+    seen, ways = look(camera, columns, rows) if fisheye else (None, undistort(camera, columns, rows))
     inner = (slice(1, -1), slice(1, -1))
-    along_u = [((a[1:-1, 2:] - a[1:-1, :-2]) / 2).astype(np.float32) for a in (x, y)]
-    along_v = [((a[2:, 1:-1] - a[:-2, 1:-1]) / 2).astype(np.float32) for a in (x, y)]
-    x32, y32 = x[inner].astype(np.float32), y[inner].astype(np.float32)
-    directions = np.stack([x32, y32, np.ones_like(x32)], -1).reshape(-1, 3)
-    return RayTable(x32, y32, along_u[0], along_v[0], along_u[1], along_v[1], directions)
+    along_u = [((a[1:-1, 2:] - a[1:-1, :-2]) / 2).astype(np.float32) for a in ways]
+    along_v = [((a[2:, 1:-1] - a[:-2, 1:-1]) / 2).astype(np.float32) for a in ways]
+    x, y, *rest = (a[inner].astype(np.float32) for a in ways)
+    z = rest[0] if rest else np.ones_like(x)
+    directions = np.stack([x, y, z], -1).reshape(-1, 3)
+    third = (z, along_u[2], along_v[2]) if rest else None
+    sees = None if seen is None else seen[inner]
+    return RayTable(x, y, along_u[0], along_v[0], along_u[1], along_v[1], directions, third, sees)
+
+
+def look(
+    camera: CameraSpec, u: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Unit vectors along which pixels of a fisheye look, float64, by interpolation in a table of angles.
+
+    Returns:
+        Which pixels are inside the field of view, and (x, y, z): of those beyond, on its edge.
+
+    Raises:
+        ConfigError: If the lens folds over inside its field of view.
+    """
+    # Linear between points so close, an angle is right to 1e-11.
+    theta = np.linspace(0, np.deg2rad(camera.field_deg / 2), 1 << 17)
+    bent = _bent(camera, theta)
+    if np.any(np.diff(bent) <= 0):
+        raise ConfigError(
+            f"The fisheye (k1 = {camera.k1}, k2 = {camera.k2}, k3 = {camera.k3}, k4 = {camera.k4}) folds over inside "
+            f"its field of view of {camera.field_deg} degrees: use weaker distortion or a smaller `field_deg`."
+        )
+    cx, cy = camera.centre()
+    x, y = (u - cx) / camera.fx, (v - cy) / camera.fy
+    radius = np.hypot(x, y)
+    angle = np.interp(radius, bent, theta)
+    scale = np.sin(angle) / np.maximum(radius, 1e-300)
+    return radius < bent[-1], (scale * x, scale * y, np.cos(angle))
+
+
+def _bent(camera: CameraSpec, theta: np.ndarray) -> np.ndarray:
+    """Distance from the principal point, per focal length, at which a fisheye shows an angle."""
+    return theta + camera.k1 * theta**3 + camera.k2 * theta**5 + camera.k3 * theta**7 + camera.k4 * theta**9

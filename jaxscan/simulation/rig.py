@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from jaxscan.errors import ConfigError
-from jaxscan.simulation.rays import RayTable, ray_table
+from jaxscan.simulation.rays import Numbers, RayTable, ray_table
 from jaxscan.simulation.spec import LaserSpec, SimulationConfig, TurntableSpec
 
 
@@ -68,16 +68,16 @@ class Sheet:
     """The middle of the fan: the optical axis projected into the sheet."""
     across: np.ndarray
     slope: np.ndarray
-    """`slope_at` of every pixel's (x, y), float32 [height, width]."""
+    """`slope_at` of every pixel's (x, y, z), float32 [height, width]."""
     power: float
     """DN times m^2: the stripe's light per unit fan, see `stripe`."""
 
-    def slope_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """m such that the point z (x, y, 1) lies z m - d beside the sheet."""
+    def slope_at(self, x: np.ndarray, y: np.ndarray, z: Numbers = 1.0) -> np.ndarray:
+        """m such that the point t (x, y, z) lies t m - d beside the sheet."""
         n, g, e = self.normal, self.ahead, self.across
-        slope = n[0] * x + n[1] * y + n[2]
+        slope = n[0] * x + n[1] * y + n[2] * z
         if self.spec.bow != (0.0, 0.0):
-            along, aside = g[0] * x + g[1] * y + g[2], e[0] * x + e[1] * y + e[2]
+            along, aside = g[0] * x + g[1] * y + g[2] * z, e[0] * x + e[1] * y + e[2] * z
             tau = np.arctan2(aside, along)
             slope = slope - np.hypot(along, aside) * tau * tau * (self.spec.bow[0] + self.spec.bow[1] * tau)
         return slope
@@ -185,5 +185,6 @@ def _sheet(spec: LaserSpec, config: SimulationConfig, rays: RayTable) -> Sheet:
     width_px = width_m * config.camera.fx / r
     seen_px = np.sqrt(width_px**2 + config.sensor.psf_px**2 + 1 / 12)
     power = spec.peak_dn / WALL_ALBEDO * r * np.sqrt(2 * np.pi) * width_m * seen_px / width_px
-    slope = sheet.slope_at(rays.x.astype(np.float64), rays.y.astype(np.float64)).astype(np.float32)
+    z = rays.z if isinstance(rays.z, float) else rays.z.astype(np.float64)
+    slope = sheet.slope_at(rays.x.astype(np.float64), rays.y.astype(np.float64), z).astype(np.float32)
     return Sheet(spec, normal, distance, origin, ahead, across, slope, float(power))

@@ -26,8 +26,9 @@ class Section(BaseModel):
 
 
 class CameraSpec(Section):
-    """Pinhole with Brown-Conrady distortion [px; 1 for the coefficients]."""
+    """Pinhole with Brown-Conrady distortion, or fisheye after Kannala and Brandt [px; 1 for the coefficients]."""
 
+    model: Literal["pinhole", "fisheye"] = "pinhole"
     width: Annotated[int, Field(gt=7)] = 1280
     height: Annotated[int, Field(gt=7)] = 1024
     fx: Positive = 1100.0
@@ -40,7 +41,18 @@ class CameraSpec(Section):
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
+    k4: float = 0.0
+    """Of a fisheye only, which has no p1, p2."""
+    field_deg: Annotated[float, Field(gt=0, le=300)] = 200.0
+    """Field of view of a fisheye: the image is dark beyond."""
     up: Literal["-v", "+v", "+u", "-u"] = "-v"
+
+    @model_validator(mode="after")
+    def _one_lens(self) -> "CameraSpec":
+        strange = ("p1", "p2") if self.model == "fisheye" else ("k4",)
+        if any(getattr(self, name) != 0.0 for name in strange):
+            raise ValueError(f"a {self.model} has no {' or '.join(strange)}")
+        return self
 
     def centre(self) -> Pair:
         """Principal point [px]."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxscan.simulation.boards import SeenBoard
 from jaxscan.simulation.optics import psf_weights, splat
+from jaxscan.simulation.rays import Numbers
 from jaxscan.simulation.rig import Motion, Rig, Sheet
 from jaxscan.simulation.scene import Scene
 
@@ -24,6 +25,10 @@ SAMPLES_ALONG = 2
 """Samples per pixel along the stripe."""
 _BAND = 5.5
 """Half width of the sampled band, in standard deviations of the sheet: beyond it is 3e-7 of the peak."""
+
+
+Rays = tuple[np.ndarray, np.ndarray, Numbers]
+"""x, y, z of some rays; z is the number 1 for a pinhole."""
 
 
 class RowTruth(NamedTuple):
@@ -39,7 +44,7 @@ class RowTruth(NamedTuple):
 
 
 class Hits(NamedTuple):
-    """What rays (x, y, 1) meet, n of them, camera frame."""
+    """What rays (x, y, z) meet, n of them, camera frame."""
 
     depth: np.ndarray
     points: np.ndarray
@@ -61,7 +66,7 @@ def laser_image(
         sheet: Which laser is lit.
         scene: What it falls on.
         pose: T_scanner_cam.
-        depth: Depth z of every pixel's centre, float32 [height, width]; inf where nothing is.
+        depth: Depth along the ray of every pixel's centre, float32 [height, width]; inf where nothing is.
         board: A board in front of the scene.
     """
     height, width = rig.rays.shape
@@ -75,10 +80,8 @@ def laser_image(
         return np.zeros((height, width), np.float32)
     dv = ((np.arange(samples_v) + 0.5) / samples_v - 0.5).repeat(samples_u).astype(np.float32)
     du = np.tile((np.arange(samples_u) + 0.5) / samples_u - 0.5, samples_v).astype(np.float32)
-    t = rig.rays
-    x = t.x[rows, columns, None] + t.x_u[rows, columns, None] * du + t.x_v[rows, columns, None] * dv
-    y = t.y[rows, columns, None] + t.y_u[rows, columns, None] * du + t.y_v[rows, columns, None] * dv
-    light = illuminate(rig, sheet, scene, pose, x.ravel(), y.ravel(), board)
+    x, y, z = rig.rays.at(rows, columns, None).moved(du, dv)
+    light = illuminate(rig, sheet, scene, pose, (x.ravel(), y.ravel(), z if isinstance(z, float) else z.ravel()), board)
     return splat(light.reshape(x.shape), rows, columns, *weights, (height, width))
 
 
@@ -94,20 +97,18 @@ def samples_across(rig: Rig, sheet: Sheet) -> int:
     return int(np.clip(math.ceil(0.6 / thinnest), 8, 32))
 
 
-def illuminate(
-    rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, x: np.ndarray, y: np.ndarray, board: SeenBoard | None
-) -> np.ndarray:
-    """Light of the laser seen along rays (x, y, 1), float32 [n], DN on a pixel filled with it."""
-    hits = cast(scene, pose, x, y, board)
+def illuminate(rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, rays: Rays, board: SeenBoard | None) -> np.ndarray:
+    """Light of the laser seen along rays (x, y, z), float32 [n], DN on a pixel filled with it."""
+    hits = cast(scene, pose, rays, board)
     f = np.float32
-    beside = hits.depth * sheet.slope_at(x, y).astype(f) - f(sheet.distance)
+    beside = hits.depth * sheet.slope_at(*rays).astype(f) - f(sheet.distance)
     legs = hits.points - sheet.origin.astype(f)
     r = np.sqrt(np.einsum("ij,ij->i", legs, legs))
     thickness = sheet.thickness(r).astype(f)
     cosine = -np.einsum("ij,ij->i", legs, hits.normal) / r
     fan = _fan(sheet, legs)
     lit = np.flatnonzero((np.abs(beside) < f(_BAND) * thickness) & (cosine > 0) & (fan > 0) & np.isfinite(hits.depth))
-    light = np.zeros(len(x), f)
+    light = np.zeros(len(beside), f)
     lit = lit[~_shaded(sheet, scene, pose, hits.points[lit], hits.on_board[lit], board)]
     s = beside[lit] / thickness[lit]
     energy = f(sheet.power / math.sqrt(2 * math.pi)) / (r[lit] * thickness[lit])
@@ -117,15 +118,16 @@ def illuminate(
     return light
 
 
-def cast(scene: Scene, pose: Motion, x: np.ndarray, y: np.ndarray, board: SeenBoard | None) -> Hits:
-    """What the rays (x, y, 1) of the camera meet."""
-    directions = np.stack([x, y, np.ones_like(x)], -1)
+def cast(scene: Scene, pose: Motion, rays: Rays, board: SeenBoard | None) -> Hits:
+    """What the rays (x, y, z) of the camera meet."""
+    x, y, z = rays
+    directions = np.stack([x, y, np.ones_like(x) if isinstance(z, float) else z], -1)
     depth, triangle = scene.cast(pose.translation, pose.turn(directions))
     normal = pose.inverse().turn(scene.normal)[triangle]
     on_board = np.zeros(len(x), bool)
     place = np.zeros_like(x), np.zeros_like(x)
     if board is not None:
-        nearer, bx, by = board.hit(x, y)
+        nearer, bx, by = board.hit(x, y, z)
         on_board, place = nearer < depth, (bx, by)
         depth = np.where(on_board, nearer, depth)
         normal = np.where(on_board[:, None], board.normal().astype(np.float32), normal)
@@ -151,18 +153,19 @@ def row_truth(
     line, at = np.nonzero(found & ((offset[:, :-1] < 0) != (offset[:, 1:] < 0)))
     t = rig.rays
 
-    def ray(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def ray(u: np.ndarray) -> Rays:
         fraction = u - at
         row, column = (at, line) if columns_axis else (line, at)
         row2, column2 = (at + 1, line) if columns_axis else (line, at + 1)
-        x = t.x[row, column].astype(np.float64) * (1 - fraction) + t.x[row2, column2] * fraction
-        y = t.y[row, column].astype(np.float64) * (1 - fraction) + t.y[row2, column2] * fraction
-        return x, y
+
+        def between(table: np.ndarray) -> np.ndarray:
+            return table[row, column].astype(np.float64) * (1 - fraction) + table[row2, column2] * fraction
+
+        return between(t.x), between(t.y), t.z if isinstance(t.z, float) else between(t.z)
 
     def beside(u: np.ndarray) -> np.ndarray:
-        x, y = ray(u)
-        z = cast(scene, pose, x, y, board).depth
-        return z * sheet.slope_at(x, y) - sheet.distance
+        rays = ray(u)
+        return cast(scene, pose, rays, board).depth * sheet.slope_at(*rays) - sheet.distance
 
     low, high = at.astype(np.float64), at + 1.0
     f_low, f_high = offset[line, at].astype(np.float64), offset[line, at + 1].astype(np.float64)
@@ -173,9 +176,9 @@ def row_truth(
         left = (value < 0) == (f_low < 0)
         low, f_low = np.where(left, u, low), np.where(left, value, f_low)
         high, f_high = np.where(left, high, u), np.where(left, f_high, value)
-    x, y = ray(u)
+    rays = ray(u)
     # At a jump of depth the sheet is crossed nowhere; a lit centre has light of its own.
-    real = (np.abs(beside(u)) < 2e-5) & (illuminate(rig, sheet, scene, pose, x, y, board) > 0)
+    real = (np.abs(beside(u)) < 2e-5) & (illuminate(rig, sheet, scene, pose, rays, board) > 0)
     peak = np.zeros(len(u), np.float32)
     for step in (-1, 0, 1, 2):
         peak = np.maximum(peak, light[line, np.clip(at + step, 0, light.shape[1] - 1)])
@@ -185,7 +188,9 @@ def row_truth(
     valid = best >= 0
     valid[valid] &= real[best[valid]]
     chosen = best[valid]
-    points = pose.apply(cast(scene, pose, x[chosen], y[chosen], board).points)
+    x, y, z = rays
+    kept = x[chosen], y[chosen], z if isinstance(z, float) else z[chosen]
+    points = pose.apply(cast(scene, pose, kept, board).points)
     truth = RowTruth(np.zeros(lines), np.zeros(lines, np.float32), np.zeros((lines, 3)), valid)
     truth.u[valid], truth.amplitude[valid], truth.xyz[valid] = u[chosen], peak[chosen], points
     return truth

@@ -162,18 +162,26 @@ def expect_record(
     shape = rig.rays.shape
     rays = pose.turn(rig.rays.directions)
     depth, triangle = scene.cast(pose.translation, rays)
+    sees = rig.rays.sees
+    if sees is not None:
+        depth = np.where(sees.ravel(), depth, np.float32(np.inf))
     white = config.light.white_dn if board is None else config.boards.white_dn
     off = _ambient(rig, scene, pose, rays, depth, triangle) * np.float32(white)
     depth = depth.reshape(shape)
     scale = 1.0
     if board is not None:
-        in_front, _, _ = board.hit(rig.rays.x, rig.rays.y)
+        in_front, _, _ = board.hit(rig.rays.x, rig.rays.y, rig.rays.z)
+        if sees is not None:
+            in_front = np.where(sees, in_front, np.float32(np.inf))
         where, fills, albedo, board = cover(rig, board, in_front)
         light = _board_light(rig, scene, pose, board, where) * np.float32(white)
         off[:, *where] = off[:, *where] * (1 - fills) + albedo * light
         depth = np.minimum(depth, in_front)
         scale = _board_power(rig, sheet, in_front)
     glow = laser_image(rig, sheet, scene, pose, depth, board) * np.float32(scale)
+    if sees is not None:
+        # Nothing comes through the lens from beyond its field of view.
+        off, glow = off * sees, glow * sees
     truth = row_truth(rig, sheet, scene, pose, depth, glow, board)
     lit = glow * laser_response(sensor, sheet.spec.colour)[:, None, None]
     pixel_format = sensor.pixel_format
@@ -211,10 +219,10 @@ def _ambient(
 
 def _board_light(rig: Rig, scene: Scene, pose: Motion, board: SeenBoard, where: tuple[slice, slice]) -> np.ndarray:
     """The room's light on the board's plane at pixel centres, float32 [rows, columns]."""
-    x, y = rig.rays.x[where], rig.rays.y[where]
+    rays = rig.rays.at(*where)
     r2 = board.board_from_camera.rotation[2].astype(np.float32)
-    z = np.float32(-board.board_from_camera.translation[2]) / (r2[0] * x + r2[1] * y + r2[2])
-    points = pose.apply(np.stack([x * z, y * z, z], -1))
+    depth = np.float32(-board.board_from_camera.translation[2]) / (r2[0] * rays.x + r2[1] * rays.y + r2[2] * rays.z)
+    points = pose.apply(np.stack([rays.x * depth, rays.y * depth, rays.z * depth], -1))
     normal = np.broadcast_to((pose.rotation @ board.normal()).astype(np.float32), points.shape)
     return scene.light(points, normal, pose.translation)
 

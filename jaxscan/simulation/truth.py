@@ -5,40 +5,39 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
+from jaxscan.geometry import AbstractCamera, Fisheye, LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
 from jaxscan.simulation.rig import make_rig
 from jaxscan.simulation.scene import room_from_scanner
-from jaxscan.simulation.spec import SimulationConfig, TurntableSpec
+from jaxscan.simulation.spec import CameraSpec, SimulationConfig, TurntableSpec
 
 
 def true_scanner(config: SimulationConfig) -> Scanner:
     """The scanner that a perfect calibration of this rig would find; it has no covariance."""
-    camera, table = config.camera, config.turntable
-    cx, cy = camera.centre()
-    pinhole = Pinhole(
-        fx=np.asarray(camera.fx),
-        fy=np.asarray(camera.fy),
-        cx=np.asarray(cx),
-        cy=np.asarray(cy),
-        distortion=np.array([camera.k1, camera.k2, camera.p1, camera.p2, camera.k3]),
-        width=camera.width,
-        height=camera.height,
-    )
+    table = config.turntable
     sheets = []
     for laser in config.laser:
         flat = LaserSheet.from_plane(*laser.plane())
         sheets.append(LaserSheet(flat.normal, flat.distance, np.array(laser.bow), flat.basis))
-    axis = point_up(_axis(table), camera.up)
+    axis = point_up(_axis(table), config.camera.up)
     turntable = Turntable(
         axis.direction, axis.point, np.asarray(table.gain), np.array(table.harmonics), axis.basis, table.carries
     )
     return Scanner(
-        camera=pinhole,
+        camera=_camera(config.camera),
         lasers=stack_lasers(sheets),
         turntable=turntable,
         laser_names=tuple(laser.name for laser in config.laser),
-        up=camera.up,
+        up=config.camera.up,
     )
+
+
+def _camera(spec: CameraSpec) -> AbstractCamera:
+    fx, fy, cx, cy = (np.asarray(value) for value in (spec.fx, spec.fy, *spec.centre()))
+    if spec.model == "fisheye":
+        kannala = np.array([spec.k1, spec.k2, spec.k3, spec.k4])
+        return Fisheye(fx=fx, fy=fy, cx=cx, cy=cy, distortion=kannala, width=spec.width, height=spec.height)
+    brown = np.array([spec.k1, spec.k2, spec.p1, spec.p2, spec.k3])
+    return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, distortion=brown, width=spec.width, height=spec.height)
 
 
 def truth(config: SimulationConfig) -> dict[str, Any]:
@@ -92,9 +91,7 @@ def _parameters(scanner: Scanner) -> dict[str, Any]:
     """Values of the minimal coordinates; a tangent coordinate is 0 at its own base point."""
     camera, table = scanner.camera, scanner.turntable
     values: dict[str, Any] = dict.fromkeys(scanner.parameter_names(), 0.0)
-    if isinstance(camera, Pinhole):
-        values |= {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
-        values |= dict(zip(("k1", "k2", "p1", "p2", "k3"), np.asarray(camera.distortion), strict=True))
+    values |= dict(zip(camera.parameter_names(), np.asarray(camera.parameters()), strict=True))
     for index, name in enumerate(scanner.laser_names):
         sheet = jax.tree.map(lambda leaf, index=index: leaf[index], scanner.lasers)
         values |= {
