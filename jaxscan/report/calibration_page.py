@@ -115,10 +115,11 @@ def _tests(calibration: Calibration) -> Html | None:
         "Tests of the models",
         element(
             "p",
-            "Each statistic is about as large as its degrees of freedom where the model suffices; p says how often "
-            "chance alone gives a larger one.",
+            "Each statistic is about as large as its degrees of freedom where the model suffices. p says how often "
+            "chance alone gives a larger one, with the noise that the detectors promise; p of structure takes the "
+            "noise that is there. Where only p is small, the residuals are noisy but have no structure.",
         ),
-        table(tables.OUTCOME_COLUMNS, rows, kind="words", worse=[row[5] == "fails" for row in rows]),
+        table(tables.OUTCOME_COLUMNS, rows, kind="words", worse=[row[5] != "passes" for row in rows]),
     )
 
 

@@ -114,7 +114,7 @@ def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
             _optional(test.dof, ".0f"),
             _probability(test.p),
             _probability(test.p_structure),
-            "fails" if test.failed else "passes",
+            test.result,
             TESTS.get(test.name, ("", ""))[0],
         )
         for test in outcomes(calibration)

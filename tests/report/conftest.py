@@ -78,7 +78,7 @@ def make_quality(observations, fit, laser_names):
     ]
     tests = [
         {"name": name, "statistic": 100.0, "dof": 98, "p": 0.4, "p_structure": 0.3}
-        for name in ("lens", "board", "table", "sheet", "halves")
+        for name in ("lens", "board", "table", "axis", "sheet", "halves")
     ]
     return {
         "corner_rms_px": 0.14,

@@ -119,7 +119,7 @@ def test_figures_have_text_and_every_view_its_panel(document):
 def test_refused_calibrations_say_why(made):
     refused = dataclasses.replace(made(), fit=None)
     verdict = refused.quality["verdict"]
-    verdict["accepted"], verdict["tests"][3]["p"] = False, 1e-9
+    verdict["accepted"], verdict["tests"][4]["p_structure"] = False, 1e-9
     page = Document(calibration_page(refused))
     assert page.words["strong"] == ["Not accepted"]
     assert "the light sheet is not of the shape of its model" in page.all_words()

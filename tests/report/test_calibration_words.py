@@ -17,19 +17,24 @@ class TestVerdict:
     def test_accepted(self, calibration):
         found = words.verdict(calibration)
         assert (found.kind, found.headline) == ("good", "Accepted")
-        assert "all of 5 tests" in found.explanation
+        assert "all of 6 tests" in found.explanation
 
-    @pytest.mark.parametrize("key", ["p", "p_structure"])
     @pytest.mark.parametrize(("index", "name"), list(enumerate(words.TESTS)))
-    def test_not_accepted_says_which_model(self, calibration, index, name, key):
+    def test_not_accepted_says_which_model(self, calibration, index, name):
         tests = [dict(test) for test in calibration.quality["verdict"]["tests"]]
-        tests[index][key] = 1e-5
+        tests[index]["p_structure"] = 1e-5
         refused = having(calibration, verdict={"accepted": False, "tests": tests})
         found = words.verdict(refused)
         assert found.kind == "bad"
         for other, (_, meaning) in words.TESTS.items():
             assert (meaning in found.explanation) == (other == name)
         assert [row[5] for row in outcome_rows(refused)].count("fails") == 1
+
+    def test_noise_without_structure_is_told_from_a_wrong_model(self, calibration):
+        tests = [{**test, "p": 1e-9} for test in calibration.quality["verdict"]["tests"]]
+        noisy = having(calibration, verdict={"accepted": False, "tests": tests})
+        assert "larger than the noise that the detectors promise" in words.verdict(noisy).explanation
+        assert {row[5] for row in outcome_rows(noisy)} == {"noisy"}
 
     def test_a_solve_that_ended_is_never_called_right(self, calibration):
         for judged in (None, {}, {"accepted": None}, "good"):
