@@ -143,9 +143,13 @@ def view_columns(calibration: Calibration) -> dict[str, tuple[str, str]]:
 def view_rows(calibration: Calibration) -> list[tuple[str, ...]]:
     """The views, worst first, as `view_columns`."""
     columns = view_columns(calibration)
-    return [
-        tuple(_optional(number(view, key), form) for key, (_, form) in columns.items()) for view in views(calibration)
-    ]
+
+    def cell(view: dict[str, Any], key: str, form: str) -> str:
+        # Of no points there is no root mean square.
+        empty = key == "stripe_rms_px" and not number(view, "stripe_points")
+        return _optional(None if empty else number(view, key), form)
+
+    return [tuple(cell(view, key, form) for key, (_, form) in columns.items()) for view in views(calibration)]
 
 
 def quality_rows(calibration: Calibration) -> list[tuple[str, str]]:

@@ -65,7 +65,7 @@ footer{margin-top:3rem;border-top:1px solid var(--line);padding-top:1rem;color:v
 figure.wide svg{min-width:0}
 figure,.tile,.verdict,tr{break-inside:avoid}h2,h3{break-after:avoid}.scroll{overflow:visible}
 .figures{grid-template-columns:1fr 1fr}.panels{grid-template-columns:repeat(4,1fr)}
-.tiles{grid-template-columns:repeat(4,1fr)}@page{margin:14mm}}
+.tiles{grid-template-columns:repeat(4,1fr)}th,td{padding:.16rem .5rem}@page{margin:14mm}}
 """
 
 # Should anything slip through the escaping, a browser still neither runs nor fetches it.
