@@ -15,7 +15,7 @@ from jaxscan.simulation.planning import plan_boards
 
 
 CONFIGS = pathlib.Path(__file__).parents[2] / "configs"
-TEXTS = {name: (CONFIGS / f"{name}.toml").read_text() for name in ("paper", "reference", "desk")}
+TEXTS = {name: (CONFIGS / f"{name}.toml").read_text() for name in ("paper", "reference", "desk", "fisheye")}
 TEXTS["demo"] = resources.files("jaxscan").joinpath("data/demo.toml").read_text()
 
 
