@@ -16,7 +16,7 @@ from jaxscan.calibration.lengths import (
     stripe_pixels,
     typical_lengths,
 )
-from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.geometry import Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 
 
 def room_rig(covariance=None, *, bow=(0.0, 0.0), distortion=(-0.1, 0.06, 2e-4, -1e-4, 0.0)):
@@ -79,6 +79,18 @@ def test_depth_goes_with_the_distance_of_the_sheet():
     within = typical_lengths(scanner, 0)[0]
     assert within.name == "along the stripe"
     np.testing.assert_allclose(length_sigma(scanner, [within]), 0.3 / distance * 1e-4, rtol=1e-6)
+
+
+def test_a_fisheye_is_judged_alike():
+    camera = Fisheye(600.0, 600.0, 960.0, 600.0, np.array([0.02, -0.01, 0.0, 0.0]), width=1920, height=1200)
+    scanner = uncertain(replace(room_rig(), camera=camera), d=1e-4)
+    q = stripe_pixels(scanner, 0, 2.5)
+    # The lowest row is 1 rad = 57 degrees down, within the 72 over which stripes are looked for.
+    assert len(q) == 1200
+    np.testing.assert_allclose(stripe_depths(scanner, 0, q), 2.5, atol=1e-9)
+    np.testing.assert_allclose(depth_sigma(scanner, 0, q), 2.5 / float(scanner.lasers.distance[0]) * 1e-4, rtol=1e-9)
+    names = [length["name"] for length in predict_lengths(scanner)["lasers"][0]["lengths"]]
+    assert names == ["along the stripe", "across the sweep", "half a turn", "half a turn"]
 
 
 def test_an_angle_scale_stretches_across_the_sweep_alone():
