@@ -4,16 +4,16 @@ import functools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from jaxscan.calibration import BoardStripe, BoardViews, Observations, select_board_stripes, stack_stripes
+from jaxscan.api.board_stripes import BATCH_RECORDS, View, with_stripes
+from jaxscan.calibration import BoardViews, Observations, stack_stripes
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.files.capture import Capture, Record
+from jaxscan.files.capture import Capture
 from jaxscan.geometry import AbstractBoard, Charuco
 from jaxscan.geometry.turntable import Carries
-from jaxscan.stripes import Stripes, extract_stripes
 
 
 if TYPE_CHECKING:
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
 
 Progress = Callable[[int, int], None]
-
-BATCH_RECORDS = 8
-"""Board records looked at together: enough for all cores, little against any memory."""
 
 
 def observe_boards(
@@ -46,43 +43,48 @@ def observe_boards(
         CaptureError: If a capture is not a calibration capture, or they do not belong together.
         CalibrationError: If the board is found in no image.
     """
-    board = _common_board(captures)
+    return to_observations(find_boards(captures, with_stripes=with_stripes, progress=progress), captures)
+
+
+def find_boards(captures: Sequence[Capture], *, with_stripes: bool, progress: Progress | None = None) -> list[View]:
+    """Every record with what was found in it; see `observe_boards`."""
+    board = common_board(captures)
+    views = look_at_boards(captures, functools.partial(_find, captures, board), _stripes(with_stripes), progress)
+    if all(view.corners is None for view in views):
+        raise CalibrationError(
+            f"The board ({_describe(board)}) was found in none of {len(views)} records: check the [board] table of "
+            "capture.toml (columns and rows count inner corners for a chessboard, squares for ChArUco), and that the "
+            "board is sharp, well lit and wholly in the image."
+        )
+    return views
+
+
+def look_at_boards(
+    captures: Sequence[Capture],
+    look: Callable[[int, int], View],
+    stripes: Callable[[list[View], Capture], list[View]],
+    progress: Progress | None = None,
+) -> list[View]:
+    """Go through all records: `look` at each (capture, index) in threads, then `stripes` of a batch together."""
     total = sum(len(capture) for capture in captures)
-    views: list[_View] = []
-    done = 0
+    views: list[View] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for number, capture in enumerate(captures):
             for start in range(0, len(capture), BATCH_RECORDS):
                 indices = range(start, min(start + BATCH_RECORDS, len(capture)))
-                looked = list(pool.map(functools.partial(_look_for_board, number, capture, board), indices))
-                seen = _with_stripes(looked, capture, board) if with_stripes else looked
+                seen = stripes(list(pool.map(functools.partial(look, number), indices)), capture)
                 # Frames go as soon as they are read: a capture may be larger than the memory.
                 views += [view._replace(on=None, off=None) for view in seen]
-                done += len(indices)
                 if progress is not None:
-                    progress(done, total)
-    found = [view for view in views if view.corners is not None]
-    if not found:
-        raise CalibrationError(
-            f"The board ({_describe(board)}) was found in none of {total} records: check the [board] table of "
-            "capture.toml (columns and rows count inner corners for a chessboard, squares for ChArUco), and that the "
-            "board is sharp, well lit and wholly in the image."
-        )
-    return _observations(found, captures[0], board)
+                    progress(len(views), total)
+    return views
 
 
-class _View(NamedTuple):
-    """One record on its way to an observation."""
-
-    capture: int
-    record: Record
-    on: np.ndarray | None
-    off: np.ndarray | None
-    corners: "FoundCorners | None"
-    stripe: BoardStripe | None = None
+def _stripes(wanted: bool) -> Callable[[list[View], Capture], list[View]]:
+    return with_stripes if wanted else lambda views, capture: views
 
 
-def _common_board(captures: Sequence[Capture]) -> AbstractBoard:
+def common_board(captures: Sequence[Capture]) -> AbstractBoard:
     """The board of all captures, which must show one board to one rig."""
     first = captures[0]
     for capture in captures:
@@ -97,57 +99,19 @@ def _common_board(captures: Sequence[Capture]) -> AbstractBoard:
     return cast(AbstractBoard, first.board)
 
 
-def _look_for_board(number: int, capture: Capture, board: AbstractBoard, index: int) -> _View:
+def _find(captures: Sequence[Capture], board: AbstractBoard, number: int, index: int) -> View:
     # Here, so that `import jaxscan` does not load OpenCV.
     from jaxscan.vision.boards import find_corners
-    from jaxscan.vision.grey import to_grey
 
-    on, off = capture.frames(index)
-    image = on if off is None else off
-    corners = None if image is None else find_corners(to_grey(image, capture.pixel_format), board)
-    return _View(number, capture.records[index], on, off, corners)
+    view = View.of(captures[number], number, index)
+    image = view.picture()
+    return view if image is None else view._replace(corners=find_corners(image, board))
 
 
-def _with_stripes(views: list[_View], capture: Capture, board: AbstractBoard) -> list[_View]:
-    """The views of one batch with the stripes that lie on their boards."""
-    lit = [i for i, view in enumerate(views) if view.corners is not None and view.on is not None]
-    for laser, line in enumerate(capture.lines):
-        for with_off in (True, False):
-            group = [i for i in lit if views[i].record.laser == laser and (views[i].off is not None) == with_off]
-            if not group:
-                continue
-            # Padded to the batch's size, so that the extraction compiles once.
-            padded = [group[min(k, len(group) - 1)] for k in range(BATCH_RECORDS)]
-            on = np.stack([cast(np.ndarray, views[i].on) for i in padded])
-            off = np.stack([cast(np.ndarray, views[i].off) for i in padded]) if with_off else None
-            stripes = extract_stripes(on, off, pixel_format=capture.pixel_format, response=capture.response, line=line)
-            for row, i in enumerate(group):
-                views[i] = views[i]._replace(stripe=_board_stripe(stripes, row, views[i], capture, board))
-    return views
-
-
-def _board_stripe(stripes: Stripes, row: int, view: _View, capture: Capture, board: AbstractBoard) -> BoardStripe:
-    from jaxscan.vision.grey import to_grey
-
-    corners, line = cast("FoundCorners", view.corners), capture.lines[cast(int, view.record.laser)]
-    u, sigma, valid, width = (
-        np.asarray(field)[row] for field in (stripes.u, stripes.sigma, stripes.valid, stripes.width)
-    )
-    return select_board_stripes(
-        u,
-        sigma,
-        valid,
-        corners=corners.q,
-        corners_valid=corners.valid,
-        board=board,
-        off=None if view.off is None else to_grey(view.off, capture.pixel_format),
-        width=np.where(valid, width, 1.0),
-        stripe_axis=line.stripe_axis,
-    )
-
-
-def _observations(views: list[_View], first: Capture, board: AbstractBoard) -> Observations:
-    """The padded grids that the solve reads."""
+def to_observations(views: Sequence[View], captures: Sequence[Capture]) -> Observations:
+    """The padded grids that the solve reads, of the views with a board."""
+    first, board = captures[0], common_board(captures)
+    views = [view for view in views if view.corners is not None]
     corners = [cast("FoundCorners", view.corners) for view in views]
     # A view that shares its placement with no other, or whose angle is unknown, stands alone.
     keys = [

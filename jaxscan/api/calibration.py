@@ -1,9 +1,11 @@
 """Captures to a calibration: look at the boards, solve, say where it came from."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import metadata
 
-from jaxscan.api.boards import Progress, observe_boards
+from jaxscan.api.boards import Progress, find_boards, to_observations
+from jaxscan.api.redetect import choose, look_again
 from jaxscan.calibration import Calibration, CalibrationSettings, calibrate_camera, calibrate_observations
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.capture import Capture
@@ -14,6 +16,7 @@ def calibrate(
     *,
     settings: CalibrationSettings | None = None,
     only_camera: bool = False,
+    redetect: bool = True,
     progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate a rig from captures of a board: corners, stripes, one joint least squares.
@@ -22,7 +25,9 @@ def calibrate(
         captures: Calibration captures of the same board, camera and rig.
         settings: Of the solve.
         only_camera: Intrinsics alone; lasers and turntable are left out of the result.
-        progress: Called with (records done, records in all).
+        redetect: Look at the images a second time, where the first solve says that corners and
+            stripes are, and solve again; `quality["redetected"]` says what it brought.
+        progress: Called with (records done, records in all), over both looks.
 
     Returns:
         The calibration, with its covariance, quality and observations.
@@ -39,12 +44,23 @@ def calibrate(
             f"{captures[0].path}: lists no [[laser]], so there is no laser plane to be found: capture the board with "
             "the laser on and off, or calibrate the camera alone (`--only camera`, `only_camera=True`)."
         )
-    observations = observe_boards(captures, with_stripes=not only_camera, progress=progress)
+    settings = settings or CalibrationSettings()
     solve = calibrate_camera if only_camera else calibrate_observations
-    result = solve(observations, settings=settings or CalibrationSettings())
+    looks, stripes = 2 if redetect else 1, not only_camera
+    views = find_boards(captures, with_stripes=stripes, progress=_part(progress, 0, looks))
+    result = solve(to_observations(views, captures), settings=settings)
+    if redetect:
+        again = look_again(captures, views, result, stripes=stripes, progress=_part(progress, 1, looks))
+        result, brought = choose(result, solve(to_observations(again, captures), settings=settings))
+        result = replace(result, quality={**result.quality, "redetected": brought})
     provenance = {
         **result.provenance,
         "captures": [{"name": capture.path.name, "digest": capture.digest()} for capture in captures],
         "versions": {name: metadata.version(name) for name in ("jaxscan", "jax", "optimistix", "numpy")},
     }
-    return Calibration(**{**vars(result), "provenance": provenance})
+    return replace(result, provenance=provenance)
+
+
+def _part(progress: Progress | None, look: int, looks: int) -> Progress | None:
+    """Progress of one of several looks at the same records."""
+    return None if progress is None else lambda done, total: progress(look * total + done, looks * total)

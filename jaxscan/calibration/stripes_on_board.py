@@ -40,12 +40,13 @@ def select_board_stripes(
     off: np.ndarray | None = None,
     width: np.ndarray | float = 1.5,
     stripe_axis: Literal["rows", "columns"] = "rows",
+    board_xy: np.ndarray | None = None,
     points: int = 512,
 ) -> BoardStripe:
     """Keep the stripe points that lie on the board and that its print does not pull aside.
 
-    A point is on the board where a map fitted to the corners (homography, and what the lens adds
-    to it as a cubic) puts it inside the printed area. Where the laser-off image changes under the
+    A point is on the board where its pose puts it inside the printed area; as long as that is not
+    known, a map fitted to the corners (homography, and what the lens adds to it as a cubic). Where the laser-off image changes under the
     stripe, brighter paper draws the stripe's centre towards it; points are dropped whose centre
     would move by more than 0.05 px.
 
@@ -59,6 +60,7 @@ def select_board_stripes(
         off: Laser-off image [rows, columns], grey, or None.
         width: Standard deviation of the stripe's profile, one or [lines], px.
         stripe_axis: "rows" where a line is an image row, "columns" where it is a column.
+        board_xy: Where the board's pose puts every point [lines, 2], m; None: by the corners.
         points: Number of points to return; longer stripes are thinned evenly.
 
     Returns:
@@ -71,7 +73,11 @@ def select_board_stripes(
     centre = np.where(valid, np.asarray(u, np.float64), 0.0)
     q = np.column_stack([centre, lines] if stripe_axis == "rows" else [lines, centre])
     keep = np.asarray(valid, bool) & np.isfinite(centre)
-    keep &= _on_board(q, np.asarray(corners, np.float64), np.asarray(corners_valid, bool), board)
+    if board_xy is None:
+        keep &= _on_board(q, np.asarray(corners, np.float64), np.asarray(corners_valid, bool), board)
+    else:
+        outline, margin = board.outline(), _EDGE_MARGIN * board.square
+        keep &= ((board_xy > outline.min(0) + margin) & (board_xy < outline.max(0) - margin)).all(-1)
     if off is not None and keep.any():
         image = np.asarray(off, np.float64) if stripe_axis == "rows" else np.asarray(off, np.float64).T
         spread = np.broadcast_to(np.asarray(width, np.float64), centre.shape)

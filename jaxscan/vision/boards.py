@@ -17,8 +17,8 @@ _SIGMA_PX = {"auto": 0.035, "sb": 0.10, "classic": 0.035, "charuco": 0.06}
 # Squares that are projected smaller than this [px] hold fewer edge pixels than a corner needs.
 _SMALL_SQUARE_PX = 12.0
 _MIN_CORNERS = 6
-# A window of this share of the smallest square to either side stays clear of the next corner.
-_WINDOW_SHARE = 0.3
+WINDOW_SHARE = 0.3
+"""A window of this share of a square to either side stays clear of the next corner."""
 # The blur of a marker's edge reaches so far [px].
 _MARKER_BLUR_PX = 1.5
 
@@ -170,7 +170,7 @@ def _find_charuco(image: np.ndarray, board: Charuco, half_window: int | None) ->
     q, valid = np.zeros((count, 2)), np.zeros(count, bool)
     index = np.ravel(ids)
     q[index], valid[index] = _points(corners), True
-    if not _spans_plane(board.corners()[valid, :2]):
+    if not is_enough(board, valid):
         return None
     sizes = _square_sizes(q, valid, board)
     # The markers begin (1 - marker / square) / 2 of a square away; a window that reaches them
@@ -181,7 +181,7 @@ def _find_charuco(image: np.ndarray, board: Charuco, half_window: int | None) ->
     q[valid] = refined
     # A corner that ran away from its square has latched on to something else.
     valid[np.flatnonzero(valid)[moved > 0.25 * sizes[valid]]] = False
-    if valid.sum() < _MIN_CORNERS or not _spans_plane(board.corners()[valid, :2]):
+    if not is_enough(board, valid):
         return None
     return _with_sigma(np.where(valid[:, None], q, 0.0), valid, board, _SIGMA_PX["charuco"])
 
@@ -196,7 +196,7 @@ def _fitted(image: np.ndarray, found: FoundCorners, board: AbstractBoard, half_w
     edges, known = edge_directions(found.q, found.valid, board)
     use = np.flatnonzero(found.valid & known)
     sizes = _square_sizes(found.q, found.valid, board)[use]
-    half = _WINDOW_SHARE * sizes if half_window is None else np.full(len(use), float(half_window))
+    half = WINDOW_SHARE * sizes if half_window is None else np.full(len(use), float(half_window))
     fit = refine_corners(image, found.q[use], edges[use], half, clear=clear_of_markers(board, sizes))
     q, sigma = found.q.copy(), found.sigma.copy()
     q[use[fit.valid]], sigma[use[fit.valid]] = fit.q[fit.valid], fit.sigma[fit.valid]
@@ -264,9 +264,11 @@ def _with_sigma(q: np.ndarray, valid: np.ndarray, board: AbstractBoard, sigma_px
     return FoundCorners(q, np.where(valid, sigma, 1.0), valid)
 
 
-def _spans_plane(points: np.ndarray) -> bool:
+def is_enough(board: AbstractBoard, valid: np.ndarray) -> bool:
+    """Whether the corners that are valid [corners] fix a pose: 6 or more that are not on one line."""
+    points = board.corners()[valid, :2]
     if len(points) < _MIN_CORNERS:
         return False
-    # Corners on one line fix no pose; on a grid the narrowest spread that does is large.
+    # On a grid the narrowest spread that is not a line is large.
     spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
     return bool(spread[1] > 0.05 * spread[0])

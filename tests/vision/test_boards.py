@@ -1,4 +1,4 @@
-"""Corners in rendered and in real pictures of boards."""
+"""Corners in rendered and in real pictures of boards, found anew and where they should be."""
 
 from pathlib import Path
 
@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from jaxscan.geometry import Charuco, Chessboard
-from jaxscan.vision.boards import board_texture, find_corners
+from jaxscan.vision.boards import board_texture, edge_directions, find_corners
+from jaxscan.vision.redetect import redetect_corners
 
 
 CHESS = Chessboard(8, 5, 0.03)
@@ -139,3 +140,57 @@ def test_small_squares_are_refined_in_a_small_window():
     sector, classic = (find_corners(image, board, detector=d) for d in ("sb", "classic"))
     # With a half window of 11 px the corners of this picture move by a pixel and more.
     assert np.median(np.linalg.norm(sector.q - classic.q, axis=1)) < 0.3
+
+
+def look(picture, board, homography, *, off=(0.3, -0.2), reach=1.0, first=None):
+    """Expected `off` pixels beside the truth."""
+    truth = expected(board, homography)
+    columns, rows = board.grid()
+    grid = truth.reshape(rows, columns, 2)
+    size = np.full(len(truth), min(np.linalg.norm(np.diff(grid, axis=k), axis=-1).min() for k in (0, 1)))
+    edges, _ = edge_directions(truth, np.ones(len(truth), bool), board)
+    limit = np.array(picture.shape[::-1]) - 1.0
+    visible = ((truth >= 0) & (truth <= limit)).all(1)
+    return truth, visible, redetect_corners(picture, board, truth + off, edges, size, visible, reach=reach, first=first)
+
+
+@pytest.mark.parametrize("board", [CHESS, CHARUCO])
+def test_a_board_that_is_cut_off_is_found_as_far_as_it_is_there(board):
+    homography = pose(shift=(540.0, 190.0))
+    picture = seen(board, homography)
+    # Detection wants a chessboard whole.
+    assert board is CHARUCO or find_corners(picture, board) is None
+    truth, visible, found = look(picture, board, homography)
+    assert 0.5 < visible.mean() < 0.9
+    # Of a corner nearer to the border than about half a window too little is seen.
+    inner = visible & (truth[:, 0] < 793)
+    assert found.valid[inner].all() and not found.valid[~visible].any()
+    error = (found.q - truth)[found.valid]
+    assert np.sqrt(np.mean(error**2)) < 0.012 and np.abs(error).max() < 0.05
+    assert not found.q[~found.valid].any()
+
+
+def test_what_is_covered_is_not_found_but_the_rest_is():
+    picture = seen(CHESS, pose())
+    covered = expected(CHESS, pose())[19]
+    column, row = np.rint(covered).astype(int)
+    picture[row - 15 : row + 16, column - 15 : column + 16] = 90
+    truth, _, found = look(picture, CHESS, pose())
+    assert not found.valid[19] and found.valid.sum() == len(truth) - 1
+
+
+def test_what_is_far_from_where_it_should_be_is_not_believed():
+    picture = seen(CHESS, pose())
+    first = find_corners(picture, CHESS)
+    _, _, found = look(picture, CHESS, pose(), off=(2.0, 0.0), reach=1.0, first=first)
+    # What was found before stands, for the solve to judge.
+    np.testing.assert_array_equal(found.q, first.q)
+    assert look(picture, CHESS, pose(), off=(2.0, 0.0), reach=1.0)[2] is None
+
+
+def test_wrong_corners_are_put_right():
+    picture = seen(CHESS, pose())
+    first = find_corners(picture, CHESS)
+    wrong = first._replace(q=first.q + np.where(np.arange(40) == 7, 3.0, 0.0)[:, None])
+    truth, _, found = look(picture, CHESS, pose(), first=wrong)
+    assert np.abs(found.q - truth).max() < 0.05
