@@ -29,7 +29,7 @@ POSE_SEED = 7
 
 
 class Run(NamedTuple):
-    """One calibration."""
+    """One calibration; parameters are those of the scanner, then the board's."""
 
     error: np.ndarray
     covariance: np.ndarray
@@ -60,10 +60,11 @@ def run(config: SimulationConfig, poses: BoardPoses, lengths: list[Length], seed
     truth = drawn(config, random)
     noisy = add_noise(ideal_boards(truth, poses), random, correlation=correlation)
     result = calibrate_observations(trials.observations(noisy, truth))
-    quality = result.quality
+    quality, fit = result.quality, result.fit
+    board = np.append(fit.warp - np.array(truth.boards.warp_mm) / 1000, fit.pitch)
     return Run(
-        trials.errors(result.scanner, truth),
-        result.covariance,
+        np.concatenate([trials.errors(result.scanner, truth), board]),
+        fit.covariance,
         measure_lengths(result.scanner, lengths) - measure_lengths(true_scanner(truth), lengths),
         length_sigma(result.scanner, lengths),
         (quality["corner_rms_whitened"] ** 2, quality["stripe_rms_whitened"] ** 2),
@@ -124,6 +125,7 @@ def prior_shares(covariance: np.ndarray, names: tuple[str, ...]) -> dict[str, fl
     priors = CalibrationSettings().priors
     sigma = dict.fromkeys(("cx", "cy"), priors.centre_px) | dict.fromkeys(("p1", "p2"), priors.tangential)
     sigma |= {"k3": priors.k3, "gain": priors.gain} | dict.fromkeys(("c1", "s1", "c2", "s2"), priors.harmonics)
+    sigma |= dict.fromkeys(("warp.x", "warp.y"), priors.warp)
     return {name: float(covariance[i, i] / sigma[name] ** 2) for i, name in enumerate(names) if name in sigma}
 
 
@@ -137,6 +139,7 @@ def main() -> int:
     poses = draw_poses(config, POSE_SEED, free_views=30, placements=4, angles=9)
     scanner = true_scanner(config)
     lengths = typical_lengths(scanner, 0)
+    names = (*scanner.parameter_names(), "warp.x", "warp.y", "pitch")
     figures: list = []
     for label, correlation in trials.CORRELATIONS.items():
         if arguments.noise not in (label, "both"):
@@ -147,8 +150,8 @@ def main() -> int:
             if seed % 20 == 0:
                 trials.progress(f"{label}: {seed + 1} of {runs} runs, {time.perf_counter() - started:.0f} s")
         # Few runs know a standard deviation badly: at 12, four times 1 / sqrt(24) = 0.8.
-        figures += judged(label, found, scanner.parameter_names(), lengths, 5.0 if arguments.quick else 1.0)
-        shares = prior_shares(found[0].covariance, scanner.parameter_names())
+        figures += judged(label, found, names, lengths, 5.0 if arguments.quick else 1.0)
+        shares = prior_shares(found[0].covariance, names)
         trials.progress(
             "information from priors: " + ", ".join(f"{name} {share:.1e}" for name, share in shares.items())
         )

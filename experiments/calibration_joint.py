@@ -2,8 +2,8 @@
 
 The usual sequence: the camera from board corners alone, then a plane through the stripe points,
 each lifted to its board; by total least squares and as the linear fit a X + b Y + Z = c, of which
-the better one counts. Its camera is ours without stripes, with the same priors and the board's
-bow, so that only the sequence differs. Two views of each set are one board before and after a
+the better one counts. Its camera and board poses are ours without stripes, with the same priors
+and the board's bow, so that only the sequence differs. Two views of each set are one board before and after a
 turn by 10 degrees, which the joint solve needs to be a solve of the whole rig.
 
 Every pose set and every draw of noise counts alike. The depth error of a draw is the root mean
@@ -17,7 +17,6 @@ import time
 from typing import NamedTuple
 
 import calibration_trials as trials
-import cv2
 import jax
 import numpy as np
 
@@ -54,21 +53,18 @@ def poses_of(config: SimulationConfig, views: int, stripes: int, seed: int) -> B
 def sequential(observed: Observations) -> tuple[LaserSheet, LaserSheet, Pinhole]:
     """Planes by total least squares and by a linear fit, and the camera they belong to."""
     result = calibrate_camera(observed)
-    camera, warp = result.camera, np.array(result.quality["board_warp_m"])
-    matrix, lens = np.asarray(camera.matrix()), np.asarray(camera.distortion)
+    camera, fit = result.camera, result.fit
     board = np.asarray(observed.board.corners())
     centre, half = (board.min(0) + board.max(0))[:2] / 2, np.ptp(board[:, :2], axis=0) / 2
 
     def bow(xy: np.ndarray) -> np.ndarray:
-        return (1 - ((xy - centre) / half) ** 2) @ warp
+        return (1 - ((xy - centre) / half) ** 2) @ fit.warp
 
-    board = board + np.column_stack([np.zeros((len(board), 2)), bow(board[:, :2])])
     with jax.enable_x64(True):
         rays = np.asarray(_rays(camera, observed.stripes.q))
     points = []
     for row, view in enumerate(observed.stripes.view):
-        _, turn, shift = cv2.solvePnP(board, observed.corners.q[view], matrix, lens, flags=cv2.SOLVEPNP_ITERATIVE)
-        rotation, shift = cv2.Rodrigues(turn)[0], shift[:, 0]
+        rotation, shift = fit.pose[view, :3, :3], fit.pose[view, :3, 3]
         ray = rays[row][observed.stripes.valid[row]]
         height = np.zeros(len(ray))
         # On the board its own z is its bow: n . p = n . t + height.
