@@ -26,6 +26,7 @@ def calibrate(
     lens: Literal["pinhole", "fisheye"] = "pinhole",
     free: tuple[Block, ...] = (),
     hold: tuple[Block, ...] = (),
+    redetect: bool = True,
     json: JsonTarget = None,
 ) -> None:
     """Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.
@@ -39,6 +40,7 @@ def calibrate(
         lens: Model of the camera's lens.
         free: Parameters to estimate beside the usual ones.
         hold: Parameters not to estimate.
+        redetect: Look at the images a second time, where the first solve says that corners and stripes are.
         json: Write the result as JSON too.
     """
     check_calibration_path(output)
@@ -51,8 +53,9 @@ def calibrate(
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
     with progress_bar("Looking for boards") as progress:
+        settings = calibration_settings(lens, free, hold)
         result = api.calibrate(
-            opened, settings=calibration_settings(lens, free, hold), only_camera=only == "camera", progress=progress
+            opened, settings=settings, only_camera=only == "camera", redetect=redetect, progress=progress
         )
     api.save_calibration(result, output)
     written = [str(output)]

@@ -24,7 +24,7 @@ def print_summary(out: Console, calibration: Calibration) -> None:
         out.print("What the calibration alone leaves uncertain (one standard deviation):")
     for line in lengths:
         out.print(f"  {words.millimetres(line.sigma_mm):>9}  {line.what}")
-    for text in words.noise_lines(calibration):
+    for text in (*words.noise_lines(calibration), *words.second_look(calibration)):
         out.print(text)
     for view in words.bad_views(calibration):
         out.print(f"record {view.record}: {view.why}", style="yellow")
@@ -47,6 +47,7 @@ def summary(calibration: Calibration) -> dict[str, Any]:
         "verdict": {"kind": verdict.kind, "headline": verdict.headline, "explanation": verdict.explanation},
         "lengths": [line._asdict() for line in words.lengths(calibration)],
         "noise": words.noise_lines(calibration),
+        "second_look": words.second_look(calibration),
         "bad_views": [view._asdict() for view in words.bad_views(calibration)],
         "warnings": words.warnings(calibration),
         "advice": words.advice(calibration),

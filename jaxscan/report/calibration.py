@@ -180,6 +180,21 @@ def noise_lines(calibration: Calibration) -> list[str]:
     return lines
 
 
+def second_look(calibration: Calibration) -> list[str]:
+    """What looking at the images again, with the geometry known, has brought."""
+    brought = calibration.quality.get("redetected")
+    if not isinstance(brought, dict) or not isinstance(brought.get("kept"), bool):
+        return []
+    if not brought["kept"]:
+        return ["A second look at the images explained them worse than the first, and was not kept."]
+    gains = []
+    for key, name in (("views", "views"), ("corners", "corners"), ("stripe_points", "stripe points")):
+        gained = number(brought, f"{key}_gained")
+        if gained:
+            gains.append(f"{gained:+.0f} {name}")
+    return [f"A second look at the images, with the geometry known: {', '.join(gains) or 'nothing more'}."]
+
+
 def warnings(calibration: Calibration) -> list[str]:
     """What the solve itself warns of, but for records that `bad_views` names."""
     named = tuple(f"record {view.record}{after}" for view in bad_views(calibration) for after in " :")

@@ -95,7 +95,7 @@ def _verdict(calibration: Calibration) -> Html:
 
 
 def _remarks(calibration: Calibration) -> Html:
-    parts = [bullets(words.noise_lines(calibration))]
+    parts = [bullets([*words.noise_lines(calibration), *words.second_look(calibration)])]
     bad = [f"Record {view.record}: {view.why}." for view in words.bad_views(calibration)]
     for title, lines in (
         ("Warnings", words.warnings(calibration)),

@@ -196,6 +196,8 @@ def _percent(value: float | None) -> str:
 def _probability(value: float | None) -> str:
     if value is None:
         return "–"
+    if value < 1e-99:
+        return "< 1e-99"
     return f"{value:.3f}" if value >= 1e-3 else f"{value:.0e}"
 
 

@@ -73,7 +73,7 @@ def corners_against_angle(observations: Observations, fit: Fit) -> "Figure":
     turns unevenly, or wobbles, shows as a curve."""
     figure = new_figure()
     axes = new_axes(figure, xlabel="table angle, degrees", ylabel="mean corner residual of a view, px")
-    views = turned_views(observations)
+    views = turned_views(observations) & fit.corner_kept.any(1)
     angle = np.degrees(np.asarray(observations.corners.angle))
     place = np.asarray(observations.corners.placement)[views]
     for direction, label, colour in ((0, "to the right", BLUE), (1, "down", RED)):

@@ -62,6 +62,18 @@ def test_whitened_residuals_in_words(calibration, ratio, said):
     assert stripes.startswith("Stripes: 480, none rejected")
 
 
+def test_second_look(calibration):
+    gained = {"kept": True, "views_gained": 2, "corners_gained": 31, "stripe_points_gained": -4}
+    (line,) = words.second_look(having(calibration, redetected=gained))
+    assert line.endswith(": +2 views, +31 corners, -4 stripe points.")
+    (line,) = words.second_look(having(calibration, redetected={"kept": True, "views_gained": 0}))
+    assert line.endswith(": nothing more.")
+    (line,) = words.second_look(having(calibration, redetected={**gained, "kept": False}))
+    assert "was not kept" in line
+    for broken in (None, {}, {"kept": 1}):
+        assert words.second_look(having(calibration, redetected=broken)) == []
+
+
 class TestBadViews:
     def test_one_whose_kept_corners_are_far_off(self, calibration):
         fit = dataclasses.replace(calibration.fit, corner_error=calibration.fit.corner_error.copy())
