@@ -51,7 +51,8 @@ def solve_again(stored: Calibration, *, name: str = "calibration") -> Again:
     solve = calibrate_camera if stored.scanner is None else calibrate_observations
     again = solve(stored.observations, settings=settings)
     departure, parameter = _departure(stored, again)
-    quality = {**stored.quality, **again.quality}
+    # Only the images could tell again what the second look at them brought.
+    quality = {key: stored.quality[key] for key in ("redetected",) if key in stored.quality} | again.quality
     merged = Calibration(**{**vars(again), "provenance": stored.provenance, "quality": quality})
     return Again(merged, departure, parameter)
 
