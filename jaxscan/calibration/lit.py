@@ -1,6 +1,7 @@
 """Where the stripe of a given depth lies in the image."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -63,9 +64,10 @@ def lit_lines(scanner: Scanner, laser: int, depths: Sequence[float]) -> list[Lit
 
 
 def bare(scanner: Scanner) -> Scanner:
-    """In float64 and without what does not matter for where points are: call in 64 bit."""
-    names, up = scanner.laser_names, scanner.up
-    return Scanner(scanner.camera, scanner.lasers, scanner.turntable, None, names, up).as_dtype(jnp.float64)
+    """In float64, and without names and sizes, for each of which would be compiled again: call in 64 bit."""
+    names = tuple(str(index) for index in range(len(scanner.laser_names)))
+    camera = replace(scanner.camera, width=0, height=0)
+    return Scanner(camera, scanner.lasers, scanner.turntable, laser_names=names).as_dtype(jnp.float64)
 
 
 def _at_lines(
