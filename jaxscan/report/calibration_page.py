@@ -96,15 +96,19 @@ def _verdict(calibration: Calibration) -> Html:
 
 def _remarks(calibration: Calibration) -> Html:
     parts = [bullets([*words.noise_lines(calibration), *words.second_look(calibration)])]
-    bad = [f"Record {view.record}: {view.why}." for view in words.bad_views(calibration)]
+    bad = [f"Record {view.record}: {view.why}" for view in words.bad_views(calibration)]
     for title, lines in (
         ("Warnings", words.warnings(calibration)),
         ("Records that stand out", bad),
         ("What to capture next", words.advice(calibration)),
     ):
         if lines:
-            parts += [element("h3", title), bullets(lines)]
+            parts += [element("h3", title), bullets(map(_sentence, lines))]
     return section("In words", *parts)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
 
 
 def _tests(calibration: Calibration) -> Html | None:
