@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from jaxscan.calibration.ink import ink_shift
 from jaxscan.calibration.observations import StripeViews
 from jaxscan.geometry import AbstractBoard
 
@@ -13,8 +14,10 @@ from jaxscan.geometry import AbstractBoard
 # is one farther than this from any corner that was found: there the map to the board is a guess.
 _EDGE_MARGIN = 0.1
 _REACH = 1.2
-# The print's pattern may move the centre of a stripe by so much [px].
-_MAX_ALBEDO_SHIFT = 0.05
+# Where the print moves the centre of a stripe by more than this [px], it is lost.
+_MAX_INK_SHIFT = 0.35
+# Blur of the lens and the pixels [px] where nothing is known of it.
+_BLUR_PX = 0.8
 _MIN_POINTS = 8
 
 
@@ -43,12 +46,13 @@ def select_board_stripes(
     board_xy: np.ndarray | None = None,
     points: int = 512,
 ) -> BoardStripe:
-    """Keep the stripe points that lie on the board and that its print does not pull aside.
+    """Keep the stripe points that lie on the board, and put right what its print does to them.
 
     A point is on the board where its pose puts it inside the printed area; as long as that is not
-    known, a map fitted to the corners (homography, and what the lens adds to it as a cubic). Where the laser-off image changes under the
-    stripe, brighter paper draws the stripe's centre towards it; points are dropped whose centre
-    would move by more than 0.05 px.
+    known, a map fitted to the corners (homography, and what the lens adds to it as a cubic).
+    Brighter paper draws the stripe's centre towards it. Where there is a laser-off image the
+    shift is predicted and taken off, with what the prediction errs added to `sigma`; points that
+    it would move by more than 0.35 px are dropped.
 
     Args:
         u: Stripe centre per line [lines], px across the line.
@@ -65,9 +69,6 @@ def select_board_stripes(
 
     Returns:
         The points; none is valid where fewer than 8 remain.
-
-    Source: Curless and Levoy, Better optical triangulation through spacetime analysis (1995),
-    for the error at edges of reflectance.
     """
     lines = np.arange(len(u), dtype=np.float64)
     centre = np.where(valid, np.asarray(u, np.float64), 0.0)
@@ -78,10 +79,16 @@ def select_board_stripes(
     else:
         outline, margin = board.outline(), _EDGE_MARGIN * board.square
         keep &= ((board_xy > outline.min(0) + margin) & (board_xy < outline.max(0) - margin)).all(-1)
+    spread = np.asarray(sigma, np.float64).copy()
     if off is not None and keep.any():
-        image = np.asarray(off, np.float64) if stripe_axis == "rows" else np.asarray(off, np.float64).T
-        spread = np.broadcast_to(np.asarray(width, np.float64), centre.shape)
-        keep &= np.abs(_albedo_shift(image, centre, np.where(keep, spread, 1.5))) <= _MAX_ALBEDO_SHIFT
+        image = np.asarray(off) if stripe_axis == "rows" else np.asarray(off).T
+        on_board = np.flatnonzero(keep)
+        widths = np.broadcast_to(np.asarray(width, np.float64), centre.shape)[on_board]
+        ink = ink_shift(image, on_board, centre[on_board], widths, _BLUR_PX)
+        centre[on_board] -= ink.correction
+        spread[on_board] = np.hypot(spread[on_board], ink.sigma)
+        keep[on_board] &= np.abs(ink.predicted) <= _MAX_INK_SHIFT
+        q = np.column_stack([centre, lines] if stripe_axis == "rows" else [lines, centre])
     result = BoardStripe(np.zeros((points, 2)), np.ones(points), np.zeros(points, bool))
     chosen = np.flatnonzero(keep)
     if len(chosen) < _MIN_POINTS:
@@ -91,7 +98,7 @@ def select_board_stripes(
     if len(chosen) > points:
         chosen = chosen[np.linspace(0, len(chosen) - 1, points).round().astype(int)]
     result.q[: len(chosen)] = q[chosen]
-    result.sigma[: len(chosen)] = np.asarray(sigma, np.float64)[chosen] / np.hypot(1.0, slope)
+    result.sigma[: len(chosen)] = spread[chosen] / np.hypot(1.0, slope)
     result.valid[: len(chosen)] = True
     return result
 
@@ -147,23 +154,3 @@ def _apply(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _cubic(points: np.ndarray) -> np.ndarray:
     x, y = points[:, 0], points[:, 1]
     return np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
-
-
-def _albedo_shift(image: np.ndarray, centre: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """How far [px] the brightness under a Gaussian stripe moves its centre of mass, per line."""
-    count, samples = image.shape
-    # Three lines together: the pattern does not change within them, the noise averages out.
-    padded = np.concatenate([image[:1], image, image[-1:]])
-    smooth = (padded[:-2] + padded[1:-1] + padded[2:]) / 3.0
-    offsets = np.arange(-12, 13)
-    first = np.rint(centre).astype(int)
-    index = first[:, None] + offsets[None]
-    inside = (index >= 0) & (index < samples)
-    level = np.where(inside, smooth[np.arange(count)[:, None], np.clip(index, 0, samples - 1)], 0.0)
-    distance = index - centre[:, None]
-    weight = np.where(inside, np.exp(-0.5 * np.square(distance / width[:, None])), 0.0)
-    # Even illumination keeps the centre where it is, so only the change of level counts.
-    total = np.sum(level * weight, axis=1)
-    mean = np.sum(weight * distance, axis=1) / np.maximum(weight.sum(1), 1e-12)
-    moved = np.sum(level * weight * distance, axis=1) / np.maximum(total, 1e-12)
-    return np.where(total > 0, moved - mean, 0.0)

@@ -58,7 +58,7 @@ def test_far_from_any_corner_found_nothing_is_believed(seen):
     assert 0 < stripe.valid.sum() < 0.75 * full.valid.sum()
 
 
-def test_rows_beside_a_printed_edge_are_dropped(seen):
+def test_rows_beside_a_printed_edge_are_put_right_or_dropped(seen):
     u = seen[2]
     image = np.full((1024, 1280), 120, np.uint8)
     rows = np.arange(1024)
@@ -73,8 +73,16 @@ def test_rows_beside_a_printed_edge_are_dropped(seen):
     reference[plain.q[plain.valid, 1].astype(int)] = True
     close = np.abs(edge - u) < 2.0
     far = np.abs(edge - u) > 8.0
-    assert reference[close].any() and not found[close].any()
+    # A stripe of 1.5 px that straddles an edge of 4 : 1 is beyond repair.
+    assert reference[close].any() and 0 < found[close].sum() < 0.6 * reference[close].sum()
     np.testing.assert_array_equal(found[far], reference[far])
+    row = stripe.q[stripe.valid, 1].astype(int)
+    moved = stripe.q[stripe.valid, 0] - u[row]
+    # It was drawn to the bright side, the left; the prediction errs by some hundredths of a pixel.
+    assert moved.min() > -0.05 and moved[close[row]].max() > 0.1
+    assert np.abs(moved[far[row]]).max() < 1e-3
+    more = stripe.sigma[stripe.valid] / stripe.sigma.min()
+    assert more[close[row]].min() > 1.02 and more[far[row]].max() < 1.001
     # An even image drops nothing, noise of a dark frame included.
     grey = (60 + np.random.default_rng(0).normal(size=image.shape)).round().astype(np.uint8)
     assert select(seen, off=grey).valid.sum() == plain.valid.sum()
