@@ -136,7 +136,10 @@ def _reject(
     for round_number in range(_REJECTION_ROUNDS):
         noise = _noise(errors, linearised, state) if settings.estimate_noise else (1.0, 1.0)
         corner_size = np.abs(errors.corner).max(-1) / noise[0]
-        corner_room, stripe_room = _room(linearised.corner_leverage), _room(linearised.stripe_leverage)
+        corner_room, stripe_room = (
+            _room(np.asarray(linearised.corner_leverage)),
+            _room(np.asarray(linearised.stripe_leverage)),
+        )
         corner_size = (np.abs(errors.corner) / corner_room.reshape(errors.corner.shape)).max(-1) / noise[0]
         stripe_size = np.abs(errors.stripe) / stripe_room / noise[1]
         corner_keep = keep_inliers(corner_size, data.corner_valid, state.corner_keep, **limits)
@@ -167,6 +170,11 @@ def _reject(
     return state, linearised, errors
 
 
+def solve_compiled(problem: Problem, settings: CalibrationSettings) -> Solution:
+    """Solve again from near the minimum, by the function that `adjust` has compiled; call in 64 bit."""
+    return _solve(problem, np.asarray(_NEAR_DAMPING), np.asarray(_FINE), settings.max_steps)
+
+
 def _check_views(kept: np.ndarray, before: np.ndarray) -> None:
     if kept.sum() < 3 <= before.sum():
         raise CalibrationError(
@@ -187,12 +195,11 @@ def _largest(residual: np.ndarray, valid: np.ndarray) -> float:
 def _noise(errors: _Errors, linearised: Linearised, state: _State) -> tuple[float, float]:
     """Root of each group's variance component."""
     corner_keep = np.repeat(state.corner_keep[..., None], 2, -1)
-    corner_leverage = linearised.corner_leverage.reshape(errors.corner.shape)
+    corner_leverage = np.asarray(linearised.corner_leverage).reshape(errors.corner.shape)
+    stripe_leverage = np.asarray(linearised.stripe_leverage)
     return (
         noise_component(errors.corner[corner_keep], corner_leverage[corner_keep]),
-        noise_component(
-            errors.stripe[state.stripe_keep], linearised.stripe_leverage[state.stripe_keep], state.stripe_correlation
-        ),
+        noise_component(errors.stripe[state.stripe_keep], stripe_leverage[state.stripe_keep], state.stripe_correlation),
     )
 
 
@@ -234,11 +241,12 @@ def _solve(problem: Problem, damping: Array, tolerance: Array, max_steps: int) -
 
 
 @eqx.filter_jit
-def _linearise(problem: Problem) -> Linearised:
+def linearise_compiled(problem: Problem) -> Linearised:
+    """`linearise`, compiled; call in 64 bit."""
     return linearise(problem)
 
 
 def _at(problem: Problem, data: Prepared) -> tuple[Linearised, _Errors]:
     """The problem to first order at the point that it holds, on the host."""
-    linearised = jax.tree.map(np.asarray, _linearise(problem))
+    linearised = jax.tree.map(np.asarray, linearise_compiled(problem))
     return linearised, _whitened(linearised.corner_error, linearised.offset, linearised.slope, data)

@@ -8,7 +8,10 @@ import jax
 import numpy as np
 
 from jaxscan.calibration.adjust import Adjustment, adjust
+from jaxscan.calibration.advice import advise
 from jaxscan.calibration.covariance import determine
+from jaxscan.calibration.judge import accepted, judge
+from jaxscan.calibration.lengths import predict_lengths
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_PARAMETERS, block_of, parameter_scales
 from jaxscan.calibration.prepare import Prepared, prepare
@@ -238,7 +241,8 @@ def _calibration(
     camera = _named(problem.camera, observations, settings)
     lasers = observations.laser_names if table is not None else ()
     names = shared_names(problem.camera, lasers, table is not None)
-    determination = determine(result.linearised.reduced, result.linearised.prior, problem.scales, names)
+    information, prior, scales = map(np.asarray, (result.linearised.reduced, result.linearised.prior, problem.scales))
+    determination = determine(information, prior, scales, names)
     if determination is None:
         raise CalibrationError(
             "The observations leave a combination of parameters undetermined: capture more board poses, tilted by 20 "
@@ -256,6 +260,15 @@ def _calibration(
         named_table = _carrying(table, observations.carries)
         scanner = Scanner(camera, problem.lasers, named_table, own, lasers, observations.up)
     quality = describe_quality(result, determination, observations, data, names)
+    if scanner is not None and settings.judge:
+        quality["lengths"] = predict_lengths(scanner)
+    if settings.judge:
+        tests = judge(result, data, settings)
+        quality["verdict"] = {
+            "accepted": accepted(tests),
+            "tests": [test._asdict() for test in tests],
+            "advice": advise(result, data, determination.unobserved),
+        }
     quality["seconds"] = time.perf_counter() - started
     return Calibration(
         camera=camera,
@@ -276,7 +289,7 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
     corner = lambda values: np.ascontiguousarray(values[:views, :corners])
     stripe = lambda values: np.ascontiguousarray(values[:stripes, :points])
     kx, ky, pitch = (float(value) for value in result.problem.shape)
-    leverage = result.linearised.corner_leverage.reshape(result.corner_error.shape)
+    leverage = np.asarray(result.linearised.corner_leverage).reshape(result.corner_error.shape)
     return Fit(
         pose=np.asarray(camera_from_board(result.problem))[:views],
         warp=np.array([kx, ky]),
@@ -287,7 +300,7 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
         corner_kept=corner(result.corner_keep),
         stripe_error=stripe(result.stripe_error),
         stripe_sigma=stripe(result.stripe_sigma),
-        stripe_leverage=stripe(result.linearised.stripe_leverage),
+        stripe_leverage=stripe(np.asarray(result.linearised.stripe_leverage)),
         stripe_kept=stripe(result.stripe_keep),
         covariance=covariance,
     )

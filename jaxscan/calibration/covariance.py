@@ -1,6 +1,6 @@
 """What the observations say at the minimum: information, covariance, leverages, weak directions."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,10 @@ from jaxscan.calibration.residuals import priors
 from jaxscan.calibration.rows import Departures, corner_rows, departures, stripe_rows
 from jaxscan.calibration.solve import Blocks, reduce_blocks
 from jaxscan.geometry import Array
+
+
+# Directions of which the priors know less than this share are the data's alone.
+_LEAST_SHARE = 1e-6
 
 
 class Linearised(NamedTuple):
@@ -35,7 +39,7 @@ class Linearised(NamedTuple):
 
 def linearise(problem: Problem) -> Linearised:
     """Errors, information and leverages at the point that the problem holds; traceable, in 64 bit."""
-    corners, (stripes, slope) = corner_rows(problem), stripe_rows(problem)
+    corners, (stripes, by_q) = corner_rows(problem), stripe_rows(problem)
     corner_weight, stripe_weight = jnp.repeat(problem.corner_weight, 2, axis=1), problem.stripe_weight
     corner_slopes = corners.slopes * corner_weight[..., None]
     stripe_slopes = stripes.slopes * stripe_weight[..., None]
@@ -43,7 +47,7 @@ def linearise(problem: Problem) -> Linearised:
     prior_residual, prior = prior_information(problem)
     view_owner, stripe_owner = problem.placement, problem.stripe_placement()
     grams = (gram(corner_slopes, chain.corner), gram(stripe_slopes, chain.stripe))
-    blocks = _blocks(*grams, prior, view_owner, stripe_owner, len(problem.poses))
+    blocks = sum_blocks(*grams, prior, view_owner, stripe_owner, len(problem.poses))
     information = inverse_blocks(blocks)
 
     def leverage(slopes: Array, chain: Array, owner: Array) -> Array:
@@ -55,7 +59,7 @@ def linearise(problem: Problem) -> Linearised:
     return Linearised(
         corners.value,
         stripes.value,
-        slope,
+        jnp.linalg.norm(by_q, axis=-1),
         prior_residual,
         leverage(corner_slopes, chain.corner, view_owner),
         leverage(stripe_slopes, chain.stripe, stripe_owner),
@@ -119,9 +123,10 @@ def inverse_blocks(blocks: Blocks) -> Inverse:
     return Inverse(reduced, shared, cross, jnp.linalg.inv(filled) - jnp.einsum("vdk,vke->vde", coupling, cross))
 
 
-def _blocks(
+def sum_blocks(
     corner: Array, stripe: Array, prior: Array, view_owner: Array, stripe_owner: Array, placements: int
 ) -> Blocks:
+    """J'J from that of every view and stripe and of the priors."""
     count = len(prior)
     own = (
         jnp.zeros((placements, *corner.shape[1:]), prior.dtype).at[view_owner].add(corner).at[stripe_owner].add(stripe)
@@ -146,6 +151,9 @@ class Determination(NamedTuple):
     unobserved: list[dict[str, float]]
     """Directions that the priors know better than the data: parameter -> component, in units of
     its standard deviation."""
+    spectrum: list[dict[str, Any]]
+    """Independent directions that priors speak of: `sigma_over_prior`, the standard deviation along
+    each over that of its prior [1], and `direction`, its largest components as in `unobserved`."""
     prior_share: float
     """Largest share of the information in any one direction that is the priors' own."""
 
@@ -157,7 +165,7 @@ def determine(
     free = np.flatnonzero(scales)
     covariance = np.zeros_like(reduced)
     if len(free) == 0:
-        return Determination(covariance, 1.0, [], 0.0)
+        return Determination(covariance, 1.0, [], [], 0.0)
     information = reduced[np.ix_(free, free)]
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     if not np.all(np.isfinite(information)) or np.any(size == 0):
@@ -171,12 +179,13 @@ def determine(
     root = np.linalg.cholesky(inverse)
     shares, vectors = np.linalg.eigh(root.T @ prior[np.ix_(free, free)] @ root)
     sigma = np.sqrt(np.diag(inverse))
-    unobserved = []
-    for share, vector in zip(shares, vectors.T, strict=True):
-        if share > 0.5:
+    spectrum: list[dict[str, Any]] = []
+    for share, vector in zip(shares[::-1], vectors.T[::-1], strict=True):
+        if share > _LEAST_SHARE:
             direction = (root @ vector) / sigma
             largest = np.argsort(-np.abs(direction))[:3]
-            unobserved.append(
-                {names[free[i]]: round(float(direction[i]), 3) for i in largest if abs(direction[i]) > 0.1}
-            )
-    return Determination(covariance, float(eigenvalues[-1] / eigenvalues[0]), unobserved, float(shares[-1]))
+            parts = {names[free[i]]: round(float(direction[i]), 3) for i in largest if abs(direction[i]) > 0.1}
+            spectrum.append({"sigma_over_prior": float(np.sqrt(min(share, 1.0))), "direction": parts})
+    unobserved = [row["direction"] for row in spectrum if row["sigma_over_prior"] ** 2 > 0.5]
+    condition = float(eigenvalues[-1] / eigenvalues[0])
+    return Determination(covariance, condition, unobserved, spectrum, float(shares[-1]))

@@ -115,7 +115,7 @@ def shared_values(problem: Problem) -> Float[Array, " shared"]:
     The values of the minimal coordinates; for fx the aspect fx / fy, for the gain its size, and 0
     for directions, points and distances, of which nothing is known beforehand.
     """
-    camera = problem.camera.parameters()
+    camera = jnp.asarray(problem.camera.parameters())
     bow = jnp.asarray(problem.lasers.bow)
     parts = [camera.at[0].divide(camera[1]), jnp.pad(bow, ((0, 0), (3, 0))).ravel()]
     if problem.turntable is not None:

@@ -29,7 +29,7 @@ def describe_quality(
     corners, stripes = int(data.corner_valid.sum()), int(data.stripe_valid.sum())
     kept, kept_stripes = int(result.corner_keep.sum()), int(result.stripe_keep.sum())
     dropped = np.asarray(observations.corners.record)[np.flatnonzero(data.usable & ~result.view_keep)]
-    prior = result.linearised.prior_residual
+    prior = np.asarray(result.linearised.prior_residual)
     corner_cost = np.sum(np.square(result.corner_error / result.corner_sigma[..., None])[result.corner_keep])
     stripe_cost = np.sum(np.square(result.stripe_error / result.stripe_sigma)[result.stripe_keep])
     cost = float(np.sum(prior**2) + corner_cost + stripe_cost / result.stripe_correlation)
@@ -55,6 +55,7 @@ def describe_quality(
         "per_view": _per_view(result, observations, data, distance),
         "condition": determination.condition,
         "unobserved": determination.unobserved,
+        "spectrum": determination.spectrum,
         "prior_share": {"cost": prior_cost, "information": determination.prior_share},
         "prior_residuals": _prior_residuals(prior, names),
         "board_warp_m": [float(value) for value in result.problem.shape[:2]],

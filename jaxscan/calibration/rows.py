@@ -46,9 +46,11 @@ def departures(step: Step, problem: Problem) -> Departures:
     views, stripes = len(problem.corner_q), len(problem.stripe_q)
     corner = jnp.concatenate([spread(camera, views), twist, spread(board, views)], axis=1)
     sheets = _sheet_numbers(moved.lasers) - _sheet_numbers(fixed.lasers)
-    stripe = [spread(camera, stripes), twist[problem.stripe_view], spread(board[:2], stripes)]
-    stripe.append(sheets[problem.stripe_laser] if len(sheets) else jnp.zeros((stripes, 6), twist.dtype))
-    return Departures(corner, jnp.concatenate(stripe, axis=1))
+    sheet = sheets[problem.stripe_laser] if len(sheets) else jnp.zeros((stripes, 6), twist.dtype)
+    stripe = jnp.concatenate(
+        [spread(camera, stripes), twist[problem.stripe_view], spread(board[:2], stripes), sheet], 1
+    )
+    return Departures(corner, stripe)
 
 
 def _sheet_numbers(sheets: LaserSheet) -> Float[Array, "lasers 6"]:
@@ -89,8 +91,8 @@ def corner_rows(problem: Problem) -> Rows:
     return Rows((predicted - problem.corner_q).reshape(views, -1), slopes.reshape(views, -1, slopes.shape[-1]))
 
 
-def stripe_rows(problem: Problem) -> tuple[Rows, Float[Array, "stripes points"]]:
-    r"""Distance e [m] of every stripe point, lifted to its board, from its sheet; and $|\nabla_q e|$ [m / px].
+def stripe_rows(problem: Problem) -> tuple[Rows, Float[Array, "stripes points 2"]]:
+    r"""Distance e [m] of every stripe point, lifted to its board, from its sheet; and $\nabla_q e$ [m / px].
 
     With $P = \lambda r$ on the board's surface, whose normal there is $m$ (board frame), a motion of
     the board changes $\lambda$ by $(m \cdot v + (X \times m) \cdot \omega) / (R m \cdot r)$, and a
@@ -101,20 +103,20 @@ def stripe_rows(problem: Problem) -> tuple[Rows, Float[Array, "stripes points"]]
     count = len(problem.camera.parameter_names())
     if len(problem.lasers.distance) == 0:
         empty = jnp.zeros((*problem.stripe_q.shape[:2], count + 14), problem.shape.dtype)
-        return Rows(empty[..., 0], empty), empty[..., 0]
+        return Rows(empty[..., 0], empty), empty[..., :2]
 
     def stripe(pose, laser, q):
         sheet = jax.tree.map(lambda leaf: leaf[laser], problem.lasers)
         return jax.vmap(lambda q: _stripe_row(problem, count, pose, sheet, q))(q)
 
     poses = camera_from_board(problem)[problem.stripe_view]
-    value, slopes, worth = jax.vmap(stripe)(poses, problem.stripe_laser, problem.stripe_q)
-    return Rows(value, slopes), worth
+    value, slopes, by_q = jax.vmap(stripe)(poses, problem.stripe_laser, problem.stripe_q)
+    return Rows(value, slopes), by_q
 
 
 def _stripe_row(
     problem: Problem, count: int, pose: Float[Array, "4 4"], sheet: LaserSheet, q: Float[Array, "2"]
-) -> tuple[Float[Array, ""], Float[Array, " departures"], Float[Array, ""]]:
+) -> tuple[Float[Array, ""], Float[Array, " departures"], Float[Array, "2"]]:
     # Sums are written out: products of 3 x 3 matrices by the ten thousand are slow.
     camera = problem.camera
     ray = camera.unproject(q)
@@ -137,7 +139,7 @@ def _stripe_row(
         by_sheet.distance[None],
         by_sheet.bow,
     ]
-    return value, jnp.concatenate(slopes), jnp.sqrt(by_q[0] * by_q[0] + by_q[1] * by_q[1])
+    return value, jnp.concatenate(slopes), by_q
 
 
 def _meet_board(
@@ -148,7 +150,7 @@ def _meet_board(
     direction = jnp.stack([_dot(pose[:3, i], ray) for i in range(3)])
     # A harmless 1 where the ray runs along the board; such a point has no meaning anyway.
     along_z = jnp.where(direction[2] == 0, 1.0, direction[2]).astype(ray.dtype)
-    range_m = -origin[2] / along_z
+    range_m = jnp.asarray(-origin[2] / along_z)
     # Every round leaves the slope of the bow, less than a hundredth, of the error before.
     for _ in range(4):
         point = origin + range_m * direction

@@ -107,5 +107,7 @@ class CalibrationSettings:
     stripe_correlation: float | None = None
     """Neighbouring stripe points that share one error (speckle): each counts as 1 / this [1].
     None: estimated from the residuals."""
+    judge: bool = True
+    """Test whether the models suffice, and predict what the covariance means in lengths."""
     max_steps: int = 60
     """Steps of one least-squares solve."""

@@ -104,6 +104,8 @@ class Solution(NamedTuple):
 
     problem: Problem
     """The problem seen from the minimum."""
+    step: Step
+    """The step to there, from the problem that was given."""
     steps: Int[Array, ""]
     converged: Any
 
@@ -129,7 +131,10 @@ def solve(problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, "
         throw=False,
     )
     return Solution(
-        move(solution.value, problem), solution.stats["num_steps"], solution.result == optx.RESULTS.successful
+        move(solution.value, problem),
+        solution.value,
+        solution.stats["num_steps"],
+        solution.result == optx.RESULTS.successful,
     )
 
 
