@@ -81,7 +81,7 @@ def verdict(calibration: Calibration) -> Verdict:
         return Verdict(
             "good",
             "Accepted",
-            f"Data and models agree in all of {count} tests: what is left in the residuals looks like noise."
+            f"Data and models agree in all {count} tests: what is left in the residuals looks like noise."
             if count
             else "Data and models agree: what is left in the residuals looks like noise.",
         )

@@ -86,10 +86,14 @@ def _verdict(calibration: Calibration) -> Html:
     )
     if not tiles:
         return card
+    scale = (
+        "The uncertainty of the board's size is in them."
+        if words.number(calibration.quality, "board_pitch_sigma")
+        else "So does any error of the board's size, which is taken as exact: its scale is the scale of everything."
+    )
     note = (
         "Standard deviations that the calibration alone causes in lengths measured with this rig. The noise of the "
-        "stripe itself comes on top, and so does the error of the board's own size: its scale is the scale of "
-        "everything."
+        f"stripe itself comes on top. {scale}"
     )
     return joined([card, element("div", *tiles, class_="tiles"), element("p", note, class_="note")])
 

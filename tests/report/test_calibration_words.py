@@ -17,7 +17,7 @@ class TestVerdict:
     def test_accepted(self, calibration):
         found = words.verdict(calibration)
         assert (found.kind, found.headline) == ("good", "Accepted")
-        assert "all of 6 tests" in found.explanation
+        assert "all 6 tests" in found.explanation
 
     @pytest.mark.parametrize(("index", "name"), list(enumerate(words.TESTS)))
     def test_not_accepted_says_which_model(self, calibration, index, name):
