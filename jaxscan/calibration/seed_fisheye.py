@@ -20,7 +20,6 @@ _CUBIC_RANGE = (-0.18, 0.12)
 _SEARCH_VIEWS = 9
 # A board is looked at along its middle ray: beyond this angle from it, tangents mean nothing.
 _MIN_COSINE = 0.1
-_MIN_CORNERS = 6
 # Misfit of a lens with one coefficient [share of the image's radius]: for real lenses below 0.02.
 _MAX_MISFIT = 0.1
 # Share of a view's corners that must be possible under a lens: the rest may be wrong.
@@ -69,7 +68,8 @@ def _board_pose(points: np.ndarray, q: np.ndarray, focal: float, cubic: float) -
     """T_cam_board [4, 4] of board points [n, 2] seen at pixels [n, 2] about the principal point.
 
     Returns:
-        The pose, and the share of the corners that are rays of such a lens on one side of the camera.
+        The pose, and the share of the corners that are rays of such a lens on one side of the camera;
+        where they are too few, that of any board where they are.
     """
     rays, exists = _rays(q, focal, cubic)
     towards = _facing(rays[exists].mean(0) if exists.any() else np.array([0.0, 0.0, 1.0]))
@@ -77,7 +77,7 @@ def _board_pose(points: np.ndarray, q: np.ndarray, focal: float, cubic: float) -
     usable = exists & (turned[:, 2] > _MIN_COSINE)
     pose, back = np.eye(4), np.eye(4)
     pose[2, 3], back[:3, :3] = 1.0, towards.T
-    if usable.sum() >= _MIN_CORNERS:
+    if usable.mean() >= _MIN_SHARE:
         pose = pose_from_homography(fit_homography(points[usable], turned[usable, :2] / turned[usable, 2:]), 1.0)
     return back @ pose, float(usable.mean())
 

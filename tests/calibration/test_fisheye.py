@@ -67,6 +67,7 @@ def opencv_flag(name):
     return getattr(cv2.fisheye, name, None) or getattr(cv2, name)
 
 
+@pytest.mark.slow
 def test_same_minimum_as_opencv(world):
     rig = wide(world)
     observed = world.with_noise(world.observe(rig, free=40, placements=0, seed=2), 0)
