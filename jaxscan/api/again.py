@@ -1,5 +1,6 @@
 """A stored calibration, solved again from its own observations."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -47,7 +48,8 @@ def solve_again(stored: Calibration, *, name: str = "calibration") -> Again:
         raise CalibrationError(
             f"{name}: has no observations beside it (.npz of the same name), so it cannot be solved."
         )
-    settings = stored_settings(stored.provenance, name=name)
+    # Whoever asks again wants to know whether the models suffice.
+    settings = replace(stored_settings(stored.provenance, name=name), judge=True)
     solve = calibrate_camera if stored.scanner is None else calibrate_observations
     again = solve(stored.observations, settings=settings)
     departure, parameter = _departure(stored, again)

@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from jaxscan.calibration import Calibration
+from jaxscan.calibration.judge import ACCEPTED_P
 
 
 TESTS = {
@@ -39,9 +40,6 @@ TESTS = {
     ),
 }
 """What each test of the verdict asks, and what it means when it fails."""
-
-FAILED_P = 1e-3
-"""What chance alone exceeds less often than this is no chance."""
 
 # Whitened residuals this far from 1 are worth a word.
 _QUIET, _NOISY = 0.75, 1.33
@@ -76,19 +74,21 @@ def verdict(calibration: Calibration) -> Verdict:
     judged = calibration.quality.get("verdict")
     if not isinstance(judged, dict) or not isinstance(judged.get("accepted"), bool):
         return Verdict("open", "Not judged", "Nothing says whether the models of the rig suffice for these data.")
+    tests = outcomes(calibration)
     if judged["accepted"]:
-        count = len(outcomes(calibration))
-        return Verdict(
-            "good",
-            "Accepted",
-            f"Data and models agree in all {count} tests: what is left in the residuals looks like noise."
-            if count
-            else "Data and models agree: what is left in the residuals looks like noise.",
+        agree = f"Data and models agree in all {len(tests)} tests" if tests else "Data and models agree"
+        noisy = any(test.result == "noisy" for test in tests)
+        left = (
+            "what is left in the residuals has no structure, although there is more of it than the detectors promise; "
+            "the standard deviations take that into account"
+            if noisy
+            else "what is left in the residuals looks like noise"
         )
+        return Verdict("good", "Accepted", f"{agree}: {left}.")
     return Verdict(
         "bad",
         "Not accepted",
-        f"The solve ended, but {_reason(outcomes(calibration))}. The standard deviations below do not cover this.",
+        f"The solve ended, but {_reason(tests)}. The standard deviations below do not cover this.",
     )
 
 
@@ -111,25 +111,28 @@ class Outcome(NamedTuple):
     """Chance of a larger statistic, with the noise that the detectors promise."""
     p_structure: float | None
     """The same with the noise that was estimated, so that structure alone counts."""
-
-    @property
-    def result(self) -> Literal["passes", "noisy", "fails"]:
-        """Whether there is structure in the residuals; "noisy" if they are only larger than was promised."""
-        structure = self.p if self.p_structure is None else self.p_structure
-        if structure is not None and structure < FAILED_P:
-            return "fails"
-        return "noisy" if self.p is not None and self.p < FAILED_P else "passes"
+    result: Literal["passes", "noisy", "fails"]
+    """It "fails" where there is structure in the residuals; they are "noisy" where only larger than was promised."""
 
 
 def outcomes(calibration: Calibration) -> list[Outcome]:
     """The tests of the verdict, where there is one."""
     judged = calibration.quality.get("verdict")
-    tests = judged.get("tests") if isinstance(judged, dict) else None
-    return [
-        Outcome(test["name"], *(number(test, key) for key in ("statistic", "dof", "p", "p_structure")))
-        for test in (tests if isinstance(tests, list | tuple) else ())
-        if isinstance(test, dict) and isinstance(test.get("name"), str)
-    ]
+    tests = [test for test in records(judged, "tests") if isinstance(test.get("name"), str)]
+    # One in a hundred in all of them together, by chance.
+    limit = ACCEPTED_P / max(len(tests), 1)
+
+    def result(p: float | None, p_structure: float | None) -> Literal["passes", "noisy", "fails"]:
+        structure = p if p_structure is None else p_structure
+        if structure is not None and structure <= limit:
+            return "fails"
+        return "noisy" if p is not None and p <= limit else "passes"
+
+    found = []
+    for test in tests:
+        statistic, dof, p, structure = (number(test, key) for key in ("statistic", "dof", "p", "p_structure"))
+        found.append(Outcome(test["name"], statistic, dof, p, structure, result(p, structure)))
+    return found
 
 
 def lengths(calibration: Calibration) -> list[LengthLine]:

@@ -35,6 +35,15 @@ class TestVerdict:
         noisy = having(calibration, verdict={"accepted": False, "tests": tests})
         assert "larger than the noise that the detectors promise" in words.verdict(noisy).explanation
         assert {row[5] for row in outcome_rows(noisy)} == {"noisy"}
+        accepted = words.verdict(having(calibration, verdict={"accepted": True, "tests": tests}))
+        assert accepted.kind == "good" and "more of it than the detectors promise" in accepted.explanation
+
+    def test_one_of_many_tests_may_be_a_little_unlikely(self, calibration):
+        """Of six tests, each may be as unlikely as one in 600 before all together are one in a hundred."""
+        tests = [dict(test) for test in calibration.quality["verdict"]["tests"]]
+        for p, result in ((0.002, "passes"), (0.0015, "fails")):
+            tests[0]["p_structure"] = p
+            assert outcome_rows(having(calibration, verdict={"accepted": True, "tests": tests}))[0][5] == result
 
     def test_a_solve_that_ended_is_never_called_right(self, calibration):
         for judged in (None, {}, {"accepted": None}, "good"):
