@@ -82,7 +82,7 @@ def test_rows_beside_a_printed_edge_are_put_right_or_dropped(seen):
     assert moved.min() > -0.05 and moved[close[row]].max() > 0.1
     assert np.abs(moved[far[row]]).max() < 1e-3
     more = stripe.sigma[stripe.valid] / stripe.sigma.min()
-    assert more[close[row]].min() > 1.02 and more[far[row]].max() < 1.001
+    assert np.median(more[close[row]]) > 1.05 and more[far[row]].max() < 1.001
     # An even image drops nothing, noise of a dark frame included.
     grey = (60 + np.random.default_rng(0).normal(size=image.shape)).round().astype(np.uint8)
     assert select(seen, off=grey).valid.sum() == plain.valid.sum()

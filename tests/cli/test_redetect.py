@@ -1,0 +1,48 @@
+"""The second look at a capture, on the pictures of the tiny rig."""
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+import jaxscan
+
+
+@pytest.fixture(scope="module")
+def spoilt(tiny, tmp_path_factory):
+    """The tiny rig's boards, one of which is half hidden in its last picture."""
+    boards = shutil.copytree(tiny.boards, tmp_path_factory.mktemp("spoilt") / "boards")
+    record = json.loads((boards / "frames.jsonl").read_text().splitlines()[-1])
+    for kind in ("on", "off"):
+        image = cv2.imread(str(boards / record[kind]), cv2.IMREAD_UNCHANGED)
+        columns = np.flatnonzero(np.ptp(image.reshape(image.shape[0], -1), axis=0))
+        image[:, : columns.mean().astype(int)] = 60
+        cv2.imwrite(str(boards / record[kind]), image)
+    return jaxscan.open_capture(boards)
+
+
+def test_a_board_that_was_missed_is_found_by_what_is_known_of_it(spoilt):
+    seen = []
+    result = jaxscan.calibrate(spoilt, progress=lambda done, total: seen.append((done, total)))
+    brought = result.quality["redetected"]
+    assert brought["kept"]
+    assert brought["views_gained"] == 1 and result.quality["views"] == 21
+    # Half of the 35 corners are hidden.
+    assert 6 <= brought["corners_gained"] < 30
+    # What is gained agrees with the rest.
+    assert brought["corner_rms_whitened_after"] < 1.05 * brought["corner_rms_whitened_before"]
+    assert seen[-1] == (42, 42) and seen == sorted(seen)
+
+
+def test_the_second_look_can_be_left_out(spoilt):
+    result = jaxscan.calibrate(spoilt, redetect=False)
+    assert "redetected" not in result.quality
+    assert result.quality["views"] == 20
+
+
+def test_the_camera_alone_is_looked_at_twice_too(tiny):
+    result = jaxscan.calibrate(jaxscan.open_capture(tiny.boards), only_camera=True)
+    brought = result.quality["redetected"]
+    assert brought["views_gained"] == 0 and brought["stripe_points_gained"] == 0
