@@ -17,7 +17,7 @@ from typing import NamedTuple
 import calibration_trials as trials
 import numpy as np
 
-from jaxscan.calibration import CalibrationSettings, calibrate_observations
+from jaxscan.calibration import calibrate_observations
 from jaxscan.calibration.lengths import Length, length_sigma, measure_lengths, typical_lengths
 from jaxscan.simulation import SimulationConfig, true_scanner
 from jaxscan.simulation.ideal_boards import BoardPoses, add_noise, draw_poses, ideal_boards
@@ -43,7 +43,7 @@ class Run(NamedTuple):
 
 def drawn(config: SimulationConfig, random: np.random.Generator) -> SimulationConfig:
     """The rig with values drawn from the priors where only these hold them."""
-    priors = CalibrationSettings().priors
+    priors = trials.SETTINGS.priors
     table = config.turntable.model_copy(
         update={
             "gain": 1.0 + priors.gain * random.normal(),
@@ -59,7 +59,7 @@ def run(config: SimulationConfig, poses: BoardPoses, lengths: list[Length], seed
     random = np.random.default_rng([17, seed])
     truth = drawn(config, random)
     noisy = add_noise(ideal_boards(truth, poses), random, correlation=correlation)
-    result = calibrate_observations(trials.observations(noisy, truth))
+    result = calibrate_observations(trials.observations(noisy, truth), settings=trials.SETTINGS)
     quality, fit = result.quality, result.fit
     board = np.append(fit.warp - np.array(truth.boards.warp_mm) / 1000, fit.pitch)
     return Run(
@@ -122,7 +122,7 @@ def judged(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[Le
 
 def prior_shares(covariance: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
     """Posterior over prior variance: how much of a parameter's information the prior is at most."""
-    priors = CalibrationSettings().priors
+    priors = trials.SETTINGS.priors
     sigma = dict.fromkeys(("cx", "cy"), priors.centre_px) | dict.fromkeys(("p1", "p2"), priors.tangential)
     sigma |= {"k3": priors.k3, "gain": priors.gain} | dict.fromkeys(("c1", "s1", "c2", "s2"), priors.harmonics)
     sigma |= dict.fromkeys(("warp.x", "warp.y"), priors.warp)

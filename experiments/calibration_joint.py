@@ -52,7 +52,7 @@ def poses_of(config: SimulationConfig, views: int, stripes: int, seed: int) -> B
 
 def sequential(observed: Observations) -> tuple[LaserSheet, LaserSheet, Pinhole]:
     """Planes by total least squares and by a linear fit, and the camera they belong to."""
-    result = calibrate_camera(observed)
+    result = calibrate_camera(observed, settings=trials.SETTINGS)
     camera, fit = result.camera, result.fit
     board = np.asarray(observed.board.corners())
     centre, half = (board.min(0) + board.max(0))[:2] / 2, np.ptp(board[:, :2], axis=0) / 2
@@ -91,7 +91,7 @@ def depth_error(scanner: Scanner, q: np.ndarray) -> float:
 
 def trial(observed: Observations, q: np.ndarray) -> Errors:
     """One draw of noise, solved both ways."""
-    joint = calibrate_observations(observed).scanner
+    joint = calibrate_observations(observed, settings=trials.SETTINGS).scanner
     total, linear, camera = sequential(observed)
     # A plane's depth has nothing to do with the table.
     table = Turntable.from_axis([0.0, -1.0, 0.0], [0.0, 0.0, -0.1])

@@ -55,7 +55,7 @@ def main() -> int:
         for label in ("both sides", "one side"):
             cases[label] = spoiled(noisy, np.random.default_rng([32, draw]), both_sides=label == "both sides")
         for label, case in cases.items():
-            result = calibrate_observations(trials.observations(case, config))
+            result = calibrate_observations(trials.observations(case, config), settings=trials.SETTINGS)
             found[label].append((trials.errors(result.scanner, config), np.sqrt(np.diag(result.covariance))))
         trials.progress(f"{draw + 1} of {draws} draws, {time.perf_counter() - started:.0f} s")
     clean, clean_sigma = (np.array(part) for part in zip(*found["clean"], strict=True))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
-from jaxscan.calibration import BoardViews, Observations, StripeViews
+from jaxscan.calibration import BoardViews, CalibrationSettings, Observations, StripeViews
 from jaxscan.geometry import Scanner
 from jaxscan.simulation import SimulationConfig, true_scanner
 from jaxscan.simulation.ideal_boards import IdealBoards
@@ -18,6 +18,8 @@ from jaxscan.simulation.ideal_boards import IdealBoards
 CORNER_PX, STRIPE_PX = 0.1, 0.15
 CORRELATIONS = {"white": 0.0, "correlated": 0.6}
 """Noise along the stripe: between neighbouring points; at 0.6, n points are worth n / 4."""
+SETTINGS = CalibrationSettings(judge=False)
+"""The tests of the models take longer than the solve and are not what is looked at here."""
 REFERENCE = Path(__file__).resolve().parent.parent / "configs" / "reference.toml"
 
 
