@@ -20,7 +20,7 @@ import calibration_trials as trials
 import jax
 import numpy as np
 
-from jaxscan.calibration import Observations, calibrate_camera, calibrate_observations
+from jaxscan.calibration import Calibration, Observations, calibrate_camera, calibrate_observations
 from jaxscan.calibration.lengths import depth_sigma, stripe_depths, stripe_pixels
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.simulation import SimulationConfig, true_scanner
@@ -50,9 +50,8 @@ def poses_of(config: SimulationConfig, views: int, stripes: int, seed: int) -> B
     return poses if stripes > free else poses._replace(lit=poses.lit & (poses.placement < free))
 
 
-def sequential(observed: Observations) -> tuple[LaserSheet, LaserSheet, Pinhole]:
-    """Planes by total least squares and by a linear fit, and the camera they belong to."""
-    result = calibrate_camera(observed, settings=trials.SETTINGS)
+def sequential(observed: Observations, result: Calibration) -> tuple[LaserSheet, LaserSheet]:
+    """Planes by total least squares and by a linear fit, with the camera and poses of `result`."""
     camera, fit = result.camera, result.fit
     board = np.asarray(observed.board.corners())
     centre, half = (board.min(0) + board.max(0))[:2] / 2, np.ptp(board[:, :2], axis=0) / 2
@@ -76,7 +75,7 @@ def sequential(observed: Observations) -> tuple[LaserSheet, LaserSheet, Pinhole]
     middle = p.mean(0)
     normal = np.linalg.svd(p - middle, full_matrices=False)[2][2]
     a, b, c = np.linalg.lstsq(np.column_stack([p[:, :2], -np.ones(len(p))]), -p[:, 2], rcond=None)[0]
-    return LaserSheet.from_plane(normal, normal @ middle), LaserSheet.from_abc(a, b, c), camera
+    return LaserSheet.from_plane(normal, normal @ middle), LaserSheet.from_abc(a, b, c)
 
 
 @jax.jit
@@ -89,15 +88,15 @@ def depth_error(scanner: Scanner, q: np.ndarray) -> float:
     return float(np.sqrt(np.mean((stripe_depths(scanner, 0, q) - DEPTH_M) ** 2)))
 
 
-def trial(observed: Observations, q: np.ndarray) -> Errors:
-    """One draw of noise, solved both ways."""
+def trial(observed: Observations, alone: Calibration, q: np.ndarray) -> Errors:
+    """One draw of noise, solved jointly and after the camera alone."""
     joint = calibrate_observations(observed, settings=trials.SETTINGS).scanner
-    total, linear, camera = sequential(observed)
+    planes = sequential(observed, alone)
     # A plane's depth has nothing to do with the table.
     table = Turntable.from_axis([0.0, -1.0, 0.0], [0.0, 0.0, -0.1])
-    alone = [depth_error(Scanner(camera, stack_lasers([sheet]), table), q) for sheet in (total, linear)]
+    total, linear = (depth_error(Scanner(alone.camera, stack_lasers([sheet]), table), q) for sheet in planes)
     predicted = np.sqrt(np.mean(depth_sigma(joint, 0, q) ** 2))
-    return Errors(depth_error(joint, q), float(predicted), *alone)
+    return Errors(depth_error(joint, q), float(predicted), total, linear)
 
 
 def main() -> int:
@@ -110,19 +109,24 @@ def main() -> int:
     q = stripe_pixels(true_scanner(config), 0, DEPTH_M)
     figures = []
     for name, (views, stripes, most) in CASES.items():
-        for noise, correlation in trials.CORRELATIONS.items():
-            started, found = time.perf_counter(), []
-            for number in range(sets):
-                ideal = ideal_boards(config, poses_of(config, views, stripes, 100 + number))
-                for draw in range(draws):
+        started, found = time.perf_counter(), {noise: [] for noise in trials.CORRELATIONS}
+        for number in range(sets):
+            ideal = ideal_boards(config, poses_of(config, views, stripes, 100 + number))
+            for draw in range(draws):
+                alone = None
+                for noise, correlation in trials.CORRELATIONS.items():
+                    # The same corners for both: stripes draw their noise after them.
                     noisy = add_noise(ideal, np.random.default_rng([number, draw]), correlation=correlation)
-                    found.append(trial(trials.observations(noisy, config), q))
-            errors = Errors(*np.array(found).T)
+                    observed = trials.observations(noisy, config)
+                    alone = alone or calibrate_camera(observed, settings=trials.SETTINGS)
+                    found[noise].append(trial(observed, alone, q))
+            trials.progress(f"{name}: pose set {number + 1} of {sets}, {time.perf_counter() - started:.0f} s")
+        for noise, every in found.items():
+            errors = Errors(*np.array(every).T)
             best = min(errors.total.mean(), errors.linear.mean())
             label = f"{name}, {noise}"
             # Of two pose sets with three draws only so much can be said: joint is no worse.
             bounds = (0.3, 2.0) if arguments.quick else (0.85, 1.15)
-            trials.progress(f"{label}: {len(found)} draws, {time.perf_counter() - started:.0f} s")
             figures += [
                 trials.Figure(f"{label}: joint", 1e3 * errors.joint.mean(), "mm"),
                 trials.Figure(f"{label}: sequential, total least squares", 1e3 * errors.total.mean(), "mm"),
