@@ -10,7 +10,7 @@ import numpy as np
 from jaxscan.calibration.adjust import Adjustment, adjust
 from jaxscan.calibration.advice import advise
 from jaxscan.calibration.covariance import determine
-from jaxscan.calibration.judge import accepted, judge
+from jaxscan.calibration.judge import ACCEPTED_P, chance, judge
 from jaxscan.calibration.lengths import predict_lengths
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_PARAMETERS, block_of, parameter_scales
@@ -19,6 +19,7 @@ from jaxscan.calibration.problem import Problem, camera_from_board
 from jaxscan.calibration.quality import describe_quality
 from jaxscan.calibration.result import Calibration, Fit
 from jaxscan.calibration.seed import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
+from jaxscan.calibration.seed_fisheye import seed_fisheye
 from jaxscan.calibration.settings import CAMERA_BLOCKS, CalibrationSettings
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
@@ -134,8 +135,6 @@ def _seed(
 ) -> tuple[AbstractCamera, np.ndarray]:
     """A first camera and T_cam_board of every view."""
     if settings.camera == "fisheye":
-        from jaxscan.calibration.seed_fisheye import seed_fisheye
-
         return seed_fisheye(data, observations.width, observations.height)
     return seed_camera(data, observations.width, observations.height, 5 + _RATIONAL)
 
@@ -264,8 +263,11 @@ def _calibration(
         quality["lengths"] = predict_lengths(scanner)
     if settings.judge:
         tests = judge(result, data, settings)
+        structure = chance([test.p_structure for test in tests])
         quality["verdict"] = {
-            "accepted": accepted(tests),
+            "accepted": structure > ACCEPTED_P,
+            "p": chance([test.p for test in tests]),
+            "p_structure": structure,
             "tests": [test._asdict() for test in tests],
             "advice": advise(result, data, determination.unobserved),
         }

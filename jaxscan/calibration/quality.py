@@ -15,6 +15,8 @@ from jaxscan.calibration.problem import camera_from_board
 # More than this is worth a word in the report: the priors should only hold what nothing else does.
 _PRIOR_COST_WARNING = 0.01
 _REJECTED_WARNING = 0.03
+# A view whose corners, rejected ones included, are this many times as far off as usual is named.
+_ODD_VIEW = 4.0
 
 
 def describe_quality(
@@ -112,6 +114,10 @@ def _warnings(quality: dict[str, Any]) -> list[str]:
         warnings.append(
             f"record {record} was left out: its corners are {rms[record]:.2f} px off and disagree with all other views"
         )
+    others = np.median(list(rms.values())) if rms else 0.0
+    for record, value in rms.items():
+        if value > _ODD_VIEW * others and record not in quality["views_dropped"]:
+            warnings.append(f"record {record}: its corners are {value:.2f} px off, those of other views {others:.2f}")
     for direction in quality["unobserved"]:
         # The table's own angle errors are meant to be held by what is known of tables.
         if not set(direction) & set(ANGLE_PARAMETERS):

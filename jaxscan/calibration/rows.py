@@ -154,7 +154,7 @@ def _meet_board(
     # Every round leaves the slope of the bow, less than a hundredth, of the error before.
     for _ in range(4):
         point = origin + range_m * direction
-        range_m = (warp_height(problem.frame, problem.shape, point[0], point[1]) - origin[2]) / along_z
+        range_m = jnp.asarray((warp_height(problem.frame, problem.shape, point[0], point[1]) - origin[2]) / along_z)
     point = origin + range_m * direction
     centre, half = problem.frame[:2], problem.frame[2:]
     slope = 2.0 * problem.shape[:2] * (point[:2] - centre) / (half * half)

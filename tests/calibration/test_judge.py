@@ -1,0 +1,112 @@
+"""Tests of models: they accept what is right and name what is wrong."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxscan.calibration import CalibrationSettings, calibrate_observations
+from jaxscan.calibration.judge import chance, deal_halves, turning_twist
+from jaxscan.geometry import exponential, invert
+
+
+FREE = CalibrationSettings().free
+
+
+def without(*blocks):
+    return CalibrationSettings(free=tuple(block for block in FREE if block not in blocks))
+
+
+def verdict(observed, settings=None):
+    quality = calibrate_observations(observed, settings=settings or CalibrationSettings()).quality
+    return quality["verdict"], {test["name"]: test for test in quality["verdict"]["tests"]}
+
+
+@pytest.fixture(scope="module")
+def clean(world):
+    return world.with_noise(world.observe(world.Rig()), 1)
+
+
+def test_clean_data_are_accepted(clean):
+    judged, tests = verdict(clean)
+    assert judged["accepted"] and judged["p"] > 0.01
+    assert set(tests) == {"lens", "board", "table", "axis", "sheet", "halves"}
+    # The statistics are chi-squared: their degrees of freedom, within five standard deviations.
+    for test in tests.values():
+        assert abs(test["statistic"] - test["dof"]) < 5.0 * np.sqrt(2.0 * test["dof"]) or test["dof"] <= 2
+    assert isinstance(judged["advice"], list)
+
+
+@pytest.mark.parametrize(
+    ("rig", "held", "name"),
+    [
+        ({"warp": (4e-4, 0.0)}, "warp", "board"),
+        ({"harmonics": (8e-3, 6e-3, 4e-3, 0.0)}, "harmonics", "table"),
+        ({"lens": (-0.10, 0.06, 2e-3, 0.0, 0.0)}, "tangential", "lens"),
+    ],
+)
+def test_what_is_wrong_is_named(world, rig, held, name):
+    # The clean data's poses and noise: fixed shapes, one compilation.
+    judged, tests = verdict(world.with_noise(world.observe(world.Rig(**rig)), 1), without(held))
+    assert not judged["accepted"]
+    assert tests[name]["p_structure"] < 1e-3
+
+
+def test_a_bowed_sheet_is_named(world, clean):
+    # The stripe moved by half a sigma along a parabola, as no plane can; 1000 points show it.
+    stripes = clean.stripes
+    v = stripes.q[..., 1]
+    bend = 0.15 * ((v - 512) / 300) ** 2
+    moved = stripes.q + np.where(stripes.valid, bend, 0.0)[..., None] * np.array([1.0, 0.0])
+    _, tests = verdict(replace(clean, stripes=replace(stripes, q=moved)))
+    assert tests["sheet"]["p_structure"] < 1e-3
+    # The corners suffer a little from the compromise, the sheet far more.
+    assert tests["sheet"]["p_structure"] == min(test["p_structure"] for test in tests.values())
+
+
+def test_noise_that_was_promised_smaller_is_no_structure(world, clean):
+    sigma = clean.corners.sigma / 3.0
+    judged, tests = verdict(replace(clean, corners=replace(clean.corners, sigma=sigma)))
+    assert judged["accepted"] and tests["lens"]["p_structure"] > 1e-3
+    # With the detector at its word, nine times the expected squares are no chance.
+    assert judged["p"] < 1e-6
+
+
+def test_turning_is_the_derivative_of_the_board_pose_by_the_angle(clean):
+    rig = calibrate_observations(clean, settings=CalibrationSettings(judge=False)).scanner
+    pose = exponential(jnp.array([0.1, -0.2, 1.1, 0.3, 0.2, -0.5]))
+    seen = lambda phi: invert(rig.turntable.motion(jnp.asarray(phi))) @ pose
+    step = 1e-6
+    change = np.asarray(invert(seen(0.2))) @ np.asarray(seen(0.2 + step))
+    twist = np.array([*change[:3, 3], change[2, 1], change[0, 2], change[1, 0]]) / step
+    # Differences err by half a step times the second derivative, some 1e-6; the table turns by the
+    # derivative of its angle model, about its gain.
+    rate = jax.grad(rig.turntable.angle)(0.2)
+    np.testing.assert_allclose(rate * turning_twist(seen(0.2), rig.turntable), twist, atol=1e-5)
+
+
+def test_halves_are_dealt_inside_placements():
+    placement = np.array([0, 1, 2, 2, 2, 2, 3, 3, 3, 4])
+    half = deal_halves(placement, np.array([True] * 9 + [False]))
+    assert half[9] == -1
+    assert sorted(half[:2]) == [0, 1]
+    for number in (2, 3):
+        counts = np.bincount(half[placement == number], minlength=2)
+        assert abs(counts[0] - counts[1]) <= 1
+
+
+def test_many_tests_have_many_chances():
+    assert chance([0.01, 0.5]) == 0.02
+    assert chance([]) == 1.0
+    assert chance([0.9, 0.8, 0.7]) == 1.0
+
+
+def test_terms_are_finite_without_stripes_and_turning(world):
+    from jaxscan.calibration import calibrate_camera
+
+    judged = calibrate_camera(world.with_noise(world.observe(world.Rig(), free=12, placements=0), 0)).quality["verdict"]
+    assert {test["name"] for test in judged["tests"]} == {"lens", "board", "halves"}
+    assert judged["accepted"]
+    assert jnp.isfinite(jnp.array([test["p"] for test in judged["tests"]])).all()
