@@ -9,7 +9,7 @@ turn by 10 degrees, which the joint solve needs to be a solve of the whole rig.
 Every pose set and every draw of noise counts alike. The depth error of a draw is the root mean
 square over all rows of the image of the depth found at the pixel where the true depth is 2.5 m.
 
-    python experiments/calibration_joint.py [--sets 5] [--draws 20] [--quick] [--json FILE]
+    python experiments/calibration_joint.py [--sets 5] [--draws 60] [--case '4 of 23'] [--quick] [--json FILE]
 """
 
 import sys
@@ -99,16 +99,27 @@ def trial(observed: Observations, alone: Calibration, q: np.ndarray) -> Errors:
     return Errors(depth_error(joint, q), float(predicted), total, linear)
 
 
+def ratio_error(squares: np.ndarray) -> float:
+    """Relative standard error of the root of a mean of squares.
+
+    The errors of all rows of a draw hang together, so a draw counts as one observation.
+    """
+    return float(squares.std() / squares.mean() / np.sqrt(len(squares)) / 2)
+
+
 def main() -> int:
     parser = trials.parser(__doc__)
     parser.add_argument("--sets", type=int, default=5)
-    parser.add_argument("--draws", type=int, default=20)
+    parser.add_argument("--draws", type=int, default=60)
+    parser.add_argument("--case", choices=CASES, help="one of the two alone")
     arguments = parser.parse_args()
     sets, draws = (2, 3) if arguments.quick else (arguments.sets, arguments.draws)
     config = trials.reference()
     q = stripe_pixels(true_scanner(config), 0, DEPTH_M)
     figures = []
     for name, (views, stripes, most) in CASES.items():
+        if arguments.case not in (None, name):
+            continue
         started, found = time.perf_counter(), {noise: [] for noise in trials.CORRELATIONS}
         for number in range(sets):
             ideal = ideal_boards(config, poses_of(config, views, stripes, 100 + number))
@@ -143,6 +154,7 @@ def main() -> int:
                     "",
                     *bounds,
                 ),
+                trials.Figure(f"{label}: its standard error", ratio_error(errors.joint**2), ""),
             ]
     return trials.report("calibration-joint", figures, arguments.json)
 
