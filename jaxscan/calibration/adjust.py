@@ -134,14 +134,13 @@ def _reject(
 ) -> tuple[_State, Linearised, _Errors]:
     limits = {"reject_any": settings.reject_any, "reject_all": settings.reject_all}
     for round_number in range(_REJECTION_ROUNDS):
-        noise = _noise(errors, linearised, state) if settings.estimate_noise else (1.0, 1.0)
-        corner_size = np.abs(errors.corner).max(-1) / noise[0]
-        corner_room, stripe_room = (
-            _room(np.asarray(linearised.corner_leverage)),
-            _room(np.asarray(linearised.stripe_leverage)),
-        )
-        corner_size = (np.abs(errors.corner) / corner_room.reshape(errors.corner.shape)).max(-1) / noise[0]
-        stripe_size = np.abs(errors.stripe) / stripe_room / noise[1]
+        # By the median: outliers that are still in would make room for themselves.
+        size = (1.0, 1.0)
+        if settings.estimate_noise:
+            size = robust_noise(errors.corner[data.corner_valid]), robust_noise(errors.stripe[data.stripe_valid])
+        corner_room = _room(np.asarray(linearised.corner_leverage)).reshape(errors.corner.shape)
+        corner_size = (np.abs(errors.corner) / corner_room).max(-1) / size[0]
+        stripe_size = np.abs(errors.stripe) / _room(np.asarray(linearised.stripe_leverage)) / size[1]
         corner_keep = keep_inliers(corner_size, data.corner_valid, state.corner_keep, **limits)
         stripe_keep = keep_inliers(stripe_size, data.stripe_valid, state.stripe_keep, **limits)
         lost = (data.corner_valid & ~corner_keep).sum(1) > _MAX_LOST * data.corner_valid.sum(1)
@@ -149,6 +148,8 @@ def _reject(
         _check_views(view_keep, state.view_keep)
         corner_keep &= view_keep[:, None]
         stripe_keep &= view_keep[data.stripe_view][:, None]
+        kept = replace(state, corner_keep=corner_keep, stripe_keep=stripe_keep)
+        noise = _noise(errors, linearised, kept) if settings.estimate_noise else (1.0, 1.0)
         correlation = state.stripe_correlation
         if settings.stripe_correlation is None:
             correlation = correlation_along(errors.stripe, stripe_keep)

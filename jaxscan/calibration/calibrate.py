@@ -66,7 +66,7 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
         apart = _apart(data)._replace(stripe_valid=np.zeros_like(data.stripe_valid))
         seed, poses = _seed(apart, observations, settings)
         free = tuple(block for block in settings.free if block in CAMERA_BLOCKS)
-        start = _problem(seed, *_stand_ins(observations), poses, apart, replace(settings, free=free))
+        start = make_problem(seed, *_stand_ins(observations), poses, apart, replace(settings, free=free))
         first = adjust(start, apart, settings, rejection=False).problem
         camera, poses = _named(first.camera, observations, settings), np.asarray(first.poses)
         lasers = [
@@ -75,7 +75,7 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
         ]
         table = seed_axis(poses, data, observations.carries, observations.up)
         placements = average_placements(poses, data, table)
-        problem = _problem(first.camera, stack_lasers(lasers), table, placements, data, settings)
+        problem = make_problem(first.camera, stack_lasers(lasers), table, placements, data, settings)
         result = _pointed_up(adjust(problem, data, settings), observations, data, settings)
         return _calibration(result, observations, data, settings, started)
 
@@ -102,7 +102,7 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
     with jax.enable_x64(True):
         data = _without_stripes(_apart(prepare(observations)))
         camera, poses = _seed(data, observations, settings)
-        problem = _problem(camera, None, None, poses, data, settings)
+        problem = make_problem(camera, None, None, poses, data, settings)
         return _calibration(adjust(problem, data, settings), observations, data, settings, started)
 
 
@@ -139,7 +139,7 @@ def _seed(
     return seed_camera(data, observations.width, observations.height, 5 + _RATIONAL)
 
 
-def _problem(
+def make_problem(
     camera: AbstractCamera,
     lasers: LaserSheet | None,
     table: Turntable | None,
@@ -147,6 +147,16 @@ def _problem(
     data: Prepared,
     settings: CalibrationSettings,
 ) -> Problem:
+    """The least-squares problem of these observations, seen from first values; its weights are still 0.
+
+    Args:
+        camera: First camera.
+        lasers: First sheets, stacked; None where only the camera is sought.
+        table: First table; None where only the camera is sought.
+        poses: T_cam0_board of every placement, as many as views [views, 4, 4].
+        data: Of `prepare`.
+        settings: What is free, and the priors.
+    """
     centre = (data.size[0] - 1) / 2, (data.size[1] - 1) / 2
     # The solver needs neither names nor sizes, and would compile again for each.
     camera = replace(camera, width=0, height=0)

@@ -1,0 +1,200 @@
+"""Time and memory of the joint solve against optimistix' own solvers, and of the camera alone against OpenCV.
+
+The joint problem has 40 views of 88 corners and 40 stripes of 1000 points, about 47 000 residuals,
+everything free that is free by default. All solvers minimise the same function from the same start,
+which is off by tens of pixels, and stop at the same tolerance. Each runs in a process of its own, so
+that its peak memory is its own. Times are those of processes that have compiled; look at the ratios.
+"""
+
+import json
+import pickle
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import calibration_trials as trials
+import cv2
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+
+from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
+from jaxscan.calibration.calibrate import make_problem
+from jaxscan.calibration.prepare import prepare
+from jaxscan.calibration.problem import Problem, Step, move, zero_step
+from jaxscan.calibration.residuals import residuals
+from jaxscan.calibration.seed import average_placements
+from jaxscan.calibration.solve import solve
+from jaxscan.simulation.ideal_boards import add_noise, draw_poses, ideal_boards
+
+
+TOLERANCE, MAX_STEPS, DAMPING = 1e-8, 60, 1e-4
+VIEWS, POINTS, CAMERA_VIEWS = 40, 1000, 23
+# How far the start is off, in scaled units: 3 px of focal length, 0.3 mm and 0.3 mrad of the rig ...,
+# and 5 mm and 5 mrad of every board, which is tens of pixels.
+SHARED_OFF, LOCAL_OFF = 0.03, 0.5
+MAX_RSS_GB = 1.5
+OURS, DEFAULT, NORMAL = "ours", "optimistix LM, default", "optimistix LM, Normal(Cholesky)"
+
+
+def joint_problem() -> Problem:
+    """The problem with its weights, without padding, at a start that is off."""
+    config = trials.reference()
+    poses = draw_poses(config, 3, free_views=VIEWS - 9, placements=3, angles=3)
+    noisy = add_noise(ideal_boards(config, poses, points=POINTS), np.random.default_rng(0))
+    observed = trials.observations(noisy, config)
+    settings = CalibrationSettings(judge=False)
+    found = calibrate_observations(observed, settings=settings)
+    scanner, fit, data = found.scanner, found.fit, prepare(observed)
+    views = np.tile(np.eye(4), (len(data.usable), 1, 1))
+    views[: len(fit.pose)] = fit.pose
+    boards = average_placements(views, data, scanner.turntable)
+    problem = make_problem(scanner.camera, scanner.lasers, scanner.turntable, boards, data, settings)
+    # Padding would be work for the others that is not theirs.
+    shapes = {
+        "poses": (int(data.placement.max()) + 1,),
+        "board": (observed.corners.q.shape[1],),
+        **dict.fromkeys(("corner_q", "corner_weight"), observed.corners.q.shape[:2]),
+        **dict.fromkeys(("angle", "placement"), (VIEWS,)),
+        **dict.fromkeys(("stripe_q", "stripe_weight"), observed.stripes.q.shape[:2]),
+        **dict.fromkeys(("stripe_view", "stripe_laser"), observed.stripes.q.shape[:1]),
+    }
+    for name, shape in shapes.items():
+        cut = getattr(problem, name)[tuple(slice(0, n) for n in shape)]
+        problem = eqx.tree_at(lambda p, name=name: getattr(p, name), problem, cut)
+    corner = observed.corners.valid / trials.CORNER_PX
+    # About what one pixel across the stripe is worth [m]: the weights must only be the same for all.
+    stripe = observed.stripes.valid / (trials.STRIPE_PX * 1.5e-3)
+    problem = eqx.tree_at(lambda p: (p.corner_weight, p.stripe_weight), problem, (corner, stripe))
+    random, step = np.random.default_rng(1), zero_step(problem)
+    off = Step(SHARED_OFF * random.normal(size=step.shared.shape), LOCAL_OFF * random.normal(size=step.local.shape))
+    return move(jax.tree.map(jnp.asarray, off), jax.tree.map(jnp.asarray, problem))
+
+
+@eqx.filter_jit
+def by_optimistix(problem: Problem, linear: lx.AbstractLinearSolver) -> tuple[Problem, Any, Any]:
+    """Levenberg-Marquardt as optimistix has it."""
+    solver = optx.LevenbergMarquardt(rtol=TOLERANCE, atol=TOLERANCE, norm=optx.rms_norm, linear_solver=linear)
+    found = optx.least_squares(residuals, solver, zero_step(problem), args=problem, max_steps=MAX_STEPS, throw=False)
+    return found.value, found.stats["num_steps"], found.result == optx.RESULTS.successful
+
+
+@eqx.filter_jit
+def by_block_arrow(problem: Problem) -> tuple[Problem, Any, Any]:
+    """Ours."""
+    found = solve(problem, jnp.asarray(DAMPING), jnp.asarray(TOLERANCE), MAX_STEPS)
+    return found.step, found.steps, found.converged
+
+
+def joint(solver: str, file: str, repeats: int) -> dict[str, Any]:
+    """One solver in this process, on the problem that the parent wrote."""
+    with jax.enable_x64(True):
+        # Own file, own process: only this script writes and reads it.
+        problem = jax.tree.map(jnp.asarray, pickle.loads(Path(file).read_bytes()))
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        run = {
+            OURS: by_block_arrow,
+            DEFAULT: lambda p: by_optimistix(p, lx.QR()),
+            NORMAL: lambda p: by_optimistix(p, lx.Normal(lx.Cholesky())),
+        }[solver]
+        started = time.perf_counter()
+        jax.block_until_ready(run(problem))
+        first, times = time.perf_counter() - started, []
+        for _ in range(repeats):
+            started = time.perf_counter()
+            step, steps, converged = jax.block_until_ready(run(problem))
+            times.append(time.perf_counter() - started)
+        left = residuals(step, problem)
+        start = residuals(zero_step(problem), problem)
+        error = np.asarray(start.corner) / trials.CORNER_PX**-1
+        return {
+            "seconds": min(times),
+            "first_s": first,
+            "steps": int(steps),
+            "converged": bool(converged),
+            "cost": float(sum(jnp.sum(part**2) for part in left)),
+            "shared": np.asarray(step.shared).tolist(),
+            "residuals": int(sum(part.size for part in left)),
+            "unknowns": int(step.shared.size + step.local.size),
+            "start_px": float(np.sqrt(np.mean(error**2))),
+            "rss_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+            "rss_before_gb": before / 2**20,
+        }
+
+
+def camera(repeats: int) -> dict[str, Any]:
+    """Whole camera calibrations, seed and covariance and rejection included, beside OpenCV's."""
+    config = trials.reference()
+    poses = draw_poses(config, 5, free_views=CAMERA_VIEWS, placements=0, angles=1, lit=0)
+    observed = trials.observations(add_noise(ideal_boards(config, poses), np.random.default_rng(0)), config)
+    points = [observed.board.corners().astype(np.float32)] * CAMERA_VIEWS
+    pixels = [q.astype(np.float32) for q in observed.corners.q]
+    size = (config.camera.width, config.camera.height)
+    settings = CalibrationSettings(judge=False)
+    ours, theirs = [], []
+    for _ in range(repeats + 1):
+        started = time.perf_counter()
+        found = calibrate_camera(observed, settings=settings)
+        ours.append(time.perf_counter() - started)
+        started = time.perf_counter()
+        rms, matrix, *_ = cv2.calibrateCamera(points, pixels, size, None, None)
+        theirs.append(time.perf_counter() - started)
+    return {
+        "ours_s": min(ours[1:]),
+        "opencv_s": min(theirs[1:]),
+        "ours_fx": float(found.camera.fx),
+        "opencv_fx": float(matrix[0, 0]),
+        "opencv_rms": rms,
+    }
+
+
+def main() -> int:
+    parser = trials.parser(__doc__)
+    parser.add_argument("--only", help="one of the solvers, or camera, in this process, as JSON")
+    parser.add_argument("--problem", help="file of the problem, for --only")
+    arguments = parser.parse_args()
+    repeats = 1 if arguments.quick else 5
+    if arguments.only:
+        result = (
+            camera(2 * repeats) if arguments.only == "camera" else joint(arguments.only, arguments.problem, repeats)
+        )
+        print(json.dumps(result))
+        return 0
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "problem.pickle"
+        with jax.enable_x64(True):
+            file.write_bytes(pickle.dumps(jax.tree.map(np.asarray, joint_problem())))
+        for name in (OURS, DEFAULT, NORMAL, "camera"):
+            quick = ["--quick"] if arguments.quick or name in (DEFAULT, NORMAL) else []
+            command = [sys.executable, __file__, "--only", name, "--problem", str(file), *quick]
+            found[name] = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
+            shown = ", ".join(f"{key} {value:.4g}" for key, value in found[name].items() if key != "shared")
+            trials.progress(f"{name}: {shown}")
+    ours, default, normal, lens = (found[name] for name in (OURS, DEFAULT, NORMAL, "camera"))
+    apart = np.abs(np.subtract(ours["shared"], default["shared"])).max() / np.abs(default["shared"]).max()
+    figures = [
+        trials.Figure("residuals", ours["residuals"], ""),
+        trials.Figure("unknowns", ours["unknowns"], ""),
+        trials.Figure("ours", ours["seconds"], "s"),
+        trials.Figure("optimistix LM, default", default["seconds"], "s"),
+        trials.Figure("optimistix LM, Normal(Cholesky)", normal["seconds"], "s"),
+        trials.Figure("ours over default", ours["seconds"] / default["seconds"], "", high=0.1),
+        trials.Figure("ours over Normal(Cholesky)", ours["seconds"] / normal["seconds"], ""),
+        trials.Figure("peak memory of the process, ours", ours["rss_gb"], "GB", high=MAX_RSS_GB),
+        trials.Figure("peak memory of the process, default", default["rss_gb"], "GB"),
+        trials.Figure("same minimum as the default's QR, scaled unknowns", apart, "relative", high=1e-9),
+        trials.Figure("camera alone over OpenCV", lens["ours_s"] / lens["opencv_s"], "", high=2.0),
+    ]
+    return trials.report("solver-time", figures, arguments.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
