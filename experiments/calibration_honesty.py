@@ -62,9 +62,12 @@ def run(config: SimulationConfig, poses: BoardPoses, lengths: list[Length], seed
     result = calibrate_observations(trials.observations(noisy, truth), settings=trials.SETTINGS)
     quality, fit = result.quality, result.fit
     board = np.append(fit.warp - np.array(truth.boards.warp_mm) / 1000, fit.pitch)
+    turned = np.eye(len(fit.covariance))
+    count = len(result.order)
+    turned[:count, :count] = trials.to_true_tangents(result.scanner, truth)
     return Run(
-        np.concatenate([trials.errors(result.scanner, truth), board]),
-        fit.covariance,
+        turned @ np.concatenate([trials.errors(result.scanner, truth), board]),
+        turned @ fit.covariance @ turned.T,
         measure_lengths(result.scanner, lengths) - measure_lengths(true_scanner(truth), lengths),
         length_sigma(result.scanner, lengths),
         (quality["corner_rms_whitened"] ** 2, quality["stripe_rms_whitened"] ** 2),

@@ -4,7 +4,7 @@ Every draw is calibrated clean and spoiled, so that the two differ by nothing bu
 They are 3 to 50 px large, in any direction for corners and across the stripe for its points: to
 both sides, or all to one side, as reflections are.
 
-    python experiments/calibration_outliers.py [--draws 60] [--quick] [--json FILE]
+    python experiments/calibration_outliers.py [--draws 40] [--quick] [--json FILE]
 """
 
 import sys
@@ -41,7 +41,7 @@ def spoiled(noisy: IdealBoards, random: np.random.Generator, *, both_sides: bool
 
 def main() -> int:
     parser = trials.parser(__doc__)
-    parser.add_argument("--draws", type=int, default=60)
+    parser.add_argument("--draws", type=int, default=40)
     arguments = parser.parse_args()
     draws = 6 if arguments.quick else arguments.draws
     config = trials.reference()
@@ -56,7 +56,9 @@ def main() -> int:
             cases[label] = spoiled(noisy, np.random.default_rng([32, draw]), both_sides=label == "both sides")
         for label, case in cases.items():
             result = calibrate_observations(trials.observations(case, config), settings=trials.SETTINGS)
-            found[label].append((trials.errors(result.scanner, config), np.sqrt(np.diag(result.covariance))))
+            turned = trials.to_true_tangents(result.scanner, config)
+            error = turned @ trials.errors(result.scanner, config)
+            found[label].append((error, np.sqrt(np.diag(turned @ result.covariance @ turned.T))))
         trials.progress(f"{draw + 1} of {draws} draws, {time.perf_counter() - started:.0f} s")
     clean, clean_sigma = (np.array(part) for part in zip(*found["clean"], strict=True))
     free = clean_sigma[0] > 0

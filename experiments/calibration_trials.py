@@ -93,6 +93,24 @@ def errors(scanner: Scanner, config: SimulationConfig) -> np.ndarray:
     return np.array(parts, float)
 
 
+def to_true_tangents(scanner: Scanner, config: SimulationConfig) -> np.ndarray:
+    """Matrix from coordinates in the estimate's tangent vectors to those in the truth's.
+
+    The estimate's own may stand at a right angle to those of the next one: they are drawn beside
+    the coordinate axis that a direction is farthest from, and of an upright axis that is a toss-up.
+    """
+    true, names = true_scanner(config), list(scanner.parameter_names())
+    turned = np.eye(len(names))
+    pairs = [("axis.d1", scanner.turntable.basis, true.turntable.basis)]
+    pairs += [("axis.p1", scanner.turntable.basis, true.turntable.basis)]
+    for index, name in enumerate(scanner.laser_names):
+        pairs += [(f"laser.{name}.n1", scanner.lasers.basis[index], true.lasers.basis[index])]
+    for first, own, wanted in pairs:
+        at = slice(names.index(first), names.index(first) + 2)
+        turned[at, at] = np.asarray(wanted) @ np.asarray(own).T
+    return turned
+
+
 def parser(description: str | None) -> argparse.ArgumentParser:
     """The options that all have."""
     made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
