@@ -30,6 +30,8 @@ _REJECTION_ROUNDS = 6
 # A view that loses more of its corners than this is wrong as a whole.
 _MAX_LOST = 0.2
 _SETTLED = 0.01
+# Standard deviation of noise with long tails over that by the median, at most.
+_LONG_TAILS = 1.5
 
 
 @dataclass(frozen=True)
@@ -134,10 +136,13 @@ def _reject(
 ) -> tuple[_State, Linearised, _Errors]:
     limits = {"reject_any": settings.reject_any, "reject_all": settings.reject_all}
     for round_number in range(_REJECTION_ROUNDS):
-        # By the median: outliers that are still in would make room for themselves.
         size = (1.0, 1.0)
         if settings.estimate_noise:
-            size = robust_noise(errors.corner[data.corner_valid]), robust_noise(errors.stripe[data.stripe_valid])
+            # Outliers that are still in must not make room for themselves; honest noise with long
+            # tails may.
+            robust = robust_noise(errors.corner[data.corner_valid]), robust_noise(errors.stripe[data.stripe_valid])
+            kept_noise = _noise(errors, linearised, state)
+            size = tuple(min(own, _LONG_TAILS * by_median) for own, by_median in zip(kept_noise, robust, strict=True))
         corner_room = _room(np.asarray(linearised.corner_leverage)).reshape(errors.corner.shape)
         corner_size = (np.abs(errors.corner) / corner_room).max(-1) / size[0]
         stripe_size = np.abs(errors.stripe) / _room(np.asarray(linearised.stripe_leverage)) / size[1]

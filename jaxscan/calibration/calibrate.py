@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import asdict, replace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,8 +11,8 @@ import numpy as np
 from jaxscan.calibration.adjust import Adjustment, adjust
 from jaxscan.calibration.advice import advise
 from jaxscan.calibration.covariance import determine
-from jaxscan.calibration.judge import ACCEPTED_P, chance, judge
-from jaxscan.calibration.lengths import predict_lengths
+from jaxscan.calibration.judge import ACCEPTED_P, ModelTest, chance, judge
+from jaxscan.calibration.lengths import length_changes, length_sigma, predict_lengths, typical_lengths
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_PARAMETERS, block_of, parameter_scales
 from jaxscan.calibration.prepare import Prepared, prepare
@@ -278,7 +279,7 @@ def _calibration(
             "accepted": structure > ACCEPTED_P,
             "p": chance([test.p for test in tests]),
             "p_structure": structure,
-            "tests": [test._asdict() for test in tests],
+            "tests": _described(tests, scanner, sign[:count] * scales[kept[:count]], kept[:count]),
             "advice": advise(result, data, determination.unobserved),
         }
     quality["seconds"] = time.perf_counter() - started
@@ -292,6 +293,26 @@ def _calibration(
         provenance={"settings": asdict(settings)},
         fit=_fit(result, observations, covariance),
     )
+
+
+def _described(
+    tests: list[ModelTest], scanner: Scanner | None, units: np.ndarray, kept: np.ndarray
+) -> list[dict[str, Any]]:
+    """The tests as JSON, with what each model's lack would do to typical lengths [mm]."""
+    described = [{key: value for key, value in test._asdict().items() if key != "shift"} for test in tests]
+    lengths = (
+        [] if scanner is None else [one for i in range(len(scanner.laser_names)) for one in typical_lengths(scanner, i)]
+    )
+    if scanner is None or not lengths:
+        return described
+    known = [i for i, test in enumerate(tests) if test.shift is not None]
+    steps = np.array([units * test.shift[kept] for test in tests if test.shift is not None])
+    change, sigma = length_changes(scanner, lengths, steps), length_sigma(scanner, lengths)
+    for row, i in enumerate(known):
+        share = np.abs(change[row]) / np.where(sigma > 0, sigma, np.inf)
+        worst = int(np.argmax(share))
+        described[i] |= {"effect_mm": 1e3 * float(abs(change[row, worst])), "effect_sigma": float(share[worst])}
+    return described
 
 
 def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray) -> Fit:

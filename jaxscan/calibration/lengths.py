@@ -146,6 +146,22 @@ def measure_lengths(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray
     return _lengths(scanner, lengths, _no_steps(scanner))[0]
 
 
+def length_changes(
+    scanner: Scanner, lengths: list[Length], steps: Float[np.ndarray, "steps params"]
+) -> Float[np.ndarray, "steps lengths"]:
+    """How `measure_lengths` changes if the scanner is moved by steps in its minimal coordinates [m].
+
+    Raises:
+        ValueError: If there are more than two steps a parameter.
+    """
+    padded = _no_steps(scanner)
+    if len(steps) >= len(padded):
+        raise ValueError(f"{len(steps)} steps are more than {len(padded) - 1}.")
+    padded[1 : 1 + len(steps)] = steps
+    values = _lengths(scanner, lengths, padded)
+    return values[1 : 1 + len(steps)] - values[0]
+
+
 def length_sigma(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, " lengths"]:
     """Standard deviation that the calibration causes in `measure_lengths` [m].
 

@@ -34,8 +34,8 @@ def print_summary(out: Console, calibration: Calibration) -> None:
         out.print(f"next: {text}")
     outcomes = outcome_rows(calibration)
     if outcomes:
-        rows = [row[:6] for row in outcomes]
-        out.print(table("Tests", ("", "statistic", "dof", "p", "p of structure", "result"), rows))
+        rows = [row[:7] for row in outcomes]
+        out.print(table("Tests", ("", "statistic", "dof", "p", "p of structure", "moves a length by", "result"), rows))
     rows = [parameter.row() for parameter in parameters(calibration)]
     out.print(table("Parameters", ("parameter", "value", "standard deviation"), rows))
 

@@ -88,8 +88,19 @@ def verdict(calibration: Calibration) -> Verdict:
     return Verdict(
         "bad",
         "Not accepted",
-        f"The solve ended, but {_reason(tests)}. The standard deviations below do not cover this.",
+        f"The solve ended, but {_reason(tests)}. {_harm(tests)}",
     )
+
+
+def _harm(tests: list["Outcome"]) -> str:
+    """What the failed tests mean for lengths."""
+    failed = [test for test in tests if test.result == "fails"]
+    known = [test for test in failed if test.effect_mm is not None and test.effect_sigma is not None]
+    if not known:
+        return "The standard deviations below do not cover this."
+    worst = max(known, key=lambda test: test.effect_sigma or 0.0)
+    moved = f"a typical length by {worst.effect_mm:.2g} mm, {worst.effect_sigma:.1f} of its standard deviations"
+    return f"To first order, terms that the models lack would move {moved}; those below do not cover this."
 
 
 def _reason(tests: list["Outcome"]) -> str:
@@ -111,6 +122,10 @@ class Outcome(NamedTuple):
     """Chance of a larger statistic, with the noise that the detectors promise."""
     p_structure: float | None
     """The same with the noise that was estimated, so that structure alone counts."""
+    effect_mm: float | None
+    """How far the typical length that suffers most would go if the model had what it lacks."""
+    effect_sigma: float | None
+    """The same over the standard deviation that the calibration causes in that length."""
     result: Literal["passes", "noisy", "fails"]
     """It "fails" where there is structure in the residuals; they are "noisy" where only larger than was promised."""
 
@@ -130,8 +145,10 @@ def outcomes(calibration: Calibration) -> list[Outcome]:
 
     found = []
     for test in tests:
-        statistic, dof, p, structure = (number(test, key) for key in ("statistic", "dof", "p", "p_structure"))
-        found.append(Outcome(test["name"], statistic, dof, p, structure, result(p, structure)))
+        keys = ("statistic", "dof", "p", "p_structure", "effect_mm", "effect_sigma")
+        statistic, dof, p, structure, effect_mm, effect_sigma = (number(test, key) for key in keys)
+        name = test["name"]
+        found.append(Outcome(name, statistic, dof, p, structure, effect_mm, effect_sigma, result(p, structure)))
     return found
 
 

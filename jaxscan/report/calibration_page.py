@@ -127,7 +127,7 @@ def _tests(calibration: Calibration) -> Html | None:
             "chance alone gives a larger one, with the noise that the detectors promise; p of structure takes the "
             "noise that is there. Where only p is small, the residuals are noisy but have no structure.",
         ),
-        table(tables.OUTCOME_COLUMNS, rows, kind="words", worse=[row[5] != "passes" for row in rows]),
+        table(tables.OUTCOME_COLUMNS, rows, kind="words", worse=[row[6] != "passes" for row in rows]),
     )
 
 

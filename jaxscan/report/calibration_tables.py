@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxscan.calibration import Calibration
 from jaxscan.geometry import Scanner
-from jaxscan.report.calibration import TESTS, number, outcomes, views
+from jaxscan.report.calibration import TESTS, Outcome, number, outcomes, views
 
 
 class Parameter(NamedTuple):
@@ -102,7 +102,16 @@ def _board(quality: dict[str, Any]) -> list[Parameter]:
     return rows
 
 
-OUTCOME_COLUMNS = ("test", "statistic", "degrees of freedom", "p", "p of structure", "result", "question")
+OUTCOME_COLUMNS = (
+    "test",
+    "statistic",
+    "degrees of freedom",
+    "p",
+    "p of structure",
+    "moves a length by",
+    "result",
+    "question",
+)
 
 
 def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
@@ -114,11 +123,18 @@ def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
             _optional(test.dof, ".0f"),
             _probability(test.p),
             _probability(test.p_structure),
+            _moved(test),
             test.result,
             TESTS.get(test.name, ("", ""))[0],
         )
         for test in outcomes(calibration)
     ]
+
+
+def _moved(test: Outcome) -> str:
+    if test.effect_mm is None or test.effect_sigma is None:
+        return ""
+    return f"{test.effect_mm:.2g} mm, {test.effect_sigma:.1f} sigma"
 
 
 VIEW_COLUMNS = {

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.judge import chance, deal_halves, turning_twist
+from jaxscan.calibration.extra_terms import turning_twist
+from jaxscan.calibration.halves import deal_halves
+from jaxscan.calibration.judge import chance
 from jaxscan.geometry import exponential, invert
 
 
