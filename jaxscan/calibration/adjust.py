@@ -141,8 +141,8 @@ def _reject(
             # Outliers that are still in must not make room for themselves; honest noise with long
             # tails may.
             robust = robust_noise(errors.corner[data.corner_valid]), robust_noise(errors.stripe[data.stripe_valid])
-            kept_noise = _noise(errors, linearised, state)
-            size = tuple(min(own, _LONG_TAILS * by_median) for own, by_median in zip(kept_noise, robust, strict=True))
+            kept = _noise(errors, linearised, state)
+            size = min(kept[0], _LONG_TAILS * robust[0]), min(kept[1], _LONG_TAILS * robust[1])
         corner_room = _room(np.asarray(linearised.corner_leverage)).reshape(errors.corner.shape)
         corner_size = (np.abs(errors.corner) / corner_room).max(-1) / size[0]
         stripe_size = np.abs(errors.stripe) / _room(np.asarray(linearised.stripe_leverage)) / size[1]
@@ -153,8 +153,8 @@ def _reject(
         _check_views(view_keep, state.view_keep)
         corner_keep &= view_keep[:, None]
         stripe_keep &= view_keep[data.stripe_view][:, None]
-        kept = replace(state, corner_keep=corner_keep, stripe_keep=stripe_keep)
-        noise = _noise(errors, linearised, kept) if settings.estimate_noise else (1.0, 1.0)
+        cleaned = replace(state, corner_keep=corner_keep, stripe_keep=stripe_keep)
+        noise = _noise(errors, linearised, cleaned) if settings.estimate_noise else (1.0, 1.0)
         correlation = state.stripe_correlation
         if settings.stripe_correlation is None:
             correlation = correlation_along(errors.stripe, stripe_keep)
