@@ -26,6 +26,7 @@ _CURES = {
     ("b2", "b3"): "the stripe on boards at both ends of the lit field (bow of the sheet)",
     ("axis.d1", "axis.d2", "axis.p1", "axis.p2"): "placements at more and wider table angles (axis)",
     ("warp.x", "warp.y"): "strongly tilted boards close up (bow of the board)",
+    ("gain", "c1", "s1", "c2", "s2"): "placements at more and wider table angles (angle of the table)",
 }
 
 
@@ -37,7 +38,7 @@ def advise(result: Adjustment, data: Prepared, unobserved: Sequence[dict[str, fl
         data: What it was solved from.
         unobserved: Directions that the priors know better than the data, as components by name.
     """
-    lines = [f"capture {cure}" for cure in _cures(unobserved)]
+    lines = [f"capture {cure}" for cure in cures(unobserved)]
     seen = data.corner_q[result.corner_keep]
     empty = _empty_cells(seen, data.size)
     if empty:
@@ -51,8 +52,9 @@ def advise(result: Adjustment, data: Prepared, unobserved: Sequence[dict[str, fl
     return lines + _about_stripes(result, data) + _about_turning(result, data)
 
 
-def _cures(unobserved: Sequence[dict[str, float]]) -> list[str]:
-    wanted = []
+def cures(unobserved: Sequence[dict[str, float]]) -> list[str]:
+    """What to capture so that directions, as components by name, become known."""
+    wanted: list[str] = []
     for direction in unobserved:
         largest = max(direction, key=lambda name: abs(direction[name]))
         ending = largest.rsplit(".", 1)[-1] if largest.startswith("laser.") else largest

@@ -9,8 +9,8 @@ import jax
 import numpy as np
 
 from jaxscan.calibration.adjust import Adjustment, adjust
-from jaxscan.calibration.advice import advise
-from jaxscan.calibration.covariance import determine
+from jaxscan.calibration.advice import advise, cures
+from jaxscan.calibration.covariance import determine, weakest_direction
 from jaxscan.calibration.judge import ACCEPTED_P, ModelTest, chance, judge
 from jaxscan.calibration.lengths import length_changes, length_sigma, predict_lengths, typical_lengths
 from jaxscan.calibration.observations import Observations
@@ -254,9 +254,11 @@ def _calibration(
     information, prior, scales = map(np.asarray, (result.linearised.reduced, result.linearised.prior, problem.scales))
     determination = determine(information, prior, scales, names)
     if determination is None:
+        weak = weakest_direction(information, scales, names)
+        wanted = "; ".join(cures([weak])) or "boards tilted by 20 to 45 degrees all over the image"
         raise CalibrationError(
-            "The observations leave a combination of parameters undetermined: capture more board poses, tilted by 20 "
-            "to 45 degrees and all over the image, and hold what is not needed (`free`)."
+            f"The observations say nothing about a combination of {', '.join(weak)}: capture {wanted}, or hold what is "
+            "not needed (`free`)."
         )
     every = shared_names(camera, lasers, table is not None)
     kept = np.array([names.index(name) for name in every])

@@ -16,6 +16,9 @@ from jaxscan.geometry import Array
 
 # Directions of which the priors know less than this share are the data's alone.
 _LEAST_SHARE = 1e-6
+# Eigenvalue of the information, scaled to a unit diagonal, that is rounding error: sums of some ten
+# thousand squares lose three digits.
+_SINGULAR = 1e-12
 
 
 class Linearised(NamedTuple):
@@ -171,7 +174,7 @@ def determine(
     if not np.all(np.isfinite(information)) or np.any(size == 0):
         return None
     eigenvalues = np.linalg.eigvalsh(information / np.outer(size, size))
-    if eigenvalues[0] <= len(free) * np.finfo(float).eps:
+    if eigenvalues[0] <= _SINGULAR:
         return None
     inverse = np.linalg.inv(information / np.outer(size, size)) / np.outer(size, size)
     covariance[np.ix_(free, free)] = inverse * np.outer(scales[free], scales[free])
@@ -189,3 +192,15 @@ def determine(
     unobserved = [row["direction"] for row in spectrum if row["sigma_over_prior"] ** 2 > 0.5]
     condition = float(eigenvalues[-1] / eigenvalues[0])
     return Determination(covariance, condition, unobserved, spectrum, float(shares[-1]))
+
+
+def weakest_direction(reduced: np.ndarray, scales: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
+    """The combination of shared unknowns that their information says least about: its largest components."""
+    free = np.flatnonzero(scales)
+    information = reduced[np.ix_(free, free)]
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    if np.any(size == 0):
+        return {names[free[i]]: 1.0 for i in np.flatnonzero(size == 0)}
+    vector = np.linalg.eigh(information / np.outer(size, size))[1][:, 0]
+    largest = np.argsort(-np.abs(vector))[:3]
+    return {names[free[i]]: float(vector[i]) for i in largest if abs(vector[i]) > 0.1}

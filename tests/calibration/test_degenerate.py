@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration import calibrate_camera, calibrate_observations
+from jaxscan.calibration import CalibrationSettings, Priors, calibrate_camera, calibrate_observations
 from jaxscan.errors import CalibrationError
 
 
@@ -84,3 +84,23 @@ def test_one_angle_only(observed):
 def test_angles_of_another_scale(observed):
     corners = replace(observed.corners, angle=observed.corners.angle * 2)
     assert "steps per turn" in refusal(replace(observed, corners=corners))
+
+
+def test_a_table_that_does_not_turn(observed):
+    # Every placement as it was seen from its first angle, under the angles that were commanded.
+    placement = np.asarray(observed.corners.placement)
+    first = np.array([np.flatnonzero(placement == number)[0] for number in placement])
+    stripes = replace(observed.stripes, view=first[observed.stripes.view].astype(np.int32))
+    message = refusal(
+        replace(observed, corners=replace(observed.corners, q=observed.corners.q[first]), stripes=stripes)
+    )
+    assert "did not turn" in message
+
+
+def test_what_is_not_determined_is_named(world):
+    # Two angles show one difference, which five unknowns of the angle share.
+    seen = world.with_noise(world.observe(world.Rig(), angles=2), 0)
+    free = replace(Priors(), gain=np.inf, harmonics=np.inf)
+    message = refusal(seen, lambda data: calibrate_observations(data, settings=CalibrationSettings(priors=free)))
+    assert "gain" in message or "s1" in message
+    assert "placements at more and wider table angles" in message
