@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxscan.calibration.adjust import Adjustment, adjust
 from jaxscan.calibration.advice import advise, cures
-from jaxscan.calibration.covariance import determine, weakest_direction
+from jaxscan.calibration.covariance import determine
 from jaxscan.calibration.judge import ACCEPTED_P, ModelTest, chance, judge
 from jaxscan.calibration.lengths import length_changes, length_sigma, predict_lengths, typical_lengths
 from jaxscan.calibration.observations import Observations
@@ -251,14 +251,13 @@ def _calibration(
     camera = _named(problem.camera, observations, settings)
     lasers = observations.laser_names if table is not None else ()
     names = shared_names(problem.camera, lasers, table is not None)
-    information, prior, scales = map(np.asarray, (result.linearised.reduced, result.linearised.prior, problem.scales))
-    determination = determine(information, prior, scales, names)
-    if determination is None:
-        weak = weakest_direction(information, scales, names)
-        wanted = "; ".join(cures([weak])) or "boards tilted by 20 to 45 degrees all over the image"
+    scales = np.asarray(problem.scales)
+    determination = determine(result.linearised, scales, names)
+    if isinstance(determination, dict):
+        wanted = "; ".join(cures([determination])) or "boards tilted by 20 to 45 degrees all over the image"
         raise CalibrationError(
-            f"The observations say nothing about a combination of {', '.join(weak)}: capture {wanted}, or hold what is "
-            "not needed (`free`)."
+            f"The observations say nothing about a combination of {', '.join(determination)}: capture {wanted}, or "
+            "hold what is not needed (`free`)."
         )
     every = shared_names(camera, lasers, table is not None)
     kept = np.array([names.index(name) for name in every])

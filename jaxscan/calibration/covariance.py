@@ -17,8 +17,8 @@ from jaxscan.geometry import Array
 # Directions of which the priors know less than this share are the data's alone.
 _LEAST_SHARE = 1e-6
 # Eigenvalue of the information, scaled to a unit diagonal, that is rounding error: sums of some ten
-# thousand squares lose three digits.
-_SINGULAR = 1e-12
+# thousand squares lose three digits, and inverting what is left of them some more.
+_SINGULAR = 1e-11
 
 
 class Linearised(NamedTuple):
@@ -38,6 +38,8 @@ class Linearised(NamedTuple):
     """Information of the shared unknowns, poses eliminated; 1 on the diagonal of held ones."""
     prior: Float[Array, "shared shared"]
     """The part of it that comes from the priors."""
+    known_poses: Float[Array, " shared"]
+    """Diagonal of the information that there would be if all poses were known."""
 
 
 def linearise(problem: Problem) -> Linearised:
@@ -68,6 +70,7 @@ def linearise(problem: Problem) -> Linearised:
         leverage(stripe_slopes, chain.stripe, stripe_owner),
         information.reduced,
         prior,
+        jnp.diagonal(blocks.shared),
     )
 
 
@@ -161,21 +164,27 @@ class Determination(NamedTuple):
     """Largest share of the information in any one direction that is the priors' own."""
 
 
-def determine(
-    reduced: np.ndarray, prior: np.ndarray, scales: np.ndarray, names: tuple[str, ...]
-) -> Determination | None:
-    """Covariance of the shared unknowns from their information; None if it is singular."""
+def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]) -> Determination | dict[str, float]:
+    """Covariance of the shared unknowns from their information.
+
+    Where that is singular, the largest components of the direction of which it says least.
+    """
+    reduced, prior = np.asarray(linearised.reduced), np.asarray(linearised.prior)
     free = np.flatnonzero(scales)
     covariance = np.zeros_like(reduced)
     if len(free) == 0:
         return Determination(covariance, 1.0, [], [], 0.0)
     information = reduced[np.ix_(free, free)]
-    size = np.sqrt(np.maximum(np.diag(information), 0.0))
-    if not np.all(np.isfinite(information)) or np.any(size == 0):
-        return None
+    # What is left of the information once the poses are eliminated is compared with what was there
+    # before: of nothing, rounding error remains.
+    known = np.sqrt(np.asarray(linearised.known_poses)[free])
+    if np.any(known == 0):
+        return {names[free[i]]: 1.0 for i in np.flatnonzero(known == 0)}
+    values, vectors = np.linalg.eigh(information / np.outer(known, known))
+    if values[0] <= _SINGULAR:
+        return _components(vectors[:, 0], free, names)
+    size = np.sqrt(np.diag(information))
     eigenvalues = np.linalg.eigvalsh(information / np.outer(size, size))
-    if eigenvalues[0] <= _SINGULAR:
-        return None
     inverse = np.linalg.inv(information / np.outer(size, size)) / np.outer(size, size)
     covariance[np.ix_(free, free)] = inverse * np.outer(scales[free], scales[free])
     # Shares of the prior in the information: generalised eigenvalues, 0 (data only) ... 1.
@@ -185,22 +194,13 @@ def determine(
     spectrum: list[dict[str, Any]] = []
     for share, vector in zip(shares[::-1], vectors.T[::-1], strict=True):
         if share > _LEAST_SHARE:
-            direction = (root @ vector) / sigma
-            largest = np.argsort(-np.abs(direction))[:3]
-            parts = {names[free[i]]: round(float(direction[i]), 3) for i in largest if abs(direction[i]) > 0.1}
+            parts = _components((root @ vector) / sigma, free, names)
             spectrum.append({"sigma_over_prior": float(np.sqrt(min(share, 1.0))), "direction": parts})
     unobserved = [row["direction"] for row in spectrum if row["sigma_over_prior"] ** 2 > 0.5]
     condition = float(eigenvalues[-1] / eigenvalues[0])
     return Determination(covariance, condition, unobserved, spectrum, float(shares[-1]))
 
 
-def weakest_direction(reduced: np.ndarray, scales: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
-    """The combination of shared unknowns that their information says least about: its largest components."""
-    free = np.flatnonzero(scales)
-    information = reduced[np.ix_(free, free)]
-    size = np.sqrt(np.maximum(np.diag(information), 0.0))
-    if np.any(size == 0):
-        return {names[free[i]]: 1.0 for i in np.flatnonzero(size == 0)}
-    vector = np.linalg.eigh(information / np.outer(size, size))[1][:, 0]
-    largest = np.argsort(-np.abs(vector))[:3]
-    return {names[free[i]]: float(vector[i]) for i in largest if abs(vector[i]) > 0.1}
+def _components(direction: np.ndarray, free: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
+    largest = np.argsort(-np.abs(direction))[:3]
+    return {names[free[i]]: round(float(direction[i]), 3) for i in largest if abs(direction[i]) > 0.1}
