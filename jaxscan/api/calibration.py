@@ -48,10 +48,14 @@ def calibrate(
     solve = calibrate_camera if only_camera else calibrate_observations
     looks, stripes = 2 if redetect else 1, not only_camera
     views = find_boards(captures, with_stripes=stripes, progress=_part(progress, 0, looks))
-    result = solve(to_observations(views, captures), settings=settings)
+    # The first of two looks is there to know where to look; only the last is judged.
+    first = replace(settings, judge=settings.judge and not redetect)
+    result = solve(to_observations(views, captures), settings=first)
     if redetect:
         again = look_again(captures, views, result, stripes=stripes, progress=_part(progress, 1, looks))
         result, brought = choose(result, solve(to_observations(again, captures), settings=settings))
+        if not brought["kept"]:
+            result = solve(to_observations(views, captures), settings=settings)
         result = replace(result, quality={**result.quality, "redetected": brought})
     provenance = {
         **result.provenance,

@@ -40,6 +40,14 @@ class Linearised(NamedTuple):
     """The part of it that comes from the priors."""
     known_poses: Float[Array, " shared"]
     """Diagonal of the information that there would be if all poses were known."""
+    by_q: Float[Array, "stripes points 2"]
+    """grad_q e [m / px]."""
+    corner_slopes: Float[Array, "views rows departures"]
+    """Derivatives of the whitened rows by the departures of their view."""
+    stripe_slopes: Float[Array, "stripes points departures"]
+    corner_chain: Float[Array, "unknowns views departures"]
+    """Derivatives of the departures by the shared unknowns and the pose of the view."""
+    stripe_chain: Float[Array, "unknowns stripes departures"]
 
 
 def linearise(problem: Problem) -> Linearised:
@@ -71,6 +79,11 @@ def linearise(problem: Problem) -> Linearised:
         information.reduced,
         prior,
         jnp.diagonal(blocks.shared),
+        by_q,
+        corner_slopes,
+        stripe_slopes,
+        chain.corner,
+        chain.stripe,
     )
 
 

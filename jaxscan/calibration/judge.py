@@ -74,7 +74,7 @@ def judge(result: Adjustment, data: Prepared, settings: CalibrationSettings) -> 
     """
     corner_noise, stripe_noise = result.corner_noise, result.stripe_noise
     problem = result.problem
-    scores = jax.tree.map(np.asarray, score_models(problem, extents_of(data)))
+    scores = score_models(problem, result.linearised, extents_of(data))
     noise = {**dict.fromkeys(_ORDER, corner_noise), "sheet": stripe_noise}
     tests = []
     repeated = _repeated_views(problem, result.view_keep & data.usable)

@@ -3,6 +3,8 @@ r"""Scores of terms that the models of a solve do not have, and their covariance
 With residuals $r$ at the minimum, derivatives $J$ by the unknowns and $E$ by the extra terms, all
 whitened: $g = E^T r$ and $V = E^T E - E^T J (J^T J)^{-1} J^T E$. Nothing is solved again.
 
+The derivatives are there from the solve, so this is host arithmetic.
+
 Source: Rao's score test.
 """
 
@@ -14,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.covariance import chains, gram, prior_information, sum_blocks
+from jaxscan.calibration.covariance import Linearised
 from jaxscan.calibration.extra_terms import (
     Extents,
     board_terms,
@@ -24,125 +26,138 @@ from jaxscan.calibration.extra_terms import (
     turning_twist,
 )
 from jaxscan.calibration.problem import Problem, Step, camera_from_board, move, zero_step
-from jaxscan.calibration.rows import corner_rows, stripe_rows
-from jaxscan.calibration.solve import Blocks, reduce_blocks, schur_step
+from jaxscan.calibration.rows import corner_rows
 from jaxscan.geometry import Array
 
 
 class Score(NamedTuple):
     """Gradient of the cost by extra terms at the minimum, and its covariance."""
 
-    gradient: Float[Array, " terms"]
-    own: Float[Array, " terms"]
+    gradient: Float[np.ndarray, " terms"]
+    own: Float[np.ndarray, " terms"]
     """Diagonal of E'E: what the variance would be if nothing were estimated."""
-    variance: Float[Array, "terms terms"]
-    taken: Float[Array, "terms shared"]
+    variance: Float[np.ndarray, "terms terms"]
+    taken: Float[np.ndarray, "terms shared"]
     """$(J^T J)^{-1} J^T E$: how the shared unknowns imitate each term."""
 
-    def only(self, keep: np.ndarray) -> "Score":
+    def only(self, keep: np.ndarray | slice) -> "Score":
         """The score of some of the terms."""
-        return Score(self.gradient[keep], self.own[keep], self.variance[np.ix_(keep, keep)], self.taken[keep])
+        return Score(self.gradient[keep], self.own[keep], self.variance[keep][:, keep], self.taken[keep])
 
 
-@eqx.filter_jit
-def score_models(problem: Problem, extents: Extents) -> dict[str, Score]:
-    """Scores of every model; those of table and axis have as many terms a view, of all views."""
-    corners, (stripes, by_q) = corner_rows(problem), stripe_rows(problem)
+class _System(NamedTuple):
+    """J'J of all unknowns, and the derivatives of the rows of each view and stripe by those that it meets."""
+
+    corner: Float[np.ndarray, "views rows unknowns"]
+    stripe: Float[np.ndarray, "stripes points unknowns"]
+    view_owner: np.ndarray
+    stripe_owner: np.ndarray
+    inverse: Float[np.ndarray, "all all"]
+    shared: int
+
+
+def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> dict[str, Score]:
+    """Scores of every model; those of "table" and "axis" have as many terms a view, of all views.
+
+    Args:
+        problem: At its minimum, with its weights.
+        linearised: The same to first order.
+        extents: For the coordinates of the terms.
+
+    Returns:
+        Scores of "lens", "radial" (a part of it), "board", and where there are any "table", "axis"
+        and "sheet".
+    """
+    system = _system(problem, linearised)
+    corner_weight, stripe_weight = np.repeat(problem.corner_weight, 2, axis=1), np.asarray(problem.stripe_weight)
+    corner_error, offset = np.asarray(linearised.corner_error), np.asarray(linearised.offset)
+    corner_residual = corner_error * corner_weight
     # Terms are functions of where things should have been seen: at the noisy places themselves they
     # would be correlated with the noise.
-    square = jnp.sum(by_q * by_q, axis=-1)
-    stripe_q = problem.stripe_q - by_q * (stripes.value / jnp.where(square > 0, square, 1.0))[..., None]
-    corner_q = problem.corner_q + corners.value.reshape(problem.corner_q.shape)
-    corner_weight = jnp.repeat(problem.corner_weight, 2, axis=1)
-    corner_slopes = corners.slopes * corner_weight[..., None]
-    stripe_slopes = stripes.slopes * problem.stripe_weight[..., None]
-    corner_residual = corners.value * corner_weight
-    chain = chains(problem)
-    view_owner, stripe_owner = problem.placement, problem.stripe_placement()
-    blocks = sum_blocks(
-        gram(corner_slopes, chain.corner),
-        gram(stripe_slopes, chain.stripe),
-        prior_information(problem)[1],
-        view_owner,
-        stripe_owner,
-        len(problem.poses),
-    )
+    corner_q = np.asarray(problem.corner_q) + corner_error.reshape(problem.corner_q.shape)
     camera = len(problem.camera.parameter_names())
-
-    bend = _mean_residual(problem, blocks) * corner_weight
-
-    def test_corners(extra: Array) -> Score:
-        # The mean of the residuals is one more term, of known size, that the unknowns imitate in part.
-        whole = jnp.concatenate([extra * corner_weight[..., None], bend[..., None]], axis=-1)
-        score = test_everywhere(whole, corner_residual, corner_slopes, chain.corner, view_owner)
-        gradient = score.gradient[:-1] - score.variance[:-1, -1]
-        return Score(gradient, score.own[:-1], score.variance[:-1, :-1], score.taken[:-1])
-
-    def test_everywhere(extra: Array, residual: Array, slopes: Array, chain: Array, owner: Array) -> Score:
-        met = jnp.einsum("vrm,vrd,kvd->vmk", extra, slopes, chain)
-        own = jnp.einsum("vrm,vrn->mn", extra, extra)
-        return _score(blocks, jnp.einsum("vrm,vr->m", extra, residual), own, met, owner)
-
-    def test_views(extra: Array) -> Score:
-        # Terms of each view's own: those of all other views do not meet them.
-        views, _, terms = extra.shape
-        met = jnp.einsum("vrm,vrd,kvd->vmk", extra, corner_slopes, chain.corner)
-        own = jnp.einsum("vrm,vrn->vmn", extra, extra)
-        apart = jnp.eye(views, dtype=extra.dtype)
-        gradient = jnp.einsum("vrm,vr->vm", extra, corner_residual).ravel()
-        spread = jnp.einsum("vmk,vw->vwmk", met, apart).reshape(views, views * terms, met.shape[2])
-        whole = jnp.einsum("vmn,vw->vmwn", own, apart).reshape(views * terms, views * terms)
-        return _score(blocks, gradient, whole, spread, view_owner)
-
-    twist = corner_slopes[..., camera : camera + 6]
+    twist = np.asarray(linearised.corner_slopes)[..., camera : camera + 6]
+    # Displacements of the image are weighted here, those of the board were when the rows were formed.
+    lens, radial = (terms(corner_q, extents) * corner_weight[..., None] for terms in (lens_terms, radial_terms))
+    board = board_terms(problem, twist[..., :3])
+    bend = _mean_residual(problem, system) * corner_weight
+    extra = np.concatenate([lens, radial, board, bend[..., None]], axis=-1)
+    everywhere = _score(system, extra, corner_residual, system.corner, system.view_owner)
+    # The mean of the residuals is one more term, of known size, that the unknowns imitate in part.
+    everywhere = everywhere._replace(gradient=everywhere.gradient - everywhere.variance[:, -1])
+    ends = np.cumsum([terms.shape[-1] for terms in (lens, radial, board)])
     scores = {
-        "lens": test_corners(lens_terms(corner_q, extents)),
-        # Of all that a lens may do besides, the next powers of the radius are the likeliest; two terms
-        # are noticed where a hundred would drown them.
-        "radial": test_corners(radial_terms(corner_q, extents)),
-        "board": test_corners(board_terms(problem, corners.slopes[..., camera : camera + 3])),
+        name: everywhere.only(slice(start, end))
+        for name, start, end in zip(("lens", "radial", "board"), (0, *ends), ends, strict=False)
     }
     if problem.turntable is not None:
-        table = problem.turntable
-        turn = jax.vmap(lambda pose: turning_twist(pose, table))(camera_from_board(problem))
-        scores["table"] = test_views(jnp.einsum("vrd,vd->vr", twist, turn)[..., None])
-        scores["axis"] = test_views(twist)
+        turn = turning_twist(np.asarray(camera_from_board(problem)), problem.turntable)
+        scores["table"] = _score_views(system, np.einsum("vrd,vd->vr", twist, turn)[..., None], corner_residual)
+        scores["axis"] = _score_views(system, twist, corner_residual)
     if len(problem.lasers.distance):
-        scores["sheet"] = test_everywhere(
-            sheet_terms(stripe_q, problem, extents) * (jnp.sqrt(square) * problem.stripe_weight)[..., None],
-            stripes.value * problem.stripe_weight,
-            stripe_slopes,
-            chain.stripe,
-            stripe_owner,
-        )
+        by_q = np.asarray(linearised.by_q)
+        square = np.sum(by_q * by_q, axis=-1)
+        stripe_q = np.asarray(problem.stripe_q) - by_q * (offset / np.where(square > 0, square, 1.0))[..., None]
+        extra = sheet_terms(stripe_q, problem, extents) * (np.sqrt(square) * stripe_weight)[..., None]
+        scores["sheet"] = _score(system, extra, offset * stripe_weight, system.stripe, system.stripe_owner)
     return scores
 
 
-def _score(blocks: Blocks, gradient: Array, own: Array, met: Array, owner: Array) -> Score:
-    """Score and covariance of extra terms, from what they have in common with the unknowns.
+def _system(problem: Problem, linearised: Linearised) -> _System:
+    rows = []
+    for slopes, chain in (
+        (linearised.corner_slopes, linearised.corner_chain),
+        (linearised.stripe_slopes, linearised.stripe_chain),
+    ):
+        rows.append(np.asarray(slopes) @ np.moveaxis(np.asarray(chain), 0, -1))
+    view_owner = np.asarray(problem.placement)
+    stripe_owner = view_owner[np.asarray(problem.stripe_view)]
+    shared, placements = len(problem.scales), len(problem.poses)
+    whole = np.zeros((shared + 6 * placements,) * 2)
+    whole[:shared, :shared] = np.asarray(linearised.prior)
+    for values, owner in zip(rows, (view_owner, stripe_owner), strict=True):
+        for gram, number in zip(np.swapaxes(values, 1, 2) @ values, owner, strict=True):
+            met = _unknowns(shared, number)
+            whole[np.ix_(met, met)] += gram
+    # Held unknowns and padding meet nothing.
+    size = np.sqrt(np.where(np.diag(whole) > 0, np.diag(whole), 1.0))
+    whole[np.diag_indices(len(whole))] = np.where(np.diag(whole) > 0, np.diag(whole), 1.0)
+    inverse = np.linalg.inv(whole / np.outer(size, size)) / np.outer(size, size)
+    return _System(rows[0], rows[1], view_owner, stripe_owner, inverse, shared)
 
-    Args:
-        blocks: Of J'J.
-        gradient: E'r.
-        own: E'E.
-        met: E'J of every view or stripe, by the shared unknowns and its pose [owners, terms, unknowns].
-        owner: Placement of each.
-    """
-    count = len(blocks.shared)
-    shared = met[:, :, :count].sum(0)
-    local = jnp.zeros((len(blocks.local), len(own), 6), own.dtype).at[owner].add(met[:, :, count:])
 
-    def solved(shared_side, local_side):
-        return schur_step(
-            Blocks(blocks.shared, blocks.cross, blocks.local, shared_side, local_side), jnp.zeros((), own.dtype)
-        )
-
-    by_shared, by_local = jax.vmap(solved, in_axes=(0, 1))(shared, local)
-    taken = shared @ by_shared.T + jnp.einsum("pmd,npd->mn", local, by_local)
-    return Score(gradient, jnp.diagonal(own), own - taken, by_shared)
+def _unknowns(shared: int, placement: int | np.integer) -> np.ndarray:
+    """Where the shared unknowns and the pose of a placement stand among all unknowns."""
+    return np.concatenate([np.arange(shared), shared + 6 * placement + np.arange(6)])
 
 
-def _mean_residual(problem: Problem, blocks: Blocks) -> Float[Array, "views rows"]:
+def _score(system: _System, extra: np.ndarray, residual: np.ndarray, rows: np.ndarray, owner: np.ndarray) -> Score:
+    """Of terms that every view or stripe has in common."""
+    met = np.zeros((extra.shape[-1], len(system.inverse)))
+    for own, number in zip(np.swapaxes(extra, 1, 2) @ rows, owner, strict=True):
+        met[:, _unknowns(system.shared, number)] += own
+    flat = extra.reshape(-1, extra.shape[-1])
+    return _finish(system, flat.T @ residual.ravel(), flat.T @ flat, met)
+
+
+def _score_views(system: _System, extra: np.ndarray, residual: np.ndarray) -> Score:
+    """Of terms of each view's own: those of all other views do not meet them."""
+    views, _, terms = extra.shape
+    met = np.zeros((views * terms, len(system.inverse)))
+    own = np.zeros((views * terms,) * 2)
+    for view in range(views):
+        here = slice(view * terms, (view + 1) * terms)
+        met[here, _unknowns(system.shared, system.view_owner[view])] = extra[view].T @ system.corner[view]
+        own[here, here] = extra[view].T @ extra[view]
+    return _finish(system, np.einsum("vrm,vr->vm", extra, residual).ravel(), own, met)
+
+
+def _finish(system: _System, gradient: np.ndarray, own: np.ndarray, met: np.ndarray) -> Score:
+    solved = met @ system.inverse
+    return Score(gradient, np.diag(own).copy(), own - solved @ met.T, solved[:, : system.shared])
+
+
+def _mean_residual(problem: Problem, system: _System) -> Float[np.ndarray, "views rows"]:
     r"""What the bend of the projection leaves in the mean of the corner residuals [px].
 
     $d = \frac{1}{2} \mathrm{tr}(H C)$, with $H$ the second derivatives of a residual and $C$ the covariance of the
@@ -151,19 +166,26 @@ def _mean_residual(problem: Problem, blocks: Blocks) -> Float[Array, "views rows
 
     Source: Box, Bias in nonlinear estimation (1971).
     """
-    reduced, coupling, _, _ = reduce_blocks(blocks, jnp.zeros((), blocks.shared.dtype))
-    root = jnp.linalg.cholesky(jnp.linalg.inv(reduced))
-    empty = jnp.diagonal(blocks.local, axis1=1, axis2=2) == 0
-    filled = blocks.local + jax.vmap(jnp.diag)(empty.astype(root.dtype))
-    own = jnp.linalg.cholesky(jnp.linalg.inv(filled))
+    count = system.shared
+    covariance, cross = system.inverse[:count, :count], system.inverse[count:, :count]
+    # Any root of C will do: shared unknowns with the poses that follow them, then the poses alone, of
+    # which those of different placements meet different views.
+    root = np.linalg.cholesky(covariance)
+    follow = (cross @ np.linalg.solve(covariance, root)).T.reshape(count, -1, 6)
+    alone = system.inverse[count:, count:] - cross @ np.linalg.solve(covariance, cross.T)
+    own = np.stack([np.linalg.cholesky(alone[i : i + 6, i : i + 6]) for i in range(0, len(alone), 6)])
+    steps = Step(np.concatenate([root.T, np.zeros((6, count))]), np.concatenate([follow, np.moveaxis(own, 2, 0)]))
+    return np.asarray(_bend(problem, steps))
+
+
+@eqx.filter_jit
+def _bend(problem: Problem, steps: Step) -> Array:
+    """Half the sum of second differences of the corner residuals along steps."""
     errors = lambda step: corner_rows(move(step, problem)).value
     here = errors(zero_step(problem))
 
-    def bend(step):
+    def add(total, step):
         back = jax.tree.map(jnp.negative, step)
-        return errors(step) + errors(back) - 2.0 * here
+        return total + errors(step) + errors(back) - 2.0 * here, None
 
-    shared = Step(root.T, -jnp.einsum("vdk,kj->jvd", coupling, root))
-    local = Step(jnp.zeros((6, len(root)), root.dtype), jnp.moveaxis(own, 2, 0))
-    steps = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), shared, local)
-    return 0.5 * jax.lax.scan(lambda total, step: (total + bend(step), None), jnp.zeros_like(here), steps)[0]
+    return 0.5 * jax.lax.scan(add, jnp.zeros_like(here), steps)[0]
