@@ -26,7 +26,7 @@ _CURES = {
     ("b2", "b3"): "the stripe on boards at both ends of the lit field (bow of the sheet)",
     ("axis.d1", "axis.d2", "axis.p1", "axis.p2"): "placements at more and wider table angles (axis)",
     ("warp.x", "warp.y"): "strongly tilted boards close up (bow of the board)",
-    ("gain", "c1", "s1", "c2", "s2"): "placements at more and wider table angles (angle of the table)",
+    ("gain", "c1", "s1", "c2", "s2"): "placements all around, at about 0, 90, 180 and 270 degrees of the table (its angle errors)",
 }
 
 

@@ -132,7 +132,8 @@ def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
 
 
 def _moved(test: Outcome) -> str:
-    if test.effect_mm is None or test.effect_sigma is None:
+    # What passes has nothing to move but by chance.
+    if test.result != "fails" or test.effect_mm is None or test.effect_sigma is None:
         return ""
     return f"{test.effect_mm:.2g} mm, {test.effect_sigma:.1f} sigma"
 
