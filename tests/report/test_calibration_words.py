@@ -28,13 +28,13 @@ class TestVerdict:
         assert found.kind == "bad"
         for other, (_, meaning) in words.TESTS.items():
             assert (meaning in found.explanation) == (other == name)
-        assert [row[5] for row in outcome_rows(refused)].count("fails") == 1
+        assert [row[6] for row in outcome_rows(refused)].count("fails") == 1
 
     def test_noise_without_structure_is_told_from_a_wrong_model(self, calibration):
         tests = [{**test, "p": 1e-9} for test in calibration.quality["verdict"]["tests"]]
         noisy = having(calibration, verdict={"accepted": False, "tests": tests})
         assert "larger than the noise that the detectors promise" in words.verdict(noisy).explanation
-        assert {row[5] for row in outcome_rows(noisy)} == {"noisy"}
+        assert {row[6] for row in outcome_rows(noisy)} == {"noisy"}
         accepted = words.verdict(having(calibration, verdict={"accepted": True, "tests": tests}))
         assert accepted.kind == "good" and "more of it than the detectors promise" in accepted.explanation
 
@@ -43,7 +43,7 @@ class TestVerdict:
         tests = [dict(test) for test in calibration.quality["verdict"]["tests"]]
         for p, result in ((0.002, "passes"), (0.0015, "fails")):
             tests[0]["p_structure"] = p
-            assert outcome_rows(having(calibration, verdict={"accepted": True, "tests": tests}))[0][5] == result
+            assert outcome_rows(having(calibration, verdict={"accepted": True, "tests": tests}))[0][6] == result
 
     def test_a_solve_that_ended_is_never_called_right(self, calibration):
         for judged in (None, {}, {"accepted": None}, "good"):
@@ -164,3 +164,23 @@ class TestParameters:
 def test_numbers_of_the_solve_that_are_not_there_are_left_out(calibration):
     assert ("corner RMS, px", "0.1400") in quality_rows(calibration)
     assert quality_rows(dataclasses.replace(calibration, quality={})) == []
+
+
+def test_what_a_failing_model_would_move_is_told_in_millimetres(calibration):
+    tests = [
+        {"name": "lens", "statistic": 400.0, "dof": 24, "p": 0.0, "p_structure": 0.0}
+        | {"effect_mm": 0.37, "effect_sigma": 2.1},
+        {
+            "name": "sheet",
+            "statistic": 6.0,
+            "dof": 6,
+            "p": 0.4,
+            "p_structure": 0.4,
+            "effect_mm": 9.0,
+            "effect_sigma": 9.0,
+        },
+    ]
+    refused = having(calibration, verdict={"accepted": False, "tests": tests})
+    assert "0.37 mm, 2.1 of its standard deviations" in words.verdict(refused).explanation
+    rows = outcome_rows(refused)
+    assert rows[0][5] == "0.37 mm, 2.1 sigma" and rows[1][5] == ""
