@@ -1,6 +1,7 @@
 """The camera alone: against OpenCV's solver, and on real pictures."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -52,8 +53,11 @@ def pictures(pattern, board, detector):
 
 
 def test_same_minimum_as_opencv(world):
-    rig = world.Rig()
+    # OpenCV takes single precision: squares of 1/32 m and corners that are exact in it are the same for both.
+    rig = world.Rig(board=Chessboard(9, 7, 1 / 32))
     observed = world.with_noise(world.observe(rig, free=12, placements=0), 0)
+    single = observed.corners.q.astype(np.float32).astype(np.float64)
+    observed = replace(observed, corners=replace(observed.corners, q=single))
     off = Priors(**dict.fromkeys(vars(Priors()), np.inf))
     settings = CalibrationSettings(free=FLAT, priors=off, reject_any=np.inf, judge=False)
     calibration = calibrate_camera(observed, settings=settings)
@@ -67,11 +71,11 @@ def test_same_minimum_as_opencv(world):
         criteria=(3, 200, 1e-14),
     )
     camera = calibration.camera
-    # OpenCV takes corners in float32: 3e-5 px of noise at 1000 px, far below 1e-2 px of focal length.
+    # OpenCV stops where the cost no longer changes in its digits: about 1e-4 px of focal length.
     np.testing.assert_allclose(
-        [camera.fx, camera.fy, camera.cx, camera.cy], [k[0, 0], k[1, 1], k[0, 2], k[1, 2]], atol=1e-2
+        [camera.fx, camera.fy, camera.cx, camera.cy], [k[0, 0], k[1, 1], k[0, 2], k[1, 2]], atol=1e-3
     )
-    np.testing.assert_allclose(camera.distortion, d.ravel(), atol=1e-4)
+    np.testing.assert_allclose(camera.distortion, d.ravel(), atol=1e-5)
     assert calibration.quality["corner_rms_px"] == pytest.approx(rms, rel=1e-4)
     assert calibration.scanner is None
     assert calibration.order == camera.parameter_names()
