@@ -9,6 +9,13 @@ import jax
 import pytest
 
 
+# Compiling is most of the time that the tests take; the processes that share them share it too. The
+# command line keeps its own in the same place.
+CACHE = Path(__file__).resolve().parents[1] / ".pytest_cache" / "xdg"
+os.environ["XDG_CACHE_HOME"] = str(CACHE)
+jax.config.update("jax_compilation_cache_dir", str(CACHE / "jaxscan" / "compiled"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -109,7 +116,6 @@ def tiny(tmp_path_factory):
     }
     results = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
         for verb, words in verbs.items():
             target = folder / f"{verb}.json"
             assert main([*verb.split("-"), *map(str, words), "--json", str(target)]) == 0, verb

@@ -17,9 +17,8 @@ class Ran(NamedTuple):
 
 
 @pytest.fixture
-def run(capsys, monkeypatch, tmp_path_factory):
+def run(capsys):
     """`jaxscan` with these words, in this process; usage errors leave by SystemExit, as in a shell."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
 
     def call(*words):
         capsys.readouterr()
