@@ -8,7 +8,6 @@ that its peak memory is its own. Times are those of processes that have compiled
 
 import json
 import pickle
-import resource
 import subprocess
 import sys
 import tempfile
@@ -93,12 +92,18 @@ def by_block_arrow(problem: Problem) -> tuple[Problem, Any, Any]:
     return found.step, found.steps, found.converged
 
 
+def peak_gb() -> float:
+    """Peak resident memory of this process; `getrusage` would count that of the parent before it."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) / 2**20 for line in lines if line.startswith("VmHWM"))
+
+
 def joint(solver: str, file: str, repeats: int) -> dict[str, Any]:
     """One solver in this process, on the problem that the parent wrote."""
     with jax.enable_x64(True):
         # Own file, own process: only this script writes and reads it.
         problem = jax.tree.map(jnp.asarray, pickle.loads(Path(file).read_bytes()))
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        before = peak_gb()
         run = {
             OURS: by_block_arrow,
             DEFAULT: lambda p: by_optimistix(p, lx.QR()),
@@ -124,8 +129,8 @@ def joint(solver: str, file: str, repeats: int) -> dict[str, Any]:
             "residuals": int(sum(part.size for part in left)),
             "unknowns": int(step.shared.size + step.local.size),
             "start_px": float(np.sqrt(np.mean(error**2))),
-            "rss_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
-            "rss_before_gb": before / 2**20,
+            "rss_gb": peak_gb(),
+            "rss_before_gb": before,
         }
 
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from jaxscan.calibration.adjust import Adjustment
 from jaxscan.calibration.prepare import Prepared
-from jaxscan.calibration.problem import camera_from_board
 
 
 # Cells of the image that should all have seen corners.
@@ -26,7 +25,13 @@ _CURES = {
     ("b2", "b3"): "the stripe on boards at both ends of the lit field (bow of the sheet)",
     ("axis.d1", "axis.d2", "axis.p1", "axis.p2"): "placements at more and wider table angles (axis)",
     ("warp.x", "warp.y"): "strongly tilted boards close up (bow of the board)",
-    ("gain", "c1", "s1", "c2", "s2"): "placements all around, at about 0, 90, 180 and 270 degrees of the table (its angle errors)",
+    (
+        "gain",
+        "c1",
+        "s1",
+        "c2",
+        "s2",
+    ): "placements all around, at about 0, 90, 180 and 270 degrees of the table (its angle errors)",
 }
 
 
@@ -43,7 +48,7 @@ def advise(result: Adjustment, data: Prepared, unobserved: Sequence[dict[str, fl
     empty = _empty_cells(seen, data.size)
     if empty:
         lines.append(f"bring the board into the {', '.join(empty)} of the image: too few corners lie there")
-    poses = np.asarray(camera_from_board(result.problem))[result.view_keep & data.usable]
+    poses = np.asarray(result.linearised.view_poses)[result.view_keep & data.usable]
     tilt = np.degrees(np.arccos(np.clip(np.abs(poses[:, 2, 2]), 0.0, 1.0)))
     if len(tilt) and np.quantile(tilt, 0.9) < _MIN_TILT_DEG:
         lines.append(f"tilt the board by 20 to 45 degrees: hardly one is tilted by more than {tilt.max():.0f} degrees")
@@ -75,7 +80,7 @@ def _empty_cells(q: np.ndarray, size: tuple[int, int]) -> list[str]:
 
 def _about_stripes(result: Adjustment, data: Prepared) -> list[str]:
     lines = []
-    depth = np.asarray(camera_from_board(result.problem))[:, 2, 3]
+    depth = np.asarray(result.linearised.view_poses)[:, 2, 3]
     for laser in range(len(result.problem.lasers.distance)):
         lit = (data.stripe_laser == laser) & result.stripe_keep.any(1)
         depths = depth[data.stripe_view[lit]]

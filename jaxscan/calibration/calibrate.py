@@ -16,7 +16,7 @@ from jaxscan.calibration.lengths import length_changes, length_sigma, predict_le
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_PARAMETERS, block_of, parameter_scales
 from jaxscan.calibration.prepare import Prepared, prepare
-from jaxscan.calibration.problem import Problem, camera_from_board
+from jaxscan.calibration.problem import Problem
 from jaxscan.calibration.quality import describe_quality
 from jaxscan.calibration.result import Calibration, Fit
 from jaxscan.calibration.seed import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
@@ -325,7 +325,7 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
     kx, ky, pitch = (float(value) for value in result.problem.shape)
     leverage = np.asarray(result.linearised.corner_leverage).reshape(result.corner_error.shape)
     return Fit(
-        pose=np.asarray(camera_from_board(result.problem))[:views],
+        pose=np.asarray(result.linearised.view_poses)[:views],
         warp=np.array([kx, ky]),
         pitch=pitch,
         corner_error=corner(result.corner_error),

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxscan.calibration.problem import Problem, Step, move, zero_step
+from jaxscan.calibration.problem import Problem, Step, camera_from_board, move, zero_step
 from jaxscan.calibration.residuals import priors
 from jaxscan.calibration.rows import Departures, corner_rows, departures, stripe_rows
 from jaxscan.calibration.solve import Blocks, reduce_blocks
@@ -40,6 +40,8 @@ class Linearised(NamedTuple):
     """The part of it that comes from the priors."""
     known_poses: Float[Array, " shared"]
     """Diagonal of the information that there would be if all poses were known."""
+    view_poses: Float[Array, "views 4 4"]
+    """T_cam(phi)_board of every view."""
     by_q: Float[Array, "stripes points 2"]
     """grad_q e [m / px]."""
     corner_slopes: Float[Array, "views rows departures"]
@@ -79,6 +81,7 @@ def linearise(problem: Problem) -> Linearised:
         information.reduced,
         prior,
         jnp.diagonal(blocks.shared),
+        camera_from_board(problem),
         by_q,
         corner_slopes,
         stripe_slopes,

@@ -9,7 +9,6 @@ from jaxscan.calibration.covariance import Determination
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS
 from jaxscan.calibration.prepare import Prepared
-from jaxscan.calibration.problem import camera_from_board
 
 
 # More than this is worth a word in the report: the priors should only hold what nothing else does.
@@ -74,7 +73,7 @@ def _per_view(
     result: Adjustment, observations: Observations, data: Prepared, distance: np.ndarray
 ) -> list[dict[str, float | int]]:
     records = np.asarray(observations.corners.record)
-    depth = np.asarray(camera_from_board(result.problem))[:, 2, 3]
+    depth = np.asarray(result.linearised.view_poses)[:, 2, 3]
     views = []
     for view in np.flatnonzero(data.usable):
         seen = data.corner_valid[view]

@@ -25,7 +25,7 @@ from jaxscan.calibration.extra_terms import (
     sheet_terms,
     turning_twist,
 )
-from jaxscan.calibration.problem import Problem, Step, camera_from_board, move, zero_step
+from jaxscan.calibration.problem import Problem, Step, move, zero_step
 from jaxscan.calibration.rows import corner_rows
 from jaxscan.geometry import Array
 
@@ -91,7 +91,7 @@ def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> 
         for name, start, end in zip(("lens", "radial", "board"), (0, *ends), ends, strict=False)
     }
     if problem.turntable is not None:
-        turn = turning_twist(np.asarray(camera_from_board(problem)), problem.turntable)
+        turn = turning_twist(np.asarray(linearised.view_poses), problem.turntable)
         scores["table"] = _score_views(system, np.einsum("vrd,vd->vr", twist, turn)[..., None], corner_residual)
         scores["axis"] = _score_views(system, twist, corner_residual)
     if len(problem.lasers.distance):
