@@ -25,6 +25,7 @@ from jaxscan.api import measure_plane as measure_plane
 from jaxscan.api import measure_room as measure_room
 from jaxscan.api import observe_boards as observe_boards
 from jaxscan.api import open_capture as open_capture
+from jaxscan.api import plane_sigma as plane_sigma
 from jaxscan.api import reconstruct as reconstruct
 from jaxscan.api import save_calibration as save_calibration
 from jaxscan.api import save_cloud as save_cloud

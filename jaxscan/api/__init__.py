@@ -19,6 +19,7 @@ from jaxscan.files.config import load_toml as load_toml
 from jaxscan.geometry import Scanner as Scanner
 from jaxscan.geometry import fit_axis as fit_axis
 from jaxscan.geometry import fit_plane as fit_plane
+from jaxscan.geometry import plane_sigma as plane_sigma
 from jaxscan.measurement import compare_clouds as compare_clouds
 from jaxscan.measurement import measure_distance as measure_distance
 from jaxscan.measurement import measure_plane as measure_plane

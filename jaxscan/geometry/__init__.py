@@ -11,6 +11,7 @@ from jaxscan.geometry.fit import AxisFit as AxisFit
 from jaxscan.geometry.fit import PlaneFit as PlaneFit
 from jaxscan.geometry.fit import fit_axis as fit_axis
 from jaxscan.geometry.fit import fit_plane as fit_plane
+from jaxscan.geometry.fit import plane_sigma as plane_sigma
 from jaxscan.geometry.laser import LaserSheet as LaserSheet
 from jaxscan.geometry.laser import stack_lasers as stack_lasers
 from jaxscan.geometry.rigid import exponential as exponential

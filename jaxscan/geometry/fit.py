@@ -54,6 +54,50 @@ def fit_plane(points: Array) -> PlaneFit:
     return PlaneFit(normal, float(normal @ centre), float(spread[2]), spread)
 
 
+def plane_sigma(points: Array, at: Array) -> float:
+    r"""Standard deviation of the plane through `points`, perpendicular to it, at another place.
+
+    $$\sigma(x) = \mathrm{rms} \sqrt{(1 + x_1^2 / s_1^2 + x_2^2 / s_2^2) / n}$$
+
+    with x in the plane's own axes from the centre of the points, s their extents, and n the number
+    of points that err independently: points that follow each other in the given order often share
+    an error (of the board they lay on, of speckle), which the autocorrelation of their residuals
+    shows. Far beyond the points a plane is a guess, and this says how good a one.
+
+    Args:
+        points: The points [n, 3] in the order of their measurement; n is 3 or more.
+        at: Where to ask [3], the same unit.
+
+    Returns:
+        One standard deviation, the same unit.
+
+    Raises:
+        ValueError: If there are fewer than 3 points, or they lie on one line.
+    """
+    points, plane = np.asarray(points, np.float64), fit_plane(points)
+    if plane.spread[1] <= 1e-9 * plane.spread[0]:
+        raise ValueError("Points on one line determine no plane.")
+    centre = points.mean(0)
+    axes = np.linalg.svd((points - centre).T @ (points - centre))[2][:2]
+    away = axes @ (np.asarray(at, np.float64) - centre) / plane.spread[:2]
+    independent = len(points) / _shared_errors(points @ plane.normal - plane.distance)
+    return float(plane.rms * np.sqrt((1.0 + away @ away) / independent))
+
+
+def _shared_errors(residual: np.ndarray) -> float:
+    """How many neighbours share one error: 1 + 2 * (sum of autocorrelations), to where they are lost in noise."""
+    count = len(residual)
+    power = np.abs(np.fft.rfft(residual, 2 * count)) ** 2
+    sums = np.fft.irfft(power)[:count]
+    if sums[0] <= 0:
+        return 1.0
+    pairs = np.arange(count, 0, -1)
+    correlation = sums / pairs / (sums[0] / count)
+    lost = np.flatnonzero(correlation[1 : count // 2] < 2.0 / np.sqrt(pairs[1 : count // 2]))
+    last = 1 + (lost[0] if len(lost) else max(count // 2 - 1, 0))
+    return float(min(1.0 + 2.0 * correlation[1:last].sum(), count))
+
+
 def fit_axis(motion: Array) -> AxisFit:
     """Axis of a turn, from positions of one point or from poses.
 
