@@ -20,6 +20,9 @@ _STRIP = 32
 """Rows rendered at a time: their samples stay in the processor's cache."""
 
 
+_FAR_M = 1e6
+
+
 @dataclass(frozen=True, eq=False)
 class Print:
     """A board's picture as albedo, with a white rim, and where it lies on the board."""
@@ -110,9 +113,13 @@ class SeenBoard:
         bx, by = depth * r0 + t[0], depth * r1 + t[1]
         if self.picture.warp != (0.0, 0.0):
             # The bow is shallow: each round divides its error by ten, at the least.
-            for _ in range(6):
-                depth = (self.height(bx, by) - t[2]) / towards
-                bx, by = depth * r0 + t[0], depth * r1 + t[1]
+            with np.errstate(over="ignore", invalid="ignore"):
+                for _ in range(6):
+                    depth = (self.height(bx, by) - t[2]) / towards
+                    bx, by = depth * r0 + t[0], depth * r1 + t[1]
+            # Rays that graze the board's plane far outside it run away; they miss.
+            lost = ~((np.abs(bx) < _FAR_M) & (np.abs(by) < _FAR_M))
+            depth, bx, by = (np.where(lost, bx.dtype.type(0), values) for values in (depth, bx, by))
         low, high = self.picture.low.astype(x.dtype), self.picture.high.astype(x.dtype)
         inside = (depth > 0) & (bx >= low[0]) & (bx <= high[0]) & (by >= low[1]) & (by <= high[1])
         return np.where(inside, depth, x.dtype.type(np.inf)), bx, by
