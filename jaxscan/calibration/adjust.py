@@ -151,8 +151,8 @@ def _reject(
         lost = (data.corner_valid & ~corner_keep).sum(1) > _MAX_LOST * data.corner_valid.sum(1)
         view_keep = state.view_keep & ~lost
         _check_views(view_keep, state.view_keep)
-        corner_keep &= view_keep[:, None]
-        stripe_keep &= view_keep[data.stripe_view][:, None]
+        corner_keep = corner_keep & view_keep[:, None]
+        stripe_keep = stripe_keep & view_keep[data.stripe_view][:, None]
         cleaned = replace(state, corner_keep=corner_keep, stripe_keep=stripe_keep)
         noise = _noise(errors, linearised, cleaned) if settings.estimate_noise else (1.0, 1.0)
         correlation = state.stripe_correlation

@@ -49,7 +49,9 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
         square corner distance of the corners in the solve, as `cv2.calibrateCamera` counts it) and
         `corner_rms_all_px` (with the rejected ones), `stripe_rms_px`, whitened
         RMS per group, estimated noise over given sigma, counts, rejected shares, `per_view`,
-        `condition`, `unobserved`, `prior_share`, `board_warp_m`, `steps`, `seconds`, `warnings`.
+        `condition`, `unobserved`, `spectrum`, `prior_share`, `board_warp_m`, `views_dropped`, `steps`,
+        `seconds`, `warnings`; and, with `settings.judge`, `lengths` (see `predict_lengths`) and
+        `verdict` (`accepted`, `p`, `p_structure`, `tests` of `judge`, `advice`).
 
     Raises:
         CalibrationError: If the observations do not determine the scanner; it says what to capture.

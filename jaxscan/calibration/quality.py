@@ -83,6 +83,7 @@ def _per_view(
             {
                 "record": int(records[view]),
                 "corners": int(seen.sum()),
+                "dropped": not bool(result.view_keep[view]),
                 "corners_rejected": int((seen & ~result.corner_keep[view]).sum()),
                 "corner_rms_px": _rms(distance[view, seen]),
                 "stripe_points": int(points.sum()),
@@ -108,14 +109,15 @@ def _warnings(quality: dict[str, Any]) -> list[str]:
         if quality[f"{group}_rejected"] > _REJECTED_WARNING * max(quality[group], 1):
             share = 100 * quality[f"{group}_rejected"] / quality[group]
             warnings.append(f"{share:.1f} % of the {group.replace('_', ' ')} were rejected")
-    rms = {view["record"]: view["corner_rms_px"] for view in quality["per_view"]}
-    for record in quality["views_dropped"]:
-        warnings.append(
-            f"record {record} was left out: its corners are {rms[record]:.2f} px off and disagree with all other views"
-        )
-    others = np.median(list(rms.values())) if rms else 0.0
-    for record, value in rms.items():
-        if value > _ODD_VIEW * others and record not in quality["views_dropped"]:
+    # Records of several captures may have the same number, so views are gone through one by one.
+    others = float(np.median([view["corner_rms_px"] for view in quality["per_view"]])) if quality["per_view"] else 0.0
+    for view in quality["per_view"]:
+        record, value = view["record"], view["corner_rms_px"]
+        if view["dropped"]:
+            warnings.append(
+                f"record {record} was left out: its corners are {value:.2f} px off and disagree with all other views"
+            )
+        elif value > _ODD_VIEW * others:
             warnings.append(f"record {record}: its corners are {value:.2f} px off, those of other views {others:.2f}")
     for direction in quality["unobserved"]:
         # The table's own angle errors are meant to be held by what is known of tables.
