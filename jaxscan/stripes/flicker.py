@@ -1,0 +1,160 @@
+"""How much brighter the lamps of the room were in the laser-on frame than in the laser-off frame.
+
+Lamps on alternating current flicker; where an exposure is no whole number of their periods, the two
+frames of a pair differ by a factor, and the difference is no longer the laser alone.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Float, UInt8
+
+from jaxscan.geometry import Array
+
+
+NO_INFORMATION = 1.0
+"""Standard deviation of a gain of which the frames tell nothing [1]."""
+SMALLEST_CHANGE = 0.005
+"""Change of the gain below which the frames are left as they are [1]: an eighth of a DN at 25 DN."""
+_CERTAIN = 4.0
+"""Standard deviations that a change must stand out by."""
+_CUT = 3.0
+"""Residual from which a pixel counts for nothing, in standard deviations (Tukey's weight): little of
+the laser's glow is then taken for ambient light."""
+_HASTE = 1.58
+"""Mean weight over mean slope of the weighted residual, in Gaussian noise: makes Newton's step of a
+reweighted one."""
+_EFFICIENCY = 0.949
+"""Information that is left with these weights, over the sum of the weighted information."""
+_WIDENED = (0.08, 0.02)
+"""Error of the gain that the first steps allow for [1]."""
+_CLIPPED = 6.0
+"""Residual at which a pixel's share in the unrest is cut off, in standard deviations."""
+_EVERY = 4
+"""The first steps look at every fourth pixel."""
+_START = (0.6, 1.5)
+"""Gains between which a pixel may vote for the start."""
+_LANES = 64
+
+
+class PairGain(NamedTuple):
+    """Brightness of the room in a laser-on frame, in that of its laser-off frame."""
+
+    gain: Float[Array, " frames"]
+    """Factor by which ambient light is brighter in the laser-on frame [1]; 1 where it is not known."""
+    sigma: Float[Array, " frames"]
+    """Standard deviation of `gain` [1]; `NO_INFORMATION` where it is not known."""
+    unrest: Float[Array, " frames"]
+    """Robust root mean square of what the gain leaves unexplained, in that of the noise [1]:
+    1 where all is still; 0 where nothing is known."""
+
+
+def pair_gain(
+    on: UInt8[Array, "frames n"],
+    off: UInt8[Array, "frames n"],
+    noise_read: Float[Array, ""] | float,
+    noise_gain: Float[Array, ""] | float,
+    *,
+    saturation: int = 250,
+) -> PairGain:
+    r"""Gain of the ambient light between the frames of each pair.
+
+    $\mathrm{on} = g\,\mathrm{off}$ but for the few pixels that the laser reaches. Both sides are noisy, so
+    the slope is taken with $x = (\mathrm{on} + \mathrm{off}) / (1 + g)$ as instrument, whose noise is not
+    correlated with that of the residual $r$ (exactly for shot noise, nearly for read noise),
+
+    $$g \leftarrow \frac{\sum w\,x\,\mathrm{on} / s^2}{\sum w\,x\,\mathrm{off} / s^2}, \qquad
+      w = (1 - r^2 / (c s)^2)_+^2, \qquad s^2 = (1 + g^2)(\mathrm{read}^2 + 1/12) + g (1 + g) x / K,$$
+
+    in three steps that narrow down on the bulk of the pixels. Dark pixels, which are cut off at zero,
+    and saturated ones do not count. The laser only adds light: the unrest is that of the pixels
+    that are darker than expected.
+
+    Args:
+        on: Pixels of each laser-on frame, about 10^4 of them, spread over it.
+        off: The same pixels with the laser off.
+        noise_read: Read noise of one frame [DN].
+        noise_gain: Conversion gain K [e-/DN].
+        saturation: Level from which a pixel does not count [DN].
+
+    Returns:
+        Gain, its standard deviation and the unrest of each pair; gains between 0.6 and 1.5 are found.
+
+    Source:
+        A. E. Beaton and J. W. Tukey, The fitting of power series, Technometrics 16, 1974 (the weight);
+        W. A. Fuller, Measurement Error Models, 1987, section 1.4 (the instrument).
+    """
+    frames, count = on.shape
+    floor = jnp.asarray(noise_read, jnp.float32) ** 2 + 1.0 / 12
+    per_dn = 1.0 / jnp.asarray(noise_gain, jnp.float32)
+    # A sum of two levels below this may have lost its lower part to the cut at zero.
+    dark = 6.0 * jnp.sqrt(floor)
+    # Sums along a leading axis compile to vector instructions, sums along the last do not.
+    padding = -count % (_LANES * _EVERY)
+    on, off = (jnp.pad(jnp.asarray(a), ((0, 0), (0, padding))).reshape(frames, -1, _LANES) for a in (on, off))
+
+    def total(values: Float[Array, "frames m lanes"]) -> Float[Array, " frames"]:
+        return jnp.sum(jnp.sum(values, 1), 1)
+
+    def levels(stride: int) -> tuple[Array, Array, Array]:
+        a, b = (frame[:, ::stride].astype(jnp.float32) for frame in (on, off))
+        usable = (a + b > dark) & (jnp.maximum(a, b) < saturation)
+        return a, b, usable
+
+    def step(pixels, gain, widened):
+        a, b, usable = pixels
+        g = gain[:, None, None]
+        x = (a + b) / (1.0 + g)
+        variance = (1.0 + g * g) * floor + (g * (1.0 + g) * per_dn) * x + (widened * widened) * (x * x)
+        residual = a - g * b
+        per_variance = 1.0 / variance
+        square = residual * residual * per_variance
+        weight = jnp.maximum(1.0 - square * (1.0 / _CUT**2), 0.0)
+        weight = jnp.where(usable, weight * weight * x * per_variance, 0.0)
+        return a, b, x, residual, square, weight
+
+    few = levels(_EVERY)
+    a, b, usable = few
+    slack = 3.0 * jnp.sqrt(floor)
+    voted = jnp.clip(a, _START[0] * b - slack, _START[1] * b + slack)
+    first = total(jnp.where(usable, voted, 0.0)), total(jnp.where(usable, b, 0.0))
+    gain = _towards(jnp.ones(frames, jnp.float32), *first, haste=1.0)
+    for widened in _WIDENED:
+        a, b, _, _, _, weight = step(few, gain, widened)
+        gain = _towards(gain, total(weight * a), total(weight * b))
+    every = levels(1)
+    a, b, x, residual, square, weight = step(every, gain, 0.0)
+    darker = every[2] & (residual < 0.0)
+    information = total(weight * x)
+    spread = total(jnp.where(darker, jnp.minimum(square, _CLIPPED**2), 0.0))
+    number = total(darker.astype(jnp.float32))
+    gain = _towards(gain, total(weight * a), total(weight * b))
+    information = _EFFICIENCY * information
+    known = (information * NO_INFORMATION**2 > 1.0) & (number > 0)
+    unrest = jnp.sqrt(jnp.where(known, spread / jnp.maximum(number, 1.0), 0.0))
+    sigma = jnp.maximum(unrest, 1.0) / jnp.sqrt(jnp.where(known, information, 1.0))
+    return PairGain(
+        gain=jnp.where(known, gain, 1.0),
+        sigma=jnp.where(known, jnp.minimum(sigma, NO_INFORMATION), NO_INFORMATION),
+        unrest=unrest,
+    )
+
+
+def applied_gain(pair: PairGain) -> Float[Array, " frames"]:
+    """What to multiply laser-off frames by before they are subtracted.
+
+    Returns:
+        The gain where it differs from 1 by more than 4 of its standard deviations and 0.005;
+        elsewhere exactly 1, so that frames under steady light stay as they are.
+    """
+    change = jnp.abs(pair.gain - 1.0)
+    return jnp.where(change > jnp.maximum(SMALLEST_CHANGE, _CERTAIN * pair.sigma), pair.gain, 1.0)
+
+
+def _towards(
+    gain: Float[Array, " frames"], top: Float[Array, " frames"], bottom: Float[Array, " frames"], haste: float = _HASTE
+) -> Float[Array, " frames"]:
+    """The gain moved towards a ratio, within bounds; as it was where nothing counted."""
+    some = bottom > 0
+    step = top / jnp.where(some, bottom, 1.0) - gain
+    return jnp.clip(gain + jnp.where(some, haste * step, 0.0), 0.5, 2.0)
