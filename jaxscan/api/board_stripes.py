@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxscan.calibration import BoardStripe, Calibration, select_board_stripes
 from jaxscan.calibration.predict import lift_to_board, predict_stripe
+from jaxscan.errors import CaptureError
 from jaxscan.files.capture import Capture, Record
 from jaxscan.geometry import AbstractBoard
 from jaxscan.stripes import LaserLine, NoiseModel, Stripes, extract_stripes
@@ -43,12 +44,33 @@ class View(NamedTuple):
         on, off = capture.frames(index)
         return View(number, capture.records[index], capture.pixel_format, on, off)
 
+    @property
+    def laser(self) -> int:
+        """The one laser that is lit in the laser-on image."""
+        (laser,) = self.record.lasers
+        return laser
+
     def picture(self) -> np.ndarray | None:
         """The record in grey, without the laser where there is such a frame."""
         from jaxscan.vision.grey import to_grey
 
         image = self.on if self.off is None else self.off
         return None if image is None else to_grey(image, self.pixel_format)
+
+
+def check_single_lasers(capture: Capture) -> None:
+    """See that no stripe of a calibration could be that of another laser.
+
+    Raises:
+        CaptureError: With the first record that shows several lasers at once.
+    """
+    for record in capture.records:
+        if len(record.lasers) > 1:
+            names = ", ".join(capture.lines[laser].name for laser in record.lasers)
+            raise CaptureError(
+                f"{capture.path}: record {record.i}: several lasers are lit at once ({names}), but a calibration needs "
+                'one per record; capture a record for each, and name it there: "lasers": ["..."].'
+            )
 
 
 def with_stripes(views: list[View], capture: Capture, calibration: Calibration | None = None) -> list[View]:
@@ -64,7 +86,7 @@ def with_stripes(views: list[View], capture: Capture, calibration: Calibration |
     lit = [i for i, view in enumerate(views) if view.corners is not None and view.on is not None]
     for laser, line in enumerate(capture.lines):
         for with_off in (True, False):
-            group = [i for i in lit if views[i].record.laser == laser and (views[i].off is not None) == with_off]
+            group = [i for i in lit if views[i].laser == laser and (views[i].off is not None) == with_off]
             if not group:
                 continue
             # Padded to the batch's size, so that the extraction compiles once.
@@ -104,7 +126,7 @@ def _board_stripe(
 ) -> BoardStripe:
     from jaxscan.vision.grey import to_grey
 
-    corners, line = cast("FoundCorners", view.corners), capture.lines[cast(int, view.record.laser)]
+    corners, line = cast("FoundCorners", view.corners), capture.lines[view.laser]
     fields = (stripes.u, stripes.sigma, stripes.valid, stripes.width)
     u, sigma, valid, width = (np.asarray(field)[row] for field in fields)
     board_xy = None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from jaxscan.api.board_stripes import BATCH_RECORDS, View, with_stripes
+from jaxscan.api.board_stripes import BATCH_RECORDS, View, check_single_lasers, with_stripes
 from jaxscan.calibration import BoardViews, Observations, stack_stripes
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.capture import Capture
@@ -49,6 +49,9 @@ def observe_boards(
 def find_boards(captures: Sequence[Capture], *, with_stripes: bool, progress: Progress | None = None) -> list[View]:
     """Every record with what was found in it; see `observe_boards`."""
     board = common_board(captures)
+    if with_stripes:
+        for capture in captures:
+            check_single_lasers(capture)
     views = look_at_boards(captures, functools.partial(_find, captures, board), _stripes(with_stripes), progress)
     if all(view.corners is None for view in views):
         raise CalibrationError(
@@ -122,7 +125,7 @@ def to_observations(views: Sequence[View], captures: Sequence[Capture]) -> Obser
     ]
     number = {key: index for index, key in enumerate(dict.fromkeys(keys))}
     stripes = [
-        (view.stripe, index, cast(int, view.record.laser))
+        (view.stripe, index, view.laser)
         for index, view in enumerate(views)
         if view.stripe is not None
     ]

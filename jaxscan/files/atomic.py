@@ -38,10 +38,10 @@ def write_atomically(
         else:
             part.write_bytes(content)
         if durable:
-            _sync(part)
+            sync_to_disk(part)
         os.replace(part, target)
         if durable and os.name == "posix":
-            _sync(target.parent)
+            sync_to_disk(target.parent)
     except OSError as problem:
         raise error(_explain(path, target, problem)) from problem
     finally:
@@ -76,7 +76,8 @@ def _check_target(target: Path) -> None:
         raise OSError("it exists and is not a regular file")
 
 
-def _sync(path: Path) -> None:
+def sync_to_disk(path: Path) -> None:
+    """Wait until a file, or the names in a folder, would survive a loss of power."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -4,29 +4,27 @@ import dataclasses
 import functools
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.bounded import MEGABYTE, read_bounded
 from jaxscan.files.decode import decode_ahead
-from jaxscan.files.header import HEADER_NAME, board_of, frame_shape, parse_header
+from jaxscan.files.exposures import common_exposures, exposure_levels
+from jaxscan.files.header import HEADER_NAME, board_of, parse_header
 from jaxscan.files.header import CaptureHeader as CaptureHeader
+from jaxscan.files.images import ImageReader, RecordFrames
 from jaxscan.files.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, read_journal
 from jaxscan.files.journal import Record as Record
-from jaxscan.files.references import Folder, ImageRef, open_shard
+from jaxscan.files.references import ImageRef as ImageRef
 from jaxscan.files.resume import resume_capture as resume_capture
 from jaxscan.files.writer import CaptureWriter as CaptureWriter
 from jaxscan.files.writer import create_capture as create_capture
 from jaxscan.geometry import AbstractBoard
 from jaxscan.reconstruction.sweep import FrameChunk
-from jaxscan.stripes.frames import LaserLine, PixelFormat, Response, frame_rank
-
-
-Known = TypeVar("Known")
+from jaxscan.stripes.frames import LaserLine, PixelFormat, Response
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +38,7 @@ class Capture:
     notes: tuple[str, ...]
     """What a reader should know, a sentence each: a torn last line that was left out."""
     _digest: str
-    _shards: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
+    _reader: ImageReader = dataclasses.field(repr=False)
 
     def __len__(self) -> int:
         return len(self.records)
@@ -80,21 +78,51 @@ class Capture:
         Raises:
             CaptureError: If an angle is unknown, as it may be in a calibration capture.
         """
-        return np.array([self._known(record, "angle_deg", record.angle) for record in self.records], np.float64)
+        return np.array([self._angle(record) for record in self.records], np.float64)
 
-    @functools.cached_property
-    def laser(self) -> np.ndarray:
-        """The laser lit in each record, int32 [records].
+    @property
+    def record(self) -> np.ndarray:
+        """Which record each profile comes from, int32 [profiles]: its position in `records`.
+
+        A record with two lasers lit has two profiles, one after the other.
 
         Raises:
             CaptureError: If a record has no laser-on image, as it may be in a calibration capture.
         """
-        return np.array([self._known(record, "on", record.laser) for record in self.records], np.int32)
+        return self._profiles[0]
 
-    def _known(self, record: Record, key: str, value: Known | None) -> Known:
-        if value is None:
-            raise CaptureError(f"{self.path}: record {record.i}: {key} is null; only a sweep can be reconstructed.")
-        return value
+    @property
+    def laser(self) -> np.ndarray:
+        """Which laser each profile shows, int32 [profiles]: its position in `lines`.
+
+        Raises:
+            CaptureError: If a record has no laser-on image, as it may be in a calibration capture.
+        """
+        return self._profiles[1]
+
+    @functools.cached_property
+    def _profiles(self) -> tuple[np.ndarray, np.ndarray]:
+        for record in self.records:
+            if not record.on:
+                raise CaptureError(f"{self.path}: record {record.i}: on is null; only a sweep can be reconstructed.")
+        pairs = [(index, laser) for index, record in enumerate(self.records) for laser in record.lasers]
+        columns = np.array(pairs, np.int32).reshape(-1, 2).T.copy()
+        return columns[0], columns[1]
+
+    @functools.cached_property
+    def exposures(self) -> tuple[float, ...]:
+        """The different exposures of a frame [s], ascending; `(1.0,)` where the records do not say.
+
+        More than one is a bracket, the same in every record of a sweep. Repetitions of one
+        exposure are averaged when they are read and do not count.
+        """
+        images = [image for record in self.records for image in (*record.on, *record.off)]
+        return exposure_levels(images) or (1.0,)
+
+    def _angle(self, record: Record) -> float:
+        if record.angle is None:
+            raise CaptureError(f"{self.path}: record {record.i}: angle_deg is null; only a sweep can be reconstructed.")
+        return record.angle
 
     def digest(self) -> str:
         """The sha256 of header and journal, as "sha256:<hex>"; the same for every `every(n)`."""
@@ -113,19 +141,42 @@ class Capture:
             index: Position in `records`.
 
         Returns:
-            on, off: uint8 [rows, columns], or RGB [rows, columns, 3] for rgb8.
+            on, off: uint8 [rows, columns], or RGB [rows, columns, 3] for rgb8; where a sweep has a
+                bracket, [exposures, rows, columns(, 3)].
+
+        Raises:
+            CaptureError: With the name of the file that is missing, damaged or of the wrong size;
+                and where a calibration capture has a bracket.
+        """
+        record = self.records[index]
+        if self.header.kind == "calibration":
+            levels = exposure_levels((*record.on, *record.off))
+            if len(levels) > 1:
+                raise CaptureError(
+                    f"{self.path}: record {record.i}: found a bracket of {len(levels)} exposures; a calibration reads "
+                    "images of one exposure."
+                )
+        return self._reader.frame(record.on), self._reader.frame(record.off)
+
+    def image(self, reference: ImageRef) -> np.ndarray:
+        """One image of a record as it is stored, uint8 [rows, columns(, 3)], perhaps read-only.
 
         Raises:
             CaptureError: With the name of the file that is missing, damaged or of the wrong size.
         """
-        record = self.records[index]
-        on, off = (None if ref is None else np.array(self._load(ref)) for ref in (record.on, record.off))
-        return on, off
+        return self._reader.image(reference)
 
     def chunks(self, size: int) -> Iterator[FrameChunk]:
         """All frames in order, `size` records at a time, decoded ahead by all cores.
 
-        No more than three chunks are in memory. Close the iterator to stop early.
+        Frames that lie one after another in one shard are read-only views of the file; others are
+        decoded or copied. A chunk may be kept; if it is not, its memory is used again, so that
+        no more than three chunks exist beside those that are in use. Close the iterator to stop
+        early.
+
+        Yields:
+            uint8 [records, rows, columns(, 3)], or [records, exposures, rows, columns(, 3)] where
+            there are several `exposures`.
 
         Raises:
             ValueError: If `size` is not positive.
@@ -135,27 +186,12 @@ class Capture:
             raise ValueError(f"`size` must be at least 1, got {size}.")
         if self.header.kind != "sweep":
             raise CaptureError(f"{self.path}: is a calibration capture; only a sweep can be reconstructed.")
-        with_off = bool(self.records) and all(record.off is not None for record in self.records)
-
-        def load(index: int, chunk: FrameChunk, row: int) -> None:
-            record = self.records[index]
-            for target, reference in ((chunk.on, record.on), (chunk.off, record.off)):
-                if target is not None and reference is not None:
-                    target[row] = self._load(reference)
-
-        return decode_ahead(len(self), size, frame_shape(self.header), with_off, load)
-
-    def _load(self, reference: ImageRef) -> np.ndarray:
-        if reference.index is not None:
-            return self._shards[reference.path][reference.index]
-        # Here, so that opening a capture does not load OpenCV.
-        from jaxscan.vision.images import decode_image
-
-        name = str(self.path / reference.path)
-        # An uncompressed 32-bit image with a megabyte of metadata still fits.
-        limit = 4 * self.image_size[0] * self.image_size[1] + MEGABYTE
-        data = read_bounded(name, limit, name=name, error=CaptureError)
-        return decode_image(data, name=name, rank=frame_rank(self.pixel_format), size=self.image_size)
+        levels = len(self.exposures)
+        shape = (levels, *self._reader.shape) if levels > 1 else self._reader.shape
+        on = RecordFrames(self._reader, [record.on for record in self.records])
+        with_off = bool(self.records) and all(record.off for record in self.records)
+        off = RecordFrames(self._reader, [record.off for record in self.records]) if with_off else None
+        return decode_ahead(len(self), min(size, max(1, len(self))), shape, on, off)
 
 
 def open_capture(path: str | Path) -> Capture:
@@ -183,28 +219,15 @@ def open_capture(path: str | Path) -> Capture:
     records, notes = read_journal(journal_bytes, name=journal_name, kind=header.kind, laser_names=names)
     if not records:
         raise CaptureError(f"{journal_name}: holds no complete record.")
-    without_off = [record for record in records if record.off is None]
+    without_off = [record for record in records if not record.off]
     if header.kind == "sweep" and 0 < len(without_off) < len(records):
         raise CaptureError(
             f"{journal_name}: record {without_off[0].i} has no laser-off image, but others have; "
             f"a sweep needs them all, or none."
         )
+    if header.kind == "sweep":
+        common_exposures(records, name=journal_name)
     digest = "sha256:" + hashlib.sha256(header_bytes + journal_bytes).hexdigest()
-    return Capture(path, header, records, notes, digest, _check_images(path, header, records))
-
-
-def _check_images(path: Path, header: CaptureHeader, records: tuple[Record, ...]) -> dict[str, np.ndarray]:
-    """See that every image exists inside the folder; map the shards, and see that they reach far enough."""
-    folder, shards = Folder(path), dict[str, np.ndarray]()
-    for record, reference in [(one, image) for one in records for image in (one.on, one.off) if image]:
-        try:
-            located = folder.locate(reference)
-            if reference.index is None:
-                continue
-            if reference.path not in shards:
-                shards[reference.path] = open_shard(located, name=reference.path, shape=frame_shape(header))
-            if reference.index >= len(shards[reference.path]):
-                raise CaptureError(f"{reference}: the shard has only {len(shards[reference.path])} images.")
-        except CaptureError as problem:
-            raise CaptureError(f"{path}: record {record.i}: {problem}") from problem
-    return shards
+    reader = ImageReader(path, header)
+    reader.check(records)
+    return Capture(path, header, records, notes, digest, reader)

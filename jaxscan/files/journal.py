@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import pydantic
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.references import ImageRef, parse_reference
+from jaxscan.files.references import ImageRef, parse_images
 from jaxscan.files.validation import Integer, Number, check
 
 
@@ -29,10 +29,11 @@ class Record:
     """The table's angle [rad from home]; None where unknown."""
     placement: int | None
     """Which pose of the board it saw, in a calibration capture."""
-    laser: int | None
-    """Index of the laser lit in the `on` image; None without one."""
-    on: ImageRef | None
-    off: ImageRef | None
+    lasers: tuple[int, ...]
+    """Indices of the lasers lit in the `on` frame, in the header's order; empty without one."""
+    on: tuple[ImageRef, ...]
+    """Images of the laser-on frame: one, or several with exposures; empty without one."""
+    off: tuple[ImageRef, ...]
 
 
 class _Line(pydantic.BaseModel):
@@ -44,8 +45,8 @@ class _Line(pydantic.BaseModel):
     angle_deg: Annotated[Number, pydantic.Field(ge=-1e6, le=1e6)] | None = None
     placement: Annotated[Integer, pydantic.Field(ge=0, lt=1 << 31)] | None = None
     lasers: list[Integer | str] | None = None
-    on: Annotated[Any, pydantic.AfterValidator(parse_reference)] = None
-    off: Annotated[Any, pydantic.AfterValidator(parse_reference)] = None
+    on: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
+    off: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
 
 
 def read_journal(
@@ -115,34 +116,31 @@ def _complete(line: _Line, where: str, kind: str, laser_names: tuple[str, ...]) 
     if kind == "sweep":
         if line.angle_deg is None:
             raise CaptureError(f"{where}: angle_deg: found null, but a sweep needs the angle of every record.")
-        if line.on is None:
+        if not line.on:
             raise CaptureError(f"{where}: on: found null, but a sweep needs a laser-on image in every record.")
-    elif line.on is None and line.off is None:
+    elif not line.on and not line.off:
         raise CaptureError(f"{where}: on, off: both are null; a record needs an image.")
     return Record(
         i=line.i,
         angle=None if line.angle_deg is None else math.radians(line.angle_deg),
         placement=line.placement,
-        laser=None if line.on is None else _lit(line.lasers, where, laser_names),
+        lasers=() if not line.on else _lit(line.lasers, where, laser_names),
         on=line.on,
         off=line.off,
     )
 
 
-def _lit(lasers: list[int | str] | None, where: str, laser_names: tuple[str, ...]) -> int:
-    """Index of the one laser that is lit; the journal may name it or count it."""
+def _lit(lasers: list[int | str] | None, where: str, laser_names: tuple[str, ...]) -> tuple[int, ...]:
+    """Indices of the lasers that are lit; the journal may name them or count them, and means all if it is silent."""
     lit: set[int] = set()
+    known = ", ".join(laser_names) or "none in the header"
     for one in range(len(laser_names)) if lasers is None else lasers:
         if isinstance(one, str) and one in laser_names:
             lit.add(laser_names.index(one))
         elif isinstance(one, int) and 0 <= one < len(laser_names):
             lit.add(one)
         else:
-            known = ", ".join(laser_names) or "none in the header"
             raise CaptureError(f"{where}: lasers: found {one!r:.60}, expected names of lasers ({known}).")
-    if len(lit) != 1:
-        raise CaptureError(
-            f"{where}: lasers: found {len(lit)} lit at once, but exactly one per record is supported yet; "
-            f'write a record per laser, each with its own "lasers"'
-        )
-    return lit.pop()
+    if not lit:
+        raise CaptureError(f"{where}: lasers: none is lit in the laser-on image, expected at least one of: {known}.")
+    return tuple(sorted(lit))

@@ -1,16 +1,18 @@
 """References from a journal to images: relative paths that stay inside the capture's folder."""
 
+import math
 import os
 import re
 import stat
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from jaxscan.errors import CaptureError
-from jaxscan.files.arrays import NPY_DAMAGE
+
+
+MAX_IMAGES = 16
+"""Images that one frame of a record may list: exposures of a bracket, and repetitions to average."""
 
 
 @dataclass(frozen=True)
@@ -21,25 +23,48 @@ class ImageRef:
     """Relative to the folder of the capture, with "/" between its parts."""
     index: int | None = None
     """Which image of a shard; None for an image file."""
+    exposure_s: float | None = None
+    """How long it was exposed [s]; None where the record names one image and does not say."""
 
     def __str__(self) -> str:
         return self.path if self.index is None else f"{self.path}#{self.index}"
 
 
-def parse_reference(value: Any) -> ImageRef | None:
-    """An image reference as it stands in a record.
+def parse_images(value: Any) -> tuple[ImageRef, ...]:
+    """The images of one frame as they stand in a record: none, one, or a list with exposures.
 
     Raises:
-        ValueError: If it is none, is not supported, or could lead out of the folder.
+        ValueError: If it is no such thing, is too long, or could lead out of the folder.
     """
     if value is None:
-        return None
-    if isinstance(value, list):
-        raise ValueError(
-            "found a list of exposures; brackets and averaging are reserved and not supported yet: name one image"
-        )
+        return ()
+    if not isinstance(value, list):
+        return (parse_reference(value),)
+    if not 1 <= len(value) <= MAX_IMAGES:
+        raise ValueError(f"found a list of {len(value)} images, expected 1 to {MAX_IMAGES}")
+    return tuple(_exposed(one) for one in value)
+
+
+def _exposed(value: Any) -> ImageRef:
+    if not isinstance(value, dict) or not {"file", "exposure_s"} <= value.keys():
+        raise ValueError(f'found {value!r:.60} in a list, expected {{"file": ..., "exposure_s": ...}}')
+    exposure = value["exposure_s"]
+    # A bool counts as an integer in Python, and an integer may be too large for a float.
+    if isinstance(exposure, bool) or not isinstance(exposure, int | float) or not 0 < exposure <= 1e6:
+        raise ValueError(f"exposure_s: found {exposure!r:.60}, expected a number of seconds above 0")
+    if not math.isfinite(1.0 / exposure):
+        raise ValueError(f"exposure_s: found {exposure!r:.60}, expected a number of seconds above 0")
+    return replace(parse_reference(value["file"]), exposure_s=float(exposure))
+
+
+def parse_reference(value: Any) -> ImageRef:
+    """The reference to one image.
+
+    Raises:
+        ValueError: If it is none, or could lead out of the folder.
+    """
     if not isinstance(value, str):
-        raise ValueError(f"found {value!r:.60}, expected a path, or null")
+        raise ValueError(f"found {value!r:.60}, expected a path, null, or a list of images with exposures")
     path, index = value, None
     if match := re.fullmatch(r"(.*\.npy)#([0-9]{1,9})", value, re.DOTALL):
         path, index = match[1], int(match[2])
@@ -98,22 +123,3 @@ class Folder:
         if key not in self._inside:
             self._inside[key] = Path(os.path.realpath(path)).is_relative_to(self._root)
         return self._inside[key]
-
-
-def open_shard(path: Path, *, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """A shard, memory-mapped: uint8 [n, *shape].
-
-    Raises:
-        CaptureError: If it is damaged, or its images are of another size or type.
-    """
-    try:
-        # Not np.load, which would also open archives and pickles.
-        shard = np.lib.format.open_memmap(path, mode="r")
-    except NPY_DAMAGE as problem:
-        raise CaptureError(f"{name}: not a readable .npy file: {problem}.") from problem
-    if shard.dtype != np.uint8 or shard.shape[1:] != shape or shard.ndim != 1 + len(shape):
-        expected = " x ".join(map(str, shape))
-        raise CaptureError(
-            f"{name}: found {shard.dtype} with shape {shard.shape}, expected uint8 with shape (n, {expected})."
-        )
-    return shard

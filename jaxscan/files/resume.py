@@ -2,17 +2,20 @@
 
 import json
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.atomic import write_atomically
 from jaxscan.files.bounded import MEGABYTE, read_bounded
+from jaxscan.files.exposures import exposure_levels
 from jaxscan.files.header import HEADER_NAME, parse_header
-from jaxscan.files.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, read_journal
+from jaxscan.files.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record, read_journal
+from jaxscan.files.store import Storage
 from jaxscan.files.writer import CaptureWriter
 
 
-def resume_capture(path: str | Path, *, durable: bool = True) -> CaptureWriter:
+def resume_capture(path: str | Path, *, storage: Storage | None = None, durable: bool = True) -> CaptureWriter:
     """Append to an existing capture.
 
     A torn last line, which would stand in the middle from now on, is removed, and the event
@@ -20,6 +23,7 @@ def resume_capture(path: str | Path, *, durable: bool = True) -> CaptureWriter:
 
     Args:
         path: The folder.
+        storage: As of `create_capture`; by default that of the last record, "png" before the first.
         durable: As of `create_capture`.
 
     Returns:
@@ -33,7 +37,7 @@ def resume_capture(path: str | Path, *, durable: bool = True) -> CaptureWriter:
     header = parse_header(read_bounded(header_name, MEGABYTE, name=header_name, error=CaptureError), name=header_name)
     data = read_bounded(journal, MAX_JOURNAL_BYTES, name=str(journal), error=CaptureError)
     names = tuple(laser.name for laser in header.laser)
-    _, torn = read_journal(data, name=str(journal), kind=header.kind, laser_names=names)
+    records, torn = read_journal(data, name=str(journal), kind=header.kind, laser_names=names)
     lines = [line for line in data.split(b"\n") if line.strip()]
     if torn:
         lines.pop()
@@ -45,8 +49,16 @@ def resume_capture(path: str | Path, *, durable: bool = True) -> CaptureWriter:
     try:
         for folder in ("on", "off"):
             (path / folder).mkdir(exist_ok=True)
-        writer = CaptureWriter(path, header, durable=durable, taken=taken)
+        levels = exposure_levels(records[-1].on) if records else None
+        writer = CaptureWriter(
+            path, header, storage=storage or _storage(records), durable=durable, taken=taken, levels=levels
+        )
     except OSError as problem:
         raise CaptureError(f"{path}: cannot be written: {problem.strerror or problem}.") from problem
     writer.event("resume")
     return writer
+
+
+def _storage(records: Sequence[Record]) -> Storage:
+    images = (*records[-1].on, *records[-1].off) if records else ()
+    return "npy" if any(one.index is not None for one in images) else "png"

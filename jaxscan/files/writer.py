@@ -1,10 +1,11 @@
 """Writing a capture: images first, whole; then the line of the journal that says they are there."""
 
+import contextlib
 import json
 import math
 import os
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,8 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.atomic import write_atomically
 from jaxscan.files.header import HEADER_NAME, CaptureHeader, frame_shape, header_toml
 from jaxscan.files.journal import JOURNAL_NAME, MAX_LINE_BYTES
+from jaxscan.files.references import MAX_IMAGES
+from jaxscan.files.store import Storage, image_store
 
 
 @dataclass(frozen=True)
@@ -29,21 +32,34 @@ class CaptureWriter:
     """Appends records to a capture; a context manager.
 
     Images are encoded and written in threads, a few records behind `append`; a record's line
-    enters the journal, in order, only when its images have their names. What a crash leaves
+    enters the journal, in order, only when its images are in their files. What a crash leaves
     behind is therefore a readable capture of the records before it.
     """
 
     def __init__(
-        self, path: Path, header: CaptureHeader, *, durable: bool = True, taken: Mapping[int, int] | None = None
+        self,
+        path: Path,
+        header: CaptureHeader,
+        *,
+        storage: Storage = "png",
+        durable: bool = True,
+        taken: Mapping[int, int] | None = None,
+        levels: Sequence[float] | None = None,
     ) -> None:
-        """Use `create_capture` or `resume_capture`; `taken` counts the takes of each record so far."""
+        """Use `create_capture` or `resume_capture`.
+
+        `taken` counts the takes of each record so far, and `levels` are the exposures of a sweep's
+        frames [s], none where its records do not say.
+        """
         self.path = path
         self.header = header
         self._durable = durable
         self._taken = dict(taken or {})
         self._next = max(self._taken, default=-1) + 1
+        self._levels = None if levels is None else list(levels)
         self._pending: deque[_Pending] = deque()
         self._failed: CaptureError | None = None
+        self._store = image_store(storage, path, frame_shape(header), durable=durable)
         self._journal = open(path / JOURNAL_NAME, "ab")
         self._pool = ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="jaxscan-encode")
         self._ahead = 2 * (os.cpu_count() or 1)
@@ -63,8 +79,10 @@ class CaptureWriter:
         Args:
             angle_deg: The table's angle from home, as reached, unwrapped [deg]; None if unknown,
                 which only a calibration may hold.
-            on: Laser-on image, uint8 [rows, columns(, 3)], copied; None without one.
-            off: Laser-off image of the same shape; None without one.
+            on: Laser-on image, uint8 [rows, columns(, 3)], copied; None without one. Or a list of
+                (image, exposure [s]): repetitions of an exposure are averaged by readers,
+                different exposures are a bracket.
+            off: Laser-off image or images, likewise; with the exposures of `on`.
             placement: Which pose of the board it saw.
             i: The record's number; the next free one if not given. A number used before is a
                 retake, and replaces that record.
@@ -87,25 +105,45 @@ class CaptureWriter:
             raise CaptureError(f"{self.path}: record {number}: has no image.")
         if angle_deg is not None and not math.isfinite(angle_deg):
             raise CaptureError(f"{self.path}: record {number}: angle_deg = {angle_deg} is not finite.")
+        levels = self._exposures(on, off, number)
         images = {"on": self._copied(on, "on", number), "off": self._copied(off, "off", number)}
+        fields: dict[str, Any] = {"i": number, "angle_deg": None if angle_deg is None else float(angle_deg)}
+        fields |= {key: _template(given) for key, given in (("on", on), ("off", off))} | extra
+        if placement is not None:
+            fields["placement"] = int(placement)
+        self.append_line(fields, images)
+        self._levels = levels
+        return number
+
+    def append_line(self, fields: Mapping[str, Any], images: Mapping[str, Sequence[np.ndarray]]) -> None:
+        """Add one record as another journal has it; `append` is what acquisition calls.
+
+        Args:
+            fields: All of the record, `i` included. The names of its images are replaced.
+            images: For "on" and "off" the images that the record names there, in its order; not
+                copied, so they must not change any more.
+
+        Raises:
+            CaptureError: As of `append`.
+        """
+        self._check_alive()
+        number = fields["i"]
         retakes = self._taken.get(number, 0)
         # A retake never touches what the journal already speaks of.
         stem = f"{number:06d}" if retakes == 0 else f"{number:06d}-{retakes}"
-        names = {key: None if image is None else f"{key}/{stem}.png" for key, image in images.items()}
-        fields = {"i": number, "angle_deg": None if angle_deg is None else float(angle_deg), **names, **extra}
-        if placement is not None:
-            fields["placement"] = int(placement)
-        line = self._line(fields)
+        names = {side: self._store.names(side, stem, len(given)) for side, given in images.items() if given}
+        line = self._line({**fields, **{side: _named(fields[side], names.get(side, [])) for side in images}})
+        for side, given in names.items():
+            self._store.take(side, len(given))
         jobs = [
-            self._pool.submit(self._write_image, name, image)
-            for name, image in zip(names.values(), images.values(), strict=True)
-            if name is not None and image is not None
+            self._pool.submit(self._store.write, name, image)
+            for side, given in names.items()
+            for name, image in zip(given, images[side], strict=True)
         ]
         self._taken[number] = retakes + 1
         self._next = max(self._next, number + 1)
         self._pending.append(_Pending(line, jobs))
         self._advance()
-        return number
 
     def event(self, name: str, **extra: Any) -> None:
         """Add an event ("resume", "fault", ...), which readers skip, after all records so far."""
@@ -137,6 +175,9 @@ class CaptureWriter:
         finally:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._journal.close()
+            # After a failure, which has been raised, the next one is no news.
+            with contextlib.suppress(*(() if self._failed is None else (CaptureError,))):
+                self._store.close()
 
     def __enter__(self) -> "CaptureWriter":
         return self
@@ -152,18 +193,41 @@ class CaptureWriter:
         if self._journal.closed:
             raise CaptureError(f"{self.path}: the capture is closed; nothing can be appended.")
 
-    def _copied(self, image: Any | None, key: str, number: int) -> np.ndarray | None:
-        """A copy: the caller may reuse its buffer while threads still encode."""
-        if image is None:
-            return None
-        copied = np.array(image)
+    def _copied(self, given: Any | None, key: str, number: int) -> list[np.ndarray]:
+        """Copies: the caller may reuse its buffers while threads still encode."""
+        if given is None:
+            return []
+        images = [np.array(image) for image in ([one for one, _ in given] if _is_list(given) else [given])]
         expected = frame_shape(self.header)
-        if copied.dtype != np.uint8 or copied.shape != expected:
+        for image in images:
+            if image.dtype != np.uint8 or image.shape != expected:
+                raise CaptureError(
+                    f"{self.path}: record {number}: {key}: found {image.dtype} with shape {image.shape}, "
+                    f"expected uint8 with shape {expected}."
+                )
+        return images
+
+    def _exposures(self, on: Any | None, off: Any | None, number: int) -> list[float] | None:
+        """The exposures of a sweep's frame; what no reader would take is refused."""
+        where = f"{self.path}: record {number}"
+        levels: list[list[float]] = []
+        for key, given in (("on", on), ("off", off)):
+            if given is None:
+                continue
+            if _is_list(given) and not 1 <= len(given) <= MAX_IMAGES:
+                raise CaptureError(f"{where}: {key}: found a list of {len(given)} images, expected 1 to {MAX_IMAGES}.")
+            levels.append(sorted({float(exposure) for _, exposure in given}) if _is_list(given) else [])
+            if not all(math.isfinite(exposure) and exposure > 0 for exposure in levels[-1]):
+                raise CaptureError(f"{where}: {key}: found the exposures {levels[-1]}, expected seconds above 0.")
+        if self.header.kind != "sweep":
+            return None
+        expected = levels[0] if self._levels is None else self._levels
+        if any(one != expected for one in levels):
             raise CaptureError(
-                f"{self.path}: record {number}: {key}: found {copied.dtype} with shape {copied.shape}, "
-                f"expected uint8 with shape {expected}."
+                f"{where}: found images of the exposures {levels} s, expected {expected} s; "
+                "all frames of a sweep need the same."
             )
-        return copied
+        return expected
 
     def _line(self, fields: dict[str, Any]) -> bytes:
         try:
@@ -173,12 +237,6 @@ class CaptureWriter:
         if len(line) > MAX_LINE_BYTES:
             raise CaptureError(f"{self.path}: a record of {len(line)} bytes, more than {MAX_LINE_BYTES}.")
         return line
-
-    def _write_image(self, name: str, image: np.ndarray) -> None:
-        # Here, so that reading a capture's header does not load OpenCV.
-        from jaxscan.vision.images import encode_png
-
-        write_atomically(self.path / name, encode_png(image), durable=self._durable, error=CaptureError)
 
     def _advance(self) -> None:
         """Complete what is finished, and wait where too much is not."""
@@ -208,12 +266,35 @@ def _finished(pending: _Pending) -> bool:
     return all(image.done() for image in pending.images)
 
 
-def create_capture(path: str | Path, header: CaptureHeader, *, durable: bool = True) -> CaptureWriter:
+def _is_list(given: Any) -> bool:
+    return isinstance(given, list | tuple)
+
+
+def _template(given: Any | None) -> Any:
+    """What stands in a record for these images, their names left open."""
+    if given is None:
+        return None
+    return [{"file": "", "exposure_s": float(exposure)} for _, exposure in given] if _is_list(given) else ""
+
+
+def _named(template: Any, names: Sequence[str]) -> Any:
+    """The same with names."""
+    if isinstance(template, list):
+        return [{**one, "file": name} for one, name in zip(template, names, strict=True)]
+    return names[0] if names else None
+
+
+def create_capture(
+    path: str | Path, header: CaptureHeader, *, storage: Storage = "png", durable: bool = True
+) -> CaptureWriter:
     """Begin a new capture.
 
     Args:
         path: The folder; made if it does not exist.
         header: What becomes `capture.toml`.
+        storage: "png", a file per image that every program opens; or "npy", raw frames in shards
+            of at most 64 MiB and 32 frames, which take three times the space and are read
+            without decoding.
         durable: Wait for the disk with every record, so that a loss of power costs only the last.
             A simulation, which can be run again, saves the time.
 
@@ -236,6 +317,6 @@ def create_capture(path: str | Path, header: CaptureHeader, *, durable: bool = T
         (path / JOURNAL_NAME).touch()
         # Last: a folder with a header is a capture.
         write_atomically(path / HEADER_NAME, toml, durable=durable, error=CaptureError)
-        return CaptureWriter(path, header, durable=durable)
+        return CaptureWriter(path, header, storage=storage, durable=durable)
     except OSError as problem:
         raise CaptureError(f"{path}: cannot be created: {problem.strerror or problem}.") from problem

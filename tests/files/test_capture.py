@@ -63,14 +63,22 @@ def test_a_single_laser_table_and_two_lasers(folder):
     capture = open_capture(folder.path)
     assert [(line.name, line.stripe_axis) for line in capture.lines] == [("only", "columns")]
     folder.header(rest=LASER + '[[laser]]\nname = "green"\ncolour = "green"\n')
-    refused(folder, "line 1", "lasers: found 2 lit at once", "exactly one")
-    folder.record(0, lasers=["green"])
-    folder.record(1, lasers=[0])
-    assert open_capture(folder.path).laser.tolist() == [1, 0]
-    folder.record(2, lasers=["blue"])
-    refused(folder, "line 4", "lasers: found 'blue'", "red, green")
-    folder.record(2, lasers=[])
-    refused(folder, "line 5", "lasers: found 0 lit")
+    # A record that does not say shows all of them.
+    assert open_capture(folder.path).laser.tolist() == [0, 1]
+    folder.record(1, lasers=["green"])
+    folder.record(2, lasers=[0])
+    folder.record(3, lasers=["green", "red"])
+    capture = open_capture(folder.path)
+    assert [record.lasers for record in capture.records] == [(0, 1), (1,), (0,), (0, 1)]
+    assert capture.record.tolist() == [0, 0, 1, 2, 3, 3] and capture.record.dtype == np.int32
+    assert capture.laser.tolist() == [0, 1, 1, 0, 0, 1] and capture.laser.dtype == np.int32
+    # Positions among the records that are left, not their numbers.
+    thinned = capture.every(3)
+    assert thinned.record.tolist() == [0, 0, 1, 1] and thinned.laser.tolist() == [0, 1, 0, 1]
+    folder.record(4, lasers=["blue"])
+    refused(folder, "line 5", "lasers: found 'blue'", "red, green")
+    folder.record(4, lasers=[])
+    refused(folder, "line 6", "lasers: none is lit", "red, green")
 
 
 def test_without_laser_off_images(folder):
@@ -101,11 +109,11 @@ def test_a_calibration_capture(folder):
     folder.line('{"i": 3, "angle_deg": null, "off": "off/000000.png"}')
     capture = open_capture(folder.path)
     assert capture.board == Chessboard(columns=5, rows=4, square=0.03)
-    assert [(r.placement, r.laser, r.angle is None) for r in capture.records] == [
-        (3, 0, False),
-        (3, None, False),
-        (None, 0, False),
-        (None, None, True),
+    assert [(r.placement, r.lasers, r.angle is None) for r in capture.records] == [
+        (3, (0,), False),
+        (3, (), False),
+        (None, (0,), False),
+        (None, (), True),
     ]
     assert capture.frames(1)[0] is None and capture.frames(1)[1] is not None
     with pytest.raises(CaptureError, match="record 3: angle_deg is null"):
@@ -190,7 +198,6 @@ def test_missing_parts(folder, tmp_path):
         ("", "empty"),
         ("a" * 2000, "too long"),
         (7, "found 7, expected a path"),
-        ([{"file": "on/000000.png", "exposure_s": 0.01}], "brackets and averaging are reserved and not supported yet"),
         ("on/stack.npy", "which image of the shard"),
         ("on/000000.png#0", "no such file"),
         ("on/missing.png", "on/missing.png: no such file"),

@@ -3,14 +3,24 @@
 import threading
 import time
 import tracemalloc
-import weakref
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import open_capture
-from jaxscan.files.decode import decode_ahead
+from jaxscan.files.decode import Buffers, decode_ahead
+
+
+class Made:
+    """Frames that a function fills, none of them in memory before."""
+
+    def __init__(self, load):
+        self.load = load
+
+    def mapped(self, start, stop):
+        return None
 
 
 def decoding_threads():
@@ -56,31 +66,54 @@ def test_an_error_comes_where_its_chunk_would_have_come(folder):
 
 
 def test_no_more_than_three_chunks_exist():
-    alive, most = [], 0
+    """Three and that of the caller, whose memory is used again when it asks for the next."""
+    begun = []
 
-    def load(record, chunk, row):
-        nonlocal most
-        chunk.on[row] = record
-        if row == 0:
-            alive.append(weakref.ref(chunk.on))
-        most = max(most, sum(ref() is not None for ref in alive))
-        # Long enough for a thread that is done to let go of its chunk.
+    def load(record, target):
+        target[...] = record
+        # Buffers are made before what fills them.
+        begun.append(target.ctypes.data)
         time.sleep(0.001)
 
-    seen = [int(chunk.on[0, 0, 0]) for chunk in decode_ahead(40, 2, (4, 6), False, load)]
-    assert seen == list(range(0, 40, 2))
-    # 2 of the caller and of the loop, 1 ahead; all of them would be 20.
-    assert most <= 3
+    seen = [int(chunk.on[0, 0, 0]) for chunk in decode_ahead(40, 1, (4, 6), Made(load), None)]
+    assert seen == list(range(40))
+    # All of them would be 40.
+    assert len(set(begun)) <= 4
+
+
+def test_memory_is_used_again_only_when_nobody_refers_to_it():
+    buffers = Buffers((3, 2))
+    first = buffers.take()
+    place = first.ctypes.data
+    part = memoryview(first[1:][:, :1])
+    del first
+    second = buffers.take()
+    # A part of it is still in use, however it was made.
+    assert second.ctypes.data != place and part.shape == (2, 1)
+    del part
+    third = buffers.take()
+    assert third.ctypes.data == place
+    kept = [buffers.take() for _ in range(40)]
+    assert len({one.ctypes.data for one in (second, third, *kept)}) == 42
+
+
+def test_jax_may_borrow_the_memory_of_a_chunk():
+    def load(record, target):
+        target[...] = record
+
+    lent = [jnp.asarray(chunk.on) for chunk in decode_ahead(30, 2, (64, 64), Made(load), None)]
+    for start, frames in zip(range(0, 30, 2), lent, strict=True):
+        assert np.asarray(frames)[:, 0, 0].tolist() == [start, start + 1]
 
 
 def test_the_next_chunk_is_decoded_while_the_caller_computes():
     begun = threading.Event()
 
-    def load(record, chunk, row):
-        if record == 2:
+    def load(record, target):
+        if record == 4:
             begun.set()
 
-    chunks = decode_ahead(6, 2, (4, 6), False, load)
+    chunks = decode_ahead(6, 2, (4, 6), Made(load), None)
     next(chunks)
     # The caller has asked for nothing more, and yet it happens; the limit only ends a failure.
     assert begun.wait(timeout=30)

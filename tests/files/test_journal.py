@@ -104,8 +104,8 @@ def test_lines_that_mean_no_record(data, messages):
 def test_a_calibration_may_lack_what_a_sweep_needs():
     data = b'{"i": 0, "angle_deg": null, "off": "a.png"}\n{"i": 1, "on": "b.png", "placement": 4}'
     (first, second), _ = read(data, "calibration")
-    assert (first.angle, first.on, first.laser) == (None, None, None)
-    assert (str(second.on), second.off, second.laser, second.placement) == ("b.png", None, 0, 4)
+    assert (first.angle, first.on, first.lasers) == (None, (), ())
+    assert ([str(one) for one in second.on], second.off, second.lasers, second.placement) == (["b.png"], (), (0,), 4)
     refused(b'{"i": 0, "angle_deg": 1.0}', "on, off: both are null", kind="calibration")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files import writer
+from jaxscan.files import store
 from jaxscan.files.capture import CaptureHeader, create_capture, open_capture, resume_capture
 from jaxscan.files.header import header_toml, parse_header
 
@@ -102,14 +102,14 @@ def test_the_buffer_may_be_used_again(tmp_path):
 
 def test_lines_follow_images_in_order(tmp_path, monkeypatch):
     """While the first image is not written, later lines wait, however fast their images are."""
-    release, original = threading.Event(), writer.write_atomically
+    release, original = threading.Event(), store.write_atomically
 
     def slow(path, content, **keys):
         if path.name == "000000.png":
             assert release.wait(timeout=30)
         original(path, content, **keys)
 
-    monkeypatch.setattr(writer, "write_atomically", slow)
+    monkeypatch.setattr(store, "write_atomically", slow)
     monkeypatch.setattr(os, "cpu_count", lambda: 4)
     with create_capture(tmp_path / "room", header()) as capture:
         for k in range(4):
@@ -121,7 +121,7 @@ def test_lines_follow_images_in_order(tmp_path, monkeypatch):
 
 
 def test_a_full_disk_is_one_clear_error_and_keeps_what_is_complete(tmp_path, monkeypatch):
-    original = writer.write_atomically
+    original = store.write_atomically
 
     def full(path, content, **keys):
         if path.name == "000002.png":
@@ -132,7 +132,7 @@ def test_a_full_disk_is_one_clear_error_and_keeps_what_is_complete(tmp_path, mon
         original(path, content, **keys)
 
     capture = create_capture(tmp_path / "room", header())
-    monkeypatch.setattr(writer, "write_atomically", full)
+    monkeypatch.setattr(store, "write_atomically", full)
     for k in range(2):
         capture.append(angle_deg=float(k), on=FRAMES[k])
     capture.append(angle_deg=2.0, on=FRAMES[2])
