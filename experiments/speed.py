@@ -28,13 +28,23 @@ import cv2
 import numpy as np
 import speed_disk
 import speed_peers as peers
-from speed_scene import DISTINCT, HEIGHT, WIDTH, Frames, make_angles, make_frames, make_scanner
+from speed_scene import (
+    DISTINCT,
+    ELECTRONS_PER_DN,
+    HEIGHT,
+    READ_DN,
+    WIDTH,
+    Frames,
+    make_angles,
+    make_frames,
+    make_scanner,
+)
 from speed_stages import stages
 from speed_table import write_results
 from speed_times import Figure, Times, load, machine, take_turns
 
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.stripes import extract_stripes
+from jaxscan.stripes import NoiseModel, extract_stripes
 
 
 SECTIONS = ("memory", "stages", "png", "shards")
@@ -70,13 +80,18 @@ class Contestant(NamedTuple):
     """Share of the lines with a stripe whose centre is within 1 px of it."""
 
 
-def own_settings() -> dict[str, ReconstructSettings]:
-    """Ours in its variants."""
-    variants = {"ours": ReconstructSettings(), "ours, no normals": ReconstructSettings(normals=False)}
+def own_variants() -> dict[str, dict[str, Any]]:
+    """Ours as it comes and in variants: keywords of `reconstruct`."""
+    noise = NoiseModel(READ_DN, ELECTRONS_PER_DN)
+    variants: dict[str, dict[str, Any]] = {
+        "ours": {},
+        "ours, noise given": {"noise": noise},
+        "ours, no normals": {"noise": noise, "settings": ReconstructSettings(normals=False)},
+    }
     # The columns where the calibrated rig can see a stripe are a part of the image; this is all of it.
     if "gate" in {field.name for field in dataclasses.fields(ReconstructSettings)}:
         everywhere: dict[str, Any] = {"gate": False}
-        variants["ours, all columns"] = ReconstructSettings(**everywhere)
+        variants["ours, all columns"] = {"noise": noise, "settings": ReconstructSettings(**everywhere)}
     return variants
 
 
@@ -96,13 +111,13 @@ def measure_memory(frames: Frames, size: Size) -> list[Contestant]:
         }
         points: dict[str, float] = {}
 
-        def own(name: str, settings: ReconstructSettings) -> Callable[[], object]:
+        def own(name: str, options: dict[str, Any]) -> Callable[[], object]:
             def run() -> None:
-                points[name] = float(reconstruct(sweep, scanner, settings=settings).valid.mean())
+                points[name] = float(reconstruct(sweep, scanner, **options).valid.mean())
 
             return run
 
-        runs = {name: own(name, settings) for name, settings in own_settings().items()}
+        runs = {name: own(name, options) for name, options in own_variants().items()}
         runs |= {name: peer.run for name, peer in others.items()} | {"read": peers.read(*stacks, pool)}
         times = take_turns(runs, size.repeats)
     right: dict[str, float | None] = {name: _right(peer.u, frames) for name, peer in others.items()}
@@ -111,9 +126,10 @@ def measure_memory(frames: Frames, size: Size) -> list[Contestant]:
     for name in ("horus", "usual", "lean"):
         points[name] = float(np.isfinite(others[name].u).mean())
     what = {
-        "ours": "points, colours, normals, two sigmas",
-        "ours, no normals": "points, colours, two sigmas",
-        "ours, all columns": "as ours, stripes searched in every column",
+        "ours": "points, colours, normals, two sigmas; the noise of the frames, once",
+        "ours, noise given": "points, colours, normals, two sigmas",
+        "ours, no normals": "noise given; points, colours, two sigmas",
+        "ours, all columns": "noise given; stripes searched in every column",
         "horus": "the desk scanner, operation by operation: points, colours",
         "usual": "the same for all rows at once: points, colours",
         "lean": "the least that gives a centroid: points, colours",
@@ -145,10 +161,12 @@ def memory_figures(rows: list[Contestant]) -> list[Figure]:
             figures.append(Figure(f"{key}_points", row.points, "of lines", "higher", 0.02))
     ratios: list[tuple[str, str, str, float | None]] = [
         ("ours", "fused", "lower", 8.0),
+        ("ours, noise given", "fused", "lower", None),
         ("ours", "read", "lower", None),
         ("horus", "ours", "higher", 2.0),
         ("usual", "ours", "higher", None),
         ("lean", "ours", "higher", None),
+        ("horus", "ours, no normals", "higher", None),
         ("usual", "ours, no normals", "higher", None),
         ("lean", "ours, no normals", "higher", None),
         ("fused", "read", "lower", None),
