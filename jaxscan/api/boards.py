@@ -124,11 +124,7 @@ def to_observations(views: Sequence[View], captures: Sequence[Capture]) -> Obser
         for view in views
     ]
     number = {key: index for index, key in enumerate(dict.fromkeys(keys))}
-    stripes = [
-        (view.stripe, index, view.laser)
-        for index, view in enumerate(views)
-        if view.stripe is not None
-    ]
+    stripes = [(view.stripe, index, view.laser) for index, view in enumerate(views) if view.stripe is not None]
     width, height = first.image_size
     return Observations(
         board=board,

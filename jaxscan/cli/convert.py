@@ -1,4 +1,4 @@
-"""`jaxscan convert`: one cloud format to another, and a calibration to what other programs read."""
+"""`jaxscan convert`: one cloud format to another, a calibration for other programs, a capture for another storage."""
 
 from pathlib import Path
 from typing import Annotated
@@ -8,9 +8,12 @@ import tyro
 
 from jaxscan import api
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
 from jaxscan.files.camera_formats import CameraFormat, check_camera_path, export_camera
 from jaxscan.files.clouds import check_cloud_path
+from jaxscan.files.repack import check_new_folder, repack_capture
+from jaxscan.files.store import Storage
 
 
 def convert(
@@ -19,17 +22,25 @@ def convert(
     /,
     *,
     format: CameraFormat | None = None,
+    storage: Storage | None = None,
     json: JsonTarget = None,
 ) -> None:
-    """Convert: `jaxscan convert room.ply room.e57`, or `jaxscan convert calibration.json camera.yaml`.
+    """Convert: `jaxscan convert room.ply room.e57`, `jaxscan convert calibration.json camera.yaml`, or
+    `jaxscan convert captures/room captures/fast --storage npy`.
 
     Args:
-        source: Cloud (.ply or .npz) or calibration (.json) to read.
+        source: Cloud (.ply or .npz), calibration (.json) or capture (a folder) to read.
         target: File to write; the suffix chooses the format: .ply .e57 .laz .las .pcd .xyz .ptx .npz for a
-            cloud, .yaml (OpenCV) or .cameramodel (mrcal) for a calibration.
+            cloud, .yaml (OpenCV) or .cameramodel (mrcal) for a calibration. Of a capture, the new folder.
         format: Of a calibration, where its suffix does not say it: `ros` is a camera_info .yaml.
+        storage: Of a capture: `npy`, raw frames that are read at once but take more space, or `png`.
         json: Write the result as JSON too.
     """
+    if source.is_dir():
+        _convert_capture(source, target, format, storage, json)
+        return
+    if storage is not None:
+        raise OptionError(f"--storage: is for captures, and {source} is not the folder of one.")
     if source.suffix.lower() == ".json":
         _convert_calibration(source, target, format, json)
         return
@@ -50,3 +61,22 @@ def _convert_calibration(source: Path, target: Path, camera_format: CameraFormat
     export_camera(api.load_calibration(source), target, chosen)
     console(json).print(f"written: {target} (camera for {chosen})")
     emit_json(json, "convert", {"source": str(source), "camera": str(target), "camera_format": chosen})
+
+
+def _convert_capture(
+    source: Path, target: Path, camera_format: CameraFormat | None, storage: Storage | None, json: JsonTarget
+) -> None:
+    if camera_format is not None:
+        raise OptionError(f"--format: is for calibrations (.json), and {source} is a folder.")
+    if storage is None:
+        raise OptionError(f"--storage: is needed to convert the capture {source}: npy or png.")
+    check_new_folder(target)
+    check_json(json)
+    with progress_bar("Converting") as progress:
+        capture = repack_capture(source, target, storage=storage, progress=progress)
+    console(json).print(f"written: {target} ({len(capture)} records, {storage})")
+    emit_json(
+        json,
+        "convert",
+        {"source": str(source), "capture": str(target), "storage": storage, "records": len(capture)},
+    )

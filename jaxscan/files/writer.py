@@ -16,9 +16,9 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.atomic import write_atomically
+from jaxscan.files.given import copies, given_exposures, named, unnamed
 from jaxscan.files.header import HEADER_NAME, CaptureHeader, frame_shape, header_toml
 from jaxscan.files.journal import JOURNAL_NAME, MAX_LINE_BYTES
-from jaxscan.files.references import MAX_IMAGES
 from jaxscan.files.store import Storage, image_store
 
 
@@ -105,14 +105,26 @@ class CaptureWriter:
             raise CaptureError(f"{self.path}: record {number}: has no image.")
         if angle_deg is not None and not math.isfinite(angle_deg):
             raise CaptureError(f"{self.path}: record {number}: angle_deg = {angle_deg} is not finite.")
-        levels = self._exposures(on, off, number)
-        images = {"on": self._copied(on, "on", number), "off": self._copied(off, "off", number)}
+        where = f"{self.path}: record {number}"
+        levels = [
+            given_exposures(given, f"{where}: {side}")
+            for side, given in (("on", on), ("off", off))
+            if given is not None
+        ]
+        expected = levels[0] if self._levels is None else self._levels
+        if self.header.kind == "sweep" and any(one != expected for one in levels):
+            raise CaptureError(
+                f"{where}: found images of the exposures {levels} s, expected {expected} s; "
+                "all frames of a sweep need the same."
+            )
+        shape = frame_shape(self.header)
+        images = {side: copies(given, shape, f"{where}: {side}") for side, given in (("on", on), ("off", off))}
         fields: dict[str, Any] = {"i": number, "angle_deg": None if angle_deg is None else float(angle_deg)}
-        fields |= {key: _template(given) for key, given in (("on", on), ("off", off))} | extra
+        fields |= {"on": unnamed(on), "off": unnamed(off)} | extra
         if placement is not None:
             fields["placement"] = int(placement)
         self.append_line(fields, images)
-        self._levels = levels
+        self._levels = expected
         return number
 
     def append_line(self, fields: Mapping[str, Any], images: Mapping[str, Sequence[np.ndarray]]) -> None:
@@ -132,7 +144,7 @@ class CaptureWriter:
         # A retake never touches what the journal already speaks of.
         stem = f"{number:06d}" if retakes == 0 else f"{number:06d}-{retakes}"
         names = {side: self._store.names(side, stem, len(given)) for side, given in images.items() if given}
-        line = self._line({**fields, **{side: _named(fields[side], names.get(side, [])) for side in images}})
+        line = self._line({**fields, **{side: named(fields[side], given) for side, given in names.items()}})
         for side, given in names.items():
             self._store.take(side, len(given))
         jobs = [
@@ -147,8 +159,12 @@ class CaptureWriter:
 
     def event(self, name: str, **extra: Any) -> None:
         """Add an event ("resume", "fault", ...), which readers skip, after all records so far."""
+        self.append_event({"event": name, **extra})
+
+    def append_event(self, fields: Mapping[str, Any]) -> None:
+        """Add an event as another journal has it."""
         self._check_alive()
-        self._pending.append(_Pending(self._line({"event": name, **extra}), []))
+        self._pending.append(_Pending(self._line(dict(fields)), []))
         self._advance()
 
     def flush(self) -> None:
@@ -193,42 +209,6 @@ class CaptureWriter:
         if self._journal.closed:
             raise CaptureError(f"{self.path}: the capture is closed; nothing can be appended.")
 
-    def _copied(self, given: Any | None, key: str, number: int) -> list[np.ndarray]:
-        """Copies: the caller may reuse its buffers while threads still encode."""
-        if given is None:
-            return []
-        images = [np.array(image) for image in ([one for one, _ in given] if _is_list(given) else [given])]
-        expected = frame_shape(self.header)
-        for image in images:
-            if image.dtype != np.uint8 or image.shape != expected:
-                raise CaptureError(
-                    f"{self.path}: record {number}: {key}: found {image.dtype} with shape {image.shape}, "
-                    f"expected uint8 with shape {expected}."
-                )
-        return images
-
-    def _exposures(self, on: Any | None, off: Any | None, number: int) -> list[float] | None:
-        """The exposures of a sweep's frame; what no reader would take is refused."""
-        where = f"{self.path}: record {number}"
-        levels: list[list[float]] = []
-        for key, given in (("on", on), ("off", off)):
-            if given is None:
-                continue
-            if _is_list(given) and not 1 <= len(given) <= MAX_IMAGES:
-                raise CaptureError(f"{where}: {key}: found a list of {len(given)} images, expected 1 to {MAX_IMAGES}.")
-            levels.append(sorted({float(exposure) for _, exposure in given}) if _is_list(given) else [])
-            if not all(math.isfinite(exposure) and exposure > 0 for exposure in levels[-1]):
-                raise CaptureError(f"{where}: {key}: found the exposures {levels[-1]}, expected seconds above 0.")
-        if self.header.kind != "sweep":
-            return None
-        expected = levels[0] if self._levels is None else self._levels
-        if any(one != expected for one in levels):
-            raise CaptureError(
-                f"{where}: found images of the exposures {levels} s, expected {expected} s; "
-                "all frames of a sweep need the same."
-            )
-        return expected
-
     def _line(self, fields: dict[str, Any]) -> bytes:
         try:
             line = json.dumps(fields, allow_nan=False).encode() + b"\n"
@@ -264,24 +244,6 @@ class CaptureWriter:
 
 def _finished(pending: _Pending) -> bool:
     return all(image.done() for image in pending.images)
-
-
-def _is_list(given: Any) -> bool:
-    return isinstance(given, list | tuple)
-
-
-def _template(given: Any | None) -> Any:
-    """What stands in a record for these images, their names left open."""
-    if given is None:
-        return None
-    return [{"file": "", "exposure_s": float(exposure)} for _, exposure in given] if _is_list(given) else ""
-
-
-def _named(template: Any, names: Sequence[str]) -> Any:
-    """The same with names."""
-    if isinstance(template, list):
-        return [{**one, "file": name} for one, name in zip(template, names, strict=True)]
-    return names[0] if names else None
 
 
 def create_capture(
