@@ -4,8 +4,10 @@ Lamps on alternating current flicker; where an exposure is no whole number of th
 frames of a pair differ by a factor, and the difference is no longer the laser alone.
 """
 
+import functools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Float, UInt8
 
@@ -49,6 +51,7 @@ class PairGain(NamedTuple):
     1 where all is still; 0 where nothing is known."""
 
 
+@functools.partial(jax.jit, static_argnames="saturation")
 def pair_gain(
     on: UInt8[Array, "frames n"],
     off: UInt8[Array, "frames n"],
