@@ -17,7 +17,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from speed_peers import THREADS
+from speed_peers import THREADS, read
 from speed_scene import HEIGHT, WIDTH, Frames, make_scanner
 from speed_times import Watch, summary, take_turns
 
@@ -72,7 +72,7 @@ def _write_text(folder: Path, records: int, images: Callable[[int], dict[str, st
 def decode_alone(capture: Capture) -> Callable[[], object]:
     """Read and decode every image of a capture of files and drop it, on all cores."""
     size = capture.image_size
-    names = [capture.path / ref.path for record in capture.records for ref in (record.on, record.off) if ref]
+    names = [capture.path / ref.path for record in capture.records for ref in (*record.on, *record.off)]
 
     def one(path: Path) -> None:
         decode_image(path.read_bytes(), name=path.name, rank=2, size=size)
@@ -86,11 +86,12 @@ def decode_alone(capture: Capture) -> Callable[[], object]:
 
 
 def chunks_alone(capture: Capture) -> Callable[[], object]:
-    """Let the capture hand out its chunks, and use none."""
+    """Let the capture hand out its chunks, and read their bytes, which may still lie in the file."""
 
     def run() -> None:
-        for _ in capture.chunks(8):
-            pass
+        with ThreadPoolExecutor(THREADS) as pool:
+            for chunk in capture.chunks(8):
+                read(np.asarray(chunk.on), np.asarray(chunk.off), pool)()
 
     return run
 
