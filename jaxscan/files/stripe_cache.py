@@ -67,7 +67,8 @@ def save_stripes(path: str | Path, arrays: Mapping[str, np.ndarray], key: Mappin
     wrong = [name for name, array in arrays.items() if name == _KEY or np.asarray(array).dtype.kind not in _KINDS]
     if wrong:
         raise ValueError(f"`arrays` must hold numbers, and none may be called {_KEY!r}, got {wrong[0]!r}.")
-    text = json.dumps({"format": CACHE_FORMAT, "key": dict(key)}, allow_nan=False).encode()
+    said = {"format": CACHE_FORMAT, "key": dict(key), "arrays": _described(arrays)}
+    text = json.dumps(said, allow_nan=False).encode()
     about = {_KEY: np.frombuffer(text, np.uint8)}
     # It can be computed again, so it does not wait for the disk: what a loss of power leaves is refused.
     write_atomically(path, lambda part: write_arrays(part, {**about, **arrays}), durable=False, error=CaptureError)
@@ -83,13 +84,13 @@ def load_stripes(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any
     Raises:
         CaptureError: If the file is missing, damaged, too large, or another kind of file.
     """
-    key = _load_key(path)
+    about = _about(path)
     arrays = read_arrays(path, error=CaptureError, limit=MAX_CACHE_BYTES)
-    del arrays[_KEY]
-    for name, array in arrays.items():
-        if array.dtype.kind not in _KINDS:
-            raise CaptureError(f"{path}: {name}: found {array.dtype}, expected numbers.")
-    return arrays, key
+    arrays.pop(_KEY, None)
+    # The archive's own checksums do not cover the names and the number of its arrays.
+    if any(array.dtype.kind not in _KINDS for array in arrays.values()) or _described(arrays) != about["arrays"]:
+        raise CaptureError(f"{path}: does not hold the arrays that it lists; the file is damaged.")
+    return arrays, about["key"]
 
 
 def cached_stripes(path: str | Path, key: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
@@ -99,21 +100,27 @@ def cached_stripes(path: str | Path, key: Mapping[str, Any]) -> dict[str, np.nda
     """
     try:
         wanted = json.loads(json.dumps(dict(key), allow_nan=False))
-        return load_stripes(path)[0] if _load_key(path) == wanted else None
+        return load_stripes(path)[0] if _about(path)["key"] == wanted else None
     except CaptureError:
         return None
 
 
-def _load_key(path: str | Path) -> dict[str, Any]:
-    """The key alone, from a file of which every array is as large as it says."""
+def _described(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    return {name: [np.asarray(array).dtype.str, *np.shape(array)] for name, array in arrays.items()}
+
+
+def _about(path: str | Path) -> dict[str, Any]:
+    """The key and what arrays there are, from a file of which every array is as large as it says."""
     _check_stored(path)
     found = read_arrays(path, error=CaptureError, limit=MEGABYTE, only=_KEY).get(_KEY)
     if found is None or found.dtype != np.uint8 or found.ndim != 1:
         raise CaptureError(f"{path}: holds no stripes ({CACHE_FORMAT}).")
     about = parse_json(found.tobytes(), name=str(path), error=CaptureError)
-    if not isinstance(about, dict) or about.get("format") != CACHE_FORMAT or not isinstance(about.get("key"), dict):
+    if not isinstance(about, dict) or about.get("format") != CACHE_FORMAT:
         raise CaptureError(f"{path}: holds no stripes ({CACHE_FORMAT}).")
-    return about["key"]
+    if not all(isinstance(about.get(part), dict) for part in ("key", "arrays")):
+        raise CaptureError(f"{path}: holds no stripes ({CACHE_FORMAT}).")
+    return about
 
 
 def _check_stored(path: str | Path) -> None:

@@ -1,0 +1,54 @@
+"""`jaxscan convert` of captures: raw shards and back."""
+
+import json
+
+import numpy as np
+import pytest
+
+from jaxscan.files.capture import CaptureHeader, create_capture, open_capture
+
+
+FRAMES = np.random.default_rng(8).integers(0, 256, (8, 4, 6), np.uint8)
+
+
+@pytest.fixture
+def room(tmp_path):
+    camera = {"width": 6, "height": 4, "pixel_format": "mono8"}
+    head = CaptureHeader(kind="sweep", camera=camera, laser=[{"name": "red"}])
+    with create_capture(tmp_path / "room", head, durable=False) as capture:
+        for k in range(4):
+            capture.append(angle_deg=float(k), on=FRAMES[2 * k], off=FRAMES[2 * k + 1], microsteps=k)
+    return tmp_path / "room"
+
+
+def test_there_and_back(room, run, tmp_path):
+    ran = run("convert", room, tmp_path / "fast", "--storage", "npy", "--json", "-")
+    assert ran.code == 0 and "4 records, npy" in ran.err
+    assert json.loads(ran.out) == {
+        "format": "jaxscan-convert/1",
+        "source": str(room),
+        "capture": str(tmp_path / "fast"),
+        "storage": "npy",
+        "records": 4,
+    }
+    assert (tmp_path / "fast/on/000000.npy").is_file()
+    assert run("convert", tmp_path / "fast", tmp_path / "back", "--storage", "png").code == 0
+    assert (tmp_path / "back/frames.jsonl").read_bytes() == (room / "frames.jsonl").read_bytes()
+    (chunk,) = open_capture(tmp_path / "back").chunks(4)
+    assert np.array_equal(chunk.off, FRAMES[1::2])
+
+
+def test_what_is_refused(room, refused, run, tmp_path):
+    assert "exists; choose another" in refused("convert", room, room, "--storage", "npy")
+    assert "--storage: is needed" in refused("convert", room, tmp_path / "a")
+    assert "--format: is for calibrations" in refused("convert", room, tmp_path / "a", "--format", "ros")
+    assert "create it first" in refused("convert", room, tmp_path / "no" / "a", "--storage", "npy")
+    (tmp_path / "cloud.ply").write_text("ply")
+    cloud = ("convert", tmp_path / "cloud.ply", tmp_path / "a.npz")
+    assert "--storage: is for captures" in refused(*cloud, "--storage", "png")
+    missing = ("convert", room, tmp_path / "a", "--storage", "npy", "--json", tmp_path / "nowhere" / "a.json")
+    assert "create it first" in refused(*missing)
+    (tmp_path / "folder").mkdir()
+    assert "capture.toml: no such file" in refused("convert", tmp_path / "folder", tmp_path / "a", "--storage", "npy")
+    assert run("convert", room, tmp_path / "a", "--storage", "tiff").code == 2
+    assert not (tmp_path / "a").exists()
