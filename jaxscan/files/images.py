@@ -30,12 +30,14 @@ class ImageReader:
         Raises:
             CaptureError: With the record and the file.
         """
-        folder = Folder(self._path)
+        folder, located = Folder(self._path), dict[str, Path]()
         for record, reference in [(one, image) for one in records for image in (*one.on, *one.off)]:
             try:
-                located = folder.locate(reference)
+                # Many images share a shard.
+                if reference.path not in located:
+                    located[reference.path] = folder.locate(reference)
                 if reference.index is not None:
-                    self.shards.check(reference, located)
+                    self.shards.check(reference, located[reference.path])
             except CaptureError as problem:
                 raise CaptureError(f"{self._path}: record {record.i}: {problem}") from problem
 
