@@ -15,7 +15,7 @@ from jaxscan.stripes.frames import StripeAxis
 
 _PITCH_PX = 8.0
 """Largest distance between the points at which rays meet the sheet [px]."""
-_SAFETY = 2.0
+_SAFETY = 8.0
 """The interpolation's error is bounded by its second differences, times this."""
 
 
