@@ -197,7 +197,7 @@ def shard_figures(folder: Path, size: Size) -> list[Figure]:
     found = speed_disk.measure_shards(folder, counts, size.shard_repeats)
     walls = {int(count): runs for count, runs in found["walls"].items()}
     most, full = max(counts), max(counts) == max(FULL.shard_records)
-    chunks, again = Times(*found["chunks"]), Times(*found["again"])
+    chunks, again, cached = (Times(*found[key]) for key in ("chunks", "again", "cached"))
     figures = [
         Figure(f"shards {most} pairs, best", min(walls[most]), "s", "lower", 0.2, 10.0 if full else None),
         Figure(f"shards {most} pairs, median", float(np.median(walls[most])), "s", "lower", 0.2),
@@ -210,10 +210,10 @@ def shard_figures(folder: Path, size: Size) -> list[Figure]:
     middle = float(np.median(list(each.values())))
     spread = max(abs(value / middle - 1.0) for value in each.values())
     figures.append(Figure("shards largest change of ms/pair with length", spread, "1", "lower", 0.5, 0.1))
-    figures.append(
-        Figure(f"again from stripes, {most} pairs, best", again.best, "s", "lower", 0.2, 3.0 if full else None)
-    )
-    figures.append(Figure(f"again from stripes, {most} pairs, median", again.median, "s", "lower", 0.2))
+    asked = 3.0 if full else None
+    for name, times in (("stripes", again), ("kept stripes", cached)):
+        figures.append(Figure(f"again from {name}, {most} pairs, best", times.best, "s", "lower", 0.2, asked))
+        figures.append(Figure(f"again from {name}, {most} pairs, median", times.median, "s", "lower", 0.2))
     return figures
 
 

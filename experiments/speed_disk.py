@@ -22,7 +22,9 @@ from speed_scene import HEIGHT, WIDTH, Frames, make_scanner
 from speed_times import Watch, summary, take_turns
 
 from jaxscan.files.capture import Capture, open_capture
-from jaxscan.reconstruction import reconstruct
+from jaxscan.files.stripe_cache import cache_path, cached_stripes, frames_key, save_stripes
+from jaxscan.geometry import Scanner
+from jaxscan.reconstruction import PointCloud, reconstruct
 from jaxscan.stripes import NoiseModel, Stripes, extract_stripes
 from jaxscan.vision.images import decode_image, encode_png
 
@@ -149,7 +151,19 @@ def _child(folder: Path, counts: list[int], repeats: int) -> None:
     with Watch() as watch:
         runs = _timed(lambda: reconstruct(capture, scanner, stripes=stripes), repeats + 1)[1:]
     result |= {"again": summary(*zip(*runs, strict=True)), "again_peak_bytes": watch.peak}
+    fields = {field.name: np.asarray(getattr(stripes, field.name)) for field in dataclasses.fields(stripes)}
+    save_stripes(cache_path(capture), fields, {"frames": frames_key(capture)})
+    del stripes, fields
+    runs = _timed(lambda: _from_cache(capture, scanner), repeats + 1)[1:]
+    result |= {"cached": summary(*zip(*runs, strict=True))}
     print(json.dumps(result))
+
+
+def _from_cache(capture: Capture, scanner: Scanner) -> PointCloud:
+    """The stripes as they were kept beside the capture, and the cloud from them."""
+    kept = cached_stripes(cache_path(capture), {"frames": frames_key(capture)})
+    assert kept is not None
+    return reconstruct(capture, scanner, stripes=Stripes(**kept))
 
 
 def _timed(function: Callable[[], object], repeats: int) -> list[tuple[float, float]]:
