@@ -12,8 +12,10 @@ from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.summary import print_summary, summary, write_page
+from jaxscan.errors import CalibrationError
 from jaxscan.files.atomic import check_writable
 from jaxscan.files.calibration import check_calibration_path
+from jaxscan.report.calibration import verdict
 
 
 def calibrate(
@@ -30,6 +32,8 @@ def calibrate(
     json: JsonTarget = None,
 ) -> None:
     """Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.
+
+    Exit code 1 where the calibration is not accepted; its file is written all the same.
 
     Args:
         captures: One or more calibration captures of the same board and rig.
@@ -66,6 +70,9 @@ def calibrate(
     out.print(f"written: {', '.join(written)}")
     files = {"calibration": str(output)} | ({"report": str(report)} if report is not None else {})
     emit_json(json, "calibrate", files | summary(result) | {"quality": result.quality})
+    judged = verdict(result)
+    if judged.kind == "bad":
+        raise CalibrationError(f"{output}: written, but not accepted. {judged.explanation}")
 
 
 def calibration_settings(

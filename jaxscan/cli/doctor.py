@@ -31,6 +31,7 @@ def doctor(*, json: JsonTarget = None) -> None:
         _try("OpenCV", True, lambda: _version("cv2", "opencv-python-headless")),
         _try("optimistix", True, lambda: _version("optimistix", "optimistix")),
         _try("Open3D (simulator)", False, _open3d),
+        _try("matplotlib (reports)", False, lambda: _version("matplotlib.figure", "matplotlib")),
         _try("pyserial (rig)", False, lambda: _version("serial", "pyserial")),
         _try("E57 export", False, lambda: _version("pye57", "pye57")),
         _try("LAS/LAZ export", False, lambda: _version("laspy", "laspy")),

@@ -71,6 +71,25 @@ class TestCalibrate:
         assert any(line.startswith("│ sheet") and "fails" in line for line in lines)
         assert any(line.startswith("│ fx, px") for line in lines)
 
+    @pytest.mark.parametrize("words", [(), ("--json", "-")])
+    def test_what_is_not_accepted_is_written_and_exits_with_1(self, tiny, run, tmp_path, monkeypatch, words):
+        stored = jaxscan.load_calibration(tiny.calibration)
+        tests = [{"name": "sheet", "statistic": 90.0, "dof": 20, "p": 1e-9, "p_structure": 1e-9}]
+        quality = {**stored.quality, "verdict": {"accepted": False, "tests": tests, "advice": ["Look at the sheet."]}}
+        judged = dataclasses.replace(stored, quality=quality)
+        monkeypatch.setattr("jaxscan.api.calibrate", lambda captures, **options: judged)
+        target, page = tmp_path / "a.json", tmp_path / "a.html"
+        ran = run("calibrate", tiny.boards, "-o", target, "--report", page, *words)
+        assert ran.code == 1
+        last = ran.err.splitlines()[-1]
+        assert last.startswith(f"jaxscan: {target}: written, but not accepted. The solve ended, but the light sheet")
+        # It says why, and it is all there for whoever wants to look or to go on.
+        assert "Look at the sheet." in ran.out
+        assert json.loads(target.read_text())["quality"]["verdict"]["accepted"] is False
+        assert page.stat().st_size > 0
+        if words:
+            assert json.loads(ran.out)["verdict"]["kind"] == "bad"
+
     def test_blocks_are_freed_and_held(self):
         settings = calibration_settings("fisheye", ("bow", "k3"), ("harmonics",))
         usual = CalibrationSettings().free
