@@ -1,7 +1,9 @@
 """Strict settings for every test: 64 bit, no silent promotion, shapes and types checked."""
 
+import fcntl
 import json
 import os
+import shutil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -100,26 +102,46 @@ class TinyRig(NamedTuple):
 
 @pytest.fixture(scope="session")
 def tiny(tmp_path_factory):
-    """Simulate, calibrate, reconstruct, measure: once for all tests."""
+    """Simulate, calibrate, reconstruct, measure: once for all tests, and for all processes that share them."""
+    root = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        root = root.parent  # Every process has a folder of its own, in that of the whole run.
+    folder = root / "tiny"
+    with open(root / "tiny.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "complete").exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            go_the_whole_way(folder)
+            (folder / "complete").touch()
+    captures = folder / "captures"
+    return TinyRig(
+        folder,
+        folder / "rig.toml",
+        captures / "boards",
+        captures / "sweep",
+        captures / "truth.json",
+        captures / "truth.npz",
+        folder / "calibration.json",
+        folder / "room.ply",
+        {verb: json.loads((folder / f"{verb}.json").read_text()) for verb in VERBS},
+    )
+
+
+VERBS = {
+    "simulate": "rig.toml -o captures",
+    "calibrate": "captures/boards -o calibration.json --report calibration.html",
+    "reconstruct": "captures/sweep -c calibration.json -o room.ply",
+    "measure-room": "room.ply -c calibration.json",
+    "measure-compare": "room.ply captures/truth.npz -c calibration.json",
+}
+
+
+def go_the_whole_way(folder):
+    """Every verb on the tiny rig, in a folder of its own."""
     from jaxscan.cli.main import main
 
-    folder = tmp_path_factory.mktemp("tiny")
-    config, calibration, cloud = folder / "rig.toml", folder / "calibration.json", folder / "room.ply"
-    config.write_text(TINY)
-    captures = folder / "captures"
-    verbs = {
-        "simulate": [config, "-o", captures],
-        "calibrate": [captures / "boards", "-o", calibration, "--report", folder / "calibration.html"],
-        "reconstruct": [captures / "sweep", "-c", calibration, "-o", cloud],
-        "measure-room": [cloud, "-c", calibration],
-        "measure-compare": [cloud, captures / "truth.npz", "-c", calibration],
-    }
-    results = {}
-    for verb, words in verbs.items():
-        target = folder / f"{verb}.json"
-        assert main([*verb.split("-"), *map(str, words), "--json", str(target)]) == 0, verb
-        results[verb] = json.loads(target.read_text())
-    truth, true_cloud = captures / "truth.json", captures / "truth.npz"
-    return TinyRig(
-        folder, config, captures / "boards", captures / "sweep", truth, true_cloud, calibration, cloud, results
-    )
+    (folder / "rig.toml").write_text(TINY)
+    for verb, words in VERBS.items():
+        words = [word if word.startswith("-") else str(folder / word) for word in words.split()]
+        assert main([*verb.split("-"), *words, "--json", str(folder / f"{verb}.json")]) == 0, verb
