@@ -98,7 +98,15 @@ def test_covariance_of_the_camera_is_opencvs(world):
     np.testing.assert_allclose(np.sqrt(np.diag(calibration.covariance)), theirs, rtol=0.02)
 
 
-@pytest.mark.parametrize(("detector", "most"), [("auto", 0.245), ("classic", 0.245), ("sb", 0.27)])
+@pytest.mark.parametrize(
+    ("detector", "most"),
+    [
+        ("auto", 0.245),
+        # One kind of detector by itself: in the quick tests on the pictures of the left camera below.
+        pytest.param("classic", 0.245, marks=pytest.mark.slow),
+        pytest.param("sb", 0.27, marks=pytest.mark.slow),
+    ],
+)
 def test_ciclop(detector, most):
     observed = pictures("ciclop/camera/*.jpg", Chessboard(6, 11, 0.013), detector)
     reference = json.loads((DATA / "ciclop/reference.json").read_text())["measured"]["intrinsics"]
@@ -116,8 +124,17 @@ def test_ciclop(detector, most):
     assert calibration.quality["corner_rms_px"] <= calibration.quality["corner_rms_all_px"]
 
 
-@pytest.mark.parametrize("detector", ["auto", "classic", "sb"])
-@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize(
+    ("side", "detector"),
+    [
+        ("left", "auto"),
+        ("left", "classic"),
+        ("left", "sb"),
+        ("right", "auto"),
+        pytest.param("right", "classic", marks=pytest.mark.slow),
+        pytest.param("right", "sb", marks=pytest.mark.slow),
+    ],
+)
 def test_opencv_chessboards(side, detector):
     observed = pictures(f"opencv_stereo_chess/{side}*.jpg", Chessboard(9, 6, 0.025), detector)
     calibration = calibrate_camera(observed, settings=QUICK)
