@@ -52,3 +52,15 @@ def test_what_is_refused(room, refused, run, tmp_path):
     assert "capture.toml: no such file" in refused("convert", tmp_path / "folder", tmp_path / "a", "--storage", "npy")
     assert run("convert", room, tmp_path / "a", "--storage", "tiff").code == 2
     assert not (tmp_path / "a").exists()
+
+
+def test_a_cloud_does_not_depend_on_the_storage(tiny, run, tmp_path):
+    assert run("convert", tiny.sweep, tmp_path / "fast", "--storage", "npy").code == 0
+    clouds = []
+    for name, capture in (("files", tiny.sweep), ("shards", tmp_path / "fast")):
+        target = tmp_path / f"{name}.npz"
+        assert run("reconstruct", capture, "-c", tiny.calibration, "-o", target).code == 0
+        with np.load(target) as arrays:
+            clouds.append(dict(arrays))
+    assert all(np.array_equal(clouds[0][name], array) for name, array in clouds[1].items())
+    assert clouds[1]["valid"].any()
