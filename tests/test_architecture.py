@@ -38,6 +38,7 @@ HOME_OF = {
     "pye57": {"files"},
     "laspy": {"files"},
     "serial": set(),
+    "numba": {"stripes/native.py"},
     "scipy": {"measurement"},
     "matplotlib": {"report"},
     "viser": {"report"},

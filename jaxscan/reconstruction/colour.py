@@ -1,20 +1,20 @@
 """The colour of a point: the laser-off image, sampled at the stripe's centre."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Float, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.frames import PixelFormat
-from jaxscan.stripes.shifted import Frames, Shifted
+from jaxscan.reconstruction.triangulate import stripe_pixel
+from jaxscan.stripes.extract import FrameStripes
+from jaxscan.stripes.frames import PixelFormat, Response, StripeAxis
 
 
-def sample_colour(
-    frame: UInt8[Array, "..."] | Shifted, q: Float[Array, "2"], pixel_format: PixelFormat
-) -> UInt8[Array, "3"]:
+def sample_colour(frame: UInt8[Array, "..."], q: Float[Array, "2"], pixel_format: PixelFormat) -> UInt8[Array, "3"]:
     """Colour of a frame at a sub-pixel position, bilinear, in the frame's own response.
 
     Args:
-        frame: Laser-off frame [rows, columns] (`Shifted`, too) or, for rgb8, [rows, columns, 3].
+        frame: Laser-off frame [rows, columns] or, for rgb8, [rows, columns, 3].
         q: Position (u, v) [px]; outside the frame its edge is taken.
         pixel_format: How the frame is to be read. Of a Bayer frame every colour is interpolated
             among its own sites only.
@@ -35,7 +35,7 @@ def sample_colour(
     return jnp.round(colour).astype(jnp.uint8)
 
 
-def _bilinear(frame: Frames, q: Array, row: int, column: int, spacing: int) -> Array:
+def _bilinear(frame: Array, q: Array, row: int, column: int, spacing: int) -> Array:
     """Interpolate on the lattice of pixels (row + spacing i, column + spacing j)."""
     rows = (frame.shape[0] - row + spacing - 1) // spacing
     columns = (frame.shape[1] - column + spacing - 1) // spacing
@@ -46,8 +46,6 @@ def _bilinear(frame: Frames, q: Array, row: int, column: int, spacing: int) -> A
         # A lattice of one row or column has no neighbour: its weight there is zero.
         r, c = jnp.minimum(i + di, rows - 1), jnp.minimum(j + dj, columns - 1)
         r, c = row + spacing * r, column + spacing * c
-        if isinstance(frame, Shifted):
-            return frame.pixel(r, c).astype(q.dtype)
         return jnp.asarray(frame).at[r, c].get(mode="promise_in_bounds").astype(q.dtype)
 
     upper = (1.0 - along_u) * at(0, 0) + along_u * at(0, 1)
@@ -60,3 +58,58 @@ def _cell(position: Array, count: int) -> tuple[Array, Array]:
     position = jnp.clip(position, 0.0, count - 1.0).astype(position.dtype)
     left = jnp.minimum(position.astype(jnp.int32), max(count - 2, 0))
     return left, position - left.astype(position.dtype)
+
+
+def stripe_colours(
+    stripes: FrameStripes,
+    off: UInt8[Array, "frames ..."] | None,
+    *,
+    has_off: bool,
+    pixel_format: PixelFormat,
+    response: Response,
+    stripe_axis: StripeAxis,
+) -> UInt8[Array, "profiles lines 3"]:
+    """Colour of the laser-off frames at the stripes' centres.
+
+    Args:
+        stripes: The stripes; of several profiles per frame those of a frame follow each other.
+        off: The frames; None where there are none, or `needs_frames` is false.
+        has_off: Whether there are laser-off frames; else everything is black.
+        pixel_format: How a frame is to be read.
+        response: "linear" or "srgb".
+        stripe_axis: What a line is.
+    """
+    profiles, lines = stripes.u.shape
+    if not has_off:
+        return jnp.zeros((profiles, lines, 3), jnp.uint8)
+    if off is not None and needs_frames(pixel_format, response):
+        colour = sample_colours(stripes.u, off, pixel_format=pixel_format, stripe_axis=stripe_axis)
+    else:
+        grey = jnp.clip(jnp.round(stripes.grey), 0, 255).astype(jnp.uint8)
+        colour = jnp.broadcast_to(grey[:, :, None], (profiles, lines, 3))
+    return jnp.where(stripes.valid[:, :, None], colour, 0).astype(jnp.uint8)
+
+
+def sample_colours(
+    u: Float[Array, "profiles lines"],
+    off: UInt8[Array, "frames ..."],
+    *,
+    pixel_format: PixelFormat,
+    stripe_axis: StripeAxis,
+) -> UInt8[Array, "profiles lines 3"]:
+    """Colour of the frames at the centres `u`; profiles of a frame follow each other."""
+    lines = u.shape[1]
+    line = jnp.arange(lines, dtype=jnp.float32)
+
+    def one(u, line, frame):
+        return sample_colour(frame, stripe_pixel(u, line, stripe_axis), pixel_format)
+
+    over_lines = jax.vmap(one, (0, 0, None))
+    over_profiles = jax.vmap(over_lines, (0, None, None))
+    colour = jax.vmap(over_profiles, (0, None, 0))(u.reshape(len(off), -1, lines), line, off)
+    return colour.reshape(*u.shape, 3)
+
+
+def needs_frames(pixel_format: PixelFormat, response: Response) -> bool:
+    """Whether a colour takes more than the level that the fit of a stripe knows already."""
+    return pixel_format != "mono8" or response != "linear"

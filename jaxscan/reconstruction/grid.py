@@ -2,9 +2,12 @@
 
 import numpy as np
 
+from jaxscan.geometry import Array
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.normals import grid_normals
 from jaxscan.reconstruction.points import Points
+from jaxscan.stripes.extract import FrameStripes
+from jaxscan.stripes.stripes import Stripes
 
 
 class GrowingCloud:
@@ -21,46 +24,58 @@ class GrowingCloud:
         self.stripes = 0
         """Valid stripe centres so far, whether or not they gave a point."""
 
-    def store(self, records: np.ndarray, points: Points) -> None:
-        """Copy the points of one chunk, of which the first `len(records)` profiles are real."""
-        count = len(records)
-        consecutive = records[-1] - records[0] + 1 == count
-        rows = slice(records[0], records[-1] + 1) if consecutive else records
+    def store(self, profiles: np.ndarray, points: Points, amplitude: Array, rgb: Array, found: Array) -> None:
+        """Copy one chunk, of which the first `len(profiles)` profiles are real.
+
+        Args:
+            profiles: Where they go.
+            points: The points.
+            amplitude: Amplitude of every stripe [DN].
+            rgb: Colour of every stripe.
+            found: Which stripes there were.
+        """
+        rows = _rows(profiles)
+        count = len(profiles)
+        valid = np.asarray(points.valid)[:count]
         self.xyz[rows] = np.asarray(points.xyz)[:count]
-        self.rgb[rows] = np.asarray(points.rgb)[:count]
-        self.intensity[rows] = np.asarray(points.intensity)[:count]
         self.sigma_random[rows] = np.asarray(points.sigma_random)[:count]
         self.sigma_systematic[rows] = np.asarray(points.sigma_systematic)[:count]
-        self.valid[rows] = np.asarray(points.valid)[:count]
+        self.valid[rows] = valid
         self.centre[rows] = np.asarray(points.centre)[:count]
-        self.stripes += int(np.asarray(points.stripes)[:count].sum())
+        self.intensity[rows] = np.where(valid, np.asarray(amplitude)[:count], np.float32(0))
+        self.rgb[rows] = np.where(valid[:, :, None], np.asarray(rgb)[:count], np.uint8(0))
+        self.stripes += int(np.count_nonzero(np.asarray(found)[:count]))
 
-    def finish(self, laser: np.ndarray, angle: np.ndarray, line_step: float | None) -> PointCloud:
+    def finish(
+        self, record: np.ndarray, laser: np.ndarray, angle: np.ndarray, rank: np.ndarray, line_step: float | None
+    ) -> PointCloud:
         """The cloud, with normals from its grid.
 
         Args:
+            record: Record of each profile.
             laser: Laser of each profile.
             angle: The table's angle of each profile [rad].
+            rank: Number of each profile among those of the same record and laser.
             line_step: Angle between neighbouring lines [rad]; None for no normals.
         """
         return PointCloud(
             xyz=self.xyz,
             rgb=self.rgb,
             intensity=self.intensity,
-            normals=np.zeros_like(self.xyz) if line_step is None else self._normals(laser, angle, line_step),
+            normals=np.zeros_like(self.xyz) if line_step is None else self._normals(laser, angle, rank, line_step),
             sigma_random=self.sigma_random,
             sigma_systematic=self.sigma_systematic,
             valid=self.valid,
-            record=np.arange(len(laser), dtype=np.int32),
+            record=record,
             laser=laser,
             angle=angle,
         )
 
-    def _normals(self, laser: np.ndarray, angle: np.ndarray, line_step: float) -> np.ndarray:
-        """Neighbours are profiles of the same laser, in the order of the angle."""
+    def _normals(self, laser: np.ndarray, angle: np.ndarray, rank: np.ndarray, line_step: float) -> np.ndarray:
+        """Neighbours are profiles of the same laser and rank, in the order of the angle."""
         parts = []
-        for index in np.unique(laser):
-            profiles = np.flatnonzero(laser == index)
+        for index, number in np.unique(np.stack([laser, rank], 1), axis=0):
+            profiles = np.flatnonzero((laser == index) & (rank == number))
             profiles = profiles[np.argsort(angle[profiles], kind="stable")]
             whole = len(profiles) == len(laser) and bool(np.all(np.diff(profiles) == 1))
             rows = slice(None) if whole else profiles
@@ -79,3 +94,31 @@ class GrowingCloud:
         for rows, found in parts:
             normals[rows] = found
         return normals
+
+
+class GrowingStripes:
+    """Stripes of a sweep while they are being filled."""
+
+    def __init__(self, profiles: int, lines: int):
+        self.fields: dict[str, np.ndarray] = {
+            name: np.zeros((profiles, lines), {"saturated": np.uint8, "valid": np.bool_}.get(name, np.float32))
+            for name in FrameStripes._fields
+            if name != "grey"
+        }
+        self.rgb = np.zeros((profiles, lines, 3), np.uint8)
+
+    def store(self, profiles: np.ndarray, stripes: FrameStripes, rgb: Array) -> None:
+        """Copy one chunk, of which the first `len(profiles)` profiles are real."""
+        rows = _rows(profiles)
+        for name, field in self.fields.items():
+            field[rows] = np.asarray(getattr(stripes, name))[: len(profiles)]
+        self.rgb[rows] = np.asarray(rgb)[: len(profiles)]
+
+    def finish(self, record: np.ndarray, laser: np.ndarray) -> Stripes:
+        """The stripes; record and laser of each profile."""
+        return Stripes(**self.fields, record=record, laser=laser, rgb=self.rgb)
+
+
+def _rows(profiles: np.ndarray) -> slice | np.ndarray:
+    consecutive = profiles[-1] - profiles[0] + 1 == len(profiles)
+    return slice(profiles[0], profiles[-1] + 1) if consecutive else profiles

@@ -18,10 +18,15 @@ class ReconstructSettings:
     min_incidence: float = 1e-3
     """Smallest accepted incidence (`LaserSheet.intersect`), about the sine of the angle between
     ray and sheet: below it a stripe says next to nothing about the range."""
+    gate: bool = True
+    """Whether stripes are looked for only where the range limits allow them."""
+    check_steps: bool = False
+    """Whether every centre is checked against the neighbouring table steps, where a true surface
+    moves smoothly and a reflection does not; takes two passes and all candidates in memory."""
     normals: bool = True
-    """Whether normals are computed: a sixth of the time where the frames are in memory."""
+    """Whether normals are computed."""
     chunk_records: int | None = None
-    """Records computed at a time; None: as many as fill about 20 MB with frames."""
+    """Records computed at a time; None: 32, or as many as fill about 100 MB with frames."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.min_range_m < self.max_range_m:

@@ -1,58 +1,128 @@
-"""Frames to stripes: the pure function of a chunk, and the public call on whole stacks."""
+"""Frames to stripes: the functions of a chunk, and the public call on whole stacks."""
 
-import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, Int16, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.fit import fit_stripe
-from jaxscan.stripes.frames import LaserLine, PixelFormat, Response, frame_rank, laser_plane, laser_sites
-from jaxscan.stripes.locate import locate
-from jaxscan.stripes.noise import estimate_noise
-from jaxscan.stripes.select import accept
-from jaxscan.stripes.shifted import Shifted
-from jaxscan.stripes.stripes import NoiseModel, Stripes, StripeSettings
-from jaxscan.stripes.window import (
-    FEW_SAMPLES,
-    SAMPLES,
-    Placement,
-    cut_window,
-    is_near,
-    place_window,
-    window_middle,
+from jaxscan.stripes.candidates import CANDIDATES, Located, thresholds
+from jaxscan.stripes.choose import choose
+from jaxscan.stripes.fits import fit_candidates
+from jaxscan.stripes.flicker import applied_gain, pair_gain
+from jaxscan.stripes.frames import (
+    LaserLine,
+    PixelFormat,
+    Response,
+    decode_table,
+    frame_rank,
+    laser_plane,
+    laser_sites,
 )
+from jaxscan.stripes.locate import locate
+from jaxscan.stripes.native import NativeLocator
+from jaxscan.stripes.noise import estimate_noise
+from jaxscan.stripes.stripes import NoiseModel, Stripes, StripeSettings
 
 
 _LINE, _SETTINGS = LaserLine(), StripeSettings()
 _CHUNK = 16
 """Frames per call of the compiled function."""
-_REST = 0.02
-"""Error in standard deviations with which a fit may end early; it adds 0.04 % to the variance."""
+_LOOKS = (32, 80)
+"""Lines and samples of a frame from which the brightness of a pair is compared."""
+
+
+class Search(NamedTuple):
+    """Where and from which signal on candidates are looked for; arrays, so a change compiles nothing."""
+
+    low: Int[Array, " lines"]
+    """First sample of each line of the laser's plane that may hold the stripe."""
+    high: Int[Array, " lines"]
+    """The sample behind the last one."""
+    thresholds: Int16[Array, "256"]
+    """Smallest response of a candidate, by the mean level of its line."""
+    levels: Float[Array, "256"]
+    """Linear level of each code [DN]."""
+    read: Float[Array, ""]
+    """Read noise of one frame [DN]."""
+    gain: Float[Array, ""]
+    """Conversion gain [e-/DN]."""
+    near_side: Float[Array, ""]
+    """+1 where what is nearer has the larger centre, else -1; 0 if unknown."""
 
 
 class FrameStripes(NamedTuple):
     """Fields of `Stripes` for the frames of a chunk, one laser; zero where not `valid`."""
 
-    u: Float[Array, "*frames lines"]
-    sigma: Float[Array, "*frames lines"]
-    amplitude: Float[Array, "*frames lines"]
-    width: Float[Array, "*frames lines"]
-    chi2: Float[Array, "*frames lines"]
-    saturated: UInt8[Array, "*frames lines"]
-    valid: Bool[Array, "*frames lines"]
+    u: Float[Array, "profiles lines"]
+    sigma: Float[Array, "profiles lines"]
+    amplitude: Float[Array, "profiles lines"]
+    width: Float[Array, "profiles lines"]
+    chi2: Float[Array, "profiles lines"]
+    skew: Float[Array, "profiles lines"]
+    grey: Float[Array, "profiles lines"]
+    """Linear level of the laser-off frame at the centre [DN]."""
+    saturated: UInt8[Array, "profiles lines"]
+    valid: Bool[Array, "profiles lines"]
+
+
+def prepare_search(
+    noise: NoiseModel,
+    image_size: tuple[int, int],
+    *,
+    has_off: bool,
+    pixel_format: PixelFormat,
+    response: Response,
+    line: LaserLine,
+    settings: StripeSettings,
+    gate: tuple[np.ndarray, np.ndarray] | None = None,
+    near_side: float = 0.0,
+) -> Search:
+    """What a search needs to know beside the frames.
+
+    Args:
+        noise: Noise of a frame.
+        image_size: Width and height of a frame [px].
+        has_off: Whether there are laser-off frames.
+        pixel_format: How a frame is to be read.
+        response: "linear" or "srgb".
+        line: Which stripe to look for.
+        settings: How stripes are found.
+        gate: For every line of the image the first pixel that may hold the stripe and the one
+            behind the last; the whole line where not given.
+        near_side: +1 where what is nearer has the larger centre, else -1.
+
+    Raises:
+        ValueError: If the rule of choice needs a side that is not given.
+    """
+    if settings.choice in ("nearest", "farthest") and near_side == 0:
+        raise ValueError(f'choice = "{settings.choice}" needs to know which side is near: reconstruct with a scanner.')
+    sites = laser_sites(pixel_format, line)
+    across, lines = image_size if line.stripe_axis == "rows" else image_size[::-1]
+    low, high = (np.zeros(lines, int), np.full(lines, across)) if gate is None else gate
+    whole = lines // sites.pitch * sites.pitch
+    plane = np.arange(sites.first_line, whole, sites.line_step)
+    offset = np.asarray(sites.offsets)[np.arange(len(plane)) % len(sites.offsets)]
+    samples = across // sites.pitch
+    first = np.clip((low[plane] - offset) // sites.pitch, 0, samples)
+    last = np.clip(-(-(high[plane] - offset) // sites.pitch), 0, samples)
+    return Search(
+        low=first.astype(np.int32),
+        high=last.astype(np.int32),
+        thresholds=thresholds(noise, settings, pitch=sites.pitch, has_off=has_off),
+        levels=decode_table(response)[0].astype(np.float32),
+        read=np.asarray(noise.read_dn, np.float32),
+        gain=np.asarray(noise.electrons_per_dn, np.float32),
+        near_side=np.asarray(near_side, np.float32),
+    )
 
 
 def stripes_of_frames(
-    on: UInt8[Array, "frames ..."] | Shifted,
-    off: UInt8[Array, "frames ..."] | Shifted | None,
-    noise_read: Float[Array, ""] | float,
-    noise_gain: Float[Array, ""] | float,
+    on: UInt8[Array, "frames ..."],
+    off: UInt8[Array, "frames ..."] | None,
+    search: Search,
     *,
     pixel_format: PixelFormat,
     response: Response,
@@ -62,147 +132,171 @@ def stripes_of_frames(
     """Stripe centres of a chunk of frames: pure, of static shapes, to be traced in a larger jit.
 
     Args:
-        on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3); `Shifted` ones only on
-            a CPU, and where `takes_shifted` says so.
+        on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
-        noise_read: Read noise of one frame [DN].
-        noise_gain: Conversion gain [e-/DN].
+        search: Where to look, and the noise.
         pixel_format: How a frame is to be read.
         response: "linear", or "srgb" (decoded before the fit).
         line: Which stripe to look for.
         settings: How stripes are found and believed.
+
+    Returns:
+        A profile per frame; with `settings.choice` "all" one for each of its candidates.
     """
-    read, gain = jnp.asarray(noise_read, jnp.float32), jnp.asarray(noise_gain, jnp.float32)
-    sites = laser_sites(pixel_format, line)
-    lines = on.shape[2] if line.stripe_axis == "columns" else on.shape[1]
-    on = on if isinstance(on, Shifted) else laser_plane(on, pixel_format=pixel_format, line=line)
-    if off is not None and not isinstance(off, Shifted):
-        off = laser_plane(off, pixel_format=pixel_format, line=line)
-
-    # Loops over frames stay within a CPU's caches, which is several times faster there; and what
-    # passes from one loop to the next is computed once, not again for every use.
-    def find(planes):
-        return locate(*planes, pitch=sites.pitch)
-
-    def find_one_by_one(planes):
-        return lax.map(lambda number: find(_pick(planes, number)), jnp.arange(len(planes[0])))
-
-    candidate = _each_frame(find, (on, off), find_one_by_one)
-    placement = place_window(candidate, sites.pitch)
-
-    def fit(planes_and_placement, samples=SAMPLES, binned=True):
-        (on, off), placement = planes_and_placement
-        how = {"samples": samples, "binned": binned}
-        return _fit_frame(on, off, placement, read, gain, sites.pitch, response, settings, **how)
-
-    def fit_one_by_one(planes_and_placement):
-        planes, placement = planes_and_placement
-
-        def least(number_and_placement):
-            # Only what the frame's widest stripe needs. The frame is picked inside of the branch,
-            # or it would be copied.
-            number, placement = number_and_placement
-            edge = 0.5 * sites.pitch * (FEW_SAMPLES + 1)
-            long = jnp.any(is_near(jnp.array([[-edge], [edge]], jnp.float32), placement))
-            kind = jnp.where(jnp.any(placement.bins > 1), 2, jnp.where(long, 1, 0))
-            branches = [
-                lambda number, placement, kind=kind: fit((_pick(planes, number), placement), *kind)
-                for kind in ((FEW_SAMPLES, False), (SAMPLES, False), (SAMPLES, True))
-            ]
-            return lax.switch(kind, branches, number, placement)
-
-        return lax.map(least, (jnp.arange(len(planes[0])), placement))
-
-    stripes = _each_frame(fit, ((on, off), placement), fit_one_by_one)
-    offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(on.shape[1]) % len(sites.offsets)]
-    stripes = stripes._replace(u=jnp.where(stripes.valid, stripes.u + offsets[None, :], 0.0))
-
-    def place(values: Array) -> Array:
-        if values.shape[1] == lines:
-            return values
-        image = jnp.zeros((len(values), lines), values.dtype)
-        last = sites.first_line + sites.line_step * values.shape[1]
-        return image.at[:, sites.first_line : last : sites.line_step].set(values)
-
-    return jax.tree.map(place, stripes)
-
-
-def takes_shifted(pixel_format: PixelFormat, line: LaserLine) -> bool:
-    """Whether frames are their own laser plane, so that they need no rearranging in memory."""
-    return pixel_format == "mono8" and line.stripe_axis == "rows"
-
-
-def _is_shifted(frames: Any) -> bool:
-    return isinstance(frames, Shifted)
-
-
-def _pick(planes: Any, number: Array) -> Any:
-    """One of the frames of every stack."""
-    return jax.tree.map(lambda a: a[number].array() if _is_shifted(a) else a[number], planes, is_leaf=_is_shifted)
-
-
-def _each_frame(function: Callable, arrays: Any, one_by_one: Callable) -> Any:
-    """A function of one frame over all frames: in a loop on a CPU, at once elsewhere.
-
-    Args:
-        function: Takes the arrays of one frame.
-        arrays: Arrays with a leading axis over frames.
-        one_by_one: The loop; takes the arrays of all frames.
-    """
-    if any(_is_shifted(leaf) for leaf in jax.tree.leaves(arrays, is_leaf=_is_shifted)):
-        return one_by_one(arrays)
-    return lax.platform_dependent(arrays, cpu=one_by_one, default=lambda a: jax.vmap(function)(a))
-
-
-def _fit_frame(
-    on: UInt8[Array, "lines samples"],
-    off: UInt8[Array, "lines samples"] | None,
-    placement: Placement,
-    noise_read: Float[Array, ""],
-    noise_gain: Float[Array, ""],
-    pitch: int,
-    response: Response,
-    settings: StripeSettings,
-    *,
-    samples: int,
-    binned: bool,
-) -> FrameStripes:
-    """Stripe centres of one frame's plane, from each line's first sample [px]."""
-    cut = functools.partial(cut_window, samples=samples, binned=binned)
-    window, saturated, first = cut(on, off, placement, pitch, noise_read, noise_gain, response, settings)
-    fit = fit_stripe(
-        window,
-        first,
-        iterations=settings.iterations,
-        max_width=1.1 * settings.max_width_px,
-        min_snr=settings.min_snr,
-        rest=_REST,
-    )
-    valid, sigma, chi2 = accept(
-        fit,
-        reach=0.5 * SAMPLES * pitch * window.aperture,
-        tallest=jnp.where(saturated > 0, jnp.inf, 2.0 * first.amplitude),
-        parameters=3 if off is not None else 4,
-        settings=settings,
-    )
-    u = window_middle(placement.first, placement.bins, pitch) + fit.u
-    valid = valid & (u >= -0.5) & (u <= pitch * (on.shape[1] - 1) + 0.5)
-    found = FrameStripes(u, sigma, fit.amplitude, fit.width, chi2, saturated.astype(jnp.uint8), valid)
-    return jax.tree.map(lambda field: jnp.where(valid, field, jnp.zeros_like(field)), found)
-
-
-@functools.partial(jax.jit, static_argnames=("line", "pixel_format", "response", "settings"))
-def _compiled(on, off, noise_read, noise_gain, *, pixel_format, response, line, settings):
-    return stripes_of_frames(
+    size = on.shape[2], on.shape[1]
+    on = laser_plane(on, pixel_format=pixel_format, line=line)
+    off = None if off is None else laser_plane(off, pixel_format=pixel_format, line=line)
+    gain = frame_gains(sample_pair(on, off), search, frames=len(on))
+    located = locate(
         on,
         off,
-        noise_read,
-        noise_gain,
-        pixel_format=pixel_format,
-        response=response,
-        line=line,
-        settings=settings,
+        pitch=laser_sites(pixel_format, line).pitch,
+        low=search.low,
+        high=search.high,
+        gain=quantised(gain),
+        thresholds=search.thresholds,
+        levels=search.levels,
+        saturation=settings.saturation,
     )
+    how: dict[str, Any] = {"pixel_format": pixel_format, "response": response, "line": line, "settings": settings}
+    return stripes_of_located(located, gain, search, image_size=size, **how)
+
+
+def sample_pair(on: Array, off: Array | None) -> tuple[Array, Array] | None:
+    """A lattice of pixels of every frame's plane, uint8 [frames, n], for `frame_gains`."""
+    if off is None:
+        return None
+    steps = [max(1, size // looks) for size, looks in zip(on.shape[1:], _LOOKS, strict=True)]
+    first, second = (frames[:, :: steps[0], :: steps[1]] for frames in (on, off))
+    return first.reshape(len(on), -1), second.reshape(len(on), -1)
+
+
+def frame_gains(pair: tuple[Array, Array] | None, search: Search, *, frames: int) -> Float[Array, " frames"]:
+    """By what the light of every laser-off frame is to be multiplied: 1 unless the lamps flicker."""
+    if pair is None:
+        return jnp.ones(frames, jnp.float32)
+    return applied_gain(pair_gain(*pair, search.read, search.gain)).astype(jnp.float32)
+
+
+def quantised(gain: Float[Array, " frames"]) -> Int[Array, " frames"]:
+    """Gains as `locate` takes them, in 1/128."""
+    xp = np if isinstance(gain, np.ndarray) else jnp
+    return xp.clip(xp.round(128.0 * gain), 0, 256).astype(np.int32)
+
+
+def stripes_of_located(
+    located: Located,
+    gain: Float[Array, " frames"],
+    search: Search,
+    *,
+    image_size: tuple[int, int],
+    pixel_format: PixelFormat,
+    response: Response,
+    line: LaserLine,
+    settings: StripeSettings,
+) -> FrameStripes:
+    """Fit the candidates of a chunk and choose among them; pure and traceable.
+
+    Args:
+        located: Candidates of all frames.
+        gain: By what the light of each laser-off frame is multiplied.
+        search: The noise, and which side is near.
+        image_size: Width and height of a frame [px].
+        pixel_format: How a frame is to be read.
+        response: "linear" or "srgb".
+        line: Which stripe was looked for.
+        settings: How stripes are fitted, judged and chosen.
+    """
+    sites = laser_sites(pixel_format, line)
+    lines, samples = _plane_shape(image_size, pixel_format, line)
+    fits = fit_candidates(
+        located.lists, gain, search.read, search.gain, samples=samples, pitch=sites.pitch, response=response,
+        settings=settings,
+    )  # fmt: skip
+    slots = jnp.asarray(located.slots)
+    exists = slots >= 0
+    index = jnp.where(exists, slots, 0)
+
+    def take(field, index):
+        return field.at[index].get(mode="promise_in_bounds")
+
+    valid = exists & take(fits.valid, index)
+    if settings.choice == "all":
+        chosen = jnp.where(valid, index, -1)
+        chosen = jnp.moveaxis(chosen, 2, 1).reshape(-1, lines)
+    else:
+        u, snr, amplitude, width = (take(field, index) for field in (fits.u, fits.snr, fits.amplitude, fits.width))
+        number = choose(u, snr, amplitude, width, valid, search.near_side, settings)
+        chosen = jnp.full(number.shape, -1, index.dtype)
+        for k in range(CANDIDATES):
+            chosen = jnp.where(number == k, index[:, :, k], chosen)
+    found = chosen >= 0
+    index = jnp.where(found, chosen, 0)
+    fields = {name: take(getattr(fits, name), index) for name in FrameStripes._fields if name != "valid"}
+    offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(lines) % len(sites.offsets)]
+    fields["u"] = fields["u"] + offsets[None, :]
+    stripes = FrameStripes(**{name: jnp.where(found, field, 0) for name, field in fields.items()}, valid=found)
+    whole = image_size[1] if line.stripe_axis == "rows" else image_size[0]
+
+    def on_image_lines(values):
+        if whole == lines:
+            return values
+        image = jnp.zeros((len(values), whole), values.dtype)
+        last = sites.first_line + sites.line_step * lines
+        return image.at[:, sites.first_line : last : sites.line_step].set(values)
+
+    return jax.tree.map(on_image_lines, stripes)
+
+
+def _plane_shape(image_size: tuple[int, int], pixel_format: PixelFormat, line: LaserLine) -> tuple[int, int]:
+    """Lines and samples of the laser's plane in frames of this width and height."""
+    across, lines = image_size if line.stripe_axis == "rows" else image_size[::-1]
+    sites = laser_sites(pixel_format, line)
+    if sites.pitch == 1:
+        return lines, across
+    return lines // 2 * 2 // sites.line_step, across // 2
+
+
+_how = ("pixel_format", "response", "line", "settings")
+_from_frames = jax.jit(stripes_of_frames, static_argnames=_how)
+_from_located = jax.jit(stripes_of_located, static_argnames=("image_size", *_how))
+_gains = jax.jit(frame_gains, static_argnames="frames")
+_locator = NativeLocator()
+
+
+def is_native(off: Array | None) -> bool:
+    """Whether `locate_natively` serves these frames on this machine."""
+    return off is not None and jax.default_backend() == "cpu"
+
+
+def locate_natively(
+    on: Array, off: Array, search: Search, *, pixel_format: PixelFormat, line: LaserLine, settings: StripeSettings
+) -> tuple[Located, Array]:
+    """The candidates of a chunk of frames, by the native search, and the gains of its pairs.
+
+    Arguments as of `stripes_of_frames`. What is returned is good until the next call in the same
+    thread; pass it on to `stripes_of_located`.
+    """
+    on, off = (_plane(frames, pixel_format, line) for frames in (on, off))
+    gain = np.asarray(_gains(sample_pair(on, off), search, frames=len(on)))
+    located = _locator.locate(
+        on,
+        off,
+        pitch=laser_sites(pixel_format, line).pitch,
+        low=np.asarray(search.low),
+        high=np.asarray(search.high),
+        gain=np.asarray(quantised(gain)),
+        thresholds=np.asarray(search.thresholds),
+        levels=np.asarray(search.levels),
+        saturation=settings.saturation,
+    )
+    return located, gain
+
+
+def _plane(frames: Array, pixel_format: PixelFormat, line: LaserLine) -> np.ndarray:
+    plane = np.asarray(laser_plane(np.asarray(frames), pixel_format=pixel_format, line=line))
+    # Samples that lie a line apart would each cost a cache line of their own.
+    return np.ascontiguousarray(plane) if line.stripe_axis == "columns" else plane
 
 
 def extract_stripes(
@@ -223,27 +317,42 @@ def extract_stripes(
         pixel_format: How a frame is to be read.
         response: "linear", or "srgb" (decoded before the fit; levels then are linear DN).
         line: Which stripe to look for.
-        settings: How stripes are found and believed.
+        settings: How stripes are found, chosen and believed.
         noise: Noise of a frame; estimated from the frames where not given.
 
     Returns:
-        Stripes, one profile per frame (`record` counts frames, `laser` is 0), float32.
+        Stripes, one profile per frame (`record` counts frames, `laser` is 0), float32. With
+        `settings.choice` "all" every frame has three profiles, one after the other.
 
     Raises:
-        ValueError: If shapes or types do not fit the pixel format.
+        ValueError: If shapes or types do not fit the pixel format, or the choice needs a scanner.
     """
     _check(on, off, pixel_format)
     if noise is None:
         noise = estimate_noise(on, off, pixel_format=pixel_format, response=response, line=line)
-    read, gain = jnp.float32(noise.read_dn), jnp.float32(noise.electrons_per_dn)
+    size = int(on.shape[2]), int(on.shape[1])
+    how: dict[str, Any] = {"pixel_format": pixel_format, "response": response, "line": line, "settings": settings}
+    search = prepare_search(noise, size, has_off=off is not None, **how)
     parts = []
-    for start in range(0, len(on), _CHUNK):
-        chunk = [None if a is None else _padded(a[start : start + _CHUNK], len(on)) for a in (on, off)]
-        part = _compiled(*chunk, read, gain, pixel_format=pixel_format, response=response, line=line, settings=settings)
-        parts.append(part)
-    count = len(on)
-    joined = jax.tree.map(lambda *a: jnp.concatenate(a)[:count], *parts)
-    return Stripes(**joined._asdict(), record=jnp.arange(count, dtype=jnp.int32), laser=jnp.zeros(count, jnp.int32))
+    # Single precision throughout, so that the result does not depend on the caller's setting.
+    with jax.enable_x64(False):
+        for start in range(0, len(on), _CHUNK):
+            lit = _padded(on[start : start + _CHUNK], len(on))
+            dark = None if off is None else _padded(off[start : start + _CHUNK], len(on))
+            if dark is not None and is_native(dark):
+                located, gain = locate_natively(
+                    lit, dark, search, pixel_format=pixel_format, line=line, settings=settings
+                )
+                part = _from_located(located, gain, search, image_size=size, **how)
+            else:
+                part = _from_frames(lit, dark, search, **how)
+            # Copied: the candidates' memory is used again.
+            parts.append(jax.tree.map(np.array, part))
+    profiles = len(on) * (CANDIDATES if settings.choice == "all" else 1)
+    joined = jax.tree.map(lambda *a: jnp.concatenate(a)[:profiles], *parts)
+    fields = {name: field for name, field in joined._asdict().items() if name != "grey"}
+    record = np.repeat(np.arange(len(on), dtype=np.int32), profiles // len(on))
+    return Stripes(**fields, record=jnp.asarray(record), laser=jnp.zeros(profiles, jnp.int32))
 
 
 def _padded(frames: Array, total: int) -> Array:

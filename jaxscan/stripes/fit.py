@@ -1,7 +1,14 @@
-"""Maximum-likelihood fit of a pixel-integrated Gaussian to the samples around a candidate.
+r"""Maximum-likelihood fit of a pixel-integrated Gaussian to the samples around a candidate.
 
-All arrays have the window's samples first and the rows last: every operation is then one long
-vector over rows, and sums over the window need no shuffling.
+A Gaussian of width w that is averaged over a pixel of length a has the variance
+$w^2 + a^2 / 12$, no skewness, and the fourth cumulant $-a^4 / 120$. The fit therefore knows a
+Gaussian of the widened variance with a small correction, and gives back w; what is left out is
+of sixth order in a / w.
+
+All derivatives of a Gaussian are the Gaussian times powers of x. Every sum that the normal
+equations need is thus one of a few moments over the samples, and as the samples lie on the same
+lattice in every window, all moments together are one product with a constant matrix. The arrays
+have the samples first and the candidates last: every other operation is one long vector.
 """
 
 from collections.abc import Sequence
@@ -9,8 +16,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Array
 
@@ -19,107 +27,93 @@ UNUSED = 1e30
 """Variance of a sample that does not count [DN^2]."""
 MIN_WIDTH_PX = 0.3
 """Below this the width of a stripe cannot be told from its pixel's [px]."""
+_SMALL_STEP = 0.3
+"""Relative change of amplitude and width up to which a step is taken as it is [1]."""
+_SMALLEST = 0.25
+"""Smallest squared width of a fit, of the pixel's own 1/12 and what a stripe adds to it [samples^2]."""
 
 
 class Window(NamedTuple):
-    """Samples around a candidate, coordinates relative to the window's middle."""
+    """Samples around a candidate."""
 
-    x: Float[Array, "samples rows"]
-    """Centre of a sample [px]."""
-    y: Float[Array, "samples rows"]
+    y: Float[Array, "samples stripes"]
     """Level: on minus off, or on where there is no off [DN]."""
-    variance: Float[Array, "samples rows"]
-    """Variance of `y` but for the stripe's own shot noise [DN^2]; UNUSED where the sample is
-    outside the image, far from the candidate or saturated."""
-    aperture: Float[Array, " rows"]
+    variance: Float[Array, "samples stripes"]
+    """Variance of `y` but for the stripe's own shot noise [DN^2]; UNUSED where the sample does
+    not count."""
+    step: Float[Array, " stripes"]
+    """Distance between samples [px]."""
+    aperture: Float[Array, " stripes"]
     """Length over which a sample integrates [px]."""
-    shot: Float[Array, " rows"]
+    shot: Float[Array, " stripes"]
     """Variance of `y` per DN of stripe [DN]."""
 
 
 class Start(NamedTuple):
     """Where the fit starts."""
 
-    u: Float[Array, " rows"]
+    u: Float[Array, " stripes"]
     """Centre, from the window's middle [px]."""
-    amplitude: Float[Array, " rows"]
+    amplitude: Float[Array, " stripes"]
     """Amplitude [DN]."""
-    width: Float[Array, " rows"]
+    width: Float[Array, " stripes"]
     """Standard deviation [px]."""
-    background: Float[Array, " rows"] | None
+    background: Float[Array, " stripes"] | None
     """Background [DN]; None where it is known to be 0."""
 
 
 class Fit(NamedTuple):
     """Result of the fit; `u` relative to the window's middle."""
 
-    u: Float[Array, " rows"]
-    amplitude: Float[Array, " rows"]
-    width: Float[Array, " rows"]
-    variance: Float[Array, " rows"]
+    u: Float[Array, " stripes"]
+    amplitude: Float[Array, " stripes"]
+    """Peak of the Gaussian before its integration over a sample [DN]."""
+    width: Float[Array, " stripes"]
+    variance: Float[Array, " stripes"]
     """Variance of `u` with all other parameters unknown [px^2]; 0 where it is not determined."""
-    chi2: Float[Array, " rows"]
+    chi2: Float[Array, " stripes"]
     """Chi-squared of all used samples."""
-    energy: Float[Array, " rows"]
+    skew: Float[Array, " stripes"]
+    """Skewness that the residuals speak of: that of a Gram-Charlier series [1]."""
+    energy: Float[Array, " stripes"]
     """Squared signal-to-noise ratio of the stripe: sum of model^2 / variance."""
-    samples: Float[Array, " rows"]
+    samples: Float[Array, " stripes"]
     """Number of used samples."""
-    last_step: Float[Array, " rows"]
+    last_step: Float[Array, " stripes"]
     """Size of the last step in `u` [px]."""
 
 
-def integrated_gaussian(
-    x: Float[Array, "samples rows"], width: Float[Array, " rows"], aperture: Float[Array, " rows"]
-) -> tuple[Float[Array, "samples rows"], Float[Array, "samples rows"], Float[Array, "samples rows"]]:
-    r"""Mean of a unit Gaussian over a sample, and its derivatives.
-
-    With $z = x/w$, $q = (a/w)^2$ for the aperture a, and Hermite polynomials $He_n$,
-
-    $$h = e^{-z^2/2} (1 + q He_2(z) / 24 + q^2 He_4(z) / 1920)$$
-
-    is the Taylor series of the integral. What is left out is below 5e-5 for w = a, 4e-4 for
-    w = 0.7 a and 3e-3 for w = a/2, and even in x, so that it hardly moves the centre.
-
-    Args:
-        x: Centre of the sample from the Gaussian's centre [px].
-        width: Standard deviation [px].
-        aperture: Length over which a sample integrates [px].
-
-    Returns:
-        h: Mean over the sample [1].
-        minus_slope: -dh/dx, the derivative by the Gaussian's centre [1/px].
-        by_width: dh/dw [1/px].
-    """
-    per_width = 1.0 / width
-    z = x * per_width[None, :]
-    s = z * z
-    q = (aperture * per_width) ** 2
-    c1, c2 = (q / 24)[None, :], (q**2 / 1920)[None, :]
-    gauss = jnp.exp(-0.5 * s)
-    # Every derivative of a Gaussian is the next Hermite polynomial.
-    h = gauss * (1.0 + c1 * (s - 1.0) + c2 * ((s - 6.0) * s + 3.0))
-    minus_slope = gauss * (z * per_width[None, :]) * (1.0 + c1 * (s - 3.0) + c2 * ((s - 10.0) * s + 15.0))
-    # w dh/dw = h + w^2 d^2h/dx^2: the heat equation, and the norm that grows with w.
-    second = (s - 1.0) + c1 * ((s - 6.0) * s + 3.0) + c2 * (((s - 15.0) * s + 45.0) * s - 15.0)
-    by_width = (h + gauss * second) * per_width[None, :]
-    return h, minus_slope, by_width
+def sample_places(samples: int) -> Float[np.ndarray, " samples"]:
+    """Where a window's samples lie, from its middle, in samples."""
+    return (np.arange(samples) - 0.5 * (samples - 1)).astype(np.float32)
 
 
 def fit_stripe(
-    window: Window, start: Start, *, iterations: int, max_width: float, min_snr: float = 0.0, rest: float = 0.0
+    window: Window,
+    start: Start,
+    *,
+    iterations: int | Int[Array, " stripes"],
+    max_width: float,
+    active: Bool[Array, " stripes"] | None = None,
+    speckle: float = 0.0,
+    min_snr: float = 0.0,
+    rest: float = 0.0,
 ) -> Fit:
-    r"""Fit centre, amplitude and width (and a constant background) of one stripe per row.
+    r"""Fit centre, amplitude and width (and a constant background) of every candidate.
 
     Scoring: every step solves the weighted normal equations with weights
-    $1 / (\mathrm{variance} + \mathrm{shot} \cdot \max(F, 0))$ from the present model F, which
-    converges to the maximum of the likelihood; the normal matrix is then its information.
+    $1 / (\mathrm{variance} + \mathrm{shot} \cdot \max(F, 0) + (\mathrm{speckle} \cdot F)^2)$ from the
+    present model F, which converges to the maximum of the likelihood; the normal matrix is then
+    its information.
 
     Args:
         window: The samples.
         start: Where to start; with a background where that is to be fitted too.
-        iterations: Largest number of steps, the same for all rows.
+        iterations: Largest number of steps, of all or of each.
         max_width: Largest width that a step may reach [px].
-        min_snr: Signal-to-noise ratio from which a row's steps are waited for [1].
+        active: Which candidates are real; all where not given.
+        speckle: Contrast of the laser's speckle within a sample [1].
+        min_snr: Signal-to-noise ratio from which a candidate's steps are waited for [1].
         rest: Error of the centre, in its standard deviations, with which the steps may end
             before `iterations`: what a step leaves is about its size times the relative change
             of the parameters.
@@ -128,95 +122,118 @@ def fit_stripe(
         S. M. Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993,
         section 7.7 (scoring); equation 3.31 (information of a signal in Gaussian noise).
     """
+    dtype = window.y.dtype
+    place = jnp.asarray(sample_places(window.y.shape[0]), dtype)
+    powers = jnp.stack([place**k for k in range(7)])
     free = start.background is not None
     base = jnp.zeros_like(start.u) if start.background is None else start.background
+    pixel = (window.aperture / window.step) ** 2 / 12
+    widest = max_width / window.step
 
     def step(state):
-        number, moving, u, amplitude, width, base, _ = state
-        h, slope, by_width = integrated_gaussian(window.x - u[None, :], width, window.aperture)
-        model = amplitude[None, :] * h
-        whiten = lax.rsqrt(window.variance + window.shot[None, :] * jnp.maximum(model, 0.0))
-        residual = whiten * (window.y - model - base[None, :])
-        # The centre last: its pivot is then the information that is left to it. Its column and
-        # the width's are per amplitude, so their steps are amplitude times centre and width.
-        jacobian = [whiten * h, whiten * by_width, whiten * slope]
+        number, moving, u, amplitude, squared, base, _ = state
+        distance = place[:, None] - u[None, :]
+        s = distance * distance * (1.0 / squared)[None, :]
+        gauss = jnp.exp(-0.5 * s)
+        # The fourth cumulant of the pixel, by the Hermite polynomial that belongs to it.
+        flatness = -0.05 * pixel * pixel / (squared * squared)
+        model = amplitude[None, :] * gauss * (1.0 + flatness[None, :] * ((s - 6.0) * s + 3.0))
+        bright = jnp.maximum(model, 0.0)
+        spread = window.variance + window.shot[None, :] * bright
+        weight = 1.0 / (spread + (speckle * bright) ** 2 if speckle else spread)
+        residual = window.y - model - base[None, :]
+        weighted = weight * gauss
+        about = _about(powers @ (weighted * gauss), u, squared)
+        first = _about(powers[:4] @ (weighted * residual), u, squared)
+        # Parameters: amplitude, width and centre, the last two relative to the width. The centre
+        # last: its pivot is then the information that is left to it.
+        normal = [[about[0]], [about[2], about[4]], [about[1], about[3], about[2]]]
+        gradient = [first[0], first[2], first[1]]
         if free:
-            jacobian.insert(0, whiten)
-        normal = [[jnp.sum(a * b, 0) for b in jacobian[: i + 1]] for i, a in enumerate(jacobian)]
-        gradient = [jnp.sum(a * residual, 0) for a in jacobian]
-        delta, information = _solve(normal, gradient)
+            plain = _about(powers[:3] @ weighted, u, squared)
+            normal = [[powers[0] @ weight], [plain[0], *normal[0]], [plain[2], *normal[1]], [plain[1], *normal[2]]]
+            gradient.insert(0, powers[0] @ (weight * residual))
+        delta, pivot = _solve(normal, gradient)
         gain = sum(d * g for d, g in zip(delta, gradient, strict=True))
-        chi2 = jnp.maximum(jnp.sum(residual * residual, 0) - gain, 0.0)
-        by_u, by_w, reach = delta[-1] / amplitude, delta[-2] / amplitude, jnp.maximum(width, 1.0)
-        taller = jnp.clip(amplitude + delta[-3], 0.3 * amplitude, 3.0 * amplitude)
+        chi2 = jnp.maximum(powers[0] @ (weight * residual * residual) - gain, 0.0)
+        width = jnp.sqrt(squared)
+        by_u, by_w = delta[-1] / amplitude, delta[-2] / amplitude
+        # Large steps in log amplitude and 1 / width^2, in which the logarithm of a Gaussian is linear:
+        # where the top is clipped, steps in amplitude and width would overshoot again and again.
+        by_a = jnp.clip(delta[-3] / amplitude, -1.2, 1.2)
+        small = jnp.abs(by_a) + jnp.abs(by_w) < _SMALL_STEP
+        taller = amplitude * jnp.where(small, 1.0 + by_a, jnp.exp(by_a))
         # By the new amplitude: the first one is the highest sample, which in noise is too high.
-        information, energy = taller * taller * information, taller * taller * normal[-3][-1]
-        change = (jnp.abs(by_u) + jnp.abs(by_w)) / width + jnp.abs(delta[-3]) / amplitude
+        information, energy = taller * taller * pivot, taller * taller * about[0]
+        change = jnp.abs(by_u) + jnp.abs(by_w) + jnp.abs(delta[-3]) / amplitude
         left = by_u * change
         # What still does not stand out of the noise after two steps is not waited for.
         hopeful = (number < 1) | (energy >= (0.8 * min_snr) ** 2)
+        # Of the third Hermite polynomial what a shift of the centre cannot imitate.
+        shifted = (about[4] - 3.0 * about[2]) ** 2 / jnp.maximum(about[2], 1e-12)
+        cubic = about[6] - 6.0 * about[4] + 9.0 * about[2] - shifted
+        skew = 6.0 * (first[3] - 3.0 * first[1]) / jnp.maximum(amplitude * cubic, 1e-12)
+        limit = jnp.maximum(1.0, 1.0 / width)
+        wider = squared * jnp.where(small, (1.0 + by_w) ** 2, 1.0 / (1.0 - 2.0 * jnp.clip(by_w, -0.8, 0.3)))
         after = (
-            moving & (left * left * information > rest**2) & hopeful,
-            u + jnp.clip(by_u, -reach, reach),
+            # One step alone would leave a wrong chi-squared.
+            moving & (number + 1 < iterations) & ((number < 1) | (left * left * information > rest**2)) & hopeful,
+            u + width * jnp.clip(by_u, -limit, limit),
             taller,
-            jnp.clip(width + jnp.clip(by_w, -0.4 * width, 0.6 * width), MIN_WIDTH_PX, max_width),
+            jnp.clip(wider, _SMALLEST, widest * widest + pixel),
             base + delta[0] if free else base,
-            (information, energy, chi2, by_u),
+            (information / squared, energy, chi2, skew, width * by_u),
         )
-        # A row at rest stays as it is, so that no row depends on its neighbours.
+        # What is at rest stays as it is, so that no candidate depends on its neighbours.
         return number + 1, *jax.tree.map(lambda new, old: jnp.where(moving, new, old), after, state[1:])
 
     none = jnp.zeros_like(start.u)
-    everywhere = jnp.ones(start.u.shape, jnp.bool_)
-    first = (jnp.int32(0), everywhere, start.u, start.amplitude, start.width, base, (none,) * 4)
-    _, _, u, amplitude, width, _, summary = lax.while_loop(
-        lambda state: (state[0] < iterations) & jnp.any(state[1]), step, first
-    )
-    information, energy, chi2, last = summary
+    moving = jnp.ones(start.u.shape, jnp.bool_) if active is None else active
+    squared = jnp.clip((start.width / window.step) ** 2 + pixel, _SMALLEST, widest * widest + pixel)
+    # Integration over a pixel keeps the area.
+    lower = start.amplitude * start.width / window.step / jnp.sqrt(squared)
+    first = (jnp.int32(0), moving, start.u / window.step, lower, squared, base, (none,) * 5)
+    # GPUs may multiply float32 matrices with 10 bits otherwise.
+    with jax.default_matmul_precision("highest"):
+        _, _, u, amplitude, squared, _, summary = lax.while_loop(lambda state: jnp.any(state[1]), step, first)
+    information, energy, chi2, skew, last = summary
     determined = information > 0
+    per_step = window.step * window.step
+    width = jnp.sqrt(jnp.maximum(squared - pixel, (MIN_WIDTH_PX / window.step) ** 2))
     return Fit(
-        u=u,
-        amplitude=amplitude,
-        width=width,
-        variance=jnp.where(determined, 1.0 / jnp.where(determined, information, 1.0), 0.0),
+        u=u * window.step,
+        amplitude=amplitude * jnp.sqrt(squared) / width,
+        width=width * window.step,
+        variance=jnp.where(determined, per_step / jnp.where(determined, information, 1.0), 0.0),
         chi2=chi2,
+        skew=skew,
         energy=energy,
-        samples=jnp.sum((window.variance < UNUSED).astype(u.dtype), 0),
-        last_step=jnp.abs(last),
+        samples=jnp.sum((window.variance < UNUSED).astype(dtype), 0),
+        last_step=jnp.abs(last) * window.step,
     )
 
 
-def sharpen(window: Window, start: Start) -> Start:
-    r"""A better start where no background is unknown: moments under a Gaussian weight.
-
-    The product of two Gaussians is one: from the mean and variance of the samples times a
-    Gaussian of centre $u_0$ and width $w_0$ follow centre and width of the samples,
-
-    $$1/w^2 = 1/v - 1/w_0^2, \qquad u = w^2 (m/v - u_0/w_0^2).$$
-
-    Args:
-        window: The samples; of a row with clipped ones the moments say nothing.
-        start: Centre and width of the weight.
-    """
-    x = window.x - start.u[None, :]
-    weight = jnp.where(window.variance < UNUSED, jnp.exp(-0.5 * (x / start.width[None, :]) ** 2), 0.0)
-    moment = weight * window.y
-    first = x * moment
-    total = jnp.maximum(jnp.sum(moment, 0), 1e-3)
-    mean = jnp.sum(first, 0) / total
-    square = start.width * start.width
-    variance = jnp.clip(jnp.sum(x * first, 0) / total - mean * mean, 0.25 * square, 0.8 * square)
-    found = variance * square / (square - variance)
-    shift = jnp.clip(found * mean / variance, -start.width, start.width)
-    # The weight sees the Gaussian after its integration over a sample.
-    width = jnp.sqrt(jnp.maximum(found - window.aperture**2 / 12, 0.25 * square))
-    return Start(start.u + shift, start.amplitude, width, start.background)
+def _about(
+    moments: Float[Array, "powers stripes"], u: Float[Array, " stripes"], squared: Float[Array, " stripes"]
+) -> list[Float[Array, " stripes"]]:
+    """Moments about the window's middle to moments about `u`, in units of the width."""
+    per_width = lax.rsqrt(squared)
+    current = [moments[k] for k in range(moments.shape[0])]
+    # Horner's scheme, as for the coefficients of a shifted polynomial.
+    for done in range(1, len(current)):
+        for k in range(len(current) - 1, done - 1, -1):
+            current[k] = current[k] - u * current[k - 1]
+    scale = jnp.ones_like(u)
+    for k in range(1, len(current)):
+        scale = scale * per_width
+        current[k] = current[k] * scale
+    return current
 
 
 def _solve(
-    normal: Sequence[Sequence[Float[Array, " rows"]]], gradient: Sequence[Float[Array, " rows"]]
-) -> tuple[list[Float[Array, " rows"]], Float[Array, " rows"]]:
-    """Solve the normal equations of every row, lower triangle given.
+    normal: Sequence[Sequence[Float[Array, " stripes"]]], gradient: Sequence[Float[Array, " stripes"]]
+) -> tuple[list[Float[Array, " stripes"]], Float[Array, " stripes"]]:
+    """Solve the normal equations of every candidate, lower triangle given.
 
     Returns:
         step: One array per parameter.
@@ -230,7 +247,7 @@ def _solve(
         for j in range(i):
             lower[i][j] = (normal[i][j] - sum(lower[i][k] * lower[j][k] * pivots[k] for k in range(j))) / pivots[j]
         pivot = normal[i][i] - sum(lower[i][k] ** 2 * pivots[k] for k in range(i))
-        # A row without information stays where it is: a harmless pivot instead of a zero.
+        # A candidate without information stays where it is: a harmless pivot instead of a zero.
         pivots.append(jnp.maximum(pivot, 1e-6 * normal[i][i] + 1e-12))
         forward.append(gradient[i] - sum(lower[i][k] * forward[k] for k in range(i)))
     step: list = [None] * size

@@ -1,132 +1,234 @@
-"""Where to look for the stripe: the maximum of a small matched filter over the whole line.
+"""Where the stripe may be: the highest maxima of two matched filters on every line.
 
-The filter runs on a lattice of 2 px: sums of two neighbouring pixels, or the samples themselves
-where they are 2 px apart. A triangle over three lattice points (weights 1, 2, 1) is within
-a few per cent of the matched filter of stripes between 1 and 3 px. All is done in 16-bit integers
-and in reductions along leading axes, which compile to vector instructions on a CPU.
+The filters run on a lattice of 2 px: sums of two neighbouring samples, or the samples themselves
+where they are 2 px apart. A triangle over three lattice points (weights 1, 2, 1) is within a few
+per cent of the matched filter of stripes between 1 and 2 px; the sum of three triangles is within
+a few per cent of those between 2.5 and 6 px. A line's candidates are its highest maxima of the
+larger of the two, each with the zone around it that belongs to it.
+
+This is the reference; on a CPU `native.NativeLocator` computes the same, five times faster.
 """
 
-from typing import NamedTuple
-
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float, Int, Int16, UInt8
 
 from jaxscan.geometry import Array
+from jaxscan.stripes.candidates import (
+    BIN_EXTENT_PX,
+    CANDIDATES,
+    FINE_SHIFT,
+    HALF_SPAN,
+    LATTICE_PX,
+    UNUSED,
+    WIDE,
+    ZONE_SPAN,
+    Candidates,
+    Located,
+    reach,
+)
 
 
-HALF_SPAN = 12
-"""Lattice points on either side of the maximum in which the stripe's extent is measured."""
-_GROUPS = 32
 _FLANK_GAP = 4
+_NOTHING = -32768
 
 
-class Candidate(NamedTuple):
-    """The strongest stripe-like maximum of each line."""
-
-    u: Float[Array, " lines"]
-    """Middle between the half-maximum points [px from the line's first sample]."""
-    extent: Float[Array, " lines"]
-    """Distance between the half-maximum points [px]."""
-
-
-def locate(on: UInt8[Array, "lines samples"], off: Array | None, *, pitch: int) -> Candidate:
-    """The best candidate of every line.
+def locate(
+    on: UInt8[Array, "frames lines samples"],
+    off: UInt8[Array, "frames lines samples"] | None,
+    *,
+    pitch: int,
+    low: Int[Array, " lines"],
+    high: Int[Array, " lines"],
+    gain: Int[Array, " frames"],
+    thresholds: Int16[Array, "256"],
+    levels: Float[Array, "256"],
+    saturation: int,
+) -> Located:
+    """Candidates of all lines, in one list of one block with a place for each.
 
     Args:
         on: Samples with the laser on [DN].
         off: Samples with the laser off [DN], or None: then the level of both sides of
             a maximum is subtracted from it, the higher of the two, so that no edge wins.
         pitch: Distance between samples [px], 1 or 2.
+        low: First sample of each line that may hold the stripe.
+        high: The sample behind the last one; a line whose `high` is not above `low` is skipped.
+        gain: By what the light of `off` is multiplied before it is subtracted, in 1/128.
+        thresholds: Smallest response of a candidate, by the line's mean level.
+        levels: Linear level of each code [DN].
+        saturation: Codes from here on are clipped.
+
+    Returns:
+        Candidates with WIDE samples each.
     """
-    lattice = _lattice(on, pitch)
-    if off is not None:
-        lattice = lattice - _lattice(off, pitch)
-    length = lattice.shape[-1]
-    padded = -length % _GROUPS
-    response = _window_sum(_window_sum(lattice, 1, 1, 0), 1, 0, 1 + padded)
-    if off is None:
-        response = response - _surround(lattice, padded)
-    best, peak = _argmax(response)
-    step = 2.0
-    shift = 0.5 if pitch == 1 else 0.0
-    left, right = _half_maximum(lattice, best, peak)
-    middle = best.astype(jnp.float32) + 0.5 * (right - left)
-    return Candidate(u=step * middle + shift, extent=step * (left + right))
 
+    def of_frame(on, off, gain):
+        found = _of_frame(on, off, gain, pitch, low, high, jnp.asarray(thresholds))
+        return found, _cut(on, off, found, pitch, jnp.asarray(levels, jnp.float32), saturation)
 
-def _lattice(samples: UInt8[Array, "lines samples"], pitch: int) -> Int16[Array, "lines points"]:
-    if pitch == 2:
-        return samples.astype(jnp.int16)
-    lines, count = samples.shape
-    pairs = samples[:, : count // 2 * 2].reshape(lines, count // 2, 2)
-    both = lax.bitcast_convert_type(pairs, jnp.uint16)
-    return ((both & 0xFF) + (both >> 8)).astype(jnp.int16)
+    (exists, at, extent, first, bins), (saturated, level_on, level_off) = jax.vmap(of_frame)(on, off, gain)
+    middle = _middle(first, bins, pitch)
 
+    def flat(values):
+        return jnp.reshape(values, (1, -1))
 
-def _window_sum(values: Int16[Array, "l p"], distance: int, before: int, after: int) -> Int16[Array, "l q"]:
-    """Sum of two points `distance` apart, with zeros around the line."""
-    padding = ((0, 0), (before, after))
-    return lax.reduce_window(values, jnp.int16(0), lax.add, (1, 2), (1, 1), padding, window_dilation=(1, distance))
+    def windows(values):
+        # [frames, samples, lines, rank] to [1, samples, candidates].
+        return jnp.moveaxis(values, 1, 0).reshape(1, WIDE, -1)
 
-
-def _surround(lattice: Int16[Array, "l p"], padded: int) -> Int16[Array, "l q"]:
-    """The higher of the mean levels on both sides, in units of the triangle's response."""
-    left, right = _FLANK_GAP + 7, _FLANK_GAP
-    # Beyond the image its last level goes on, or the image's border would be an edge.
-    flank: Array = jnp.pad(jnp.asarray(lattice), ((0, 0), (left, right + 7 + padded)), mode="edge")
-    for distance in (1, 2, 4):
-        flank = _window_sum(flank, distance, 0, 0)
-    # Point k of `flank` now holds 8 points from k - left on; a mean of 8 weighs 4 in the triangle.
-    higher = lax.reduce_window(
-        flank, jnp.int16(0), lax.max, (1, 2), (1, 1), ((0, 0), (0, 0)), window_dilation=(1, left + right)
+    number = jnp.arange(exists.size, dtype=jnp.int32)
+    found = Candidates(
+        total=jnp.asarray(exists.size, jnp.int32),
+        frame=(number // exists[0].size)[None, :],
+        start=flat(at - middle),
+        extent=flat(extent),
+        middle=flat(middle),
+        bins=flat(bins),
+        saturated=flat(saturated),
+        on=windows(level_on),
+        off=None if level_off is None else windows(level_off),
     )
-    return higher >> 1
+    return Located((found,), jnp.where(exists, number.reshape(exists.shape), -1))
 
 
-def _argmax(response: Int16[Array, "l q"]) -> tuple[Int[Array, " lines"], Int[Array, " lines"]]:
-    """Index and value of each line's maximum.
+def _of_frame(on, off, gain, pitch, low, high, thresholds):
+    """Candidates of one frame's lines: whether, centre, extent, window's first sample, samples per bin."""
+    samples = on.shape[1]
+    per_point = LATTICE_PX // pitch
+    points = samples // per_point
+    begin, end = low // per_point, jnp.minimum(-(-high // per_point), points)
+    point = jnp.arange(points, dtype=jnp.int32)[None, :]
+    inside = (point >= begin[:, None]) & (point < end[:, None])
+    lattice = jnp.where(inside, _lattice(on, off, gain, pitch), 0).astype(jnp.int16)
+    padded = jnp.pad(lattice, ((0, 0), (4, 4)))
+    fine = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
+    middle = fine[:, 3 : 3 + points]
+    coarse = fine[:, 1 : 1 + points] + middle + fine[:, 5 : 5 + points]
+    scaled = (2 * middle - (middle >> FINE_SHIFT)).astype(jnp.int32)
+    coarse = coarse.astype(jnp.int32)
+    ground: Array = jnp.zeros_like(scaled)
+    if off is None:
+        # A constant level answers 15 / 2 times itself in the one, 12 times in the other.
+        level = _surround(lattice)
+        scaled, coarse = scaled - ((15 * level) >> 4), coarse - ((3 * level) >> 1)
+        ground = level >> 1
+    response = jnp.where(inside, jnp.maximum(scaled, coarse), _NOTHING)
+    dark = jnp.asarray(on if off is None else off).astype(jnp.int32)
+    counted = jnp.repeat(inside, per_point, axis=1, total_repeat_length=points * per_point)
+    total = jnp.sum(jnp.where(counted, dark[:, : points * per_point], 0), axis=1)
+    mean = total // jnp.maximum(per_point * (end - begin), 1)
+    threshold = thresholds[mean].astype(jnp.int32)
 
-    Value and group number share one unsigned 16-bit key (a response is at most 2040), so the
-    maximum over groups runs along a leading axis; only its short result is reduced along lanes.
-    """
-    lines, length = response.shape
-    lanes = length // _GROUPS
-    key = jnp.maximum(response, 0).astype(jnp.uint16) << 5
-    key = key.reshape(lines, _GROUPS, lanes) | jnp.arange(_GROUPS, dtype=jnp.uint16)[None, :, None]
-    key = jnp.max(key, 1).astype(jnp.int32)
-    key = jnp.max(key << 12 | jnp.arange(lanes, dtype=jnp.int32)[None, :], -1)
-    return (key >> 12 & 31) * lanes + (key & 4095), key >> 17
+    left = response
+    fine = fine.astype(jnp.int32)
+    kept, places, extents = [], [], []
+    for _ in range(CANDIDATES):
+        best = jnp.argmax(left, axis=1).astype(jnp.int32)
+        peak = jnp.take_along_axis(left, best[:, None], axis=1)[:, 0]
+        zone = [_zone_steps(left, best, peak, side, threshold, begin, end) for side in (-1, 1)]
+        base = jnp.take_along_axis(ground, best[:, None], axis=1)
+        before, after = (_half_distance(fine, base, best + 3, begin + 3, end + 3, side) for side in (-1, 1))
+        kept.append((peak >= threshold) & (end > begin))
+        extents.append(2.0 * (before + after))
+        centre = 2.0 * (best.astype(jnp.float32) + 0.5 * (after - before))
+        places.append(centre + (0.5 if pitch == 1 else 0.0))
+        taken = (point > (best - zone[0])[:, None]) & (point < (best + zone[1])[:, None])
+        left = jnp.where(taken, _NOTHING, left)
+    at, extent = jnp.stack(places, 1), jnp.stack(extents, 1)
+    # Later maxima of a line without an earlier one are none either.
+    exists = jnp.cumprod(jnp.stack(kept, 1).astype(jnp.int32), axis=1).astype(jnp.bool_)
+    bins = jnp.where((extent > BIN_EXTENT_PX) & (pitch == 1), 2, 1).astype(jnp.int32)
+    first = jnp.floor(at / pitch + 0.5).astype(jnp.int32) - bins * (WIDE // 2)
+    return exists, at, extent, first, bins
 
 
-def _half_maximum(
-    lattice: Int16[Array, "l p"], best: Int[Array, " lines"], peak: Int[Array, " lines"]
-) -> tuple[Float[Array, " lines"], Float[Array, " lines"]]:
-    """Distance to half of the maximum on either side [lattice points]."""
-    length = lattice.shape[-1]
-    offset = jnp.arange(-HALF_SPAN, HALF_SPAN + 1, dtype=jnp.int32)[:, None]
-    row_start = length * jnp.arange(best.shape[0], dtype=jnp.int32)
-    flat = jnp.asarray(lattice).reshape(-1)
+def _lattice(on: Array, off: Array | None, gain: Array, pitch: int) -> Int16[Array, "lines points"]:
+    signal: Array = jnp.asarray(on).astype(jnp.int32)
+    if off is not None:
+        signal = signal - ((jnp.asarray(off).astype(jnp.int32) * gain + 64) >> 7)
+    signal = signal.astype(jnp.int16)
+    if pitch == 2:
+        return signal
+    whole = signal[:, : signal.shape[1] // 2 * 2]
+    return whole[:, 0::2] + whole[:, 1::2]
 
-    def at(point):
-        index = jnp.clip(point, 0, length - 1) + row_start
-        return flat.at[index].get(mode="promise_in_bounds").astype(jnp.int32)
 
-    triangle = at(best - 1) + 2 * at(best) + at(best + 1)
-    # The triangle weighs 4 lattice points; what it counts beyond the peak is background.
-    half = 2 * triangle - peak
-    point = best[None, :] + offset
-    index = jnp.clip(point, 0, length - 1) + row_start[None, :]
-    value = flat.at[index].get(mode="promise_in_bounds").astype(jnp.int32)
-    outside = (8 * value < half[None, :]) | (point < 0) | (point >= length)
-    distance = jnp.where(outside, jnp.abs(offset), HALF_SPAN)
+def _surround(lattice: Int16[Array, "lines points"]) -> Array:
+    """The higher of the levels on both sides, summed over eight points."""
+    left, right = _FLANK_GAP + 7, _FLANK_GAP
+    points = lattice.shape[1]
+    # Beyond the image its last level goes on, or the image's border would be an edge.
+    flank = jnp.pad(lattice.astype(jnp.int32), ((0, 0), (left, right + 7)), mode="edge")
+    for distance in (1, 2, 4):
+        flank = flank[:, :-distance] + flank[:, distance:]
+    # Point k of `flank` now holds 8 points from k - left on.
+    return jnp.maximum(flank[:, :points], flank[:, left + right : left + right + points])
 
-    def crossing(first_outside, side):
-        inner, outer = at(best + side * (first_outside - 1)), at(best + side * first_outside)
-        drop = jnp.maximum(inner - outer, 1).astype(jnp.float32)
-        fraction = (inner.astype(jnp.float32) - half.astype(jnp.float32) / 8.0) / drop
-        return first_outside.astype(jnp.float32) - 1.0 + jnp.clip(fraction, 0.0, 1.0)
 
-    left = jnp.min(distance[:HALF_SPAN], 0)
-    right = jnp.min(distance[HALF_SPAN + 1 :], 0)
-    return crossing(left, -1), crossing(right, 1)
+def _zone_steps(response, best, peak, side, threshold, begin, end):
+    """Steps to the first point on one side that does not belong to the maximum any more."""
+    floor = threshold // 2
+    rise = jnp.maximum(floor, peak // 4)
+    step = jnp.arange(1, ZONE_SPAN + 2, dtype=jnp.int32)[None, :]
+    point = best[:, None] + side * step
+    outside = (point < begin[:, None]) | (point >= end[:, None])
+    value = jnp.take_along_axis(response, jnp.clip(point, 0, response.shape[1] - 1), axis=1)
+    lowest = lax.cummin(jnp.concatenate([peak[:, None], value], axis=1), axis=1)[:, :-1]
+    ended = outside | (value < floor[:, None]) | (value >= lowest + rise[:, None]) | (step > ZONE_SPAN)
+    return 1 + jnp.argmax(ended, axis=1).astype(jnp.int32)
+
+
+def _half_distance(fine, ground, best, begin, end, side):
+    """Distance to half of the fine filter's maximum above the ground [lattice points]."""
+    step = jnp.arange(0, HALF_SPAN + 1, dtype=jnp.int32)[None, :]
+    point = best[:, None] + side * step
+    # The filter reaches one point beyond the lattice.
+    outside = (point < begin[:, None] - 1) | (point > end[:, None])
+    value = jnp.take_along_axis(fine, jnp.clip(point, 0, fine.shape[1] - 1), axis=1)
+    value = jnp.where(outside, 0, value - ground)
+    peak = value[:, :1]
+    below = (2 * value < peak) | (step == HALF_SPAN)
+    crossed = 1 + jnp.argmax(below[:, 1:], axis=1).astype(jnp.int32)[:, None]
+    inner = jnp.take_along_axis(value, crossed - 1, axis=1)
+    outer = jnp.take_along_axis(value, crossed, axis=1)
+    drop = (2 * jnp.maximum(inner - outer, 1)).astype(jnp.float32)
+    fraction = jnp.clip((2 * inner - peak).astype(jnp.float32) / drop, 0.0, 1.0)
+    return ((crossed - 1).astype(jnp.float32) + fraction)[:, 0]
+
+
+def _middle(first: Array, bins: Array, pitch: int) -> Array:
+    """Middle of a window, from the line's first sample [px]."""
+    return pitch * (first.astype(jnp.float32) + 0.5 * (WIDE * bins - 1).astype(jnp.float32))
+
+
+def _cut(on, off, found, pitch, levels, saturation):
+    """Saturated pixels, levels on and off around one frame's candidates: [samples, lines, rank]."""
+    _, at, extent, first, bins = found
+    lines, samples = on.shape
+    sample = jnp.arange(WIDE, dtype=jnp.int32)[:, None, None]
+    index = first[None] + bins[None] * sample
+    inside = (index >= 0) & (index + bins[None] <= samples)
+    step = (pitch * bins).astype(jnp.float32)[None]
+    x = step * (sample.astype(jnp.float32) - 0.5 * (WIDE - 1)) - (at - _middle(first, bins, pitch))[None]
+    near = inside & (jnp.abs(x) <= reach(extent)[None])
+    line = samples * jnp.arange(lines, dtype=jnp.int32)[None, :, None]
+    places = [line + jnp.clip(i, 0, samples - 1) for i in (index, index + bins[None] - 1)]
+
+    def codes(frame):
+        flat = jnp.asarray(frame).reshape(-1)
+        return [flat.at[place].get(mode="promise_in_bounds") for place in places]
+
+    on_codes, off_codes = codes(on), None if off is None else codes(off)
+    clipped = [code >= saturation for code in on_codes]
+    second = bins[None] == 2
+    saturated = jnp.sum(near & clipped[0], axis=0, dtype=jnp.int32)
+    saturated += jnp.sum(near & clipped[1] & second, axis=0, dtype=jnp.int32)
+    whole = ~(clipped[0] | clipped[1])
+    level_off = None
+    if off_codes is not None:
+        whole &= (off_codes[0] < saturation) & (off_codes[1] < saturation)
+        level_off = jnp.where(inside, 0.5 * (levels[off_codes[0]] + levels[off_codes[1]]), 0.0)
+    level_on = 0.5 * (levels[on_codes[0]] + levels[on_codes[1]])
+    return saturated, jnp.where(near & whole, level_on, UNUSED), level_off

@@ -201,10 +201,10 @@ def _histogram(value: Int16[np.ndarray, "*n"], level: Int16[np.ndarray, "*n"]) -
 def _centre_and_scale(
     counts: Int[np.ndarray, "rows values"],
 ) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
-    """Median and half the width of the middle 68 % of each row [steps]."""
+    """Median and standard deviation of each row by its quartiles [steps]: up to half may be no noise."""
     upto = np.cumsum(counts, 1)
-    low, middle, high = ((upto < share * upto[:, -1:]).sum(1) for share in (0.159, 0.5, 0.841))
-    return middle.astype(np.float64) - _REACH, 0.5 * (high - low)
+    low, middle, high = ((upto < share * upto[:, -1:]).sum(1) for share in (0.25, 0.5, 0.75))
+    return middle.astype(np.float64) - _REACH, (high - low) / 1.349
 
 
 def _points(
@@ -229,7 +229,7 @@ def _clipped_variances(
     """Variance of what lies within 4 standard deviations, found by iteration from quantiles, and how many do."""
     step = value[1] - value[0]
     middle, deviation = (step * a for a in _centre_and_scale(counts))
-    deviation = np.maximum(deviation, 0.3)
+    deviation = np.maximum(deviation, 0.5)
     for _ in range(5):
         offset = value - middle[:, None]
         kept = np.where(np.abs(offset) <= 4.0 * deviation[:, None], counts, 0)
@@ -247,11 +247,10 @@ def _fit_line(
     if len(level) == 0:
         return default
     weight = 1.0 / sigma**2
+    slope = _slope(level, variance, weight) if np.ptp(level) >= _MIN_SPAN_DN else 0.0
     centre = np.average(level, weights=weight)
     mean = np.average(variance, weights=weight)
-    spread = np.sum(weight * (level - centre) ** 2)
-    slope = np.sum(weight * (level - centre) * variance) / spread if np.ptp(level) >= _MIN_SPAN_DN else 0.0
-    if slope > 0 and slope * np.sqrt(spread) > 5.0:
+    if 0.0 < slope <= 2.0 / _MIN_GAIN:
         gain = 2.0 / slope
     else:
         # One level tells a sum only: keep the default gain, unless it alone explains too much.
@@ -259,3 +258,19 @@ def _fit_line(
         gain = max(default.electrons_per_dn, 2.0 * centre / shot) if shot > 0 else 1e6
     read = np.sqrt(max(0.5 * mean - centre / gain, _MIN_READ_DN**2))
     return NoiseModel(read_dn=float(read), electrons_per_dn=float(gain))
+
+
+def _slope(
+    level: Float[np.ndarray, " bins"], variance: Float[np.ndarray, " bins"], weight: Float[np.ndarray, " bins"]
+) -> float:
+    """Slope of the line through the bins, which starts no lower than the least read noise; 0 where it is not seen."""
+    centre = np.average(level, weights=weight)
+    spread = np.sum(weight * (level - centre) ** 2)
+    slope = np.sum(weight * (level - centre) * variance) / spread
+    if slope * np.sqrt(spread) <= 5.0:
+        return 0.0
+    start = 2.0 * _MIN_READ_DN**2
+    if np.average(variance, weights=weight) - slope * centre < start:
+        # So steep that it passes below the levels with the most samples: it has to meet them.
+        slope = np.sum(weight * level * (variance - start)) / np.sum(weight * level**2)
+    return float(slope)

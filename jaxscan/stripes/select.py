@@ -11,11 +11,12 @@ from jaxscan.stripes.stripes import StripeSettings
 def accept(
     fit: Fit,
     *,
-    reach: Float[Array, " rows"],
-    tallest: Float[Array, " rows"],
+    reach: Float[Array, " stripes"],
+    tallest: Float[Array, " stripes"],
     parameters: int,
+    least_snr: float,
     settings: StripeSettings,
-) -> tuple[Bool[Array, " rows"], Float[Array, " rows"], Float[Array, " rows"]]:
+) -> tuple[Bool[Array, " stripes"], Float[Array, " stripes"], Float[Array, " stripes"]]:
     """Judge every fit.
 
     A stripe is believed if it stands out of the noise, its width is possible, its fit came to
@@ -24,14 +25,15 @@ def accept(
 
     Args:
         fit: The fits.
-        reach: Half of each row's window [px].
+        reach: Half of each window [px].
         tallest: Largest amplitude that the samples allow [DN]: one side of an edge is no top of
             a hill that lies mostly below the ground.
         parameters: Number of fitted parameters.
+        least_snr: Smallest accepted signal-to-noise ratio [1].
         settings: Limits.
 
     Returns:
-        valid: Which rows hold a stripe.
+        valid: Which fits are believed.
         sigma: Standard deviation of the centre [px], grown by the misfit where chi-squared is
             beyond what noise explains.
         chi2: Chi-squared per degree of freedom [1].
@@ -43,7 +45,7 @@ def accept(
     explained = fit.chi2 <= settings.max_chi2 * freedom + settings.max_misfit**2 * fit.energy
     valid = (
         (fit.samples > parameters)
-        & (fit.energy >= settings.min_snr**2)
+        & (fit.energy >= least_snr**2)
         & (fit.variance > 0)
         & (sigma <= settings.max_sigma_px)
         & (fit.width >= settings.min_width_px)

@@ -1,6 +1,7 @@
 """Stripe centres on the grid [profile, line], and what governs their extraction."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import equinox as eqx
 from jaxtyping import Bool, Float, Int, UInt8
@@ -25,6 +26,8 @@ class Stripes(eqx.Module):
     """Standard deviation of the fitted Gaussian [px]."""
     chi2: Float[Array, "profiles lines"]
     """Chi-squared of the fit per degree of freedom [1]."""
+    skew: Float[Array, "profiles lines"]
+    """Skewness of the stripe's profile, as its misfit speaks of it [1]."""
     saturated: UInt8[Array, "profiles lines"]
     """Number of saturated pixels in the fitted window."""
     valid: Bool[Array, "profiles lines"]
@@ -32,6 +35,8 @@ class Stripes(eqx.Module):
     """Which record of the sweep the profile comes from."""
     laser: Int[Array, " profiles"]
     """Which laser lit the profile."""
+    rgb: UInt8[Array, "profiles lines 3"] | None = None
+    """Colour of the laser-off image at the centre, where it was looked at."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +49,23 @@ class NoiseModel:
     """Conversion gain [e-/DN]."""
 
 
+Choice = Literal["path", "brightest", "nearest", "farthest", "all"]
+
+
 @dataclass(frozen=True)
 class StripeSettings:
     """How stripes are found and which are believed; static, so a change recompiles."""
 
-    min_snr: float = 5.0
-    """Smallest accepted signal-to-noise ratio of the whole stripe, sqrt(sum signal^2 / variance) [1]."""
+    choice: Choice = "path"
+    """Which candidate of a line is the stripe: that on the best path over the lines, the
+    brightest, the nearest or farthest one (which needs a calibration), or all of them, as
+    profiles of their own."""
+    min_snr: float = 5.3
+    """Smallest accepted signal-to-noise ratio of a stripe, sqrt(sum signal^2 / variance) [1]."""
+    continued_snr: float = 4.2
+    """The same on a path, for a line whose neighbours hold the same stripe [1]."""
+    candidate_snr: float = 3.6
+    """Signal-to-noise ratio of a matched filter from which a maximum is looked at [1]."""
     min_width_px: float = 0.4
     """Smallest accepted standard deviation of a stripe [px]."""
     max_width_px: float = 13.0
@@ -60,7 +76,11 @@ class StripeSettings:
     """Largest accepted chi-squared per degree of freedom, but for `max_misfit` [1]."""
     max_misfit: float = 0.5
     """Accepted misfit of a stripe's shape, as a fraction of its root mean square [1]."""
+    speckle: float = 0.0
+    """Contrast of the laser's speckle within a pixel: standard deviation over mean of the signal [1]."""
     saturation: int = 254
     """Pixels at or above this level [DN] are taken as clipped and left out of the fit."""
     iterations: int = 4
-    """Steps of the fit."""
+    """Steps of the fit: what is then left is a fiftieth of the noise."""
+    clipped_iterations: int = 8
+    """Steps of the fit where pixels are saturated, of which the start is worse."""

@@ -48,6 +48,7 @@ def flat_stripes(shape: tuple[int, int], u: float | np.ndarray, sigma: float = 0
         amplitude=80.0 * full,
         width=2.0 * full,
         chi2=full,
+        skew=0.0 * full,
         saturated=np.zeros(shape, np.uint8),
         valid=np.ones(shape, bool),
         record=np.arange(shape[0]),

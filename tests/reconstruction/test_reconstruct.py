@@ -132,8 +132,9 @@ def test_two_lasers_are_data(small_scanner, flat_stripes, frames):
         chosen = np.flatnonzero(cloud.laser == index)
         part = jax.tree.map(lambda x, chosen=chosen: x[chosen], stripes)
         single = reconstruct(Sweep(frames[chosen], frames[chosen], phi[chosen]), alone, stripes=part, settings=SETTINGS)
-        np.testing.assert_array_equal(cloud.xyz[chosen], single.xyz)
-        np.testing.assert_array_equal(cloud.normals[chosen], single.normals)
+        # Rounding of float32: chunks of other sizes are other vectors.
+        np.testing.assert_allclose(cloud.xyz[chosen], single.xyz, atol=3e-7)
+        np.testing.assert_allclose(cloud.normals[chosen], single.normals, atol=1e-4)
         np.testing.assert_array_equal(cloud.rgb[chosen], single.rgb)
 
 

@@ -47,7 +47,7 @@ def test_signs_from_stripes(paper, angles):
     # Poison wherever there is no stripe: nothing of it may come through.
     u = np.where(valid, 1200.0, np.nan)
     ones = np.where(valid, 1.0, np.nan)
-    stripes = Stripes(u, ones, ones, ones, ones, np.zeros(shape, np.uint8), valid, np.arange(2), np.zeros(2, int))
+    stripes = Stripes(u, ones, ones, ones, ones, ones, np.zeros(shape, np.uint8), valid, np.arange(2), np.zeros(2, int))
     frames = np.full((2, HEIGHT, WIDTH), 7, np.uint8)
     cloud = reconstruct(Sweep(frames, frames, angles), paper, stripes=stripes)
     # The table has six digits; float32 keeps 1e-6 of 2.7 m.
