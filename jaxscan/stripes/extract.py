@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int16, UInt8
+from jaxtyping import Bool, Float, Int, Int8, Int16, UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.candidates import CANDIDATES, Located, thresholds
@@ -21,6 +21,7 @@ from jaxscan.stripes.frames import (
     laser_plane,
     laser_sites,
 )
+from jaxscan.stripes.learn_colour import with_colour
 from jaxscan.stripes.locate import locate
 from jaxscan.stripes.native import NativeLocator
 from jaxscan.stripes.noise import estimate_noise
@@ -144,6 +145,24 @@ def stripes_of_frames(
         A profile per frame; with `settings.choice` "all" one for each of its candidates.
     """
     size = on.shape[2], on.shape[1]
+    located, gain = locate_frames(on, off, search, pixel_format=pixel_format, line=line, settings=settings)
+    how: dict[str, Any] = {"pixel_format": pixel_format, "response": response, "line": line, "settings": settings}
+    return stripes_of_located(located, gain, search, image_size=size, **how)
+
+
+def locate_frames(
+    on: UInt8[Array, "frames ..."],
+    off: UInt8[Array, "frames ..."] | None,
+    search: Search,
+    *,
+    pixel_format: PixelFormat,
+    line: LaserLine,
+    settings: StripeSettings,
+) -> tuple[Located, Float[Array, " frames"]]:
+    """The candidates of a chunk of frames and the gains of its pairs, by XLA; pure and traceable.
+
+    Arguments as of `stripes_of_frames`; for `stripes_of_located`.
+    """
     on = laser_plane(on, pixel_format=pixel_format, line=line)
     off = None if off is None else laser_plane(off, pixel_format=pixel_format, line=line)
     gain = frame_gains(sample_pair(on, off), search, frames=len(on))
@@ -158,8 +177,7 @@ def stripes_of_frames(
         levels=search.levels,
         saturation=settings.saturation,
     )
-    how: dict[str, Any] = {"pixel_format": pixel_format, "response": response, "line": line, "settings": settings}
-    return stripes_of_located(located, gain, search, image_size=size, **how)
+    return located, gain
 
 
 def sample_pair(on: Array, off: Array | None) -> tuple[Array, Array] | None:
@@ -207,6 +225,42 @@ def stripes_of_located(
         line: Which stripe was looked for.
         settings: How stripes are fitted, judged and chosen.
     """
+    return candidates_of_located(
+        located,
+        gain,
+        search,
+        image_size=image_size,
+        pixel_format=pixel_format,
+        response=response,
+        line=line,
+        settings=settings,
+        keep=settings.choice == "all",
+    )[0]
+
+
+def candidates_of_located(
+    located: Located,
+    gain: Float[Array, " frames"],
+    search: Search,
+    *,
+    image_size: tuple[int, int],
+    pixel_format: PixelFormat,
+    response: Response,
+    line: LaserLine,
+    settings: StripeSettings,
+    keep: bool,
+) -> tuple[FrameStripes, Int8[Array, "frames lines"] | None]:
+    """Fit the candidates of a chunk, choose among them, and keep the others; pure and traceable.
+
+    Args:
+        located, gain, search, image_size, pixel_format, response, line, settings: As of `stripes_of_located`.
+        keep: Whether all candidates are given, or the chosen ones alone.
+
+    Returns:
+        stripes: A profile per frame; where all are kept one for each of its candidates.
+        chosen: Number of each line's chosen candidate, -1 where there is none; None where
+            nothing is chosen (`settings.choice` "all").
+    """
     sites = laser_sites(pixel_format, line)
     lines, samples = _plane_shape(image_size, pixel_format, line)
     fits = fit_candidates(
@@ -221,12 +275,14 @@ def stripes_of_located(
         return field.at[index].get(mode="promise_in_bounds")
 
     valid = exists & take(fits.valid, index)
-    if settings.choice == "all":
+    number = None
+    if settings.choice != "all":
+        u, snr, amplitude, width = (take(field, index) for field in (fits.u, fits.snr, fits.amplitude, fits.width))
+        number = choose(u, snr, amplitude, width, valid, search.near_side, settings)
+    if keep or number is None:
         chosen = jnp.where(valid, index, -1)
         chosen = jnp.moveaxis(chosen, 2, 1).reshape(-1, lines)
     else:
-        u, snr, amplitude, width = (take(field, index) for field in (fits.u, fits.snr, fits.amplitude, fits.width))
-        number = choose(u, snr, amplitude, width, valid, search.near_side, settings)
         chosen = jnp.full(number.shape, -1, index.dtype)
         for k in range(CANDIDATES):
             chosen = jnp.where(number == k, index[:, :, k], chosen)
@@ -238,14 +294,14 @@ def stripes_of_located(
     stripes = FrameStripes(**{name: jnp.where(found, field, 0) for name, field in fields.items()}, valid=found)
     whole = image_size[1] if line.stripe_axis == "rows" else image_size[0]
 
-    def on_image_lines(values):
+    def on_image_lines(values, nothing=0):
         if whole == lines:
             return values
-        image = jnp.zeros((len(values), whole), values.dtype)
+        image = jnp.full((len(values), whole), nothing, values.dtype)
         last = sites.first_line + sites.line_step * lines
         return image.at[:, sites.first_line : last : sites.line_step].set(values)
 
-    return jax.tree.map(on_image_lines, stripes)
+    return jax.tree.map(on_image_lines, stripes), None if number is None else on_image_lines(number, -1)
 
 
 def _plane_shape(image_size: tuple[int, int], pixel_format: PixelFormat, line: LaserLine) -> tuple[int, int]:
@@ -316,7 +372,7 @@ def extract_stripes(
         off: Laser-off frames of the same shape; None where there are none.
         pixel_format: How a frame is to be read.
         response: "linear", or "srgb" (decoded before the fit; levels then are linear DN).
-        line: Which stripe to look for.
+        line: Which stripe to look for; a colour "auto" is learned from the frames.
         settings: How stripes are found, chosen and believed.
         noise: Noise of a frame; estimated from the frames where not given.
 
@@ -325,9 +381,11 @@ def extract_stripes(
         `settings.choice` "all" every frame has three profiles, one after the other.
 
     Raises:
-        ValueError: If shapes or types do not fit the pixel format, or the choice needs a scanner.
+        ValueError: If shapes or types do not fit the pixel format, the choice needs a scanner, or
+            the laser's colour cannot be learned.
     """
     _check(on, off, pixel_format)
+    line = with_colour(line, on, off, pixel_format)
     if noise is None:
         noise = estimate_noise(on, off, pixel_format=pixel_format, response=response, line=line)
     size = int(on.shape[2]), int(on.shape[1])

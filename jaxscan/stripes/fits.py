@@ -8,6 +8,7 @@ from jax import lax
 from jaxtyping import Bool, Float, UInt8
 
 from jaxscan.geometry import Array
+from jaxscan.stripes.albedo import albedo_shift
 from jaxscan.stripes.candidates import BLOCK, Candidates
 from jaxscan.stripes.fit import fit_stripe, sample_places
 from jaxscan.stripes.frames import Response
@@ -135,8 +136,12 @@ def _fit_block(
     valid &= real & (u >= -0.5) & (u <= pitch * (samples - 1) + 0.5)
     grey = jnp.zeros_like(u)
     if block.off is not None:
-        place = jnp.asarray(sample_places(block.on.shape[0]))[:, None] - (fit.u / window.step)[None, :]
-        grey = jnp.sum(jnp.maximum(1.0 - jnp.abs(place), 0.0) * block.off, 0)
+        place = jnp.asarray(sample_places(block.on.shape[0]))[:, None]
+        grey = jnp.sum(jnp.maximum(1.0 - jnp.abs(place - (fit.u / window.step)[None, :]), 0.0) * block.off, 0)
+        # What an edge of the surface's reflectance under the stripe may have done to the centre.
+        dark = (noise_read * noise_read + 1 / 12 + block.off / noise_gain) / window.step[None, :]
+        edge = albedo_shift(block.off, place * window.step[None, :], fit.u, fit.width, block.on >= 0.0, dark)
+        sigma = jnp.sqrt(sigma * sigma + edge.shift * edge.shift)
     snr = jnp.sqrt(jnp.maximum(fit.energy, 0.0))
     found = Fits(
         u, sigma, fit.amplitude, fit.width, chi2, fit.skew, snr, grey, block.saturated.astype(jnp.uint8), valid

@@ -15,6 +15,7 @@ PIXEL_FORMATS: tuple[PixelFormat, ...] = ("mono8", "rgb8", "bayer_rggb8", "bayer
 
 Response = Literal["linear", "srgb"]
 Colour = Literal["red", "green", "blue"]
+LaserColour = Literal["auto", "red", "green", "blue"]
 StripeAxis = Literal["rows", "columns"]
 
 
@@ -23,8 +24,9 @@ class LaserLine:
     """One laser as the camera sees it."""
 
     name: str = "laser"
-    colour: Colour = "red"
-    """Which channel of a colour camera holds it; without meaning for a mono camera."""
+    colour: LaserColour = "red"
+    """Which channel of a colour camera holds it, or "auto": learned from the frames
+    (`learn_colour`); without meaning for a mono camera."""
     stripe_axis: StripeAxis = "rows"
     """One centre per image row ("rows"), or per image column ("columns")."""
 
@@ -55,10 +57,12 @@ def laser_sites(pixel_format: PixelFormat, line: LaserLine) -> Sites:
     """Where the laser's colour is measured in frames of this format.
 
     Raises:
-        ValueError: If the pixel format is unknown.
+        ValueError: If the pixel format is unknown, or the colour is still to be learned.
     """
     if pixel_format not in PIXEL_FORMATS:
         raise ValueError(f"Unknown pixel format {pixel_format!r}; known: {', '.join(PIXEL_FORMATS)}.")
+    if line.colour == "auto" and pixel_format != "mono8":
+        raise ValueError(f'The colour of the laser is "auto" and the frames are {pixel_format}: learn it first.')
     if not pixel_format.startswith("bayer"):
         return Sites()
     tile = pixel_format[6:10]
@@ -83,7 +87,7 @@ def laser_plane(frames: Array, *, pixel_format: PixelFormat, line: LaserLine) ->
     """
     sites = laser_sites(pixel_format, line)
     if pixel_format == "rgb8":
-        frames = frames[..., ("red", "green", "blue").index(line.colour)]
+        frames = frames[..., ("red", "green", "blue").index(str(line.colour))]
     if line.stripe_axis == "columns":
         frames = frames.swapaxes(1, 2)
     if sites.pitch == 1:

@@ -1,5 +1,7 @@
 """Which channel of a colour camera holds the laser, from the frames themselves."""
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -77,6 +79,27 @@ def learn_colour(
             "the same frames or exchanged."
         )
     return best
+
+
+def with_colour(line: LaserLine, on: Array, off: Array | None, pixel_format: PixelFormat) -> LaserLine:
+    """The laser with a colour: its own, or that which the frames show if it is "auto".
+
+    Args:
+        line: The laser.
+        on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3); not looked at without need.
+        off: Laser-off frames of the same shape, or None.
+        pixel_format: How a frame is to be read.
+
+    Raises:
+        ValueError: If the colour has to be learned and cannot be.
+    """
+    if line.colour != "auto":
+        return line
+    if pixel_format == "mono8":
+        return dataclasses.replace(line, colour="red")
+    if off is None:
+        raise ValueError('A laser\'s colour "auto" is learned from pairs; without laser-off frames, give its colour.')
+    return dataclasses.replace(line, colour=learn_colour(on, off, pixel_format, stripe_axis=line.stripe_axis))
 
 
 def _score(

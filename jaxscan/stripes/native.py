@@ -39,6 +39,10 @@ _EDGE = np.uint64(4)
 """Zeros around a line of the lattice."""
 _LAYOUT = (CANDIDATES, HALF_SPAN, ZONE_SPAN, FINE_SHIFT, NARROW, WIDE, BLOCK)
 _i16, _u64 = np.int16, np.uint64
+# Without the counting of references, which took as long as all the rest: nothing is allocated here.
+_part = numba.njit(nogil=True, _nrt=False)
+# Only the whole is kept on disk: what comes from there one by one is not put together again.
+_whole = numba.njit(nogil=True, cache=True, _nrt=False)
 
 
 class NativeLocator(threading.local):
@@ -75,6 +79,7 @@ class NativeLocator(threading.local):
         _locate(
             on, off, pitch, low.astype(np.int64), high.astype(np.int64), gain.astype(np.int64), thresholds,
             levels.astype(np.float32), saturation, _LAYOUT, np.float32(BIN_EXTENT_PX), counts, slots, narrow, wide,
+            self._scratch(on.shape[2]),
         )  # fmt: skip
         return Located((_packed(counts[0], narrow), _packed(counts[1], wide)), slots)
 
@@ -84,6 +89,13 @@ class NativeLocator(threading.local):
         values = (self._memory((name, field), (blocks, BLOCK), np.float32) for field in ("start", "extent", "middle"))
         windows = (self._memory((name, field), (blocks, samples, BLOCK), np.float32) for field in ("on", "off"))
         return *numbers, *values, *windows
+
+    def _scratch(self, samples: int) -> tuple[np.ndarray, ...]:
+        """Of a line: the lattice, the fine filter, the response, and the highest response of each group."""
+        groups = samples // int(_GROUP) + 1
+        padded = samples + 2 * int(_EDGE)
+        sizes = {"lattice": padded, "fine": padded, "response": groups * int(_GROUP), "highest": groups}
+        return tuple(self._memory((name,), (size,), np.int16) for name, size in sizes.items())
 
     def _memory(self, key: tuple, shape: tuple[int, ...], dtype: type) -> np.ndarray:
         kept = self._kept.get(key)
@@ -100,7 +112,7 @@ def _packed(count: np.integer, lists: tuple[np.ndarray, ...]) -> Candidates:
     return Candidates(np.asarray(count, np.int32), frame, start, extent, middle, bins, saturated, on, off)
 
 
-@numba.njit(nogil=True, cache=True)
+@_part
 @no_type_check
 def _lattice(on, off, gain, first, lattice, count):
     """Difference of two frames' line, two neighbouring samples added up."""
@@ -117,7 +129,7 @@ def _lattice(on, off, gain, first, lattice, count):
             )
 
 
-@numba.njit(nogil=True, cache=True)
+@_part
 @no_type_check
 def _sparse_lattice(on, off, gain, first, lattice, count):
     """As `_lattice`, where every sample is a point."""
@@ -125,7 +137,7 @@ def _sparse_lattice(on, off, gain, first, lattice, count):
         lattice[i + _EDGE] = _i16(on[first + i]) - _i16((np.int32(off[first + i]) * gain + 64) >> 7)
 
 
-@numba.njit(nogil=True, cache=True)
+@_part
 @no_type_check
 def _mean(values, first, count):
     total = np.uint32(0)
@@ -134,14 +146,14 @@ def _mean(values, first, count):
     return np.int64(total) // np.int64(count)
 
 
-@numba.njit(nogil=True, cache=True)
+@_part
 @no_type_check
 def _fine(lattice, fine, count):
     for i in range(count):
         fine[i + _u64(1)] = lattice[i] + 2 * lattice[i + _u64(1)] + lattice[i + _u64(2)]
 
 
-@numba.njit(nogil=True, cache=True)
+@_part
 @no_type_check
 def _response(fine, response, count, shift):
     for i in range(count):
@@ -151,7 +163,7 @@ def _response(fine, response, count, shift):
         response[i] = scaled if scaled > coarse else coarse
 
 
-@numba.njit(nogil=True, cache=True)
+@_part
 @no_type_check
 def _highest(values, first, count):
     # The length is an argument: of a constant the compiler would unroll the loop, not vectorise it.
@@ -162,7 +174,7 @@ def _highest(values, first, count):
     return highest
 
 
-@numba.njit(nogil=True, cache=True)
+@_part
 @no_type_check
 def _zone_end(response, count, best, side, threshold, span):
     """The first point on one side that does not belong to the maximum any more."""
@@ -181,7 +193,7 @@ def _zone_end(response, count, best, side, threshold, span):
     return best + side * (span + 1)
 
 
-@numba.njit(nogil=True, cache=True)
+@_part
 @no_type_check
 def _half_distance(fine, count, best, side, span):
     """Distance to half of the maximum of the fine filter [lattice points]."""
@@ -199,7 +211,7 @@ def _half_distance(fine, count, best, side, span):
     return np.float32(0)
 
 
-@numba.njit(nogil=True, cache=True)
+@_part
 @no_type_check
 def _keep(on, off, at, extent, bins, pitch, levels, saturation, samples, frame, count, size, lists):
     """Add a candidate to a list, with the samples around it."""
@@ -238,20 +250,19 @@ def _keep(on, off, at, extent, bins, pitch, levels, saturation, samples, frame, 
     saturated[block, slot] = clipped
 
 
-@numba.njit(nogil=True, cache=True)
+@_whole
 @no_type_check
 def _locate(
-    on, off, pitch, low, high, gain, thresholds, levels, saturation, layout, bin_extent, counts, slots, narrow, wide
-):
+    on, off, pitch, low, high, gain, thresholds, levels, saturation, layout, bin_extent, counts, slots, narrow, wide,
+    scratch,
+):  # fmt: skip
     candidates, half_span, zone_span, fine_shift, few, many, size = layout
     frames, lines, samples = on.shape
     per_point = 2 // pitch
     points = samples // per_point
     group_size = np.int64(_GROUP)
     edge = np.int64(_EDGE)
-    lattice, fine = np.zeros(points + 2 * edge, np.int16), np.zeros(points + 2 * edge, np.int16)
-    response = np.zeros((points // group_size + 1) * group_size, np.int16)
-    highest = np.zeros(points // group_size + 1, np.int16)
+    lattice, fine, response, highest = scratch
     behind = narrow[0].size
     for frame in range(frames):
         for line in range(lines):

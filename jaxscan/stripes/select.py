@@ -51,7 +51,7 @@ def accept(
         & (fit.width >= settings.min_width_px)
         & (fit.width <= settings.max_width_px)
         & (fit.amplitude <= tallest)
-        & (fit.last_step <= 0.02 + 0.5 * sigma)
+        & (fit.last_step <= 0.02 + sigma)
         & (jnp.abs(fit.u) <= reach)
         & explained
     )
