@@ -11,7 +11,7 @@ from jaxscan.files.validation import FileModel, Integer, Number, check
 from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
-from jaxscan.stripes.frames import PIXEL_FORMATS, Colour, LaserLine, PixelFormat, Response, StripeAxis, frame_rank
+from jaxscan.stripes.frames import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, StripeAxis, frame_rank
 
 
 CAPTURE_FORMAT: Literal["jaxscan-capture/1"] = "jaxscan-capture/1"
@@ -67,8 +67,8 @@ class LaserTable(FileModel):
 
     name: Annotated[str, pydantic.Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")] = "laser"
     """What calibrations and messages call it."""
-    colour: Colour = "red"
-    """Which channel of a colour camera holds it."""
+    colour: LaserColour = "red"
+    """Which channel of a colour camera holds it; "auto": whichever shows it best."""
     stripe_axis: StripeAxis = "rows"
     """One stripe centre per image row ("rows"), or per image column ("columns")."""
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import UInt8
+from jaxtyping import Int8, UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.reconstruction.colour import needs_frames, stripe_colours
@@ -18,10 +18,10 @@ from jaxscan.stripes.exposures import merge_exposures
 from jaxscan.stripes.extract import (
     FrameStripes,
     Search,
+    candidates_of_located,
     is_native,
+    locate_frames,
     locate_natively,
-    stripes_of_frames,
-    stripes_of_located,
 )
 from jaxscan.stripes.frames import LaserLine, PixelFormat, Response
 
@@ -39,7 +39,7 @@ class ChunkKind(NamedTuple):
     @property
     def profiles_per_frame(self) -> int:
         """Profiles that a frame of one laser gives."""
-        return CANDIDATES if self.settings.stripes.choice == "all" else 1
+        return CANDIDATES if self.settings.stripes.choice == "all" or self.settings.check_steps else 1
 
 
 class Aim(NamedTuple):
@@ -58,6 +58,8 @@ class ChunkResult(NamedTuple):
     stripes: FrameStripes
     rgb: UInt8[Array, "profiles lines 3"]
     points: Points | None
+    chosen: Int8[Array, "records lines"] | None = None
+    """Which candidate of every line is the stripe, -1 for none, where steps are still to be checked."""
 
 
 def compute_chunk(on: Array, off: Array | None, search: Search, aim: Aim | None, kind: ChunkKind) -> ChunkResult:
@@ -89,11 +91,28 @@ def compute_chunk(on: Array, off: Array | None, search: Search, aim: Aim | None,
     return _from_located(located, gain, search, seen, aim, kind=kind)
 
 
+def _all_in_one(on: Array, off: Array | None, search: Search, aim: Aim | None, kind: ChunkKind) -> ChunkResult:
+    located, gain = locate_frames(
+        on, off, search, pixel_format=kind.pixel_format, line=kind.line, settings=kind.settings.stripes
+    )
+    return _fit_and_finish(located, gain, search, off, off is not None, aim, kind)
+
+
+_from_frames = jax.jit(_all_in_one, static_argnames="kind")
+
+
 @functools.partial(jax.jit, static_argnames="kind")
 def _from_located(
     located: Located, gain: Array, search: Search, off: Array | None, aim: Aim | None, *, kind: ChunkKind
 ) -> ChunkResult:
-    stripes = stripes_of_located(
+    return _fit_and_finish(located, gain, search, off, True, aim, kind)
+
+
+def _fit_and_finish(
+    located: Located, gain: Array, search: Search, off: Array | None, has_off: bool, aim: Aim | None, kind: ChunkKind
+) -> ChunkResult:
+    """Fit, choose, merge exposures, take colours, locate points."""
+    stripes, chosen = candidates_of_located(
         located,
         gain,
         search,
@@ -102,31 +121,12 @@ def _from_located(
         response=kind.response,
         line=kind.line,
         settings=kind.settings.stripes,
+        keep=kind.profiles_per_frame > 1,
     )
-    return _finish(stripes, off, True, aim, kind)
-
-
-def _all_in_one(on: Array, off: Array | None, search: Search, aim: Aim | None, kind: ChunkKind) -> ChunkResult:
-    stripes = stripes_of_frames(
-        on,
-        off,
-        search,
-        pixel_format=kind.pixel_format,
-        response=kind.response,
-        line=kind.line,
-        settings=kind.settings.stripes,
-    )
-    return _finish(stripes, off, off is not None, aim, kind)
-
-
-_from_frames = jax.jit(_all_in_one, static_argnames="kind")
-
-
-def _finish(stripes: FrameStripes, off: Array | None, has_off: bool, aim: Aim | None, kind: ChunkKind) -> ChunkResult:
-    """Merge exposures, take colours, locate points."""
+    chosen = chosen if kind.settings.check_steps else None
     exposures = len(kind.exposures)
     if exposures > 1:
-        stripes = _merged(stripes, kind)
+        stripes, chosen = _merged(stripes, chosen, kind)
         # The longest exposure says most about what is dark.
         off = None if off is None else off[exposures - 1 :: exposures]
     rgb = stripe_colours(
@@ -141,7 +141,7 @@ def _finish(stripes: FrameStripes, off: Array | None, has_off: bool, aim: Aim | 
     if aim is not None:
         phi = jnp.repeat(aim.phi, kind.profiles_per_frame, total_repeat_length=len(stripes.u))
         points = points_of_centres(stripes.u, stripes.sigma, stripes.valid, aim._replace(phi=phi), kind)
-    return ChunkResult(stripes, rgb, points)
+    return ChunkResult(stripes, rgb, points, chosen)
 
 
 def points_of_centres(u: Array, sigma: Array, valid: Array, aim: Aim, kind: ChunkKind) -> Points:
@@ -156,19 +156,35 @@ def points_of_centres(u: Array, sigma: Array, valid: Array, aim: Aim, kind: Chun
     )
 
 
-def _merged(stripes: FrameStripes, kind: ChunkKind) -> FrameStripes:
+def _merged(stripes: FrameStripes, chosen: Array | None, kind: ChunkKind) -> tuple[FrameStripes, Array | None]:
     """The best exposure of every line, in levels of the first one."""
     exposures, each = len(kind.exposures), kind.profiles_per_frame
 
     def apart(values):
-        # [records * exposures * profiles, lines] to [exposures, records * profiles, lines].
-        values = jnp.moveaxis(values.reshape(-1, exposures, each, values.shape[1]), 1, 0)
-        return values.reshape(exposures, -1, values.shape[3])
+        # [records * exposures * profiles, lines] to [exposures, records, profiles, lines].
+        return jnp.moveaxis(values.reshape(-1, exposures, each, values.shape[1]), 1, 0)
+
+    def together(values):
+        return values.reshape(-1, values.shape[2])
 
     split = jax.tree.map(apart, stripes)
-    scale = np.asarray([kind.exposures[0] / one for one in kind.exposures], np.float32)
-    split = split._replace(grey=split.grey * scale[:, None, None])
-    return merge_exposures(split, kind.exposures)
+    scale = np.asarray([kind.exposures[0] / one for one in kind.exposures], np.float32)[:, None, None, None]
+    split = split._replace(grey=split.grey * scale)
+    if chosen is None:
+        return jax.tree.map(together, merge_exposures(split, kind.exposures)), None
+    # The exposure whose chosen stripe is known best gives all candidates of its line.
+    number = jnp.moveaxis(chosen.reshape(-1, exposures, chosen.shape[1]), 1, 0)
+    known = number >= 0
+
+    def of_chosen(values):
+        return jnp.take_along_axis(values, jnp.maximum(number, 0).astype(jnp.int32)[:, :, None], 2)[:, :, 0]
+
+    fields = {name: of_chosen(getattr(split, name)) for name in ("sigma", "amplitude")}
+    which = jnp.broadcast_to(jnp.arange(exposures, dtype=jnp.int32)[:, None, None], known.shape)
+    best = merge_exposures({**fields, "valid": known, "which": which, "number": number}, kind.exposures)
+    split = split._replace(amplitude=split.amplitude * scale)
+    merged = jax.tree.map(lambda values: jnp.take_along_axis(values, best["which"][None, :, None], 0)[0], split)
+    return jax.tree.map(together, merged), jnp.where(best["valid"], best["number"], jnp.int8(-1))
 
 
 def _on_devices(on: Array, off: Array | None, search: Search, aim: Aim | None, *, kind: ChunkKind) -> ChunkResult:

@@ -15,7 +15,8 @@ from jaxscan.reconstruction.chunk import Aim, ChunkKind, ChunkResult, compute_ch
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.colour import sample_colours
 from jaxscan.reconstruction.grid import GrowingCloud, GrowingStripes
-from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan, make_searches
+from jaxscan.reconstruction.pick import pick_by_steps
+from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan, make_searches, with_colours
 from jaxscan.reconstruction.points import Points, Rig, line_step
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import SweepSource
@@ -100,12 +101,19 @@ def extract_sweep(
         those of the sweep.
     """
     plan = make_plan(sweep, scanner, settings)
-    each = _profiles_each(plan, None)
-    stripes = GrowingStripes(each * len(sweep.record), plan.lines)
+    each, profiles = _profiles_each(plan, None), len(sweep.record)
+    stripes = GrowingStripes(each * profiles, plan.lines)
+    chosen = np.full((profiles, plan.lines), -1, np.int8)
     with jax.enable_x64(False):
-        for profiles, result in _chunks(plan, None, noise, progress):
-            stripes.store(profiles, result.stripes, result.rgb)
-    profile = np.arange(each * len(sweep.record)) // each
+        for rows, result in _chunks(plan, None, noise, progress):
+            stripes.store(rows, result.stripes, result.rgb)
+            if result.chosen is not None:
+                own = rows[::each] // each
+                chosen[own] = result.chosen[: len(own)]
+    if settings.check_steps:
+        pick_by_steps(stripes, chosen, sweep.laser, sweep.angles[sweep.record])
+        each = 1
+    profile = np.arange(each * profiles) // each
     return stripes.finish(sweep.record[profile], sweep.laser[profile])
 
 
@@ -124,6 +132,7 @@ def _chunks(
     plan: Plan, rig: Rig | None, noise: NoiseModel | None, progress: Progress
 ) -> Iterator[tuple[np.ndarray, ChunkResult]]:
     """Stripes, colours and, with a rig, points of all chunks, with the profiles that they are."""
+    plan = with_colours(plan)
     sweep, size = plan.sweep, plan.size
     searches = make_searches(plan, noise)
     angles = sweep.angles.astype(np.float32)

@@ -36,6 +36,8 @@ class ReconstructSettings:
             )
         if not self.min_incidence > 0.0:
             raise ValueError(f"`min_incidence` must be positive, got {self.min_incidence}.")
+        if self.check_steps and self.stripes.choice == "all":
+            raise ValueError('`check_steps` compares what was chosen; with `choice` "all" nothing is.')
         if self.chunk_records is not None and self.chunk_records < 1:
             raise ValueError(f"`chunk_records` must be at least 1, got {self.chunk_records}.")
 
