@@ -1,22 +1,22 @@
 r"""Which candidate of each line is the stripe: the best path over the lines of a frame.
 
 A stripe goes on from line to line; what only looks like it does not. On every line the path takes
-one candidate or none. It gains
+one candidate or none. A candidate gains
 
-$$\tfrac12 \min(\mathrm{snr}, s_\infty)^2 - \tfrac12 s_0^2$$
+$$\min(\tfrac12 \mathrm{snr}^2, E) - \tfrac12 s_0^2,$$
 
-for a candidate, the logarithm of the likelihood ratio against noise that must be exceeded for
-a line on its own, and where two neighbouring lines both hold one
+the logarithm of the likelihood ratio against noise that a line on its own must exceed. It is cut
+off at E, or a bright reflection would buy its way; what a line's best candidate has beyond E is
+lost by taking none. From one line to the next a path gains and pays
 
-$$\tfrac12 (s_0^2 - s_1^2) - J \frac{t^2}{1 + t^2}, \qquad t = \Delta u / \ell,$$
+$$\tfrac12 (s_0^2 - s_1^2) - \min(\lambda |\Delta u|, J),$$
 
 so that lines that continue each other need less signal each, and a jump costs the same however
-far it goes: depth has edges. The width may change slowly only, and the brighter of two counts
-a little more. The signal counts up to $s_\infty$ only, or a bright reflection would buy its
-way. Where a line takes none (occlusion), the next one starts afresh.
+far it goes: depth has edges. The width may change slowly only. Where a line takes none, the last
+centre is remembered, but counts less.
 
 Source: dynamic programming along a stripe as of A. J. Viterbi, Error bounds for convolutional
-codes, IEEE Trans. Inf. Theory 13, 1967; the robust cost is that of S. Geman and D. E. McClure.
+codes, IEEE Trans. Inf. Theory 13, 1967, with costs that saturate.
 """
 
 import jax.numpy as jnp
@@ -26,15 +26,20 @@ from jaxtyping import Bool, Float, Int8
 from jaxscan.geometry import Array
 
 
-_ENOUGH_SNR = 12.0
-"""Signal-to-noise ratio beyond which a candidate gains no more [1]."""
-_JUMP = 14.0
-"""Cost of a jump."""
-_SMOOTH_PX = 2.0
-"""Change of the centre from line to line that costs half a jump [px]."""
-_WIDTH_COST = 4.0
+_EVIDENCE = 20.0
+"""Evidence beyond which a candidate is not better than another one."""
+_CERTAIN_SNR = 14.0
+"""Signal-to-noise ratio beyond which no more is lost by taking none [1]."""
+_JUMP = 30.0
+"""Largest cost of a change of the centre."""
+_PER_PX = 0.3
+"""Cost of a change of the centre [1/px]."""
+_GAP_JUMP = 8.0
+"""Largest cost of a change of the centre over lines without any."""
+_WIDTH_COST = 2.0
 """Cost of a change of the width, per natural logarithm, up to one."""
-_BRIGHTER = 0.15
+_NEVER = -1e6
+_BRIGHTER = 0.02
 """Gain per natural logarithm of the amplitude."""
 
 
@@ -62,13 +67,12 @@ def best_path(
     count = u.shape[2]
     frames = u.shape[0]
     bonus = 0.5 * (alone_snr**2 - continued_snr**2)
-    energy = 0.5 * jnp.minimum(snr, _ENOUGH_SNR) ** 2 - 0.5 * alone_snr**2
-    gain = energy + _BRIGHTER * jnp.log(jnp.maximum(amplitude, 1.0))
-    gain = jnp.where(valid, gain, -1e6)
+    full = 0.5 * jnp.minimum(jnp.where(valid, snr, 0.0), _CERTAIN_SNR) ** 2
+    gain = jnp.minimum(full, _EVIDENCE) - 0.5 * alone_snr**2 + _BRIGHTER * jnp.log(jnp.maximum(amplitude, 1.0))
+    gain = jnp.where(valid, gain, _NEVER)
+    lost = jnp.maximum(jnp.max(full, axis=2) - _EVIDENCE, 0.0)
     # Lines first, for the loop; then every operation is one vector over frames.
-    place, gain, log_width = (
-        jnp.moveaxis(values, 0, 2) for values in (u / _SMOOTH_PX, gain, jnp.log(jnp.maximum(width, 0.1)))
-    )
+    place, gain, log_width = (jnp.moveaxis(values, 0, 2) for values in (u, gain, jnp.log(jnp.maximum(width, 0.1))))
 
     def best_of(scores):
         best, origin = scores[0], jnp.zeros(frames, jnp.int8)
@@ -78,23 +82,29 @@ def best_path(
         return best, origin
 
     def forward(state, line):
+        # State 0 is none, with the centre of the last candidate before it.
         scores, places, widths = state
-        here, gains, widths_here = line
-        reached = [best_of(scores)]
+        here, gains, widths_here, lost_here = line
+        best, origin = best_of(scores)
+        remembered = places[0]
+        for k in range(1, count + 1):
+            remembered = jnp.where(origin == k, places[k], remembered)
+        new_scores, origins = [best - lost_here], [origin]
         for k in range(count):
-            moved = []
-            for j in range(count):
-                t2 = (here[k] - places[j]) ** 2
-                change = _WIDTH_COST * jnp.minimum(jnp.abs(widths_here[k] - widths[j]), 1.0)
-                moved.append(scores[j + 1] + bonus - _JUMP * t2 / (1.0 + t2) - change)
-            best, origin = best_of([scores[0], *moved])
-            reached.append((best + gains[k], origin))
-        new = ([best for best, _ in reached], list(here), list(widths_here))
-        return new, jnp.stack([origin for _, origin in reached])
+            moved = [scores[0] - jnp.minimum(_PER_PX * jnp.abs(here[k] - places[0]), _GAP_JUMP)]
+            for j in range(1, count + 1):
+                change = jnp.minimum(_PER_PX * jnp.abs(here[k] - places[j]), _JUMP)
+                change += _WIDTH_COST * jnp.minimum(jnp.abs(widths_here[k] - widths[j - 1]), 1.0)
+                moved.append(scores[j] + bonus - change)
+            best, origin = best_of(moved)
+            new_scores.append(best + gains[k])
+            origins.append(origin)
+        return (new_scores, [remembered, *here], list(widths_here)), jnp.stack(origins)
 
     zero = jnp.zeros(frames, u.dtype)
-    first = ([zero] + [zero - 1e6] * count, [zero] * count, [zero] * count)
-    (scores, _, _), origins = lax.scan(forward, first, (place, gain, log_width))
+    # Nothing is remembered at first: a place so far away costs the same for all.
+    first = ([zero] + [zero + _NEVER] * count, [zero + _NEVER] + [zero] * count, [zero] * count)
+    (scores, _, _), origins = lax.scan(forward, first, (place, gain, log_width, lost.T))
     _, last = best_of(scores)
 
     def backward(taken, origin):

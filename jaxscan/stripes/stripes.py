@@ -60,7 +60,7 @@ class StripeSettings:
     """Which candidate of a line is the stripe: that on the best path over the lines, the
     brightest, the nearest or farthest one (which needs a calibration), or all of them, as
     profiles of their own."""
-    min_snr: float = 5.3
+    min_snr: float = 5.5
     """Smallest accepted signal-to-noise ratio of a stripe, sqrt(sum signal^2 / variance) [1]."""
     continued_snr: float = 4.2
     """The same on a path, for a line whose neighbours hold the same stripe [1]."""
