@@ -20,6 +20,7 @@ from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan, make_sea
 from jaxscan.reconstruction.points import Points, Rig, line_step
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.stripes.extract import learn_search
 from jaxscan.stripes.stripes import NoiseModel, Stripes
 
 
@@ -147,7 +148,16 @@ def _chunks(
             result = compute_chunk(batch.on, batch.off, searches[batch.laser], aim, kind)
             return batch.profiles, jax.tree.map(np.asarray, result)
 
-    for profiles, result in map_ahead(compute, batches(sweep, size), workers()):
+    def ready(waiting: Iterator[Batch]) -> Iterator[Batch]:
+        """Before a laser's first batch is computed in earnest, it says how wide the stripes are."""
+        learned: set[int] = set()
+        for batch in waiting:
+            if batch.laser not in learned:
+                learned.add(batch.laser)
+                searches[batch.laser] = learn_search(searches[batch.laser], compute(batch)[1].stripes)
+            yield batch
+
+    for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers()):
         yield _rows(profiles, _profiles_each(plan, None)), result
         if progress is not None:
             progress(int(sweep.record[profiles[-1]]) + 1, len(sweep))

@@ -26,6 +26,7 @@ from jaxscan.stripes.locate import locate
 from jaxscan.stripes.native import NativeLocator
 from jaxscan.stripes.noise import estimate_noise
 from jaxscan.stripes.stripes import NoiseModel, Stripes, StripeSettings
+from jaxscan.stripes.widths import LEARNED_FRAMES, learn_widths
 
 
 _LINE, _SETTINGS = LaserLine(), StripeSettings()
@@ -50,6 +51,10 @@ class Search(NamedTuple):
     """Read noise of one frame [DN]."""
     gain: Float[Array, ""]
     """Conversion gain [e-/DN]."""
+    log_width: Float[Array, ""]
+    """Mean of the logarithm of what the fit sees of a stripe's width [px]."""
+    width_information: Float[Array, ""]
+    """Information of this mean as a prior of each stripe [1]; 0 while nothing is known."""
     near_side: Float[Array, ""]
     """+1 where what is nearer has the larger centre, else -1; 0 if unknown."""
 
@@ -116,7 +121,20 @@ def prepare_search(
         levels=decode_table(response)[0].astype(np.float32),
         read=np.asarray(noise.read_dn, np.float32),
         gain=np.asarray(noise.electrons_per_dn, np.float32),
+        log_width=np.zeros((), np.float32),
+        width_information=np.zeros((), np.float32),
         near_side=np.asarray(near_side, np.float32),
+    )
+
+
+def learn_search(search: Search, stripes: FrameStripes) -> Search:
+    """The search with what its first frames' stripes say of the width."""
+    width, sigma, valid = (
+        np.asarray(field)[:LEARNED_FRAMES] for field in (stripes.width, stripes.sigma, stripes.valid)
+    )
+    log_width, information = learn_widths(width, sigma, valid)
+    return search._replace(
+        log_width=np.asarray(log_width, np.float32), width_information=np.asarray(information, np.float32)
     )
 
 
@@ -264,9 +282,16 @@ def candidates_of_located(
     sites = laser_sites(pixel_format, line)
     lines, samples = _plane_shape(image_size, pixel_format, line)
     fits = fit_candidates(
-        located.lists, gain, search.read, search.gain, samples=samples, pitch=sites.pitch, response=response,
+        located.lists,
+        gain,
+        search.read,
+        search.gain,
+        (search.log_width, search.width_information),
+        samples=samples,
+        pitch=sites.pitch,
+        response=response,
         settings=settings,
-    )  # fmt: skip
+    )
     slots = jnp.asarray(located.slots)
     exists = slots >= 0
     index = jnp.where(exists, slots, 0)
@@ -391,26 +416,29 @@ def extract_stripes(
     size = int(on.shape[2]), int(on.shape[1])
     how: dict[str, Any] = {"pixel_format": pixel_format, "response": response, "line": line, "settings": settings}
     search = prepare_search(noise, size, has_off=off is not None, **how)
-    parts = []
     # Single precision throughout, so that the result does not depend on the caller's setting.
     with jax.enable_x64(False):
-        for start in range(0, len(on), _CHUNK):
-            lit = _padded(on[start : start + _CHUNK], len(on))
-            dark = None if off is None else _padded(off[start : start + _CHUNK], len(on))
-            if dark is not None and is_native(dark):
-                located, gain = locate_natively(
-                    lit, dark, search, pixel_format=pixel_format, line=line, settings=settings
-                )
-                part = _from_located(located, gain, search, image_size=size, **how)
-            else:
-                part = _from_frames(lit, dark, search, **how)
-            # Copied: the candidates' memory is used again.
-            parts.append(jax.tree.map(np.array, part))
+        search = learn_search(search, _chunk_stripes(on, off, 0, search, **how))
+        parts = [_chunk_stripes(on, off, start, search, **how) for start in range(0, len(on), _CHUNK)]
     profiles = len(on) * (CANDIDATES if settings.choice == "all" else 1)
     joined = jax.tree.map(lambda *a: jnp.concatenate(a)[:profiles], *parts)
     fields = {name: field for name, field in joined._asdict().items() if name != "grey"}
     record = np.repeat(np.arange(len(on), dtype=np.int32), profiles // len(on))
     return Stripes(**fields, record=jnp.asarray(record), laser=jnp.zeros(profiles, jnp.int32))
+
+
+def _chunk_stripes(on: Array, off: Array | None, start: int, search: Search, **how: Any) -> FrameStripes:
+    """Stripes of one chunk, in memory of their own."""
+    lit = _padded(on[start : start + _CHUNK], len(on))
+    dark = None if off is None else _padded(off[start : start + _CHUNK], len(on))
+    if dark is not None and is_native(dark):
+        look = {name: how[name] for name in ("pixel_format", "line", "settings")}
+        located, gain = locate_natively(lit, dark, search, **look)
+        size = int(on.shape[2]), int(on.shape[1])
+        found = _from_located(located, gain, search, image_size=size, **how)
+    else:
+        found = _from_frames(lit, dark, search, **how)
+    return jax.tree.map(np.array, found)
 
 
 def _padded(frames: Array, total: int) -> Array:

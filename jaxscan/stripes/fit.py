@@ -95,6 +95,7 @@ def fit_stripe(
     iterations: int | Int[Array, " stripes"],
     max_width: float,
     active: Bool[Array, " stripes"] | None = None,
+    prior: tuple[Float[Array, ""], Float[Array, ""]] | None = None,
     speckle: float = 0.0,
     min_snr: float = 0.0,
     rest: float = 0.0,
@@ -112,6 +113,7 @@ def fit_stripe(
         iterations: Largest number of steps, of all or of each.
         max_width: Largest width that a step may reach [px].
         active: Which candidates are real; all where not given.
+        prior: What is known of the logarithm of the widened width [px]: mean and information.
         speckle: Contrast of the laser's speckle within a sample [1].
         min_snr: Signal-to-noise ratio from which a candidate's steps are waited for [1].
         rest: Error of the centre, in its standard deviations, with which the steps may end
@@ -129,6 +131,7 @@ def fit_stripe(
     base = jnp.zeros_like(start.u) if start.background is None else start.background
     pixel = (window.aperture / window.step) ** 2 / 12
     widest = max_width / window.step
+    log_step = jnp.log(window.step)
 
     def step(state):
         number, moving, u, amplitude, squared, base, _ = state
@@ -149,6 +152,12 @@ def fit_stripe(
         # last: its pivot is then the information that is left to it.
         normal = [[about[0]], [about[2], about[4]], [about[1], about[3], about[2]]]
         gradient = [first[0], first[2], first[1]]
+        if prior is not None:
+            # The parameters are per amplitude.
+            per_amplitude = prior[1] / amplitude
+            missing = prior[0] - 0.5 * jnp.log(squared) - log_step
+            normal[1] = [normal[1][0], normal[1][1] + per_amplitude / amplitude]
+            gradient[1] = gradient[1] + per_amplitude * missing
         if free:
             plain = _about(powers[:3] @ weighted, u, squared)
             normal = [[powers[0] @ weight], [plain[0], *normal[0]], [plain[2], *normal[1]], [plain[1], *normal[2]]]

@@ -80,7 +80,7 @@ class StripeSettings:
     """Contrast of the laser's speckle within a pixel: standard deviation over mean of the signal [1]."""
     saturation: int = 254
     """Pixels at or above this level [DN] are taken as clipped and left out of the fit."""
-    iterations: int = 3
+    iterations: int = 4
     """Steps of the fit: what is then left is a fiftieth of the noise."""
     clipped_iterations: int = 8
     """Steps of the fit where pixels are saturated, of which the start is worse."""
