@@ -36,7 +36,7 @@ _PER_PX = 0.3
 """Cost of a change of the centre [1/px]."""
 _GAP_JUMP = 8.0
 """Largest cost of a change of the centre over lines without any."""
-_WIDTH_COST = 2.0
+_WIDTH_COST = 0.5
 """Cost of a change of the width, per natural logarithm, up to one."""
 _NEVER = -1e6
 _BRIGHTER = 0.02
