@@ -6,6 +6,7 @@ from jaxscan.api import Capture as Capture
 from jaxscan.api import LaserLine as LaserLine
 from jaxscan.api import NoiseModel as NoiseModel
 from jaxscan.api import PointCloud as PointCloud
+from jaxscan.api import Reconstruction as Reconstruction
 from jaxscan.api import ReconstructSettings as ReconstructSettings
 from jaxscan.api import Scanner as Scanner
 from jaxscan.api import Stripes as Stripes
@@ -14,6 +15,7 @@ from jaxscan.api import Sweep as Sweep
 from jaxscan.api import calibrate as calibrate
 from jaxscan.api import compare_clouds as compare_clouds
 from jaxscan.api import extract_stripes as extract_stripes
+from jaxscan.api import extract_sweep as extract_sweep
 from jaxscan.api import fit_axis as fit_axis
 from jaxscan.api import fit_plane as fit_plane
 from jaxscan.api import load_calibration as load_calibration
@@ -27,6 +29,7 @@ from jaxscan.api import observe_boards as observe_boards
 from jaxscan.api import open_capture as open_capture
 from jaxscan.api import plane_sigma as plane_sigma
 from jaxscan.api import reconstruct as reconstruct
+from jaxscan.api import reconstruct_capture as reconstruct_capture
 from jaxscan.api import save_calibration as save_calibration
 from jaxscan.api import save_cloud as save_cloud
 from jaxscan.api import simulate as simulate

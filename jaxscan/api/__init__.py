@@ -6,6 +6,8 @@ from jaxscan.api.simulation import SimulatedCaptures as SimulatedCaptures
 from jaxscan.api.simulation import load_simulation as load_simulation
 from jaxscan.api.simulation import simulate as simulate
 from jaxscan.api.simulation import simulation_digest as simulation_digest
+from jaxscan.api.sweeps import Reconstruction as Reconstruction
+from jaxscan.api.sweeps import reconstruct_capture as reconstruct_capture
 from jaxscan.calibration import Calibration as Calibration
 from jaxscan.calibration import CalibrationSettings as CalibrationSettings
 from jaxscan.files.calibration import load_calibration as load_calibration
@@ -28,6 +30,7 @@ from jaxscan.reconstruction import PointCloud as PointCloud
 from jaxscan.reconstruction import ReconstructSettings as ReconstructSettings
 from jaxscan.reconstruction import Sweep as Sweep
 from jaxscan.reconstruction import reconstruct as reconstruct
+from jaxscan.reconstruction.reconstruct import extract_sweep as extract_sweep
 from jaxscan.simulation import SimulationConfig as SimulationConfig
 from jaxscan.stripes import LaserLine as LaserLine
 from jaxscan.stripes import NoiseModel as NoiseModel

@@ -1,5 +1,6 @@
 """Frames of board records to the stripes that lie on their boards."""
 
+import functools
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
@@ -10,6 +11,7 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.capture import Capture, Record
 from jaxscan.geometry import AbstractBoard
 from jaxscan.stripes import LaserLine, NoiseModel, Stripes, extract_stripes
+from jaxscan.stripes.learn_colour import with_colour
 from jaxscan.stripes.noise import estimate_noise
 
 
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 
 BATCH_RECORDS = 8
 """Board records looked at together: enough for all cores, little against any memory."""
+_COLOUR_RECORDS = 8
+"""Records from which the colour of a laser is learned where the header leaves it open."""
 # How far from where the stripe should be it is looked for [px]: its tails must be in.
 _BAND_PX = 24.0
 
@@ -73,6 +77,33 @@ def check_single_lasers(capture: Capture) -> None:
             )
 
 
+@functools.lru_cache(maxsize=16)
+def lines_with_colours(capture: Capture) -> tuple[LaserLine, ...]:
+    """The lasers of a capture of a board, with colours from a few of its pairs where they are "auto".
+
+    Raises:
+        CaptureError: If a colour cannot be learned.
+    """
+    return tuple(_with_colour(capture, laser) for laser in range(len(capture.lines)))
+
+
+def _with_colour(capture: Capture, laser: int) -> LaserLine:
+    line = capture.lines[laser]
+    lit = [i for i, record in enumerate(capture.records) if record.lasers == (laser,) and record.on]
+    if line.colour != "auto" or not lit:
+        return line
+    # Pairs, where there are any.
+    lit = [i for i in lit if capture.records[i].off] or lit
+    chosen = np.unique(np.linspace(0, len(lit) - 1, _COLOUR_RECORDS).astype(int))
+    on, off = zip(*(capture.frames(lit[i]) for i in chosen), strict=True)
+    try:
+        return with_colour(line, np.stack(on), None if off[0] is None else np.stack(off), capture.pixel_format)
+    except ValueError as problem:
+        raise CaptureError(
+            f'{capture.path}: the colour of the laser "{line.name}" is "auto" and cannot be learned: {problem}'
+        ) from problem
+
+
 def with_stripes(views: list[View], capture: Capture, calibration: Calibration | None = None) -> list[View]:
     """The views of one batch with the stripes that lie on their boards.
 
@@ -84,7 +115,7 @@ def with_stripes(views: list[View], capture: Capture, calibration: Calibration |
     """
     views = list(views)
     lit = [i for i, view in enumerate(views) if view.corners is not None and view.on is not None]
-    for laser, line in enumerate(capture.lines):
+    for laser, line in enumerate(lines_with_colours(capture)):
         for with_off in (True, False):
             group = [i for i in lit if views[i].laser == laser and (views[i].off is not None) == with_off]
             if not group:

@@ -29,6 +29,7 @@ def doctor(*, json: JsonTarget = None) -> None:
     checks = [
         _try("JAX", True, _jax),
         _try("OpenCV", True, lambda: _version("cv2", "opencv-python-headless")),
+        _try("Numba", True, lambda: _version("numba", "numba")),
         _try("optimistix", True, lambda: _version("optimistix", "optimistix")),
         _try("Open3D (simulator)", False, _open3d),
         _try("matplotlib (reports)", False, lambda: _version("matplotlib.figure", "matplotlib")),

@@ -36,6 +36,19 @@ def positive(option: str, *values: float) -> None:
             raise OptionError(f"{option}: found {value:g}, expected a number above 0.")
 
 
+def range_limits(smallest: str, low: float, largest: str, high: float) -> None:
+    """Refuse ranges of distances [m] that hold none.
+
+    Raises:
+        OptionError: With the option's name and what may stand there.
+    """
+    for option, value in ((smallest, low), (largest, high)):
+        if not (math.isfinite(value) and value >= 0):
+            raise OptionError(f"{option}: found {value:g}, expected a distance in metres.")
+    if low >= high:
+        raise OptionError(f"{largest}: found {high:g}, expected more than {smallest}, which is {low:g}.")
+
+
 def finite(option: str, values: tuple[float, ...]) -> None:
     """Refuse places that are nowhere.
 

@@ -5,11 +5,16 @@ import time
 import numpy as np
 
 from jaxscan import api
-from jaxscan.cli.options import CalibrationPath, CapturePath, OutputPath, at_least
+from jaxscan.cli.options import CalibrationPath, CapturePath, OutputPath, at_least, range_limits
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
+from jaxscan.errors import OptionError
 from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.clouds import check_cloud_path
+from jaxscan.stripes.stripes import Choice
+
+
+_RANGE = api.ReconstructSettings()
 
 
 def reconstruct(
@@ -19,6 +24,11 @@ def reconstruct(
     calibration: CalibrationPath,
     output: OutputPath,
     every: int = 1,
+    choice: Choice = "path",
+    min_range: float = _RANGE.min_range_m,
+    max_range: float = _RANGE.max_range_m,
+    check_steps: bool = False,
+    cache: bool = True,
     json: JsonTarget = None,
 ) -> None:
     """Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.
@@ -28,9 +38,24 @@ def reconstruct(
         calibration: Calibration of the scanner, as `jaxscan calibrate` writes it.
         output: Cloud to write; the suffix chooses the format (.ply .e57 .laz .las .pcd .xyz .ptx .npz).
         every: Use every n-th record only.
+        choice: Which candidate of a line is the stripe: that on the best path over the lines, the brightest, the
+            nearest, the farthest, or all of them.
+        min_range: Smallest distance from the camera [m].
+        max_range: Largest distance from the camera [m]: a little more than the room has leaves out reflections.
+        check_steps: Compare every centre with the neighbouring steps, where a reflection does not go on.
+        cache: Keep the stripes beside the capture, and use those that are kept there already.
         json: Write the result as JSON too.
     """
     at_least(1, "--every", every)
+    range_limits("--min-range", min_range, "--max-range", max_range)
+    if check_steps and choice == "all":
+        raise OptionError("--check-steps: found with --choice all, expected with a choice that is one.")
+    settings = api.ReconstructSettings(
+        stripes=api.StripeSettings(choice=choice),
+        min_range_m=min_range,
+        max_range_m=max_range,
+        check_steps=check_steps,
+    )
     check_cloud_path(output)
     check_json(json)
     sweep = api.open_capture(capture).every(every)
@@ -40,8 +65,13 @@ def reconstruct(
         out.print(f"note: {note}")
     start = time.perf_counter()
     with progress_bar("Reconstructing") as progress:
-        cloud = api.reconstruct(sweep, scanner, progress=progress)
+        done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=progress, cache=cache)
     seconds = time.perf_counter() - start
+    cloud, notes = done.cloud, [*sweep.notes, *done.notes]
+    for note in done.notes:
+        out.print(f"note: {note}")
+    if done.kept:
+        out.print("stripes from the cache" if done.from_cache else "stripes kept for next time")
     api.save_cloud(cloud, output, calibration_digest=calibration_digest(calibration))
     valid = np.asarray(cloud.valid)
     points = int(valid.sum())
@@ -64,6 +94,8 @@ def reconstruct(
             "seconds_s": seconds,
             "median_sigma_random_m": median_mm[0] / 1e3,
             "median_sigma_systematic_m": median_mm[1] / 1e3,
-            "notes": list(sweep.notes),
+            "stripes_from_cache": done.from_cache,
+            "stripes_kept": done.kept,
+            "notes": notes,
         },
     )

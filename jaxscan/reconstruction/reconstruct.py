@@ -95,7 +95,16 @@ def extract_sweep(
 ) -> Stripes:
     """Stripes of a whole sweep, with their colours: what `reconstruct` takes instead of frames.
 
-    Args and errors: as of `reconstruct`. The scanner only says where on a line stripes can lie.
+    Args:
+        sweep: Frames at known angles, in memory or on disk.
+        scanner: The calibrated rig; it only says where on a line stripes can lie.
+        settings: Range limits, and how stripes are found.
+        noise: Noise of a frame; estimated from the start of the sweep where not given.
+        progress: Called with (records done, records in all) after every chunk.
+
+    Raises:
+        CaptureError: If the sweep has no records, or cannot be read.
+        CalibrationError: If the scanner is not that of the sweep.
 
     Returns:
         Stripes, a profile per laser in a record; NumPy arrays, float32. `record` and `laser` are

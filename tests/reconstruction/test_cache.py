@@ -1,0 +1,177 @@
+"""Stripes that are kept beside a capture: when they serve again, and when they must not."""
+
+import numpy as np
+import pytest
+
+from jaxscan.api import reconstruct_capture
+from jaxscan.files.capture import Capture, CaptureHeader, create_capture, open_capture
+from jaxscan.files.stripe_cache import cache_path
+from jaxscan.geometry import LaserSheet, Scanner, stack_lasers
+from jaxscan.reconstruction import ReconstructSettings, reconstruct
+from jaxscan.stripes.stripes import NoiseModel, StripeSettings
+from jaxscan.vision.images import encode_png
+
+from .rendered import pairs, stripe
+
+
+WIDTH, HEIGHT, RECORDS = 192, 96, 6
+NORMAL = np.array([0.9, 0.4, 0.17]) / np.linalg.norm([0.9, 0.4, 0.17])
+SETTINGS = ReconstructSettings(min_range_m=1.0, max_range_m=4.0)
+FIELDS = ("xyz", "rgb", "normals", "sigma_random", "sigma_systematic", "intensity", "valid", "record", "laser", "angle")
+
+
+@pytest.fixture(scope="module")
+def scanner():
+    from .conftest import small_scanner
+
+    return small_scanner(width=WIDTH, height=HEIGHT)
+
+
+@pytest.fixture(scope="module")
+def frames(scanner):
+    from .conftest import stripes_on_plane
+
+    u, seen = stripes_on_plane(scanner, np.radians(np.arange(RECORDS)), NORMAL, 1.5)
+    return pairs(stripe(u, seen, 60.0, WIDTH))
+
+
+@pytest.fixture
+def capture(frames, tmp_path):
+    camera = {"width": WIDTH, "height": HEIGHT, "pixel_format": "mono8"}
+    header = CaptureHeader(kind="sweep", camera=camera, laser=[{"name": "left"}])
+    with create_capture(tmp_path / "room", header) as writer:
+        for i, (on, off) in enumerate(zip(*frames, strict=True)):
+            writer.append(angle_deg=float(i), on=on, off=off)
+    return open_capture(tmp_path / "room")
+
+
+def moved(scanner, distance):
+    """The same rig but for its sheet, which stands elsewhere [m]."""
+    sheet = LaserSheet.from_plane(np.array([-1.0, -0.03, 0.30]), distance)
+    return Scanner(scanner.camera, stack_lasers([sheet]), scanner.turntable, laser_names=scanner.laser_names)
+
+
+def assert_same(one, other):
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+def assert_close(one, other):
+    np.testing.assert_array_equal(one.valid, other.valid)
+    np.testing.assert_array_equal(one.rgb, other.rgb)
+    # One compiled function and two: the last places of float32.
+    np.testing.assert_allclose(one.xyz, other.xyz, rtol=1e-5, atol=1e-6)
+
+
+def test_the_second_time_no_frame_is_read(capture, scanner, monkeypatch):
+    first = reconstruct_capture(capture, scanner, settings=SETTINGS)
+    assert (first.from_cache, first.kept, first.notes) == (False, True, ())
+    assert first.cloud.valid.mean() > 0.99
+
+    def read(self, size):
+        raise AssertionError("a frame is read")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Capture, "chunks", read)
+        seen = []
+        second = reconstruct_capture(
+            capture, scanner, settings=SETTINGS, progress=lambda done, total: seen.append((done, total))
+        )
+        again = reconstruct_capture(open_capture(capture.path), scanner, settings=SETTINGS)
+    assert second.from_cache and again.from_cache and seen[-1] == (RECORDS, RECORDS)
+    assert_same(second.cloud, first.cloud)
+    assert_same(again.cloud, first.cloud)
+    assert_close(first.cloud, reconstruct(capture, scanner, settings=SETTINGS))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"settings": ReconstructSettings(min_range_m=1.0, max_range_m=5.0)},
+        {"settings": ReconstructSettings(min_range_m=1.0, max_range_m=4.0, stripes=StripeSettings(min_snr=6.0))},
+        {"settings": ReconstructSettings(min_range_m=1.0, max_range_m=4.0, gate=False)},
+        {"settings": ReconstructSettings(min_range_m=1.0, max_range_m=4.0, check_steps=True)},
+        {"settings": SETTINGS, "noise": NoiseModel(1.5, 30.0)},
+    ],
+    ids=["range", "stripes", "gate", "steps", "noise"],
+)
+def test_other_settings_find_other_stripes(capture, scanner, change):
+    reconstruct_capture(capture, scanner, settings=SETTINGS)
+    assert not reconstruct_capture(capture, scanner, **change).from_cache
+    assert reconstruct_capture(capture, scanner, **change).from_cache
+
+
+def test_what_does_not_concern_the_stripes_uses_them(capture, scanner):
+    reconstruct_capture(capture, scanner, settings=SETTINGS)
+    without = ReconstructSettings(min_range_m=1.0, max_range_m=4.0, normals=False)
+    done = reconstruct_capture(capture, scanner, settings=without)
+    assert done.from_cache and not done.cloud.normals.any()
+
+
+def test_other_frames_are_searched_again(capture, scanner, frames):
+    first = reconstruct_capture(capture, scanner, settings=SETTINGS)
+    assert not reconstruct_capture(capture.every(2), scanner, settings=SETTINGS).from_cache
+    assert not reconstruct_capture(capture, scanner, settings=SETTINGS).from_cache
+    (capture.path / "on" / "000003.png").write_bytes(encode_png(frames[1][3]))
+    done = reconstruct_capture(open_capture(capture.path), scanner, settings=SETTINGS)
+    assert not done.from_cache
+    assert first.cloud.valid[3].mean() > 0.99 and done.cloud.valid[3].mean() < 0.02
+
+
+def test_another_calibration_uses_what_was_searched_for_this_one(capture, scanner):
+    reconstruct_capture(capture, scanner, settings=SETTINGS)
+    near = moved(scanner, 0.205)
+    done = reconstruct_capture(capture, near, settings=SETTINGS)
+    assert done.from_cache
+    assert_close(done.cloud, reconstruct(capture, near, settings=SETTINGS))
+    assert np.abs(done.cloud.xyz @ NORMAL - 1.5)[done.cloud.valid].min() > 0.005
+
+
+def test_a_calibration_that_looks_elsewhere_searches_again(capture, scanner, monkeypatch):
+    reconstruct_capture(capture, scanner, settings=SETTINGS)
+
+    class Searched(Exception):
+        pass
+
+    def search(*args, **kwargs):
+        raise Searched
+
+    monkeypatch.setattr("jaxscan.api.sweeps.extract_sweep", search)
+    assert reconstruct_capture(capture, moved(scanner, 0.205), settings=SETTINGS).from_cache
+    # The limits then lie beyond the margin of 40 px.
+    with pytest.raises(Searched):
+        reconstruct_capture(capture, moved(scanner, 0.75), settings=SETTINGS)
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 no archive"])
+def test_a_damaged_file_is_replaced(capture, scanner, damage):
+    first = reconstruct_capture(capture, scanner, settings=SETTINGS)
+    whole = cache_path(capture).read_bytes()
+    cache_path(capture).write_bytes(damage or whole[: len(whole) // 2])
+    done = reconstruct_capture(capture, scanner, settings=SETTINGS)
+    assert (done.from_cache, done.kept) == (False, True)
+    assert_same(done.cloud, first.cloud)
+    assert reconstruct_capture(capture, scanner, settings=SETTINGS).from_cache
+
+
+def test_a_place_that_cannot_be_written_is_a_note(capture, scanner):
+    cache_path(capture).mkdir()
+    done = reconstruct_capture(capture, scanner, settings=SETTINGS)
+    assert not done.kept and done.cloud.valid.mean() > 0.99
+    (note,) = done.notes
+    assert note.startswith("the stripes are not kept for next time: ") and "stripes.npz" in note and "\n" not in note
+    assert sorted(path.name for path in capture.path.iterdir()) == [
+        *("capture.toml", "frames.jsonl", "off", "on", "stripes.npz")
+    ]
+
+
+def test_without_the_cache_nothing_is_kept(capture, scanner):
+    done = reconstruct_capture(capture, scanner, settings=SETTINGS, cache=False)
+    assert (done.from_cache, done.kept, done.notes) == (False, False, ())
+    assert not cache_path(capture).exists()
+
+
+def test_better_code_finds_stripes_anew(capture, scanner, monkeypatch):
+    reconstruct_capture(capture, scanner, settings=SETTINGS)
+    monkeypatch.setattr("jaxscan.api.sweeps._code_digest", lambda: "sha256:another")
+    assert not reconstruct_capture(capture, scanner, settings=SETTINGS).from_cache
