@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from jaxscan.geometry import Array
 
 
-_CERTAIN = 3.0
+_CERTAIN = 5.0
 """Standard deviations by which a shift must stand out of the noise of the laser-off frame."""
 _FLOOR = 2.0
 """Standard deviations of the noise below which a level is not believed."""
