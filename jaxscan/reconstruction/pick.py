@@ -1,15 +1,31 @@
-"""The stripe of every line among all candidates, by what the neighbouring table steps say."""
+"""The stripe of every line where all candidates are at hand."""
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int, Int8
 
+from jaxscan.reconstruction.chunk import ChunkResult
 from jaxscan.reconstruction.grid import GrowingStripes
+from jaxscan.stripes.extract import FrameStripes
 from jaxscan.stripes.steps import check_steps
 
 
 _LINES = 128
 """Lines that are compared at a time: what is copied for it stays small beside the sweep itself."""
+
+
+def one_per_line(result: ChunkResult) -> FrameStripes:
+    """The chosen stripes of a chunk, whether or not it has the other candidates too."""
+    if result.chosen is None:
+        return result.stripes
+    chosen = np.asarray(result.chosen)
+    number = np.maximum(chosen, 0).astype(np.intp)[:, None, :]
+
+    def of_chosen(field):
+        taken = np.take_along_axis(np.asarray(field).reshape(len(chosen), -1, chosen.shape[1]), number, 1)[:, 0]
+        return np.where(chosen >= 0, taken, taken.dtype.type(0))
+
+    return jax.tree.map(of_chosen, result.stripes)
 
 
 def pick_by_steps(

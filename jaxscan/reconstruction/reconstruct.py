@@ -15,7 +15,7 @@ from jaxscan.reconstruction.chunk import Aim, ChunkKind, ChunkResult, compute_ch
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.colour import sample_colours
 from jaxscan.reconstruction.grid import GrowingCloud, GrowingStripes
-from jaxscan.reconstruction.pick import pick_by_steps
+from jaxscan.reconstruction.pick import one_per_line, pick_by_steps
 from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan, make_searches, with_colours
 from jaxscan.reconstruction.points import Points, Rig, line_step
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
@@ -163,7 +163,7 @@ def _chunks(
         for batch in waiting:
             if batch.laser not in learned:
                 learned.add(batch.laser)
-                searches[batch.laser] = learn_search(searches[batch.laser], compute(batch)[1].stripes)
+                searches[batch.laser] = learn_search(searches[batch.laser], one_per_line(compute(batch)[1]))
             yield batch
 
     for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers()):

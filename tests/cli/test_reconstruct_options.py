@@ -1,0 +1,95 @@
+"""What `jaxscan reconstruct` takes beside a capture and a calibration, and what it says of it."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import jaxscan
+
+
+@pytest.fixture
+def capture(tiny, tmp_path):
+    """A copy of the sweep of which no stripes are kept yet."""
+    return shutil.copytree(tiny.sweep, tmp_path / "sweep", ignore=shutil.ignore_patterns("stripes.npz"))
+
+
+@pytest.fixture
+def reconstruct(tiny, run, tmp_path):
+    def call(capture, *words):
+        """What was printed, what was written as JSON, and the cloud."""
+        target, result = tmp_path / "cloud.npz", tmp_path / "result.json"
+        ran = run("reconstruct", capture, "-c", tiny.calibration, "-o", target, "--json", result, *words)
+        assert ran.code == 0, ran.err
+        return ran.out, json.loads(result.read_text()), jaxscan.load_cloud(target)
+
+    return call
+
+
+def test_stripes_are_kept_and_used_again(tiny, capture, reconstruct):
+    out, result, first = reconstruct(capture)
+    assert "stripes kept for next time" in out.splitlines()
+    assert (result["stripes_from_cache"], result["stripes_kept"]) == (False, True)
+    out, result, second = reconstruct(capture)
+    assert "stripes from the cache" in out.splitlines()
+    assert (result["stripes_from_cache"], result["stripes_kept"]) == (True, True)
+    for name in ("xyz", "rgb", "normals", "valid"):
+        np.testing.assert_array_equal(getattr(second, name), getattr(first, name), err_msg=name)
+    kept = (capture / "stripes.npz").stat().st_mtime_ns
+    out, result, third = reconstruct(capture, "--no-cache")
+    assert "stripes" not in out and result["stripes_from_cache"] is result["stripes_kept"] is False
+    assert (capture / "stripes.npz").stat().st_mtime_ns == kept
+    np.testing.assert_array_equal(third.valid, first.valid)
+
+
+def test_a_place_that_cannot_be_written_is_a_note(capture, reconstruct):
+    (capture / "stripes.npz").mkdir()
+    out, result, cloud = reconstruct(capture)
+    (note,) = result["notes"]
+    assert note.startswith("the stripes are not kept for next time") and cloud.valid.any()
+    assert "note: the stripes are not kept" in out and "stripes kept" not in out
+
+
+def test_all_candidates_are_profiles_of_their_own(tiny, capture, reconstruct):
+    _, _, cloud = reconstruct(capture, "--choice", "all", "--no-cache")
+    whole = jaxscan.load_cloud(tiny.cloud)
+    assert cloud.valid.shape == (3 * len(whole.valid), whole.valid.shape[1])
+    assert cloud.valid.sum() >= whole.valid.sum()
+
+
+def test_the_range_is_that_of_the_options(tiny, capture, reconstruct):
+    _, _, cloud = reconstruct(capture, "--min-range", 1.5, "--max-range", 2.0, "--no-cache")
+    scanner, whole = jaxscan.load_scanner(tiny.calibration), jaxscan.load_cloud(tiny.cloud)
+    centre = np.stack([np.asarray(scanner.pose(np.asarray(angle)))[:3, 3] for angle in cloud.angle])
+    away = np.linalg.norm(cloud.xyz - centre[:, None], axis=-1)[cloud.valid]
+    # Rounding of single precision aside.
+    assert away.min() > 1.5 - 1e-5 and away.max() < 2.0 + 1e-5
+    assert 0.05 * whole.valid.sum() < cloud.valid.sum() < 0.8 * whole.valid.sum()
+
+
+def test_steps_are_compared(tiny, capture, reconstruct):
+    """Nothing is wrong with the tiny room but its corners, where a stripe jumps from step to step."""
+    _, _, cloud = reconstruct(capture, "--check-steps", "--no-cache")
+    whole = jaxscan.load_cloud(tiny.cloud)
+    both = cloud.valid & whole.valid
+    assert cloud.valid.shape == whole.valid.shape and both.sum() > 0.9 * whole.valid.sum()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--min-range", "2", "--max-range", "1"), "--max-range: found 1, expected more than --min-range, which is 2"),
+        (("--min-range", "-1"), "--min-range: found -1, expected a distance in metres"),
+        (("--max-range", "nan"), "--max-range: found nan"),
+        (("--check-steps", "--choice", "all"), "--check-steps: found with --choice all"),
+    ],
+)
+def test_options_that_cannot_be_meant(tiny, refused, tmp_path, words, says):
+    assert says in refused("reconstruct", tiny.sweep, "-c", tiny.calibration, "-o", tmp_path / "a.ply", *words)
+    assert not (tmp_path / "a.ply").exists()
+
+
+def test_an_unknown_choice_is_a_usage_error(tiny, run, tmp_path):
+    ran = run("reconstruct", tiny.sweep, "-c", tiny.calibration, "-o", tmp_path / "a.ply", "--choice", "prettiest")
+    assert ran.code == 2 and "nearest" in ran.err
