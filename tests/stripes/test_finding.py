@@ -67,10 +67,12 @@ def test_poisoned_rows_change_nothing_elsewhere(render):
     off[:, 500:900] = rng.integers(0, 256, off[:, 500:900].shape)
     poisoned = extract_stripes(on, off, noise=KNOWN)
     others = np.r_[0:500, 900:2048]
-    for name in ("u", "sigma", "amplitude", "width", "chi2", "saturated", "valid"):
-        before, after = np.asarray(getattr(clean, name)), np.asarray(getattr(poisoned, name))
-        np.testing.assert_array_equal(before[:, others], after[:, others])
-        assert np.all(np.isfinite(after))
+    for name in ("u", "sigma", "amplitude", "width", "chi2", "skew", "saturated", "valid"):
+        assert np.all(np.isfinite(np.asarray(getattr(poisoned, name))))
+    np.testing.assert_array_equal(*(np.asarray(stripes.valid)[:, others] for stripes in (clean, poisoned)))
+    # Rows share only what is learned of the width, to which a fifth of the rows now say nothing.
+    moved = np.abs(np.asarray(poisoned.u) - np.asarray(clean.u))[:, others]
+    assert np.max(moved / np.asarray(clean.sigma)[:, others]) < 0.02
 
 
 def test_garbage_away_from_the_stripe_changes_nothing(render):
