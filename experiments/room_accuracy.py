@@ -4,6 +4,8 @@ Every seed draws its own board poses and all of its noise. The room without nois
 once and exposed once per seed. Nothing but the comparison at the end sees the truth.
 
     python experiments/room_accuracy.py [configs/paper.toml] [--every 10] [--seeds 5] [--json FILE]
+
+With --quick the demo's rig is taken, at few steps and with one seed, to see that it works.
 """
 
 import argparse
@@ -23,6 +25,7 @@ from jaxscan.simulation import ExpectedRecord, PlanSpec, SimulationConfig, devel
 
 CHUNK = 24
 """Records that are rendered together: what is held in memory."""
+QUICK_CONFIG = Path(jaxscan.__file__).parent / "data" / "demo.toml"
 AMPLITUDE_SIGMAS = 5.0
 """A stripe counts as visible from this many standard deviations of a difference pixel on."""
 
@@ -76,7 +79,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep board captures, calibrations and clouds here")
     parser.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
+    parser.add_argument("--quick", action="store_true", help="the demo's rig, few steps, one seed")
     arguments = parser.parse_args()
+    if arguments.quick:
+        arguments.config, arguments.every, arguments.seeds = QUICK_CONFIG, 6, 1
     config = jaxscan.load_simulation(arguments.config)
     if config.room is None:
         parser.error("the configuration has no [room]")
