@@ -82,7 +82,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="the demo's rig, few steps, one seed")
     arguments = parser.parse_args()
     if arguments.quick:
-        arguments.config, arguments.every, arguments.seeds = QUICK_CONFIG, 6, 1
+        arguments.config, arguments.every, arguments.seeds = QUICK_CONFIG, 2, 1
     config = jaxscan.load_simulation(arguments.config)
     if config.room is None:
         parser.error("the configuration has no [room]")
