@@ -21,8 +21,10 @@ from jaxscan.reconstruction.points import Points, Rig
 from jaxscan.stripes import NoiseModel
 from jaxscan.stripes.candidates import Located
 from jaxscan.stripes.choose import choose
-from jaxscan.stripes.extract import FrameStripes, Search, learn_search, locate_frames, locate_natively
+from jaxscan.stripes.chunk import locate_frames, locate_natively
 from jaxscan.stripes.fits import Fits, fit_candidates
+from jaxscan.stripes.search import Search, learn_search
+from jaxscan.stripes.stripes import FrameStripes
 
 
 class Chunk(NamedTuple):

@@ -20,7 +20,7 @@ from jaxscan.reconstruction.points import Rig
 from jaxscan.reconstruction.reconstruct import extract_sweep
 from jaxscan.stripes import NoiseModel
 from jaxscan.stripes.choose import choose
-from jaxscan.stripes.extract import locate_natively, stripes_of_located
+from jaxscan.stripes.chunk import locate_natively, stripes_of_located
 from jaxscan.stripes.fits import Fits, fit_candidates
 from jaxscan.stripes.noise import estimate_noise
 

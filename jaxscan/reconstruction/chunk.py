@@ -14,16 +14,11 @@ from jaxscan.reconstruction.colour import needs_frames, stripe_colours
 from jaxscan.reconstruction.points import Centres, Points, Rig, locate_points
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.stripes.candidates import CANDIDATES, Located
+from jaxscan.stripes.chunk import candidates_of_located, is_native, locate_frames, locate_natively
 from jaxscan.stripes.exposures import merge_exposures
-from jaxscan.stripes.extract import (
-    FrameStripes,
-    Search,
-    candidates_of_located,
-    is_native,
-    locate_frames,
-    locate_natively,
-)
 from jaxscan.stripes.frames import LaserLine, PixelFormat, Response
+from jaxscan.stripes.search import Search
+from jaxscan.stripes.stripes import FrameStripes
 
 
 class ChunkKind(NamedTuple):

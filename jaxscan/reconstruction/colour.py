@@ -6,8 +6,8 @@ from jaxtyping import Float, UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.reconstruction.triangulate import stripe_pixel
-from jaxscan.stripes.extract import FrameStripes
 from jaxscan.stripes.frames import PixelFormat, Response, StripeAxis
+from jaxscan.stripes.stripes import FrameStripes
 
 
 def sample_colour(frame: UInt8[Array, "..."], q: Float[Array, "2"], pixel_format: PixelFormat) -> UInt8[Array, "3"]:

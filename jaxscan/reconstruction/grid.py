@@ -6,8 +6,7 @@ from jaxscan.geometry import Array
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.normals import grid_normals
 from jaxscan.reconstruction.points import Points
-from jaxscan.stripes.extract import FrameStripes
-from jaxscan.stripes.stripes import Stripes
+from jaxscan.stripes.stripes import FrameStripes, Stripes
 
 
 class GrowingCloud:

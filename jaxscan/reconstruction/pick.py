@@ -6,8 +6,8 @@ from jaxtyping import Float, Int, Int8
 
 from jaxscan.reconstruction.chunk import ChunkResult
 from jaxscan.reconstruction.grid import GrowingStripes
-from jaxscan.stripes.extract import FrameStripes
 from jaxscan.stripes.steps import check_steps
+from jaxscan.stripes.stripes import FrameStripes
 
 
 _LINES = 128

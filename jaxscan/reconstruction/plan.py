@@ -14,10 +14,10 @@ from jaxscan.reconstruction.chunk import ChunkKind
 from jaxscan.reconstruction.gate import LineGate, line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
-from jaxscan.stripes.extract import Search, prepare_search
 from jaxscan.stripes.frames import LaserLine, StripeAxis
 from jaxscan.stripes.learn_colour import with_colour
 from jaxscan.stripes.noise import estimate_noise
+from jaxscan.stripes.search import Search, prepare_search
 from jaxscan.stripes.stripes import NoiseModel, Stripes
 
 

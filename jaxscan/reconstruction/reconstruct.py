@@ -20,7 +20,7 @@ from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan, make_sea
 from jaxscan.reconstruction.points import Points, Rig, line_step
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import SweepSource
-from jaxscan.stripes.extract import learn_search
+from jaxscan.stripes.search import learn_search
 from jaxscan.stripes.stripes import NoiseModel, Stripes
 
 

@@ -39,10 +39,9 @@ _EDGE = np.uint64(4)
 """Zeros around a line of the lattice."""
 _LAYOUT = (CANDIDATES, HALF_SPAN, ZONE_SPAN, FINE_SHIFT, NARROW, WIDE, BLOCK)
 _i16, _u64 = np.int16, np.uint64
-# Without the counting of references, which took as long as all the rest: nothing is allocated here.
-_part = numba.njit(nogil=True, _nrt=False)
+_part = numba.njit(nogil=True)
 # Only the whole is kept on disk: what comes from there one by one is not put together again.
-_whole = numba.njit(nogil=True, cache=True, _nrt=False)
+_whole = numba.njit(nogil=True, cache=True)
 
 
 class NativeLocator(threading.local):

@@ -1,7 +1,7 @@
 """Stripe centres on the grid [profile, line], and what governs their extraction."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Bool, Float, Int, UInt8
@@ -37,6 +37,21 @@ class Stripes(eqx.Module):
     """Which laser lit the profile."""
     rgb: UInt8[Array, "profiles lines 3"] | None = None
     """Colour of the laser-off image at the centre, where it was looked at."""
+
+
+class FrameStripes(NamedTuple):
+    """Fields of `Stripes` for the frames of a chunk, one laser; zero where not `valid`."""
+
+    u: Float[Array, "profiles lines"]
+    sigma: Float[Array, "profiles lines"]
+    amplitude: Float[Array, "profiles lines"]
+    width: Float[Array, "profiles lines"]
+    chi2: Float[Array, "profiles lines"]
+    skew: Float[Array, "profiles lines"]
+    grey: Float[Array, "profiles lines"]
+    """Linear level of the laser-off frame at the centre [DN]."""
+    saturated: UInt8[Array, "profiles lines"]
+    valid: Bool[Array, "profiles lines"]
 
 
 @dataclass(frozen=True)
