@@ -10,7 +10,7 @@ from jaxscan.calibration.predict import lift_to_board, predict_stripe
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import Capture, Record
 from jaxscan.geometry import AbstractBoard
-from jaxscan.stripes import LaserLine, NoiseModel, Stripes, extract_stripes
+from jaxscan.stripes import LaserLine, NoiseModel, Stripes, StripeSettings, extract_stripes
 from jaxscan.stripes.learn_colour import with_colour
 from jaxscan.stripes.noise import estimate_noise
 
@@ -25,6 +25,8 @@ _COLOUR_RECORDS = 8
 """Records from which the colour of a laser is learned where the header leaves it open."""
 # How far from where the stripe should be it is looked for [px]: its tails must be in.
 _BAND_PX = 24.0
+_SETTINGS = StripeSettings(guard_edges=False)
+"""What the ink of a board does to a stripe is corrected: sigmas are those of noise alone."""
 
 
 class View(NamedTuple):
@@ -131,7 +133,13 @@ def with_stripes(views: list[View], capture: Capture, calibration: Calibration |
             if calibration is not None and off is not None:
                 on = np.stack([_band(view, calibration, laser, line) for view in padded])
             stripes = extract_stripes(
-                on, off, pixel_format=capture.pixel_format, response=capture.response, line=line, noise=noise
+                on,
+                off,
+                pixel_format=capture.pixel_format,
+                response=capture.response,
+                line=line,
+                settings=_SETTINGS,
+                noise=noise,
             )
             for row, i in enumerate(group):
                 stripe = _board_stripe(stripes, row, views[i], capture, calibration)

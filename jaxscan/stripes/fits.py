@@ -139,9 +139,10 @@ def _fit_block(
     u = block.middle + fit.u
     valid &= real & (u >= -0.5) & (u <= pitch * (samples - 1) + 0.5)
     grey = jnp.zeros_like(u)
+    place = jnp.asarray(sample_places(block.on.shape[0]))[:, None]
     if block.off is not None:
-        place = jnp.asarray(sample_places(block.on.shape[0]))[:, None]
         grey = jnp.sum(jnp.maximum(1.0 - jnp.abs(place - (fit.u / window.step)[None, :]), 0.0) * block.off, 0)
+    if block.off is not None and settings.guard_edges:
         # What an edge of the surface's reflectance under the stripe may have done to the centre.
         dark = (noise_read * noise_read + 1 / 12 + block.off / noise_gain) / window.step[None, :]
         edge = albedo_shift(block.off, place * window.step[None, :], fit.u, fit.width, block.on >= 0.0, dark)

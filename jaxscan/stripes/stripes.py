@@ -91,6 +91,9 @@ class StripeSettings:
     """Largest accepted chi-squared per degree of freedom, but for `max_misfit` [1]."""
     max_misfit: float = 0.5
     """Accepted misfit of a stripe's shape, as a fraction of its root mean square [1]."""
+    guard_edges: bool = True
+    """Whether an edge of the surface's reflectance under the stripe, as the laser-off frame shows
+    it, widens a centre's sigma by what it may have moved it."""
     speckle: float = 0.0
     """Contrast of the laser's speckle within a pixel: standard deviation over mean of the signal [1]."""
     saturation: int = 254

@@ -147,7 +147,8 @@ def test_columns_turn_the_picture(small_scanner, flat_stripes):
     rows = flat_stripes((1, HEIGHT), 45.0)
     same = reconstruct(Sweep(frames, frames, np.zeros(1)), scanner, stripes=rows, settings=SETTINGS)
     # Column 45 at v = 30 and row 30 at u = 45 are one pixel.
-    np.testing.assert_array_equal(cloud.xyz[0, 45], same.xyz[0, 30])
+    # Two compiled functions may round otherwise in float32.
+    np.testing.assert_allclose(cloud.xyz[0, 45], same.xyz[0, 30], atol=1e-6)
     np.testing.assert_array_equal(cloud.rgb[0, 45], frames[0, 30, 45])
     # Along v the range has another slope.
     assert cloud.sigma_random[0, 45] < same.sigma_random[0, 30]
