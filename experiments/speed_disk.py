@@ -10,12 +10,11 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from speed_peers import THREADS, read
 from speed_scene import HEIGHT, WIDTH, Frames, make_scanner
@@ -25,7 +24,8 @@ from jaxscan.files.capture import Capture, open_capture
 from jaxscan.files.stripe_cache import cache_path, cached_stripes, frames_key, save_stripes
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud, reconstruct
-from jaxscan.stripes import NoiseModel, Stripes, extract_stripes
+from jaxscan.reconstruction.reconstruct import extract_sweep
+from jaxscan.stripes import Stripes
 from jaxscan.vision.images import decode_image, encode_png
 
 
@@ -120,17 +120,6 @@ def _prefix(capture: Capture, count: int) -> Capture:
     return dataclasses.replace(capture, records=capture.records[:count])
 
 
-def _stripes_of(capture: Capture) -> Stripes:
-    """The stripes of a whole capture, on the host."""
-
-    def parts() -> Iterator[Stripes]:
-        for chunk in capture.chunks(CHUNK):
-            yield jax.tree.map(np.asarray, extract_stripes(chunk.on, chunk.off, noise=NoiseModel()))
-
-    joined = jax.tree.map(lambda *fields: np.concatenate(fields), *parts())
-    return dataclasses.replace(joined, record=np.arange(len(capture), dtype=np.int32))
-
-
 def _child(folder: Path, counts: list[int], repeats: int) -> None:
     capture, scanner = open_capture(folder), make_scanner()
     result: dict[str, Any] = {"chunks": summary(*zip(*_timed(chunks_alone(capture), repeats + 1)[1:], strict=True))}
@@ -147,7 +136,7 @@ def _child(folder: Path, counts: list[int], repeats: int) -> None:
                 points = float(cloud.valid.mean())
                 del cloud
     result |= {"walls": walls, "peak_bytes": watch.peak, "points": points}
-    stripes = _stripes_of(capture)
+    stripes = extract_sweep(capture, scanner)
     with Watch() as watch:
         runs = _timed(lambda: reconstruct(capture, scanner, stripes=stripes), repeats + 1)[1:]
     result |= {"again": summary(*zip(*runs, strict=True)), "again_peak_bytes": watch.peak}
