@@ -23,11 +23,13 @@ def workers() -> int:
     return (os.cpu_count() or 1) if jax.default_backend() == "cpu" else 2
 
 
-def map_ahead(compute: Callable[[Item], Result], items: Iterable[Item], workers: int) -> Iterator[Result]:
+def map_ahead(
+    compute: Callable[[Item], Result], items: Iterable[Item], workers: int, *, compiled: bool = False
+) -> Iterator[Result]:
     """`map` in order, by threads, never with more than one item in memory beyond the workers."""
     waiting = iter(items)
-    # The first by itself: what compiles, compiles once.
-    yield from (compute(item) for item in itertools.islice(waiting, 1))
+    # The first by itself, unless `compiled`: what compiles, compiles once.
+    yield from (compute(item) for item in itertools.islice(waiting, 0 if compiled else 1))
     with ThreadPoolExecutor(workers) as pool:
         running: deque[Future[Result]] = deque()
         for item in waiting:

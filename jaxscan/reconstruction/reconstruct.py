@@ -166,7 +166,7 @@ def _chunks(
                 searches[batch.laser] = learn_search(searches[batch.laser], one_per_line(compute(batch)[1]))
             yield batch
 
-    for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers()):
+    for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers(), compiled=True):
         yield _rows(profiles, _profiles_each(plan, None)), result
         if progress is not None:
             progress(int(sweep.record[profiles[-1]]) + 1, len(sweep))
