@@ -25,8 +25,9 @@ _COLOUR_RECORDS = 8
 """Records from which the colour of a laser is learned where the header leaves it open."""
 # How far from where the stripe should be it is looked for [px]: its tails must be in.
 _BAND_PX = 24.0
-_SETTINGS = StripeSettings(guard_edges=False)
-"""What the ink of a board does to a stripe is corrected: sigmas are those of noise alone."""
+_SETTINGS = StripeSettings(guard_edges=False, learn_width=False)
+"""What the ink of a board does to a stripe is corrected: sigmas are those of noise alone, and no
+line knows of the others."""
 
 
 class View(NamedTuple):

@@ -144,7 +144,7 @@ def _chunks(
     """Stripes, colours and, with a rig, points of all chunks, with the profiles that they are."""
     plan = with_colours(plan)
     sweep, size = plan.sweep, plan.size
-    searches = make_searches(plan, noise)
+    searches, learns = make_searches(plan, noise), plan.settings.stripes.learn_width
     angles = sweep.angles.astype(np.float32)
 
     def compute(batch: Batch) -> tuple[np.ndarray, ChunkResult]:
@@ -161,12 +161,12 @@ def _chunks(
         """Before a laser's first batch is computed in earnest, it says how wide the stripes are."""
         learned: set[int] = set()
         for batch in waiting:
-            if batch.laser not in learned:
+            if learns and batch.laser not in learned:
                 learned.add(batch.laser)
                 searches[batch.laser] = learn_search(searches[batch.laser], one_per_line(compute(batch)[1]))
             yield batch
 
-    for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers(), compiled=True):
+    for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers(), compiled=learns):
         yield _rows(profiles, _profiles_each(plan, None)), result
         if progress is not None:
             progress(int(sweep.record[profiles[-1]]) + 1, len(sweep))

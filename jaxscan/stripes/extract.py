@@ -63,7 +63,8 @@ def extract_stripes(
     search = prepare_search(noise, size, has_off=off is not None, **how)
     # Single precision throughout, so that the result does not depend on the caller's setting.
     with jax.enable_x64(False):
-        search = learn_search(search, _chunk_stripes(on, off, 0, search, **how))
+        if settings.learn_width:
+            search = learn_search(search, _chunk_stripes(on, off, 0, search, **how))
         parts = [_chunk_stripes(on, off, start, search, **how) for start in range(0, len(on), _CHUNK)]
     profiles = len(on) * (CANDIDATES if settings.choice == "all" else 1)
     joined = jax.tree.map(lambda *a: jnp.concatenate(a)[:profiles], *parts)

@@ -91,6 +91,8 @@ class StripeSettings:
     """Largest accepted chi-squared per degree of freedom, but for `max_misfit` [1]."""
     max_misfit: float = 0.5
     """Accepted misfit of a stripe's shape, as a fraction of its root mean square [1]."""
+    learn_width: bool = True
+    """Whether the width of the first frames' stripes is a prior for all: it helps the faint ones."""
     guard_edges: bool = True
     """Whether an edge of the surface's reflectance under the stripe, as the laser-off frame shows
     it, widens a centre's sigma by what it may have moved it."""

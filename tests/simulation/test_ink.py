@@ -65,7 +65,7 @@ def stripes():
     sensor = CONFIG.sensor
     noise = NoiseModel(read_dn=sensor.read_dn, electrons_per_dn=sensor.electrons_per_dn)
     # As on boards, where the ink is known and corrected: the sigma is that of noise alone.
-    settings = StripeSettings(guard_edges=False)
+    settings = StripeSettings(guard_edges=False, learn_width=False)
     on, off = (np.stack([view[k] for view in views]) for k in (0, 1))
     found = extract_stripes(on, off, noise=noise, settings=settings)
     parts = [[] for _ in range(5)]
