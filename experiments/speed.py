@@ -63,7 +63,7 @@ class Size(NamedTuple):
     shard_repeats: int
 
 
-FULL = Size(512, 5, 256, (100, 400, 1200, 3600), 2)
+FULL = Size(512, 5, 512, (100, 400, 1200, 3600), 2)
 QUICK = Size(48, 2, 24, (50, 100), 1)
 
 
