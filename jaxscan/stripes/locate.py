@@ -6,7 +6,7 @@ per cent of the matched filter of stripes between 1 and 2 px; the sum of three t
 a few per cent of those between 2.5 and 6 px. A line's candidates are its highest maxima of the
 larger of the two, each with the zone around it that belongs to it.
 
-This is the reference; on a CPU `native.NativeLocator` computes the same, five times faster.
+This is the reference; on a CPU `native.NativeLocator` computes the same, many times faster.
 """
 
 import jax

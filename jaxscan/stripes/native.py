@@ -1,4 +1,4 @@
-"""`locate` for a CPU, where XLA's code for it is five times slower: the same integers, natively.
+"""`locate` for a CPU, where XLA's code for it is many times slower: the same integers, natively.
 
 One pass over the frames, line by line in the first-level cache: the difference on the lattice,
 two matched filters, the highest maxima, and the samples around them. It computes what
