@@ -1,0 +1,88 @@
+"""Whether the two frames of a pair show what they should: the same room, one with the laser, one without."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.geometry import Array
+from jaxscan.stripes.chunk import sample_pair
+from jaxscan.stripes.extract import extract_stripes
+from jaxscan.stripes.flicker import pair_gain
+from jaxscan.stripes.frames import LaserLine, PixelFormat, Response, decode_table, laser_plane, laser_sites
+from jaxscan.stripes.leak import frame_leak, leak
+from jaxscan.stripes.learn_colour import with_colour
+from jaxscan.stripes.noise import estimate_noise
+
+
+_HALF_WINDOW = 12
+"""Samples on either side of a stripe in which its trace is looked for."""
+
+
+class PairQuality(NamedTuple):
+    """What is wrong with each pair of frames."""
+
+    leak: Float[np.ndarray, " frames"]
+    """Amplitude of the stripe in the laser-off frame over that in the difference [1]."""
+    leak_sigma: Float[np.ndarray, " frames"]
+    """Standard deviation of `leak` [1]."""
+    unrest: Float[np.ndarray, " frames"]
+    """What differs between the frames beside the laser, in the root mean square of the noise [1]."""
+
+
+def judge_pairs(
+    on: Array,
+    off: Array,
+    *,
+    pixel_format: PixelFormat = "mono8",
+    response: Response = "linear",
+    line: LaserLine,
+) -> PairQuality:
+    """Look at some pairs of frames for laser light in the laser-off frame and for motion between the two.
+
+    Args:
+        on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
+        off: Laser-off frames of the same shape.
+        pixel_format: How a frame is to be read.
+        response: "linear" or "srgb".
+        line: The laser.
+    """
+    line = with_colour(line, on, off, pixel_format)
+    noise = estimate_noise(on, off, pixel_format=pixel_format, response=response, line=line)
+    stripes = extract_stripes(on, off, pixel_format=pixel_format, response=response, line=line, noise=noise)
+    sites = laser_sites(pixel_format, line)
+    lit, dark = (np.asarray(laser_plane(np.asarray(a), pixel_format=pixel_format, line=line)) for a in (on, off))
+    frames, lines, samples = dark.shape
+    image_lines = sites.first_line + sites.line_step * np.arange(lines)
+    offsets = np.asarray(sites.offsets)[np.arange(lines) % len(sites.offsets)]
+    u, width, amplitude, valid = (
+        np.asarray(field)[:, image_lines] for field in (stripes.u, stripes.width, stripes.amplitude, stripes.valid)
+    )
+    # In samples of the laser's plane, windows first.
+    centre = (u - offsets) / sites.pitch
+    middle = np.round(centre).astype(np.int64)
+    x = np.arange(-_HALF_WINDOW, _HALF_WINDOW + 1)[:, None, None]
+    index = middle[None] + x
+    used = (index >= 0) & (index < samples) & valid[None]
+    rows = np.arange(frames * lines).reshape(frames, lines)
+    level = decode_table(response)[0][dark.reshape(-1, samples)[rows[None], np.clip(index, 0, samples - 1)]]
+    variance = noise.read_dn**2 + 1 / 12 + level / noise.electrons_per_dn
+
+    def flat(values):
+        return np.asarray(values, np.float32).reshape(*values.shape[:-2], -1)
+
+    with jax.enable_x64(False):
+        each = leak(
+            flat(level),
+            flat(np.broadcast_to(x, index.shape)),
+            flat(centre - middle),
+            flat(np.where(valid, width / sites.pitch, 1.0)),
+            flat(amplitude),
+            used.reshape(len(x), -1),
+            flat(variance),
+        )
+        of_frame = frame_leak(jax.tree.map(lambda values: values.reshape(frames, lines), each), valid)
+        pair = sample_pair(lit, dark)
+        unrest = np.ones(frames) if pair is None else pair_gain(*pair, noise.read_dn, noise.electrons_per_dn).unrest
+        return PairQuality(np.asarray(of_frame.ratio), np.asarray(of_frame.sigma), np.asarray(unrest))
