@@ -13,10 +13,19 @@ from jaxscan.files.capture import Capture
 from jaxscan.files.stripe_cache import cache_path, cached_stripes, frames_key, save_stripes
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud, ReconstructSettings, reconstruct
-from jaxscan.reconstruction.plan import Plan, make_plan, search_gates
+from jaxscan.reconstruction.plan import Plan, make_plan, search_gates, with_colours
 from jaxscan.reconstruction.reconstruct import Progress, extract_sweep
 from jaxscan.reconstruction.settings import DEFAULTS
 from jaxscan.stripes import NoiseModel, Stripes
+from jaxscan.stripes.pairs import judge_pairs
+
+
+_JUDGED_PAIRS = 8
+"""Pairs of a sweep that are looked at."""
+_LEAK = 0.05
+"""Part of the stripe in the laser-off image from which a user should know [1]."""
+_UNREST = 2.0
+"""What differs beside the laser from which a user should know, in the noise [1]."""
 
 
 class Reconstruction(NamedTuple):
@@ -63,9 +72,10 @@ def reconstruct_capture(
         CaptureError: If the sweep has no records or no stripe, or a frame cannot be read.
         CalibrationError: If the scanner is not that of the sweep, or no point is in range.
     """
-    if not cache:
-        return Reconstruction(reconstruct(capture, scanner, settings=settings, noise=noise, progress=progress))
     plan = make_plan(capture, scanner, settings)
+    if not cache:
+        cloud = reconstruct(capture, scanner, settings=settings, noise=noise, progress=progress)
+        return Reconstruction(cloud, notes=pair_notes(capture, plan))
     path, key = cache_path(capture), _key(capture, settings, noise)
     stripes = _usable(cached_stripes(path, key), plan)
     if stripes is not None:
@@ -73,11 +83,41 @@ def reconstruct_capture(
         return Reconstruction(cloud, from_cache=True, kept=True)
     stripes = extract_sweep(capture, scanner, settings=settings, noise=noise, progress=progress)
     cloud = reconstruct(capture, scanner, stripes=stripes, settings=settings)
+    notes = pair_notes(capture, plan)
     try:
         save_stripes(path, {**_arrays(stripes), **_searched(plan)}, key)
     except CaptureError as problem:
-        return Reconstruction(cloud, notes=(f"the stripes are not kept for next time: {problem}",))
-    return Reconstruction(cloud, kept=True)
+        return Reconstruction(cloud, notes=(*notes, f"the stripes are not kept for next time: {problem}"))
+    return Reconstruction(cloud, kept=True, notes=notes)
+
+
+def pair_notes(capture: Capture, plan: Plan) -> tuple[str, ...]:
+    """What is wrong with the pairs of a sweep, from some of them all over it; a sentence each."""
+    lit = np.bincount(capture.record, minlength=len(capture))
+    alone = [i for i in range(len(capture)) if lit[i] == 1]
+    chosen = [alone[i] for i in np.unique(np.linspace(0, len(alone) - 1, _JUDGED_PAIRS).astype(int))] if alone else []
+    if not chosen or len(capture.exposures) > 1 or not all(capture.records[i].off for i in chosen):
+        return ()
+    notes, lasers = [], with_colours(plan).lasers
+    laser = np.array([capture.laser[capture.record == i][0] for i in chosen])
+    for index in np.unique(laser):
+        own = [i for i, one in zip(chosen, laser, strict=True) if one == index]
+        on, off = (np.stack(frames) for frames in zip(*(capture.frames(i) for i in own), strict=True))
+        line = lasers[index]
+        found = judge_pairs(on, off, pixel_format=capture.pixel_format, response=capture.response, line=line)
+        leaking = float(np.median(found.leak))
+        if leaking > _LEAK and leaking > 4.0 * float(np.median(found.leak_sigma)):
+            notes.append(
+                f'the laser "{line.name}" is in the laser-off images too ({100 * leaking:.0f} % of the stripe): wait '
+                f"longer after switching it off"
+            )
+        moving = [capture.records[i].i for i, unrest in zip(own, found.unrest, strict=True) if unrest > _UNREST]
+        if moving:
+            notes.append(
+                f"something moved, or a lamp changed, between the two images of record "
+                f"{', '.join(map(str, moving))} ({len(own)} were looked at)"
+            )
+    return tuple(notes)
 
 
 def _key(capture: Capture, settings: ReconstructSettings, noise: NoiseModel | None) -> dict[str, Any]:

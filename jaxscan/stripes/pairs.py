@@ -12,7 +12,6 @@ from jaxscan.stripes.extract import extract_stripes
 from jaxscan.stripes.flicker import pair_gain
 from jaxscan.stripes.frames import LaserLine, PixelFormat, Response, decode_table, laser_plane, laser_sites
 from jaxscan.stripes.leak import frame_leak, leak
-from jaxscan.stripes.learn_colour import with_colour
 from jaxscan.stripes.noise import estimate_noise
 
 
@@ -46,9 +45,8 @@ def judge_pairs(
         off: Laser-off frames of the same shape.
         pixel_format: How a frame is to be read.
         response: "linear" or "srgb".
-        line: The laser.
+        line: The laser, of which the colour is known.
     """
-    line = with_colour(line, on, off, pixel_format)
     noise = estimate_noise(on, off, pixel_format=pixel_format, response=response, line=line)
     stripes = extract_stripes(on, off, pixel_format=pixel_format, response=response, line=line, noise=noise)
     sites = laser_sites(pixel_format, line)
