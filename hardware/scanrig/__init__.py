@@ -1,0 +1,1 @@
+"""The acquisition layer's host side: drives turntable, laser and camera, and writes captures."""
