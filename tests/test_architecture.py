@@ -8,8 +8,13 @@ from pathlib import Path
 import pytest
 
 
-PACKAGE = Path(__file__).resolve().parent.parent / "jaxscan"
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "jaxscan"
 FILES = sorted(PACKAGE.rglob("*.py"))
+RIG = ROOT / "hardware" / "scanrig"
+RIG_FILES = sorted(RIG.rglob("*.py"))
+BENCH = ROOT / "hardware" / "bench"
+BENCH_FILES = sorted(BENCH.rglob("*.py"))
 
 CORE = {"geometry", "stripes", "reconstruction", "calibration", "measurement"}
 ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api"}
@@ -48,7 +53,17 @@ HOME_OF = {
 }
 """Third-party libraries that belong to one place."""
 
+RIG_MAY_IMPORT = {"files", "errors", "geometry", "stripes"}
+"""Folders of the package that the acquisition layer may import."""
+
+BENCH_MAY_IMPORT = {"files", "errors", "simulation", "vision"}
+"""Folders of the package that the simulated rig may import: what renders, nothing that estimates."""
+
+RIG_HOME_OF = {"cv2": ("cameras/",), "serial": ("link.py", "ports.py"), "ctypes": ("cameras/aravis",)}
+"""Libraries that belong to one place of the acquisition layer."""
+
 IDS = [str(path.relative_to(PACKAGE)) for path in FILES]
+RIG_IDS = [str(path.relative_to(RIG)) for path in RIG_FILES]
 
 
 def folder_of(path):
@@ -89,6 +104,40 @@ def test_libraries_stay_in_their_place(path):
             assert any(where == home or where.startswith(home + "/") for home in homes), f"line {line}: {module}"
 
 
+@pytest.mark.parametrize("path", RIG_FILES, ids=RIG_IDS)
+def test_the_acquisition_layer_imports_what_writes_captures(path):
+    where = str(path.relative_to(RIG))
+    for module, line in imports(path):
+        first, *rest = module.split(".")
+        assert first not in {"bench", "open3d", "jax", "rich", "tyro"}, f"line {line}: {module}"
+        if first == "jaxscan":
+            assert rest and rest[0] in RIG_MAY_IMPORT, f"line {line}: {module}"
+        homes = RIG_HOME_OF.get(first)
+        if homes is not None:
+            assert where.startswith(homes), f"line {line}: {module}"
+
+
+@pytest.mark.parametrize("path", BENCH_FILES, ids=lambda path: path.name)
+def test_the_bench_knows_no_estimator(path):
+    for module, line in imports(path):
+        first, *rest = module.split(".")
+        assert first != "scanrig", f"line {line}: {module}"
+        if first == "jaxscan":
+            assert rest and rest[0] in BENCH_MAY_IMPORT, f"line {line}: {module}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_only_the_command_line_knows_the_acquisition_layer(path):
+    found = [line for module, line in imports(path) if module.split(".")[0] in {"scanrig", "bench"}]
+    assert not found or folder_of(path) == "cli", f"line {found[0]}"
+
+
+def test_the_acquisition_layer_asserts_nothing():
+    for path in RIG_FILES:
+        found = [node.lineno for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Assert)]
+        assert not found, f"{path.name}: line {found[0]}"
+
+
 @pytest.mark.parametrize("path", [p for p in FILES if folder_of(p) in CORE], ids=str)
 def test_the_core_does_no_io(path):
     for node in ast.walk(ast.parse(path.read_text())):
@@ -107,7 +156,7 @@ def test_no_library_code_asserts_or_configures_jax(path):
 
 
 def test_import_is_light():
-    code = "import sys, jaxscan; print([m for m in ('cv2', 'open3d', 'serial', 'matplotlib') if m in sys.modules])"
+    code = "import sys, jaxscan; print([m for m in ('cv2', 'open3d', 'serial', 'matplotlib', 'scanrig') if m in sys.modules])"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
 
