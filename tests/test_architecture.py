@@ -156,7 +156,8 @@ def test_no_library_code_asserts_or_configures_jax(path):
 
 
 def test_import_is_light():
-    code = "import sys, jaxscan; print([m for m in ('cv2', 'open3d', 'serial', 'matplotlib', 'scanrig') if m in sys.modules])"
+    heavy = ("cv2", "open3d", "serial", "matplotlib", "scanrig")
+    code = f"import sys, jaxscan; print([m for m in {heavy} if m in sys.modules])"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
 
