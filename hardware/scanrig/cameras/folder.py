@@ -1,0 +1,143 @@
+"""A camera that plays the images of a folder: of a capture, or any pictures in the order of their names."""
+
+import os
+import re
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture import open_capture
+from jaxscan.files.header import HEADER_NAME, CameraTable, CaptureHeader, LaserTable
+from jaxscan.files.images import ImageReader
+from jaxscan.files.references import Folder, ImageRef
+from scanrig.cameras.features import require, wanted
+from scanrig.cameras.frame import CameraIdentity, Features, Frame
+from scanrig.cameras.settings import CameraSettings, TriggerMode
+from scanrig.errors import CameraError, CameraLost
+
+
+MAX_FILES = 100_000
+"""Most entries of a folder that are looked at."""
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+class FolderCamera:
+    """Gives the images one after another, laser on before laser off, and then no more.
+
+    It does not expose: nothing waits in it, so `drop` drops nothing, and a trigger has no effect.
+    """
+
+    def __init__(self, settings: CameraSettings) -> None:
+        """The images of `settings.id`.
+
+        Raises:
+            CameraError: If there are none, or the capture is of another size or pixel format.
+        """
+        self._settings, self._path = settings, Path(settings.id)
+        self.identity = CameraIdentity("folder", self._path.name, "")
+        self.trigger_mode: TriggerMode = settings.trigger
+        self._closed = False
+        self._open()
+
+    def _open(self) -> None:
+        try:
+            if (self._path / HEADER_NAME).exists():
+                self._header, self._images = _of_capture(self._path)
+            else:
+                self._header, self._images = _header(self._settings), _of_pictures(self._path)
+        except CaptureError as problem:
+            raise CameraError(f"{self._path}: cannot be played: {problem}") from problem
+        require(self.features(), wanted(self._settings), name=str(self._path))
+        self._reader = ImageReader(self._path, self._header)
+        self._number = 0
+
+    def features(self) -> Features:
+        camera = self._header.camera
+        return {"width": camera.width, "height": camera.height, "pixel_format": camera.pixel_format}
+
+    def counts(self) -> dict[str, int]:
+        return {"frames": self._number, "incomplete": 0, "missing": 0, "dropped": 0}
+
+    def start(self) -> None:
+        if self._closed:
+            raise CameraLost(f"{self._path}: the camera is closed.")
+
+    def drop(self) -> int:
+        return 0
+
+    def next(self, timeout_s: float) -> Frame:
+        """The next image.
+
+        Raises:
+            CameraError: If there is none left, or the file is missing, damaged or of another size.
+            CameraLost: If the camera is closed.
+        """
+        del timeout_s
+        self.start()
+        if self._number >= len(self._images):
+            raise CameraError(f"{self._path}: all {len(self._images)} images were played; there are no more.")
+        reference = self._images[self._number]
+        try:
+            image = self._reader.image(reference).copy()
+        except CaptureError as problem:
+            raise CameraError(f"{self._path}: {problem}") from problem
+        self._number += 1
+        return Frame(image, self._number, None, time.monotonic(), complete=True, note=str(reference))
+
+    def trigger(self) -> None:
+        if self.trigger_mode != "software":
+            raise CameraError(f'{self._path}: trigger is "{self.trigger_mode}", software triggers need "software".')
+
+    def reopen(self) -> None:
+        self._open()
+        self._closed = False
+
+    def close(self) -> None:
+        self._closed = True
+
+    def __enter__(self) -> "FolderCamera":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _of_capture(path: Path) -> tuple[CaptureHeader, Sequence[ImageRef]]:
+    """The images of a capture, record after record, laser on first."""
+    capture = open_capture(path)
+    return capture.header, [image for record in capture.records for image in (*record.on, *record.off)]
+
+
+def _of_pictures(path: Path) -> Sequence[ImageRef]:
+    """The pictures of a folder in the order of their names; of two that differ by "on" and "off", on first."""
+    try:
+        with os.scandir(path) as entries:
+            names = [entry.name for entry, _ in zip(entries, range(MAX_FILES + 1), strict=False)]
+    except OSError as problem:
+        raise CameraError(f"{path}: cannot be read: {problem.strerror}.") from problem
+    if len(names) > MAX_FILES:
+        raise CameraError(f"{path}: found more than {MAX_FILES} files; make folders of them.")
+    pictures = sorted((name for name in names if name.lower().endswith(_SUFFIXES)), key=_order)
+    if not pictures:
+        raise CameraError(f"{path}: found no images, expected files that end with {', '.join(_SUFFIXES)}.")
+    inside = Folder(path)
+    references = [ImageRef(name) for name in pictures]
+    for reference in references:
+        inside.locate(reference)
+    return references
+
+
+def _order(name: str) -> tuple[str, int, str]:
+    stem = name.rsplit(".", 1)[0]
+    match = re.fullmatch(r"(.*?)[-_ ]?(on|off)", stem, re.IGNORECASE)
+    return (match[1], int(match[2].lower() == "off"), name) if match else (stem, 0, name)
+
+
+def _header(settings: CameraSettings) -> CaptureHeader:
+    """What the pictures are, as a capture would say it."""
+    camera = CameraTable(width=settings.width, height=settings.height, pixel_format=settings.pixel_format)
+    return CaptureHeader(kind="sweep", camera=camera, laser=(LaserTable(),))

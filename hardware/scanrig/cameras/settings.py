@@ -1,0 +1,59 @@
+"""Which camera, and what it is set to: the `[camera]` table of a rig's configuration."""
+
+from typing import Annotated, Literal
+
+import pydantic
+
+from jaxscan.files.validation import FileModel, Integer, Number
+from jaxscan.geometry.scanner import Up
+from jaxscan.stripes.frames import PixelFormat, Response
+
+
+CameraKind = Literal["aravis", "opencv", "folder", "simulated"]
+TriggerMode = Literal["hardware", "software", "free"]
+MAX_PIXELS = 100_000_000
+"""Largest image that may be asked for."""
+
+
+class CameraSettings(FileModel):
+    """A camera and all that is set on it; what is not named here is left as the camera has it."""
+
+    kind: CameraKind
+    """"aravis" (GigE Vision and USB3 Vision), "opencv" (UVC), "folder" (plays images), "simulated"."""
+    id: Annotated[str, pydantic.Field(max_length=1024)] = ""
+    """Aravis: device id, serial number or address, "" for the only camera there is. OpenCV: index, path or
+    URL. Folder: its path. Simulated: a TOML file of a synthetic scene, or ""."""
+    width: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
+    """Width of a frame [px]."""
+    height: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
+    """Height of a frame [px]."""
+    pixel_format: PixelFormat = "mono8"
+    """How a frame is to be read."""
+    response: Response = "linear"
+    """"linear", or "srgb"."""
+    up: Up = "-v"
+    """Which direction of the image is up."""
+    exposure_ms: Annotated[Number, pydantic.Field(gt=0, le=10_000)] = 10.0
+    """Time that a frame is exposed [ms]."""
+    gain_db: Annotated[Number, pydantic.Field(ge=-100, le=100)] = 0.0
+    """Gain of the camera's amplifier [dB]; for a camera that counts otherwise, its own number."""
+    trigger: TriggerMode = "hardware"
+    """"hardware" (a wire), "software" (a command per frame), or "free" (frames follow one another)."""
+    trigger_source: Annotated[str, pydantic.Field(min_length=1, max_length=64, pattern=r"^[\x21-\x7e]+$")] = "Line1"
+    """What GenICam calls the input that the trigger's wire is on."""
+    packet_size: Annotated[Integer, pydantic.Field(ge=200, le=65535)] | None = None
+    """Bytes of a stream packet (GigE Vision); None: as the camera has it."""
+    flush_frames: Annotated[Integer, pydantic.Field(ge=0, le=100)] = 2
+    """Free-running cameras: frames that are discarded at least before one is believed to be new."""
+
+    @pydantic.model_validator(mode="after")
+    def _meaningful(self) -> "CameraSettings":
+        if self.width * self.height > MAX_PIXELS:
+            raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
+        if self.kind == "opencv" and self.trigger != "free":
+            raise ValueError(f'trigger: found "{self.trigger}", but a camera of kind "opencv" can only be "free"')
+        if self.kind == "opencv" and self.pixel_format not in ("mono8", "rgb8"):
+            raise ValueError(f'pixel_format: found "{self.pixel_format}", but kind "opencv" gives "mono8" or "rgb8"')
+        if self.kind == "folder" and not self.id:
+            raise ValueError('id: found "", but kind "folder" needs the path of a folder')
+        return self

@@ -1,0 +1,108 @@
+"""Frames without a renderer: a Gaussian laser line on a textured wall, with noise."""
+
+from typing import Annotated
+
+import numpy as np
+import pydantic
+from jaxtyping import Float, UInt8
+
+from jaxscan.files.validation import FileModel, Integer, Number
+from jaxscan.stripes.frames import PixelFormat, frame_rank
+
+
+_CHANNEL = {"red": 0, "green": 1, "blue": 2}
+
+
+class SyntheticScene(FileModel):
+    """What the simulated camera sees; angles are given as the fraction of a turn."""
+
+    colour: str = pydantic.Field("red", pattern="^(red|green|blue)$")
+    """The laser's."""
+    stripe_axis: str = pydantic.Field("rows", pattern="^(rows|columns)$")
+    """One centre per row, or per column."""
+    peak_dn: Annotated[Number, pydantic.Field(ge=0)] = 120.0
+    """Height of the line above the wall [DN]."""
+    width_px: Annotated[Number, pydantic.Field(gt=0, le=100)] = 1.8
+    """Standard deviation of the line [px]."""
+    share: Annotated[Number, pydantic.Field(ge=0, le=1)] = 1.0
+    """Part of the image's lines that the laser meets."""
+    ambient_dn: Annotated[Number, pydantic.Field(ge=0, le=255)] = 30.0
+    """Mean level of the wall [DN]."""
+    contrast: Annotated[Number, pydantic.Field(ge=0, le=1)] = 0.4
+    """Amplitude of the wall's texture over its mean [1]."""
+    turn_px: Annotated[Number, pydantic.Field(ge=0)] = 6000.0
+    """How far the wall moves through the image in one turn [px]."""
+    read_dn: Annotated[Number, pydantic.Field(ge=0)] = 1.0
+    """Read noise [DN]."""
+    electrons_per_dn: Annotated[Number, pydantic.Field(gt=0)] = 40.0
+    """Conversion gain [e-/DN]."""
+    microsteps_per_turn: Annotated[Integer, pydantic.Field(ge=1)] = 28800
+    """Positions in a turn."""
+    seed: Annotated[Integer, pydantic.Field(ge=0)] = 0
+    """Of the noise."""
+
+
+def stripe_centre(scene: SyntheticScene, position: float, lines: int, samples: int) -> Float[np.ndarray, " lines"]:
+    """Where the laser's line lies on each line of the image [px]: a bowed wall at the middle of the image."""
+    k = np.linspace(-1.0, 1.0, lines)
+    phase = 2.0 * np.pi * position / scene.microsteps_per_turn
+    return samples * (0.5 + 0.06 * np.sin(3.0 * phase) + 0.05 * k + 0.03 * k**2 * np.cos(5.0 * phase))
+
+
+def wall(scene: SyntheticScene, position: float, lines: int, samples: int) -> Float[np.ndarray, "lines samples"]:
+    """Light of the room [DN]: blocks and waves, which move as the table turns."""
+    x = np.arange(samples)[None, :] + scene.turn_px * (position / scene.microsteps_per_turn)
+    y = np.arange(lines)[:, None]
+    waves = np.sin(x / 23.0) * np.cos(y / 31.0) + 0.5 * np.sin((x + 2.0 * y) / 7.0)
+    blocks = 1.0 - 2.0 * ((np.floor(x / 64.0) + np.floor(y / 64.0)) % 2)
+    return np.maximum(scene.ambient_dn * (1.0 + scene.contrast * (0.4 * waves + 0.4 * blocks)), 0.0)
+
+
+def line_light(scene: SyntheticScene, position: float, lines: int, samples: int) -> Float[np.ndarray, "lines samples"]:
+    """Light of the laser [DN] on the first `share` of the lines."""
+    offset = np.arange(samples)[None, :] - stripe_centre(scene, position, lines, samples)[:, None]
+    met = np.arange(lines)[:, None] < scene.share * lines
+    return scene.peak_dn * np.exp(-0.5 * (offset / scene.width_px) ** 2) * met
+
+
+def draw(
+    scene: SyntheticScene,
+    position: float,
+    lit: bool,
+    *,
+    width: int,
+    height: int,
+    pixel_format: PixelFormat = "mono8",
+    generator: np.random.Generator,
+) -> UInt8[np.ndarray, "rows columns *three"]:
+    """One frame.
+
+    Args:
+        scene: What is seen.
+        position: Of the table [microsteps].
+        lit: Whether the laser is on.
+        width: Of the image [px].
+        height: Of the image [px].
+        pixel_format: How the frame is to be read.
+        generator: Of the noise; goes on.
+    """
+    across = scene.stripe_axis == "columns"
+    lines, samples = (width, height) if across else (height, width)
+    room, laser = wall(scene, position, lines, samples), line_light(scene, position, lines, samples) * lit
+    if across:
+        room, laser = room.T, laser.T
+    light = room[..., None] + laser[..., None] * (np.arange(3) == _CHANNEL[scene.colour])
+    if frame_rank(pixel_format) == 2:
+        light = room + laser if pixel_format == "mono8" else _mosaic(light, pixel_format)
+    electrons = generator.poisson(light * scene.electrons_per_dn)
+    noisy = electrons / scene.electrons_per_dn + generator.normal(0.0, scene.read_dn, light.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def _mosaic(light: Float[np.ndarray, "rows columns 3"], pixel_format: str) -> Float[np.ndarray, "rows columns"]:
+    tile = pixel_format[6:10]
+    seen = np.empty(light.shape[:2])
+    for place, letter in enumerate(tile):
+        row, column = divmod(place, 2)
+        seen[row::2, column::2] = light[row::2, column::2, "rgb".index(letter)]
+    return seen
