@@ -1,0 +1,229 @@
+"""A rig's configuration: which controller, table, laser and camera there are, and what is to be captured."""
+
+import hashlib
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pydantic
+
+from jaxscan.files.config import load_toml
+from jaxscan.files.header import BoardTable, LaserTable
+from jaxscan.files.validation import FileModel, Integer, Number
+from jaxscan.geometry.turntable import Carries
+from jaxscan.stripes.frames import LaserLine
+from scanrig.cameras.settings import CameraSettings
+from scanrig.proof import ProofLimits
+
+
+MAX_MICROSTEPS = 10_000_000
+"""Largest number of microsteps of a turn: an hour at the fastest a controller steps is half of this."""
+
+_Milliseconds = Annotated[Integer, pydantic.Field(ge=0, le=10_000)]
+_Angle = Annotated[Number, pydantic.Field(ge=-360, le=360)]
+_Limit = Annotated[Number, pydantic.Field(ge=-3600, le=3600)]
+_Count = Annotated[Integer, pydantic.Field(ge=1, le=100_000)]
+
+
+class ControllerTable(FileModel):
+    """The controller and the wire to it."""
+
+    port: Annotated[str, pydantic.Field(min_length=1, max_length=1024)] = "auto"
+    """Serial port; "auto": the only one that looks like a controller."""
+    baud: Annotated[Integer, pydantic.Field(ge=1200, le=4_000_000)] = 250_000
+    watchdog_ms: Annotated[Integer, pydantic.Field(ge=100, le=60_000)] = 500
+    """Time without a good line from the host after which laser and motor are switched off."""
+    reconnects: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 10
+    """Times that a lost controller is looked for, with growing pauses, before the scan ends."""
+
+
+class TurntableTable(FileModel):
+    """What turns, and how. Speeds that are not given are moderate ones."""
+
+    carries: Carries = "scanner"
+    full_steps: Annotated[Integer, pydantic.Field(ge=4, le=100_000)] = 200
+    """Full steps of the motor in a turn of the motor."""
+    microsteps: Annotated[Integer, pydantic.Field(ge=1, le=1024)] = 16
+    """Microsteps in a full step, as the driver is set."""
+    gear: tuple[Integer, Integer] = (1, 1)
+    """Turns of the motor in a turn of the table, as two integers: [9, 1], or [60, 16] teeth."""
+    speed_deg_s: Annotated[Number, pydantic.Field(gt=0, le=1000)] | None = None
+    start_speed_deg_s: Annotated[Number, pydantic.Field(gt=0, le=1000)] | None = None
+    """Speed at which a ramp may begin."""
+    acceleration_deg_s2: Annotated[Number, pydantic.Field(gt=0, le=10_000)] | None = None
+    home_speed_deg_s: Annotated[Number, pydantic.Field(gt=0, le=1000)] | None = None
+    """Speed of the slow approach to the home switch."""
+    home_within_deg: Annotated[Number, pydantic.Field(gt=0, le=800)] = 400.0
+    """How far the home switch is looked for."""
+    backlash_deg: Annotated[Number, pydantic.Field(ge=0, le=30)] = 0.0
+    """How far beyond a target a downward motion goes first, so that all arrive from the same side."""
+    limits_deg: tuple[_Limit, _Limit] | None = None
+    """Angles that the table may not leave: cables."""
+    settle_ms: _Milliseconds = 50
+    """Rest before a shot."""
+    reverse: bool = False
+    """Turns the sense round."""
+
+    @pydantic.model_validator(mode="after")
+    def _whole(self) -> "TurntableTable":
+        if min(self.gear) < 1 or max(self.gear) > 100_000:
+            raise ValueError(f"gear: found {list(self.gear)}, expected two integers of 1 ... 100000")
+        turn = Fraction(self.full_steps * self.microsteps * self.gear[0], self.gear[1])
+        if turn.denominator != 1:
+            raise ValueError(
+                f"full_steps x microsteps x gear = {self.full_steps} x {self.microsteps} x {self.gear[0]}/{self.gear[1]}"
+                f" = {float(turn):.3f} microsteps per turn, expected a whole number; correct the gear"
+            )
+        if not 8 <= turn <= MAX_MICROSTEPS:
+            raise ValueError(f"found {turn} microsteps per turn, expected 8 ... {MAX_MICROSTEPS}")
+        if self.limits_deg is not None and not self.limits_deg[0] <= 0 <= self.limits_deg[1]:
+            raise ValueError(f"limits_deg: found {list(self.limits_deg)}, expected [low, high] with home, 0, within")
+        return self
+
+    @property
+    def microsteps_per_turn(self) -> int:
+        """Microsteps in a turn of the table."""
+        return self.full_steps * self.microsteps * self.gear[0] // self.gear[1]
+
+
+class RigLaser(LaserTable):
+    """The laser as the camera sees it, and how long it takes to switch."""
+
+    on_ms: _Milliseconds = 20
+    """From switching on to the exposure."""
+    off_ms: _Milliseconds = 20
+    """From switching off to the exposure: also the time the camera needs to read a frame out."""
+
+    @property
+    def line(self) -> LaserLine:
+        """It as the stripe extraction takes it."""
+        return LaserLine(self.name, self.colour, self.stripe_axis)
+
+    @property
+    def table(self) -> LaserTable:
+        """It as a capture's header has it."""
+        return LaserTable(name=self.name, colour=self.colour, stripe_axis=self.stripe_axis)
+
+
+class TriggerTable(FileModel):
+    """The wire from the controller to the camera."""
+
+    pulse_ms: Annotated[Integer, pydantic.Field(ge=1, le=5000)] | None = None
+    """Length of a trigger pulse; by default that of the exposure, rounded up."""
+    gap_ms: _Milliseconds = 5
+    """After each exposure."""
+    ready_ms: _Milliseconds = 0
+    """Longest wait for the camera's ready output before each trigger; 0 where it is not wired."""
+
+
+class SweepTable(FileModel):
+    """Which angles a sweep has."""
+
+    steps: _Count = 3600
+    """Steps of a pass."""
+    turn_deg: _Angle = 360.0
+    """Angle of a pass; the last step stands one step before its end. Negative: downwards."""
+    start_deg: _Angle = 0.0
+    turns: Annotated[Integer, pydantic.Field(ge=1, le=1000)] = 1
+    """Passes; the table goes home after each, so that no cable winds up."""
+
+    @pydantic.model_validator(mode="after")
+    def _turns(self) -> "SweepTable":
+        if self.turn_deg == 0:
+            raise ValueError("turn_deg: found 0, expected an angle")
+        return self
+
+
+class CalibrationTable(FileModel):
+    """How many views of the board a calibration has."""
+
+    free_views: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 24
+    """Views from the home angle, the board held differently in each."""
+    placements: Annotated[Integer, pydantic.Field(ge=0, le=100)] = 4
+    """Places where the board stands still while the table turns."""
+    angles_deg: Annotated[tuple[_Angle, ...], pydantic.Field(min_length=2, max_length=1000)] = (
+        -15.0,
+        -10.0,
+        -5.0,
+        0.0,
+        5.0,
+        10.0,
+        15.0,
+    )
+    """Angles of the table for each placement."""
+
+
+class ChecksTable(FileModel):
+    """When a pair, a step or a turn is believed. Changing this does not forbid resuming."""
+
+    proof: ProofLimits = ProofLimits()
+    """Limits of the proof of every pair."""
+    retakes: Annotated[Integer, pydantic.Field(ge=0, le=100)] = 3
+    """Times that a step is taken again before the scan ends."""
+    lost_steps_tolerance: Annotated[Integer, pydantic.Field(ge=0, le=100_000)] = 2
+    """Microsteps by which home may be missed before the steps since the last good one are suspect."""
+    shift_px: Annotated[Number, pydantic.Field(gt=0, le=1000)] = 1.0
+    """How far the line may have moved where a step is taken again and compared."""
+    difference_dn: Annotated[Number, pydantic.Field(gt=0, le=255)] = 12.0
+    """Mean absolute difference of the laser-off images that such a comparison accepts [DN]."""
+    camera_reopens: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 10
+    """Times that a lost camera is opened again, with growing pauses, before the scan ends."""
+
+
+class RigConfig(FileModel):
+    """All of a rig's configuration file."""
+
+    controller: ControllerTable = ControllerTable()
+    turntable: TurntableTable = TurntableTable()
+    laser: Annotated[tuple[RigLaser, ...], pydantic.Field(min_length=1, max_length=1)] = (RigLaser(),)
+    camera: CameraSettings
+    trigger: TriggerTable = TriggerTable()
+    board: BoardTable | None = None
+    sweep: SweepTable = SweepTable()
+    calibration: CalibrationTable = CalibrationTable()
+    checks: ChecksTable = ChecksTable()
+
+    @pydantic.field_validator("laser", mode="before")
+    @classmethod
+    def _listed(cls, tables: Any) -> Any:
+        return (
+            (tables,) if isinstance(tables, dict | RigLaser) else tuple(tables) if isinstance(tables, list) else tables
+        )
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> "RigConfig":
+        if self.trigger.pulse_ms is None and self.camera.exposure_ms > 5000 and self.camera.trigger == "hardware":
+            raise ValueError(
+                f"camera.exposure_ms: found {self.camera.exposure_ms:g}, expected at most 5000 with a trigger pulse of "
+                "the exposure's length; give trigger.pulse_ms where the camera times its exposure itself"
+            )
+        return self
+
+    @property
+    def microsteps_per_turn(self) -> int:
+        """Microsteps in a turn of the table, N."""
+        return self.turntable.microsteps_per_turn
+
+    def digest(self, kind: Literal["sweep", "calibration"]) -> str:
+        """The sha256 of all that makes the frames of such a capture what they are, as "sha256:<hex>".
+
+        The port, the limits of checks and the tables of the other kind may change within a capture.
+        """
+        tables = self.model_dump(mode="json", exclude={"controller", "checks"})
+        del tables["calibration" if kind == "sweep" else "sweep"]
+        if kind == "sweep":
+            del tables["board"]
+        # Where the camera is plugged in does not matter, which one it is is compared by its serial number.
+        del tables["camera"]["id"], tables["camera"]["packet_size"]
+        text = json.dumps(tables, sort_keys=True, allow_nan=False)
+        return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
+
+
+def load_rig(path: str | Path) -> RigConfig:
+    """The configuration of a rig.
+
+    Raises:
+        ConfigError: One line: the file, the key, what was found and what may stand there.
+    """
+    return load_toml(path, RigConfig)
