@@ -1,0 +1,143 @@
+"""Bytes to and from the controller: a serial port, opened for one program alone."""
+
+import errno
+from pathlib import Path
+from typing import Protocol
+
+import serial
+
+from scanrig.clock import Clock, SystemClock
+from scanrig.errors import LinkLost, PortError
+from scanrig.ports import describe, find_ports
+from scanrig.transcript import RecordingLink as RecordingLink
+from scanrig.transcript import TranscriptLink as TranscriptLink
+
+
+POLL_S = 0.02
+WRITE_TIMEOUT_S = 1.0
+
+
+class Link(Protocol):
+    """A two-way stream of bytes that can be lost."""
+
+    @property
+    def name(self) -> str:
+        """What a person calls it: the port's path."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send all of data. Raises LinkLost."""
+        ...
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has come, as soon as something has; b"" after timeout_s without anything. Raises LinkLost."""
+        ...
+
+    def close(self) -> None:
+        """Give the port back. Never raises."""
+        ...
+
+
+class SerialLink:
+    """A serial port as a Link. Every trouble of it, of whatever type, is a LinkLost."""
+
+    def __init__(self, port: serial.Serial, clock: Clock):
+        self._port = port
+        self._clock = clock
+
+    @property
+    def name(self) -> str:
+        """The port's path."""
+        return str(self._port.port)
+
+    def write(self, data: bytes) -> None:
+        """Send all of data. Raises LinkLost."""
+        # pyserial raises its own errors, bare OSError and, on a port closed meanwhile, TypeError's kin; all of its own
+        # are OSErrors.
+        try:
+            self._port.write(data)
+        except OSError as problem:
+            raise LinkLost(lost(self.name, problem)) from problem
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has come, as soon as something has; b"" after timeout_s. Raises LinkLost."""
+        end = self._clock.now() + timeout_s
+        try:
+            while True:
+                data = self._port.read(max(1, self._port.in_waiting))
+                if data or self._clock.now() >= end:
+                    return bytes(data)
+        except OSError as problem:
+            raise LinkLost(lost(self.name, problem)) from problem
+
+    def close(self) -> None:
+        """Give the port back."""
+        try:
+            self._port.close()
+        except OSError:
+            # A port that went away cannot be closed properly, and need not be.
+            return
+
+
+def lost(name: str, problem: OSError) -> str:
+    """What to say of a port that stopped working."""
+    return f"{name} went away ({reason(problem)}); check cable and power"
+
+
+def open_serial(port: str, baud: int = 250_000, clock: Clock | None = None) -> SerialLink:
+    """Open a serial port for this program alone, asking for neither DTR nor RTS.
+
+    Args:
+        port: its path, better the one under /dev/serial/by-id, which does not change from plug to plug.
+        baud: bits per second.
+        clock: whose seconds reading waits.
+
+    Returns:
+        The open link.
+
+    Raises:
+        PortError: it is missing, taken, no serial port, or there is no right to use it; each with what to do.
+    """
+    device = serial.Serial()
+    device.port = port
+    device.baudrate = baud
+    device.timeout = POLL_S
+    device.write_timeout = WRITE_TIMEOUT_S
+    device.exclusive = True
+    device.dtr = False
+    device.rts = False
+    try:
+        device.open()
+    except (OSError, ValueError) as problem:
+        raise port_error(port, problem) from problem
+    return SerialLink(device, clock or SystemClock())
+
+
+def port_error(port: str, problem: Exception) -> PortError:
+    """A failure to open, sorted by what is to be done about it."""
+    candidates = [describe(info) for info in find_ports()]
+    there = "; ports found: " + ", ".join(candidates) if candidates else "; no serial port was found at all"
+    code = getattr(problem, "errno", None)
+    path = Path(port)
+    if path.is_dir():
+        says = f"{port} is a folder, expected a serial port{there}"
+    elif code == errno.ENOENT or (code is None and not path.exists()):
+        says = f"there is no port {port}{there}"
+    elif code in (errno.EACCES, errno.EPERM):
+        says = (
+            f"no right to use {port}: add yourself to its group ('sudo usermod -a -G dialout $USER' on most systems), "
+            "then log in again"
+        )
+    elif code in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK) or "exclusively lock" in str(problem):
+        says = f"{port} is taken: another program has it open; end that one first"
+    elif code == errno.ENOTTY or "Could not configure" in str(problem):
+        says = f"{port} is no serial port ({reason(problem)}){there}"
+    else:
+        says = f"cannot open {port} ({reason(problem)}){there}"
+    return PortError(says, candidates)
+
+
+def reason(problem: Exception) -> str:
+    """The system's own words, in one line, without pyserial's around them."""
+    strerror = getattr(problem, "strerror", None)
+    return " ".join((strerror or str(problem) or type(problem).__name__).split())

@@ -1,0 +1,121 @@
+"""Which serial ports there are, and which of them is the one that was here before."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from serial.tools import list_ports
+
+from scanrig.errors import PortError
+
+
+BY_ID = Path("/dev/serial/by-id")
+
+BOARDS = {
+    "2341:0043": "Arduino Uno",
+    "2341:0001": "Arduino Uno",
+    "2a03:0043": "Arduino Uno",
+    "1a86:7523": "CH340 (many Uno and Nano boards)",
+    "1a86:5523": "CH341",
+    "0403:6001": "FT232R (Nano)",
+    "10c4:ea60": "CP210x",
+}
+"""USB numbers under which an ATmega328P board usually appears."""
+
+
+@dataclass(frozen=True)
+class PortInfo:
+    """A serial port that exists."""
+
+    device: str
+    by_id: str
+    """Its path under /dev/serial/by-id, the same at every plug; "" where there is none."""
+    description: str
+    vid_pid: str
+    """USB vendor and product, four hexadecimal digits each: `2341:0043`; "" where it is not a USB port."""
+    serial_number: str
+
+
+def find_ports(by_id_folder: Path = BY_ID) -> list[PortInfo]:
+    """All serial ports of USB and the like, usual controller boards first, then by path."""
+    names = by_id_names(by_id_folder)
+    found = []
+    for port in list_ports.comports():
+        vid_pid = "" if port.vid is None or port.pid is None else f"{port.vid:04x}:{port.pid:04x}"
+        found.append(
+            PortInfo(
+                device=port.device,
+                by_id=names.get(str(Path(port.device).resolve()), ""),
+                description=BOARDS.get(vid_pid) or port.description or "",
+                vid_pid=vid_pid,
+                serial_number=port.serial_number or "",
+            )
+        )
+    return sorted(found, key=lambda info: (info.vid_pid not in BOARDS, info.vid_pid == "", info.device))
+
+
+def by_id_names(folder: Path) -> dict[str, str]:
+    """Device path → path under `folder` that links to it."""
+    if not folder.is_dir():
+        return {}
+    return {str(link.resolve()): str(link) for link in sorted(folder.iterdir())}
+
+
+def describe(info: PortInfo) -> str:
+    """A port as it stands in a message."""
+    what = info.description if info.description and info.description != "n/a" else ""
+    words = [word for word in (what, info.vid_pid, info.serial_number) if word]
+    return (info.by_id or info.device) + (f" ({', '.join(words)})" if words else "")
+
+
+def choose_port(wanted: str = "", ports: Iterable[PortInfo] | None = None) -> str:
+    """The path of the port to open.
+
+    Args:
+        wanted: a path, which is taken as it stands; a USB serial number; "" or "auto" for the only board there is.
+        ports: where to choose from; by default what `find_ports` finds.
+
+    Returns:
+        The path, under /dev/serial/by-id where there is one.
+
+    Raises:
+        PortError: none, or several, so that a person must choose.
+    """
+    if "/" in wanted or wanted.upper().startswith("COM"):
+        return wanted
+    found = list(find_ports() if ports is None else ports)
+    names = [describe(info) for info in found]
+    if wanted not in ("", "auto"):
+        fitting = [info for info in found if info.serial_number == wanted]
+        missing = f"no port with serial number '{wanted}'"
+    else:
+        fitting = [info for info in found if info.vid_pid in BOARDS] or [info for info in found if info.vid_pid]
+        missing = "no controller found: no USB serial port is plugged in"
+    if len(fitting) == 1:
+        return fitting[0].by_id or fitting[0].device
+    if not fitting:
+        others = f"; ports found: {', '.join(names)}" if names else "; no serial port was found at all"
+        raise PortError(f"{missing}{others}", names)
+    raise PortError(f"{len(fitting)} ports could be the controller, name one: {', '.join(names)}", names)
+
+
+def identify(path: str, ports: Iterable[PortInfo] | None = None) -> PortInfo:
+    """What is known of the port at `path`, to know it again by; of a pseudo terminal nothing but its path."""
+    real = str(Path(path).resolve())
+    for info in find_ports() if ports is None else ports:
+        if real in (info.device, str(Path(info.device).resolve())):
+            return info
+    return PortInfo(device=path, by_id="", description="", vid_pid="", serial_number="")
+
+
+def find_again(known: PortInfo, ports: Iterable[PortInfo] | None = None) -> str:
+    """The path of a port that was known before, even if it came back under another number.
+
+    By USB numbers and serial number if it has one, else by its path under /dev/serial/by-id, else by its old path.
+    """
+    found = list(find_ports() if ports is None else ports)
+    if known.serial_number:
+        for info in found:
+            if (info.vid_pid, info.serial_number) == (known.vid_pid, known.serial_number):
+                return info.device
+    return known.by_id or known.device
