@@ -1,0 +1,214 @@
+"""A rig without hardware: the real firmware in a simulated processor, on a serial port of its own."""
+
+import contextlib
+import json
+import selectors
+import subprocess
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from bench.build import SIMRUN, build
+from bench.errors import BenchError
+from bench.sockets import ControlClient
+
+
+CLOCK_HZ = 16_000_000
+"""Cycles per second of the log's stamps."""
+
+READY_S = 10.0
+"""How long the runner may take to start, on a busy machine."""
+
+
+class SimulatedRig:
+    """Firmware, turntable, switches and laser, in a folder of their own.
+
+    Start it from a thread that lives as long as the rig: the kernel ends the runner with it.
+
+    Assertions belong on `edges()` and `plant()`: what the pins and the table did, not what the firmware says.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        firmware: str | Path = "scan",
+        speed: float = 1.0,
+        microsteps_per_turn: int = 28800,
+        start: int = 500,
+        home_width: int = 40,
+        bounce_us: int = 0,
+        autoreset: bool = False,
+        seed: int = 1,
+        echo: bool = False,
+    ) -> None:
+        """A rig that `start` (or `with`) switches on.
+
+        Args:
+            folder: Holds port, log, sockets and the EEPROM's content; made if it is not there.
+            firmware: "scan", "scan_hang", "echo", or the path of an image.
+            speed: Simulated seconds per second; 0: as fast as it goes.
+            microsteps_per_turn: Of the plant: the angle is position / this.
+            start: Where the table stands at the beginning [microsteps]; the home switch closes at 0, from above.
+            home_width: Microsteps over which the switch is closed, below 0.
+            bounce_us: How long the switch chatters at each change.
+            autoreset: Whether opening the port resets the processor, as on an Uno.
+            seed: Of the noise on the line.
+            echo: Some other device on the port, which sends back what it gets.
+        """
+        self.folder = Path(folder)
+        self.port = str(self.folder / "port")
+        self.edges_path = self.folder / "edges.jsonl"
+        self.control_path = self.folder / "control"
+        self._firmware = "echo" if echo else firmware
+        self._speed, self._start, self._seed = speed, start, seed
+        self._options = ["--microsteps-per-turn", str(microsteps_per_turn), "--home-width", str(home_width)]
+        self._options += ["--bounce", str(bounce_us), *(["--autoreset"] if autoreset else [])]
+        self._process: subprocess.Popen[str] | None = None
+        self._control: ControlClient | None = None
+
+    def __enter__(self) -> "SimulatedRig":
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def start(self) -> None:
+        """Switch on. After `kill` or `close` it goes on where it stood: position, EEPROM and log stay.
+
+        Raises:
+            BenchError: If the build fails or the runner does not come up.
+        """
+        if self._process is not None:
+            raise BenchError(f"{self.folder}: this rig is on already.")
+        image = build(self._firmware) if isinstance(self._firmware, str) else self._firmware
+        if isinstance(self._firmware, Path):
+            build("echo")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        cycle, position = self._last()
+        command = [str(SIMRUN), "--firmware", str(Path(image).resolve()), "--port", "port", "--edges", "edges.jsonl"]
+        command += ["--control", "control", "--eeprom", "eeprom.bin", "--speed", str(self._speed)]
+        command += ["--begin", str(cycle), "--start", str(position), "--seed", str(self._seed), *self._options]
+        with open(self.folder / "simrun.err", "a") as errors:
+            self._process = subprocess.Popen(
+                command, cwd=self.folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors, text=True
+            )
+        await_ready(self._process, self.folder / "simrun.err")
+        self._control = ControlClient(self.control_path)
+
+    def control(self, text: str) -> str:
+        """Give the runner one command, see README.md.
+
+        Raises:
+            BenchError: If it does not know it, or does not answer.
+        """
+        if self._control is None:
+            raise BenchError(f"{self.folder}: this rig is off.")
+        answer = self._control.ask(text)
+        if answer.startswith("unknown"):
+            raise BenchError(f"simrun does not know {text!r}.")
+        return answer
+
+    def plant(self) -> dict[str, Any]:
+        """The true state of table, laser and line, now."""
+        return dict(json.loads(self.control("state")))
+
+    def edges(self) -> list[dict[str, Any]]:
+        """The log so far: `cycle`, `pin`, `v`, `pos`; or `cycle`, `pos` and one of `host`, `reset`, `line`, `stop`."""
+        if not self.edges_path.exists():
+            return []
+        if self._control is not None:
+            self.plant()  # What happened before an answer is in the log by then.
+        lines = self.edges_path.read_text().split("\n")
+        return [json.loads(line) for line in lines[:-1]]
+
+    def run_for(self, seconds: float, *, timeout_s: float = 60.0) -> None:
+        """Wait until so much simulated time has passed.
+
+        Raises:
+            BenchError: If it does not pass.
+        """
+        goal = self.plant()["cycle"] + int(seconds * CLOCK_HZ)
+        end = time.monotonic() + timeout_s
+        while self.plant()["cycle"] < goal:
+            if time.monotonic() > end:
+                raise BenchError(f"{self.folder}: {seconds} simulated seconds took more than {timeout_s} s.")
+            time.sleep(0.001)
+
+    def unplug(self) -> None:
+        """Pull the cable: the port goes away; the processor runs on."""
+        self.control("unplug")
+
+    def plug(self) -> None:
+        """Plug it in again."""
+        self.control("plug")
+
+    def kill(self) -> None:
+        """Take the power away, in the middle of whatever it does."""
+        self._end(kill=True)
+
+    def restart(self) -> None:
+        """Power off and on again."""
+        self.kill()
+        self.start()
+
+    def close(self) -> None:
+        """Switch off. Doing so twice is doing it once."""
+        self._end(kill=False)
+
+    def _end(self, *, kill: bool) -> None:
+        process, self._process = self._process, None
+        control, self._control = self._control, None
+        if control is not None:
+            control.close()
+        if process is None:
+            return
+        process.kill() if kill else process.terminate()
+        try:
+            process.wait(5)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait(5)
+        if process.stdout is not None:
+            process.stdout.close()
+        for left in (Path(self.port), self.control_path):
+            with contextlib.suppress(FileNotFoundError):
+                left.unlink()
+
+    def _last(self) -> tuple[int, int]:
+        """Cycle and position at the end of the log, where a rig that was on before goes on."""
+        if not self.edges_path.exists():
+            return 0, self._start
+        *lines, torn = self.edges_path.read_text().split("\n")
+        if torn:
+            # Killed within a line. Nothing may be written after half of one.
+            self.edges_path.write_text("".join(line + "\n" for line in lines))
+        if not lines:
+            return 0, self._start
+        last = json.loads(lines[-1])
+        return last["cycle"], last["pos"]
+
+
+def await_ready(process: "subprocess.Popen[str]", errors: Path, *, within_s: float = READY_S) -> None:
+    """Wait for the line "ready" of a program that was just started.
+
+    Raises:
+        BenchError: With its last words, if it ends or says something else; it is ended then.
+    """
+    if process.stdout is None:
+        raise BenchError("A program without an output cannot say that it is ready.")
+    with selectors.DefaultSelector() as selector:
+        selector.register(process.stdout, selectors.EVENT_READ)
+        came = selector.select(within_s)
+    line = process.stdout.readline() if came else ""
+    if line.startswith("ready"):
+        return
+    process.kill()
+    process.wait(5)
+    process.stdout.close()
+    words = errors.read_text().strip().splitlines()
+    raise BenchError(f"{process.args!s:.60}… did not start: {words[-1] if words else 'it said nothing'}")

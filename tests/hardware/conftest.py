@@ -1,0 +1,79 @@
+"""A rig without hardware for every test that asks for one; without its tools such a test is skipped, by name."""
+
+import os
+
+import pytest
+
+
+REQUIRED = bool(os.environ.get("JAXSCAN_REQUIRE_BENCH"))
+
+
+def _refuse_or_skip(reason):
+    if REQUIRED:
+        raise pytest.UsageError(f"JAXSCAN_REQUIRE_BENCH is set, but {reason}")
+    return pytest.mark.skip(reason=reason)
+
+
+def missing_for_the_rig():
+    """What the simulated rig lacks, as one line; "" if nothing."""
+    from bench.build import missing_tools
+
+    packages = missing_tools()
+    return f"the simulated rig needs {', '.join(packages)}: type `make bench-deps`" if packages else ""
+
+
+def missing_for_the_camera():
+    """What the camera on loopback lacks, as one line; "" if nothing."""
+    from bench.aravis import aravis_is_there
+
+    return "" if aravis_is_there() else "the camera on loopback needs libaravis-0.8-0: type `make bench-deps`"
+
+
+NEEDS = {"rig": missing_for_the_rig, "rendered_camera": missing_for_the_camera}
+"""Fixtures that need tools, and who says which are missing."""
+
+
+def pytest_collection_modifyitems(items):
+    """Skips by name what cannot run here; with JAXSCAN_REQUIRE_BENCH=1 that is an error instead."""
+    for name, missing in NEEDS.items():
+        wanting = [item for item in items if name in getattr(item, "fixturenames", ())]
+        if wanting and (reason := missing()):
+            mark = _refuse_or_skip(reason)
+            for item in wanting:
+                item.add_marker(mark)
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """Makes simulated rigs, `rig(speed=…, …)`, each in a folder of its own; all are switched off at the end."""
+    from bench.rig import SimulatedRig
+
+    made = []
+
+    def make(**options):
+        simulated = SimulatedRig(tmp_path / f"rig{len(made)}", **options)
+        made.append(simulated)
+        simulated.start()
+        return simulated
+
+    yield make
+    for simulated in made:
+        simulated.close()
+
+
+@pytest.fixture
+def rendered_camera(tmp_path):
+    """Makes cameras on loopback that see what a rig's plant shows: `rendered_camera(rig, world=…)`."""
+    from bench.camera import CameraProcess
+
+    made = []
+
+    def make(simulated, **options):
+        camera = CameraProcess(tmp_path / f"camera{len(made)}", edges=simulated.edges_path, **options)
+        made.append(camera)
+        camera.start()
+        return camera
+
+    yield make
+    for camera in made:
+        camera.close()
