@@ -21,6 +21,7 @@ from jaxscan.files.decode import cores
 from jaxscan.files.header import HEADER_NAME
 from jaxscan.files.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record
 from jaxscan.files.store import Storage
+from jaxscan.files.verify import SEAL
 from jaxscan.files.writer import CaptureWriter, create_capture
 
 
@@ -34,8 +35,8 @@ def repack_capture(
 
     The header stays as it is to the byte, and every record and event keeps all of its keys; only
     the names of the images are new. Records come in the order of their numbers; takes that were
-    replaced by a later one, and a torn last line, are left out. Digests of image files that the
-    acquisition noted remain those of the files that were captured.
+    replaced by a later one, and a torn last line, are left out. Where records carry digests of
+    their images, those become the digests of the new ones; seals of the old journal are left out.
 
     Args:
         source: The capture.
@@ -55,9 +56,11 @@ def repack_capture(
     capture = open_capture(source)
     header, journal = _texts(capture)
     part = target.with_name(f".part-{secrets.token_hex(6)}")
+    values = list(_ordered(journal, torn=bool(capture.notes)))
+    digests = any("sha256" in value for value in values if "i" in value)
     try:
-        with create_capture(part, capture.header, storage=storage, durable=False) as writer:
-            _copy(capture, writer, _ordered(journal, torn=bool(capture.notes)), progress)
+        with create_capture(part, capture.header, storage=storage, durable=False, digests=digests) as writer:
+            _copy(capture, writer, values, progress)
         write_atomically(part / HEADER_NAME, header, durable=False, error=CaptureError)
         # Again, after all the work: a folder that has appeared meanwhile is somebody's.
         check_new_folder(target)
@@ -119,7 +122,7 @@ def _copy(capture: Capture, writer: CaptureWriter, values: Iterable[dict[str, An
                 if "i" not in value:
                     while ahead:
                         advance()
-                    writer.append_event(value)
+                    writer.append_event({key: kept for key, kept in value.items() if key != SEAL})
                     continue
                 ahead.append((value, pool.submit(_images, capture, records[value["i"]])))
                 if len(ahead) > 2 * cores():

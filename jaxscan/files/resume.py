@@ -15,7 +15,9 @@ from jaxscan.files.store import Storage
 from jaxscan.files.writer import CaptureWriter
 
 
-def resume_capture(path: str | Path, *, storage: Storage | None = None, durable: bool = True) -> CaptureWriter:
+def resume_capture(
+    path: str | Path, *, storage: Storage | None = None, durable: bool = True, digests: bool = False
+) -> CaptureWriter:
     """Append to an existing capture.
 
     A torn last line, which would stand in the middle from now on, is removed, and the event
@@ -25,6 +27,7 @@ def resume_capture(path: str | Path, *, storage: Storage | None = None, durable:
         path: The folder.
         storage: As of `create_capture`; by default that of the last record, "png" before the first.
         durable: As of `create_capture`.
+        digests: As of `create_capture`.
 
     Returns:
         The writer; its next number follows the largest in the journal.
@@ -51,7 +54,13 @@ def resume_capture(path: str | Path, *, storage: Storage | None = None, durable:
             (path / folder).mkdir(exist_ok=True)
         levels = exposure_levels(records[-1].on) if records else None
         writer = CaptureWriter(
-            path, header, storage=storage or _storage(records), durable=durable, taken=taken, levels=levels
+            path,
+            header,
+            storage=storage or _storage(records),
+            durable=durable,
+            digests=digests,
+            taken=taken,
+            levels=levels,
         )
     except OSError as problem:
         raise CaptureError(f"{path}: cannot be written: {problem.strerror or problem}.") from problem

@@ -1,5 +1,6 @@
 """Where a capture's writer puts images: a PNG file each, or raw in shards of many."""
 
+import hashlib
 import io
 import os
 import re
@@ -35,8 +36,12 @@ class ImageStore(Protocol):
         """Make those names taken."""
         ...
 
-    def write(self, name: str, image: np.ndarray) -> None:
+    def write(self, name: str, image: np.ndarray) -> str:
         """Write an image under its name; when this returns, the journal may speak of it.
+
+        Returns:
+            The sha256 of what was written for this image, in hexadecimal digits; "" where the store
+            makes no digests.
 
         Raises:
             CaptureError: If it cannot be written.
@@ -52,22 +57,26 @@ class ImageStore(Protocol):
         ...
 
 
-def image_store(storage: Storage, path: Path, shape: tuple[int, ...], *, durable: bool) -> ImageStore:
+def image_store(
+    storage: Storage, path: Path, shape: tuple[int, ...], *, durable: bool, digests: bool = False
+) -> ImageStore:
     """The store of this kind, for images of `shape` in the capture at `path`.
+
+    With `digests`, writing an image also tells its sha256: of the file, or of the frame in a shard.
 
     Raises:
         ValueError: If the kind is unknown.
     """
     if storage not in STORAGES:
         raise ValueError(f"Unknown storage {storage!r}; known: {', '.join(STORAGES)}.")
-    return PngStore(path, durable) if storage == "png" else ShardStore(path, shape, durable)
+    return PngStore(path, durable, digests) if storage == "png" else ShardStore(path, shape, durable, digests)
 
 
 class PngStore:
     """One PNG file per image, named after the record."""
 
-    def __init__(self, path: Path, durable: bool) -> None:
-        self._path, self._durable = path, durable
+    def __init__(self, path: Path, durable: bool, digests: bool) -> None:
+        self._path, self._durable, self._digests = path, durable, digests
 
     def names(self, side: str, stem: str, count: int) -> list[str]:
         return [f"{side}/{stem}.png"] if count == 1 else [f"{side}/{stem}_{k}.png" for k in range(count)]
@@ -75,11 +84,13 @@ class PngStore:
     def take(self, side: str, count: int) -> None:
         pass
 
-    def write(self, name: str, image: np.ndarray) -> None:
+    def write(self, name: str, image: np.ndarray) -> str:
         # Here, so that reading a capture's header does not load OpenCV.
         from jaxscan.vision.images import encode_png
 
-        write_atomically(self._path / name, encode_png(image), durable=self._durable, error=CaptureError)
+        data = encode_png(image)
+        write_atomically(self._path / name, data, durable=self._durable, error=CaptureError)
+        return hashlib.sha256(data).hexdigest() if self._digests else ""
 
     def close(self) -> None:
         pass
@@ -101,8 +112,8 @@ class ShardStore:
     of an earlier session are never written to.
     """
 
-    def __init__(self, path: Path, shape: tuple[int, ...], durable: bool) -> None:
-        self._path, self._shape, self._durable = path, shape, durable
+    def __init__(self, path: Path, shape: tuple[int, ...], durable: bool, digests: bool) -> None:
+        self._path, self._shape, self._durable, self._digests = path, shape, durable, digests
         self._bytes = int(np.prod(shape, dtype=np.int64))
         self._place = {side: _Place(_last_shard(path / side), 0, 0) for side in ("on", "off")}
         self._length: dict[str, int] = {}
@@ -127,20 +138,22 @@ class ShardStore:
         # A power of two, so that chunks of another power of two never need parts of two shards.
         return _Place(place.shard + 1, 0, count * (1 << (frames.bit_length() - 1)))
 
-    def write(self, name: str, image: np.ndarray) -> None:
+    def write(self, name: str, image: np.ndarray) -> str:
         shard, _, index = name.partition("#")
         try:
             with self._lock:
                 self._make(shard)
             with open(self._path / shard, "r+b", buffering=0) as file:
                 file.seek(_HEADER_BYTES + int(index) * self._bytes)
-                data = np.ascontiguousarray(image).reshape(-1).data
+                data = memoryview(np.ascontiguousarray(image).reshape(-1))
+                digest = hashlib.sha256(data).hexdigest() if self._digests else ""
                 while data:
                     data = data[file.write(data) :]
                 if self._durable:
                     os.fsync(file.fileno())
         except OSError as problem:
             raise CaptureError(f"{self._path / shard}: cannot be written: {problem.strerror or problem}.") from problem
+        return digest
 
     def _make(self, shard: str) -> None:
         if shard in self._made:

@@ -22,10 +22,15 @@ from jaxscan.files.journal import JOURNAL_NAME, MAX_LINE_BYTES
 from jaxscan.files.store import Storage, image_store
 
 
+LOCK_NAME = ".scan.lock"
+"""File that whoever captures into a folder keeps there meanwhile."""
+_NO_DIGEST = "0" * 64
+
+
 @dataclass(frozen=True)
 class _Pending:
-    line: bytes
-    images: list[Future[None]]
+    fields: dict[str, Any]
+    images: dict[str, list[Future[str]]]
 
 
 class CaptureWriter:
@@ -43,6 +48,7 @@ class CaptureWriter:
         *,
         storage: Storage = "png",
         durable: bool = True,
+        digests: bool = False,
         taken: Mapping[int, int] | None = None,
         levels: Sequence[float] | None = None,
     ) -> None:
@@ -53,13 +59,13 @@ class CaptureWriter:
         """
         self.path = path
         self.header = header
-        self._durable = durable
+        self._durable, self._digests = durable, digests
         self._taken = dict(taken or {})
         self._next = max(self._taken, default=-1) + 1
         self._levels = None if levels is None else list(levels)
         self._pending: deque[_Pending] = deque()
         self._failed: CaptureError | None = None
-        self._store = image_store(storage, path, frame_shape(header), durable=durable)
+        self._store = image_store(storage, path, frame_shape(header), durable=durable, digests=digests)
         self._journal = open(path / JOURNAL_NAME, "ab")
         self._pool = ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="jaxscan-encode")
         self._ahead = 2 * (os.cpu_count() or 1)
@@ -144,17 +150,18 @@ class CaptureWriter:
         # A retake never touches what the journal already speaks of.
         stem = f"{number:06d}" if retakes == 0 else f"{number:06d}-{retakes}"
         names = {side: self._store.names(side, stem, len(given)) for side, given in images.items() if given}
-        line = self._line({**fields, **{side: named(fields[side], given) for side, given in names.items()}})
+        record = {**fields, **{side: named(fields[side], given) for side, given in names.items()}}
+        # What the line cannot hold is to be known before anything is written.
+        self._line(record | self._sums({side: [_NO_DIGEST] * len(given) for side, given in names.items()}))
         for side, given in names.items():
             self._store.take(side, len(given))
-        jobs = [
-            self._pool.submit(self._store.write, name, image)
+        jobs = {
+            side: [self._pool.submit(self._store.write, *one) for one in zip(given, images[side], strict=True)]
             for side, given in names.items()
-            for name, image in zip(given, images[side], strict=True)
-        ]
+        }
         self._taken[number] = retakes + 1
         self._next = max(self._next, number + 1)
-        self._pending.append(_Pending(line, jobs))
+        self._pending.append(_Pending(record, jobs))
         self._advance()
 
     def event(self, name: str, **extra: Any) -> None:
@@ -164,7 +171,8 @@ class CaptureWriter:
     def append_event(self, fields: Mapping[str, Any]) -> None:
         """Add an event as another journal has it."""
         self._check_alive()
-        self._pending.append(_Pending(self._line(dict(fields)), []))
+        self._line(dict(fields))
+        self._pending.append(_Pending(dict(fields), {}))
         self._advance()
 
     def flush(self) -> None:
@@ -209,6 +217,12 @@ class CaptureWriter:
         if self._journal.closed:
             raise CaptureError(f"{self.path}: the capture is closed; nothing can be appended.")
 
+    def _sums(self, digests: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+        """The key of a record that holds the sha256 of its images: one text a side, or a list of them."""
+        if not self._digests:
+            return {}
+        return {"sha256": {side: sums[0] if len(sums) == 1 else list(sums) for side, sums in digests.items()}}
+
     def _line(self, fields: dict[str, Any]) -> bytes:
         try:
             line = json.dumps(fields, allow_nan=False).encode() + b"\n"
@@ -226,9 +240,8 @@ class CaptureWriter:
     def _complete_oldest(self) -> None:
         pending = self._pending.popleft()
         try:
-            for image in pending.images:
-                image.result()
-            self._journal.write(pending.line)
+            digests = {side: [image.result() for image in images] for side, images in pending.images.items()}
+            self._journal.write(self._line(pending.fields | (self._sums(digests) if digests else {})))
             self._journal.flush()
             if self._durable:
                 os.fsync(self._journal.fileno())
@@ -243,11 +256,16 @@ class CaptureWriter:
 
 
 def _finished(pending: _Pending) -> bool:
-    return all(image.done() for image in pending.images)
+    return all(image.done() for images in pending.images.values() for image in images)
 
 
 def create_capture(
-    path: str | Path, header: CaptureHeader, *, storage: Storage = "png", durable: bool = True
+    path: str | Path,
+    header: CaptureHeader,
+    *,
+    storage: Storage = "png",
+    durable: bool = True,
+    digests: bool = False,
 ) -> CaptureWriter:
     """Begin a new capture.
 
@@ -259,6 +277,7 @@ def create_capture(
             without decoding.
         durable: Wait for the disk with every record, so that a loss of power costs only the last.
             A simulation, which can be run again, saves the time.
+        digests: Note the sha256 of every image in its record, for `verify_capture`.
 
     Returns:
         The writer; use it in a `with` statement.
@@ -270,15 +289,28 @@ def create_capture(
     toml = header_toml(header)
     try:
         path.mkdir(parents=True, exist_ok=True)
-        if any(path.iterdir()):
+        if not _is_unused(path):
             raise CaptureError(
                 f"{path}: exists and is not empty; choose another folder, a capture is never overwritten."
             )
-        (path / "on").mkdir()
-        (path / "off").mkdir()
+        (path / "on").mkdir(exist_ok=True)
+        (path / "off").mkdir(exist_ok=True)
         (path / JOURNAL_NAME).touch()
         # Last: a folder with a header is a capture.
         write_atomically(path / HEADER_NAME, toml, durable=durable, error=CaptureError)
-        return CaptureWriter(path, header, storage=storage, durable=durable)
+        return CaptureWriter(path, header, storage=storage, durable=durable, digests=digests)
     except OSError as problem:
         raise CaptureError(f"{path}: cannot be created: {problem.strerror or problem}.") from problem
+
+
+def _is_unused(path: Path) -> bool:
+    """Whether nothing is lost with this folder: it is empty, or a capture was begun and has not even a header."""
+    empty = {"on": True, "off": True, JOURNAL_NAME: True, LOCK_NAME: True}
+    for entry in path.iterdir():
+        if entry.name.startswith(".part-") or entry.name == LOCK_NAME:
+            continue
+        if entry.name not in empty:
+            return False
+        if any(entry.iterdir()) if entry.is_dir() else entry.stat().st_size > 0:
+            return False
+    return True

@@ -1,0 +1,138 @@
+"""Digests of images: noted when they are written, found wrong when they changed."""
+
+import hashlib
+import json
+
+import numpy as np
+import pytest
+
+from jaxscan.files.capture import CaptureHeader, create_capture, open_capture, resume_capture
+from jaxscan.files.repack import repack_capture
+from jaxscan.files.verify import SEAL, seal, verify_capture
+
+
+RNG = np.random.default_rng(5)
+FRAMES = RNG.integers(0, 256, (12, 4, 6), np.uint8)
+HEADER = CaptureHeader(kind="sweep", camera={"width": 6, "height": 4, "pixel_format": "mono8"}, laser=[{"name": "red"}])
+
+
+def write(path, *, count=4, storage="png", digests=True):
+    with create_capture(path, HEADER, storage=storage, digests=digests) as capture:
+        for k in range(count):
+            capture.append(angle_deg=0.1 * k, on=FRAMES[2 * k], off=FRAMES[2 * k + 1])
+    return path
+
+
+def journal(path):
+    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
+
+
+def messages(path):
+    return [str(problem) for problem in verify_capture(path)]
+
+
+def test_the_digest_in_a_record_is_that_of_the_file(tmp_path):
+    for line in journal(write(tmp_path / "room")):
+        for side in ("on", "off"):
+            data = (tmp_path / "room" / line[side]).read_bytes()
+            assert line["sha256"][side] == hashlib.sha256(data).hexdigest()
+
+
+def test_the_digest_of_a_frame_in_a_shard(tmp_path):
+    for k, line in enumerate(journal(write(tmp_path / "room", storage="npy"))):
+        assert line["sha256"]["on"] == hashlib.sha256(FRAMES[2 * k].tobytes()).hexdigest()
+    assert messages(tmp_path / "room") == []
+
+
+def test_a_bracket_has_a_digest_for_each_image(tmp_path):
+    with create_capture(tmp_path / "room", HEADER, digests=True) as capture:
+        capture.append(
+            angle_deg=0.0, on=[(FRAMES[0], 0.01), (FRAMES[1], 0.02)], off=[(FRAMES[2], 0.01), (FRAMES[3], 0.02)]
+        )
+    (line,) = journal(tmp_path / "room")
+    assert [len(line["sha256"][side]) for side in ("on", "off")] == [2, 2]
+    assert messages(tmp_path / "room") == []
+    (tmp_path / "room" / line["on"][1]["file"]).write_bytes(b"x")
+    (found,) = verify_capture(tmp_path / "room")
+    assert found.record == 0 and line["on"][1]["file"] in found.message
+
+
+def test_without_digests_a_record_has_no_such_key_and_only_missing_files_are_found(tmp_path):
+    path = write(tmp_path / "room", digests=False)
+    assert not any("sha256" in line for line in journal(path))
+    assert messages(path) == []
+    (path / "off/000002.png").unlink()
+    assert messages(path) == ["record 2: off/000002.png: no such file."]
+
+
+@pytest.mark.parametrize("storage", ["png", "npy"])
+@pytest.mark.parametrize("at", [-1, -20, -70])
+def test_a_flipped_bit_is_found(tmp_path, storage, at):
+    """Fault 22: silent corruption."""
+    path = write(tmp_path / "room", storage=storage)
+    assert messages(path) == []
+    name = journal(path)[3]["on"].partition("#")[0]
+    data = bytearray((path / name).read_bytes())
+    data[at] ^= 0x10
+    (path / name).write_bytes(data)
+    found = verify_capture(path)
+    assert len(found) == 1 and found[0].record is not None and "has changed" in found[0].message
+
+
+def test_only_the_last_take_of_a_record_counts(tmp_path):
+    path = write(tmp_path / "room")
+    with resume_capture(path, digests=True) as capture:
+        capture.append(angle_deg=0.0, on=FRAMES[9], off=FRAMES[10], i=0)
+    (path / "on/000000.png").unlink()
+    assert messages(path) == []
+    (path / "on/000000-1.png").unlink()
+    assert messages(path) == ["record 0: on/000000-1.png: no such file."]
+
+
+def test_a_seal_holds_what_stands_before_it(tmp_path):
+    path = write(tmp_path / "room")
+    with resume_capture(path, digests=True) as capture:
+        capture.flush()
+        capture.event("end", **{SEAL: seal(path)})
+        capture.append(angle_deg=9.0, on=FRAMES[9], off=FRAMES[10])
+        capture.flush()
+        capture.event("end", **{SEAL: seal(path)})
+    assert messages(path) == []
+    text = (path / "frames.jsonl").read_text()
+    (path / "frames.jsonl").write_text(text.replace('"angle_deg": 9.0', '"angle_deg": 8.0'))
+    (message,) = messages(path)
+    assert "line 8: the seal does not fit" in message
+
+
+def test_a_repacked_capture_has_digests_of_its_own(tmp_path):
+    path = write(tmp_path / "room")
+    with resume_capture(path, digests=True) as capture:
+        capture.flush()
+        capture.event("end", status="complete", **{SEAL: seal(path)})
+    repack_capture(path, tmp_path / "packed", storage="npy")
+    assert messages(tmp_path / "packed") == []
+    assert journal(tmp_path / "packed")[-1] == {"event": "end", "status": "complete"}
+    shard = tmp_path / "packed/on/000000.npy"
+    data = bytearray(shard.read_bytes())
+    data[-1] ^= 1
+    shard.write_bytes(data)
+    assert [problem.record for problem in verify_capture(tmp_path / "packed")] == [3]
+
+
+def test_a_torn_line_is_said(tmp_path):
+    path = write(tmp_path / "room")
+    with open(path / "frames.jsonl", "ab") as file:
+        file.write(b'{"i": 4, "angle')
+    (problem,) = verify_capture(path)
+    assert problem.record is None and "line 5" in problem.message
+
+
+def test_what_was_begun_and_never_had_a_header_may_be_begun_again(tmp_path):
+    """Fault 21: a crash between the folders and the header leaves nothing that could be lost."""
+    path = tmp_path / "room"
+    (path / "on").mkdir(parents=True)
+    (path / "off").mkdir()
+    (path / "frames.jsonl").touch()
+    (path / ".part-0123456789ab.toml").write_text("form")
+    write(path)
+    assert len(open_capture(path)) == 4
