@@ -1,4 +1,4 @@
-"""The wire, host side: bytes to messages and back (PROTOCOL.md, section 1). Nothing here waits or remembers a session."""
+"""The wire, host side: bytes to messages and back (PROTOCOL.md, section 1). Nothing here waits or knows a session."""
 
 import binascii
 import re
@@ -166,6 +166,6 @@ def decode(line: bytes) -> Message:
 
 def _fields(words: bytes) -> dict[str, str] | None:
     """` a=1 b=2` as a dictionary; None where a key comes twice."""
-    pairs = [word.split("=", 1) for word in words.decode("ascii").split()]
-    fields = {key: value for key, value in pairs}
+    pairs = [word.partition("=")[::2] for word in words.decode("ascii").split()]
+    fields = dict(pairs)
     return fields if len(fields) == len(pairs) else None

@@ -131,7 +131,9 @@ def read_counters(fields: Mapping[str, str]) -> Counters:
 def word(fields: Mapping[str, str], key: str) -> str:
     """A field that must be there."""
     if key not in fields:
-        raise FirmwareError(f"the controller's answer lacks '{key}': {dict(fields)}; its firmware does not fit this host")
+        raise FirmwareError(
+            f"the controller's answer {dict(fields)} lacks '{key}'; its firmware does not fit this host"
+        )
     return fields[key]
 
 
