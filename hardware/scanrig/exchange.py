@@ -7,6 +7,7 @@ from scanrig.errors import ControllerReset, LinkLost, Refused
 from scanrig.link import Link
 from scanrig.protocol import (
     ABORT,
+    LAST_SEQUENCE,
     Damaged,
     Event,
     LineReader,
@@ -121,8 +122,8 @@ class Exchange:
         """The controller says how many events it sent; what has not come by now never will."""
         if self._last_event is None:
             return
-        missed = (number - self._last_event) % 65536
-        if missed < 32768:
+        missed = (number - self._last_event) % LAST_SEQUENCE
+        if missed < LAST_SEQUENCE // 2:
             self.counts.events_missed += missed
             self._last_event = number
         else:
@@ -183,6 +184,6 @@ class Exchange:
             if self.boot is not None and now != self.boot:
                 self.restarted = ControllerReset(self.boot, now)
         elif self._last_event is not None:
-            self.counts.events_missed += (event.number - self._last_event - 1) % 65536
+            self.counts.events_missed += (event.number - self._last_event - 1) % LAST_SEQUENCE
             self._last_event = event.number
         self.events.append(event)

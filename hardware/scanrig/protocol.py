@@ -8,8 +8,8 @@ from dataclasses import dataclass
 PROTOCOL = 1
 """The number of the protocol that this host speaks."""
 
-ABORT = b"\x18"
-"""Works outside of lines: laser off, no further step, at once."""
+ABORT = b"\x1b"
+"""Works outside of lines: laser off, no further step, at once. No flipped bit makes it of a byte that a line can have."""
 
 LONGEST_COMMAND = 96
 """Bytes of a line to the controller, its newline not counted."""
