@@ -26,6 +26,15 @@ _Limit = Annotated[Number, pydantic.Field(ge=-3600, le=3600)]
 _Count = Annotated[Integer, pydantic.Field(ge=1, le=100_000)]
 
 
+_RATES = {
+    "speed_deg_s": (50.0, 50, 10_000),
+    "start_speed_deg_s": (5.0, 20, 10_000),
+    "acceleration_deg_s2": (100.0, 100, 60_000),
+    "home_speed_deg_s": (2.5, 20, 10_000),
+}
+"""Key: a moderate value, and what the controller takes in microsteps."""
+
+
 class ControllerTable(FileModel):
     """The controller and the wire to it."""
 
@@ -72,14 +81,41 @@ class TurntableTable(FileModel):
         turn = Fraction(self.full_steps * self.microsteps * self.gear[0], self.gear[1])
         if turn.denominator != 1:
             raise ValueError(
-                f"full_steps x microsteps x gear = {self.full_steps} x {self.microsteps} x {self.gear[0]}/{self.gear[1]}"
-                f" = {float(turn):.3f} microsteps per turn, expected a whole number; correct the gear"
+                f"gear: {self.full_steps} full steps x {self.microsteps} microsteps x {self.gear[0]}/{self.gear[1]} = "
+                f"{float(turn):.3f} microsteps per turn, expected a whole number"
             )
         if not 8 <= turn <= MAX_MICROSTEPS:
             raise ValueError(f"found {turn} microsteps per turn, expected 8 ... {MAX_MICROSTEPS}")
         if self.limits_deg is not None and not self.limits_deg[0] <= 0 <= self.limits_deg[1]:
             raise ValueError(f"limits_deg: found {list(self.limits_deg)}, expected [low, high] with home, 0, within")
+        for name in _RATES:
+            self.rate(name)
+        if self.rate("start_speed_deg_s") > self.rate("speed_deg_s"):
+            raise ValueError("start_speed_deg_s: found more than speed_deg_s, expected at most as much")
         return self
+
+    def rate(self, name: str) -> int:
+        """A speed or acceleration as the controller takes it.
+
+        Args:
+            name: Its key.
+
+        Returns:
+            Microsteps per second, or per second squared.
+
+        Raises:
+            ValueError: If the controller cannot do that.
+        """
+        moderate, low, high = _RATES[name]
+        given = getattr(self, name)
+        found = round((moderate if given is None else given) * self.microsteps_per_turn / 360)
+        if given is not None and not low <= found <= high:
+            turn = self.microsteps_per_turn
+            raise ValueError(
+                f"{name}: found {given:g}, which is {found} microsteps with {turn} in a turn; expected {low} ... {high}, "
+                f"so {low * 360 / turn:.3g} ... {high * 360 / turn:.4g}"
+            )
+        return min(max(found, low), high)
 
     @property
     def microsteps_per_turn(self) -> int:

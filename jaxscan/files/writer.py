@@ -66,7 +66,7 @@ class CaptureWriter:
         self._pending: deque[_Pending] = deque()
         self._failed: CaptureError | None = None
         self._store = image_store(storage, path, frame_shape(header), durable=durable, digests=digests)
-        self._journal = open(path / JOURNAL_NAME, "ab")
+        self._journal = open(path / JOURNAL_NAME, "ab", buffering=0)
         self._pool = ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="jaxscan-encode")
         self._ahead = 2 * (os.cpu_count() or 1)
 
@@ -241,10 +241,7 @@ class CaptureWriter:
         pending = self._pending.popleft()
         try:
             digests = {side: [image.result() for image in images] for side, images in pending.images.items()}
-            self._journal.write(self._line(pending.fields | (self._sums(digests) if digests else {})))
-            self._journal.flush()
-            if self._durable:
-                os.fsync(self._journal.fileno())
+            self._append(self._line(pending.fields | (self._sums(digests) if digests else {})))
         except OSError as problem:
             self._failed = CaptureError(
                 f"{self.path / JOURNAL_NAME}: cannot be written: {problem.strerror or problem}."
@@ -252,6 +249,21 @@ class CaptureWriter:
             raise self._failed from problem
         except CaptureError as problem:
             self._failed = problem
+            raise
+
+    def _append(self, line: bytes) -> None:
+        handle = self._journal.fileno()
+        before = os.fstat(handle).st_size
+        try:
+            rest = memoryview(line)
+            while rest:
+                rest = rest[self._journal.write(rest) or 0 :]
+            if self._durable:
+                os.fsync(handle)
+        except OSError:
+            # No part of a line stays, where the disk still lets it be taken back.
+            with contextlib.suppress(OSError):
+                os.ftruncate(handle, before)
             raise
 
 

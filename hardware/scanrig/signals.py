@@ -1,0 +1,44 @@
+"""Signals that ask a session to end: once, after the step; twice, at once."""
+
+import signal
+from types import FrameType, TracebackType
+from typing import Any
+
+
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+class Interrupts:
+    """While in `with`, the first SIGINT, SIGTERM or SIGHUP only sets a mark, and the second raises KeyboardInterrupt.
+
+    Pass it as `should_stop`. Further signals do nothing, so that nothing disturbs switching the laser off.
+    Only for the main thread, as Python has it.
+    """
+
+    def __init__(self) -> None:
+        self.received: list[str] = []
+        """Names of the signals that came."""
+        self._before: dict[int, Any] = {}
+
+    def __call__(self) -> bool:
+        """Whether the session is asked to end."""
+        return bool(self.received)
+
+    def __enter__(self) -> "Interrupts":
+        for name in NAMES:
+            number = getattr(signal, name, None)  # Windows has no SIGHUP.
+            if number is not None:
+                self._before[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+        self._before.clear()
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.received.append(signal.Signals(number).name)
+        if len(self.received) == 2:
+            raise KeyboardInterrupt(f"{self.received[0]}, then {self.received[1]}")
