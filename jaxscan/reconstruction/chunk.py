@@ -151,6 +151,10 @@ def points_of_centres(u: Array, sigma: Array, valid: Array, aim: Aim, kind: Chun
     )
 
 
+points_alone = jax.jit(points_of_centres, static_argnames="kind")
+"""`points_of_centres`, compiled."""
+
+
 def _merged(stripes: FrameStripes, chosen: Array | None, kind: ChunkKind) -> tuple[FrameStripes, Array | None]:
     """The best exposure of every line, in levels of the first one."""
     exposures, each = len(kind.exposures), kind.profiles_per_frame

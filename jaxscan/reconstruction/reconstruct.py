@@ -11,7 +11,7 @@ from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction.ahead import map_ahead, workers
 from jaxscan.reconstruction.batches import Batch, batches, padded
-from jaxscan.reconstruction.chunk import Aim, ChunkKind, ChunkResult, compute_chunk, points_of_centres
+from jaxscan.reconstruction.chunk import Aim, ChunkKind, ChunkResult, compute_chunk, points_alone
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.colour import sample_colours
 from jaxscan.reconstruction.grid import GrowingCloud, GrowingStripes
@@ -189,7 +189,7 @@ def _from_stripes(
         laser = int(sweep.laser[profiles[0]])
         aim = Aim(rig, np.asarray(plan.sheet[profiles[0]], np.int32), phi)
         with jax.enable_x64(False):
-            points = _points_alone(u, sigma, valid, aim, kind=plan.kind(laser))
+            points = points_alone(u, sigma, valid, aim, kind=plan.kind(laser))
             if stripes.rgb is not None:
                 rgb = np.asarray(stripes.rgb)[rows]
             else:
@@ -221,9 +221,6 @@ def _not_none(points: Points | None) -> Points:
     if points is None:
         raise ValueError("A chunk without points was computed where points were asked for.")
     return points
-
-
-_points_alone = jax.jit(points_of_centres, static_argnames="kind")
 
 
 @functools.partial(jax.jit, static_argnames="kind")
