@@ -1,0 +1,57 @@
+/* What commands may ask of the machine. machine.c does it on the controller; host/fake.c pretends to.
+ *
+ * A function that starts something answers with an error of the protocol, and has done nothing then.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef MACHINE_H
+#define MACHINE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define LEASE_MS 1000u
+
+enum state { IDLE, MOVING, HOMING, SHOOTING, FAULTED };
+enum fault { NO_FAULT, F_ESTOP, F_LINK, F_LEASE, F_HOME, F_ABORT, F_CAMERA };
+enum { LIT = 1, DARK = 2 };
+enum { INPUT_HOME = 1, INPUT_ESTOP = 2, INPUT_READY = 4 };
+
+struct machine_status {
+    int32_t position; /* microsteps */
+    uint16_t lease_ms, exposures;
+    uint8_t state, fault, inputs;
+    bool homed, armed, enabled, laser;
+};
+
+struct machine_counters {
+    uint32_t laser, up_ms;
+    uint16_t lost_bytes, watchdog_resets;
+};
+
+void machine_status(struct machine_status *status);
+void machine_counters(struct machine_counters *counters);
+uint16_t machine_boot(void);
+
+void machine_feed(void); /* a good line came: the link lives */
+uint8_t machine_enable(bool on);
+uint8_t machine_arm(bool on);
+uint8_t machine_laser(uint16_t ms); /* 0: off */
+uint8_t machine_move(uint16_t seq, int32_t to);
+uint8_t machine_home(uint16_t seq, uint32_t most);
+uint8_t machine_shot(uint16_t seq, int32_t to, uint32_t id, uint8_t modes);
+uint8_t machine_expose(uint16_t ms);
+uint8_t machine_selftest(uint16_t seq);
+uint8_t machine_set(const int32_t *candidate); /* all settings at once */
+uint8_t machine_clear(void);
+void machine_stop(void);
+void machine_session(void); /* another host may be there: laser off, and a shot ends as by machine_stop */
+
+uint16_t machine_current_seq(void); /* of the command that is being carried out */
+
+void machine_write(const char *bytes, uint8_t length);
+#ifdef TEST_HANG
+void machine_hang(bool without_interrupts);
+#endif
+
+#endif

@@ -1,0 +1,28 @@
+/* What ends everything: faults, the e-stop, the link watchdog, the processor's own watchdog, and the clock that they share.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef WATCH_H
+#define WATCH_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "machine.h"
+
+extern volatile uint8_t state, fault;
+extern volatile bool fault_unsaid; /* a fault whose event is not sent yet */
+extern volatile bool homed, enabled;
+extern volatile uint32_t clock_ms;
+
+uint8_t watch_begin(void); /* first thing in main; returns why the processor was reset (MCUSR) */
+void watch_start_clock(void);
+void watch_loop_lives(void); /* called by the main loop */
+void watch_feed(uint16_t ms);
+
+/* With interrupts off. The e-stop overrides every fault, an abort all but that, the others none. */
+void fault_enter(enum fault which);
+
+void driver_switch(bool on);
+
+#endif
