@@ -112,8 +112,8 @@ class TurntableTable(FileModel):
         if given is not None and not low <= found <= high:
             turn = self.microsteps_per_turn
             raise ValueError(
-                f"{name}: found {given:g}, which is {found} microsteps with {turn} in a turn; expected {low} ... {high}, "
-                f"so {low * 360 / turn:.3g} ... {high * 360 / turn:.4g}"
+                f"{name}: found {given:g}, which is {found} microsteps with {turn} in a turn; "
+                f"expected {low} ... {high}, so {low * 360 / turn:.3g} ... {high * 360 / turn:.4g}"
             )
         return min(max(found, low), high)
 
@@ -229,6 +229,11 @@ class RigConfig(FileModel):
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> "RigConfig":
+        if min(self.camera.width, self.camera.height) < 64:
+            raise ValueError(
+                f"camera: found {self.camera.width} x {self.camera.height} px, expected 64 px at least: "
+                "a line needs sides"
+            )
         if self.trigger.pulse_ms is None and self.camera.exposure_ms > 5000 and self.camera.trigger == "hardware":
             raise ValueError(
                 f"camera.exposure_ms: found {self.camera.exposure_ms:g}, expected at most 5000 with a trigger pulse of "
