@@ -9,7 +9,7 @@ PROTOCOL = 1
 """The number of the protocol that this host speaks."""
 
 ABORT = b"\x1b"
-"""Works outside of lines: laser off, no further step, at once. No flipped bit makes it of a byte that a line can have."""
+"""Esc works outside of lines: laser off, no further step, at once. No flipped bit makes it of a byte of a line."""
 
 LONGEST_COMMAND = 96
 """Bytes of a line to the controller, its newline not counted."""

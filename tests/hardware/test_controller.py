@@ -1,0 +1,429 @@
+"""The controller's verbs against a controller of Python on a clock of its own: answers, faults, losses, the way out."""
+
+import random
+from itertools import pairwise
+
+import pytest
+from bench.fake import FakeController
+from scanrig.controller import Controller
+from scanrig.errors import ControllerReset, FirmwareError, LinkLost, Refused, RigError, RigFault, RigTimeout
+from scanrig.protocol import encode, seal
+from scanrig.settings import Settings
+from scanrig.status import ShotDone
+
+
+@pytest.fixture
+def fake():
+    return FakeController()
+
+
+@pytest.fixture
+def controller(fake):
+    controller = Controller(fake, fake.clock, reopen=lambda: fake, session=5)
+    controller.hello()
+    controller.configure(Settings())
+    controller.enable(True)
+    controller.arm(True)
+    controller.home(30000)
+    return controller
+
+
+def lossy(seed, share):
+    """A line that flips one bit of a share of the bytes."""
+    chance = random.Random(seed)
+
+    def mangle(data):
+        return bytes(b ^ (1 << chance.randrange(8)) if chance.random() < share else b for b in data)
+
+    return mangle
+
+
+def losing(lines, count):
+    """A line that loses the next `count` lines that begin with `lines`."""
+    left = [count]
+
+    def mangle(data):
+        if data.startswith(lines) and left[0]:
+            left[0] -= 1
+            return b""
+        return data
+
+    return mangle
+
+
+def test_hello_says_who_is_there(fake):
+    firmware = Controller(fake, fake.clock).hello()
+    assert (firmware.proto, firmware.version, firmware.boot, firmware.lease_ms) == (1, "9.9.9", 7, 1000)
+
+
+def test_an_uno_is_given_the_time_of_its_boot_loader(fake):
+    fake.settings["motion"]["wd"] = 60000
+
+    def asleep(data):
+        return b"" if fake.clock.now() < 1.7 else data
+
+    fake.out = b""
+    fake.to_controller = asleep
+    fake.due = (1.7, lambda: fake.tell("BOOT why=1 boot=7"))
+    assert Controller(fake, fake.clock).hello().boot == 7
+    assert 1.7 < fake.clock.now() < 1.8
+
+
+def test_settings_are_read_back(fake):
+    controller = Controller(fake, fake.clock)
+    controller.hello()
+    wanted = Settings(
+        watchdog_ms=400,
+        speed=5000,
+        start_speed=300,
+        acceleration=9000,
+        home_speed=150,
+        backlash=20,
+        reverse=True,
+        settle_ms=1,
+        laser_on_ms=2,
+        laser_off_ms=3,
+        exposure_ms=4,
+        gap_ms=5,
+        ready_ms=6,
+        limits=(-100, 29000),
+    )
+    controller.configure(wanted)
+    assert fake.settings["motion"] == wanted.wire()["motion"]
+    assert fake.settings["shot"] == wanted.wire()["shot"] | wanted.wire()["limits"]
+
+
+def test_a_setting_that_was_not_taken_is_named(fake):
+    controller = Controller(fake, fake.clock)
+    controller.hello()
+    fake.settings["motion"].pop("back")
+    with pytest.raises(FirmwareError, match="back=nothing instead of 0"):
+        controller.configure(Settings())
+
+
+def test_the_longest_settings_fit_their_lines():
+    most = (60000, 10000, 10000, 60000, 10000, 10000, True, 10000, 10000, 10000, 5000, 10000, 10000)
+    for group in Settings(*most, limits=(-(2**31), -(2**31) + 1)).wire().values():
+        assert len(encode(65535, "SET", **group)) <= 97
+
+
+def test_home_says_what_the_counter_said(fake, controller):
+    fake.position += 3  # three steps that the counter knows nothing of
+    assert controller.home(30000) == -3
+    assert controller.home(30000) == 0
+
+
+def test_a_lost_homed_event_loses_no_lost_step(fake, controller):
+    fake.position += 3
+    fake.to_host = losing(b"!", 1)
+    assert controller.home(30000) == -3
+
+
+def test_a_shot(fake, controller):
+    controller.shot(800, 1)
+    assert controller.wait_shot(1) == ShotDone(800, 2)
+    controller.shot(800, 2, lit=False)
+    assert controller.wait_shot(2) == ShotDone(800, 3)
+    controller.shot(800, 3, dark=False)
+    assert controller.wait_shot(3) == ShotDone(800, 4)
+    assert (fake.pulses, fake.exposures) == (2, 4)
+
+
+def test_a_lost_event_is_asked_for(fake, controller):
+    fake.to_host = losing(b"!", 1)
+    controller.shot(800, 1)
+    assert controller.wait_shot(1) == ShotDone(800, 2)
+    assert controller.link_counts.events_missed == 1
+
+
+def test_the_event_of_an_earlier_shot_ends_no_later_one(fake, controller):
+    controller.shot(8, 1)
+    fake.clock.sleep(0.3)
+    controller.stat()  # its event has come by now, and nobody has looked at it
+    controller.shot(8000, 1)
+    assert controller.wait_shot(1).position == 8000
+
+
+def test_the_link_watchdog_is_fed_while_something_runs(fake, controller):
+    controller.move(20000)  # five seconds, of a watchdog of half a second
+    assert fake.seconds_between_lines <= 0.15
+
+
+def test_two_lines_lost_in_a_row_do_not_starve_the_watchdog(fake, controller):
+    fake.to_host = losing(b"=", 2)
+    controller.move(8000)
+    assert fake.fault == 0 and fake.seconds_between_lines <= 0.35
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_does_nothing_twice_and_leaves_nothing_out(fake, controller, seed):
+    fake.to_controller, fake.to_host = lossy(seed, 0.005), lossy(seed + 100, 0.005)
+    for k in range(1, 151):
+        controller.shot(8 * k, k)
+        assert controller.wait_shot(k).position == 8 * k
+    assert (fake.pulses, fake.exposures, fake.position) == (150, 300, 1200)
+    assert [text for text in fake.carried_out if text.startswith("SHOT")] == [
+        f"SHOT to={8 * k} id={k} m=3" for k in range(1, 151)
+    ]
+    assert controller.link_counts.resent > 10
+
+
+def test_a_nak_asks_for_the_line_again_and_answers_nothing(fake, controller):
+    damaged = [2]
+
+    def damage(data):
+        damaged[0] -= 1
+        return data if damaged[0] < 0 else data.replace(b"STAT", b"STBT")
+
+    fake.to_controller = damage
+    assert controller.stat().state == "idle"
+    assert controller.link_counts.naks == 2
+
+
+def test_answers_to_other_lines_are_strays(fake, controller):
+    fake.say(seal("=9999 err 4"))
+    fake.say(seal("=0 ok st=fault"))
+    assert controller.stat().state == "idle"
+    assert controller.link_counts.strays == 2
+
+
+def test_a_refusal_names_command_and_reason(fake, controller):
+    controller.arm(False)
+    with pytest.raises(Refused, match=r"'LASER on=1 ms=100': the laser is not armed \(error 14\)") as refusal:
+        controller.laser(True, 100)
+    assert (refusal.value.code, refusal.value.command) == (14, "LASER on=1 ms=100")
+
+
+def test_a_fault_ends_the_wait_and_says_where(fake, controller):
+    controller.move(100)
+    controller.shot(8000, 1)
+    fake.press(True)
+    with pytest.raises(RigFault, match="fault 1 at microstep 100: emergency stop") as fault:
+        controller.wait_shot(1)
+    assert (fault.value.code, fault.value.position) == (1, 100)
+
+
+def test_a_fault_whose_event_was_lost_ends_the_wait(fake, controller):
+    controller.shot(8000, 1)
+    fake.to_host = losing(b"!", 1)
+    fake.press(True)
+    with pytest.raises(RigFault, match="fault 1"):
+        controller.wait_shot(1)
+
+
+def test_in_a_fault_commands_raise_the_fault(fake, controller):
+    fake.press(True)
+    with pytest.raises(RigFault, match="fault 1"):
+        controller.move(0)
+    with pytest.raises(Refused, match="still pressed"):
+        controller.clear()
+    fake.press(False)
+    controller.clear()
+    with pytest.raises(Refused, match="driver is off"):
+        controller.move(0)
+
+
+def test_poll_raises_the_fault(fake, controller):
+    assert controller.poll().state == "idle"
+    fake.fail(3)
+    with pytest.raises(RigFault, match="lease"):
+        controller.poll()
+
+
+def test_no_home_switch(fake, controller):
+    fake.switch = False
+    with pytest.raises(RigFault, match="home switch"):
+        controller.home(30000)
+
+
+def test_what_does_not_end_is_stopped(fake, controller):
+    controller.shot(80000, 1)
+    with pytest.raises(RigTimeout, match=r"shot 1 did not end within 3\.0 s; it was stopped"):
+        controller.wait_shot(1, timeout_s=3.0)
+    assert fake.state == "idle"
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["by BOOT", "with BOOT lost"])
+def test_a_reset_is_noticed_while_waiting(fake, controller, told):
+    controller.shot(8000, 1)
+    fake.to_host = losing(b"!", 0 if told else 1)
+    fake.reset()
+    with pytest.raises(ControllerReset, match="position and settings are gone"):
+        controller.wait_shot(1)
+    with pytest.raises(ControllerReset):
+        controller.move(0)
+
+
+def test_a_reset_at_rest_is_noticed_before_anything_moves(fake, controller):
+    fake.to_host = losing(b"!", 1)
+    fake.reset()
+    with pytest.raises(ControllerReset):
+        controller.shot(8, 1)
+    assert fake.position == 0
+
+
+def test_after_a_reset_settings_are_sent_and_home_is_asked_for(fake, controller):
+    controller.configure(Settings(settle_ms=77))
+    fake.reset()
+    with pytest.raises(ControllerReset, match="boot 7 → 8"):
+        controller.stat()
+    found = controller.reconnect()
+    assert (found.same_boot, found.must_home) == (False, True)
+    assert fake.settings["shot"]["settl"] == 77
+    controller.enable(True)
+    controller.home(30000)
+
+
+def test_after_a_pulled_cable_the_position_is_still_good(fake, controller):
+    controller.move(400)
+    controller.shot(8000, 1)
+    fake.unplugged = True
+    with pytest.raises(LinkLost, match="unplugged"):
+        controller.wait_shot(1)
+    fake.clock.sleep(2.0)
+    fake.unplugged = False
+    found = controller.reconnect()
+    assert (found.same_boot, found.must_home) == (True, False)
+    assert found.status.fault == 0
+    controller.arm(True)
+    controller.shot(8000, 1)
+    assert controller.wait_shot(1).position == fake.position == 8000
+
+
+def test_reconnecting_backs_off_and_gives_up(fake, controller):
+    fake.unplugged = True
+    opened = []
+
+    def reopen():
+        opened.append(fake.clock.now())
+        return fake
+
+    lost = Controller(fake, fake.clock, reopen=reopen)
+    before = fake.clock.now()
+    with pytest.raises(LinkLost, match="did not come back within 20 s"):
+        lost.reconnect(timeout_s=20.0)
+    pauses = [b - a for a, b in pairwise(opened)]
+    assert pauses == sorted(pauses) and pauses[-1] == pytest.approx(2.0)
+    assert fake.clock.now() - before <= 20.0
+
+
+def test_a_silent_controller_is_lost_in_two_seconds(fake, controller):
+    fake.to_host = lambda data: b""
+    before = fake.clock.now()
+    with pytest.raises(LinkLost, match="no answer from fake to 'STAT'"):
+        controller.stat()
+    assert fake.clock.now() - before == pytest.approx(2.0, abs=0.3)
+
+
+def test_another_protocol_is_refused(fake):
+    fake.proto = 2
+    with pytest.raises(FirmwareError, match=r"firmware 9\.9\.9 that speaks protocol 2, needed protocol 1"):
+        Controller(fake, fake.clock).hello()
+
+
+def test_silence_is_no_controller(fake):
+    fake.to_host, fake.out = lambda data: b"", b""
+    with pytest.raises(FirmwareError, match="found silence, needed a scanner controller"):
+        Controller(fake, fake.clock).hello()
+    assert fake.clock.now() < 5.0
+
+
+def test_an_echo_is_no_controller(fake):
+    fake.out = b""
+    fake.write = lambda data: setattr(fake, "out", fake.out + data)
+    with pytest.raises(FirmwareError, match="echoes what it is told"):
+        Controller(fake, fake.clock).hello()
+    assert fake.clock.now() < 1.0
+
+
+def test_another_device_is_quoted(fake):
+    fake.out = b""
+    fake.write = lambda data: setattr(fake, "out", b"Grbl 1.1h ['$' for help]\r\nerror:1\r\n")
+    with pytest.raises(FirmwareError, match="a device that says 'error:1'"):
+        Controller(fake, fake.clock).hello()
+    assert fake.clock.now() < 6.0
+
+
+def test_leaving_makes_safe(fake):
+    with Controller(fake, fake.clock) as controller:
+        controller.hello()
+        controller.arm(True)
+        controller.laser(True)
+        assert fake.laser
+    assert not fake.laser and not fake.armed
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt, SystemExit, RigFault])
+def test_leaving_by_any_error_makes_safe(fake, error):
+    with pytest.raises(error), Controller(fake, fake.clock) as controller:
+        controller.hello()
+        controller.arm(True)
+        controller.laser(True)
+        raise error(1)
+    assert not fake.laser and not fake.armed
+
+
+def test_making_safe_ends_a_shot(fake, controller):
+    controller.shot(8000, 1)
+    assert controller.make_safe()
+    assert fake.state == "idle" and not fake.armed and fake.exposures == 0
+
+
+def test_making_safe_after_half_a_line(fake, controller):
+    controller.laser(True)
+    real, fake.write = fake.write, None
+
+    def interrupted(data):
+        real(data[:9])
+        fake.write = real
+        raise KeyboardInterrupt
+
+    fake.write = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        controller.stat()
+    assert controller.make_safe()
+    assert not fake.laser and fake.fault == 0
+
+
+def test_without_answers_making_safe_aborts(fake, controller):
+    controller.laser(True)
+    fake.to_controller = lambda data: data if data == b"\x1b" else b""
+    before = fake.clock.now()
+    assert not controller.make_safe()
+    assert fake.fault in (2, 5) and not fake.laser
+    assert fake.clock.now() - before < 2.0
+
+
+def test_what_could_not_be_made_safe_is_said_aloud(fake):
+    controller = Controller(fake, fake.clock)
+    controller.hello()
+    fake.unplugged = True
+    with pytest.raises(RigError, match="switch its supply off by hand"):
+        controller.close()
+    controller.close()
+
+
+def test_what_could_not_be_made_safe_does_not_hide_the_error(fake):
+    with pytest.raises(ZeroDivisionError) as error, Controller(fake, fake.clock) as controller:
+        controller.hello()
+        fake.unplugged = True
+        raise ZeroDivisionError
+    assert any("by hand" in note for note in error.value.__notes__)
+
+
+def test_events_count_on_after_the_last_number(fake, controller):
+    while fake.events < 65534:
+        fake.tell("DONE seq=1 pos=0")
+    controller.stat()
+    for k in range(4):
+        controller.shot(8, k)
+        controller.wait_shot(k)
+    controller.stat()
+    assert fake.events == 3
+    assert controller.link_counts.events_missed == 0
+
+
+def test_the_counters(fake, controller):
+    controller.shot(8, 1)
+    controller.wait_shot(1)
+    assert controller.counters().laser_cycles == 1

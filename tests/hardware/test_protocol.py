@@ -1,0 +1,174 @@
+"""The wire, host side: what is encoded, what is believed, and what never is."""
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scanrig.protocol import (
+    ABORT,
+    LONGEST_COMMAND,
+    Damaged,
+    Event,
+    LineReader,
+    Nak,
+    Refusal,
+    Reply,
+    crc,
+    decode,
+    encode,
+    next_sequence,
+    seal,
+)
+
+
+VECTORS = Path(__file__).resolve().parents[2] / "hardware" / "protocol_vectors.json"
+
+SEQUENCES = st.integers(0, 65535)
+KEYS = st.text("abcdefghijklmnopqrstuvwxyz", min_size=1, max_size=5)
+VALUES = st.one_of(st.integers(-(2**31), 2**31 - 1).map(str), st.text("abcdxyz.019", min_size=1, max_size=6))
+FIELDS = st.dictionaries(KEYS, VALUES, max_size=5)
+NAMES = st.text("ABCDEFGHIJKLMNOPQRSTUVWXYZ", min_size=1, max_size=8)
+
+
+def written(fields):
+    return "".join(f" {key}={value}" for key, value in fields.items())
+
+
+def line_of(message):
+    """What the controller sends to say this."""
+    match message:
+        case Reply(seq, fields):
+            return seal(f"={seq} ok{written(fields)}")
+        case Refusal(seq, code):
+            return seal(f"={seq} err {code}")
+        case Nak(code):
+            return seal(f"=? err {code}")
+        case Event(number, name, fields):
+            return seal(f"!{number} {name}{written(fields)}")
+
+
+MESSAGES = st.one_of(
+    st.builds(Reply, SEQUENCES, FIELDS),
+    st.builds(Refusal, SEQUENCES, st.integers(1, 14)),
+    st.builds(Nak, st.sampled_from([2, 10])),
+    st.builds(Event, SEQUENCES, NAMES, FIELDS),
+)
+STREAMS = st.lists(st.one_of(MESSAGES.map(line_of), st.binary(max_size=200)), max_size=6).map(b"".join)
+
+
+def test_the_examples_of_the_document():
+    assert crc(b"123456789") == 0x29B1
+    assert encode(17, "SHOT", to=1200, id=150) == b"@17 SHOT to=1200 id=150*0485\n"
+    assert decode(b"=17 ok*F4BB") == Reply(17, {})
+    assert decode(b"=17 err 8*54CE") == Refusal(17, 8)
+    assert decode(b"=? err 2*F4E3") == Nak(2)
+    assert decode(b"!42 SHOT id=150 pos=1200 trg=300*5238") == Event(
+        42, "SHOT", {"id": "150", "pos": "1200", "trg": "300"}
+    )
+
+
+@given(st.lists(MESSAGES, max_size=6))
+def test_what_the_controller_says_is_understood(messages):
+    assert LineReader().feed(b"".join(map(line_of, messages))) == messages
+
+
+@given(STREAMS, st.lists(st.integers(0, 1000)))
+def test_how_a_stream_is_cut_changes_nothing(stream, cuts):
+    whole = LineReader().feed(stream)
+    places = sorted({cut for cut in cuts if cut < len(stream)})
+    reader = LineReader()
+    pieces = [stream[a:b] for a, b in zip([0, *places], [*places, len(stream)], strict=True)]
+    assert [message for piece in pieces for message in reader.feed(piece)] == whole
+
+
+@given(st.lists(MESSAGES, min_size=1, max_size=4), st.data())
+@settings(max_examples=500)
+def test_no_changed_byte_makes_another_message(messages, data):
+    stream = b"".join(map(line_of, messages))
+    place = data.draw(st.integers(0, len(stream) - 1))
+    byte = data.draw(st.integers(0, 255).filter(lambda value: value != stream[place]))
+    believed = [
+        message
+        for message in LineReader().feed(stream[:place] + bytes([byte]) + stream[place + 1 :])
+        if not isinstance(message, Damaged)
+    ]
+    # A changed byte is a burst of at most 8 bits, which a 16-bit CRC always sees: only losses, in order, are left.
+    left = iter(messages)
+    assert all(any(message == sent for sent in left) for message in believed)
+    assert len(believed) >= len(messages) - 2
+
+
+@given(MESSAGES.map(line_of), st.data())
+@settings(max_examples=500, derandomize=True, database=None)  # One such burst in 65536 is a collision of the CRC.
+def test_no_lost_or_doubled_byte_makes_another_message(line, data):
+    place = data.draw(st.integers(0, len(line) - 1))
+    sent = LineReader().feed(line)
+    lost = LineReader().feed(line[:place] + line[place + 1 :] + b"\n")
+    doubled = LineReader().feed(line[:place] + line[place : place + 1] + line[place:])
+    assert [m for m in lost + doubled if not isinstance(m, Damaged) and m not in sent] == []
+
+
+@given(st.binary(max_size=2000))
+def test_garbage_is_never_a_message(garbage):
+    assert all(isinstance(message, Damaged) for message in LineReader().feed(garbage + b"\n"))
+
+
+def test_a_line_without_an_end_takes_no_memory():
+    reader = LineReader()
+    for _ in range(1000):
+        assert reader.feed(b"x" * 1000) == []
+    (message,) = reader.feed(b"\n=17 ok*F4BB"[:1])
+    assert isinstance(message, Damaged) and len(message.raw) <= 200
+    assert reader.feed(b"=17 ok*F4BB\n") == [Reply(17, {})]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["=017 ok", "=65536 ok", "=1 ok a=1 a=2", "=1 ok a=", "=1 ok  a=1", "=1 OK", "=1 err 02", "! BOOT", "=1 ok a=1=2"],
+)
+def test_lines_of_another_form_are_damaged(text):
+    assert isinstance(decode(seal(text)[:-1]), Damaged)
+
+
+def test_a_crc_in_small_letters_is_damaged():
+    assert isinstance(decode(b"=17 ok*f4bb"), Damaged)
+
+
+@given(st.integers(1, 65535), NAMES, st.dictionaries(KEYS, st.integers(-(2**31), 2**31 - 1), max_size=3))
+def test_encoded_lines_are_of_the_documents_form(seq, verb, args):
+    try:
+        line = encode(seq, verb, **args)
+    except (ValueError, TypeError) as problem:
+        assert "bytes, at most" in str(problem) or "multiple values" in str(problem)
+        return
+    body, _, digits = line[:-1].rpartition(b"*")
+    assert int(digits, 16) == crc(body) and line.endswith(b"\n") and len(line) <= LONGEST_COMMAND + 1
+    assert body.decode() == f"@{seq} {verb}{written(args)}"
+
+
+@pytest.mark.parametrize(
+    ("seq", "verb", "args"),
+    [(0, "STAT", {}), (65536, "STAT", {}), (1, "Stat", {}), (1, "MOVE", {"to": 2**31}), (1, "SET", {"A": 1})],
+)
+def test_what_is_no_line_is_not_encoded(seq, verb, args):
+    with pytest.raises(ValueError):
+        encode(seq, verb, **args)
+
+
+def test_sequence_numbers_go_round():
+    assert next_sequence(1) == 2
+    assert next_sequence(65535) == 1
+
+
+def test_no_flipped_bit_of_a_line_is_an_abort():
+    of_lines = b"@=!?*-. \n\r0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz"
+    assert all((byte ^ ABORT[0]).bit_count() >= 2 for byte in of_lines)
+
+
+def test_golden_lines():
+    """Firmware and host agree on every byte of the lines that both are tested against."""
+    vectors = json.loads(VECTORS.read_text())
+    for entry in vectors["lines"]:
+        assert seal(entry["text"]).decode().rstrip("\n") == entry["line"].rstrip("\n"), entry
