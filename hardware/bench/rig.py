@@ -2,7 +2,7 @@
 
 import contextlib
 import json
-import selectors
+import os
 import subprocess
 import time
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 
 from bench.build import SIMRUN, build
 from bench.errors import BenchError
+from bench.processes import end, launch
 from bench.sockets import ControlClient
 
 
@@ -42,6 +43,7 @@ class SimulatedRig:
         autoreset: bool = False,
         seed: int = 1,
         echo: bool = False,
+        apart: bool = False,
     ) -> None:
         """A rig that `start` (or `with`) switches on.
 
@@ -56,13 +58,14 @@ class SimulatedRig:
             autoreset: Whether opening the port resets the processor, as on an Uno.
             seed: Of the noise on the line.
             echo: Some other device on the port, which sends back what it gets.
+            apart: Whether Ctrl-C at the terminal is kept from it.
         """
         self.folder = Path(folder)
         self.port = str(self.folder / "port")
         self.edges_path = self.folder / "edges.jsonl"
         self.control_path = self.folder / "control"
         self._firmware = "echo" if echo else firmware
-        self._speed, self._start, self._seed = speed, start, seed
+        self._speed, self._start, self._seed, self._apart = speed, start, seed, apart
         self._options = ["--microsteps-per-turn", str(microsteps_per_turn), "--home-width", str(home_width)]
         self._options += ["--bounce", str(bounce_us), *(["--autoreset"] if autoreset else [])]
         self._process: subprocess.Popen[str] | None = None
@@ -93,11 +96,8 @@ class SimulatedRig:
         command = [str(SIMRUN), "--firmware", str(Path(image).resolve()), "--port", "port", "--edges", "edges.jsonl"]
         command += ["--control", "control", "--eeprom", "eeprom.bin", "--speed", str(self._speed)]
         command += ["--begin", str(cycle), "--start", str(position), "--seed", str(self._seed), *self._options]
-        with open(self.folder / "simrun.err", "a") as errors:
-            self._process = subprocess.Popen(
-                command, cwd=self.folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors, text=True
-            )
-        await_ready(self._process, self.folder / "simrun.err")
+        errors = self.folder / "simrun.err"
+        self._process = launch(command, folder=self.folder, errors=errors, within_s=READY_S, apart=self._apart)
         self._control = ControlClient(self.control_path)
 
     def control(self, text: str) -> str:
@@ -167,14 +167,7 @@ class SimulatedRig:
             control.close()
         if process is None:
             return
-        process.kill() if kill else process.terminate()
-        try:
-            process.wait(5)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait(5)
-        if process.stdout is not None:
-            process.stdout.close()
+        end(process, kill=kill)
         for left in (Path(self.port), self.control_path):
             with contextlib.suppress(FileNotFoundError):
                 left.unlink()
@@ -183,32 +176,11 @@ class SimulatedRig:
         """Cycle and position at the end of the log, where a rig that was on before goes on."""
         if not self.edges_path.exists():
             return 0, self._start
-        *lines, torn = self.edges_path.read_text().split("\n")
+        *lines, torn = self.edges_path.read_bytes().split(b"\n")
         if torn:
             # Killed within a line. Nothing may be written after half of one.
-            self.edges_path.write_text("".join(line + "\n" for line in lines))
+            os.truncate(self.edges_path, self.edges_path.stat().st_size - len(torn))
         if not lines:
             return 0, self._start
         last = json.loads(lines[-1])
         return last["cycle"], last["pos"]
-
-
-def await_ready(process: "subprocess.Popen[str]", errors: Path, *, within_s: float = READY_S) -> None:
-    """Wait for the line "ready" of a program that was just started.
-
-    Raises:
-        BenchError: With its last words, if it ends or says something else; it is ended then.
-    """
-    if process.stdout is None:
-        raise BenchError("A program without an output cannot say that it is ready.")
-    with selectors.DefaultSelector() as selector:
-        selector.register(process.stdout, selectors.EVENT_READ)
-        came = selector.select(within_s)
-    line = process.stdout.readline() if came else ""
-    if line.startswith("ready"):
-        return
-    process.kill()
-    process.wait(5)
-    process.stdout.close()
-    words = errors.read_text().strip().splitlines()
-    raise BenchError(f"{process.args!s:.60}… did not start: {words[-1] if words else 'it said nothing'}")

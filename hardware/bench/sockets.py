@@ -2,7 +2,8 @@
 
 import os
 import socket
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,7 +23,7 @@ def _short(path: Path) -> Iterator[str]:
 class ControlClient:
     """A conversation with a control socket."""
 
-    def __init__(self, path: Path, *, timeout_s: float = 10.0) -> None:
+    def __init__(self, path: Path, *, timeout_s: float = 20.0) -> None:
         """Connect to the socket at `path`.
 
         Raises:
@@ -62,11 +63,46 @@ class ControlClient:
         self._socket.close()
 
 
-def listen(path: Path) -> socket.socket:
-    """A socket that listens at `path`, which is made; an old one there is replaced."""
-    path.unlink(missing_ok=True)
-    server = socket.socket(socket.AF_UNIX)
-    with _short(path) as name:
-        server.bind(name)
-    server.listen(4)
-    return server
+class ControlServer:
+    """Answers at a socket, in threads of its own, until it is closed."""
+
+    def __init__(self, path: Path, answer: Callable[[str], str]) -> None:
+        """Listen at `path`, which is made; an old socket there is replaced.
+
+        Args:
+            path: The socket.
+            answer: Called with each line; may be called from several threads.
+        """
+        path.unlink(missing_ok=True)
+        self._path, self._answer = path, answer
+        self._socket = socket.socket(socket.AF_UNIX)
+        with _short(path) as name:
+            self._socket.bind(name)
+        self._socket.listen(4)
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._path.unlink(missing_ok=True)
+        self._socket.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._socket.accept()
+            except OSError:
+                return  # Closed.
+            threading.Thread(target=self._converse, args=(client,), daemon=True).start()
+
+    def _converse(self, client: socket.socket) -> None:
+        with client, client.makefile("rw") as text:
+            for line in text:
+                try:
+                    answer = self._answer(line.strip())
+                except BenchError as problem:
+                    answer = f"error: {problem}"
+                try:
+                    text.write(answer + "\n")
+                    text.flush()
+                except OSError:
+                    return  # Whoever asked does not wait for the answer.

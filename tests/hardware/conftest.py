@@ -22,14 +22,26 @@ def missing_for_the_rig():
     return f"the simulated rig needs {', '.join(packages)}: type `make bench-deps`" if packages else ""
 
 
-def missing_for_the_camera():
-    """What the camera on loopback lacks, as one line; "" if nothing."""
+def missing_for_the_loopback():
+    """What a camera on loopback lacks, as one line; "" if nothing."""
     from bench.aravis import aravis_is_there
 
-    return "" if aravis_is_there() else "the camera on loopback needs libaravis-0.8-0: type `make bench-deps`"
+    return "" if aravis_is_there() else "a camera on loopback needs libaravis-0.8-0: type `make bench-deps`"
 
 
-NEEDS = {"rig": missing_for_the_rig, "rendered_camera": missing_for_the_camera}
+def missing_for_the_camera():
+    """What the camera that renders lacks, as one line; "" if nothing."""
+    from jaxscan.errors import DependencyError
+    from jaxscan.simulation.open3d import load_open3d
+
+    try:
+        load_open3d()
+    except DependencyError as problem:
+        return str(problem)
+    return ""
+
+
+NEEDS = {"rig": missing_for_the_rig, "loopback": missing_for_the_loopback, "rendered_camera": missing_for_the_camera}
 """Fixtures that need tools, and who says which are missing."""
 
 
@@ -62,14 +74,23 @@ def rig(tmp_path):
 
 
 @pytest.fixture
-def rendered_camera(tmp_path):
-    """Makes cameras on loopback that see what a rig's plant shows: `rendered_camera(rig, world=…)`."""
-    from bench.camera import CameraProcess
+def loopback():
+    """The one address at which a GigE Vision camera can be, 127.0.0.1, to itself: tests run side by side."""
+    from bench.rendered import ADDRESS, loopback
+
+    with loopback():
+        yield ADDRESS
+
+
+@pytest.fixture
+def rendered_camera(tmp_path, loopback):
+    """Makes the camera that sees what a rig's plant shows, `rendered_camera(rig, world=…)`; one at a time."""
+    from bench.rendered import RenderedCamera
 
     made = []
 
     def make(simulated, **options):
-        camera = CameraProcess(tmp_path / f"camera{len(made)}", edges=simulated.edges_path, **options)
+        camera = RenderedCamera(tmp_path / f"camera{len(made)}", edges=simulated.edges_path, **options)
         made.append(camera)
         camera.start()
         return camera

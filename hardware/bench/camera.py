@@ -1,0 +1,266 @@
+"""The camera on the bench: a GigE Vision camera on loopback that sees what a simulated rig's plant shows.
+
+    python -m bench.camera --edges RIG/edges.jsonl --control SOCKET [--world world.toml] [--address 127.0.0.1]
+
+Every pulse of the rig's trigger wire gives one frame, in order, of the table's angle at its beginning and with the
+share of laser light that it had. Control socket, one line each: `board N`, `board none`, `poses`, `lose N`, `swap`,
+`flash DN`, `blur PX`, `cover 0|1`, `loss SHARE`, `disappear`, `appear`, `state`, `quit`.
+"""
+
+import argparse
+import ctypes
+import json
+import math
+import queue
+import signal
+import sys
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from bench.aravis import EXPOSURE_US, GAIN, GvCamera
+from bench.errors import BenchError
+from bench.follow import Exposure, LogReader, Plant
+from bench.places import WORLD
+from bench.sockets import ControlServer
+from bench.world import NOMINAL_EXPOSURE_S, View, World, load_world
+
+
+POLL_S = 0.002
+"""How often the log is looked at."""
+
+PLACEMENT_REACH_DEG = 10.0
+"""Placements of the board are seen over at least this angle to both sides of home."""
+
+ADDRESS = "127.0.0.1"
+
+
+@dataclass
+class Trouble:
+    """What goes wrong with the next frames, as the control socket asks."""
+
+    lose: int = 0
+    swap: bool = False
+    flash_dn: float = 0.0
+    blur_px: int = 0
+    covered: bool = False
+
+
+@dataclass
+class Counts:
+    """Pulses of the trigger wire, and what became of them."""
+
+    triggers: int = 0
+    not_armed: int = 0
+    lost: int = 0
+    sent: int = 0
+    refused: int = 0
+
+
+@dataclass
+class BenchCamera:
+    """Between log, world and wire. `ledger` gets a line for each frame: what it truly shows."""
+
+    world: World
+    edges: Path
+    microsteps_per_turn: int
+    ledger: TextIO
+    address: str = ADDRESS
+    board: int | None = None
+    trouble: Trouble = field(default_factory=Trouble)
+    counts: Counts = field(default_factory=Counts)
+
+    def __post_init__(self) -> None:
+        self._plant = Plant(self.microsteps_per_turn)
+        self._waiting: queue.Queue[tuple[Exposure, View]] = queue.Queue()
+        self._held: tuple[Exposure, View, np.ndarray] | None = None
+        self._stop = threading.Event()
+        self._world_lock = threading.Lock()
+        self._wire_lock = threading.Lock()
+        self._wire: GvCamera | None = GvCamera(self.present, address=self.address)
+
+    def run(self) -> None:
+        """Follow the log until `quit`."""
+        developer = threading.Thread(target=self._develop, daemon=True)
+        developer.start()
+        log, armed = LogReader(self.edges), False
+        while not self._stop.is_set():
+            lines = log.lines()
+            for line in lines:
+                rises, ended = self._plant.read(line)
+                if rises:
+                    wire = self._wire
+                    armed = wire is not None and wire.armed()
+                elif ended is not None:
+                    self._expose(ended, armed)
+            if not lines:
+                self._stop.wait(POLL_S)
+        developer.join(10)
+        self._disappear()
+
+    def present(self) -> np.ndarray:
+        """What the camera sees now: for a client that triggers it by software, or lets it run free."""
+        light = 1.0 if self._plant.light else 0.0
+        view = self._view(self._plant.from_home(), light)
+        number = self.counts.sent + self.counts.triggers + 1_000_000
+        return self._picture(view, number)
+
+    def answer(self, text: str) -> str:
+        """One line of the control socket.
+
+        Raises:
+            BenchError: If it is not understood.
+        """
+        verb, _, rest = text.partition(" ")
+        try:
+            return self._answer(verb, rest)
+        except ValueError as problem:
+            raise BenchError(f"{text!r}: {problem}") from problem
+
+    def _answer(self, verb: str, rest: str) -> str:
+        match verb, rest:
+            case "board", "none":
+                self.board = None
+                return json.dumps({"board": None})
+            case "board", _:
+                described = self.world.describe(int(rest))
+                self.board = int(rest)
+                return json.dumps(described)
+            case "poses", "":
+                return json.dumps([self.world.describe(number) for number in range(len(self.world.poses()))])
+            case "lose", _:
+                self.trouble.lose = int(rest)
+            case "swap", "":
+                self.trouble.swap = True
+            case "flash", _:
+                self.trouble.flash_dn = float(rest)
+            case "blur", _:
+                self.trouble.blur_px = int(rest)
+            case "cover", _:
+                self.trouble.covered = bool(int(rest))
+            case "loss", _:
+                if self._wire is not None:
+                    self._wire.lose_packets(float(rest))
+            case "disappear", "":
+                self._disappear()
+            case "appear", "":
+                with self._wire_lock:
+                    self._wire = self._wire or GvCamera(self.present, address=self.address)
+            case "state", "":
+                return json.dumps(self._state())
+            case "quit", "":
+                self.stop()
+            case _:
+                raise BenchError(f"the camera does not know {verb!r}")
+        return "ok"
+
+    def stop(self) -> None:
+        """End `run`."""
+        self._stop.set()
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            **vars(self.counts),
+            "waiting": self._waiting.qsize() + (self._held is not None),
+            "board": self.board,
+            "position": self._plant.from_home(),
+            "light": self._plant.light,
+            "there": self._wire is not None,
+            "armed": self._wire is not None and self._wire.armed(),
+        }
+
+    def _disappear(self) -> None:
+        with self._wire_lock:
+            wire, self._wire = self._wire, None
+            if wire is not None:
+                wire.close()
+
+    def _view(self, position: int, light: float) -> View:
+        angle = 2 * math.pi * position / self.microsteps_per_turn
+        exposure, wire = 1.0, self._wire
+        if wire is not None:
+            seconds, gain_db = wire.register(EXPOSURE_US) / 1e6, wire.register(GAIN)
+            exposure = seconds / NOMINAL_EXPOSURE_S * 10 ** (gain_db / 20)
+        return View(angle, light, self.board, exposure)
+
+    def _expose(self, exposure: Exposure, armed: bool) -> None:
+        self.counts.triggers += 1
+        if armed:
+            self._waiting.put((exposure, self._view(exposure.position, exposure.light)))
+        else:
+            self.counts.not_armed += 1
+
+    def _develop(self) -> None:
+        """Renders what was exposed and sends it, one after the other."""
+        while not self._stop.is_set():
+            try:
+                exposure, view = self._waiting.get(timeout=0.05)
+            except queue.Empty:
+                continue
+            trouble = self.trouble
+            if trouble.lose > 0:
+                trouble.lose -= 1
+                self.counts.lost += 1
+                continue
+            picture = self._picture(view, exposure.cycle)
+            if trouble.swap and self._held is None:
+                self._held = (exposure, view, picture)
+                continue
+            self._send(exposure, view, picture)
+            if self._held is not None:
+                held, self._held, trouble.swap = self._held, None, False
+                self._send(*held)
+
+    def _picture(self, view: View, number: int) -> np.ndarray:
+        trouble = self.trouble
+        flash, blur = trouble.flash_dn, trouble.blur_px
+        trouble.flash_dn, trouble.blur_px = 0.0, 0
+        if trouble.covered:
+            view = view._replace(exposure=0.0)
+        with self._world_lock:
+            return self.world.frame(view, number, flash_dn=flash, blur_px=blur)
+
+    def _send(self, exposure: Exposure, view: View, picture: np.ndarray) -> None:
+        with self._wire_lock:
+            sent = self._wire is not None and self._wire.deliver(picture)
+        self.counts.sent += sent
+        self.counts.refused += not sent
+        said = {**exposure._asdict(), "angle": view.angle, "board": view.board, "exposure": view.exposure, "sent": sent}
+        self.ledger.write(json.dumps(said) + "\n")
+        self.ledger.flush()
+
+
+def main() -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="bench.camera", description="A GigE Vision camera that sees a simulated rig.")
+    parser.add_argument("--edges", type=Path, required=True, help="the rig's log, edges.jsonl")
+    parser.add_argument("--control", type=Path, required=True, help="the socket to make")
+    parser.add_argument("--ledger", type=Path, required=True, help="what each frame truly shows, written as JSONL")
+    parser.add_argument("--world", type=Path, default=WORLD, help="a simulated rig, TOML")
+    parser.add_argument("--address", default=ADDRESS, help="of a local network interface")
+    parser.add_argument("--microsteps-per-turn", type=int, default=28800)
+    options = parser.parse_args()
+    ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG: never outlives who started it.
+    try:
+        world = load_world(options.world, reach_deg=PLACEMENT_REACH_DEG)
+        # Room and rays are made once, before anybody waits for a frame.
+        world.expect(0.0)
+        with open(options.ledger, "a") as ledger:
+            camera = BenchCamera(world, options.edges, options.microsteps_per_turn, ledger, options.address)
+            server = ControlServer(options.control, camera.answer)
+            signal.signal(signal.SIGTERM, lambda *_: camera.stop())
+            signal.signal(signal.SIGINT, lambda *_: camera.stop())
+            print("ready", flush=True)
+            camera.run()
+            server.close()
+    except BenchError as problem:
+        print(problem, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+"""Programs of the bench: started until they say that they are ready, and ended for certain."""
+
+import selectors
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+from bench.errors import BenchError
+
+
+def launch(
+    command: Sequence[str], *, folder: Path, errors: Path, within_s: float, apart: bool = False
+) -> "subprocess.Popen[str]":
+    """Start a program and wait until it prints a line that begins with "ready".
+
+    Args:
+        command: The program with its arguments.
+        folder: Its working folder.
+        errors: File to which what it says on stderr is added.
+        within_s: How long that may take.
+        apart: Whether Ctrl-C at the terminal is kept from it, because who started it ends it in order.
+
+    Raises:
+        BenchError: With its last words, if it ends, says something else or takes longer; it is ended then.
+    """
+    with open(errors, "a") as stderr:
+        process = subprocess.Popen(
+            command,
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            text=True,
+            start_new_session=apart,
+        )
+    if process.stdout is None:
+        raise BenchError("A program without an output cannot say that it is ready.")
+    with selectors.DefaultSelector() as selector:
+        selector.register(process.stdout, selectors.EVENT_READ)
+        came = selector.select(within_s)
+    line = process.stdout.readline() if came else ""
+    if line.startswith("ready"):
+        return process
+    process.kill()
+    process.wait(5)
+    process.stdout.close()
+    words = errors.read_text().strip().splitlines()
+    name = Path(command[0]).name if len(command) < 3 or command[1] != "-m" else command[2]
+    raise BenchError(f"{name} did not start: {words[-1] if words else 'it said nothing'}")
+
+
+def end(process: "subprocess.Popen[str]", *, kill: bool = False) -> None:
+    """End a program: asked first, unless `kill`, and by force where that does not help."""
+    if kill:
+        process.kill()
+    else:
+        process.terminate()
+    try:
+        process.wait(15)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait(5)
+    if process.stdout is not None:
+        process.stdout.close()
