@@ -11,7 +11,7 @@
 /* Keys: those of the settings by their own number, then these. */
 enum key { SES = SETTINGS, ON, MS, TO, MOST, ID, MODES, SHOT_PART, HANG_KIND, KEYS };
 static const char key_names[KEYS - SETTINGS][4] PROGMEM = {"ses", "on", "ms", "to", "max", "id", "m", "shot", "k"};
-#define BIT(key) (1ul << (key))
+#define BIT(key) ((uint32_t)1 << (key))
 #define ALL_SETTINGS (BIT(SETTINGS) - 1)
 
 struct arguments {
@@ -113,6 +113,7 @@ static uint8_t counts(const struct arguments *arguments, uint16_t seq) {
     text_field(&reply, PSTR("las"), counters.laser);
     text_field(&reply, PSTR("up"), counters.up_ms);
     text_field(&reply, PSTR("wdr"), counters.watchdog_resets);
+    text_field_signed(&reply, PSTR("was"), counters.home_was);
     return OK;
 }
 

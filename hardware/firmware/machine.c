@@ -41,6 +41,7 @@ void machine_counters(struct machine_counters *counters) {
         counters->lost_bytes = uart_lost;
     }
     counters->watchdog_resets = report_watchdog_resets();
+    counters->home_was = motion_home_was();
 }
 
 uint16_t machine_boot(void) {

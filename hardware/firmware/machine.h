@@ -27,6 +27,7 @@ struct machine_status {
 struct machine_counters {
     uint32_t laser, up_ms;
     uint16_t lost_bytes, watchdog_resets;
+    int32_t home_was; /* what HOMED said last: the event may be lost */
 };
 
 void machine_status(struct machine_status *status);
