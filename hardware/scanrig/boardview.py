@@ -1,0 +1,180 @@
+"""What one picture of the calibration board tells without a calibration: where, how far, how tilted, where lit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.geometry import AbstractBoard
+
+
+_STRIPE_LINES = 20
+"""Lines on the board from which on the laser crosses it."""
+_CENTRED = 0.25
+"""Offset of the stripe from the board's middle, in boards, up to which it crosses the middle."""
+_TELLING = 0.05
+"""Sum of squares of the perspective in all views from which on they tell a focal length."""
+_FOCAL = (0.3, 6.0)
+"""Focal lengths that are believed, in image widths."""
+
+
+@dataclass(frozen=True)
+class BoardView:
+    """One pose of the board as the camera saw it."""
+
+    q: Float[np.ndarray, "n 2"]
+    """Corners that were found [px]."""
+    homography: Float[np.ndarray, "3 3"]
+    """Board [m] to image [px], relative to the image's centre; of a scale that makes its columns about 1."""
+    stripe_lines: int
+    """Lines of the image on which the laser crosses the board."""
+    stripe_offset: float
+    """Where it crosses, from the board's middle, in widths of the board along the image's rows; right positive."""
+
+    @property
+    def crossed(self) -> bool:
+        """Whether the laser's line crosses the board."""
+        return self.stripe_lines >= _STRIPE_LINES
+
+    @property
+    def where(self) -> str:
+        """Where it crosses, in words."""
+        if not self.crossed:
+            return "beside the board"
+        if abs(self.stripe_offset) < _CENTRED:
+            return "across the middle of the board"
+        return f"across the {'right' if self.stripe_offset > 0 else 'left'} of the board"
+
+
+@dataclass(frozen=True)
+class Pose:
+    """How the board stood, with a guessed focal length."""
+
+    tilt_deg: float
+    """Between the board's normal and the camera's axis."""
+    towards_deg: float
+    """Which way it was tilted, in the image; meaningless for small tilts."""
+    roll_deg: float
+    """How far it was turned in its plane."""
+    depth_m: float
+    """Distance along the camera's axis."""
+
+
+def view_board(
+    board: AbstractBoard,
+    q: Float[np.ndarray, "corners 2"],
+    valid: np.ndarray,
+    stripe: Float[np.ndarray, "lines 2"] | None,
+    image_size: tuple[int, int],
+) -> BoardView | None:
+    """A view from corners and from points of the laser's line; None where the corners fix no pose.
+
+    Args:
+        board: The board, whose corners `q` are, in its order.
+        q: Corners in the image [px].
+        valid: Which of them were found, bool [corners].
+        stripe: Centres of the laser's line in the image [px], where there is one.
+        image_size: Width and height [px].
+    """
+    points = board.corners()[valid, :2]
+    if len(points) < 6:
+        return None
+    seen = q[valid] - _centre(image_size)
+    homography = _homography(points, seen)
+    if homography is None:
+        return None
+    lines, offset = _crossing(board, homography, stripe, image_size)
+    return BoardView(q[valid], homography, lines, offset)
+
+
+def pose_of(view: BoardView, focal_px: float) -> Pose | None:
+    """How the board stood; None where no camera of this focal length sees it so."""
+    first, second, third = (view.homography / np.array([[focal_px], [focal_px], [1.0]])).T
+    scale = 0.5 * (np.linalg.norm(first) + np.linalg.norm(second))
+    if third[2] < 0:
+        first, second, third = -first, -second, -third
+    normal = np.cross(first, second)
+    length = np.linalg.norm(normal)
+    if not (np.isfinite(length) and length > 0 and scale > 0 and third[2] > 0):
+        return None
+    normal /= length
+    return Pose(
+        tilt_deg=float(np.degrees(np.arccos(np.clip(abs(normal[2]), 0.0, 1.0)))),
+        towards_deg=float(np.degrees(np.arctan2(normal[1], normal[0]))),
+        roll_deg=float(np.degrees(np.arctan2(first[1], first[0]))),
+        depth_m=float(third[2] / scale),
+    )
+
+
+def guess_focal(views: Sequence[BoardView], image_size: tuple[int, int]) -> float:
+    """A focal length [px] from the perspective of tilted views, and the image's width while there are none.
+
+    With square pixels and the principal point in the middle, the columns of a homography satisfy
+    h1 . W h2 = 0 and h1 . W h1 = h2 . W h2 with W = diag(1/f^2, 1/f^2, 1): linear in 1/f^2.
+    """
+    width = float(max(image_size))
+    if not views:
+        return width
+    h = np.stack([view.homography for view in views]) / np.array([[width], [width], [1.0]])
+    h = h / np.linalg.norm(h[:, :2, :2], axis=(1, 2))[:, None, None]
+    a, b = h[:, :, 0], h[:, :, 1]
+    factor = np.concatenate([(a * b)[:, :2].sum(1), (a * a - b * b)[:, :2].sum(1)])
+    rest = np.concatenate([a[:, 2] * b[:, 2], a[:, 2] ** 2 - b[:, 2] ** 2])
+    if np.sum(rest**2) < _TELLING**2:
+        return width
+    # Least squares in f^2: what is small, the perspective, is where the noise is.
+    square = -float(np.sum(factor * rest) / np.sum(rest**2))
+    return width * float(np.sqrt(square)) if _FOCAL[0] ** 2 < square < _FOCAL[1] ** 2 else width
+
+
+def _centre(image_size: tuple[int, int]) -> np.ndarray:
+    return 0.5 * (np.array(image_size, float) - 1.0)
+
+
+def _homography(points: np.ndarray, seen: np.ndarray) -> np.ndarray | None:
+    """Board points [n, 2] to image points [n, 2], by the direct linear transform on normalised points."""
+    to_unit, from_unit = _normaliser(points), np.linalg.inv(_normaliser(seen))
+    x, y = (_apply(to_unit, points)).T
+    u, v = (_apply(_normaliser(seen), seen)).T
+    one, none = np.ones_like(x), np.zeros_like(x)
+    rows = [
+        np.stack([x, y, one, none, none, none, -u * x, -u * y, -u], 1),
+        np.stack([none, none, none, x, y, one, -v * x, -v * y, -v], 1),
+    ]
+    _, values, directions = np.linalg.svd(np.concatenate(rows))
+    if values[-2] < 1e-6 * values[0]:
+        return None
+    homography = from_unit @ directions[-1].reshape(3, 3) @ to_unit
+    scale = 0.5 * (np.linalg.norm(homography[:, 0]) + np.linalg.norm(homography[:, 1]))
+    return homography / scale if scale > 0 else None
+
+
+def _normaliser(points: np.ndarray) -> np.ndarray:
+    middle = points.mean(0)
+    spread = float(np.sqrt(((points - middle) ** 2).sum(1).mean())) or 1.0
+    scale = np.sqrt(2.0) / spread
+    return np.array([[scale, 0.0, -scale * middle[0]], [0.0, scale, -scale * middle[1]], [0.0, 0.0, 1.0]])
+
+
+def _apply(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
+    mapped = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    return mapped[:, :2] / mapped[:, 2:]
+
+
+def _crossing(
+    board: AbstractBoard, homography: np.ndarray, stripe: np.ndarray | None, image_size: tuple[int, int]
+) -> tuple[int, float]:
+    """Lines of the image on which the stripe lies on the board, and where it does."""
+    if stripe is None or len(stripe) == 0:
+        return 0, 0.0
+    outline = board.outline()
+    low, high = outline.min(0), outline.max(0)
+    seen = stripe - _centre(image_size)
+    on_board = _apply(np.linalg.inv(homography), seen)
+    inside = ((on_board > low) & (on_board < high)).all(1)
+    if not inside.any():
+        return 0, 0.0
+    corners = _apply(homography, outline)
+    offset = (seen[inside, 0].mean() - corners[:, 0].mean()) / max(float(np.ptp(corners[:, 0])), 1.0)
+    return int(inside.sum()), float(offset)
