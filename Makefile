@@ -1,4 +1,4 @@
-# Two commands: `make demo` and `make test`. Each makes the environment if it is not there.
+# `make demo`, `make test`, and `make bench`, a scanner without hardware. Each makes the environment if it is not there.
 
 PYTHON ?= python3
 VENV := .venv
@@ -6,9 +6,11 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 # What Open3D loads from the system; the same list is in jaxscan/simulation/open3d.py.
 LIBRARIES := libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1 libudev1 libidn2-0
+# What firmware and bench are built and run with: hardware/bench/README.md.
+BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev libaravis-0.8-0 aravis-tools
 QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
 
-.PHONY: demo test test-all lint format libraries clean
+.PHONY: demo test test-all lint format libraries firmware bench bench-deps clean
 
 demo: $(INSTALLED) libraries
 	$(BIN)/jaxscan demo -o demo
@@ -41,6 +43,21 @@ libraries: $(INSTALLED)
 	  fi; \
 	fi
 
+firmware:
+	$(MAKE) -C hardware/firmware
+
+# The rig on a desk: the firmware in a simulated processor, a camera that sees a simulated room.
+bench: $(INSTALLED) libraries
+	@$(BIN)/python -m bench
+
+# Installs what the bench needs where it may, and says what to type where it may not. No other target does.
+bench-deps:
+	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -qy --no-install-recommends $(BENCH_PACKAGES); \
+	else \
+	  echo "Type: sudo apt-get install $(BENCH_PACKAGES)"; exit 1; \
+	fi
+
 $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit("jaxscan needs Python 3.11 or newer; try: make PYTHON=python3.12" if sys.version_info < (3, 11) else 0)'
 	@$(PYTHON) -c "import ensurepip" 2>/dev/null || \
@@ -51,3 +68,4 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 clean:
 	rm -rf $(VENV) demo build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf hardware/bench/build hardware/firmware/build

@@ -126,9 +126,7 @@ class BenchCamera:
                 self.board = None
                 return json.dumps({"board": None})
             case "board", _:
-                described = self.world.describe(int(rest))
-                self.board = int(rest)
-                return json.dumps(described)
+                return json.dumps(self._show(rest))
             case "poses", "":
                 return json.dumps([self.world.describe(number) for number in range(len(self.world.poses()))])
             case "lose", _:
@@ -156,6 +154,25 @@ class BenchCamera:
             case _:
                 raise BenchError(f"the camera does not know {verb!r}")
         return "ok"
+
+    def _show(self, which: str) -> dict[str, Any]:
+        """The board in the pose of a number, in the next one, or in that of "free K" or "placement K"."""
+        kind, _, nth = which.rpartition(" ")
+        free = sum(pose.number is None for pose in self.world.poses())
+        if which == "next":
+            number = 0 if self.board is None else self.board + 1
+            if number == len(self.world.poses()):
+                self.board = None
+                return {"board": None}
+        elif kind in ("", "free", "placement"):
+            number = int(nth) + (free if kind == "placement" else 0)
+            if kind == "free" and not 0 <= number < free:
+                raise BenchError(f"there is no free view {number}: 0 … {free - 1}")
+        else:
+            raise BenchError(f"board {which}: expected a number, next, none, free K or placement K")
+        described = self.world.describe(number)
+        self.board = number
+        return described
 
     def stop(self) -> None:
         """End `run`."""

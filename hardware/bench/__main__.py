@@ -1,0 +1,97 @@
+"""`python -m bench`: the bench at the places that configs/bench.toml names, with commands from the terminal.
+
+`python -m bench place N` shows the camera of a running bench the board in pose N, `place next` in the next one, and
+`place none` takes it away, as a person with a board would. `python -m bench rig …` and `camera …` pass a command on.
+"""
+
+import json
+import select
+import signal
+import sys
+import time
+from pathlib import Path
+
+from bench.desk import HELP, Desk, set_up
+from bench.errors import BenchError
+from bench.places import WORLD, runtime
+from bench.sockets import ControlClient
+from jaxscan.errors import JaxscanError
+
+
+STATUS_S = 0.5
+SOCKETS = {"place": "camera", "camera": "camera", "rig": "control"}
+"""Which socket of a running bench a word is for."""
+
+
+def ask(words: list[str]) -> int:
+    """Pass a command on to a running bench."""
+    client = ControlClient(runtime() / SOCKETS[words[0]])
+    text = " ".join(["board", *words[1:]] if words[0] == "place" else words[1:])
+    answer = client.ask(text)
+    client.close()
+    if answer.startswith(("error: ", "unknown")):
+        raise BenchError(answer.removeprefix("error: "))
+    print(answer)
+    return 0
+
+
+def attend(desk: Desk) -> None:
+    """Take commands from the terminal and show where everything stands, until `quit` or the rig's end."""
+    shows, reads = sys.stdout.isatty(), True
+    while True:
+        if shows:
+            print(f"\r\x1b[K{desk.status()}  > ", end="", flush=True)
+        if not reads:
+            time.sleep(STATUS_S)
+            continue
+        if not select.select([sys.stdin], [], [], STATUS_S)[0]:
+            continue
+        line = sys.stdin.readline()
+        if not line:
+            reads = False  # Nobody at the terminal: a signal ends this.
+            continue
+        if line.strip() == "quit":
+            return
+        try:
+            answer = desk.command(line.strip())
+        except BenchError as problem:
+            answer = str(problem)
+        print(("\r\x1b[K" if shows else "") + answer, flush=True)
+
+
+def run(world: Path) -> int:
+    """Set the bench up, say what to type, and attend to it."""
+    folder = runtime()
+    print("Building, and making a room …", flush=True)
+    with set_up(folder, world=world) as desk:
+        poses = desk.camera.control("poses")
+        truth = {"board_poses": poses, "world": str(world)}
+        (folder / "poses.json").write_text(json.dumps(truth, indent=2))
+        free = sum(pose["kind"] == "free" for pose in poses)
+        print(f"The bench is set up. Port: {desk.rig.port}   camera: {desk.camera.address}")
+        print("In another terminal, type:\n\n    jaxscan scan configs/bench.toml -o captures/bench\n")
+        print(f"The board has {len(poses)} poses: {free} free views, then {len(poses) - free} placements.\n{HELP}\n")
+        attend(desk)
+    return 0
+
+
+def main(words: list[str]) -> int:
+    """The command line."""
+    try:
+        if words and words[0] in SOCKETS:
+            return ask(words)
+        if words:
+            raise BenchError(f"{words[0]}: found no such word, expected place, camera or rig, or nothing.")
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
+        return run(WORLD)
+    except JaxscanError as problem:
+        print(f"bench: {problem}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("\nThe bench is put away.")
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,127 @@
+"""The whole bench in one place: rig and camera, and what a person at the terminal may do to them."""
+
+import fcntl
+import os
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from bench.errors import BenchError
+from bench.rendered import RenderedCamera, loopback
+from bench.rig import SimulatedRig
+
+
+MICROSTEPS_PER_TURN = 28800
+"""Of the rig in configs/bench.toml."""
+
+HELP = """\
+Enter          show the next pose of the board; after the last one, take it away
+place N|none   show pose N, or no board
+e, r           press the e-stop, release it
+noise on|off   a bad cable: damaged and lost bytes, both ways
+unplug, plug   pull the cable, plug it in again
+drop N         let the motor lose N steps
+laser good|welded|dead
+lose N         let the camera lose its next N frames
+rig …          any other command of simrun, camera … of the camera; see hardware/bench/README.md
+quit           or Ctrl-C"""
+
+NOISE = {"corrupt": 0.002, "drop": 0.001, "duplicate": 0.001}
+
+
+@dataclass
+class Desk:
+    """A rig with its camera, and the board in a person's hands."""
+
+    rig: SimulatedRig
+    camera: RenderedCamera
+
+    def command(self, text: str) -> str:
+        """Carry out one line; what there is to say about it.
+
+        Raises:
+            BenchError: If it is not understood.
+        """
+        verb, _, rest = text.strip().partition(" ")
+        simple: dict[str, Callable[[], str]] = {
+            "": lambda: self.place("next"),
+            "place": lambda: self.place(rest),
+            "e": lambda: self.rig.control("estop 1"),
+            "r": lambda: self.rig.control("estop 0"),
+            "noise": lambda: self.noise(rest),
+            "lose": lambda: str(self.camera.control(f"lose {rest}")),
+            "rig": lambda: self.rig.control(rest),
+            "camera": lambda: str(self.camera.control(rest)),
+            "help": lambda: HELP,
+        }
+        if verb in simple:
+            return simple[verb]()
+        return self.rig.control(text.strip())
+
+    def place(self, which: str) -> str:
+        """Show the board in a pose: "next", "none", or its number."""
+        described = self.camera.control(f"board {which}")
+        if described["board"] is None:
+            return "no board"
+        kind = "free view" if described["kind"] == "free" else f"placement {described['placement'] + 1}"
+        return f"board in pose {described['board']}: {kind}"
+
+    def noise(self, switch: str) -> str:
+        """Make the cable bad, or good again: "on" or "off"."""
+        if switch not in ("on", "off"):
+            raise BenchError(f"noise: found {switch!r}, expected on or off.")
+        for what, share in NOISE.items():
+            for way in ("rx", "tx"):
+                self.rig.control(f"{what}_{way} {share if switch == 'on' else 0}")
+        return f"noise {switch}"
+
+    def status(self) -> str:
+        """One line: where everything stands."""
+        plant, camera = self.rig.plant(), self.camera.control("state")
+        words = [
+            f"{360 * plant['pos'] / MICROSTEPS_PER_TURN:8.2f}°",
+            "LASER" if plant["light"] else "laser off",
+            "armed" if plant["contactor"] else "disarmed",
+            *(["E-STOP"] if plant["estop"] else []),
+            ("host" if plant["host"] else "no host") if plant["plugged"] else "UNPLUGGED",
+            f"{camera['sent']} frames" + (f", {camera['waiting']} waiting" if camera["waiting"] else ""),
+            "no board" if camera["board"] is None else f"board {camera['board']}",
+        ]
+        return " · ".join(words)
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Keeps a runtime folder to one bench.
+
+    Raises:
+        BenchError: If one runs in it already, or it belongs to somebody else.
+    """
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if folder.stat().st_uid != os.getuid():
+            raise BenchError(f"{folder} belongs to somebody else: name another folder in JAXSCAN_BENCH.")
+        with open(folder / "lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield
+    except BlockingIOError as problem:
+        raise BenchError(f"A bench runs already, in {folder}: end that one first.") from problem
+
+
+@contextmanager
+def set_up(folder: Path, *, world: Path, speed: float = 1.0) -> Iterator[Desk]:
+    """Rig and camera in a folder, fresh, switched off at the end.
+
+    Raises:
+        BenchError: If a tool is missing, or a bench runs already.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(claimed(folder))
+        stack.enter_context(loopback(timeout_s=1.0))
+        for old in ("edges.jsonl", "frames.jsonl", "eeprom.bin"):
+            (folder / old).unlink(missing_ok=True)
+        rig = SimulatedRig(folder, speed=speed, microsteps_per_turn=MICROSTEPS_PER_TURN, apart=True)
+        stack.enter_context(rig)
+        camera = RenderedCamera(folder, edges=rig.edges_path, world=world, apart=True)
+        yield Desk(rig, stack.enter_context(camera))
