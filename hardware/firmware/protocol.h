@@ -12,7 +12,7 @@
 
 #define LINE_MAX 96 /* bytes of a line, its newline not counted */
 #define WORD_MAX 8  /* letters of the longest verb */
-#define ABORT_BYTE 0x1B
+#define ABORT_BYTE 0x1B /* Esc: two flipped bits or more away from every byte of a line */
 
 enum error {
     OK = 0,
