@@ -68,6 +68,7 @@ class Controller:
         self._firmware: Firmware | None = None
         self._settings: Settings | None = None
         self._enabled = False
+        self._begun = 0
         self._broken = False
         self._closed = False
 
@@ -184,10 +185,11 @@ class Controller:
         """
         self._drop_old_events()
         self._ask("HOME", max=max_steps)
+        self._begun = self._wire.seq
         return self._wait(
             "homing",
             timeout_s,
-            lambda event: integer(event.fields, "was") if event.name == "HOMED" else None,
+            lambda event: integer(event.fields, "was") if self._is_end(event, "HOMED") else None,
             lambda status: integer(self._ask("CNT"), "was"),
         )
 
@@ -208,10 +210,11 @@ class Controller:
         """
         self._drop_old_events()
         self._ask("MOVE", to=to)
+        self._begun = self._wire.seq
         return self._wait(
             f"moving to {to}",
             timeout_s,
-            lambda event: integer(event.fields, "pos") if event.name == "DONE" else None,
+            lambda event: integer(event.fields, "pos") if self._is_end(event, "DONE") else None,
             lambda status: status.position,
         )
 
@@ -312,8 +315,15 @@ class Controller:
 
         Raises:
             Refused: the emergency stop is still pressed.
+            RigFault: another fault came at the same moment, of which nobody has been told yet.
         """
-        self._ask("CLEAR")
+        try:
+            self._ask("CLEAR")
+        except Refused:
+            status = self.stat()
+            if status.state == "fault" and not status.estop:
+                raise RigFault(status.fault, status.position) from None
+            raise
         self._wire.events.clear()
 
     # The way out
@@ -402,6 +412,10 @@ class Controller:
             self._wire.link.close()
             self._wire.attach(self._reopen())
         self._broken = False
+
+    def _is_end(self, event: Event, name: str) -> bool:
+        """Whether an event is the end of what the last line began, and not of what an earlier one did."""
+        return event.name == name and event.fields.get("seq") == str(self._begun)
 
     def _drop_old_events(self) -> None:
         """What is left of earlier commands must not be taken for the end of the next one."""

@@ -41,6 +41,9 @@ class Exchange:
     Attributes:
         events: what came and was not looked at yet.
         counts: what the line did.
+        seq: the number of the last line that was sent.
+        boot: of the controller that answered HELLO last.
+        restarted: set where the controller was reset since.
         odd_lines: the last lines that were none of this protocol's, to tell a person what is on the port.
     """
 
@@ -54,7 +57,7 @@ class Exchange:
         self.odd_lines: deque[bytes] = deque(maxlen=KEPT_RAW)
         self.boot: int | None = None
         self.restarted: ControllerReset | None = None
-        self._seq = 0
+        self.seq = 0
         self._reader = LineReader()
         self._half_line = False
         self._last_event: int | None = None
@@ -86,7 +89,7 @@ class Exchange:
             Refused: the controller answered that it will not.
             LinkLost: no answer after `tries` times the longest wait, or the link broke.
         """
-        self._seq = seq = next_sequence(self._seq)
+        self.seq = seq = next_sequence(self.seq)
         line = encode(seq, verb, **args)
         self._hello = seq if verb == "HELLO" else None
         tries = tries or self.tries

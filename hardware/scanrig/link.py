@@ -52,8 +52,7 @@ class SerialLink:
 
     def write(self, data: bytes) -> None:
         """Send all of data. Raises LinkLost."""
-        # pyserial raises its own errors, bare OSError and, on a port closed meanwhile, TypeError's kin; all of its own
-        # are OSErrors.
+        self._require_open()
         try:
             self._port.write(data)
         except OSError as problem:
@@ -61,14 +60,21 @@ class SerialLink:
 
     def read(self, timeout_s: float) -> bytes:
         """What has come, as soon as something has; b"" after timeout_s. Raises LinkLost."""
+        self._require_open()
         end = self._clock.now() + timeout_s
+        # Trouble of a port is a SerialException, or a bare OSError from in_waiting; the former is one of the latter.
         try:
-            while True:
-                data = self._port.read(max(1, self._port.in_waiting))
-                if data or self._clock.now() >= end:
-                    return bytes(data)
+            while not (first := self._port.read(1)):
+                if self._clock.now() >= end:
+                    return b""
+            waiting = self._port.in_waiting
+            return bytes(first + self._port.read(waiting)) if waiting else bytes(first)
         except OSError as problem:
             raise LinkLost(lost(self.name, problem)) from problem
+
+    def _require_open(self) -> None:
+        if not self._port.is_open:
+            raise LinkLost(f"{self.name} is closed") from OSError(errno.EBADF, "closed")
 
     def close(self) -> None:
         """Give the port back."""
