@@ -90,12 +90,14 @@ static void next_interval(uint32_t steps_left) {
     uint32_t now = interval;
     if (steps_left <= ramp + 1) {
         if (ramp) {
-            now += 2 * now / (4 * ramp - 1 + ramp_base); /* exactly back what the ramp went up */
+            uint32_t share = 4 * ramp - 1 + ramp_base;
+            now += (2 * now + share / 2) / share; /* exactly back what the ramp went up */
             ramp--;
         }
     } else if (now > shortest) {
         ramp++;
-        now -= 2 * now / (4 * ramp + 1 + ramp_base);
+        uint32_t share = 4 * ramp + 1 + ramp_base;
+        now -= (2 * now + share / 2) / share; /* Rounded: cut off, it would come to speed a twentieth late. */
         if (now < shortest) now = shortest;
     }
     interval = now;

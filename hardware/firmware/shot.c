@@ -67,9 +67,11 @@ static void advance(void) {
     case SETTLING:
         after_settling();
         break;
-    case WARMING:
-        enter(READY_LIT, setting(RDY_WAIT));
-        break;
+    case WARMING: /* Straight on where there is nothing to wait for: the edge is not to come late in its tick. */
+        if (settings[RDY_WAIT]) {
+            enter(READY_LIT, setting(RDY_WAIT));
+            break;
+        } /* fall through */
     case READY_LIT:
         trigger(EXPOSING_LIT, setting(EXP));
         break;
@@ -85,8 +87,10 @@ static void advance(void) {
             enter(OVER, 0);
         break;
     case DARKENING:
-        enter(READY_DARK, setting(RDY_WAIT));
-        break;
+        if (settings[RDY_WAIT]) {
+            enter(READY_DARK, setting(RDY_WAIT));
+            break;
+        } /* fall through */
     case READY_DARK:
         trigger(EXPOSING_DARK, setting(EXP));
         break;
