@@ -153,6 +153,12 @@ def move_s(config: RigConfig, microsteps: int) -> float:
     return 2 * (math.sqrt(v0 * v0 + a * distance) - v0) / a
 
 
+def longest_s(config: RigConfig) -> float:
+    """Time after which a motion, homing included, has failed: twice what the longest takes, and some [s]."""
+    turns = max(2.0, config.turntable.home_within_deg / 360)
+    return 2 * move_s(config, round(turns * config.microsteps_per_turn)) + 30
+
+
 def shot_s(config: RigConfig) -> float:
     """How long a shot takes at rest, the waits for the camera's ready line included [s]."""
     s = controller_settings(config)

@@ -10,7 +10,7 @@ from scanrig.clock import Clock
 from scanrig.config import RigConfig
 from scanrig.controller import Controller
 from scanrig.errors import CameraError, CameraLost, LinkLost, Refused, RigFault, RigTimeout, SessionError
-from scanrig.plan import controller_settings, nearest
+from scanrig.plan import controller_settings, longest_s, nearest
 from scanrig.status import Firmware
 from scanrig.step import FrameNumbers, Pair, take_pair
 
@@ -23,6 +23,7 @@ _TEMPORARY = {2, 3, 6}
 """Faults that need no person: link, lease, camera not ready."""
 _AFTER_RESET = {8, 9, 11, 14}
 """Refusals that a controller gives which has forgotten: not homed, no session, driver off, not armed."""
+_ABOVE_HOME_DEG = 3.0
 _STILL_S = 10.0
 _RECOVERIES = 5
 """Recoveries from one failed step, of any kind, before the session ends."""
@@ -41,8 +42,11 @@ class Rig:
         self.features: Features = {}
         self.position_known = False
         """Whether the controller was homed when it was made ready, so that its counter says where home is missed."""
+        self.homings = 0
         self.rejected = 0
         """Takes that were dropped."""
+        self.tolerance = config.checks.lost_steps_tolerance
+        """Microsteps by which home may be missed."""
         self._clock, self._note = clock, note
         self._numbers = FrameNumbers()
         self._armed = False
@@ -78,12 +82,25 @@ class Rig:
         controller, n = self.controller, self.config.microsteps_per_turn
         known = self.position_known
         controller.enable(True)
-        was = controller.home(nearest(self.config.turntable.home_within_deg, n))
+        if known:
+            self._come_from_above()
+        was = controller.home(nearest(self.config.turntable.home_within_deg, n), longest_s(self.config))
         self.position_known = True
+        self.homings += 1
         missed = (was + n // 2) % n - n // 2 if known else None
-        self._note("home", why=why, was=was, **({} if missed is None else {"missed": missed}))
+        good = {} if missed is None else {"missed": missed, "good": abs(missed) <= self.tolerance}
+        self._note("home", why=why, was=was, **good)
         self.arm(True)
         return missed
+
+    def _come_from_above(self) -> None:
+        """Home is looked for downwards; from below it would be found a turn further down, and wind up the cables."""
+        above = nearest(_ABOVE_HOME_DEG, self.config.microsteps_per_turn)
+        limits = controller_settings(self.config).limits
+        if limits is not None:
+            above = min(above, limits[1])
+        if self.controller.stat().position < above:
+            self.controller.move(above, longest_s(self.config))
 
     def arm(self, on: bool) -> None:
         """Close or open the contactor."""
@@ -149,10 +166,11 @@ class Rig:
         self._note("recovered", at=what)
 
     def _quieten(self) -> None:
-        """No light while the camera is looked for: the laser's lease and the link's watchdog would make faults of it."""
+        """No light while the camera is looked for; a lease or a watchdog that runs out would be a fault of its own."""
         with contextlib.suppress(Refused):
             self.controller.stop()
         self.controller.laser(False)
+        self.arm(False)
 
     def _reconnect(self, problem: Exception) -> None:
         patience = 2.0 * (1 + self.config.controller.reconnects)

@@ -1,67 +1,12 @@
 """Sessions: a sweep or a calibration from beginning to end, every pair proven and on the disk before the next."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
-
-import numpy as np
 
 from scanrig.cameras.frame import Camera
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
 from scanrig.controller import Controller
-
-
-Status = Literal["complete", "suspect", "interrupted", "e-stop", "disk full"]
-"""How a session ended: all that was planned; the same, but steps were lost and some records are suspect; the
-operator asked; the e-stop was pressed; no space. All but "complete" may be resumed."""
-
-OnPair = Callable[[int, float, np.ndarray, np.ndarray], None]
-"""Called with (record's number, angle [rad], laser-on image, laser-off image) when the pair is on the disk."""
-
-
-@dataclass(frozen=True)
-class SessionResult:
-    """What a session has done."""
-
-    status: Status
-    message: str
-    """One line for people."""
-    records: int
-    """Records in the capture, of this and earlier sessions."""
-    planned: int
-    """Records that it will have."""
-    taken: int
-    """Records that this session took."""
-    retakes: int
-    """Pairs that were taken and not believed."""
-    suspect: tuple[tuple[int, int], ...]
-    """Ranges of records, first and last, that were taken after steps were lost."""
-    events: tuple[dict[str, Any], ...]
-    """What was noted in the journal."""
-    laser_off: bool
-    """Whether the controller confirmed at the end that the laser is off."""
-
-
-@dataclass(frozen=True)
-class PlacementRequest:
-    """What the operator is asked to do with the calibration board."""
-
-    kind: Literal["free", "placement"]
-    """"free": hold it anywhere; "placement": stand it where it will not move while the table turns."""
-    number: int
-    """Counted from 0 within its kind."""
-    total: int
-    advice: list[str]
-    """What would help most, a sentence each."""
-
-
-class Operator(Protocol):
-    """Who moves the board."""
-
-    def place(self, request: PlacementRequest) -> bool:
-        """Return when the board is placed; False: enough of this kind."""
 
 
 def run_sweep(
@@ -98,6 +43,7 @@ def run_sweep(
         How it ended. The laser is off, or the result says that this could not be confirmed.
 
     Raises:
+        ConfigError: If the plan does not fit the table.
         SessionError: If the folder is in use, or cannot be resumed, or has not the space; or if the rig
             has moved since.
         FrameError: If a step could not be proven.
@@ -105,7 +51,43 @@ def run_sweep(
             whole and can be resumed.
         KeyboardInterrupt: After an abort.
     """
-    raise NotImplementedError
+    targets, notes = plan_sweep(config)
+    job = Job(
+        config,
+        Path(folder),
+        "sweep",
+        len(targets),
+        controller,
+        camera,
+        clock or SystemClock(),
+        resume=resume,
+        calibration_digest=calibration_digest,
+        on_pair=on_pair,
+        progress=progress,
+        notify=notify or _silent,
+        should_stop=should_stop or _never,
+    )
+    for note in notes:
+        job.notify(note)
+    return conduct(job, lambda session: _take_turns(session, targets))
+
+
+def _take_turns(session: Session, targets: Sequence[Target]) -> bool:
+    """All records that are missing, each pass closed with a check; False where the operator asked to stop."""
+    session.start()
+    for _, group in groupby(targets, key=lambda target: target.turn):
+        turn = tuple(group)
+        for target in turn:
+            if target.record in session.done:
+                continue
+            if session.should_stop():
+                return False
+            session.take(target.record, target.position)
+        if session.unclosed(turn):
+            if session.should_stop():
+                return False
+            session.close_turn(turn)
+    return True
 
 
 def run_calibration(
@@ -131,4 +113,28 @@ def run_calibration(
 
     The other arguments, the result and the errors are those of `run_sweep`.
     """
-    raise NotImplementedError
+    positions = placement_positions(config)
+    plan = config.calibration
+    job = Job(
+        config,
+        Path(folder),
+        "calibration",
+        plan.free_views + plan.placements * len(positions),
+        controller,
+        camera,
+        clock or SystemClock(),
+        resume=resume,
+        on_pair=on_pair,
+        progress=progress,
+        notify=notify or _silent,
+        should_stop=should_stop or _never,
+    )
+    return conduct(job, lambda session: take_placements(session, positions, operator, advise))
+
+
+def _silent(sentence: str) -> None:
+    del sentence
+
+
+def _never() -> bool:
+    return False

@@ -30,7 +30,8 @@ def require_space(folder: Path, needed: int, *, what: str) -> None:
     free = free_bytes(folder)
     if free < needed:
         raise DiskFull(
-            f"{folder}: {readable(free)} are free, {what} needs {readable(needed)}; make room, then go on with --resume."
+            f"{folder}: {readable(free)} are free, {what} needs {readable(needed)}; "
+            "make room, then go on with --resume."
         )
 
 
@@ -43,6 +44,8 @@ def is_full(problem: BaseException) -> bool:
     """Whether an error, or what caused it, is that no room is left."""
     cause: BaseException | None = problem
     while cause is not None:
+        if isinstance(cause, DiskFull):
+            return True
         if isinstance(cause, OSError) and cause.errno in _FULL:
             return True
         cause = cause.__cause__

@@ -10,7 +10,7 @@ from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
 from scanrig.controller import Controller
 from scanrig.errors import CameraError, CameraTimeout, FrameError
-from scanrig.plan import shot_s
+from scanrig.plan import longest_s, shot_s
 from scanrig.proof import PairProof, prove_pair
 
 
@@ -20,7 +20,6 @@ LATE_S = 1.0
 """How long after its exposure a frame may come."""
 QUIET_S = 0.2
 """Silence after which no late frame is expected any more."""
-MOTION_S = 120.0
 _COUNT = 65536
 """The controller counts exposures modulo this."""
 _MOST_LATE = 64
@@ -127,7 +126,7 @@ def _by_wire(
         numbers.next += waiting
     before = controller.stat().exposures
     controller.shot(to, number)
-    give_up = clock.now() + MOTION_S + shot_s(config)
+    give_up = clock.now() + longest_s(config) + shot_s(config)
     frames: list[Frame] = []
     running = True
     while len(frames) < 2 and clock.now() < give_up:
@@ -136,7 +135,7 @@ def _by_wire(
         except CameraTimeout:
             if running and controller.poll().state != "shot":
                 running, give_up = False, clock.now() + LATE_S
-    done = controller.wait_shot(number, MOTION_S + shot_s(config))
+    done = controller.wait_shot(number, longest_s(config) + shot_s(config))
     exposures = (done.exposures - before) % _COUNT
     if exposures != 2:
         raise _Unbelievable(f"the controller counted {exposures} exposures, expected 2")
@@ -164,7 +163,7 @@ def _by_hand(
     """Laser and exposures are commanded from here, for cameras that no wire triggers."""
     del number, numbers
     controller.laser(False)
-    position = controller.move(to, MOTION_S)
+    position = controller.move(to, longest_s(config))
     if position != to:
         raise _Unbelievable(f"the table stopped at {position}, expected {to}")
     _rest(config.turntable.settle_ms / 1000, controller, clock, lit=False)

@@ -260,7 +260,7 @@ class CaptureWriter:
                 rest = rest[self._journal.write(rest) or 0 :]
             if self._durable:
                 os.fsync(handle)
-        except OSError:
+        except BaseException:
             # No part of a line stays, where the disk still lets it be taken back.
             with contextlib.suppress(OSError):
                 os.ftruncate(handle, before)

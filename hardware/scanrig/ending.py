@@ -1,0 +1,61 @@
+"""How sessions end: what an error means for the capture, and the laser off whatever happened."""
+
+import contextlib
+from dataclasses import dataclass
+from typing import Any
+
+from scanrig.controller import Controller
+from scanrig.errors import LinkLost, RigError, RigFault
+from scanrig.rig import ESTOP
+from scanrig.safety import UNCONFIRMED
+from scanrig.space import is_full
+
+
+@dataclass(frozen=True)
+class Ending:
+    """The end of a session."""
+
+    status: str
+    """As of `SessionResult`; or "aborted" or "failed", where `error` is raised."""
+    message: str
+    """Why."""
+    error: BaseException | None = None
+
+
+def ended_by(problem: BaseException, controller: Controller) -> Ending:
+    """What an error means: an end that can be gone on from, or an error to raise.
+
+    After an interrupt everything is off before this returns from its first line.
+    """
+    if isinstance(problem, KeyboardInterrupt):
+        with contextlib.suppress(LinkLost):
+            controller.abort()
+        return Ending("aborted", "aborted", problem)
+    if is_full(problem):
+        return Ending("disk full", str(problem))
+    if isinstance(problem, RigFault) and problem.code == ESTOP:
+        return Ending("e-stop", str(problem))
+    return Ending("failed", f"{type(problem).__name__}: {problem}", problem)
+
+
+def leave_safe(controller: Any) -> str:
+    """Laser off and contactor open, whatever else happens.
+
+    Returns:
+        "" if the controller confirmed it, else what a person has to do.
+    """
+    for _ in range(2):
+        try:
+            return "" if controller.make_safe() else _warning()
+        except KeyboardInterrupt:
+            # Somebody is in a hurry; off comes first.
+            with contextlib.suppress(LinkLost):
+                controller.abort()
+        except (RigError, OSError) as problem:
+            return _warning(problem)
+    return _warning()
+
+
+def _warning(problem: Exception | None = None) -> str:
+    says = UNCONFIRMED if problem is None else f"{UNCONFIRMED} ({problem})"
+    return f"{says[0].upper()}{says[1:]}."

@@ -1,0 +1,257 @@
+"""A session at work: which records are on the disk, which are in doubt, and how one more is taken."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from jaxscan.files.capture import open_capture
+from scanrig.compare import Likeness, compare_pairs
+from scanrig.ending import Ending
+from scanrig.errors import SessionError
+from scanrig.job import Job, SessionResult
+from scanrig.ledger import Ledger
+from scanrig.plan import RESERVE, Target, frame_bytes
+from scanrig.record import capture_header, record_fields
+from scanrig.resume import Found, ranges, require_same_camera
+from scanrig.rig import Rig
+from scanrig.space import KEPT_PAIRS, require_space
+from scanrig.step import Pair
+
+
+class Session:
+    """A session at work: what is done, what is suspect, and how one more is taken."""
+
+    def __init__(self, job: Job, found: Found | None) -> None:
+        """Nothing moves yet; `found` is what an earlier session left."""
+        self.job, self.config = job, job.config
+        self.ledger = Ledger(job.folder, job.clock)
+        self.rig = Rig(job.controller, job.camera, job.config, job.clock, note=self._note)
+        self.done: set[int] = set() if found is None else set(found.records)
+        """Records that are on the disk and not in doubt."""
+        self.suspect: set[int] = set()
+        """Records of this session that are in doubt."""
+        self.since_home: list[int] = [] if found is None else list(found.since_home)
+        """Records since home was last found where it should be."""
+        self.taken = 0
+        self._found = found
+        self._last = found.order[-1] if found is not None and found.order else None
+        self._positions = {} if found is None else {i: int(r["microsteps"]) for i, r in found.records.items()}
+        self._placements = 0 if found is None else found.placements
+        self._ambient: float | None = None
+
+    def should_stop(self) -> bool:
+        """Whether the operator asked to stop."""
+        return self.job.should_stop()
+
+    def begin(self) -> None:
+        """Make the rig ready and the capture open."""
+        job, rig = self.job, self.rig
+        rig.prepare()
+        missing = job.planned - len(self.done)
+        needed = math.ceil(2 * missing * frame_bytes(self.config) * RESERVE)
+        require_space(job.folder, needed, what=f"the capture of {missing} more pairs")
+        identity = job.camera.identity
+        if self._found is None:
+            header = capture_header(
+                self.config,
+                job.kind,
+                job.planned,
+                firmware=_there(rig.firmware),
+                identity=identity,
+                features=rig.features,
+                calibration_digest=job.calibration_digest,
+                clock=job.clock,
+            )
+            self.ledger.create(header)
+        else:
+            names = {"kind": identity.kind, "model": identity.model, "serial": identity.serial}
+            require_same_camera(self._found, names, folder=job.folder)
+            rig.require_features(self._found.header.acquisition.get("features", {}))
+            self.ledger.resume()
+            for problem in self._found.damaged:
+                self._note("damaged", record=problem.record, problem=problem.message)
+                job.notify(f"{problem}; it is taken again.")
+        firmware = _there(rig.firmware)
+        self._note("start", firmware=firmware.version, boot=firmware.boot, missing=missing, camera=str(identity))
+
+    def start(self, *, compare: bool = True) -> None:
+        """Home the table, and see that it stands as it did when the last record was taken.
+
+        Raises:
+            SessionError: If the last record, taken again, looks different.
+        """
+        missed = self.rig.doing(lambda: self.rig.home("start"), "homing")
+        if missed is not None:
+            self._judge_home(missed)
+        if not compare or self._last is None or self._last not in self.done:
+            return
+        likeness = self._again(self._last, "compared")
+        if not self._is_like(likeness):
+            checks = self.config.checks
+            raise SessionError(
+                f"{self.job.folder}: record {self._last}, taken again, is not what it was: {likeness}; expected at "
+                f"most {checks.shift_px:g} px and {checks.difference_dn:g} DN. The rig or the room changed, or steps "
+                "were lost before. Begin a new capture, or allow more in [checks] shift_px and difference_dn."
+            )
+        self.since_home.clear()
+
+    def take(self, record: int, to: int, *, placement: int | None = None) -> None:
+        """Take one record and see it onto the disk."""
+        job = self.job
+        room = math.ceil(KEPT_PAIRS * 2 * frame_bytes(self.config) * RESERVE)
+        require_space(job.folder, room, what="the next pair")
+        homings = self.rig.homings
+        pair = self.rig.take(to, record)
+        if self.rig.homings > homings and placement is None:
+            self._doubt_before()
+        fields = record_fields(pair, self.config, self.rig.features, job.clock)
+        if placement is not None:
+            fields["placement"] = placement
+        self.ledger.add(record, pair, fields)
+        self.taken += 1
+        self.done.add(record)
+        self.suspect.discard(record)
+        self.since_home.append(record)
+        self._last, self._positions[record] = record, pair.position
+        self._watch_light(record, pair)
+        if job.on_pair is not None:
+            job.on_pair(record, math.radians(fields["angle_deg"]), pair.on.image, pair.off.image)
+        if job.progress is not None:
+            job.progress(len(self.done), job.planned)
+
+    def unclosed(self, turn: Sequence[Target]) -> bool:
+        """Whether records of a pass were taken since home was last found well."""
+        return not {target.record for target in turn}.isdisjoint(self.since_home)
+
+    def close_turn(self, turn: Sequence[Target]) -> None:
+        """Take the first step of a pass again, compare it, and look for home."""
+        first = turn[0].record
+        if first in self.done:
+            likeness = self._again(first, "closing")
+            if not self._is_like(likeness):
+                self.job.notify(f"The first step of the pass, taken again, is not what it was: {likeness}.")
+        self._find_home("end of a pass")
+
+    def close_placement(self) -> None:
+        """Look for home after a placement of the board."""
+        self._find_home("end of a placement")
+
+    def dark(self) -> None:
+        """Open the contactor while somebody is at the board."""
+        self.rig.doing(lambda: self.rig.arm(False), "opening the contactor")
+
+    def next_placement(self) -> int:
+        """A number that no placement of the board has had."""
+        number = self._placements
+        self._placements += 1
+        self._note("placed", placement=number)
+        return number
+
+    def result(self, ending: Ending, unsafe: str) -> SessionResult:
+        """What the session has done."""
+        job, count = self.job, len(self.done)
+        suspect = tuple(ranges(tuple(self.suspect)))
+        again = "go on with --resume"
+        there = f"{count} of {job.planned} records"
+        says = {
+            "complete": f"complete, {count} records",
+            "suspect": f"steps were lost: the records {_spoken(suspect)} are suspect; take them again with --resume",
+            "interrupted": f"interrupted with {there}; {again}",
+            "e-stop": f"{ending.message}. {there} are there; release the e-stop, then {again}",
+            "disk full": f"{ending.message} {there} are there",
+        }[ending.status]
+        message = " ".join(part for part in (f"{job.folder}: {says.rstrip('.')}.", unsafe) if part)
+        return SessionResult(
+            status=ending.status,  # type: ignore[arg-type]
+            message=message,
+            records=count + len(self.suspect - self.done),
+            planned=job.planned,
+            taken=self.taken,
+            retakes=self.rig.rejected,
+            suspect=suspect,
+            events=tuple(self.ledger.events),
+            laser_off=not unsafe,
+        )
+
+    def _note(self, name: str, **fields: Any) -> None:
+        self.ledger.note(name, **fields)
+        if name in ("fault", "reconnected", "camera", "suspect"):
+            said = ", ".join(f"{key} {value}" for key, value in fields.items())
+            self.job.notify(f"{name}: {said}")
+
+    def _find_home(self, why: str) -> None:
+        missed = self.rig.doing(lambda: self.rig.home(why), "homing")
+        if missed is not None:
+            self._judge_home(missed)
+
+    def _judge_home(self, missed: int) -> None:
+        """Home was found elsewhere: what was taken since it was last found well is in doubt."""
+        if abs(missed) > self.rig.tolerance:
+            self._doubt(f"home was missed by {missed} microsteps", missed=missed)
+        else:
+            self.since_home.clear()
+
+    def _doubt_before(self) -> None:
+        """The table was homed after a fault, and its counter said nothing: the last record has to."""
+        if self._last is None or self._last not in self.done:
+            return
+        likeness = self._again(self._last, "compared")
+        if self._is_like(likeness):
+            self.since_home.clear()
+        else:
+            self._doubt(f"after a fault, record {self._last} looks different: {likeness}")
+
+    def _doubt(self, why: str, **fields: Any) -> None:
+        records = sorted(set(self.since_home))
+        self.since_home.clear()
+        if records:
+            self._note("suspect", records=[list(run) for run in ranges(records)], why=why, **fields)
+            self.suspect.update(records)
+            self.done.difference_update(records)
+
+    def _again(self, record: int, event: str) -> Likeness:
+        """Take a record again, only to compare it."""
+        pair = self.rig.take(self._positions[record], record)
+        likeness = self._compare(record, pair)
+        shift = {} if likeness.shift_px is None else {"shift_px": round(likeness.shift_px, 3)}
+        difference = round(likeness.difference_dn, 3)
+        self._note(event, record=record, **shift, difference_dn=difference, good=self._is_like(likeness))
+        return likeness
+
+    def _compare(self, record: int, pair: Pair) -> Likeness:
+        capture = open_capture(self.job.folder)
+        index = next(k for k, one in enumerate(capture.records) if one.i == record)
+        on, off = capture.frames(index)
+        if on is None or off is None:
+            raise SessionError(f"{self.job.folder}: record {record} has not both frames; nothing can be compared.")
+        camera = self.config.camera
+        return compare_pairs(
+            (on, off),
+            (pair.on.image, pair.off.image),
+            pixel_format=camera.pixel_format,
+            response=camera.response,
+            line=self.config.laser[0].line,
+        )
+
+    def _is_like(self, likeness: Likeness) -> bool:
+        return likeness.within(self.config.checks.shift_px, self.config.checks.difference_dn)
+
+    def _watch_light(self, record: int, pair: Pair) -> None:
+        """Say it once when the light in the room is not what it was at the beginning."""
+        ambient = pair.proof.ambient_dn
+        if self._ambient is None:
+            self._ambient = ambient
+        elif not 0.5 < (ambient + 2) / (self._ambient + 2) < 2:
+            self._note("light", record=record, was_dn=round(self._ambient, 2), is_dn=round(ambient, 2))
+            self.job.notify(f"record {record}: the light changed from {self._ambient:.0f} to {ambient:.0f} DN.")
+            self._ambient = ambient
+
+
+def _there(value: Any) -> Any:
+    if value is None:
+        raise SessionError("the controller has not been greeted.")
+    return value
+
+
+def _spoken(runs: Sequence[tuple[int, int]]) -> str:
+    return ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)
