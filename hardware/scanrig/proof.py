@@ -15,6 +15,7 @@ from scanrig.ridges import Relief, Ridges, find_ridges, heights
 Verdict = Literal["ok", "swapped", "stays on", "dark laser", "covered", "flooded", "changed", "too faint"]
 Share = Annotated[Number, pydantic.Field(ge=0, le=1)]
 
+_COLOURS: tuple[Colour, ...] = ("red", "green", "blue")
 _LINES = 256
 """Lines that are looked at; each is evidence of its own."""
 _STACK = 4
@@ -23,11 +24,20 @@ _CLIPPED = 250
 """Code from which on a pixel is clipped."""
 _BLACK_DN = 32.0
 _FEATURELESS_DN = 3.0
-"""Under a lens cap a frame is darker than the one and its large features are flatter than the other, in rooms it is not."""
+"""Under a lens cap a frame is darker than the one, and its large features are flatter than the other."""
 _LIGHTER = 2.0
 """Factor between the light of two frames that no flicker of lamps explains."""
 _NOISE_CUT = 6.0
 """Residual at which a pixel's part in the unrest ends, in standard deviations."""
+_NEARLY_CLIPPED = 245.0
+_BESIDE = 14
+"""Samples on either side of a ridge within which contrast may explain it."""
+_EXPLAINS_MOST = 1.5
+"""Part of a contrast that motion changes at most: all of it, and as much again where thin things pass."""
+_ALIKE = 4.0
+"""Neighbouring lines that see the same texture."""
+_WELDED = 0.25
+"""Part of the lines on which both frames show the same line, from which on it is the laser's and not the scene's."""
 _CERTAIN = 3.0
 """Standard deviations by which a leak has to exceed what is allowed."""
 _STRONGER = 4.0
@@ -45,7 +55,7 @@ class ProofLimits(FileModel):
     """Height that the line must have at least [DN]."""
     leak: Share = 0.1
     """Part of the line's light that the laser-off frame may have."""
-    unrest: Annotated[Number, pydantic.Field(gt=0)] = 5.0
+    unrest: Annotated[Number, pydantic.Field(gt=0)] = 4.0
     """What may differ beside the laser, in standard deviations of the noise; 6 is the most there is."""
     saturated: Share = 1.0
     """Part of the lit lines that may be clipped."""
@@ -120,19 +130,25 @@ def prove_pair(
     line = _with_colour(on, off, pixel_format, line)
     pair = _lines_of(on, off, pixel_format, response, line)
     gain = _gain(pair)
-    difference = pair.on - np.float32(gain) * pair.off
+    difference = _difference(pair, gain)
     relief = find_ridges(difference, pair.off)
     ridges = relief.ridges
-    lit, rows = float(ridges.seen.mean()), np.flatnonzero(ridges.seen)
-    at = ridges.at[rows]
+    rows = np.flatnonzero(ridges.seen)
+    lit, at = len(rows) / len(ridges.at), ridges.at[rows]
     unrest = _unrest(difference, pair.off)
     tall = heights(difference[rows], at) if len(rows) else np.zeros(0)
     peak = float(np.median(_peaks(difference[rows], at))) if len(rows) else 0.0
     leak, leak_sigma = _leak(heights(pair.off[rows], at), tall)
     saturated = _saturated(pair, rows, at)
     few = max(limits.lit_lines, 3.0 / len(ridges.at))
-    if ridges.clear.mean() < few or ridges.strength < _STRONGER * relief.furrows.strength:
-        verdict, reason = _without_line(pair, relief, unrest, few, limits)
+    explains = _explains(difference, pair.off)
+    if _solid(ridges, difference, pair.off, explains) < few or ridges.strength < _STRONGER * relief.furrows.strength:
+        verdict, reason = _without_line(pair, relief, difference, explains, unrest, few, limits)
+        if verdict in ("dark laser", "changed") and _shines_in_both(on, off, pixel_format, response, line):
+            verdict, reason = (
+                "stays on",
+                ("the laser stays on: the same line is in both frames; see relay and wiring, open the contactor"),
+            )
     else:
         verdict, reason = _with_line(pair, leak, leak_sigma, unrest, peak, saturated, limits)
     return PairProof(verdict == "ok", verdict, reason, lit, peak, saturated, float(pair.off.mean()), unrest, leak)
@@ -149,6 +165,8 @@ def _with_line(
         )
     if pair.clipped > limits.flooded:
         return "flooded", _flood(pair)
+    if flash := _flash(pair):
+        return "flooded", flash
     if unrest > limits.unrest:
         return "changed", (
             f"the frames differ beside the laser by {unrest:.1f} times the noise, expected at most "
@@ -164,35 +182,39 @@ def _with_line(
     return "ok", ""
 
 
-def _without_line(pair: _Pair, relief: Relief, unrest: float, few: float, limits: ProofLimits) -> tuple[Verdict, str]:
+def _without_line(
+    pair: _Pair, relief: Relief, difference: np.ndarray, explains: float, unrest: float, few: float, limits: ProofLimits
+) -> tuple[Verdict, str]:
     """The verdict on a pair whose difference shows no line: why not."""
-    ridges, furrows = relief
-    if furrows.seen.mean() >= few and furrows.strength > _STRONGER * ridges.strength:
-        return "swapped", "the line is in the laser-off frame and not in the laser-on frame: the frames are swapped"
     if _is_covered(pair.on) and _is_covered(pair.off):
         return "covered", "both frames are black and flat: the lens is covered, or the room and the laser are dark"
     if pair.clipped > limits.flooded:
         return "flooded", _flood(pair)
-    brighter = (float(pair.on.mean()) + 1.0) / (float(pair.off.mean()) + 1.0)
-    if not 1.0 / _LIGHTER < brighter < _LIGHTER:
-        return "flooded", (
-            f"the laser-on frame is {brighter:.1f} times as bright as the laser-off frame and shows no line: "
-            "flooded by light that came or went between them"
-        )
-    if _in_both(*(find_ridges(frame, frame).ridges for frame in (pair.on, pair.off))) >= 2.0 * few:
-        return (
-            "stays on",
-            "the laser stays on: the same line is in both frames; see relay and wiring, open the contactor",
-        )
+    if flash := _flash(pair):
+        return "flooded", flash
+    ridges, furrows = relief
+    if _solid(furrows, -difference, pair.on, explains) >= few and furrows.strength > _STRONGER * ridges.strength:
+        return "swapped", "the line is in the laser-off frame and not in the laser-on frame: the frames are swapped"
     if unrest > min(_UNSETTLED, limits.unrest) or max(ridges.seen.mean(), furrows.seen.mean()) >= few:
         return "changed", (
             f"no line, and the frames differ by {unrest:.1f} times the noise: something moved, or the light changed"
         )
-    return "dark laser", "no line in either frame: the laser is dark; see its supply, relay and interlock"
+    return "dark laser", (
+        "the frames are alike, without a line that comes and goes: the laser is dark (see supply, relay, interlock), "
+        "or, if it shines, does not go off"
+    )
 
 
 def _flood(pair: _Pair) -> str:
     return f"flooded by light: {100 * pair.clipped:.0f} % of a frame is clipped; expose shorter or darken the room"
+
+
+def _flash(pair: _Pair) -> str:
+    """What to say where one frame has much more light than the other, all in all; "" where it has not."""
+    brighter = (float(pair.on.mean()) + 4.0) / (float(pair.off.mean()) + 4.0)
+    if 1.0 / _LIGHTER < brighter < _LIGHTER:
+        return ""
+    return f"flooded by light that came or went: the laser-on frame is {brighter:.1f} times as bright as the other"
 
 
 def _check(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat) -> None:
@@ -207,8 +229,7 @@ def _with_colour(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, lin
     """The laser with the colour whose brightest change is greatest."""
     if line.colour != "auto" or pixel_format == "mono8":
         return line
-    colours: tuple[Colour, ...] = ("red", "green", "blue")
-    lines = [LaserLine(line.name, colour, line.stripe_axis) for colour in colours]
+    lines = [LaserLine(line.name, colour, line.stripe_axis) for colour in _COLOURS]
     return max(lines, key=lambda one: _brightest_change(on, off, pixel_format, one))
 
 
@@ -222,7 +243,8 @@ def _lines_of(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, respon
     step = max(1, len(lit) // _LINES)
     few = (slice(None, None, 4), slice(None, None, 3))
     clipped = max(float((a[few] >= _CLIPPED).mean()) for a in (lit, dark))
-    return _Pair(_stacked(lit, step, response), _stacked(dark, step, response), clipped, lit, step)
+    frames = _stacked(lit, step, response), _stacked(dark, step, response)
+    return _Pair(*frames, clipped, lit, step)
 
 
 def _stacked(
@@ -239,6 +261,52 @@ def _stacked(
         np.add(total, plane[k : lines * step : step], out=total)
     # Where stripes lie across, the lines are columns of the image: in order only from here on.
     return np.ascontiguousarray(total).astype(np.float32) * np.float32(unit / stack)
+
+
+def _difference(pair: _Pair, gain: float) -> Float[np.ndarray, "lines samples"]:
+    """The laser-on frame without the light of the room; nothing where that is clipped."""
+    room = pair.off * np.float32(gain)
+    np.minimum(room, np.float32(255.0), out=room)
+    difference = np.subtract(pair.on, room, out=room)
+    difference[(pair.off > _NEARLY_CLIPPED) & (difference > 0)] = 0.0
+    return difference
+
+
+def _solid(ridges: Ridges, field: np.ndarray, frame: np.ndarray, explains: float) -> float:
+    """Part of the lines whose ridge nothing in the other frame explains.
+
+    Whatever moves or flickers changes a picture by a part of the contrast that is there. A ridge that is higher than
+    that part of all contrast of the other frame beside it is light of its own.
+    """
+    rows = np.flatnonzero(ridges.clear)
+    if len(rows) == 0:
+        return 0.0
+    at = ridges.at[rows]
+    beside = np.clip(at[:, None] + np.arange(-_BESIDE, _BESIDE + 1), 0, field.shape[1] - 1)
+    contrast = np.ptp(_smooth(frame[rows[:, None], beside]), 1)
+    return float(np.count_nonzero(_peaks(field[rows], at) > explains * contrast)) / len(ridges.at)
+
+
+def _explains(difference: np.ndarray, off: np.ndarray) -> float:
+    """What part of the contrast of a picture its change may be: near 0 where all is still, 1 where all moved.
+
+    From the blocks with contrast themselves; the laser is in too few of them to count.
+    """
+    few = slice(None, None, max(1, len(off) // 32))
+    change, light = _smooth(difference[few]), _smooth(off[few])
+    noise = 1.4826 * float(np.median(np.abs(change))) + 0.1
+    blocks = change.shape[1] // 16
+    change, light = (a[:, : 16 * blocks].reshape(len(a), blocks, 16) for a in (change, light))
+    contrast = np.ptp(light, 2)
+    structured = contrast > 8.0 * noise
+    if np.count_nonzero(structured) < 50:
+        return 1.0
+    part = np.maximum(np.abs(change[structured]).max(1) - 3.0 * noise, 0.0) / contrast[structured]
+    return float(min(2.0 * np.quantile(part, 0.9) + 0.1, _EXPLAINS_MOST))
+
+
+def _smooth(field: np.ndarray) -> np.ndarray:
+    return (field[:, :-2] + field[:, 1:-1] + field[:, 2:]) * np.float32(1.0 / 3.0)
 
 
 def _gain(pair: _Pair) -> float:
@@ -305,7 +373,7 @@ def _leak(off: Float[np.ndarray, " n"], difference: Float[np.ndarray, " n"]) -> 
     middle = float(np.median(ratio))
     scatter = 1.4826 * float(np.median(np.abs(ratio - middle)))
     leak = middle / (1.0 + middle) if middle > 0 else middle
-    return leak, 1.2533 * scatter / float(np.sqrt(len(ratio)))
+    return leak, 1.2533 * scatter / float(np.sqrt(len(ratio) / _ALIKE))
 
 
 def _saturated(pair: _Pair, rows: np.ndarray, at: np.ndarray) -> float:
@@ -323,6 +391,17 @@ def _is_covered(frame: Float[np.ndarray, "lines samples"]) -> bool:
     return bool(frame.mean() < _BLACK_DN and np.ptp(blocks) < _FEATURELESS_DN)
 
 
-def _in_both(one: Ridges, other: Ridges) -> float:
-    """Part of the lines on which both frames have their ridge in the same place."""
-    return float((one.clear & other.clear & (np.abs(one.at - other.at) <= 3)).mean())
+def _shines_in_both(
+    on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, response: Response, line: LaserLine
+) -> bool:
+    """Whether the same line runs through both frames; in a colour picture, one of the laser's colour."""
+    fields = []
+    for frame in (on, off):
+        one = _lines_of(frame, frame, pixel_format, response, line).on
+        if pixel_format == "rgb8":
+            others = [LaserLine(line.name, c, line.stripe_axis) for c in _COLOURS if c != line.colour]
+            one = one - np.maximum(*(_lines_of(frame, frame, pixel_format, response, o).on for o in others))
+        fields.append(find_ridges(one, np.zeros_like(one) if pixel_format == "rgb8" else one).ridges)
+    first, second = fields
+    same = first.clear & second.clear & (np.abs(first.at - second.at) <= 3)
+    return bool(same.mean() >= _WELDED)

@@ -77,7 +77,7 @@ def find_ridges(field: Float[np.ndarray, "lines samples"], level: Float[np.ndarr
 
 
 def _clear(relief: Relief) -> int:
-    return max(np.count_nonzero(relief.ridges.clear), np.count_nonzero(relief.furrows.clear))
+    return max(int(np.count_nonzero(one.clear)) for one in relief)
 
 
 def _coarse(field: Float[np.ndarray, "lines samples"]) -> Float[np.ndarray, "lines fewer"]:
