@@ -1,0 +1,260 @@
+"""GigE Vision and USB3 Vision cameras, through libaravis."""
+
+import ctypes
+import time
+from types import TracebackType
+
+import numpy as np
+
+from jaxscan.errors import DependencyError
+from jaxscan.stripes.frames import frame_rank
+from scanrig.cameras.aravis_binding import STATUS, SUCCESS, AravisError, load_aravis, text
+from scanrig.cameras.aravis_setup import apply_settings, connect, read_features
+from scanrig.cameras.features import require, wanted
+from scanrig.cameras.frame import CameraIdentity, Features, Frame
+from scanrig.cameras.numbers import FrameNumbers
+from scanrig.cameras.settings import CameraSettings, TriggerMode
+from scanrig.errors import CameraError, CameraLost, CameraTimeout
+
+
+_BUFFERS = 8
+"""Frames that may wait; the stop-and-go of a sweep has two at a time."""
+_SLICE_S = 0.2
+"""How often a waiting call looks whether the camera is still there."""
+
+
+class AravisCamera:
+    """A camera that speaks GenICam.
+
+    Whether it is still there is seen by its heartbeat, and asked for when a frame is late: a call may take 2.5 s
+    longer than its timeout where the camera is gone.
+    """
+
+    def __init__(self, settings: CameraSettings) -> None:
+        """Open it, set all of `settings`, read it back and compare.
+
+        Raises:
+            CameraLost: If it is not there.
+            CameraError: If several may be meant, another program has it, or it does not take a setting.
+            DependencyError: If libaravis is not installed.
+        """
+        self._aravis, self._settings = load_aravis(), settings
+        self.trigger_mode: TriggerMode = settings.trigger
+        shape = settings.height, settings.width, 3
+        self._shape = shape[: frame_rank(settings.pixel_format)]
+        self._bytes = int(np.prod(self._shape))
+        self._camera = self._stream = None
+        self._running = False
+        self._numbers = FrameNumbers()
+        self._missing_before = 0
+        self._counts = {"frames": 0, "incomplete": 0, "dropped": 0}
+        self._identity = self._open()
+
+    @property
+    def identity(self) -> CameraIdentity:
+        return self._identity
+
+    def features(self) -> Features:
+        return self._ask("read its features", lambda: read_features(self._aravis, self._camera, self._settings))
+
+    def counts(self) -> dict[str, int]:
+        """As of every camera; "underruns": frames for which no buffer was free."""
+        counts = {**self._counts, "missing": self._missing_before + self._numbers.missing, "underruns": 0}
+        if self._stream is not None:
+            numbers = [ctypes.c_uint64() for _ in range(3)]
+            self._aravis.stream_get_statistics(self._stream, *(ctypes.byref(one) for one in numbers))
+            counts["underruns"] = int(numbers[2].value)
+        return counts
+
+    def start(self) -> None:
+        if not self._running:
+            self._ask("start", lambda: self._aravis.camera_start_acquisition(self._camera))
+            self._running = True
+
+    def drop(self) -> int:
+        """Throw away what waits; of a free-running camera also what it was exposing at this call."""
+        dropped = 0
+        while self._stream is not None and (buffer := self._aravis.stream_try_pop_buffer(self._stream)):
+            self._release(buffer)
+            dropped += 1
+        if self.trigger_mode == "free" and self._running:
+            dropped += self._flush()
+        self._counts["dropped"] += dropped
+        return dropped
+
+    def next(self, timeout_s: float) -> Frame:
+        buffer = self._pop(timeout_s)
+        arrival = time.monotonic()
+        try:
+            frame = self._frame(buffer, arrival)
+        finally:
+            self._push(buffer)
+        self._counts["frames"] += 1
+        self._counts["incomplete"] += not frame.complete
+        return frame
+
+    def trigger(self) -> None:
+        if self.trigger_mode != "software":
+            raise CameraError(f'{self}: trigger is "{self.trigger_mode}", software triggers need "software".')
+        self._ask("take a trigger", lambda: self._aravis.camera_software_trigger(self._camera))
+
+    def reopen(self) -> None:
+        before, running = self._identity, self._running
+        self.close()
+        found = self._open()
+        if found != before:
+            self.close()
+            raise CameraError(f"found the camera {found}, expected {before}; a sweep is of one camera.")
+        if running:
+            self.start()
+
+    def close(self) -> None:
+        if self._camera is not None and self._running:
+            try:
+                self._aravis.camera_stop_acquisition(self._camera)
+            except AravisError:
+                # It is gone, or leaves by itself when its heartbeat ends; there is nobody left to tell.
+                self._running = False
+        self._running = False
+        stream, self._stream = self._stream, None
+        camera, self._camera = self._camera, None
+        for one in (stream, camera):
+            if one is not None:
+                self._aravis.unref(one)
+
+    def __enter__(self) -> "AravisCamera":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __str__(self) -> str:
+        return str(getattr(self, "_identity", None) or f"aravis {self._settings.id}".strip())
+
+    def _open(self) -> CameraIdentity:
+        self._camera = connect(self._aravis, self._settings.id)
+        try:
+            identity = CameraIdentity(
+                "aravis",
+                f"{text(self._aravis.camera_get_vendor_name(self._camera))} "
+                f"{text(self._aravis.camera_get_model_name(self._camera))}",
+                text(self._aravis.camera_get_device_serial_number(self._camera)),
+            )
+            apply_settings(self._aravis, self._camera, self._settings, name=str(identity))
+            found = read_features(self._aravis, self._camera, self._settings)
+            require(found, wanted(self._settings), name=str(identity))
+            payload = self._aravis.camera_get_payload(self._camera)
+            if payload < self._bytes:
+                raise CameraError(f"{identity}: sends {payload} bytes per frame, expected {self._bytes}.")
+            self._stream = self._aravis.camera_create_stream(self._camera, None, None)
+            for _ in range(_BUFFERS):
+                self._push(self._aravis.buffer_new_allocate(payload))
+        except AravisError as problem:
+            self.close()
+            raise CameraLost(f"{self}: went away while it was set up: {problem}") from problem
+        except CameraError:
+            self.close()
+            raise
+        self._missing_before += self._numbers.missing
+        self._numbers = FrameNumbers()
+        return identity
+
+    def _ask(self, what, call):
+        """The result of a call to the camera, which must be open."""
+        if self._camera is None:
+            raise CameraLost(f"{self}: the camera is closed; reopen it.")
+        try:
+            return call()
+        except AravisError as problem:
+            if self._is_there():
+                raise CameraError(f"{self}: cannot {what}: {problem}") from problem
+            raise CameraLost(f"{self}: the camera is gone: cannot {what}: {problem}") from problem
+
+    def _is_there(self) -> bool:
+        """Whether it answers and is still ours."""
+        try:
+            self._aravis.camera_get_integer(self._camera, b"Width")
+        except AravisError:
+            return False
+        return self._is_ours()
+
+    def _is_ours(self) -> bool:
+        device = self._aravis.camera_get_device(self._camera)
+        return not self._aravis.camera_is_gv_device(self._camera) or bool(self._aravis.gv_device_is_controller(device))
+
+    def _pop(self, timeout_s: float) -> int:
+        """The next buffer; it has to go back."""
+        if self._camera is None or self._stream is None:
+            raise CameraLost(f"{self}: the camera is closed; reopen it.")
+        end = time.monotonic() + timeout_s
+        while True:
+            left = max(0.0, end - time.monotonic())
+            if buffer := self._aravis.stream_timeout_pop_buffer(self._stream, round(1e6 * min(left, _SLICE_S))):
+                return buffer
+            if not self._is_ours():
+                raise CameraLost(f"{self}: the camera is gone: its heartbeat ended.")
+            if left <= _SLICE_S:
+                break
+        if not self._is_there():
+            raise CameraLost(f"{self}: the camera is gone: it does not answer.")
+        raise CameraTimeout(
+            f"{self}: no frame within {timeout_s:g} s"
+            + (", expected one per trigger; see the trigger's wire and trigger_source." * (self.trigger_mode != "free"))
+        )
+
+    def _frame(self, buffer: int, arrival: float) -> Frame:
+        status = self._aravis.buffer_get_status(buffer)
+        number, advance = self._numbers.take(self._aravis.buffer_get_frame_id(buffer))
+        size = ctypes.c_size_t()
+        data = self._aravis.buffer_get_data(buffer, ctypes.byref(size))
+        notes = [] if status == SUCCESS else [STATUS.get(status, f"status {status}")]
+        if status == SUCCESS:
+            found = self._aravis.buffer_get_image_height(buffer), self._aravis.buffer_get_image_width(buffer)
+            if found != self._shape[:2] or size.value < self._bytes:
+                notes.append(f"{found[1]} x {found[0]} px and {size.value} bytes, expected {self._bytes}")
+        complete = not notes
+        if advance != 1:
+            notes.append(f"{advance - 1} frames are missing before it" if advance > 1 else "out of order")
+        image = np.frombuffer(ctypes.string_at(data, self._bytes), np.uint8).reshape(self._shape).copy()
+        stamp = self._aravis.buffer_get_timestamp(buffer)
+        return Frame(image, number, stamp * 1e-9 if stamp else None, arrival, complete, "; ".join(notes))
+
+    def _release(self, buffer: int) -> None:
+        """Give a buffer back unseen; its frame is not missing."""
+        self._numbers.take(self._aravis.buffer_get_frame_id(buffer))
+        self._push(buffer)
+
+    def _push(self, buffer: int) -> None:
+        # Emptied, so that what is missing of the next frame is black and not an older frame.
+        size = ctypes.c_size_t()
+        data = self._aravis.buffer_get_data(buffer, ctypes.byref(size))
+        if data:
+            ctypes.memset(data, 0, self._bytes)
+        self._aravis.stream_push_buffer(self._stream, buffer)
+
+    def _flush(self) -> int:
+        """Discard what a free-running camera was exposing or sending: `flush_frames`, and for an exposure's time."""
+        since, flushed = time.monotonic(), 0
+        exposure_s = self._settings.exposure_ms * 1e-3
+        while flushed < self._settings.flush_frames or time.monotonic() < since + exposure_s:
+            buffer = self._pop(10.0 * exposure_s + 1.0)
+            self._release(buffer)
+            flushed += 1
+        return flushed
+
+
+def found_by_aravis() -> list[str]:
+    """One line per camera that answers on any interface."""
+    try:
+        aravis = load_aravis()
+    except DependencyError as problem:
+        return [f"aravis: {problem}"]
+    aravis.update_device_list()
+    parts = "id", "vendor", "model", "serial_nbr", "address"
+    listed = []
+    for index in range(aravis.get_n_devices()):
+        ident, vendor, model, serial, address = (text(getattr(aravis, f"get_device_{part}")(index)) for part in parts)
+        listed.append(f'aravis "{ident}": {vendor} {model}, serial number {serial}, at {address}')
+    return listed
