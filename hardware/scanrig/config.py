@@ -246,18 +246,22 @@ class RigConfig(FileModel):
         """Microsteps in a turn of the table, N."""
         return self.turntable.microsteps_per_turn
 
-    def digest(self, kind: Literal["sweep", "calibration"]) -> str:
-        """The sha256 of all that makes the frames of such a capture what they are, as "sha256:<hex>".
+    def frame_tables(self, kind: Literal["sweep", "calibration"]) -> dict[str, Any]:
+        """All that makes the frames of such a capture what they are, as TOML holds it.
 
         The port, the limits of checks and the tables of the other kind may change within a capture.
         """
-        tables = self.model_dump(mode="json", exclude={"controller", "checks"})
-        del tables["calibration" if kind == "sweep" else "sweep"]
-        if kind == "sweep":
-            del tables["board"]
-        # Where the camera is plugged in does not matter, which one it is is compared by its serial number.
-        del tables["camera"]["id"], tables["camera"]["packet_size"]
-        text = json.dumps(tables, sort_keys=True, allow_nan=False)
+        tables = self.model_dump(mode="json", exclude={"controller", "checks"}, exclude_none=True)
+        for name in ("calibration", "board") if kind == "sweep" else ("sweep",):
+            tables.pop(name, None)
+        # Where the camera is plugged in does not matter, which one it is is told by its serial number.
+        for name in ("id", "packet_size"):
+            tables["camera"].pop(name, None)
+        return tables
+
+    def digest(self, kind: Literal["sweep", "calibration"]) -> str:
+        """The sha256 of `frame_tables`, as "sha256:<hex>"."""
+        text = json.dumps(self.frame_tables(kind), sort_keys=True, allow_nan=False)
         return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
 
 

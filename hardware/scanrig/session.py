@@ -1,12 +1,22 @@
 """Sessions: a sweep or a calibration from beginning to end, every pair proven and on the disk before the next."""
 
 from collections.abc import Callable, Sequence
+from itertools import groupby
 from pathlib import Path
 
 from scanrig.cameras.frame import Camera
 from scanrig.clock import Clock, SystemClock
+from scanrig.conduct import conduct
 from scanrig.config import RigConfig
 from scanrig.controller import Controller
+from scanrig.job import Job, OnPair
+from scanrig.job import SessionResult as SessionResult
+from scanrig.job import Status as Status
+from scanrig.placements import Operator as Operator
+from scanrig.placements import PlacementRequest as PlacementRequest
+from scanrig.placements import take_placements
+from scanrig.plan import Target, placement_positions, plan_sweep
+from scanrig.work import Session
 
 
 def run_sweep(

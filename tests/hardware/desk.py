@@ -1,0 +1,262 @@
+"""A rig on paper: a controller that obeys at once, in front of a simulated camera, with faults on demand."""
+
+from collections.abc import Callable
+
+import numpy as np
+from scanrig.cameras.settings import CameraSettings
+from scanrig.cameras.simulated import SimulatedCamera
+from scanrig.cameras.synthetic import SyntheticScene, draw
+from scanrig.clock import ManualClock
+from scanrig.config import RigConfig
+from scanrig.errors import ControllerReset, LinkLost, Refused, RigFault
+from scanrig.settings import Settings
+from scanrig.status import Firmware, Reconnection, ShotDone, Status
+
+
+WIDTH, HEIGHT = 128, 96
+
+
+def rig_config(**tables):
+    """A rig of 28800 microsteps a turn, a small camera, and ten steps."""
+    camera = {"kind": "simulated", "width": WIDTH, "height": HEIGHT, **tables.pop("camera", {})}
+    turntable = {"full_steps": 200, "microsteps": 16, "gear": [9, 1], **tables.pop("turntable", {})}
+    sweep = {"steps": 10, "turn_deg": 36.0, **tables.pop("sweep", {})}
+    return RigConfig.model_validate({"turntable": turntable, "camera": camera, "sweep": sweep, **tables})
+
+
+class Table:
+    """What is really there: the table, the laser, the contactor."""
+
+    def __init__(self) -> None:
+        self.position = 500
+        """Where the table stands, in microsteps from the home switch."""
+        self.laser = False
+        self.contactor = False
+        self.welded = False
+        """The laser shines whatever it is told."""
+        self.dead = False
+        """The laser is dark whatever it is told."""
+        self.moved_px = 0
+        """How far the camera was knocked."""
+        self.lit_cycles = 0
+
+    @property
+    def shines(self) -> bool:
+        return (self.laser or self.welded) and self.contactor and not self.dead
+
+
+class PaperController:
+    """As `scanrig.controller.Controller`, without a wire; `before_shot[n]` is called before the n-th shot."""
+
+    def __init__(self, table: Table, camera: SimulatedCamera, clock: ManualClock) -> None:
+        self.table, self.camera, self.clock = table, camera, clock
+        self.before_shot: dict[int, Callable[[PaperController], None]] = {}
+        self.shots: list[int] = []
+        """Targets of all shots."""
+        self.log: list[str] = []
+        self.boot = 7
+        self.counter = 0
+        self.fault = 0
+        self.estop = False
+        self.homed = self.enabled = self.armed = False
+        self.settings: Settings | None = None
+        self.exposures = 65530
+        self.gone = 0
+        """How many attempts to reconnect fail."""
+        self.lost = False
+        self.never_safe = False
+
+    # What befalls it
+
+    def lose_link(self, attempts: int = 1) -> None:
+        self.lost, self.gone = True, attempts
+        self.table.laser = False
+
+    def reset(self) -> None:
+        self.boot += 1
+        self.table.laser = self.table.contactor = False
+        self.homed = self.enabled = self.armed = False
+        self.counter, self.settings, self.fault = 0, None, 0
+        raise ControllerReset(self.boot - 1, self.boot)
+
+    def fall_into(self, fault: int) -> None:
+        self.fault = fault
+        self.table.laser = self.table.contactor = self.armed = False
+        if fault == 1:
+            self.homed = self.enabled = False
+        raise RigFault(fault, self.counter)
+
+    def lose_steps(self, count: int) -> None:
+        self.table.position -= count
+
+    # What it does
+
+    @property
+    def name(self) -> str:
+        return "paper"
+
+    def _alive(self, verb: str) -> None:
+        self.log.append(verb)
+        self.clock.sleep(0.003)
+        if self.lost:
+            raise LinkLost("no answer from paper")
+
+    def _require(self, held: bool, code: int, verb: str) -> None:
+        if not held:
+            raise Refused(code, verb)
+
+    def hello(self) -> Firmware:
+        self._alive("hello")
+        self.table.laser = False
+        return Firmware(1, "1.0.0", self.boot, 1000)
+
+    def configure(self, settings: Settings) -> None:
+        self._alive("configure")
+        self.settings = settings
+
+    def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
+        self.log.append("reconnect")
+        if self.gone * 2.0 > timeout_s:
+            raise LinkLost("paper did not come back")
+        self.clock.sleep(self.gone * 2.0)
+        self.gone, self.lost = 0, False
+        return Reconnection(self.settings is not None, not self.homed, self.stat())
+
+    def enable(self, on: bool) -> None:
+        self._alive("enable")
+        self._require(self.fault == 0, 6, "EN on=1")
+        self.enabled = on
+
+    def arm(self, on: bool) -> None:
+        self._alive(f"arm {on:d}")
+        self._require(not on or self.fault == 0, 6, "ARM on=1")
+        self.armed = self.table.contactor = on
+
+    def home(self, max_steps: int, timeout_s: float = 120.0) -> int:
+        self._alive("home")
+        self._require(self.enabled, 11, "HOME")
+        assert self.settings is not None
+        was = self.counter - self.table.position
+        self.table.position = self.counter = 0
+        self.homed = True
+        return was
+
+    def move(self, to: int, timeout_s: float = 120.0) -> int:
+        self._alive("move")
+        self._require(self.enabled, 11, f"MOVE to={to}")
+        self._turn(to)
+        return to
+
+    def _turn(self, to: int) -> None:
+        self.table.position += to - self.counter
+        self.counter = to
+
+    def laser(self, on: bool, ms: int | None = None) -> None:
+        self._alive(f"laser {on:d}")
+        self._require(not on or self.armed, 14, "LASER on=1")
+        self.table.laser = on
+        self.table.lit_cycles += on
+
+    def trigger(self, ms: int | None = None) -> None:
+        self._alive("trigger")
+
+    def shot(self, to: int, id: int, *, lit: bool = True, dark: bool = True) -> None:
+        self._alive("shot")
+        self._require(self.homed, 8, f"SHOT to={to}")
+        self._require(self.armed, 14, f"SHOT to={to}")
+        assert self.settings is not None
+        self.shots.append(to)
+        act = self.before_shot.pop(len(self.shots), None)
+        if act is not None:
+            act(self)
+        self._alive("shot answered")
+        self._turn(to)
+        self.clock.sleep(0.145)
+        for on in (True, False):
+            self.table.laser = on
+            self.exposures = (self.exposures + 1) % 65536
+            self.camera.expose(self.table.position, self.table.shines)
+        self.table.lit_cycles += 1
+
+    def wait_shot(self, id: int, timeout_s: float = 120.0) -> ShotDone:
+        self._alive("wait_shot")
+        return ShotDone(self.counter, self.exposures)
+
+    def stat(self) -> Status:
+        self._alive("stat")
+        return Status(
+            state="fault" if self.fault else "idle",
+            fault=self.fault,
+            position=self.counter,
+            homed=self.homed,
+            armed=self.armed,
+            enabled=self.enabled,
+            laser=self.table.laser,
+            lease_ms=0,
+            exposures=self.exposures,
+            home_switch=self.table.position <= 0,
+            estop=self.estop,
+            camera_ready=True,
+            events=0,
+        )
+
+    def poll(self) -> Status:
+        status = self.stat()
+        if self.fault:
+            raise RigFault(self.fault, self.counter)
+        return status
+
+    def clear(self) -> None:
+        self._alive("clear")
+        self._require(not self.estop, 6, "CLEAR")
+        self.fault = 0
+
+    def stop(self) -> None:
+        self._alive("stop")
+        self.table.laser = False
+
+    def abort(self) -> None:
+        self.log.append("abort")
+        self.table.laser = self.table.contactor = self.armed = False
+        self.fault = 5
+
+    def make_safe(self) -> bool:
+        self.log.append("make_safe")
+        if self.never_safe or self.lost:
+            return False
+        self.table.laser = self.table.contactor = self.armed = False
+        return True
+
+
+class Desk:
+    """All of it, and what a session needs to run on it."""
+
+    def __init__(self, *, scene: SyntheticScene | None = None, **tables) -> None:
+        self.config = rig_config(**tables)
+        self.clock = ManualClock()
+        self.table = Table()
+        self.scene = scene or SyntheticScene()
+        self._generator = np.random.default_rng(1)
+        self.camera = self._camera(self.config.camera)
+        self.controller = PaperController(self.table, self.camera, self.clock)
+        self.said: list[str] = []
+
+    def _camera(self, settings: CameraSettings) -> SimulatedCamera:
+        def world() -> tuple[float, bool]:
+            self.clock.sleep(0.03)
+            return float(self.table.position), self.table.shines
+
+        return SimulatedCamera(settings, self._see, world=world, clock=self.clock, patience_s=0.0)
+
+    def _see(self, position: float, lit: bool) -> np.ndarray:
+        image = draw(self.scene, position, lit, width=WIDTH, height=HEIGHT, generator=self._generator)
+        return np.ascontiguousarray(np.roll(image, self.table.moved_px, 1))
+
+    def rig(self) -> dict:
+        """Arguments of a session."""
+        return {
+            "controller": self.controller,
+            "camera": self.camera,
+            "clock": self.clock,
+            "notify": self.said.append,
+        }

@@ -1,0 +1,202 @@
+"""A sweep on paper: what is taken, what is written, and in which order."""
+
+import hashlib
+import json
+import math
+
+import numpy as np
+import pytest
+from scanrig.errors import SessionError
+from scanrig.session import run_sweep
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture import open_capture
+from jaxscan.files.verify import verify_capture
+
+from .desk import Desk
+
+
+def journal(path):
+    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
+
+
+def events(path, name):
+    return [line for line in journal(path) if line.get("event") == name]
+
+
+def sweep(desk, folder, **options):
+    return run_sweep(desk.config, folder, **desk.rig(), **options)
+
+
+def test_a_sweep_is_a_capture_of_proven_pairs_at_the_planned_angles(tmp_path):
+    desk, seen, told = Desk(), [], []
+
+    def on_pair(number, angle, on, off):
+        # What is handed out is on the disk, journal and all.
+        assert journal(tmp_path / "room")[-1]["i"] == number
+        seen.append((number, angle, on, off))
+
+    result = sweep(desk, tmp_path / "room", on_pair=on_pair, progress=lambda *counts: told.append(counts))
+    assert (result.status, result.records, result.planned, result.taken, result.retakes) == ("complete", 10, 10, 10, 0)
+    assert result.laser_off and not desk.table.laser and not desk.table.contactor
+    capture = open_capture(tmp_path / "room")
+    np.testing.assert_allclose(capture.angles, np.radians(np.arange(10) * 3.6), atol=1e-12)
+    for number, angle, on, off in seen:
+        assert angle == pytest.approx(math.radians(3.6 * number))
+        stored = capture.frames(number)
+        assert np.array_equal(stored[0], on) and np.array_equal(stored[1], off)
+        assert on.astype(int).max() - off.astype(int).max() > 50
+    assert told == [(k, 10) for k in range(1, 11)]
+    # Ten steps, and the first again to close the pass.
+    assert desk.controller.shots == [*(288 * k for k in range(10)), 0]
+    assert verify_capture(tmp_path / "room") == []
+    assert sorted(path.name for path in (tmp_path / "room").iterdir()) == ["capture.toml", "frames.jsonl", "off", "on"]
+
+
+def test_a_record_says_how_it_was_taken(tmp_path):
+    desk = Desk()
+    sweep(desk, tmp_path / "room")
+    records = [line for line in journal(tmp_path / "room") if "i" in line]
+    for k, record in enumerate(records):
+        assert (record["microsteps"], record["microsteps_per_turn"], record["retakes"]) == (288 * k, 28800, 0)
+        assert record["exposure_s"] == 0.01
+        assert record["frame_ids"] == [2 * k + 1, 2 * k + 2]
+        assert record["time"].startswith("2000-01-01T00:00:")
+        assert set(record["statistics"]) == {"lit_lines", "peak_dn", "saturated", "ambient_dn", "unrest"}
+        assert 80 < record["statistics"]["peak_dn"] < 140 and record["statistics"]["lit_lines"] > 0.8
+        for side in ("on", "off"):
+            data = (tmp_path / "room" / record[side]).read_bytes()
+            assert record["sha256"][side] == hashlib.sha256(data).hexdigest()
+    times = [record["time_s"] for record in records]
+    assert times == sorted(times)
+
+
+def test_the_journal_tells_the_story(tmp_path):
+    sweep(Desk(), tmp_path / "room")
+    names = [line["event"] for line in journal(tmp_path / "room") if "event" in line]
+    assert names == ["start", "home", "closing", "home", "end"]
+    end = journal(tmp_path / "room")[-1]
+    before = b"".join((tmp_path / "room" / "frames.jsonl").read_bytes().splitlines(keepends=True)[:-1])
+    assert end["status"] == "complete" and end["journal_sha256"] == hashlib.sha256(before).hexdigest()
+    first, last = events(tmp_path / "room", "home")
+    assert (first["was"], "missed" in first) == (-500, False)
+    assert (last["was"], last["missed"], last["good"]) == (0, 0, True)
+    (closing,) = events(tmp_path / "room", "closing")
+    assert abs(closing["shift_px"]) < 0.1 and closing["difference_dn"] < 3 and closing["good"]
+
+
+def test_the_header_says_with_what_it_was_taken(tmp_path):
+    desk = Desk()
+    sweep(desk, tmp_path / "room", calibration_digest="sha256:abc")
+    header = open_capture(tmp_path / "room").header
+    said = header.acquisition
+    assert said["config_sha256"] == desk.config.digest("sweep")
+    assert said["camera"] == {"kind": "simulated", "model": "synthetic", "serial": "SIM1"}
+    assert said["features"] == desk.camera.features()
+    assert (said["firmware"], said["boot"], said["microsteps_per_turn"]) == ("1.0.0", 7, 28800)
+    assert said["calibration"] == "sha256:abc"
+    assert (header.plan.steps, header.turntable.carries, header.lines[0].name) == (10, "scanner", "laser")
+
+
+def test_each_pass_is_closed_and_begins_at_home(tmp_path):
+    desk = Desk(sweep={"steps": 4, "turn_deg": 360.0, "turns": 3})
+    result = sweep(desk, tmp_path / "room")
+    assert result.status == "complete" and result.records == 12
+    turn = [0, 7200, 14400, 21600, 0]
+    assert desk.controller.shots == turn * 3
+    assert [event["record"] for event in events(tmp_path / "room", "closing")] == [0, 4, 8]
+
+
+def test_downwards_home_is_looked_for_from_above(tmp_path):
+    desk = Desk(sweep={"steps": 4, "turn_deg": -180.0})
+    positions = []
+    home = desk.controller.home
+    desk.controller.home = lambda *a: (positions.append(desk.table.position), home(*a))[1]
+    assert sweep(desk, tmp_path / "room").status == "complete"
+    assert desk.controller.shots == [0, -3600, -7200, -10800, 0]
+    assert positions[1] > 0
+
+
+def test_an_existing_capture_is_not_touched_without_resume(tmp_path):
+    sweep(Desk(), tmp_path / "room")
+    before = (tmp_path / "room" / "frames.jsonl").read_bytes()
+    desk = Desk()
+    with pytest.raises(SessionError, match=r"holds a capture already; go on with it by --resume"):
+        sweep(desk, tmp_path / "room")
+    assert (tmp_path / "room" / "frames.jsonl").read_bytes() == before and desk.controller.log == []
+
+
+def test_a_folder_with_anything_else_is_not_touched(tmp_path):
+    (tmp_path / "room").mkdir()
+    (tmp_path / "room" / "thesis.txt").write_text("all of it")
+    desk = Desk()
+    with pytest.raises(CaptureError, match="exists and is not empty"):
+        sweep(desk, tmp_path / "room", resume=True)
+    assert [path.name for path in (tmp_path / "room").iterdir()] == ["thesis.txt"]
+    assert desk.controller.log[-1] == "make_safe"
+
+
+def test_a_folder_that_cannot_be_written_is_one_clear_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SessionError, match=r"file/room: cannot be created: Not a directory"):
+        sweep(Desk(), tmp_path / "file" / "room")
+
+
+def test_without_a_rig_no_folder_is_left(tmp_path):
+    desk = Desk()
+    desk.controller.estop = True
+    result = sweep(desk, tmp_path / "room")
+    assert result.status == "e-stop" and "release" in result.message and not (tmp_path / "room").exists()
+
+
+@pytest.mark.parametrize("trigger", ["software", "free"])
+def test_cameras_without_a_wire_are_served_from_here(tmp_path, trigger):
+    desk = Desk(camera={"trigger": trigger})
+    result = sweep(desk, tmp_path / "room")
+    assert (result.status, result.records, result.retakes) == ("complete", 10, 0)
+    assert desk.controller.shots == []
+    capture = open_capture(tmp_path / "room")
+    np.testing.assert_allclose(capture.angles, np.radians(np.arange(10) * 3.6), atol=1e-12)
+    for k in range(10):
+        on, off = capture.frames(k)
+        assert on.astype(int).max() - off.astype(int).max() > 50
+
+
+def test_the_laser_is_off_whenever_a_pair_is_handed_out(tmp_path):
+    for trigger in ("hardware", "software", "free"):
+        desk = Desk(camera={"trigger": trigger})
+        dark = []
+        sweep(desk, tmp_path / trigger, on_pair=lambda *pair, desk=desk, dark=dark: dark.append(desk.table.laser))
+        assert dark == [False] * 10
+
+
+def test_what_a_viewer_raises_ends_the_session_safely_and_loses_nothing(tmp_path):
+    desk = Desk()
+
+    def on_pair(number, angle, on, off):
+        if number == 3:
+            raise RuntimeError("the window was closed")
+
+    with pytest.raises(RuntimeError, match="window"):
+        sweep(desk, tmp_path / "room", on_pair=on_pair)
+    assert len(open_capture(tmp_path / "room")) == 4 and not desk.table.contactor
+    assert journal(tmp_path / "room")[-1]["status"] == "failed"
+    assert sweep(Desk(), tmp_path / "room", resume=True).status == "complete"
+    assert len(open_capture(tmp_path / "room")) == 10
+
+
+def test_a_laser_that_cannot_be_confirmed_off_is_said(tmp_path):
+    desk = Desk()
+    desk.controller.never_safe = True
+    result = sweep(desk, tmp_path / "room")
+    assert not result.laser_off and "switch its supply off by hand" in result.message
+    assert any("switch its supply off by hand" in sentence for sentence in desk.said)
+    assert journal(tmp_path / "room")[-1]["laser_off"] is False
+
+
+def test_a_laser_that_cannot_be_confirmed_off_is_said_with_the_error(tmp_path):
+    desk = Desk()
+    desk.controller.never_safe = True
+    desk.table.dead = True
+    with pytest.raises(Exception, match=r"laser is dark.*switch its supply off by hand"):
+        sweep(desk, tmp_path / "room")
