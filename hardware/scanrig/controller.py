@@ -80,6 +80,16 @@ class Controller:
         return self._wire.counts
 
     @property
+    def link(self) -> Link:
+        """What is below, at present."""
+        return self._wire.link
+
+    @property
+    def settings(self) -> Settings | None:
+        """What was configured last."""
+        return self._settings
+
+    @property
     def name(self) -> str:
         """The port, as a person calls it."""
         return self._wire.link.name

@@ -37,7 +37,10 @@ void plant_set_pin(char port, int bit, int value) {
     *level = (uint8_t)((*level & ~(1u << bit)) | (unsigned)(value != 0) << bit);
     avr_ioport_external_t external = {.name = port, .mask = *mask, .value = *level};
     avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL(port), &external);
-    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), bit), (uint32_t)value);
+    // A reset empties the register that is read, and leaves the wire as it was: say it again, even if it is no news.
+    avr_irq_t *pin = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), bit);
+    pin->flags |= IRQ_FLAG_INIT;
+    avr_raise_irq(pin, (uint32_t)value);
 }
 
 static void set_home(int level) {
