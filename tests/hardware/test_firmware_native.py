@@ -140,9 +140,8 @@ def test_the_longest_answers_fit(talk):
 def test_settings_change_all_or_none(talk, setting):
     """One bad value, with good ones before and after it."""
     before = talk(commands("CFG", "CFG shot=1"))
-    others = [word for word in ("hv=777", "gap=77") if word.split("=")[0] not in setting]
-    refused, *after = talk([*commands(f"SET {others[0]} {setting} {others[-1]}" if len(others) == 2 else
-                                      f"SET {others[0]} {setting}", seq=9), *commands("CFG", "CFG shot=1")])  # fmt: skip
+    first, *last = (word for word in ("hv=777", "gap=77") if word.split("=")[0] not in setting)
+    refused, *after = talk([*commands(" ".join(["SET", first, setting, *last]), seq=9), *commands("CFG", "CFG shot=1")])
     assert refused == sealed("=9 err 4")
     assert after == before
     accepted, *after = talk([*commands("SET hv=777 gap=77", seq=9), *commands("CFG", "CFG shot=1")])
