@@ -1,0 +1,178 @@
+"""The whole way with no hardware: boards and a sweep through host, serial line, firmware, trigger wire and GigE camera.
+
+Calibrated from the boards alone, and the walls of the room that comes out of it against the truth.
+
+The firmware runs in a simulated processor and the camera serves rendered pictures on loopback
+(hardware/bench). Everything on the host's side is done by the command line. The truth - what was
+rendered for which frame, and where the walls stand - is read for the comparison at the end.
+
+    python experiments/closed_loop.py [--json FILE] [--keep DIR]
+
+Needs `make bench-deps`.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bench.desk import Desk, set_up
+from bench.places import WORLD
+
+import jaxscan
+from jaxscan.simulation import truth
+
+
+ROOT = Path(__file__).resolve().parent.parent
+CONFIG = ROOT / "configs" / "bench.toml"
+NEAR_M = 0.05
+"""Points this near a wall's true plane are taken for the wall's; furniture stands farther off."""
+PATCH_M = 0.25
+"""Walls are judged by the median of patches of this size."""
+
+
+def jaxscan_verb(*words: str) -> dict[str, Any]:
+    """Run one verb as a user does, and return its JSON."""
+    with tempfile.NamedTemporaryFile(suffix=".json") as answer:
+        command = [sys.executable, "-m", "jaxscan.cli.main", *words, "--json", answer.name]
+        done = subprocess.run(command, cwd=ROOT, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+        if done.returncode:
+            raise SystemExit(
+                f"{' '.join(words)}: exit code {done.returncode}: {done.stdout[-2000:]}{done.stderr[-2000:]}"
+            )
+        return dict(json.loads(Path(answer.name).read_text()))
+
+
+def shots_right(capture: Path, ledger: Path, microsteps_per_turn: int) -> tuple[int, int]:
+    """How many records show what they say, by the camera's own ledger: records, and right ones.
+
+    A record is right if both of its frames were rendered at the microstep that it names, the first
+    in the laser's light and the second without.
+    """
+    sent = [entry for entry in map(json.loads, ledger.read_text().splitlines()) if entry["sent"]]
+    records = {}
+    for line in map(json.loads, (capture / "frames.jsonl").read_text().splitlines()):
+        if "i" in line:
+            records[line["i"]] = line
+    # Frames are matched by position in the order of their numbers: one constant offset for the whole capture.
+    first = min(min(record["frame_ids"]) for record in records.values())
+    right = 0
+    for record in records.values():
+        on, off = (sent[number - first] for number in record["frame_ids"])
+        angle = 360.0 * record["microsteps"] / microsteps_per_turn
+        right += (
+            on["position"] == off["position"] == record["microsteps"]
+            and on["light"] == 1.0
+            and off["light"] == 0.0
+            and abs(record["angle_deg"] - angle) < 1e-9
+        )
+    return len(records), right
+
+
+def wall_errors(cloud: jaxscan.PointCloud, planes: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Signed distance of each true plane's points, towards the inside [m]: medians of the wall and of its patches."""
+    points = np.asarray(cloud.xyz, np.float64)[np.asarray(cloud.valid)]
+    rows = []
+    for plane in planes:
+        normal = np.array(plane["normal"])
+        distance = points @ normal - plane["distance_m"]
+        near = np.abs(distance) < NEAR_M
+        aside = np.linalg.svd(normal[None])[2][1:]
+        cells = np.floor(points[near] @ aside.T / PATCH_M).astype(int)
+        _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+        patches = [np.median(distance[near][cell.ravel() == k]) for k in np.flatnonzero(count >= 20)]
+        if not patches:
+            continue
+        rows.append(
+            {
+                "name": plane["name"],
+                "points": int(near.sum()),
+                "patches": len(patches),
+                "median_m": float(np.median(distance[near])),
+                "patch_rms_m": float(np.sqrt(np.mean(np.square(patches)))),
+                "worst_patch_m": float(np.max(np.abs(patches))),
+            }
+        )
+    return rows
+
+
+def calibrated(desk: Desk, folder: Path) -> Path:
+    """A calibration from boards that were shown to the loop."""
+    place = f"{sys.executable} -m bench place"
+    boards = jaxscan_verb(
+        "scan", str(CONFIG), "-o", str(folder / "boards"), "--boards", "--place-command", place, *port
+    )
+    desk.command("place none")
+    print(f"boards: {boards['records']} pairs, {boards['retakes']} retakes", file=sys.stderr)
+    path = folder / "calibration.json"
+    jaxscan_verb("calibrate", str(folder / "boards"), "-o", str(path))
+    return path
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep captures, calibration and cloud here")
+    parser.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = (arguments.keep or Path(temporary)).resolve()
+        folder.mkdir(parents=True, exist_ok=True)
+        os.environ["JAXSCAN_BENCH"] = str(Path(temporary) / "bench")
+        seconds = {}
+        with set_up(Path(temporary) / "bench", world=WORLD) as desk:
+            start = time.perf_counter()
+            calibration = calibrated(desk, folder)
+            seconds["boards and calibration"] = time.perf_counter() - start
+            ledger = desk.camera.ledger
+            before = ledger.stat().st_size
+            start = time.perf_counter()
+            live = folder / "live.npz"
+            sweep = folder / "sweep"
+            how = ("--port", desk.rig.port, "-c", str(calibration), "--cloud", str(live))
+            scan = jaxscan_verb("scan", str(CONFIG), "-o", str(sweep), *how)
+            seconds["sweep with live cloud"] = time.perf_counter() - start
+            mine = folder / "sweep-truth.jsonl"
+            mine.write_bytes(ledger.read_bytes()[before:])
+        start = time.perf_counter()
+        jaxscan_verb("reconstruct", str(sweep), "-c", str(calibration), "-o", str(folder / "room.npz"), "--no-cache")
+        seconds["reconstruct"] = time.perf_counter() - start
+        records, right = shots_right(sweep, mine, 28800)
+        world = jaxscan.load_simulation(WORLD)
+        clouds = {name: jaxscan.load_cloud(path) for name, path in (("room", folder / "room.npz"), ("live", live))}
+        rows = wall_errors(clouds["room"], truth(world)["room"]["planes"])
+        both = np.asarray(clouds["room"].valid) & np.asarray(clouds["live"].valid)
+        apart = np.abs(np.asarray(clouds["room"].xyz) - np.asarray(clouds["live"].xyz))[both]
+        differing = int((np.asarray(clouds["room"].valid) != np.asarray(clouds["live"].valid)).sum())
+        box = jaxscan.measure_room(clouds["room"], scanner=jaxscan.load_scanner(calibration))
+    for row in rows:
+        print(
+            f"{row['name']:>8}: {row['points']:6d} points, median {1e3 * row['median_m']:+6.2f} mm, patches of "
+            f"{100 * PATCH_M:.0f} cm: RMS {1e3 * row['patch_rms_m']:.2f} mm, worst {1e3 * row['worst_patch_m']:.2f} mm"
+        )
+    width, length = sorted(world.room.size_m[:2]) if world.room is not None else (0.0, 0.0)
+    for name, true in (("length", length), ("width", width)):
+        side = getattr(box, name)
+        print(f"{name:>8}: {1e3 * (side.value_m - true):+6.2f} mm, predicted sigma {1e3 * side.sigma_m:.2f} mm")
+    metrics = [
+        {"key": "shots_right", "value": 100.0 * right / records, "unit": f"% of {records}", "wanted": 100.0},
+        {"key": "worst_wall", "value": 1e3 * max(abs(row["median_m"]) for row in rows), "unit": "mm", "wanted": 5.0},
+        {"key": "retakes", "value": scan["retakes"], "unit": "pairs"},
+        {"key": "live_cloud_apart", "value": 1e3 * float(apart.max()), "unit": "mm from the one of `reconstruct`"},
+        {"key": "live_cloud_differs", "value": differing, "unit": "cells of which only one cloud has a point"},
+        *({"key": name, "value": value, "unit": "s"} for name, value in seconds.items()),
+    ]
+    for metric in metrics:
+        print(f"{metric['key']:>24} {metric['value']:10.3f} {metric['unit']}")
+    if arguments.json:
+        text = json.dumps({"format": "jaxscan-closed-loop/1", "walls": rows, "metrics": metrics}, indent=2) + "\n"
+        sys.stdout.write(text) if arguments.json == "-" else Path(arguments.json).write_text(text)
+
+
+if __name__ == "__main__":
+    main()
