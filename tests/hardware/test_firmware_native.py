@@ -32,7 +32,7 @@ def build(tmp_path_factory):
     """A build of its own: several processes may run these tests at once."""
     folder = tmp_path_factory.mktemp("firmware")
     done = subprocess.run(
-        ["make", "-s", "-C", str(FIRMWARE), "host", f"HOST_BUILD={folder}"], capture_output=True, text=True, timeout=120
+        ["make", "-s", "-C", str(FIRMWARE), "host", f"BUILD={folder}"], capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 0, done.stderr
     return folder
@@ -181,6 +181,20 @@ def test_forged_and_damaged_laser_lines_light_nothing(talk):
     assert fields(counters)["las"] == "0"
     assert lit == sealed("=77 ok")
     assert fields(after)["las"] == "1", "the line that was damaged above would have lit it"
+
+
+@pytest.mark.skipif(
+    not shutil.which("avr-gcc") and not os.environ.get("JAXSCAN_REQUIRE_BENCH"),
+    reason="the firmware itself needs gcc-avr and avr-libc: type `make bench-deps`",
+)
+def test_the_firmware_leaves_room(tmp_path):
+    """`make size` refuses more than 60 % of flash or memory: what is left of the memory is the stack."""
+    done = subprocess.run(
+        ["make", "-s", "-C", str(FIRMWARE), "size", f"BUILD={tmp_path}"], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    flash, memory = (float(percent) for percent in re.findall(r"\(([0-9.]+) %\)", done.stdout))
+    assert 10 < flash <= 60 and 10 < memory <= 60
 
 
 def fuzz(build, lines, seed):
