@@ -34,6 +34,8 @@ _BESIDE = 14
 """Samples on either side of a ridge within which contrast may explain it."""
 _EXPLAINS_MOST = 1.5
 """Part of a contrast that motion changes at most: all of it, and as much again where thin things pass."""
+_MARGIN = 3.0
+"""By how much the largest change of a contrast may exceed that which nine tenths of them keep to."""
 _ALIKE = 4.0
 """Neighbouring lines that see the same texture."""
 _WELDED = 0.25
@@ -302,7 +304,7 @@ def _explains(difference: np.ndarray, off: np.ndarray) -> float:
     if np.count_nonzero(structured) < 50:
         return 1.0
     part = np.maximum(np.abs(change[structured]).max(1) - 3.0 * noise, 0.0) / contrast[structured]
-    return float(min(2.0 * np.quantile(part, 0.9) + 0.1, _EXPLAINS_MOST))
+    return float(min(_MARGIN * np.quantile(part, 0.9) + 0.1, _EXPLAINS_MOST))
 
 
 def _smooth(field: np.ndarray) -> np.ndarray:

@@ -26,8 +26,11 @@ _REACH = 3
 """Lines on either side among which a ridge looks for company."""
 _SLOPE = 8.0
 """Samples per line that a ridge may lean by: with 4 lines added up, 63 degrees."""
-_ROUNDING = (CORE + CORE**2 / FLANK / 2.0) * 2.0 / 12.0 / 4.0
-"""Variance of a response that the rounding of two frames leaves, four lines added up: noise has no less."""
+_ROUNDING = (CORE + CORE**2 / FLANK / 2.0) * 2.0 / 12.0
+"""Variance of a height that the rounding of two frames leaves. Noise counts as no less: where it is, single counts
+are most of it, and those are not Gaussian."""
+_MEASURABLE = (1.0, 240.0)
+"""Levels at which noise is not cut off at zero or at the top [DN, one sample]."""
 _NORMAL = 0.6745
 _BINS = 8
 _ENOUGH = 200
@@ -105,7 +108,7 @@ def _at_scale(
 ) -> Relief:
     core, left, right = _core_and_flanks(field)
     reach = GAP + FLANK // 2
-    per_deviation = _per_deviation(core, left, right, level[:, reach:-reach])
+    per_deviation = _per_deviation(core, left, right, level[:, reach:-reach], scale)
     higher, lower = np.maximum(left, right), np.minimum(left, right, out=left)
     up = np.subtract(core, higher, out=higher)
     up *= per_deviation
@@ -161,6 +164,7 @@ def _per_deviation(
     left: Float[np.ndarray, "lines samples"],
     right: Float[np.ndarray, "lines samples"],
     level: Float[np.ndarray, "lines samples"],
+    scale: int,
 ) -> Float[np.ndarray, "lines samples"]:
     """One over the standard deviation of a ridge's height: of its variance the middle half, a line over the level.
 
@@ -171,6 +175,9 @@ def _per_deviation(
     few = slice(None, None, max(1, len(core) // 32)), slice(None, None, 3)
     size = np.abs(core[few] - 0.5 * (left[few] + right[few])).ravel()
     light = level[few].ravel()
+    measurable = (light > _MEASURABLE[0] * scale) & (light < _MEASURABLE[1] * scale)
+    if np.count_nonzero(measurable) >= _BINS * _ENOUGH:
+        size, light = size[measurable], light[measurable]
     edges = np.linspace(float(light.min()), float(light.max()) + 1e-3, _BINS + 1)
     which = np.minimum((light - np.float32(edges[0])) * np.float32(_BINS / np.ptp(edges)), _BINS - 1).astype(np.int8)
     bins = [size[which == k] for k in range(_BINS)]
@@ -181,11 +188,11 @@ def _per_deviation(
     else:
         variance = [(float(np.median(bins[k])) / _NORMAL) ** 2 for k in known]
         # A variance is as uncertain as it is large.
-        weight = np.sqrt([len(bins[k]) for k in known]) / (np.array(variance) + _ROUNDING)
+        weight = np.sqrt([len(bins[k]) for k in known]) / (np.array(variance) + _ROUNDING * scale)
         slope, start = (float(a) for a in np.polyfit(centres[known], variance, 1, w=weight))
         slope = max(slope, 0.0)
     model = level * np.float32(slope)
     model += np.float32(start)
-    np.maximum(model, np.float32(_ROUNDING), out=model)
+    np.maximum(model, np.float32(_ROUNDING * scale), out=model)
     np.sqrt(model, out=model)
     return np.divide(np.float32(1.0), model, out=model)

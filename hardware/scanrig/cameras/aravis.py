@@ -2,7 +2,9 @@
 
 import ctypes
 import time
+from collections.abc import Callable
 from types import TracebackType
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from scanrig.cameras.settings import CameraSettings, TriggerMode
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
+Result = TypeVar("Result")
 _BUFFERS = 8
 """Frames that may wait; the stop-and-go of a sweep has two at a time."""
 _SLICE_S = 0.2
@@ -44,7 +47,7 @@ class AravisCamera:
         self._shape = shape[: frame_rank(settings.pixel_format)]
         self._bytes = int(np.prod(self._shape))
         self._camera = self._stream = None
-        self._running = False
+        self._running = self._started = self._lost = False
         self._numbers = FrameNumbers()
         self._missing_before = 0
         self._counts = {"frames": 0, "incomplete": 0, "dropped": 0}
@@ -69,7 +72,7 @@ class AravisCamera:
     def start(self) -> None:
         if not self._running:
             self._ask("start", lambda: self._aravis.camera_start_acquisition(self._camera))
-            self._running = True
+        self._running = self._started = True
 
     def drop(self) -> int:
         """Throw away what waits; of a free-running camera also what it was exposing at this call."""
@@ -99,22 +102,26 @@ class AravisCamera:
         self._ask("take a trigger", lambda: self._aravis.camera_software_trigger(self._camera))
 
     def reopen(self) -> None:
-        before, running = self._identity, self._running
-        self.close()
+        before = self._identity
+        self._let_go()
         found = self._open()
         if found != before:
-            self.close()
+            self._let_go()
             raise CameraError(f"found the camera {found}, expected {before}; a sweep is of one camera.")
-        if running:
+        if self._started:
             self.start()
 
     def close(self) -> None:
-        if self._camera is not None and self._running:
+        self._started = False
+        self._let_go()
+
+    def _let_go(self) -> None:
+        if self._camera is not None and self._running and not self._lost:
             try:
                 self._aravis.camera_stop_acquisition(self._camera)
             except AravisError:
-                # It is gone, or leaves by itself when its heartbeat ends; there is nobody left to tell.
-                self._running = False
+                # It is gone, or stops by itself when its heartbeat ends; there is nobody left to tell.
+                self._lost = True
         self._running = False
         stream, self._stream = self._stream, None
         camera, self._camera = self._camera, None
@@ -135,6 +142,7 @@ class AravisCamera:
 
     def _open(self) -> CameraIdentity:
         self._camera = connect(self._aravis, self._settings.id)
+        self._lost = False
         try:
             identity = CameraIdentity(
                 "aravis",
@@ -152,16 +160,17 @@ class AravisCamera:
             for _ in range(_BUFFERS):
                 self._push(self._aravis.buffer_new_allocate(payload))
         except AravisError as problem:
-            self.close()
+            self._lost = True
+            self._let_go()
             raise CameraLost(f"{self}: went away while it was set up: {problem}") from problem
         except CameraError:
-            self.close()
+            self._let_go()
             raise
         self._missing_before += self._numbers.missing
         self._numbers = FrameNumbers()
         return identity
 
-    def _ask(self, what, call):
+    def _ask(self, what: str, call: Callable[[], Result]) -> Result:
         """The result of a call to the camera, which must be open."""
         if self._camera is None:
             raise CameraLost(f"{self}: the camera is closed; reopen it.")
@@ -170,6 +179,7 @@ class AravisCamera:
         except AravisError as problem:
             if self._is_there():
                 raise CameraError(f"{self}: cannot {what}: {problem}") from problem
+            self._lost = True
             raise CameraLost(f"{self}: the camera is gone: cannot {what}: {problem}") from problem
 
     def _is_there(self) -> bool:
@@ -194,10 +204,12 @@ class AravisCamera:
             if buffer := self._aravis.stream_timeout_pop_buffer(self._stream, round(1e6 * min(left, _SLICE_S))):
                 return buffer
             if not self._is_ours():
+                self._lost = True
                 raise CameraLost(f"{self}: the camera is gone: its heartbeat ended.")
             if left <= _SLICE_S:
                 break
         if not self._is_there():
+            self._lost = True
             raise CameraLost(f"{self}: the camera is gone: it does not answer.")
         raise CameraTimeout(
             f"{self}: no frame within {timeout_s:g} s"

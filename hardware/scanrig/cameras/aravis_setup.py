@@ -2,6 +2,7 @@
 
 import ctypes
 import ipaddress
+from collections.abc import Callable
 
 from jaxscan.stripes.frames import PixelFormat
 from scanrig.cameras.aravis_binding import ACCESS_CHECK, RANGE_CHECK, Aravis, AravisError, text
@@ -87,7 +88,7 @@ def apply_settings(aravis: Aravis, camera: int, settings: CameraSettings, *, nam
     def has(feature: str) -> bool:
         return bool(aravis.camera_is_feature_available(camera, feature.encode()))
 
-    def attempt(what: str, call, *arguments) -> None:
+    def attempt(what: str, call: Callable[..., None], *arguments: float) -> None:
         try:
             call(camera, *arguments)
         except AravisError as problem:
