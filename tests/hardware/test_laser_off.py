@@ -1,0 +1,223 @@
+"""How long the laser stays on after whatever should switch it off, on the real firmware, from the pins' log.
+
+`pytest -s` prints the times, all of them in the controller's own time.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from bench.driving import falls, milliseconds, ready, rises
+from scanrig.connect import connect
+from scanrig.protocol import ABORT, encode
+
+
+HOST = """
+import sys
+import time
+from scanrig.connect import connect
+from scanrig.settings import Settings
+from scanrig.signals import Interrupts
+
+port, doing = sys.argv[1:]
+with Interrupts() as should_stop, connect(port) as controller:
+    controller.hello()
+    controller.configure(Settings(laser_on_ms=5000, settle_ms=0))
+    controller.arm(True)
+    if doing == "shot":
+        controller.shot(40, 1)
+    while not should_stop():
+        if doing != "shot":
+            controller.laser(True, 1000)
+        if doing == "error" and controller.poll().laser:
+            print("lit", flush=True)
+            raise RuntimeError("something else went wrong")
+        if controller.poll().laser:
+            print("lit", flush=True)
+        time.sleep(0.05)
+"""
+"""A host that keeps the laser on and says so, until it is told to stop."""
+
+
+def host(simulated, doing):
+    """That host, in a process of its own, once the laser is lit."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOST, simulated.port, doing],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert process.stdout.readline() == "lit\n", process.communicate()[1]
+    return process
+
+
+def homed(rig, **options):
+    """A rig that stands homed, with the driver on and nobody at its port."""
+    simulated = rig(**options)
+    ready(simulated, speed=1).close()
+    simulated.run_for(0.02)
+    return simulated
+
+
+def off_after(simulated, since, what):
+    """Milliseconds from a cycle to the laser's end, which must be an end indeed."""
+    off = falls(simulated.edges(), "laser")[-1]
+    assert simulated.plant()["laser"] == 0
+    assert off["cycle"] >= since, "it was off before"
+    took = milliseconds(since, off)
+    print(f"\nlaser off {took:9.3f} ms after {what}", end="")
+    return took
+
+
+def finish(process):
+    process.wait(20)
+    process.stdout.close()
+    process.stderr.close()
+
+
+@pytest.mark.parametrize("doing", ["lease", "shot"])
+def test_within_600_ms_of_the_hosts_death(rig, doing):
+    simulated = homed(rig)
+    process = host(simulated, doing)
+    dead = simulated.plant()["cycle"]
+    assert simulated.plant()["laser"] == 1
+    process.kill()
+    finish(process)
+    simulated.run_for(0.8)
+    assert off_after(simulated, dead, f"kill -9 of the host in mid-{doing}") <= 600.0
+    assert simulated.plant()["contactor"] == 0
+    with connect(simulated.port) as controller:
+        controller.hello()
+        assert controller.stat().fault == 2
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_at_once_when_the_host_is_asked_to_end(rig, name):
+    simulated = homed(rig)
+    process = host(simulated, "lease")
+    asked = simulated.plant()["cycle"]
+    process.send_signal(getattr(signal, name))
+    finish(process)
+    assert off_after(simulated, asked, f"{name} to the host") <= 400.0
+    assert_ended_in_order(simulated)
+
+
+def test_at_once_when_the_host_is_asked_twice(rig):
+    simulated = homed(rig)
+    process = host(simulated, "shot")
+    asked = simulated.plant()["cycle"]
+    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGTERM)
+    finish(process)
+    assert off_after(simulated, asked, "SIGINT and SIGTERM to the host in mid-shot") <= 400.0
+    assert_ended_in_order(simulated)
+
+
+def test_at_once_when_the_host_fails(rig):
+    simulated = homed(rig)
+    process = host(simulated, "error")
+    _, says = process.communicate(timeout=20)
+    assert process.returncode == 1 and "something else went wrong" in says
+    on = rises(simulated.edges(), "laser")[-1]
+    assert off_after(simulated, on["cycle"], "on, with an error in the host") <= 400.0
+    assert_ended_in_order(simulated)
+
+
+def assert_ended_in_order(simulated):
+    """The host switched everything off, not a watchdog."""
+    assert simulated.plant()["contactor"] == 0
+    with connect(simulated.port) as controller:
+        controller.hello()
+        status = controller.stat()
+        assert (status.state, status.fault, status.homed) == ("idle", 0, True)
+
+
+@pytest.mark.parametrize("kind", [0, 1], ids=["interrupts on", "interrupts off"])
+def test_within_270_ms_of_a_hang(rig, kind):
+    simulated = rig(firmware="scan_hang")
+    # Slow enough that what this computer takes to send a line is nothing in the controller's time.
+    with ready(simulated, speed=0.2) as controller:
+        controller.laser(True, 1000)
+        hangs = simulated.plant()["cycle"]
+        controller.link.write(encode(60000, "HANG", k=kind))
+        simulated.run_for(0.4)
+        assert simulated.plant()["resets"] == 1
+        took = off_after(simulated, hangs, f"a hang with interrupts {'off' if kind else 'on'}")
+        assert 100.0 < took <= 270.0
+        simulated.control("speed 0")
+
+
+@pytest.mark.parametrize("doing", ["lease", "shot"])
+def test_at_once_on_an_emergency_stop(rig, doing):
+    simulated = rig()
+    with ready(simulated, speed=1, laser_on_ms=5000) as controller:
+        light(simulated, controller, doing)
+        simulated.control("estop 1")
+        simulated.run_for(0.01)
+        pressed = rises(simulated.edges(), "estop")[-1]
+        assert off_after(simulated, pressed["cycle"], f"the emergency stop in mid-{doing}") <= 0.1
+        opened = falls(simulated.edges(), "contactor")[-1]
+        print(f"; contactor {milliseconds(pressed, opened):.4f} ms", end="")
+        assert milliseconds(pressed, opened) <= 0.1
+
+
+@pytest.mark.parametrize(
+    "before", [b"", b"@77 LASER on=1 ms", b"x" * 400], ids=["alone", "in a line", "after 400 bytes"]
+)
+def test_at_once_on_an_abort(rig, before):
+    simulated = rig()
+    with ready(simulated, speed=0.05, laser_on_ms=5000) as controller:
+        light(simulated, controller, "lease")
+        sent = simulated.plant()["cycle"]
+        controller.link.write(before + ABORT)
+        simulated.run_for(0.03)
+        wire = len(before + ABORT) * 11 / 250.0  # the simulated line takes 11 bits per byte
+        took = off_after(simulated, sent, f"an abort behind {len(before)} bytes, {wire:.3f} ms of line")
+        assert took <= wire + 2.0
+        assert simulated.plant()["contactor"] == 0
+        simulated.control("speed 0")
+        assert controller.stat().fault == 5
+
+
+def test_when_the_lease_runs_out(rig):
+    simulated = rig()
+    with ready(simulated, speed=1) as controller:
+        for lease in (50, 300):
+            controller.laser(True, lease)
+            end = time.monotonic() + 10.0
+            while controller.stat().fault != 3:
+                assert time.monotonic() < end
+            on = rises(simulated.edges(), "laser")[-1]
+            took = off_after(simulated, on["cycle"], f"on with a lease of {lease} ms")
+            assert lease - 1.0 <= took <= lease + 1.0
+            assert simulated.plant()["contactor"] == 0
+            controller.clear()
+            controller.arm(True)
+
+
+def test_a_lease_is_renewed_without_a_gap(rig):
+    simulated = rig()
+    with ready(simulated, speed=1) as controller:
+        for _ in range(5):
+            controller.laser(True, 1000)
+            simulated.run_for(0.3)
+        assert len(rises(simulated.edges(), "laser")) == 1
+        assert falls(simulated.edges(), "laser")[1:] == []
+        assert simulated.plant()["light"] == 1
+
+
+def light(simulated, controller, doing):
+    """Laser on, by hand or in a shot."""
+    if doing == "shot":
+        controller.shot(8, 1)
+        end = time.monotonic() + 10.0
+        while not simulated.plant()["light"]:
+            assert time.monotonic() < end
+            controller.poll()
+    else:
+        controller.laser(True, 1000)
+    assert simulated.plant()["light"] == 1
