@@ -140,11 +140,14 @@ static bool passes(void) {
 void shot_tick(void) {
     if (phase == OVER) return;
     if (phase == TRAVEL && motion_busy()) return;
-    if (left_ms && !(readying() && camera_ready()) && --left_ms) return;
-    if (readying() && !camera_ready()) { /* A readying phase waits only where rdy > 0: its time is over. */
-        fault_enter(F_CAMERA);
+    if (readying()) { /* It is entered only with a time to wait, and left with the camera ready or that time over. */
+        if (!camera_ready()) {
+            if (--left_ms) return;
+            fault_enter(F_CAMERA);
+            return;
+        }
+    } else if (left_ms && --left_ms)
         return;
-    }
     do
         advance();
     while (passes());
