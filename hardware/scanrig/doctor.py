@@ -2,6 +2,7 @@
 
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,10 @@ from scanrig.step import Pair
 _STORED_PAIRS = 6
 
 
+def _silent(text: str) -> None:
+    del text
+
+
 def examine(
     controller: Controller | None,
     camera: Camera | None,
@@ -33,6 +38,7 @@ def examine(
     *,
     folder: Path,
     tell: Tell,
+    say: Callable[[str], None] = _silent,
     clock: Clock | None = None,
 ) -> None:
     """Look at all parts of a rig that are there; the table turns and the laser shines.
@@ -43,12 +49,13 @@ def examine(
         config: The rig; without it the controller is looked at with usual settings, and no camera.
         folder: Where captures would be written.
         tell: Called with each finding.
+        say: Called with what is going on where it takes long.
         clock: For waiting.
     """
     clock = clock or SystemClock()
     pair: Pair | None = None
     try:
-        homed = False if controller is None else examine_table(controller, config, tell)
+        homed = False if controller is None else examine_table(controller, config, tell, say)
         if camera is not None and config is not None:
             examine_camera(controller, camera, config, tell, clock)
             if controller is not None and homed:

@@ -1,5 +1,7 @@
 """The examination of the controller and of what it turns: firmware, inputs, settings, home, a whole turn."""
 
+from collections.abc import Callable
+
 from scanrig.config import RigConfig
 from scanrig.controller import Controller
 from scanrig.errors import RigFault
@@ -16,13 +18,14 @@ _UNKNOWN_TURN = 3200
 """Microsteps with which the search for a turn begins where no configuration says: 200 full steps of 16."""
 
 
-def examine_table(controller: Controller, config: RigConfig | None, tell: Tell) -> bool:
+def examine_table(controller: Controller, config: RigConfig | None, tell: Tell, say: Callable[[str], None]) -> bool:
     """Look at the controller and turn its table.
 
     Args:
         controller: Open.
         config: The rig; without it usual settings are taken, and a turn is measured only.
         tell: Called with each finding.
+        say: Called with what is going on where it takes long.
 
     Returns:
         Whether the table is homed and may be used.
@@ -36,7 +39,7 @@ def examine_table(controller: Controller, config: RigConfig | None, tell: Tell) 
         return False
     if looked_at("home", lambda: _home(controller, config), tell).verdict == "wrong":
         return False
-    looked_at("steps per turn", lambda: _turn(controller, config, settings), tell)
+    looked_at("steps per turn", lambda: _turn(controller, config, settings, say), tell)
     # What was found wrong may have left a fault; a pair can be taken all the same.
     return looked_at("at rest", lambda: _rest(controller, config), lambda finding: None).verdict == "works"
 
@@ -124,7 +127,7 @@ def _some_way(turn: int, config: RigConfig | None) -> int:
     return way if limits is None or limits[1] >= way else limits[1]
 
 
-def _turn(controller: Controller, config: RigConfig | None, settings: Settings) -> Finding:
+def _turn(controller: Controller, config: RigConfig | None, settings: Settings, say: Callable[[str], None]) -> Finding:
     if settings.limits is not None:
         return Finding(
             "steps per turn",
@@ -133,7 +136,7 @@ def _turn(controller: Controller, config: RigConfig | None, settings: Settings) 
             "measure an angle by hand: 90 degrees by the configuration must be 90 degrees of the table",
         )
     expected = None if config is None else config.microsteps_per_turn
-    measured = measure_turn(controller, expected or _UNKNOWN_TURN, speed=settings.speed)
+    measured = measure_turn(controller, expected or _UNKNOWN_TURN, speed=settings.speed, tell=say)
     values = {"measured_microsteps": measured}
     if config is None or expected is None:
         return Finding("steps per turn", "works", f"{measured} microsteps from home to home", values=values)

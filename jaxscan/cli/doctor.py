@@ -1,14 +1,21 @@
-"""`jaxscan doctor`: what is installed, what is missing, and what to do about it."""
+"""`jaxscan doctor`: what is installed, and what of a rig or a capture works; what is wrong, and what to do about it."""
 
+import contextlib
 import importlib
 import os
 import platform
 from collections.abc import Callable
 from importlib import metadata
-from typing import NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
-from jaxscan.cli.output import JsonTarget, console, emit_json, table
-from jaxscan.errors import DependencyError, JaxscanError
+import tyro
+from rich.console import Console
+
+from jaxscan.cli.doctor_rig import examine_rig
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
+from jaxscan.cli.progress import progress_bar
+from jaxscan.errors import CaptureError, DependencyError, JaxscanError, OptionError
 
 
 class Check(NamedTuple):
@@ -20,12 +27,41 @@ class Check(NamedTuple):
     detail: str
 
 
-def doctor(*, json: JsonTarget = None) -> None:
-    """Check this machine: `jaxscan doctor`. Exit code 1 where something needed does not work.
+class RigUnwell(JaxscanError):
+    """Something of the rig that a scan needs does not work."""
+
+
+def doctor(
+    *,
+    port: str | None = None,
+    config: Path | None = None,
+    camera: str | None = None,
+    capture: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    json: JsonTarget = None,
+) -> None:
+    """Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config configs/scan.toml`. The table turns and the
+    laser shines then. Exit code 1 where something needed does not work.
 
     Args:
+        port: Examine the controller at this serial port; "auto" takes the only one there is.
+        config: Examine the rig that this configuration describes.
+        camera: With --config: look at this camera instead, by its id (see the list).
+        capture: Compare all images of a capture with the sha256 that were noted when they were taken.
         json: Write the result as JSON too.
     """
+    if camera is not None and config is None:
+        raise OptionError("--camera: found without --config, expected with it: it says what the camera is set to.")
+    check_json(json)
+    out = console(json)
+    if capture is not None:
+        _verify(capture, out, json)
+    elif port is None and config is None:
+        _look_at_machine(out, json)
+    else:
+        _look_at_rig(port, config, camera, out, json)
+
+
+def _look_at_machine(out: Console, json: str | None) -> None:
     checks = [
         _try("JAX", True, _jax),
         _try("OpenCV", True, lambda: _version("cv2", "opencv-python-headless")),
@@ -37,21 +73,79 @@ def doctor(*, json: JsonTarget = None) -> None:
         _try("E57 export", False, lambda: _version("pye57", "pye57")),
         _try("LAS/LAZ export", False, lambda: _version("laspy", "laspy")),
     ]
-    out = console(json)
     out.print(f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores")
     rows = [(check.name, "works" if check.works else "missing", check.detail) for check in checks]
     out.print(table("Installation", ("what", "", "detail"), rows))
-    emit_json(json, "doctor", {"python": platform.python_version(), "checks": [check._asdict() for check in checks]})
+    ports, cameras = _ports(), _cameras()
+    out.print(f"serial ports: {'; '.join(ports) or 'none'}")
+    out.print(f"cameras: {'; '.join(cameras) or 'none'}")
+    result = {"checks": [check._asdict() for check in checks], "ports": ports, "cameras": cameras}
+    emit_json(json, "doctor", {"python": platform.python_version(), **result})
     broken = [check.name for check in checks if check.needed and not check.works]
     if broken:
         raise DependencyError(f"{', '.join(broken)} must work and does not: see the table.")
+
+
+def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out: Console, json: str | None) -> None:
+    findings: list[dict[str, Any]] = []
+
+    def tell(finding: Any) -> None:
+        findings.append({**vars(finding), "values": dict(finding.values)})
+        out.print(f"{finding.verdict:>11}  {finding.name}: {finding.found}")
+        if finding.do:
+            out.print(f"{'':>11}  → {finding.do}")
+
+    # What was found before an error or Ctrl-C is told in any case.
+    with contextlib.ExitStack() as stack:
+        stack.callback(lambda: emit_json(json, "doctor", {"rig": findings}))
+        examine_rig(port, config, camera, tell, say=lambda text: out.print(f"{'':>11}  {text}", style="dim"))
+    wrong = [finding["name"] for finding in findings if finding["verdict"] == "wrong"]
+    if wrong:
+        raise RigUnwell(f"{', '.join(wrong)} must work and does not: see above.")
+
+
+def _verify(capture: Path, out: Console, json: str | None) -> None:
+    from jaxscan.files.verify import verify_capture
+
+    with progress_bar("Verifying") as progress:
+        problems = [str(problem) for problem in verify_capture(capture, progress=progress)]
+    for problem in problems:
+        out.print(problem)
+    if not problems:
+        out.print(f"{capture}: all images are as they were written.")
+    emit_json(json, "doctor", {"capture": str(capture), "problems": problems})
+    if problems:
+        raise CaptureError(f"{capture}: {len(problems)} problems; take the records again with jaxscan scan --resume.")
+
+
+def _ports() -> list[str]:
+    """Serial ports as a person would name them."""
+    try:
+        from scanrig.ports import describe, find_ports
+
+        return [describe(info) for info in find_ports()]
+    except (ImportError, OSError, JaxscanError) as problem:
+        return [f"not looked for ({_first_line(problem)})"]
+
+
+def _cameras() -> list[str]:
+    try:
+        from scanrig.cameras import list_cameras
+
+        return list_cameras()
+    except (ImportError, OSError, JaxscanError) as problem:
+        return [f"not looked for ({_first_line(problem)})"]
 
 
 def _try(name: str, needed: bool, look: Callable[[], str]) -> Check:
     try:
         return Check(name, needed, True, look())
     except (ImportError, OSError, JaxscanError, metadata.PackageNotFoundError) as problem:
-        return Check(name, needed, False, str(problem).splitlines()[0] if str(problem) else repr(problem))
+        return Check(name, needed, False, _first_line(problem))
+
+
+def _first_line(problem: Exception) -> str:
+    return str(problem).splitlines()[0] if str(problem) else repr(problem)
 
 
 def _version(module: str, package: str) -> str:
