@@ -1,0 +1,222 @@
+"""UVC cameras and streams, through OpenCV: free-running, read by a thread that lets no frame wait."""
+
+import os
+import threading
+import time
+from collections import deque
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+import numpy as np
+
+from scanrig.cameras.features import require
+from scanrig.cameras.frame import CameraIdentity, Features, Frame
+from scanrig.cameras.opencv_setup import apply_settings, read_features, silent
+from scanrig.cameras.settings import CameraSettings, TriggerMode
+from scanrig.errors import CameraError, CameraLost, CameraTimeout
+
+
+_OPEN_MS = 5000
+_READ_MS = 10_000
+"""Longest that a stream may stall before OpenCV gives it up."""
+_WAITING = 4
+"""Frames that are kept for `next`; older ones are thrown away."""
+_ANSWER_S = 2.0
+"""Longest that the reading thread may take to answer."""
+_SAME_CLOCK_S = 5.0
+"""A time stamp that is this near to the monotonic clock is of that clock: V4L2 gives such, streams do not."""
+
+
+class OpenCVCamera:
+    """A camera that never waits for anyone.
+
+    `drop` marks a moment; `next` then gives only frames that were exposed after it: `flush_frames` of those that arrive
+    later are discarded, and all that arrive, or are stamped, before an exposure can have begun and ended.
+    """
+
+    def __init__(self, settings: CameraSettings) -> None:
+        """Open it, set and lock what it lets be set, read it back and compare.
+
+        Raises:
+            CameraLost: If it is not there.
+            CameraError: If it does not take a setting, or its frames are of another size.
+        """
+        self._settings = settings
+        self.trigger_mode: TriggerMode = "free"
+        self._source: int | str = int(settings.id or 0) if settings.id.isdecimal() or not settings.id else settings.id
+        self._changed = threading.Condition()
+        self._queue: deque[Frame] = deque()
+        self._counts = {"frames": 0, "incomplete": 0, "missing": 0, "dropped": 0}
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+        self._started = False
+        self._open()
+
+    def features(self) -> Features:
+        """What it is set to; asked for by the thread that reads, as OpenCV wants it."""
+        if self._thread is None:
+            return read_features(self._capture, self._settings)
+        with self._changed:
+            self._asked = None
+            if not self._changed.wait_for(lambda: self._asked is not None or self._ended, _ANSWER_S):
+                raise CameraTimeout(f"{self.identity}: no frame for {_ANSWER_S:g} s, and so no features.")
+            if self._asked is None:
+                raise CameraLost(f"{self.identity}: {self._ended}")
+            return dict(self._asked)
+
+    def counts(self) -> dict[str, int]:
+        return dict(self._counts)
+
+    def start(self) -> None:
+        if self._stop.is_set():
+            raise CameraLost(f"{self.identity}: the camera is closed; reopen it.")
+        self._started = True
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._read, args=(self._capture, self._stop), daemon=True)
+            self._thread.start()
+
+    def drop(self) -> int:
+        with self._changed:
+            waiting = len(self._queue)
+            self._queue.clear()
+            self._since, self._flush = time.monotonic(), self._settings.flush_frames
+            self._counts["dropped"] += waiting
+            return waiting
+
+    def next(self, timeout_s: float) -> Frame:
+        with self._changed:
+            self._changed.wait_for(lambda: self._queue or self._ended, timeout_s)
+            if self._queue:
+                self._counts["frames"] += 1
+                return self._queue.popleft()
+            if self._ended:
+                raise CameraLost(f"{self.identity}: {self._ended}")
+        raise CameraTimeout(f"{self.identity}: no frame within {timeout_s:g} s.")
+
+    def trigger(self) -> None:
+        raise CameraError(f"{self.identity}: runs free and takes no triggers.")
+
+    def reopen(self) -> None:
+        started = self._started
+        self.close()
+        self._stop = threading.Event()
+        try:
+            self._open()
+        except CameraError:
+            self._stop.set()
+            self._started = started
+            raise
+        if started:
+            self.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        self._started = False
+        with self._changed:
+            self._ended = self._ended or "the camera is closed; reopen it."
+            self._changed.notify_all()
+        thread, self._thread = self._thread, None
+        if thread is None:
+            self._capture.release()
+        else:
+            # It lets go of the camera itself; where it is stuck in a read, that is when the read gives up.
+            thread.join(_ANSWER_S)
+
+    def __enter__(self) -> "OpenCVCamera":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _open(self) -> None:
+        name = f'opencv "{self._source}"'
+        timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_MS]
+        # Only streams have time limits; a driver refuses to open with them.
+        stream = isinstance(self._source, str) and not os.path.exists(self._source)
+        self._capture = cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, timeouts) if stream else _plain(self._source)
+        if not self._capture.isOpened():
+            self._capture.release()
+            raise CameraLost(f"{name}: cannot be opened; see that it exists, is free, and may be read.")
+        backend = self._capture.getBackendName()
+        self.identity = CameraIdentity("opencv", backend, str(self._source))
+        try:
+            expected = apply_settings(self._capture, self._settings, name=str(self.identity))
+            require(read_features(self._capture, self._settings), expected, name=str(self.identity))
+        except CameraError:
+            self._capture.release()
+            raise
+        self._note = silent(backend)
+        self._ended = ""
+        self._asked: Features | None = {}
+        self._since, self._flush = time.monotonic(), self._settings.flush_frames
+
+    def _read(self, capture: cv2.VideoCapture, stop: threading.Event) -> None:
+        """Takes every frame as it comes, until there are no more."""
+        ended = "the camera is closed; reopen it."
+        while not stop.is_set():
+            taken, pixels = capture.read()
+            arrival = time.monotonic()
+            if not taken:
+                ended = "the camera is gone: its frames ended."
+                break
+            image = _image(pixels, self._settings)
+            stamp = 1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC)
+            features = read_features(capture, self._settings) if self._asked is None else None
+            if image is None:
+                ended = (
+                    f"its frames are {pixels.shape[1]} x {pixels.shape[0]} px, expected "
+                    f"{self._settings.width} x {self._settings.height} px."
+                )
+                break
+            with self._changed:
+                if stop.is_set():
+                    break
+                self._asked = self._asked if features is None else features
+                self._arrive(image, stamp, arrival)
+                self._changed.notify_all()
+        capture.release()
+        with self._changed:
+            if not stop.is_set():
+                self._ended = ended
+            self._changed.notify_all()
+
+    def _arrive(self, image: np.ndarray, stamp: float, arrival: float) -> None:
+        stamped = abs(stamp - arrival) < _SAME_CLOCK_S
+        latest_start = (min(stamp, arrival) if stamped else arrival) - self._settings.exposure_ms * 1e-3
+        if self._flush > 0 or latest_start < self._since:
+            self._flush -= 1
+            self._counts["dropped"] += 1
+            return
+        if len(self._queue) >= _WAITING:
+            self._queue.popleft()
+            self._counts["dropped"] += 1
+        self._queue.append(Frame(image, -1, stamp if stamped else None, arrival, complete=True, note=self._note))
+
+
+def _plain(source: int | str) -> cv2.VideoCapture:
+    return cv2.VideoCapture(source)
+
+
+def _image(pixels: np.ndarray, settings: CameraSettings) -> np.ndarray | None:
+    """A frame as the rest of the rig knows it, in memory of its own; None if it is of another size."""
+    if pixels.shape[:2] != (settings.height, settings.width) or pixels.dtype != np.uint8:
+        return None
+    colours = 1 if pixels.ndim == 2 else pixels.shape[2]
+    if settings.pixel_format == "mono8":
+        return pixels.reshape(pixels.shape[:2]).copy() if colours == 1 else cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
+    return cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB if colours == 1 else cv2.COLOR_BGR2RGB)
+
+
+def found_by_opencv() -> list[str]:
+    """One line per video device of this computer."""
+    listed = []
+    for folder in sorted(Path("/sys/class/video4linux").glob("video*")):
+        try:
+            model = (folder / "name").read_text().strip()
+        except OSError as problem:
+            model = f"cannot be asked: {problem.strerror}"
+        listed.append(f'opencv "/dev/{folder.name}": {model}')
+    return listed
