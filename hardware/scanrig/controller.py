@@ -335,6 +335,8 @@ class Controller:
                 raise RigFault(status.fault, status.position) from None
             raise
         self._wire.events.clear()
+        # The emergency stop has switched the driver off; that is no sign of a reset.
+        self._enabled = read_status(self._ask("STAT")).enabled
 
     # The way out
 

@@ -61,6 +61,7 @@ class Exchange:
         self._reader = LineReader()
         self._half_line = False
         self._last_event: int | None = None
+        self._event_when_asked: int | None = None
         self._hello: int | None = None
 
     def attach(self, link: Link) -> None:
@@ -92,6 +93,7 @@ class Exchange:
         self.seq = seq = next_sequence(self.seq)
         line = encode(seq, verb, **args)
         self._hello = seq if verb == "HELLO" else None
+        self._event_when_asked = self._last_event
         tries = tries or self.tries
         start = self.clock.now()
         give_up = start + tries * self.timeout_s
@@ -122,16 +124,17 @@ class Exchange:
         self.link.write(ABORT)
 
     def note_last_event(self, number: int) -> None:
-        """The controller says how many events it sent; what has not come by now never will."""
-        if self._last_event is None:
+        """The answer just received says how many events there were; what has not come by now never will."""
+        if self._last_event is None or self._event_when_asked is None:
             return
-        missed = (number - self._last_event) % LAST_SEQUENCE
-        if missed < LAST_SEQUENCE // 2:
+        if _ahead(self._event_when_asked, number) is None:
+            # It counts anew, and nobody here asked it to.
+            self.restarted = self.restarted or ControllerReset(self.boot, None)
+        # An answer that was repeated is as old as the first time it was sent; events may have overtaken it.
+        missed = _ahead(self._last_event, number)
+        if missed:
             self.counts.events_missed += missed
             self._last_event = number
-        else:
-            # It counts anew, and nobody here asked it to.
-            self.restarted = self.restarted or ControllerReset(None, None)
 
     def _send(self, line: bytes, again: bool) -> None:
         start = b"\n" if again or self._half_line else b""
@@ -190,3 +193,9 @@ class Exchange:
             self.counts.events_missed += (event.number - self._last_event - 1) % LAST_SEQUENCE
             self._last_event = event.number
         self.events.append(event)
+
+
+def _ahead(before: int, after: int) -> int | None:
+    """How many events lie between two of their numbers; None where the second is the older one."""
+    distance = (after - before) % LAST_SEQUENCE
+    return distance if distance < LAST_SEQUENCE // 2 else None

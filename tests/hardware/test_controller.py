@@ -230,6 +230,34 @@ def test_poll_raises_the_fault(fake, controller):
         controller.poll()
 
 
+def test_a_driver_that_the_emergency_stop_switched_off_is_no_reset(fake, controller):
+    controller.shot(8000, 1)
+    fake.press(True)
+    with pytest.raises(RigFault):
+        controller.wait_shot(1)
+    fake.press(False)
+    controller.clear()
+    assert not controller.stat().enabled
+
+
+def test_an_answer_older_than_an_event_is_no_reset(fake, controller):
+    """The answer to STAT is lost, a fault comes, and the answer is repeated as it was."""
+    lost = [1]
+
+    def lose(data):
+        if data.startswith(b"=") and lost[0]:
+            lost[0] -= 1
+            fake.fail(3)
+            return b""
+        return data
+
+    fake.to_host = lose
+    assert controller.stat().state == "idle"
+    with pytest.raises(RigFault, match="lease"):
+        controller.poll()
+    assert controller.link_counts.events_missed == 0
+
+
 def test_no_home_switch(fake, controller):
     fake.switch = False
     with pytest.raises(RigFault, match="home switch"):
