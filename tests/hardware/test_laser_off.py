@@ -79,6 +79,7 @@ def finish(process):
     process.stderr.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("doing", ["lease", "shot"])
 def test_within_600_ms_of_the_hosts_death(rig, doing):
     simulated = homed(rig)
@@ -95,6 +96,7 @@ def test_within_600_ms_of_the_hosts_death(rig, doing):
         assert controller.stat().fault == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_at_once_when_the_host_is_asked_to_end(rig, name):
     simulated = homed(rig)
@@ -106,6 +108,7 @@ def test_at_once_when_the_host_is_asked_to_end(rig, name):
     assert_ended_in_order(simulated)
 
 
+@pytest.mark.slow
 def test_at_once_when_the_host_is_asked_twice(rig):
     simulated = homed(rig)
     process = host(simulated, "shot")
@@ -117,6 +120,7 @@ def test_at_once_when_the_host_is_asked_twice(rig):
     assert_ended_in_order(simulated)
 
 
+@pytest.mark.slow
 def test_at_once_when_the_host_fails(rig):
     simulated = homed(rig)
     process = host(simulated, "error")
@@ -174,7 +178,7 @@ def test_at_once_on_an_abort(rig, before):
         light(simulated, controller, "lease")
         sent = simulated.plant()["cycle"]
         controller.link.write(before + ABORT)
-        simulated.run_for(0.03)
+        simulated.run_for(0.1)
         wire = len(before + ABORT) * 11 / 250.0  # the simulated line takes 11 bits per byte
         took = off_after(simulated, sent, f"an abort behind {len(before)} bytes, {wire:.3f} ms of line")
         assert took <= wire + 2.0
