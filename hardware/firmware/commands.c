@@ -1,297 +1,16 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include "commands.h"
 
-#include <stddef.h>
 #include <string.h>
 
 #include "machine.h"
 #include "protocol.h"
 #include "settings.h"
+#include "verbs.h"
 
-/* Keys: those of the settings by their own number, then these. */
-enum key { SES = SETTINGS, ON, MS, TO, MOST, ID, MODES, SHOT_PART, HANG_KIND, KEYS };
-static const char key_names[KEYS - SETTINGS][4] PROGMEM = {"ses", "on", "ms", "to", "max", "id", "m", "shot", "k"};
-#define BIT(key) ((uint32_t)1 << (key))
-#define ALL_SETTINGS (BIT(SETTINGS) - 1)
-
-struct arguments {
-    uint32_t present;
-    int32_t value[KEYS];
-};
-
-/* What must be so for a verb to be carried out; checked in this order. */
-enum need {
-    NO_FAULT_NOW = 1,
-    A_SESSION = 2,
-    AT_REST = 4,       /* idle */
-    AT_REST_OR_MOVING = 8,
-    AT_REST_OR_FAULT = 16,
-    ENABLED = 32,
-    HOMED = 64,
-    ARMED = 128
-};
-
+struct session session;
 static struct assembler assembler;
-static struct text reply, last_reply;
-static uint16_t last_seq, event_number, damaged, repeated;
-static bool strict, session;
-
-static bool given(const struct arguments *arguments, uint8_t key) {
-    return arguments->present & BIT(key);
-}
-
-static bool within(const struct arguments *arguments, uint8_t key, int32_t lowest, int32_t highest) {
-    return arguments->value[key] >= lowest && arguments->value[key] <= highest;
-}
-
-static uint8_t permitted(uint8_t needs) {
-    struct machine_status status;
-    machine_status(&status);
-    if ((needs & NO_FAULT_NOW) && status.state == FAULTED) return E_FAULT;
-    if ((needs & A_SESSION) && !session) return E_SESSION;
-    if ((needs & AT_REST) && status.state != IDLE) return E_BUSY;
-    if ((needs & AT_REST_OR_MOVING) && status.state != IDLE && status.state != MOVING) return E_BUSY;
-    if ((needs & AT_REST_OR_FAULT) && status.state != IDLE && status.state != FAULTED) return E_BUSY;
-    if ((needs & ENABLED) && !status.enabled) return E_DISABLED;
-    if ((needs & HOMED) && !status.homed) return E_NOT_HOMED;
-    if ((needs & ARMED) && !status.armed) return E_NOT_ARMED;
-    return OK;
-}
-
-static bool beyond_limits(int32_t to) {
-    struct machine_status status;
-    machine_status(&status);
-    if (to < INT32_MIN + settings[BACK]) return true; /* The approach would begin below the lowest number. */
-    return status.homed && (to < settings[SMIN] || to > settings[SMAX]);
-}
-
-/* Verbs: each says why not, or does it and adds its fields to the reply. */
-
-static uint8_t hello(const struct arguments *arguments, uint16_t seq) {
-    (void)seq;
-    if (!within(arguments, SES, 1, INT32_MAX)) return E_ARGUMENT;
-    session = true;
-    event_number = 0;
-    machine_session();
-    text_field(&reply, PSTR("proto"), PROTOCOL_NUMBER);
-    text_words(&reply, PSTR(" fw=" FIRMWARE_VERSION));
-    text_field(&reply, PSTR("boot"), machine_boot());
-    text_field(&reply, PSTR("lease"), LEASE_MS);
-    text_field(&reply, PSTR("buf"), LINE_MAX);
-    return OK;
-}
-
-static uint8_t stat(const struct arguments *arguments, uint16_t seq) {
-    (void)arguments;
-    (void)seq;
-    static const char names[][6] PROGMEM = {"idle", "move", "home", "shot", "fault"};
-    struct machine_status status;
-    machine_status(&status);
-    text_words(&reply, PSTR(" st="));
-    text_words(&reply, names[status.state]);
-    text_field(&reply, PSTR("f"), status.fault);
-    text_field_signed(&reply, PSTR("pos"), status.position);
-    text_field(&reply, PSTR("hm"), status.homed);
-    text_field(&reply, PSTR("arm"), status.armed);
-    text_field(&reply, PSTR("en"), status.enabled);
-    text_field(&reply, PSTR("las"), status.laser);
-    text_field(&reply, PSTR("le"), status.lease_ms);
-    text_field(&reply, PSTR("trg"), status.exposures);
-    text_field(&reply, PSTR("in"), status.inputs);
-    text_field(&reply, PSTR("ev"), event_number);
-    return OK;
-}
-
-static uint8_t counts(const struct arguments *arguments, uint16_t seq) {
-    (void)arguments;
-    (void)seq;
-    struct machine_counters counters;
-    machine_counters(&counters);
-    text_field(&reply, PSTR("crc"), damaged);
-    text_field(&reply, PSTR("over"), counters.lost_bytes);
-    text_field(&reply, PSTR("dup"), repeated);
-    text_field(&reply, PSTR("las"), counters.laser);
-    text_field(&reply, PSTR("up"), counters.up_ms);
-    text_field(&reply, PSTR("wdr"), counters.watchdog_resets);
-    text_field_signed(&reply, PSTR("was"), counters.home_was);
-    return OK;
-}
-
-static uint8_t configuration(const struct arguments *arguments, uint16_t seq) {
-    (void)seq;
-    bool of_shots = given(arguments, SHOT_PART) && arguments->value[SHOT_PART] != 0;
-    if (given(arguments, SHOT_PART) && !within(arguments, SHOT_PART, 0, 1)) return E_ARGUMENT;
-    uint8_t first = of_shots ? SHOT_SETTINGS : 0, end = of_shots ? SETTINGS : SHOT_SETTINGS;
-    for (uint8_t i = first; i < end; i++)
-        text_field_signed(&reply, setting_rows[i].name, settings[i]);
-    return OK;
-}
-
-static uint8_t set(const struct arguments *arguments, uint16_t seq) {
-    (void)seq;
-    if (!arguments->present) return E_ARGUMENT;
-    int32_t candidate[SETTINGS];
-    for (uint8_t i = 0; i < SETTINGS; i++)
-        candidate[i] = given(arguments, i) ? arguments->value[i] : settings[i];
-    return settings_good(candidate) ? machine_set(candidate) : (uint8_t)E_ARGUMENT;
-}
-
-static uint8_t ping(const struct arguments *arguments, uint16_t seq) {
-    (void)arguments;
-    (void)seq;
-    return OK; /* Every good line feeds the link watchdog. */
-}
-
-static uint8_t enable(const struct arguments *arguments, uint16_t seq) {
-    (void)seq;
-    return within(arguments, ON, 0, 1) ? machine_enable(arguments->value[ON] != 0) : (uint8_t)E_ARGUMENT;
-}
-
-static uint8_t arm(const struct arguments *arguments, uint16_t seq) {
-    (void)seq;
-    if (!within(arguments, ON, 0, 1)) return E_ARGUMENT;
-    if (!arguments->value[ON]) return machine_arm(false);
-    uint8_t refusal = permitted(NO_FAULT_NOW | A_SESSION | AT_REST);
-    return refusal ? refusal : machine_arm(true);
-}
-
-static uint8_t laser(const struct arguments *arguments, uint16_t seq) {
-    (void)seq;
-    if (!within(arguments, ON, 0, 1)) return E_ARGUMENT;
-    if (!arguments->value[ON]) return machine_laser(0);
-    if (!given(arguments, MS) || !within(arguments, MS, 1, LEASE_MS)) return E_ARGUMENT;
-    uint8_t refusal = permitted(NO_FAULT_NOW | A_SESSION | AT_REST_OR_MOVING | ARMED);
-    return refusal ? refusal : machine_laser((uint16_t)arguments->value[MS]);
-}
-
-static uint8_t move(const struct arguments *arguments, uint16_t seq) {
-    if (beyond_limits(arguments->value[TO])) return E_LIMIT;
-    return machine_move(seq, arguments->value[TO]);
-}
-
-static uint8_t home(const struct arguments *arguments, uint16_t seq) {
-    if (arguments->value[MOST] < 1) return E_ARGUMENT;
-    uint8_t refusal = permitted(NO_FAULT_NOW | A_SESSION | AT_REST | ENABLED);
-    return refusal ? refusal : machine_home(seq, (uint32_t)arguments->value[MOST]);
-}
-
-static uint8_t shot(const struct arguments *arguments, uint16_t seq) {
-    uint8_t modes = LIT | DARK;
-    if (given(arguments, MODES)) {
-        if (!within(arguments, MODES, LIT, LIT | DARK)) return E_ARGUMENT;
-        modes = (uint8_t)arguments->value[MODES];
-    }
-    if (arguments->value[ID] < 0) return E_ARGUMENT;
-    uint8_t needs = NO_FAULT_NOW | A_SESSION | AT_REST | ENABLED | HOMED;
-    uint8_t refusal = permitted(modes & LIT ? needs | ARMED : needs);
-    if (refusal) return refusal;
-    if (beyond_limits(arguments->value[TO])) return E_LIMIT;
-    return machine_shot(seq, arguments->value[TO], (uint32_t)arguments->value[ID], modes);
-}
-
-static uint8_t expose(const struct arguments *arguments, uint16_t seq) {
-    (void)seq;
-    int32_t ms = given(arguments, MS) ? arguments->value[MS] : settings[EXP];
-    if (ms < 1 || ms > 5000) return E_ARGUMENT;
-    uint8_t refusal = permitted(NO_FAULT_NOW | A_SESSION | AT_REST);
-    return refusal ? refusal : machine_expose((uint16_t)ms);
-}
-
-static uint8_t stop(const struct arguments *arguments, uint16_t seq) {
-    (void)arguments;
-    (void)seq;
-    machine_stop();
-    return OK;
-}
-
-static uint8_t clear(const struct arguments *arguments, uint16_t seq) {
-    (void)arguments;
-    (void)seq;
-    return machine_clear();
-}
-
-static uint8_t selftest(const struct arguments *arguments, uint16_t seq) {
-    (void)arguments;
-    struct machine_status status;
-    machine_status(&status);
-    return status.armed ? (uint8_t)E_BUSY : machine_selftest(seq);
-}
-
-#ifdef TEST_HANG
-static uint8_t hang(const struct arguments *arguments, uint16_t seq) {
-    (void)seq;
-    machine_hang(arguments->value[HANG_KIND] != 0);
-    return OK;
-}
-#endif
-
-struct verb {
-    char name[WORD_MAX];
-    uint8_t needs;
-    uint32_t required, allowed;
-    uint8_t (*act)(const struct arguments *arguments, uint16_t seq);
-};
-
-/* Where what is needed depends on the arguments, the verb itself asks for it. */
-static const struct verb verbs[] PROGMEM = {
-    {"HELLO", 0, BIT(SES), BIT(SES), hello},
-    {"STAT", 0, 0, 0, stat},
-    {"CNT", 0, 0, 0, counts},
-    {"CFG", 0, 0, BIT(SHOT_PART), configuration},
-    {"SET", AT_REST_OR_FAULT, 0, ALL_SETTINGS, set},
-    {"PING", 0, 0, 0, ping},
-    {"EN", NO_FAULT_NOW | AT_REST, BIT(ON), BIT(ON), enable},
-    {"ARM", 0, BIT(ON), BIT(ON), arm},
-    {"LASER", 0, BIT(ON), BIT(ON) | BIT(MS), laser},
-    {"MOVE", NO_FAULT_NOW | A_SESSION | AT_REST | ENABLED, BIT(TO), BIT(TO), move},
-    {"HOME", 0, BIT(MOST), BIT(MOST), home},
-    {"SHOT", 0, BIT(TO) | BIT(ID), BIT(TO) | BIT(ID) | BIT(MODES), shot},
-    {"TRIG", 0, 0, BIT(MS), expose},
-    {"STOP", 0, 0, 0, stop},
-    {"CLEAR", 0, 0, 0, clear},
-    {"SELFTEST", NO_FAULT_NOW | A_SESSION | AT_REST, 0, 0, selftest},
-#ifdef TEST_HANG
-    {"HANG", 0, BIT(HANG_KIND), BIT(HANG_KIND), hang},
-#endif
-};
-#define VERBS (sizeof verbs / sizeof *verbs)
-
-static bool find_verb(const struct word *name, struct verb *verb) {
-    for (uint8_t i = 0; i < VERBS; i++)
-        if (same_word(name, verbs[i].name, WORD_MAX)) {
-            memcpy_P(verb, &verbs[i], sizeof *verb);
-            return true;
-        }
-    return false;
-}
-
-static uint8_t find_key(const struct word *name) {
-    for (uint8_t i = 0; i < SETTINGS; i++)
-        if (same_word(name, setting_rows[i].name, sizeof setting_rows[i].name)) return i;
-    for (uint8_t i = SETTINGS; i < KEYS; i++)
-        if (same_word(name, key_names[i - SETTINGS], sizeof key_names[0])) return i;
-    return KEYS;
-}
-
-static uint8_t take_arguments(struct words *words, const struct verb *verb, struct arguments *arguments) {
-    struct word name;
-    enum taken taken;
-    uint8_t refusal = OK;
-    int32_t value = 0;
-    arguments->present = 0;
-    while ((taken = take_pair(words, &name, &value)) != TAKEN_ALL) {
-        if (taken == TAKEN_BROKEN) return E_SYNTAX;
-        uint8_t key = find_key(&name);
-        if (taken == TAKEN_OVERFLOW || key == KEYS || !(verb->allowed & BIT(key)) || given(arguments, key))
-            refusal = E_ARGUMENT; /* Read on: a line that is not of the form is refused as that. */
-        else {
-            arguments->present |= BIT(key);
-            arguments->value[key] = value;
-        }
-    }
-    if ((arguments->present & verb->required) != verb->required) refusal = E_ARGUMENT;
-    return refusal;
-}
+static struct text last_reply;
 
 static void send(struct text *text) {
     text_end(text);
@@ -299,15 +18,8 @@ static void send(struct text *text) {
 }
 
 static void refuse_unquoted(enum error error) {
-    begin_unquoted(&reply, error);
-    send(&reply);
-}
-
-static uint8_t carry_out(const struct verb *verb, struct words *words, uint16_t seq) {
-    struct arguments arguments;
-    uint8_t refusal = take_arguments(words, verb, &arguments);
-    if (!refusal) refusal = permitted(verb->needs);
-    return refusal ? refusal : verb->act(&arguments, seq);
+    begin_unquoted(&session.reply, error);
+    send(&session.reply);
 }
 
 static void take_line(const char *line, uint8_t length) {
@@ -315,36 +27,34 @@ static void take_line(const char *line, uint8_t length) {
     enum frame_kind kind = open_frame(line, length, &frame);
     struct words words = {frame.words, frame.words + frame.length};
     struct word name;
-    struct verb verb;
     bool formed = kind != FRAME_BROKEN && take_verb(&words, &name);
-    bool known = formed && find_verb(&name, &verb);
-    bool is_hello = known && same_word(&name, PSTR("HELLO"), WORD_MAX);
-    if (kind == FRAME_DAMAGED || (kind == FRAME_BARE && strict && !is_hello)) {
-        damaged++;
+    uint8_t verb = formed ? verb_find(&name) : NO_VERB;
+    bool is_hello = verb == HELLO_VERB;
+    if (kind == FRAME_DAMAGED || (kind == FRAME_BARE && session.strict && !is_hello)) {
+        session.damaged++;
         refuse_unquoted(E_DAMAGED);
         return;
     }
-    if (kind != FRAME_BARE || !strict) machine_feed();
-    if (frame.seq && frame.seq == last_seq && !is_hello) {
-        repeated++;
+    if (kind != FRAME_BARE || !session.strict) machine_feed();
+    if (frame.seq && frame.seq == session.last_seq && !is_hello) {
+        session.repeated++;
         machine_write(last_reply.line, last_reply.length);
         return;
     }
-    begin_ok(&reply, frame.seq);
-    uint8_t refusal = !formed ? E_SYNTAX : !known ? E_VERB : carry_out(&verb, &words, frame.seq);
-    if (refusal) begin_error(&reply, frame.seq, refusal);
-    if (is_hello && !refusal) strict = kind == FRAME_CHECKED;
-    send(&reply);
+    begin_ok(&session.reply, frame.seq);
+    uint8_t refusal = !formed ? E_SYNTAX : verb == NO_VERB ? E_VERB : verb_carry_out(verb, &words, frame.seq);
+    if (refusal) begin_error(&session.reply, frame.seq, refusal);
+    if (is_hello && !refusal) session.strict = kind == FRAME_CHECKED;
+    send(&session.reply);
     if (frame.seq) {
-        last_seq = frame.seq;
-        last_reply = reply;
+        session.last_seq = frame.seq;
+        last_reply = session.reply;
     }
 }
 
 void commands_reset(void) {
     memset(&assembler, 0, sizeof assembler);
-    last_seq = event_number = damaged = repeated = 0;
-    strict = session = false;
+    memset(&session, 0, sizeof session);
     settings_reset();
 }
 
@@ -358,10 +68,10 @@ void commands_byte(uint8_t byte) {
         refuse_unquoted(E_LONG);
         break;
     case QUESTION:
-        if (!strict) machine_feed(); /* One byte without a CRC is a person's line, or none at all. */
-        begin_ok(&reply, 0);
-        stat(NULL, 0);
-        send(&reply);
+        if (!session.strict) machine_feed(); /* One byte without a CRC is a person's line, or none at all. */
+        begin_ok(&session.reply, 0);
+        verb_status();
+        send(&session.reply);
         break;
     default:
         break;
@@ -369,10 +79,10 @@ void commands_byte(uint8_t byte) {
 }
 
 void commands_event(const struct event *event) {
-    event_number = event_number == UINT16_MAX ? 1 : (uint16_t)(event_number + 1);
-    begin_event(&reply, event_number, event->name);
-    text_field(&reply, event->first, event->first_value);
-    if (event->second) text_field_signed(&reply, event->second, event->second_value);
-    if (event->third) text_field(&reply, event->third, event->third_value);
-    send(&reply);
+    session.event_number = session.event_number == UINT16_MAX ? 1 : (uint16_t)(session.event_number + 1);
+    begin_event(&session.reply, session.event_number, event->name);
+    text_field(&session.reply, event->first, event->first_value);
+    if (event->second) text_field_signed(&session.reply, event->second, event->second_value);
+    if (event->third) text_field(&session.reply, event->third, event->third_value);
+    send(&session.reply);
 }

@@ -1,4 +1,4 @@
-/* From bytes to what the machine does, and back: session, verbs, who may do what and when.
+/* From bytes to commands, and answers and events back: lines, sessions, repeated sequence numbers.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -6,9 +6,6 @@
 #define COMMANDS_H
 
 #include <stdint.h>
-
-#define PROTOCOL_NUMBER 1
-#define FIRMWARE_VERSION "1.0.0"
 
 void commands_reset(void);
 void commands_byte(uint8_t byte);

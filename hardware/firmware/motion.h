@@ -1,4 +1,4 @@
-/* The motor: ramps after David Austin on timer 1, absolute targets approached from below, homing on an edge.
+/* Motions: absolute targets approached from below, homing on an edge.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -17,8 +17,8 @@ static volatile uint8_t sent[SENT], sent_head, sent_tail;
 volatile uint16_t uart_lost;
 
 void uart_begin(void) {
+    UCSR0A = _BV(U2X0); /* before the rate: simavr works the bytes' time out when that is written */
     UBRR0 = F_CPU / (8 * BAUD) - 1; /* exact at 16 MHz */
-    UCSR0A = _BV(U2X0);
     UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
 }
