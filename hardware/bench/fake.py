@@ -116,7 +116,8 @@ class FakeController:
 
     def say(self, line: bytes) -> None:
         """A whole line, as the firmware puts it on the wire."""
-        self.out += self.to_host(line)
+        heard = self.to_host(line)
+        self.out += heard
 
     def _run(self) -> None:
         busy = self.laser or self.due is not None

@@ -34,6 +34,9 @@ MOST_SENDS = 8
 
 KEPT_RAW = 4
 
+MOST_MISSED = 1000
+"""More events than this are never lost between two questions: a number that far ahead is an older one."""
+
 
 class Exchange:
     """Questions and answers, events and their gaps. Knows lines, not what they mean.
@@ -127,12 +130,12 @@ class Exchange:
         """The answer just received says how many events there were; what has not come by now never will."""
         if self._last_event is None or self._event_when_asked is None:
             return
-        if _ahead(self._event_when_asked, number) is None:
+        if number < self._event_when_asked and not _went_round(self._event_when_asked, number):
             # It counts anew, and nobody here asked it to.
             self.restarted = self.restarted or ControllerReset(self.boot, None)
         # An answer that was repeated is as old as the first time it was sent; events may have overtaken it.
-        missed = _ahead(self._last_event, number)
-        if missed:
+        missed = (number - self._last_event) % LAST_SEQUENCE
+        if missed < MOST_MISSED:
             self.counts.events_missed += missed
             self._last_event = number
 
@@ -195,7 +198,6 @@ class Exchange:
         self.events.append(event)
 
 
-def _ahead(before: int, after: int) -> int | None:
-    """How many events lie between two of their numbers; None where the second is the older one."""
-    distance = (after - before) % LAST_SEQUENCE
-    return distance if distance < LAST_SEQUENCE // 2 else None
+def _went_round(before: int, after: int) -> bool:
+    """Whether an event's number is smaller than an earlier one's because after 65535 comes 1."""
+    return (after - before) % LAST_SEQUENCE < MOST_MISSED
