@@ -41,15 +41,20 @@ def missing_for_the_camera():
     return ""
 
 
-NEEDS = {"rig": missing_for_the_rig, "loopback": missing_for_the_loopback, "rendered_camera": missing_for_the_camera}
+NEEDS = {
+    "rig": [missing_for_the_rig],
+    "loopback": [missing_for_the_loopback],
+    "rendered_camera": [missing_for_the_camera],
+    "whole_bench": [missing_for_the_rig, missing_for_the_loopback, missing_for_the_camera],
+}
 """Fixtures that need tools, and who says which are missing."""
 
 
 def pytest_collection_modifyitems(items):
     """Skips by name what cannot run here; with JAXSCAN_REQUIRE_BENCH=1 that is an error instead."""
-    for name, missing in NEEDS.items():
+    for name, checks in NEEDS.items():
         wanting = [item for item in items if name in getattr(item, "fixturenames", ())]
-        if wanting and (reason := missing()):
+        if wanting and (reason := next((said for check in checks if (said := check())), "")):
             mark = _refuse_or_skip(reason)
             for item in wanting:
                 item.add_marker(mark)
@@ -98,3 +103,13 @@ def rendered_camera(tmp_path, loopback):
     yield make
     for camera in made:
         camera.close()
+
+
+@pytest.fixture
+def whole_bench(tmp_path):
+    """Waits until `make bench` may take the address, and gives the environment that puts it into a folder of its own."""
+    from bench.rendered import loopback
+
+    with loopback():
+        pass
+    return {**os.environ, "JAXSCAN_BENCH": str(tmp_path / "bench")}

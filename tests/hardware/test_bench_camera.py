@@ -1,0 +1,188 @@
+"""The camera on the bench: a frame for every pulse of the trigger wire, of what the plant showed during it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import serial
+from bench.places import WORLD
+from bench.sockets import ControlClient
+from scanrig.cameras import CameraSettings, open_camera
+from scanrig.connect import connect
+from scanrig.errors import CameraLost, CameraTimeout
+from scanrig.settings import Settings
+
+from jaxscan.files.config import load_toml
+from jaxscan.simulation import SimulationConfig, expect_record, make_rig, make_scene
+
+
+TURN = 28800
+WAIT_S = 20.0
+"""For a frame that comes, on a busy machine."""
+SETTINGS = CameraSettings(
+    kind="aravis",
+    id="127.0.0.1",
+    width=640,
+    height=512,
+    trigger="hardware",
+    trigger_source="Software",
+    packet_size=8000,
+)
+
+
+@pytest.fixture
+def controller(rig):
+    simulated = rig(speed=0)
+    with connect(simulated.port) as controller:
+        controller.hello()
+        controller.configure(Settings(watchdog_ms=60_000))
+        controller.enable(True)
+        controller.arm(True)
+        controller.home(40_000)
+        short = {"settle_ms": 1, "laser_on_ms": 2, "laser_off_ms": 2, "exposure_ms": 10, "gap_ms": 1}
+        controller.configure(Settings(watchdog_ms=60_000, **short))
+        controller.simulated = simulated
+        yield controller
+
+
+def shoot(controller, to, number):
+    """One shot, real time where the exposures are close."""
+    controller.shot(to, number)
+    controller.wait_shot(number)
+
+
+def departure(image, expected, sensor):
+    """Mean squared departure of a frame from an expectation, in units of the sensor's own noise."""
+    variance = np.maximum(expected, 0) / sensor.electrons_per_dn + sensor.read_dn**2 + 1 / 12
+    fair = (expected > 5) & (expected < 250)
+    return float(np.mean((image[fair] - expected[fair]) ** 2 / variance[fair]))
+
+
+def test_frames_are_what_the_simulator_renders_at_the_plants_angle(controller, rendered_camera):
+    world = load_toml(WORLD, SimulationConfig)
+    scene_rig, scene = make_rig(world), make_scene(world)
+    bench = rendered_camera(controller.simulated)
+    with open_camera(SETTINGS) as camera:
+        camera.start()
+        for number, to in enumerate((160, 7200), start=1):
+            shoot(controller, to, number)
+            assert controller.simulated.plant()["pos"] == to
+            on, off = camera.next(WAIT_S), camera.next(WAIT_S)
+            assert on.complete and off.complete and off.number == on.number + 1
+            phi = 2 * np.pi * to / TURN
+            record = expect_record(scene_rig, scene, phi)
+            # A mean of 3e5 squared standard normals: 1 within 1 %, and a little more for the rounding at the dark end.
+            assert departure(on.image, record.off + record.laser, world.sensor) == pytest.approx(1, abs=0.05)
+            assert departure(off.image, record.off, world.sensor) == pytest.approx(1, abs=0.05)
+            # That this can fail: by the laser, and by a tenth of a degree.
+            assert departure(off.image, record.off + record.laser, world.sensor) > 1.5
+            beside = expect_record(scene_rig, scene, phi + 2 * np.pi / 3600)
+            assert departure(off.image, beside.off, world.sensor) > 1.5
+        truth = bench.frames()
+        assert [frame["light"] for frame in truth] == [1.0, 0.0] * 2
+        assert [frame["position"] for frame in truth] == [160, 160, 7200, 7200]
+
+
+@pytest.mark.slow
+def test_no_frame_is_lost_that_was_not_asked_to_be(controller, rendered_camera):
+    bench = rendered_camera(controller.simulated)
+    with open_camera(SETTINGS) as camera:
+        camera.start()
+        # 25 exposures, the next always while the frame before is on its way.
+        for number in range(1, 13):
+            shoot(controller, 80 * number, number)
+        controller.trigger(5)
+        frames = [camera.next(WAIT_S) for _ in range(25)]
+        assert np.all(np.diff([frame.number for frame in frames]) == 1)
+        with pytest.raises(CameraTimeout):
+            camera.next(0.5)
+        assert [frame["position"] for frame in bench.frames()] == [80 * (k // 2 + 1) for k in range(24)] + [960]
+
+        bench.control("lose 1")
+        shoot(controller, 0, 20)
+        assert dark(camera.next(WAIT_S), frames)
+        with pytest.raises(CameraTimeout):
+            camera.next(0.5)
+
+        bench.control("swap")
+        shoot(controller, 0, 21)
+        assert [dark(camera.next(WAIT_S), frames) for _ in range(2)] == [True, False]
+
+        bench.control("flash 100")
+        shoot(controller, 0, 22)
+        on, off = camera.next(WAIT_S), camera.next(WAIT_S)
+        assert np.median(on.image) > np.median(off.image) + 90
+
+        bench.control("cover 1")
+        shoot(controller, 0, 23)
+        assert max(np.median(camera.next(WAIT_S).image) for _ in range(2)) < 5
+        bench.control("cover 0")
+
+        bench.control("loss 0.05")
+        shoot(controller, 0, 24)
+        camera.drop()
+        bench.control("loss 0")
+
+        described = bench.control("board placement 1")
+        assert described["kind"] == "placement" and described["angles_deg"][0] <= -10
+        shoot(controller, 0, 25)
+        assert bench.frames()[-1]["board"] == described["board"] == 31
+
+        bench.control("disappear")
+        with pytest.raises(CameraLost):
+            camera.next(WAIT_S)
+        bench.control("appear")
+        camera.reopen()
+        camera.start()
+        shoot(controller, 80, 26)
+        assert not dark(camera.next(WAIT_S), frames) and dark(camera.next(WAIT_S), frames)
+
+
+def dark(frame, frames):
+    """Whether no laser shines in a frame: by the brightest pixels, which only the line has."""
+    lit, unlit = (np.sort(frames[k].image.ravel())[-200:].mean() for k in (0, 1))
+    assert lit > unlit + 20
+    return np.sort(frame.image.ravel())[-200:].mean() < (lit + unlit) / 2
+
+
+@pytest.mark.slow
+def test_the_whole_bench_from_its_terminal(tmp_path, whole_bench):
+    command = [sys.executable, "-m", "bench"]
+    bench = subprocess.Popen(
+        command, env=whole_bench, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        said = ""
+        while "quit" not in said:
+            line = bench.stdout.readline()
+            assert line, said
+            said += line
+        assert "jaxscan scan configs/bench.toml" in said and str(tmp_path / "bench" / "port") in said
+        second = subprocess.run(command, env=whole_bench, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+        assert second.returncode == 1 and "runs already" in second.stderr
+        placed = subprocess.run([*command, "place", "2"], env=whole_bench, capture_output=True, text=True)
+        assert placed.returncode == 0 and '"board": 2' in placed.stdout
+        bench.stdin.write("\ne\n")
+        bench.stdin.flush()
+        # Enter shows the pose after the one that another program asked for.
+        while "board in pose 3" not in (line := bench.stdout.readline()):
+            assert line
+        control = ControlClient(tmp_path / "bench" / "control")
+        limit = time.monotonic() + 10
+        while '"estop":1' not in control.ask("state"):
+            assert time.monotonic() < limit
+        control.close()
+        with serial.Serial(str(tmp_path / "bench" / "port"), 250_000):
+            bench.send_signal(signal.SIGINT)
+            assert bench.wait(30) == 130
+        assert not os.path.lexists(tmp_path / "bench" / "port")
+    finally:
+        if bench.poll() is None:
+            bench.kill()
+            bench.wait(10)
+        bench.stdin.close()
+        bench.stdout.close()
