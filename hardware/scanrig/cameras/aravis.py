@@ -46,7 +46,8 @@ class AravisCamera:
         shape = settings.height, settings.width, 3
         self._shape = shape[: frame_rank(settings.pixel_format)]
         self._bytes = int(np.prod(self._shape))
-        self._camera = self._stream = None
+        self._camera: int | None = None
+        self._stream: int | None = None
         self._running = self._started = self._lost = False
         self._numbers = FrameNumbers()
         self._missing_before = 0
@@ -58,7 +59,7 @@ class AravisCamera:
         return self._identity
 
     def features(self) -> Features:
-        return self._ask("read its features", lambda: read_features(self._aravis, self._camera, self._settings))
+        return self._ask("read its features", lambda camera: read_features(self._aravis, camera, self._settings))
 
     def counts(self) -> dict[str, int]:
         """As of every camera; "underruns": frames for which no buffer was free."""
@@ -71,7 +72,7 @@ class AravisCamera:
 
     def start(self) -> None:
         if not self._running:
-            self._ask("start", lambda: self._aravis.camera_start_acquisition(self._camera))
+            self._ask("start", self._aravis.camera_start_acquisition)
         self._running = self._started = True
 
     def drop(self) -> int:
@@ -99,7 +100,7 @@ class AravisCamera:
     def trigger(self) -> None:
         if self.trigger_mode != "software":
             raise CameraError(f'{self}: trigger is "{self.trigger_mode}", software triggers need "software".')
-        self._ask("take a trigger", lambda: self._aravis.camera_software_trigger(self._camera))
+        self._ask("take a trigger", self._aravis.camera_software_trigger)
 
     def reopen(self) -> None:
         before = self._identity
@@ -141,22 +142,22 @@ class AravisCamera:
         return str(getattr(self, "_identity", None) or f"aravis {self._settings.id}".strip())
 
     def _open(self) -> CameraIdentity:
-        self._camera = connect(self._aravis, self._settings.id)
+        camera = self._camera = connect(self._aravis, self._settings.id)
         self._lost = False
         try:
             identity = CameraIdentity(
                 "aravis",
-                f"{text(self._aravis.camera_get_vendor_name(self._camera))} "
-                f"{text(self._aravis.camera_get_model_name(self._camera))}",
-                text(self._aravis.camera_get_device_serial_number(self._camera)),
+                f"{text(self._aravis.camera_get_vendor_name(camera))} "
+                f"{text(self._aravis.camera_get_model_name(camera))}",
+                text(self._aravis.camera_get_device_serial_number(camera)),
             )
-            apply_settings(self._aravis, self._camera, self._settings, name=str(identity))
-            found = read_features(self._aravis, self._camera, self._settings)
+            apply_settings(self._aravis, camera, self._settings, name=str(identity))
+            found = read_features(self._aravis, camera, self._settings)
             require(found, wanted(self._settings), name=str(identity))
-            payload = self._aravis.camera_get_payload(self._camera)
+            payload = self._aravis.camera_get_payload(camera)
             if payload < self._bytes:
                 raise CameraError(f"{identity}: sends {payload} bytes per frame, expected {self._bytes}.")
-            self._stream = self._aravis.camera_create_stream(self._camera, None, None)
+            self._stream = self._aravis.camera_create_stream(camera, None, None)
             for _ in range(_BUFFERS):
                 self._push(self._aravis.buffer_new_allocate(payload))
         except AravisError as problem:
@@ -170,12 +171,12 @@ class AravisCamera:
         self._numbers = FrameNumbers()
         return identity
 
-    def _ask(self, what: str, call: Callable[[], Result]) -> Result:
+    def _ask(self, what: str, call: Callable[[int], Result]) -> Result:
         """The result of a call to the camera, which must be open."""
         if self._camera is None:
             raise CameraLost(f"{self}: the camera is closed; reopen it.")
         try:
-            return call()
+            return call(self._camera)
         except AravisError as problem:
             if self._is_there():
                 raise CameraError(f"{self}: cannot {what}: {problem}") from problem

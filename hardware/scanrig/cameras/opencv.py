@@ -50,7 +50,8 @@ class OpenCVCamera:
         self._counts = {"frames": 0, "incomplete": 0, "missing": 0, "dropped": 0}
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
-        self._started = False
+        self._started, self._ended, self._note = False, "", ""
+        self._asked: Features | None = {}
         self._open()
 
     def features(self) -> Features:
@@ -149,8 +150,7 @@ class OpenCVCamera:
             self._capture.release()
             raise
         self._note = silent(backend)
-        self._ended = ""
-        self._asked: Features | None = {}
+        self._ended, self._asked = "", {}
         self._since, self._flush = time.monotonic(), self._settings.flush_frames
 
     def _read(self, capture: cv2.VideoCapture, stop: threading.Event) -> None:

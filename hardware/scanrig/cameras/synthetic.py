@@ -7,7 +7,7 @@ import pydantic
 from jaxtyping import Float, UInt8
 
 from jaxscan.files.validation import FileModel, Integer, Number
-from jaxscan.stripes.frames import PixelFormat, frame_rank
+from jaxscan.stripes.frames import Colour, PixelFormat, StripeAxis, frame_rank
 
 
 _CHANNEL = {"red": 0, "green": 1, "blue": 2}
@@ -16,9 +16,9 @@ _CHANNEL = {"red": 0, "green": 1, "blue": 2}
 class SyntheticScene(FileModel):
     """What the simulated camera sees; angles are given as the fraction of a turn."""
 
-    colour: str = pydantic.Field("red", pattern="^(red|green|blue)$")
+    colour: Colour = "red"
     """The laser's."""
-    stripe_axis: str = pydantic.Field("rows", pattern="^(rows|columns)$")
+    stripe_axis: StripeAxis = "rows"
     """One centre per row, or per column."""
     peak_dn: Annotated[Number, pydantic.Field(ge=0)] = 120.0
     """Height of the line above the wall [DN]."""
