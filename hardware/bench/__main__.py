@@ -5,6 +5,7 @@
 """
 
 import json
+import os
 import select
 import signal
 import sys
@@ -36,27 +37,29 @@ def ask(words: list[str]) -> int:
 
 
 def attend(desk: Desk) -> None:
-    """Take commands from the terminal and show where everything stands, until `quit` or the rig's end."""
-    shows, reads = sys.stdout.isatty(), True
+    """Take commands from the terminal and show where everything stands, until `quit` or a signal."""
+    shows, typed, listening = sys.stdout.isatty(), b"", True
     while True:
         if shows:
             print(f"\r\x1b[K{desk.status()}  > ", end="", flush=True)
-        if not reads:
+        if not listening:
             time.sleep(STATUS_S)
-            continue
-        if not select.select([sys.stdin], [], [], STATUS_S)[0]:
-            continue
-        line = sys.stdin.readline()
-        if not line:
-            reads = False  # Nobody at the terminal: a signal ends this.
-            continue
-        if line.strip() == "quit":
-            return
-        try:
-            answer = desk.command(line.strip())
-        except BenchError as problem:
-            answer = str(problem)
-        print(("\r\x1b[K" if shows else "") + answer, flush=True)
+        elif select.select([sys.stdin], [], [], STATUS_S)[0]:
+            more = os.read(sys.stdin.fileno(), 4096)
+            listening = bool(more)  # Nobody at the terminal: a signal ends this.
+            *lines, typed = (typed + more).split(b"\n")
+            for line in lines:
+                text = line.decode(errors="replace").strip()
+                if text == "quit":
+                    return
+                print(("\r\x1b[K" if shows else "") + _carried_out(desk, text), flush=True)
+
+
+def _carried_out(desk: Desk, text: str) -> str:
+    try:
+        return desk.command(text)
+    except BenchError as problem:
+        return str(problem)
 
 
 def run(world: Path) -> int:

@@ -102,6 +102,25 @@ class RenderedCamera:
             return []
         return [json.loads(line) for line in self.ledger.read_text().split("\n")[:-1]]
 
+    def settle(self, *, timeout_s: float = 60.0) -> None:
+        """Wait until something has become of every trigger pulse that is in the log now.
+
+        Raises:
+            BenchError: If that takes too long.
+        """
+        text = self.edges.read_text() if self.edges.exists() else ""
+        # The pin is low from the beginning, which the log says first.
+        pulses = max(text.count('"pin":"trig","v":0') - 1, 0)
+        limit = time.monotonic() + timeout_s
+        while True:
+            state = self.control("state")
+            done = sum(state[name] for name in ("not_armed", "lost", "sent", "refused"))
+            if state["triggers"] >= pulses and done == state["triggers"]:
+                return
+            if time.monotonic() > limit:
+                raise BenchError(f"{self.folder}: {pulses} pulses, of which the camera is done with {done}.")
+            time.sleep(0.01)
+
     def close(self) -> None:
         """Switch off. Doing so twice is doing it once."""
         process, self._process = self._process, None

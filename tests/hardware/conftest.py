@@ -107,7 +107,7 @@ def rendered_camera(tmp_path, loopback):
 
 @pytest.fixture
 def whole_bench(tmp_path):
-    """Waits until `make bench` may take the address, and gives the environment that puts it into a folder of its own."""
+    """Waits until `make bench` may take the address; the environment that puts it into a folder of its own."""
     from bench.rendered import loopback
 
     with loopback():
