@@ -24,7 +24,7 @@ class Likeness:
     lines: int
     """Lines on which both show it."""
     difference_dn: float
-    """Mean absolute difference of the laser-off frames [DN]."""
+    """Mean absolute difference of the laser-off frames, that of their brightness taken out [DN]."""
 
     def __str__(self) -> str:
         shift = (
@@ -65,7 +65,9 @@ def compare_pairs(
     shift = None
     if lines >= _FEWEST:
         shift = float(np.median((at_again - at_first)[both])) * laser_sites(pixel_format, line).pitch
-    return Likeness(shift, lines, float(np.abs(planes[3] - planes[1]).mean()))
+    # Lamps and daylight come and go; what they shine on stays where it is.
+    gain = float(planes[3].sum()) / max(float(planes[1].sum()), 1.0)
+    return Likeness(shift, lines, float(np.abs(planes[3] - np.float32(gain) * planes[1]).mean()))
 
 
 def _centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

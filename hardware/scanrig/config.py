@@ -201,8 +201,8 @@ class ChecksTable(FileModel):
     """Microsteps by which home may be missed before the steps since the last good one are suspect."""
     shift_px: Annotated[Number, pydantic.Field(gt=0, le=1000)] = 1.0
     """How far the line may have moved where a step is taken again and compared."""
-    difference_dn: Annotated[Number, pydantic.Field(gt=0, le=255)] = 12.0
-    """Mean absolute difference of the laser-off images that such a comparison accepts [DN]."""
+    difference_dn: Annotated[Number, pydantic.Field(gt=0, le=255)] = 6.0
+    """Mean absolute difference of the laser-off images, brightness aside, that such a comparison accepts [DN]."""
     camera_reopens: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 10
     """Times that a lost camera is opened again, with growing pauses, before the scan ends."""
 

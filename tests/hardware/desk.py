@@ -3,12 +3,13 @@
 from collections.abc import Callable
 
 import numpy as np
+from scanrig.cameras.frame import Frame
 from scanrig.cameras.settings import CameraSettings
 from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.cameras.synthetic import SyntheticScene, draw
 from scanrig.clock import ManualClock
 from scanrig.config import RigConfig
-from scanrig.errors import ControllerReset, LinkLost, Refused, RigFault
+from scanrig.errors import CameraTimeout, ControllerReset, LinkLost, Refused, RigFault
 from scanrig.settings import Settings
 from scanrig.status import Firmware, Reconnection, ShotDone, Status
 
@@ -246,9 +247,22 @@ class Desk:
             self.clock.sleep(0.03)
             return float(self.table.position), self.table.shines
 
-        return SimulatedCamera(settings, self._see, world=world, clock=self.clock, patience_s=0.0)
+        camera = SimulatedCamera(settings, lambda *at: self.see(*at), world=world, clock=self.clock, patience_s=0.0)
+        next_frame = camera.next
 
-    def _see(self, position: float, lit: bool) -> np.ndarray:
+        def waited(timeout_s: float) -> Frame:
+            try:
+                return next_frame(timeout_s)
+            except CameraTimeout:
+                self.clock.sleep(
+                    timeout_s
+                )  # The camera does not wait, so that nobody has to; time passes all the same.
+                raise
+
+        camera.next = waited  # type: ignore[method-assign]
+        return camera
+
+    def see(self, position: float, lit: bool) -> np.ndarray:
         image = draw(self.scene, position, lit, width=WIDTH, height=HEIGHT, generator=self._generator)
         return np.ascontiguousarray(np.roll(image, self.table.moved_px, 1))
 

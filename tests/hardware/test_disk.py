@@ -1,0 +1,248 @@
+"""The folder and the disk: who may write, and what happens when nothing more fits."""
+
+import errno
+import json
+import os
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from scanrig import space
+from scanrig.errors import SessionError
+from scanrig.lock import LOCK_NAME, FolderLock
+from scanrig.session import run_sweep
+
+from jaxscan.files import store
+from jaxscan.files.capture import open_capture
+from jaxscan.files.verify import verify_capture
+
+from .desk import Desk
+
+
+def journal(path):
+    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
+
+
+def sweep(desk, folder, **options):
+    return run_sweep(desk.config, folder, **desk.rig(), **options)
+
+
+def require_safe_and_whole(folder, desk, records):
+    assert not desk.table.laser and not desk.table.contactor
+    assert len(open_capture(folder)) == records and verify_capture(folder) == []
+    assert not list(folder.rglob(".part-*"))
+
+
+# 20 disk full
+
+
+def test_20_too_little_space_is_said_before_anything_moves(tmp_path, monkeypatch):
+    monkeypatch.setattr(space, "free_bytes", lambda folder: 100_000)
+    desk = Desk()
+    result = sweep(desk, tmp_path / "room")
+    # 20 frames of 128 x 96 px and a tenth more.
+    assert result.status == "disk full" and "needs 0.3 MB" in result.message and "--resume" in result.message
+    assert desk.controller.shots == [] and not (tmp_path / "room").exists()
+
+
+def test_20_space_that_goes_while_the_sweep_runs(tmp_path, monkeypatch):
+    desk, free = Desk(), [10**9]
+    monkeypatch.setattr(space, "free_bytes", lambda folder: free[0])
+    desk.controller.before_shot[4] = lambda controller: free.__setitem__(0, 40_000)
+    result = sweep(desk, tmp_path / "room")
+    assert (result.status, result.records) == ("disk full", 4)
+    assert "make room, then go on with --resume" in result.message
+    require_safe_and_whole(tmp_path / "room", desk, 4)
+    assert journal(tmp_path / "room")[-1]["status"] == "disk full"
+    free[0] = 10**9
+    assert sweep(Desk(), tmp_path / "room", resume=True).status == "complete"
+
+
+@pytest.mark.parametrize("name", ["on/000003.png", "off/000003.png"])
+def test_20_a_write_that_fails_for_want_of_space(tmp_path, monkeypatch, name):
+    original = store.write_atomically
+
+    def full(path, content, **keys):
+        if str(path).endswith(name):
+
+            def content(part):
+                part.write_bytes(b"the first half")
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        original(path, content, **keys)
+
+    desk = Desk()
+    monkeypatch.setattr(store, "write_atomically", full)
+    result = sweep(desk, tmp_path / "room")
+    assert (result.status, result.records) == ("disk full", 3) and "No space left" in result.message
+    require_safe_and_whole(tmp_path / "room", desk, 3)
+    monkeypatch.undo()
+    assert sweep(Desk(), tmp_path / "room", resume=True).status == "complete"
+    require_safe_and_whole(tmp_path / "room", desk, 10)
+
+
+@pytest.mark.parametrize("code", [errno.EIO, errno.EROFS])
+def test_20_a_disk_that_fails_otherwise_is_an_error(tmp_path, monkeypatch, code):
+    original = store.write_atomically
+
+    def broken(path, content, **keys):
+        if path.name == "000003.png":
+
+            def content(part):
+                raise OSError(code, os.strerror(code))
+
+        original(path, content, **keys)
+
+    desk = Desk()
+    monkeypatch.setattr(store, "write_atomically", broken)
+    with pytest.raises(Exception, match=os.strerror(code)):
+        sweep(desk, tmp_path / "room")
+    require_safe_and_whole(tmp_path / "room", desk, 3)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A real file system of 1 MB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    if (
+        os.geteuid() != 0
+        or subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(place)], capture_output=True
+        ).returncode
+    ):
+        pytest.skip("a small file system needs the right to mount one")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_20_a_real_disk_that_fills_up(small_disk, monkeypatch):
+    """What is watched is told a lie, so that the disk itself has to refuse."""
+    desk = Desk(sweep={"steps": 100, "turn_deg": 360.0})
+    monkeypatch.setattr(space, "free_bytes", lambda folder: 10**12)
+    result = sweep(desk, small_disk / "room")
+    assert result.status == "disk full" and 10 < result.records < 100
+    require_safe_and_whole(small_disk / "room", desk, result.records)
+    # Room is made where something else was; here, by a bigger disk.
+    subprocess.run(["mount", "-o", "remount,size=16m", str(small_disk)], check=True)
+    monkeypatch.undo()
+    again = Desk(sweep={"steps": 100, "turn_deg": 360.0})
+    assert sweep(again, small_disk / "room", resume=True).status == "complete"
+    require_safe_and_whole(small_disk / "room", again, 100)
+
+
+def test_20_a_real_disk_that_is_too_small_is_said_first(small_disk):
+    desk = Desk(sweep={"steps": 100, "turn_deg": 360.0})
+    assert sweep(desk, small_disk / "room").status == "disk full"
+    assert desk.controller.shots == []
+
+
+# 23 two in one folder
+
+# Another program as the file system sees it; importing a session would take longer than the test.
+HOLDER = """
+import fcntl, json, os, sys, time
+from pathlib import Path
+stat = Path(f"/proc/{os.getpid()}/stat").read_text().rpartition(")")[2].split()
+start = Path("/proc/sys/kernel/random/boot_id").read_text().strip() + " " + stat[19]
+file = open(sys.argv[1], "x")
+fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+file.write(json.dumps({"pid": os.getpid(), "host": os.uname().nodename, "start": start}))
+file.flush()
+print("holds", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    (tmp_path / "room").mkdir()
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(tmp_path / "room" / LOCK_NAME)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "holds\n"
+    yield process
+    process.kill()
+    process.wait()
+    process.stdout.close()
+
+
+def test_23_two_processes_in_one_folder(tmp_path, holder):
+    desk = Desk()
+    with pytest.raises(SessionError, match=rf"in use by process {holder.pid} on "):
+        sweep(desk, tmp_path / "room")
+    assert desk.controller.log == [] and (tmp_path / "room" / LOCK_NAME).exists()
+    holder.kill()
+    holder.wait()
+    # The lock of a dead process on this machine is taken over, and that is noted.
+    result = sweep(desk, tmp_path / "room")
+    assert result.status == "complete"
+    assert any(f"took over the lock of process {holder.pid}" in sentence for sentence in desk.said)
+    assert any(line.get("event") == "lock" for line in journal(tmp_path / "room"))
+    assert not (tmp_path / "room" / LOCK_NAME).exists()
+
+
+def test_23_two_in_one_process(tmp_path):
+    with FolderLock(tmp_path), pytest.raises(SessionError, match="in use by process"), FolderLock(tmp_path):
+        pass
+    with FolderLock(tmp_path) as lock:
+        assert lock.note == ""
+
+
+def test_23_the_lock_of_another_machine_is_never_taken_over(tmp_path):
+    (tmp_path / LOCK_NAME).write_text('{"pid": 1, "host": "elsewhere", "start": "then"}')
+    with (
+        pytest.raises(SessionError, match=r"process 1 on elsewhere; if that one has ended, delete "),
+        FolderLock(tmp_path),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"pid": "x"}', "\x00" * 100])
+def test_23_a_lock_whose_writer_died_before_it_had_written(tmp_path, text):
+    (tmp_path / LOCK_NAME).write_text(text)
+    with FolderLock(tmp_path) as lock:
+        assert "took over" in lock.note
+
+
+def test_23_where_the_file_system_has_no_locks_the_process_decides(tmp_path, monkeypatch):
+    import fcntl
+
+    def none(*arguments):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", none)
+    with FolderLock(tmp_path), pytest.raises(SessionError, match=f"process {os.getpid()}"), FolderLock(tmp_path):
+        pass
+    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
+    (tmp_path / LOCK_NAME).write_text(json.dumps({"pid": int(ended.stdout), "host": os.uname().nodename, "start": "x"}))
+    with FolderLock(tmp_path) as lock:
+        assert f"process {int(ended.stdout)}" in lock.note
+    # The number of a dead process that another one has by now.
+    (tmp_path / LOCK_NAME).write_text(json.dumps({"pid": os.getpid(), "host": os.uname().nodename, "start": "then"}))
+    with FolderLock(tmp_path) as lock:
+        assert "took over" in lock.note
+
+
+def test_23_never_two_at_once_however_they_race(tmp_path):
+    """Threads, whose locks are as strange to each other as those of processes."""
+    (tmp_path / LOCK_NAME).write_text("")
+    start, held = threading.Barrier(4), []
+
+    def race():
+        start.wait(timeout=30)
+        for _ in range(100):
+            try:
+                with FolderLock(tmp_path):
+                    (tmp_path / "inside").touch(exist_ok=False)
+                    held.append(1)
+                    (tmp_path / "inside").unlink()
+            except SessionError as problem:
+                assert "in use by" in str(problem)
+
+    with ThreadPoolExecutor(4) as pool:
+        for run in [pool.submit(race) for _ in range(4)]:
+            run.result(timeout=60)
+    assert len(held) >= 100 and not (tmp_path / "inside").exists()

@@ -1,0 +1,284 @@
+"""Going on with a sweep: what is verified, what is refused, what is taken again."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scanrig.cameras.synthetic import SyntheticScene
+from scanrig.errors import CameraError, SessionError
+from scanrig.session import run_sweep
+
+from jaxscan.files.capture import open_capture
+from jaxscan.files.verify import verify_capture
+
+from .desk import Desk
+
+
+def journal(path):
+    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
+
+
+def events(path, name):
+    return [line for line in journal(path) if line.get("event") == name]
+
+
+def sweep(desk, folder, **options):
+    return run_sweep(desk.config, folder, **desk.rig(), **options)
+
+
+class After:
+    """Asks to stop when so many steps are there."""
+
+    def __init__(self, steps):
+        self.left = steps
+
+    def __call__(self):
+        self.left -= 1
+        return self.left < 0
+
+
+def interrupted(folder, steps=6, **tables):
+    desk = Desk(**tables)
+    result = sweep(desk, folder, should_stop=After(steps))
+    assert (result.status, result.records) == ("interrupted", steps)
+    return desk
+
+
+@pytest.fixture(scope="module")
+def six(tmp_path_factory):
+    """A capture that was interrupted after six of ten steps. Copy, do not change."""
+    folder = tmp_path_factory.mktemp("six") / "room"
+    interrupted(folder)
+    return folder
+
+
+@pytest.fixture
+def room(six, tmp_path):
+    return shutil.copytree(six, tmp_path / "room")
+
+
+def test_an_interrupted_sweep_is_sealed_and_goes_on(tmp_path):
+    desk = interrupted(tmp_path / "room")
+    assert not desk.table.contactor and verify_capture(tmp_path / "room") == []
+    assert journal(tmp_path / "room")[-1]["status"] == "interrupted"
+    again = Desk()
+    result = sweep(again, tmp_path / "room", resume=True)
+    assert (result.status, result.records, result.taken) == ("complete", 10, 4)
+    # The last one again, to compare; the four that were missing; the first, to close the pass.
+    assert again.controller.shots == [288 * 5, 288 * 6, 288 * 7, 288 * 8, 288 * 9, 0]
+    assert events(tmp_path / "room", "compared")[0]["record"] == 5
+    assert verify_capture(tmp_path / "room") == []
+    np.testing.assert_allclose(open_capture(tmp_path / "room").angles, np.radians(np.arange(10) * 3.6))
+
+
+def test_a_complete_capture_says_so_and_nothing_moves(tmp_path):
+    sweep(Desk(), tmp_path / "room")
+    before = (tmp_path / "room" / "frames.jsonl").read_bytes()
+    desk = Desk()
+    result = sweep(desk, tmp_path / "room", resume=True)
+    assert result.status == "complete" and "is complete already, 10 records" in result.message and result.taken == 0
+    assert desk.controller.log == [] and (tmp_path / "room" / "frames.jsonl").read_bytes() == before
+
+
+def test_where_nothing_is_resuming_begins(tmp_path):
+    desk = Desk()
+    assert sweep(desk, tmp_path / "room", resume=True).records == 10
+    assert any("nothing is there to go on with" in sentence for sentence in desk.said)
+
+
+def test_resuming_between_the_last_step_and_the_end_only_closes(room):
+    desk = Desk()
+    result = sweep(desk, room, resume=True, should_stop=After(4))
+    assert (result.status, result.records) == ("interrupted", 10)
+    again = Desk()
+    result = sweep(again, room, resume=True)
+    assert (result.status, result.taken) == ("complete", 0)
+
+
+# 21 power loss
+
+
+def test_21_a_journal_torn_at_every_byte_resumes(six, tmp_path):
+    """Power is lost while the journal's last lines are written."""
+    data = (six / "frames.jsonl").read_bytes()
+    start = data.rindex(b'{"i": 5')
+    end = len(data)
+    # Every byte of the last record, and of the events after it; each cut is a session of its own, so not all at once.
+    for cut in range(start, end, 41):
+        room = shutil.copytree(six, tmp_path / f"cut{cut}")
+        (room / "frames.jsonl").write_bytes(data[:cut])
+        require_resumed(room)
+        shutil.rmtree(room)
+
+
+@pytest.mark.slow
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_21_a_journal_torn_anywhere_resumes(six, tmp_path, data):
+    journal_bytes = (six / "frames.jsonl").read_bytes()
+    cut = data.draw(st.integers(0, len(journal_bytes)))
+    room = tmp_path / "room"
+    shutil.rmtree(room, ignore_errors=True)
+    shutil.copytree(six, room)
+    (room / "frames.jsonl").write_bytes(journal_bytes[:cut])
+    require_resumed(room)
+
+
+def require_resumed(room):
+    lines = (room / "frames.jsonl").read_bytes().split(b"\n")
+    kept = sum(b'"i"' in line and line.endswith(b"}}") for line in lines)
+    result = sweep(Desk(), room, resume=True)
+    assert (result.status, result.records) == ("complete", 10)
+    # What had its whole line was not taken again.
+    assert result.taken == 10 - kept
+    assert verify_capture(room) == [] and len(open_capture(room)) == 10
+
+
+def test_21_what_a_crash_left_half_written_is_removed(room):
+    (room / "on" / ".part-0123456789ab.png").write_bytes(b"half")
+    (room / ".part-ba9876543210.toml").write_bytes(b"half")
+    sweep(Desk(), room, resume=True)
+    assert not list(room.rglob(".part-*"))
+
+
+# 22 silent corruption
+
+
+@pytest.mark.parametrize("harm", ["flip", "delete", "truncate"])
+def test_22_a_damaged_frame_is_found_and_its_record_taken_again(room, harm):
+    path = room / "off" / "000002.png"
+    data = bytearray(path.read_bytes())
+    if harm == "delete":
+        path.unlink()
+    else:
+        data[len(data) // 2] ^= 4
+        path.write_bytes(data if harm == "flip" else data[:-100])
+    assert [problem.record for problem in verify_capture(room)] == [2]
+    desk = Desk()
+    result = sweep(desk, room, resume=True)
+    assert (result.status, result.taken) == ("complete", 5)
+    assert desk.controller.shots == [288 * 5, 288 * 2, 288 * 6, 288 * 7, 288 * 8, 288 * 9, 0]
+    assert verify_capture(room) == []
+    assert events(room, "damaged")[0]["record"] == 2
+
+
+def test_22_damage_in_a_complete_capture_is_repaired(tmp_path):
+    sweep(Desk(), tmp_path / "room")
+    (tmp_path / "room" / "on" / "000007.png").unlink()
+    desk = Desk()
+    result = sweep(desk, tmp_path / "room", resume=True)
+    assert (result.status, result.taken) == ("complete", 1)
+    assert verify_capture(tmp_path / "room") == []
+
+
+def test_22_the_damaged_record_was_the_last_one(room):
+    (room / "on" / "000005.png").unlink()
+    desk = Desk()
+    assert sweep(desk, room, resume=True).taken == 5
+    assert desk.controller.shots[0] == 288 * 4
+
+
+# 26 something changed
+
+
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        ({"sweep": {"steps": 12}}, r"sweep.steps: was 10, is 12"),
+        ({"sweep": {"turn_deg": 72.0}}, r"sweep.turn_deg: was 36.0, is 72.0"),
+        ({"turntable": {"gear": [10, 1]}}, r"turntable.gear\[0\]: was 9, is 10"),
+        ({"turntable": {"carries": "object"}}, r'turntable.carries: was "scanner", is "object"'),
+        ({"camera": {"exposure_ms": 20.0}}, r"camera.exposure_ms: was 10.0, is 20.0"),
+        ({"laser": [{"name": "green"}]}, r'laser\[0\].name: was "laser", is "green"'),
+    ],
+)
+def test_26_a_changed_configuration_is_refused_with_what_changed(room, tables, said):
+    before = (room / "frames.jsonl").read_bytes()
+    desk = Desk(**tables)
+    with pytest.raises(SessionError, match=said):
+        sweep(desk, room, resume=True)
+    assert desk.controller.log == [] and (room / "frames.jsonl").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "tables", [{"checks": {"retakes": 7}}, {"controller": {"port": "/dev/ttyACM3"}}, {"calibration": {"free_views": 3}}]
+)
+def test_26_what_the_frames_do_not_depend_on_may_change(room, tables):
+    assert sweep(Desk(**tables), room, resume=True).status == "complete"
+
+
+def test_26_another_calibration_is_refused(tmp_path):
+    sweep(Desk(), tmp_path / "room", should_stop=After(3), calibration_digest="sha256:" + "a" * 64)
+    with pytest.raises(SessionError, match=r"calibration: was sha256:a.*is sha256:b"):
+        sweep(Desk(), tmp_path / "room", resume=True, calibration_digest="sha256:" + "b" * 64)
+    done = sweep(Desk(), tmp_path / "room", resume=True, calibration_digest="sha256:" + "a" * 64)
+    assert done.status == "complete"
+
+
+def test_26_another_camera_is_refused(room):
+    from scanrig.cameras.frame import CameraIdentity
+
+    desk = Desk()
+    desk.camera.identity = CameraIdentity("simulated", "synthetic", "SIM2")
+    with pytest.raises(SessionError, match=r"another camera \(serial: was 'SIM1', is 'SIM2'\)"):
+        sweep(desk, room, resume=True)
+    assert desk.controller.shots == [] and not desk.table.contactor
+
+
+def test_26_a_camera_that_is_set_otherwise_is_refused(room):
+    desk = Desk()
+    desk.camera.device["gain_db"] = 6.0
+    with pytest.raises(CameraError, match="gain_db: found 6, expected 0"):
+        sweep(desk, room, resume=True)
+    assert desk.controller.shots == []
+
+
+def test_26_a_capture_of_another_kind_is_refused(room, tmp_path):
+    text = (room / "capture.toml").read_text().replace('kind = "sweep"', 'kind = "calibration"')
+    board = '[board]\ntype = "chessboard"\ncolumns = 5\nrows = 4\nsquare_mm = 30.0\n'
+    (room / "capture.toml").write_text(text + board)
+    with pytest.raises(SessionError, match="found a capture of kind calibration, expected sweep"):
+        sweep(Desk(), room, resume=True)
+
+
+def test_26_a_capture_from_elsewhere_is_refused(room):
+    text = (room / "capture.toml").read_text()
+    (room / "capture.toml").write_text(text[: text.index("[acquisition")])
+    with pytest.raises(SessionError, match="was not captured by this program"):
+        sweep(Desk(), room, resume=True)
+
+
+# The rig has moved
+
+
+def test_a_camera_that_was_knocked_in_the_pause_is_refused(room):
+    desk = Desk()
+    desk.table.moved_px = 4
+    with pytest.raises(SessionError, match=r"record 5, taken again, is not what it was: the line moved \+4"):
+        sweep(desk, room, resume=True)
+    assert len(open_capture(room)) == 6 and not desk.table.contactor
+    assert sweep(Desk(), room, resume=True).status == "complete"
+
+
+def test_lamps_that_were_switched_off_in_the_pause_do_no_harm(room):
+    desk = Desk(scene=SyntheticScene(ambient_dn=12.0))
+    assert sweep(desk, room, resume=True).status == "complete"
+
+
+def test_a_controller_that_lived_on_tells_of_steps_that_were_lost_before(tmp_path):
+    desk = interrupted(tmp_path / "room")
+    desk.table.position -= 50
+    result = sweep(desk, tmp_path / "room", resume=True)
+    # All six were taken since the last good home, and are taken again in the same session.
+    assert (result.status, result.taken, result.suspect) == ("complete", 10, ())
+    (event,) = events(tmp_path / "room", "suspect")
+    assert event["records"] == [[0, 5]] and event["missed"] == 50
+
+
+def test_a_controller_that_was_reset_in_the_pause_says_nothing_of_lost_steps(room):
+    desk = Desk()
+    assert sweep(desk, room, resume=True).status == "complete"
+    assert events(room, "suspect") == []

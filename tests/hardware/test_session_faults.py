@@ -1,0 +1,415 @@
+"""The fault table at the level of a session: one test a fault, each on paper, each named after what befalls the rig."""
+
+import json
+
+import numpy as np
+import pytest
+from scanrig.cameras.synthetic import SyntheticScene
+from scanrig.errors import CameraError, FrameError, LinkLost, RigFault
+from scanrig.session import run_sweep
+
+from jaxscan.files.capture import open_capture
+from jaxscan.files.verify import verify_capture
+
+from .desk import Desk
+
+
+def journal(path):
+    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
+
+
+def events(path, name):
+    return [line for line in journal(path) if line.get("event") == name]
+
+
+def sweep(desk, folder, **options):
+    return run_sweep(desk.config, folder, **desk.rig(), **options)
+
+
+def require_whole(folder, desk, count=10):
+    """Every record is there once, proven, at its angle, and shows what stands at that angle."""
+    capture = open_capture(folder)
+    assert [record.i for record in capture.records] == list(range(count))
+    np.testing.assert_allclose(capture.angles, np.radians(np.arange(count) * 3.6), atol=1e-12)
+    for k in range(count):
+        on, off = capture.frames(k)
+        true_on, true_off = desk.see(288.0 * k, True), desk.see(288.0 * k, False)
+        for found, true in ((on, true_on), (off, true_off)):
+            # Two drawings differ by noise of about 1.4 DN; another angle, or the other frame, by far more.
+            assert np.abs(found.astype(int) - true.astype(int)).mean() < 3
+    assert verify_capture(folder) == []
+    assert not desk.table.laser and not desk.table.contactor
+
+
+# 6 cable pulled
+
+
+@pytest.mark.parametrize("shot", [1, 4, 11])
+def test_06_cable_pulled_and_back_with_the_same_boot(tmp_path, shot):
+    desk = Desk()
+    desk.controller.before_shot[shot] = lambda controller: controller.lose_link(attempts=3)
+    result = sweep(desk, tmp_path / "room")
+    assert result.status == "complete"
+    require_whole(tmp_path / "room", desk)
+    (back,) = events(tmp_path / "room", "reconnected")
+    assert back["same_boot"] is True
+    # The position was never lost: homed at the start and at the end only.
+    assert desk.controller.log.count("home") == 2
+    assert any(sentence.startswith("fault") for sentence in desk.said)
+
+
+def test_06_cable_pulled_for_good(tmp_path):
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: controller.lose_link(attempts=1000)
+    with pytest.raises(LinkLost, match=r"did not come back.*switch its supply off by hand"):
+        sweep(desk, tmp_path / "room")
+    assert len(open_capture(tmp_path / "room")) == 3
+    end = journal(tmp_path / "room")[-1]
+    assert (end["status"], end["laser_off"]) == ("failed", False)
+    again = Desk()
+    assert sweep(again, tmp_path / "room", resume=True).status == "complete"
+    require_whole(tmp_path / "room", again)
+
+
+# 7 the controller is reset
+
+
+@pytest.mark.parametrize("shot", [1, 4, 11])
+def test_07_controller_reset_is_configured_homed_and_the_step_retaken(tmp_path, shot):
+    desk = Desk()
+    desk.controller.before_shot[shot] = lambda controller: controller.reset()
+    # While it was off the table was pushed by hand; only homing can know.
+    result = sweep(desk, tmp_path / "room")
+    assert result.status == "complete"
+    require_whole(tmp_path / "room", desk)
+    assert [event["why"] for event in events(tmp_path / "room", "home")] == ["start", "after a fault", "end of a pass"]
+    assert desk.controller.settings is not None
+
+
+def test_07_table_pushed_while_the_controller_was_off(tmp_path):
+    desk = Desk()
+
+    def push(controller):
+        desk.table.position += 777
+        controller.reset()
+
+    desk.controller.before_shot[5] = push
+    assert sweep(desk, tmp_path / "room").status == "complete"
+    require_whole(tmp_path / "room", desk)
+    assert events(tmp_path / "room", "home")[1]["was"] == -(777 + 288 * 3)
+
+
+def test_07_steps_lost_before_a_reset_are_found_by_the_last_record(tmp_path):
+    """The counter that would have told is gone with the reset: the picture of the last step tells."""
+    desk = Desk()
+    desk.controller.before_shot[3] = lambda controller: controller.lose_steps(400)
+    desk.controller.before_shot[6] = lambda controller: controller.reset()
+    result = sweep(desk, tmp_path / "room")
+    assert result.status == "suspect" and result.suspect == ((0, 4),)
+    again = Desk()
+    result = sweep(again, tmp_path / "room", resume=True)
+    assert result.status == "complete" and result.taken == 5
+    require_whole(tmp_path / "room", again)
+
+
+# 9 the host stalls
+
+
+@pytest.mark.parametrize("fault", [2, 3])
+def test_09_host_stalled_so_that_the_controller_switched_off(tmp_path, fault):
+    """A suspended host finds the link watchdog's or the lease's fault; the same position is still good."""
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: controller.fall_into(fault)
+    assert sweep(desk, tmp_path / "room").status == "complete"
+    require_whole(tmp_path / "room", desk)
+    assert desk.controller.log.count("home") == 2 and "clear" in desk.controller.log
+
+
+# 11 the e-stop
+
+
+def test_11_estop_ends_the_session_and_is_never_resumed_by_itself(tmp_path):
+    desk = Desk()
+
+    def press(controller):
+        controller.estop = True
+        controller.fall_into(1)
+
+    desk.controller.before_shot[5] = press
+    result = sweep(desk, tmp_path / "room")
+    assert result.status == "e-stop" and "release" in result.message and result.records == 4
+    assert "clear" not in desk.controller.log and desk.controller.log.count("home") == 1
+    assert journal(tmp_path / "room")[-1]["status"] == "e-stop"
+    # Pressed still: it stays where it is. Released, and asked to by a person: it goes on.
+    assert sweep(desk, tmp_path / "room", resume=True).status == "e-stop"
+    desk.controller.estop = False
+    assert sweep(desk, tmp_path / "room", resume=True).status == "complete"
+    require_whole(tmp_path / "room", desk)
+
+
+def test_12_home_not_found_ends_the_session(tmp_path):
+    desk = Desk()
+    desk.controller.home = lambda *a: desk.controller.fall_into(4)
+    with pytest.raises(RigFault, match="home switch"):
+        sweep(desk, tmp_path / "room")
+    assert not desk.table.contactor
+
+
+# 13 lost steps
+
+
+@pytest.mark.parametrize(("lost", "status"), [(2, "complete"), (-2, "complete"), (3, "suspect"), (-40, "suspect")])
+def test_13_lost_steps_make_all_since_the_last_good_home_suspect(tmp_path, lost, status):
+    desk = Desk(sweep={"steps": 5, "turn_deg": 18.0, "turns": 3})
+    # In the second of three passes: shots 1-6 are the first with its closing one.
+    desk.controller.before_shot[9] = lambda controller: controller.lose_steps(lost)
+    result = sweep(desk, tmp_path / "room")
+    assert result.status == status
+    missed = [event.get("missed") for event in events(tmp_path / "room", "home")]
+    assert missed == [None, 0, lost, 0]
+    if status == "suspect":
+        assert result.suspect == ((5, 9),) and "5 to 9" in result.message
+        (event,) = events(tmp_path / "room", "suspect")
+        assert event["records"] == [[5, 9]] and event["missed"] == lost
+        again = Desk(sweep={"steps": 5, "turn_deg": 18.0, "turns": 3})
+        repaired = sweep(again, tmp_path / "room", resume=True)
+        assert (repaired.status, repaired.taken, repaired.suspect) == ("complete", 5, ())
+        assert sweep(Desk(sweep=dict(again.config.sweep)), tmp_path / "room", resume=True).taken == 0
+
+
+# 15 the laser
+
+
+def test_15_dead_laser_stops_after_the_retakes(tmp_path):
+    desk = Desk(checks={"retakes": 2})
+    desk.controller.before_shot[4] = lambda controller: setattr(desk.table, "dead", True)
+    with pytest.raises(FrameError, match=r"step 3: not believed in 3 takes.*laser is dark"):
+        sweep(desk, tmp_path / "room")
+    assert desk.controller.shots == [0, 288, 576, 864, 864, 864]
+    assert len(open_capture(tmp_path / "room")) == 3
+    assert [event["step"] for event in events(tmp_path / "room", "retake")] == [3, 3, 3]
+
+
+def test_15_laser_that_stays_on_opens_the_contactor_and_says_so(tmp_path):
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: setattr(desk.table, "welded", True)
+    with pytest.raises(FrameError, match=r"laser stays on.*contactor has been opened"):
+        sweep(desk, tmp_path / "room")
+    assert not desk.table.shines and not desk.table.contactor
+    # Before anything else was tried, not by the general way out.
+    log = desk.controller.log
+    assert log.index("arm 0") < log.index("make_safe")
+    assert len(open_capture(tmp_path / "room")) == 3
+
+
+def test_15_laser_that_flickers_once_costs_a_retake(tmp_path):
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: setattr(desk.table, "dead", True)
+    desk.controller.before_shot[5] = lambda controller: setattr(desk.table, "dead", False)
+    result = sweep(desk, tmp_path / "room")
+    assert (result.status, result.retakes) == ("complete", 1)
+    record = next(line for line in journal(tmp_path / "room") if line.get("i") == 3)
+    assert record["retakes"] == 1 and "dark" in record["rejected"][0]
+    require_whole(tmp_path / "room", desk)
+
+
+# 16 the camera
+
+
+def test_16_camera_lost_is_opened_again_and_the_step_retaken(tmp_path):
+    desk = Desk()
+    desk.camera.faults[8] = "lost"  # The laser-off frame of step 3.
+    desk.camera.reachable = False
+    reopen, tries = desk.camera.reopen, []
+
+    def reopened():
+        tries.append(desk.clock.now())
+        assert not desk.table.laser and not desk.table.contactor
+        desk.camera.reachable = len(tries) >= 4
+        reopen()
+
+    desk.camera.reopen = reopened
+    assert sweep(desk, tmp_path / "room").status == "complete"
+    require_whole(tmp_path / "room", desk)
+    pauses = np.diff(tries)
+    assert len(tries) == 4 and np.all(np.diff(pauses) > 0)
+    assert events(tmp_path / "room", "camera")[0]["reopened"] == 4
+
+
+def test_16_camera_that_does_not_come_back(tmp_path):
+    desk = Desk(checks={"camera_reopens": 3})
+    desk.camera.faults[8] = "lost"
+    desk.camera.reachable = False
+    with pytest.raises(CameraError, match="did not come back in 3 tries"):
+        sweep(desk, tmp_path / "room")
+    assert len(open_capture(tmp_path / "room")) == 3 and not desk.table.contactor
+    again = Desk()
+    assert sweep(again, tmp_path / "room", resume=True).status == "complete"
+    require_whole(tmp_path / "room", again)
+
+
+# 17 frames
+
+
+FRAME_FAULTS = ["missing", "duplicate", "incomplete", "stale", "swapped", "late"]
+
+
+# Before the first frame there is no older one.
+@pytest.mark.parametrize(
+    ("fault", "exposure"), [(one, at) for one in FRAME_FAULTS for at in (7, 8, 1, 2) if (one, at) != ("stale", 1)]
+)
+def test_17_frame_fault_is_retaken_at_the_same_place(tmp_path, fault, exposure):
+    desk = Desk()
+    desk.camera.faults[exposure] = fault
+    result = sweep(desk, tmp_path / "room")
+    assert result.status == "complete"
+    require_whole(tmp_path / "room", desk)
+    # A laser-on frame that comes only with its laser-off frame is a good frame.
+    harmless = fault == "late" and exposure % 2 == 1
+    assert result.retakes >= (0 if harmless else 1)
+    step = (exposure - 1) // 2
+    shots = desk.controller.shots
+    assert shots[step : step + 1 + result.retakes] == [288 * step] * (1 + result.retakes)
+    record = next(line for line in journal(tmp_path / "room") if line.get("i") == step)
+    assert record["retakes"] == result.retakes
+
+
+@pytest.mark.parametrize("fault", ["missing", "duplicate", "incomplete", "swapped"])
+def test_17_frame_fault_that_does_not_end(tmp_path, fault):
+    desk = Desk(checks={"retakes": 3})
+    desk.camera.faults.update(dict.fromkeys(range(7, 100), fault))
+    with pytest.raises(FrameError, match="step 3: not believed in 4 takes"):
+        sweep(desk, tmp_path / "room")
+    assert len(open_capture(tmp_path / "room")) == 3
+
+
+def test_17_a_trigger_that_nobody_asked_for(tmp_path):
+    desk = Desk()
+
+    def noise(controller):
+        controller.exposures = (controller.exposures + 1) % 65536
+
+    wait = desk.controller.wait_shot
+
+    def counted(*arguments):
+        if len(desk.controller.shots) == 4:
+            noise(desk.controller)
+        return wait(*arguments)
+
+    desk.controller.wait_shot = counted
+    result = sweep(desk, tmp_path / "room")
+    assert (result.status, result.retakes) == ("complete", 1)
+    assert "counted 3 exposures" in events(tmp_path / "room", "retake")[0]["reason"]
+    require_whole(tmp_path / "room", desk)
+
+
+def test_17_a_frame_that_came_between_two_steps(tmp_path):
+    """The numbers say that a frame was exposed and lost between two pairs: nothing is certain any more."""
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: (
+        desk.camera.expose(0.0, False),
+        desk.camera.drop(),
+    )
+    result = sweep(desk, tmp_path / "room")
+    assert (result.status, result.retakes) == ("complete", 1)
+    require_whole(tmp_path / "room", desk)
+
+
+def test_17_camera_that_was_not_ready(tmp_path):
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: controller.fall_into(6)
+    assert sweep(desk, tmp_path / "room").status == "complete"
+    require_whole(tmp_path / "room", desk)
+
+
+# 18 the camera's settings
+
+
+def test_18_camera_comes_back_with_another_exposure(tmp_path):
+    desk = Desk()
+    desk.camera.faults[8] = "lost"
+    desk.camera.after_reopen = {"exposure_s": 0.02}
+    with pytest.raises(CameraError, match=r"exposure_s: found 0.02, expected 0.01"):
+        sweep(desk, tmp_path / "room")
+    assert len(open_capture(tmp_path / "room")) == 3
+
+
+def test_18_frame_of_another_size(tmp_path):
+    desk = Desk()
+    see = desk.see
+    desk.controller.before_shot[4] = lambda controller: setattr(desk, "see", lambda *where: see(*where)[:80])
+    with pytest.raises(CameraError, match=r"found a frame of the shape \(80, 128\), expected \(96, 128\)"):
+        sweep(desk, tmp_path / "room")
+
+
+# 19 light
+
+
+def test_19_light_that_changes_is_said_once(tmp_path):
+    desk = Desk()
+    bright = SyntheticScene(ambient_dn=100.0)
+    desk.controller.before_shot[4] = lambda controller: setattr(desk, "scene", bright)
+    result = sweep(desk, tmp_path / "room")
+    assert result.status == "complete"
+    (event,) = events(tmp_path / "room", "light")
+    assert event["record"] == 3 and event["was_dn"] == pytest.approx(30, abs=5)
+    assert event["is_dn"] == pytest.approx(100, abs=10)
+
+
+# 24 clocks
+
+
+def test_24_clock_that_jumps_back_by_a_year(tmp_path):
+    desk = Desk()
+
+    def jump(controller):
+        desk.clock.start = desk.clock.start.replace(year=1999)
+
+    desk.controller.before_shot[4] = jump
+    assert sweep(desk, tmp_path / "room").status == "complete"
+    records = [line for line in journal(tmp_path / "room") if "i" in line]
+    assert {record["time"][:4] for record in records} == {"2000", "1999"}
+    # What only ever grows is stored beside it.
+    assert np.all(np.diff([record["time_s"] for record in records]) > 0)
+    require_whole(tmp_path / "room", desk)
+
+
+# 25 a slow writer
+
+
+def test_25_slow_disk_holds_the_table_and_loses_nothing(tmp_path, monkeypatch):
+    from jaxscan.files import store
+
+    original, desk, behind = store.write_atomically, Desk(), []
+
+    def slow(path, content, **keys):
+        desk.clock.sleep(5.0)  # Ten times the link's watchdog.
+        original(path, content, **keys)
+
+    monkeypatch.setattr(store, "write_atomically", slow)
+    shot = desk.controller.shot
+
+    def counting(to, number, **keys):
+        lines = (tmp_path / "room" / "frames.jsonl").read_text().splitlines()
+        behind.append(len(desk.controller.shots) - sum('"i"' in line for line in lines))
+        assert not desk.table.laser
+        shot(to, number, **keys)
+
+    desk.controller.shot = counting
+    assert sweep(desk, tmp_path / "room").status == "complete"
+    # Never is a shot begun before the one before it is in the journal.
+    assert behind == [0] * 11
+    require_whole(tmp_path / "room", desk)
+
+
+# 27 drift
+
+
+def test_27_camera_that_was_knocked_is_said_at_the_end_of_the_pass(tmp_path):
+    desk = Desk()
+    desk.controller.before_shot[8] = lambda controller: setattr(desk.table, "moved_px", 5)
+    result = sweep(desk, tmp_path / "room")
+    (event,) = events(tmp_path / "room", "closing")
+    assert event["good"] is False and event["shift_px"] == pytest.approx(5, abs=0.2)
+    assert any("taken again, is not what it was" in sentence for sentence in desk.said)
+    assert result.records == 10
