@@ -151,7 +151,10 @@ static void feed_processor(void) {
             else
                 avr_raise_irq(input, arrived[i]);
         }
-        next_byte += (avr_cycle_count_t)(count == 2 ? 2 : 1) * (uart->cycles_per_byte ? uart->cycles_per_byte : 640);
+        // simavr hands bytes on no faster than one per byte time: whoever is late once would never catch up within a line
+        // that came at the same pace, as the part itself does at once. So a line has small gaps here.
+        avr_cycle_count_t byte_time = uart->cycles_per_byte ? uart->cycles_per_byte : 640;
+        next_byte += (avr_cycle_count_t)(count == 2 ? 2 : 1) * (byte_time + byte_time / 4);
     }
 }
 
