@@ -68,6 +68,7 @@ def take_placements(
                 return False
             if not placed:
                 break
+            session.light()
             if not _take_placement(session, records, places):
                 return False
     if session.since_home:

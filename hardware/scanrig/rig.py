@@ -106,6 +106,9 @@ class Rig:
         """Close or open the contactor."""
         self.controller.arm(on)
         self._armed = on
+        if not on:
+            # Without the laser somebody may look through the camera: its next frame may have any number.
+            self._numbers.next = None
 
     def take(self, to: int, number: int) -> Pair:
         """Take one step; come back from a lost link, a reset, a lost camera and temporary faults.

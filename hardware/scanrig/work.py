@@ -140,6 +140,10 @@ class Session:
         """Open the contactor while somebody is at the board."""
         self.rig.doing(lambda: self.rig.arm(False), "opening the contactor")
 
+    def light(self) -> None:
+        """Close the contactor again: whoever was at the board is ready."""
+        self.rig.doing(lambda: self.rig.arm(True), "closing the contactor")
+
     def next_placement(self) -> int:
         """A number that no placement of the board has had."""
         number = self._placements
@@ -175,7 +179,7 @@ class Session:
 
     def _note(self, name: str, **fields: Any) -> None:
         self.ledger.note(name, **fields)
-        if name in ("fault", "reconnected", "camera", "suspect"):
+        if name in ("fault", "reconnected", "camera", "suspect", "retake"):
             said = ", ".join(f"{key} {value}" for key, value in fields.items())
             self.job.notify(f"{name}: {said}")
 
