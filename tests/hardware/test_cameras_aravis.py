@@ -169,7 +169,7 @@ def test_lost_packets_make_incomplete_frames(server):
 
 
 def test_two_triggers_at_once_are_one_frame(server):
-    """Row 17: this camera looks for triggers every 40 ms; the frame that is not made is a timeout, not a wrong frame."""
+    """Row 17: this camera looks every 40 ms; the frame that is not made is a timeout, not a wrong one."""
     server.start()
     with opened() as camera:
         camera.start()
