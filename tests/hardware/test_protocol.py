@@ -167,8 +167,35 @@ def test_no_flipped_bit_of_a_line_is_an_abort():
     assert all((byte ^ ABORT[0]).bit_count() >= 2 for byte in of_lines)
 
 
+KINDS = {"reply": Reply, "refusal": Refusal, "nak": Nak, "event": Event}
+
+
+def vectors(name):
+    return json.loads(VECTORS.read_text())[name]
+
+
 def test_golden_lines():
     """Firmware and host agree on every byte of the lines that both are tested against."""
-    vectors = json.loads(VECTORS.read_text())
-    for entry in vectors["lines"]:
-        assert seal(entry["text"]).decode().rstrip("\n") == entry["line"].rstrip("\n"), entry
+    for entry in vectors("lines"):
+        assert seal(entry["text"]).decode() == entry["line"] + "\n"
+
+
+def test_golden_commands():
+    for entry in vectors("encode"):
+        assert encode(entry["seq"], entry["verb"], **entry["args"]).decode() == entry["line"] + "\n"
+
+
+def test_golden_answers():
+    for entry in vectors("parse"):
+        wanted = dict(entry["message"])
+        kind = wanted.pop("kind")
+        got = decode(entry["line"].encode("latin-1"))
+        assert got == (Damaged(entry["line"].encode("latin-1")) if kind == "damaged" else KINDS[kind](**wanted)), entry
+
+
+def test_everything_that_the_firmware_answers_is_understood():
+    answers = [step["answer"] for talk in vectors("dialogues") for step in talk["steps"] if step["answer"]]
+    assert len(answers) > 50
+    for answer in answers:
+        messages = LineReader().feed(answer.encode("latin-1"))
+        assert messages and not any(isinstance(message, Damaged) for message in messages), answer
