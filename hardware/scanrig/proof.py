@@ -34,6 +34,8 @@ _BESIDE = 14
 """Samples on either side of a ridge within which contrast may explain it."""
 _EXPLAINS_MOST = 1.5
 """Part of a contrast that motion changes at most: all of it, and as much again where thin things pass."""
+_MOSTLY = 0.4
+"""Part of the ridges that contrast may not explain: of a laser nearly all, of what moves a fifth."""
 _MARGIN = 3.0
 """By how much the largest change of a contrast may exceed that which nine tenths of them keep to."""
 _ALIKE = 4.0
@@ -275,7 +277,7 @@ def _difference(pair: _Pair, gain: float) -> Float[np.ndarray, "lines samples"]:
 
 
 def _solid(ridges: Ridges, field: np.ndarray, frame: np.ndarray, explains: float) -> float:
-    """Part of the lines whose ridge nothing in the other frame explains.
+    """Part of the lines whose ridge nothing in the other frame explains; 0 where that is the lesser part of the ridges.
 
     Whatever moves or flickers changes a picture by a part of the contrast that is there. A ridge that is higher than
     that part of all contrast of the other frame beside it is light of its own.
@@ -286,7 +288,8 @@ def _solid(ridges: Ridges, field: np.ndarray, frame: np.ndarray, explains: float
     at = ridges.at[rows]
     beside = np.clip(at[:, None] + np.arange(-_BESIDE, _BESIDE + 1), 0, field.shape[1] - 1)
     contrast = np.ptp(_smooth(frame[rows[:, None], beside]), 1)
-    return float(np.count_nonzero(_peaks(field[rows], at) > explains * contrast)) / len(ridges.at)
+    solid = float((_peaks(field[rows], at) > explains * contrast).mean())
+    return solid * len(rows) / len(ridges.at) if solid > _MOSTLY else 0.0
 
 
 def _explains(difference: np.ndarray, off: np.ndarray) -> float:
