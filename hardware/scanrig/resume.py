@@ -6,10 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxscan.errors import CaptureError
 from jaxscan.files.bounded import MEGABYTE, read_bounded
 from jaxscan.files.header import HEADER_NAME, CaptureHeader, parse_header
-from jaxscan.files.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES
+from jaxscan.files.images import ImageReader
+from jaxscan.files.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, read_journal
 from jaxscan.files.verify import Problem, verify_capture
 from scanrig.config import RigConfig
 from scanrig.errors import SessionError
@@ -48,10 +51,8 @@ def find_capture(folder: Path) -> Found:
     Raises:
         CaptureError: If header or journal are damaged in a way that no interruption leaves behind.
     """
-    name, journal_name = str(folder / HEADER_NAME), str(folder / JOURNAL_NAME)
-    header = parse_header(read_bounded(name, MEGABYTE, name=name, error=CaptureError), name=name)
+    header, journal = _read(folder)
     problems = verify_capture(folder)
-    journal = read_bounded(journal_name, MAX_JOURNAL_BYTES, name=journal_name, error=CaptureError)
     records: dict[int, dict[str, Any]] = {}
     since_home: list[int] = []
     suspect: set[int] = set()
@@ -96,6 +97,34 @@ def _lines(journal: bytes) -> Iterator[dict[str, Any]]:
             continue  # The last line, torn; another one was refused before.
         if isinstance(value, dict):
             yield value
+
+
+def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """The frames of one record, whatever has become of the others.
+
+    Returns:
+        on, off: uint8 [rows, columns] (rgb8: and 3).
+
+    Raises:
+        CaptureError: If they are not there, or damaged.
+    """
+    header, journal = _read(folder)
+    names = tuple(laser.name for laser in header.laser)
+    records, _ = read_journal(journal, name=str(folder / JOURNAL_NAME), kind=header.kind, laser_names=names)
+    reader = ImageReader(folder, header)
+    for record in records:
+        if record.i == number:
+            on, off = reader.frame(record.on), reader.frame(record.off)
+            if on is not None and off is not None:
+                return on, off
+    raise CaptureError(f"{folder}: record {number} has not both frames, so nothing can be compared with it.")
+
+
+def _read(folder: Path) -> tuple[CaptureHeader, bytes]:
+    """Header and journal."""
+    name, journal_name = str(folder / HEADER_NAME), str(folder / JOURNAL_NAME)
+    header = parse_header(read_bounded(name, MEGABYTE, name=name, error=CaptureError), name=name)
+    return header, read_bounded(journal_name, MAX_JOURNAL_BYTES, name=journal_name, error=CaptureError)
 
 
 def require_same_plan(

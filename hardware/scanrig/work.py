@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from jaxscan.files.capture import open_capture
 from scanrig.compare import Likeness, compare_pairs
 from scanrig.ending import Ending
 from scanrig.errors import SessionError
@@ -12,7 +11,7 @@ from scanrig.job import Job, SessionResult
 from scanrig.ledger import Ledger
 from scanrig.plan import RESERVE, Target, frame_bytes
 from scanrig.record import capture_header, record_fields
-from scanrig.resume import Found, ranges, require_same_camera
+from scanrig.resume import Found, ranges, read_pair, require_same_camera
 from scanrig.rig import Rig
 from scanrig.space import KEPT_PAIRS, require_space
 from scanrig.step import Pair
@@ -223,14 +222,10 @@ class Session:
         return likeness
 
     def _compare(self, record: int, pair: Pair) -> Likeness:
-        capture = open_capture(self.job.folder)
-        index = next(k for k, one in enumerate(capture.records) if one.i == record)
-        on, off = capture.frames(index)
-        if on is None or off is None:
-            raise SessionError(f"{self.job.folder}: record {record} has not both frames; nothing can be compared.")
+        first = read_pair(self.job.folder, record)
         camera = self.config.camera
         return compare_pairs(
-            (on, off),
+            first,
             (pair.on.image, pair.off.image),
             pixel_format=camera.pixel_format,
             response=camera.response,

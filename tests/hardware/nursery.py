@@ -1,0 +1,129 @@
+"""Sessions as processes that can be killed: loads everything once, then forks a child for each.
+
+Reads one JSON object a line: {"folder", "port", "edges", "steps", "said"}; answers with the child's number, and with
+"<number> <status>" when it has ended: 0 complete, 130 interrupted, 1 another end, -n killed by signal n. A child
+writes to `said` what it was told to tell: the number of each pair when it is on the disk, and the end.
+"""
+
+import json
+import os
+import sys
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+from scanrig.cameras.simulated import SimulatedCamera
+from scanrig.cameras.synthetic import SyntheticScene, draw
+from scanrig.config import RigConfig
+from scanrig.connect import connect
+from scanrig.session import run_sweep
+from scanrig.signals import Interrupts
+
+from jaxscan.vision import images
+
+
+WIDTH, HEIGHT = 128, 96
+SCENE = SyntheticScene(turn_px=12000.0)
+
+
+def config(steps):
+    """A step of 8 microsteps and a patient controller: the rig's clock runs faster than the host's."""
+    return RigConfig.model_validate(
+        {
+            "controller": {"watchdog_ms": 60_000},
+            "turntable": {"gear": [9, 1], "settle_ms": 20},
+            "camera": {"kind": "simulated", "width": WIDTH, "height": HEIGHT},
+            "sweep": {"steps": steps, "turn_deg": steps / 10},
+        }
+    )
+
+
+def see(position, lit, generator):
+    return draw(SCENE, position, lit, width=WIDTH, height=HEIGHT, generator=generator)
+
+
+class Wire:
+    """Every edge of the trigger's pin in the rig's log exposes the camera, with what the table truly shows."""
+
+    def __init__(self, path, camera):
+        self._file = open(path)
+        self._camera = camera
+        self._lit = False
+        self._rest = ""
+        self._read(expose=False)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._follow, daemon=True)
+        self._thread.start()
+
+    def close(self):
+        self._ended.set()
+        self._thread.join()
+        self._file.close()
+
+    def _follow(self):
+        while not self._ended.wait(0.001):
+            self._read(expose=True)
+
+    def _read(self, expose):
+        *lines, self._rest = (self._rest + self._file.read()).split("\n")
+        for line in lines:
+            edge = json.loads(line)
+            if edge.get("pin") == "light":
+                self._lit = bool(edge["v"])
+            elif edge.get("pin") == "trig" and edge["v"] and expose:
+                self._camera.expose(edge["pos"], self._lit)
+
+
+def session(order):
+    """One session, from the port to the exit status."""
+    rig = config(order["steps"])
+    generator = np.random.default_rng(os.getpid())
+    with open(order["said"], "a", buffering=1) as said, Interrupts() as interrupts:
+        camera = SimulatedCamera(rig.camera, lambda position, lit: see(position, lit, generator))
+        wire = Wire(order["edges"], camera)
+        controller = connect(order["port"])
+        try:
+            result = run_sweep(
+                rig,
+                order["folder"],
+                controller=controller,
+                camera=camera,
+                resume=True,
+                on_pair=lambda number, *_: print(number, file=said),
+                notify=lambda sentence: print("#", sentence, file=said),
+                should_stop=interrupts,
+            )
+            print(result.status, file=said)
+            return {"complete": 0, "interrupted": 130}.get(result.status, 1)
+        except KeyboardInterrupt:
+            print("aborted", file=said)
+            return 130
+        except Exception as problem:
+            print("error", type(problem).__name__, problem, file=said)
+            return 1
+        finally:
+            controller.close()
+            wire.close()
+
+
+def main():
+    # Forking a process that has threads is dangerous in general; JAX's are idle here, and nothing uses them.
+    warnings.simplefilter("ignore")
+    images.encode_png(np.zeros((64, 64), np.uint8))
+    print("ready", flush=True)
+    for line in sys.stdin:
+        order = json.loads(line)
+        child = os.fork()
+        if child == 0:
+            os._exit(session(order))
+        print(child, flush=True)
+        _, status = os.waitpid(child, 0)
+        print(child, os.waitstatus_to_exitcode(status), flush=True)
+        time.sleep(0)
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "hardware"))
+    main()
