@@ -1,0 +1,286 @@
+"""What the doctor says of rigs with one fault each, and that it leaves every one of them dark."""
+
+import numpy as np
+import pytest
+from scanrig.cameras.synthetic import SyntheticScene
+from scanrig.doctor import examine
+from scanrig.doctor_light import stripe_level
+from scanrig.errors import LinkLost, RigError, RigFault
+from scanrig.gearing import fitting_gear, measure_turn
+from scanrig.status import Counters
+
+from .desk import Desk, PaperController
+
+
+class Turning(PaperController):
+    """A table that goes round: its home switch comes again after `turn` microsteps."""
+
+    turn = 28800
+    switch = True
+    slips = 0
+    broken_wire = False
+    twice = False
+
+    def home(self, max_steps, timeout_s=120.0):
+        self._alive("home")
+        below = self.table.position % self.turn
+        if not self.switch or below > max_steps:
+            self.fall_into(4)
+        was = self.counter - below
+        # Physically the table stands at the edge of some turn; the counter begins there.
+        self.table.position -= below - self.slips
+        self.counter, self.homed = 0, True
+        return was
+
+    def counters(self):
+        self._alive("counters")
+        return Counters(0, 0, 0, self.table.lit_cycles, 1000, 0)
+
+    def trigger(self, ms=None):
+        self._alive("trigger")
+        self.exposures = (self.exposures + 1) % 65536
+        for _ in range(0 if self.broken_wire else 1 + self.twice):
+            self.camera.expose(self.table.position, self.table.shines)
+
+
+@pytest.fixture
+def desk():
+    return make_desk()
+
+
+def make_desk(**tables):
+    desk = Desk(**tables)
+    desk.controller = Turning(desk.table, desk.camera, desk.clock)
+    return desk
+
+
+def examined(desk, tmp_path, **parts):
+    found = {}
+    try:
+        examine(
+            parts.get("controller", desk.controller),
+            parts.get("camera", desk.camera),
+            parts.get("config", desk.config),
+            folder=tmp_path,
+            tell=lambda finding: found.update({finding.name: finding}),
+            clock=desk.clock,
+        )
+    finally:
+        if parts.get("controller", desk.controller) is not None:
+            assert not desk.table.laser and not desk.table.contactor
+    return found
+
+
+def test_a_rig_that_is_well(desk, tmp_path):
+    found = examined(desk, tmp_path)
+    said = {name: finding.verdict for name, finding in found.items()}
+    # The synthetic line is 120 DN above a wall of 30: less than a scan could have.
+    assert said.pop("exposure") == "note"
+    table, light = ["firmware", "inputs", "settings", "home", "steps per turn"], ["camera", "trigger", "laser"]
+    assert set(said) == {*table, *light, "laser off", "storage"}
+    assert set(said.values()) == {"works"}, found
+    assert found["steps per turn"].values == {"measured_microsteps": 28800, "expected_microsteps": 28800}
+    assert found["trigger"].found == "6 pulses of the controller gave 6 frames, 6 of them complete"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("true", [28800, 28803, 9600, 14400, 7200, 5760, 16000, 57600, 86400, 3200])
+def test_a_turn_is_measured_whatever_it_should_have_been(desk, true):
+    controller = desk.controller
+    controller.turn = true
+    controller.enable(True)
+    controller.home(60 * true)
+    before = desk.table.position
+    assert measure_turn(controller, 28800, speed=4000) == true
+    # No cable is wound up: it came back by as many turns as it went.
+    assert desk.table.position == before
+
+
+def test_a_table_that_does_not_turn(desk):
+    controller = desk.controller
+    controller.turn = 10**9
+    controller.table.position = 0
+    controller.enable(True)
+    with pytest.raises(RigError, match="did not come again"):
+        measure_turn(controller, 3200, speed=4000)
+
+
+def test_a_belt_that_slips(desk):
+    desk.controller.table.position = 0
+    desk.controller.slips = 700
+    desk.controller.enable(True)
+    with pytest.raises(RigError, match="on the way back"):
+        measure_turn(desk.controller, 28800, speed=4000)
+
+
+@pytest.mark.parametrize(
+    "turn, gear", [(28800, (9, 1)), (28797, (9, 1)), (12000, (15, 4)), (3200, (1, 1)), (16000, (5, 1)), (9601, (3, 1))]
+)
+def test_the_simplest_gear_that_fits(turn, gear):
+    assert fitting_gear(turn, 3200) == gear
+
+
+def test_no_gear_fits_a_turn_of_nothing():
+    assert fitting_gear(1, 3_000_000) is None
+
+
+@pytest.mark.parametrize(
+    "true, cure",
+    [
+        (16000, "under [turntable] set gear = [5, 1]"),
+        (14400, "under [turntable] set gear = [9, 2], or microsteps = 8, if the driver is set so"),
+    ],
+)
+def test_another_gear_than_configured_is_named(desk, tmp_path, true, cure):
+    desk.controller.turn = true
+    found = examined(desk, tmp_path)
+    assert found["steps per turn"].verdict == "wrong"
+    assert found["steps per turn"].found == f"{true} microsteps from home to home, expected 28800"
+    assert found["steps per turn"].do == cure
+    # The rest can be looked at all the same.
+    assert found["laser"].verdict == "works"
+
+
+def test_limits_forbid_a_whole_turn(tmp_path):
+    desk = make_desk(turntable={"limits_deg": [-10.0, 170.0]})
+    found = examined(desk, tmp_path)
+    assert found["steps per turn"].verdict == "not checked" and "by hand" in found["steps per turn"].do
+    assert found["home"].verdict == "works"
+
+
+def test_estop_pressed(desk, tmp_path):
+    desk.controller.estop, desk.controller.fault = True, 1
+    found = examined(desk, tmp_path)
+    assert (found["inputs"].verdict, found["inputs"].found) == ("wrong", "the emergency stop is pressed")
+    assert "home" not in found and desk.controller.shots == []
+
+
+def test_home_switch_that_never_closes(desk, tmp_path):
+    desk.controller.switch = False
+    found = examined(desk, tmp_path)
+    assert found["home"].verdict == "wrong" and "turntable.reverse" in found["home"].do
+    assert "steps per turn" not in found and "laser" not in found
+    # The trigger needs no home.
+    assert found["trigger"].verdict == "works"
+
+
+def test_home_that_is_not_repeatable(desk, tmp_path):
+    move, slipped = desk.controller.move, iter([0, 30, *[0] * 20])
+
+    def moved(to, timeout_s=120.0):
+        done = move(to, timeout_s)
+        desk.table.position -= next(slipped)
+        return done
+
+    desk.controller.move = moved
+    found = examined(desk, tmp_path)
+    assert found["home"].verdict == "wrong" and found["home"].values == {"missed_microsteps": 30}
+
+
+@pytest.mark.parametrize("fault, says", [("dead", "the laser is dark"), ("welded", "the laser stays on")])
+def test_laser_that_does_not_switch(desk, tmp_path, fault, says):
+    setattr(desk.table, fault, True)
+    found = examined(desk, tmp_path)
+    assert found["laser"].verdict == "wrong" and says in found["laser"].found
+    assert "exposure" not in found
+
+
+def test_no_wire_to_the_camera(desk, tmp_path):
+    desk.controller.broken_wire = True
+    found = examined(desk, tmp_path)
+    assert found["trigger"].verdict == "wrong" and "see the wire" in found["trigger"].do
+    assert found["trigger"].values == {"pulses": 6, "frames": 0, "complete": 0}
+
+
+def test_a_camera_that_exposes_by_itself(desk, tmp_path):
+    desk.controller.twice = True
+    found = examined(desk, tmp_path)
+    assert found["trigger"].verdict == "wrong" and found["trigger"].values["frames"] == 12
+
+
+def test_frames_in_part(desk, tmp_path):
+    desk.camera.faults[2] = "incomplete"
+    found = examined(desk, tmp_path)
+    assert found["trigger"].verdict == "wrong" and "packet_size" in found["trigger"].do
+
+
+@pytest.mark.parametrize("peak, longer", [(20.0, True), (60.0, True), (190.0, None), (900.0, False)])
+def test_exposure(tmp_path, peak, longer):
+    desk = make_desk(scene=SyntheticScene(peak_dn=peak))
+    finding = examined(desk, tmp_path)["exposure"]
+    if longer is None:
+        assert finding.verdict == "works", finding
+        return
+    assert finding.verdict == "note" and finding.do.startswith("expose longer" if longer else "expose shorter")
+    # What it proposes, done: ten percent of the lines' pixels vary with the wall under them.
+    factor = finding.values["factor"]
+    proposed = 10.0 * factor
+    assert f"camera.exposure_ms = {proposed:.3g} instead of 10" in finding.do
+    if longer:
+        level, _ = stripe_level(
+            *lit_and_dark(make_desk(scene=SyntheticScene(peak_dn=peak * factor)), factor), desk.config
+        )
+        assert level == pytest.approx(225.0, rel=0.1)
+
+
+def test_a_bright_room(tmp_path):
+    desk = make_desk(scene=SyntheticScene(peak_dn=90.0, ambient_dn=120.0, contrast=0.1))
+    finding = examined(desk, tmp_path)["exposure"]
+    assert finding.verdict == "note" and "darken the room" in finding.do
+
+
+def test_without_camera_the_controller_is_examined(desk, tmp_path):
+    found = examined(desk, tmp_path, camera=None, config=None)
+    assert set(found) == {"firmware", "inputs", "settings", "home", "steps per turn", "laser off"}
+    assert found["steps per turn"].found == "28800 microsteps from home to home"
+    assert desk.table.lit_cycles == 0
+
+
+def test_without_controller_the_camera_is_examined(desk, tmp_path):
+    found = examined(desk, tmp_path, controller=None)
+    assert {name: finding.verdict for name, finding in found.items()} == {
+        "camera": "works", "trigger": "not checked", "storage": "works",
+    }  # fmt: skip
+
+
+def test_a_folder_that_cannot_be_written(desk, tmp_path):
+    (tmp_path / "file").touch()
+    found = examined(desk, tmp_path / "file")
+    assert found["storage"].verdict == "wrong" and "cannot be written" in found["storage"].found
+
+
+@pytest.mark.parametrize("problem", [KeyboardInterrupt(), RigFault(1, 0), LinkLost("gone"), ValueError("a mistake")])
+@pytest.mark.parametrize("when", ["home", "laser", "trigger"])
+def test_the_laser_is_off_on_every_way_out(desk, tmp_path, problem, when):
+    controller = desk.controller
+
+    def fails(*args, **options):
+        controller.table.laser = controller.table.contactor = True
+        raise problem
+
+    setattr(controller, {"home": "home", "laser": "shot", "trigger": "trigger"}[when], fails)
+    try:
+        found = examined(desk, tmp_path)
+    except (KeyboardInterrupt, ValueError) as raised:
+        assert raised is problem
+    else:
+        assert found["laser off"].verdict == "works"
+        assert "wrong" in {finding.verdict for finding in found.values()}
+    assert not desk.table.laser and not desk.table.contactor
+
+
+def test_a_laser_that_is_not_confirmed_off_is_said(desk, tmp_path):
+    found = {}
+    desk.controller.never_safe = True
+    examine(desk.controller, None, None, folder=tmp_path, tell=lambda f: found.update({f.name: f}), clock=desk.clock)
+    assert found["laser off"].verdict == "wrong" and "by hand" in found["laser off"].do
+
+
+def test_levels_of_the_line():
+    desk = make_desk()
+    on, off = np.full((96, 128), 30, np.uint8), np.full((96, 128), 30, np.uint8)
+    assert stripe_level(on, off, desk.config) == (0.0, 0.0)
+    on[:, 60] = 130
+    on[:48, 60] = 255
+    level, clipped = stripe_level(on, off, desk.config)
+    assert (level, clipped) == (255.0, 0.5)
