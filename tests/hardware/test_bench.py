@@ -47,9 +47,12 @@ def echoed(simulated, data, *, baud=250_000):
             limit = time.monotonic() + 20
             while simulated.plant()["received"] < before + min(start + 500, len(data)):
                 assert time.monotonic() < limit
-            simulated.run_for(0.005)
-            while more := port.read(port.in_waiting):
-                back += more
+            back += port.read(port.in_waiting)
+        simulated.run_for(0.005)
+        # What was written at one end of a pseudo-terminal is at the other when the kernel comes to it.
+        port.timeout = 0.3
+        while more := port.read(max(port.in_waiting, 1)):
+            back += more
     return back
 
 
