@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from itertools import groupby
 from pathlib import Path
 
+from jaxscan.errors import ConfigError
 from scanrig.cameras.frame import Camera
 from scanrig.clock import Clock, SystemClock
 from scanrig.conduct import conduct
@@ -123,6 +124,8 @@ def run_calibration(
 
     The other arguments, the result and the errors are those of `run_sweep`.
     """
+    if config.board is None:
+        raise ConfigError("[board]: missing, a calibration needs one; see configs/scan.toml.")
     positions = placement_positions(config)
     plan = config.calibration
     job = Job(

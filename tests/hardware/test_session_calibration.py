@@ -1,0 +1,144 @@
+"""A calibration on paper: free views, placements, and going on with what was half done."""
+
+import json
+
+import numpy as np
+import pytest
+from scanrig.errors import LinkLost
+from scanrig.session import run_calibration
+
+from jaxscan.files.capture import open_capture
+from jaxscan.files.verify import verify_capture
+
+from .desk import Desk
+
+
+BOARD = {"type": "charuco", "columns": 12, "rows": 9, "square_mm": 30.0, "marker_mm": 22.0}
+PLAN = {"free_views": 3, "placements": 2, "angles_deg": [-10.0, 0.0, 10.0]}
+
+
+class Somebody:
+    """Places the board, so often of each kind, and remembers what was asked."""
+
+    def __init__(self, desk, free=99, placements=99):
+        self.desk, self.asked, self.lit = desk, [], []
+        self.left = {"free": free, "placement": placements}
+
+    def place(self, request):
+        self.asked.append((request.kind, request.number, request.total))
+        self.lit.append(self.desk.table.laser or self.desk.table.contactor)
+        self.left[request.kind] -= 1
+        return self.left[request.kind] >= 0
+
+
+def make(**tables):
+    return Desk(board=BOARD, calibration=PLAN, **tables)
+
+
+def calibration(desk, folder, operator, **options):
+    return run_calibration(desk.config, folder, operator=operator, **desk.rig(), **options)
+
+
+def journal(path):
+    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
+
+
+def records(path):
+    """Number, angle and placement of each record."""
+    capture = open_capture(path)
+    return [(one.i, round(float(np.degrees(one.angle)), 6), one.placement) for one in capture.records]
+
+
+WHOLE = [
+    (0, 0.0, 0),
+    (1, 0.0, 1),
+    (2, 0.0, 2),
+    (3, -10.0, 3),
+    (4, 0.0, 3),
+    (5, 10.0, 3),
+    (6, -10.0, 4),
+    (7, 0.0, 4),
+    (8, 10.0, 4),
+]
+
+
+def test_free_views_from_home_then_placements_at_all_angles(tmp_path):
+    desk = make()
+    somebody = Somebody(desk)
+    result = calibration(desk, tmp_path / "boards", somebody, advise=lambda: ["Tilt it."])
+    assert (result.status, result.records, result.planned) == ("complete", 9, 9)
+    assert records(tmp_path / "boards") == WHOLE
+    assert somebody.asked == [("free", k, 3) for k in range(3)] + [("placement", k, 2) for k in range(2)]
+    # Whoever stands at the board stands in front of an open contactor.
+    assert somebody.lit == [False] * 5
+    capture = open_capture(tmp_path / "boards")
+    assert capture.header.kind == "calibration" and capture.board is not None
+    for k in range(9):
+        on, off = capture.frames(k)
+        assert on.astype(int).max() - off.astype(int).max() > 50
+    assert verify_capture(tmp_path / "boards") == []
+    homes = [line["why"] for line in journal(tmp_path / "boards") if line.get("event") == "home"]
+    assert homes == ["start", "end of a placement", "end of a placement"]
+
+
+def test_the_operator_may_have_enough(tmp_path):
+    desk = make()
+    result = calibration(desk, tmp_path / "boards", Somebody(desk, free=1, placements=1))
+    assert (result.status, result.records) == ("complete", 4)
+    assert [placement for *_, placement in records(tmp_path / "boards")] == [0, 1, 1, 1]
+
+
+def test_a_placement_that_was_half_done_is_begun_anew_under_another_number(tmp_path):
+    desk = make()
+    desk.controller.before_shot[8] = lambda controller: controller.lose_link(attempts=1000)
+    with pytest.raises(LinkLost):
+        calibration(desk, tmp_path / "boards", Somebody(desk))
+    assert records(tmp_path / "boards") == WHOLE[:7]
+    again = make()
+    somebody = Somebody(again)
+    result = calibration(again, tmp_path / "boards", somebody, resume=True)
+    assert (result.status, result.records, result.taken) == ("complete", 9, 3)
+    assert somebody.asked == [("placement", 1, 2)]
+    # The three of the second placement saw one board that did not move: a new number for all of them.
+    assert records(tmp_path / "boards")[:6] == WHOLE[:6]
+    assert records(tmp_path / "boards")[6:] == [(6, -10.0, 5), (7, 0.0, 5), (8, 10.0, 5)]
+    assert verify_capture(tmp_path / "boards") == []
+
+
+def test_a_complete_calibration_asks_for_nothing(tmp_path):
+    desk = make()
+    calibration(desk, tmp_path / "boards", Somebody(desk))
+    again = make()
+    somebody = Somebody(again)
+    assert calibration(again, tmp_path / "boards", somebody, resume=True).taken == 0
+    assert somebody.asked == [] and again.controller.log == []
+
+
+def test_steps_lost_during_a_placement_make_it_suspect_and_it_alone(tmp_path):
+    desk = make()
+    desk.controller.before_shot[5] = lambda controller: controller.lose_steps(30)
+    result = calibration(desk, tmp_path / "boards", Somebody(desk))
+    # Free views stand at home like all since the last time home was found; they are in doubt as well.
+    assert result.status == "suspect" and result.suspect == ((0, 5),)
+    again = make()
+    somebody = Somebody(again)
+    result = calibration(again, tmp_path / "boards", somebody, resume=True)
+    assert (result.status, result.suspect) == ("complete", ())
+    assert somebody.asked == [("free", k, 3) for k in range(3)] + [("placement", 0, 2)]
+
+
+def test_asked_to_stop_while_the_board_is_moved(tmp_path):
+    desk = make()
+    somebody = Somebody(desk)
+    result = calibration(desk, tmp_path / "boards", somebody, should_stop=lambda: len(somebody.asked) >= 2)
+    assert (result.status, result.records) == ("interrupted", 1)
+    again = make()
+    assert calibration(again, tmp_path / "boards", Somebody(again), resume=True).records == 9
+    assert len(open_capture(tmp_path / "boards")) == 9
+
+
+def test_without_a_board_it_is_refused_before_anything_moves(tmp_path):
+    desk = Desk(calibration=PLAN)
+    with pytest.raises(Exception, match=r"\[board\]"):
+        calibration(desk, tmp_path / "boards", Somebody(desk))
+    assert desk.controller.log == [] and not (tmp_path / "boards").exists()

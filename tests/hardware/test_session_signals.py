@@ -1,0 +1,110 @@
+"""Being asked to end: once, twice, and in the worst moments."""
+
+import json
+import os
+import signal
+
+import pytest
+from scanrig.session import run_sweep
+from scanrig.signals import Interrupts
+
+from jaxscan.files.capture import open_capture
+from jaxscan.files.verify import verify_capture
+
+from .desk import Desk
+
+
+def journal(path):
+    return [json.loads(line) for line in (path / "frames.jsonl").read_text().splitlines()]
+
+
+def sweep(desk, folder, **options):
+    return run_sweep(desk.config, folder, **desk.rig(), **options)
+
+
+def interrupt(controller=None):
+    raise KeyboardInterrupt
+
+
+def test_10_the_first_signal_is_a_mark_and_the_second_an_interrupt():
+    before = signal.getsignal(signal.SIGTERM)
+    with Interrupts() as interrupts:
+        assert not interrupts()
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert interrupts() and interrupts.received == ["SIGTERM"]
+        with pytest.raises(KeyboardInterrupt, match="SIGTERM, then SIGINT"):
+            os.kill(os.getpid(), signal.SIGINT)
+        # Whoever is switching the laser off is not disturbed any more.
+        for name in ("SIGINT", "SIGHUP", "SIGTERM"):
+            os.kill(os.getpid(), getattr(signal, name))
+        assert len(interrupts.received) == 5
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_10_one_signal_in_mid_step_finishes_the_step(tmp_path):
+    desk = Desk()
+    with Interrupts() as interrupts:
+        desk.controller.before_shot[4] = lambda controller: os.kill(os.getpid(), signal.SIGINT)
+        result = sweep(desk, tmp_path / "room", should_stop=interrupts)
+    assert (result.status, result.records, result.laser_off) == ("interrupted", 4, True)
+    assert "4 of 10 records" in result.message and "--resume" in result.message
+    assert "abort" not in desk.controller.log and not desk.table.contactor
+    assert journal(tmp_path / "room")[-1]["status"] == "interrupted"
+
+
+@pytest.mark.parametrize(
+    "at", ["before the shot", "while the frames come", "while the pair is stored", "in the viewer"]
+)
+def test_10_an_abort_switches_off_before_anything_else(tmp_path, monkeypatch, at):
+    desk = Desk()
+    options = {}
+    if at == "before the shot":
+        desk.controller.before_shot[4] = interrupt
+    elif at == "while the frames come":
+        original, calls = desk.camera.next, []
+        desk.camera.next = lambda timeout_s: (calls.append(1), interrupt() if len(calls) == 8 else original(timeout_s))[
+            1
+        ]
+    elif at == "while the pair is stored":
+        from jaxscan.files.writer import CaptureWriter
+
+        flush, flushes = CaptureWriter.flush, []
+
+        def flushing(writer):
+            flushes.append(1)
+            if len(flushes) == 6:
+                raise KeyboardInterrupt
+            flush(writer)
+
+        monkeypatch.setattr(CaptureWriter, "flush", flushing)
+    else:
+        options["on_pair"] = lambda number, *_: interrupt() if number == 3 else None
+    with pytest.raises(KeyboardInterrupt):
+        sweep(desk, tmp_path / "room", **options)
+    monkeypatch.undo()
+    log = desk.controller.log
+    # The byte that needs no answer, then the confirmation.
+    assert log.index("abort") < log.index("make_safe")
+    assert "shot" not in log[log.index("abort") :]
+    assert not desk.table.laser and not desk.table.contactor
+    assert journal(tmp_path / "room")[-1]["status"] == "aborted"
+    assert verify_capture(tmp_path / "room") == [] and len(open_capture(tmp_path / "room")) in (3, 4)
+    again = Desk()
+    assert sweep(again, tmp_path / "room", resume=True).status == "complete"
+    assert len(open_capture(tmp_path / "room")) == 10
+
+
+def test_10_an_interrupt_while_the_laser_is_switched_off(tmp_path):
+    desk = Desk()
+    make_safe, calls = desk.controller.make_safe, []
+
+    def disturbed():
+        calls.append(1)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return make_safe()
+
+    desk.controller.make_safe = disturbed
+    result = sweep(desk, tmp_path / "room")
+    assert result.laser_off and desk.controller.log[-2:] == ["abort", "make_safe"]
+    assert not desk.table.contactor
