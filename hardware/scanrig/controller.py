@@ -4,10 +4,10 @@ import logging
 import secrets
 from collections.abc import Callable
 from types import TracebackType
-from typing import TypeVar
 
 from scanrig.clock import Clock, SystemClock
-from scanrig.errors import ControllerReset, FirmwareError, LinkLost, PortError, Refused, RigError, RigFault, RigTimeout
+from scanrig.conversation import Conversation
+from scanrig.errors import FirmwareError, LinkLost, PortError, RigError
 from scanrig.exchange import Exchange
 from scanrig.greeting import Silence, greet, what_is_there
 from scanrig.link import Link
@@ -23,16 +23,14 @@ from scanrig.status import (
     Status,
     integer,
     read_counters,
-    read_status,
 )
 
 
 log = logging.getLogger(__name__)
 
-POLL_S = 0.1
-"""Between two questions while something runs: well under the controller's link watchdog, 500 ms by default."""
 
-T = TypeVar("T")
+REST_S = 5.0
+"""How long a table may take to slow down."""
 
 
 class Controller:
@@ -63,13 +61,10 @@ class Controller:
         """
         self._clock = clock or SystemClock()
         self._wire = Exchange(link, self._clock, timeout_s=timeout_s, tries=tries)
+        self._talk = Conversation(self._wire, self._clock)
         self._reopen = reopen
         self._session = session or secrets.randbelow(2**31 - 1) + 1
-        self._firmware: Firmware | None = None
         self._settings: Settings | None = None
-        self._enabled = False
-        self._begun = 0
-        self._broken = False
         self._closed = False
 
     # Session
@@ -120,8 +115,8 @@ class Controller:
         """
         groups = settings.wire()
         for group in groups.values():
-            self._ask("SET", **group)
-        says = self._ask("CFG") | self._ask("CFG", shot=1)
+            self._talk.ask("SET", **group)
+        says = self._talk.ask("CFG") | self._talk.ask("CFG", shot=1)
         wanted = {key: value for group in groups.values() for key, value in group.items()}
         differing = [
             f"{key}={says.get(key, 'nothing')} instead of {value}"
@@ -135,8 +130,8 @@ class Controller:
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
         """Find the controller again after LinkLost or ControllerReset, with longer and longer pauses.
 
-        A link fault is cleared and the settings are sent again. If it is still the same boot, its position is good;
-        otherwise it must be enabled, armed and homed anew. The contactor is open in either case.
+        Motion is stopped, a link fault cleared, and the settings are sent again. If it is still the same boot, its
+        position is good; otherwise it must be enabled, armed and homed anew. What is left to do is in its state.
 
         Args:
             timeout_s: when to give up.
@@ -148,27 +143,27 @@ class Controller:
             LinkLost: it did not come back in time.
             FirmwareError: something else is there now.
         """
-        before = self._firmware
+        before = self._talk.firmware
         give_up = self._clock.now() + timeout_s
         pause = 0.1
         while True:
             try:
-                if self._broken:
+                if self._talk.broken:
                     self._open_again()
                 firmware = self._greet()
-                if self.stat().fault == 2:
+                if self._come_to_rest().fault == 2:
                     self.clear()
                 if self._settings is not None:
                     self.configure(self._settings)
                 status = self.stat()
                 break
             except (Silence, LinkLost, PortError) as problem:
-                self._broken = True
+                self._talk.broken = True
                 if self._clock.now() + pause > give_up:
                     raise LinkLost(f"{self.name} did not come back within {timeout_s:.0f} s: {problem}") from problem
             self._clock.sleep(pause)
             pause = min(2 * pause, 2.0)
-        self._enabled = status.enabled
+        self._talk.enabled = status.enabled
         same = before is not None and before.boot == firmware.boot
         return Reconnection(same, not status.homed, status)
 
@@ -176,8 +171,8 @@ class Controller:
 
     def enable(self, on: bool) -> None:
         """Switch the motor driver on or off; off forgets home."""
-        self._ask("EN", on=on)
-        self._enabled = on
+        self._talk.ask("EN", on=on)
+        self._talk.enabled = on
 
     def home(self, max_steps: int, timeout_s: float = 120.0) -> int:
         """Look for the home switch and call its edge 0.
@@ -193,14 +188,12 @@ class Controller:
             RigFault: the switch was not found, is stuck, or something stopped the motion.
             RigTimeout: it did not arrive.
         """
-        self._drop_old_events()
-        self._ask("HOME", max=max_steps)
-        self._begun = self._wire.seq
-        return self._wait(
+        self._talk.begin("HOME", max=max_steps)
+        return self._talk.wait(
             "homing",
             timeout_s,
-            lambda event: integer(event.fields, "was") if self._is_end(event, "HOMED") else None,
-            lambda status: integer(self._ask("CNT"), "was"),
+            lambda event: integer(event.fields, "was") if self._talk.is_end(event, "HOMED") else None,
+            lambda status: integer(self._talk.ask("CNT"), "was"),
         )
 
     def move(self, to: int, timeout_s: float = 120.0) -> int:
@@ -218,25 +211,23 @@ class Controller:
             RigFault: something stopped the motion.
             RigTimeout: it did not arrive.
         """
-        self._drop_old_events()
-        self._ask("MOVE", to=to)
-        self._begun = self._wire.seq
-        return self._wait(
+        self._talk.begin("MOVE", to=to)
+        return self._talk.wait(
             f"moving to {to}",
             timeout_s,
-            lambda event: integer(event.fields, "pos") if self._is_end(event, "DONE") else None,
+            lambda event: integer(event.fields, "pos") if self._talk.is_end(event, "DONE") else None,
             lambda status: status.position,
         )
 
     def stop(self) -> None:
         """Laser off, motor slowed down; the table stays homed."""
-        self._ask("STOP")
+        self._talk.ask("STOP")
 
     # Light
 
     def arm(self, on: bool) -> None:
         """Close or open the contactor in the laser's supply."""
-        self._ask("ARM", on=on)
+        self._talk.ask("ARM", on=on)
 
     def laser(self, on: bool, ms: int | None = None) -> None:
         """Switch the laser on for a while, renew that, or switch it off.
@@ -246,17 +237,17 @@ class Controller:
             ms: how long it may stay on, at most the lease of `hello`; by default all of that.
         """
         if on:
-            lease = 1000 if self._firmware is None else self._firmware.lease_ms
-            self._ask("LASER", on=1, ms=lease if ms is None else ms)
+            lease = 1000 if self._talk.firmware is None else self._talk.firmware.lease_ms
+            self._talk.ask("LASER", on=1, ms=lease if ms is None else ms)
         else:
-            self._ask("LASER", on=0)
+            self._talk.ask("LASER", on=0)
 
     def trigger(self, ms: int | None = None) -> None:
         """One exposure of `ms` milliseconds, by default as long as configured. Does not wait for its end."""
         if ms is None:
-            self._ask("TRIG")
+            self._talk.ask("TRIG")
         else:
-            self._ask("TRIG", ms=ms)
+            self._talk.ask("TRIG", ms=ms)
 
     def shot(self, to: int, id: int, *, lit: bool = True, dark: bool = True) -> None:
         """Begin a shot: turn, settle, expose with the laser, expose without. `to` as it stands repeats it.
@@ -267,8 +258,7 @@ class Controller:
             lit: expose with the laser.
             dark: expose without.
         """
-        self._drop_old_events()
-        self._ask("SHOT", to=to, id=id, m=lit + 2 * dark)
+        self._talk.begin("SHOT", to=to, id=id, m=lit + 2 * dark)
 
     def wait_shot(self, id: int, timeout_s: float = 120.0) -> ShotDone:
         """Wait for the end of a shot that `shot` has begun.
@@ -283,7 +273,9 @@ class Controller:
                 return None
             return ShotDone(integer(event.fields, "pos"), integer(event.fields, "trg"))
 
-        return self._wait(f"shot {id}", timeout_s, told, lambda status: ShotDone(status.position, status.exposures))
+        return self._talk.wait(
+            f"shot {id}", timeout_s, told, lambda status: ShotDone(status.position, status.exposures)
+        )
 
     # State
 
@@ -293,16 +285,7 @@ class Controller:
         Raises:
             ControllerReset: it has been reset since `hello`.
         """
-        status = read_status(self._ask("STAT"))
-        self._wire.note_last_event(status.events)
-        if self._enabled and not status.enabled:
-            if status.state == "fault":
-                self._enabled = False
-            elif self._firmware is not None:
-                # Nobody switched the driver off, so it is the state after a reset whose event was lost.
-                self._wire.restarted = self._wire.restarted or ControllerReset(self._firmware.boot, None)
-        self._raise_reset()
-        return status
+        return self._talk.stat()
 
     def poll(self) -> Status:
         """Ask for the state to keep the link alive.
@@ -311,14 +294,11 @@ class Controller:
             RigFault: the controller is in a fault.
             ControllerReset: it has been reset.
         """
-        status = self.stat()
-        if status.state == "fault":
-            raise RigFault(status.fault, status.position)
-        return status
+        return self._talk.poll()
 
     def counters(self) -> Counters:
         """The controller's counters of errors and wear."""
-        return read_counters(self._ask("CNT"))
+        return read_counters(self._talk.ask("CNT"))
 
     def clear(self) -> None:
         """Leave a fault; the contactor stays open until `arm`.
@@ -327,16 +307,7 @@ class Controller:
             Refused: the emergency stop is still pressed.
             RigFault: another fault came at the same moment, of which nobody has been told yet.
         """
-        try:
-            self._ask("CLEAR")
-        except Refused:
-            status = self.stat()
-            if status.state == "fault" and not status.estop:
-                raise RigFault(status.fault, status.position) from None
-            raise
-        self._wire.events.clear()
-        # The emergency stop has switched the driver off; that is no sign of a reset.
-        self._enabled = read_status(self._ask("STAT")).enabled
+        self._talk.clear()
 
     # The way out
 
@@ -387,89 +358,25 @@ class Controller:
 
     # Within
 
-    def _ask(self, verb: str, **args: int) -> dict[str, str]:
-        """Ask, and turn refusals that mean a fault or a reset into what they mean."""
-        self._raise_reset()
-        try:
-            fields = self._wire.ask(verb, **args)
-        except LinkLost as problem:
-            # A port that fails must be opened again; one that is silent must not yet: opening it resets an Uno.
-            self._broken = problem.__cause__ is not None
-            raise
-        except Refused as refusal:
-            if refusal.code == 9 and self._firmware is not None:
-                self._wire.restarted = self._wire.restarted or ControllerReset(self._firmware.boot, None)
-                raise self._wire.restarted from refusal
-            if refusal.code == 6 and verb != "CLEAR":
-                status = self.stat()
-                if status.state == "fault":
-                    raise RigFault(status.fault, status.position) from refusal
-            raise
-        return fields
-
-    def _raise_reset(self) -> None:
-        if self._wire.restarted is not None:
-            self._enabled = False
-            raise self._wire.restarted
-
     def _greet(self) -> Firmware:
         firmware = greet(self._wire, self._clock, self._session)
-        if self._firmware is None or firmware.boot != self._firmware.boot:
-            self._enabled = False
-        self._firmware = firmware
+        before, self._talk.firmware = self._talk.firmware, firmware
+        if before is None or firmware.boot != before.boot:
+            self._talk.enabled = False
         return firmware
+
+    def _come_to_rest(self) -> Status:
+        """A cable that was pulled for less than the link watchdog's time has stopped nothing."""
+        give_up = self._clock.now() + REST_S
+        self.stop()
+        while (status := self.stat()).state not in ("idle", "fault"):
+            if self._clock.now() >= give_up:
+                raise LinkLost(f"{self.name}: the table did not come to rest")
+            self._clock.sleep(0.02)
+        return status
 
     def _open_again(self) -> None:
         if self._reopen is not None:
             self._wire.link.close()
             self._wire.attach(self._reopen())
-        self._broken = False
-
-    def _is_end(self, event: Event, name: str) -> bool:
-        """Whether an event is the end of what the last line began, and not of what an earlier one did."""
-        return event.name == name and event.fields.get("seq") == str(self._begun)
-
-    def _drop_old_events(self) -> None:
-        """What is left of earlier commands must not be taken for the end of the next one."""
-        kept = [event for event in self._wire.events if event.name == "FAULT"]
-        self._wire.events.clear()
-        self._wire.events.extend(kept)
-
-    def _wait(self, what: str, timeout_s: float, told: Callable[[Event], T | None], idle: Callable[[Status], T]) -> T:
-        """Wait for an event, and ask for the state meanwhile: the event may be lost, and the link must stay alive."""
-        give_up = self._clock.now() + timeout_s
-        next_poll = self._clock.now() + POLL_S
-        while True:
-            done = self._look_at_events(told)
-            if done is not None:
-                return done
-            self._raise_reset()
-            now = self._clock.now()
-            if now >= give_up:
-                self.stop()
-                raise RigTimeout(f"{what} did not end within {timeout_s:.1f} s; it was stopped")
-            if now < next_poll:
-                self._listen(next_poll - now)
-                continue
-            status = self.poll()
-            next_poll = self._clock.now() + POLL_S
-            if status.state == "idle":
-                done = self._look_at_events(told)
-                return idle(status) if done is None else done
-
-    def _listen(self, timeout_s: float) -> None:
-        try:
-            self._wire.listen(timeout_s)
-        except LinkLost:
-            self._broken = True
-            raise
-
-    def _look_at_events(self, told: Callable[[Event], T | None]) -> T | None:
-        while self._wire.events:
-            event = self._wire.events.popleft()
-            if event.name == "FAULT":
-                raise RigFault(integer(event.fields, "f"), integer(event.fields, "pos"))
-            done = told(event)
-            if done is not None:
-                return done
-        return None
+        self._talk.broken = False

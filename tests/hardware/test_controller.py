@@ -318,6 +318,18 @@ def test_after_a_pulled_cable_the_position_is_still_good(fake, controller):
     assert controller.wait_shot(1).position == fake.position == 8000
 
 
+def test_a_cable_pulled_for_a_moment_in_a_move(fake, controller):
+    controller.shot(8000, 1)
+    fake.unplugged = True
+    with pytest.raises(LinkLost):
+        controller.wait_shot(1)
+    fake.unplugged = False
+    found = controller.reconnect()
+    assert (found.same_boot, found.must_home, found.status.state) == (True, False, "idle")
+    controller.shot(8000, 1)
+    assert controller.wait_shot(1).position == fake.position == 8000
+
+
 def test_reconnecting_backs_off_and_gives_up(fake, controller):
     fake.unplugged = True
     opened = []
