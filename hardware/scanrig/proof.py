@@ -318,17 +318,19 @@ def _gain(pair: _Pair) -> float:
     """How much brighter the room is in the laser-on frame: the median, narrowed down on the bulk of the pixels."""
     few = (slice(None, None, max(1, len(pair.on) // 32)), slice(None, None, 3))
     on, off = pair.on[few].ravel(), pair.off[few].ravel()
-    usable = (off > 4.0) & (on < _CLIPPED) & (off < _CLIPPED)
+    # By the sum, and weighted by it: chosen by the noise of one of them, the other would seem darker.
+    usable = (on + off > 8.0) & (on < _CLIPPED) & (off < _CLIPPED)
     on, off = on[usable], off[usable]
     if len(on) < 200:
         return 1.0
-    gain = float(np.clip(np.median(on / off), 0.1, 10.0))
+    gain = float(np.clip(np.median(on / np.maximum(off, 0.25)), 0.1, 10.0))
+    both = on + off
     for _ in range(2):
         residual = on - np.float32(gain) * off
         scale = 1.4826 * float(np.median(np.abs(residual))) + 0.1
         weight = np.maximum(1.0 - (residual / (3.0 * scale)) ** 2, 0.0) ** 2
-        bottom = float(np.sum(weight * off * off))
-        gain = float(np.sum(weight * off * on)) / bottom if bottom > 0 else gain
+        bottom = float(np.sum(weight * both * off))
+        gain = float(np.sum(weight * both * on)) / bottom if bottom > 0 else gain
     return gain
 
 
