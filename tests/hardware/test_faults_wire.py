@@ -162,6 +162,23 @@ def test_a_cable_pulled_in_a_slow_move_leaves_the_position_good(rig):
         assert [edge["pos"] for edge in rises(simulated.edges(), "trig")] == [800, 800]
 
 
+def test_a_cable_pulled_for_a_moment_in_a_move(rig):
+    simulated = rig()
+    with ready(simulated, speed=1, **SHORT) as controller:
+        controller.shot(20000, 1)
+        simulated.run_for(0.4)
+        simulated.unplug()
+        with pytest.raises(LinkLost):
+            controller.wait_shot(1)
+        simulated.plug()
+        found = controller.reconnect(timeout_s=10.0)
+        assert (found.same_boot, found.must_home, found.status.state) == (True, False, "idle")
+        assert found.status.position == simulated.plant()["pos"] < 20000
+        assert rises(simulated.edges(), "trig") == []
+        controller.shot(800, 1)
+        assert controller.wait_shot(1).position == simulated.plant()["pos"] == 800
+
+
 @pytest.mark.slow
 def test_a_cable_pulled_in_a_fast_move_asks_for_home(rig):
     simulated = rig()
