@@ -1,12 +1,13 @@
 """The examination of the controller and of what it turns: firmware, inputs, settings, home, a whole turn."""
 
+import dataclasses
 from collections.abc import Callable
 
 from scanrig.config import RigConfig
 from scanrig.controller import Controller
 from scanrig.errors import RigFault
 from scanrig.findings import Finding, Tell, looked_at
-from scanrig.gearing import TOLERANCE, fitting_gear, measure_turn
+from scanrig.gearing import TOLERANCE, fitting_gear, measure_turn, needed
 from scanrig.plan import controller_settings, nearest
 from scanrig.settings import Settings
 
@@ -128,15 +129,23 @@ def _some_way(turn: int, config: RigConfig | None) -> int:
 
 
 def _turn(controller: Controller, config: RigConfig | None, settings: Settings, say: Callable[[str], None]) -> Finding:
-    if settings.limits is not None:
+    expected = None if config is None else config.microsteps_per_turn
+    guess = expected or _UNKNOWN_TURN
+    highest = None if settings.limits is None else settings.limits[1]
+    if highest is not None and highest < needed(guess):
         return Finding(
             "steps per turn",
             "not checked",
-            "turntable.limits_deg forbids a whole turn",
+            f"turntable.limits_deg forbids a turn and {360 * (needed(guess) - guess) / guess:.0f} degrees",
             "measure an angle by hand: 90 degrees by the configuration must be 90 degrees of the table",
         )
-    expected = None if config is None else config.microsteps_per_turn
-    measured = measure_turn(controller, expected or _UNKNOWN_TURN, speed=settings.speed, tell=say)
+    # The way back begins at the home of the next turn, from which limits are counted wrongly.
+    free = dataclasses.replace(settings, limits=None)
+    try:
+        controller.configure(free)
+        measured = measure_turn(controller, guess, speed=settings.speed, highest=highest, tell=say)
+    finally:
+        controller.configure(settings)
     values = {"measured_microsteps": measured}
     if config is None or expected is None:
         return Finding("steps per turn", "works", f"{measured} microsteps from home to home", values=values)

@@ -18,7 +18,12 @@ _LEAST_S = 60.0
 
 
 def measure_turn(
-    controller: Controller, guess: int, *, speed: float, tell: Callable[[str], None] = lambda text: None
+    controller: Controller,
+    guess: int,
+    *,
+    speed: float,
+    highest: int | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> int:
     """Turn until the home switch comes again, and come back the same way, so that no cable winds up.
 
@@ -30,6 +35,7 @@ def measure_turn(
         controller: Enabled and homed.
         guess: What a turn should have [microsteps].
         speed: Of motions [microsteps/s], to know how long to wait.
+        highest: How far up the table may turn, at least `needed(guess)`; None: as far as it takes.
         tell: Called with what is done now.
 
     Returns:
@@ -39,7 +45,7 @@ def measure_turn(
         RigError: If the switch does not come again within `2**_DOUBLINGS` times what it should.
         RigFault, LinkLost: As the controller has it.
     """
-    above = max(guess // _PART, 8)
+    above = needed(guess) - guess
 
     def to_switch_from(position: int, reach: int) -> int:
         controller.move(position, _LEAST_S + 2.0 * (abs(position) + reach) / speed)
@@ -51,10 +57,15 @@ def measure_turn(
         turns = to_switch_from(top, top + guess)
         if abs(turns) > TOLERANCE:
             break
-        top = 2 * top
+        reached, top = top, 2 * top
+        if highest is not None and top > highest:
+            raise RigError(
+                f"the home switch did not come again within {reached} microsteps, and the limits forbid more: a turn has "
+                f"more than {guess} microsteps, or the table does not turn"
+            )
     else:
         raise RigError(
-            f"the home switch did not come again within {top // 2} microsteps, {2 ** (_DOUBLINGS - 1)} times a turn; "
+            f"the home switch did not come again within {reached} microsteps, {2 ** (_DOUBLINGS - 1)} times a turn; "
             "see whether the table turns at all"
         )
     rest = turns
@@ -70,6 +81,11 @@ def measure_turn(
         f"the home switch was found at {edge} microsteps on the way back, expected at {rest} or before: steps are "
         "lost, or the switch is not where it was; see belt, motor current and speed"
     )
+
+
+def needed(guess: int) -> int:
+    """How far above home the table turns at least to measure a turn of so many microsteps."""
+    return guess + max(guess // _PART, 8)
 
 
 def fitting_gear(turn: int, motor_turn: int) -> tuple[int, int] | None:

@@ -148,6 +148,24 @@ def test_limits_forbid_a_whole_turn(tmp_path):
     assert found["home"].verdict == "works"
 
 
+@pytest.mark.parametrize("true, verdict", [(28800, "works"), (14400, "wrong"), (40000, "wrong")])
+def test_within_limits_that_allow_a_turn_it_is_measured(tmp_path, true, verdict):
+    desk = make_desk(turntable={"limits_deg": [-20.0, 370.0], "home_within_deg": 600.0})
+    desk.controller.turn = true
+    turn_to, stood = desk.controller._turn, []
+
+    def turned(to):
+        turn_to(to)
+        stood.append(desk.table.position)
+
+    desk.controller._turn = turned
+    found = examined(desk, tmp_path)
+    assert found["steps per turn"].verdict == verdict, found
+    # What limits protect are cables: seen from the first home, the table never left them, and they hold again.
+    assert 0 <= min(stood) and max(stood) <= 370 * 80
+    assert desk.controller.settings.limits == (-1600, 29600)
+
+
 def test_estop_pressed(desk, tmp_path):
     desk.controller.estop, desk.controller.fault = True, 1
     found = examined(desk, tmp_path)
@@ -217,9 +235,8 @@ def test_exposure(tmp_path, peak, longer):
     proposed = 10.0 * factor
     assert f"camera.exposure_ms = {proposed:.3g} instead of 10" in finding.do
     if longer:
-        level, _ = stripe_level(
-            *lit_and_dark(make_desk(scene=SyntheticScene(peak_dn=peak * factor)), factor), desk.config
-        )
+        brighter = make_desk(scene=SyntheticScene(peak_dn=peak * factor, ambient_dn=30.0 * factor))
+        level, _ = stripe_level(brighter.see(0.0, True), brighter.see(0.0, False), desk.config)
         assert level == pytest.approx(225.0, rel=0.1)
 
 
