@@ -60,8 +60,8 @@ def measure_turn(
         reached, top = top, 2 * top
         if highest is not None and top > highest:
             raise RigError(
-                f"the home switch did not come again within {reached} microsteps, and the limits forbid more: a turn has "
-                f"more than {guess} microsteps, or the table does not turn"
+                f"the home switch did not come again within {reached} microsteps, and the limits forbid more: a turn "
+                f"has more than {guess} microsteps, or the table does not turn"
             )
     else:
         raise RigError(

@@ -29,3 +29,22 @@ def test_what_is_missing_is_said(run, monkeypatch):
     assert ran.code == 1
     assert ran.err.endswith("\njaxscan: OpenCV must work and does not: see the table.\n")
     assert not checks(ran)["OpenCV"]["works"]
+
+
+def test_ports_and_cameras_are_listed(run):
+    result = json.loads(run("doctor", "--json", "-").out)
+    assert isinstance(result["ports"], list) and isinstance(result["cameras"], list)
+
+
+def test_a_capture_is_verified(run, sweep):
+    assert run("doctor", "--capture", sweep).code == 0
+    victim = sorted((sweep / "on").iterdir())[3]
+    victim.unlink()
+    ran = run("doctor", "--capture", sweep, "--json", "-")
+    assert ran.code == 1 and "1 problems" in ran.err.splitlines()[-1]
+    (problem,) = json.loads(ran.out)["problems"]
+    assert victim.name in problem
+
+
+def test_options_that_do_not_go_together(refused):
+    assert "--camera: found without --config" in refused("doctor", "--camera", "0")

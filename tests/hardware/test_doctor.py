@@ -152,13 +152,14 @@ def test_limits_forbid_a_whole_turn(tmp_path):
 def test_within_limits_that_allow_a_turn_it_is_measured(tmp_path, true, verdict):
     desk = make_desk(turntable={"limits_deg": [-20.0, 370.0], "home_within_deg": 600.0})
     desk.controller.turn = true
-    turn_to, stood = desk.controller._turn, []
+    move, stood = desk.controller.move, []
 
-    def turned(to):
-        turn_to(to)
+    def moved(to, timeout_s=120.0):
+        reached = move(to, timeout_s)
         stood.append(desk.table.position)
+        return reached
 
-    desk.controller._turn = turned
+    desk.controller.move = moved
     found = examined(desk, tmp_path)
     assert found["steps per turn"].verdict == verdict, found
     # What limits protect are cables: seen from the first home, the table never left them, and they hold again.
