@@ -1,5 +1,6 @@
 """How any session runs: the folder is locked, the rig made ready, work done, and everything left safe and sealed."""
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,8 +36,10 @@ def conduct(job: Job, work: Callable[[Session], bool]) -> SessionResult:
                 session.ledger.note("lock", message=lock.note)
             return _run(session, work)
     finally:
-        if made and not any(job.folder.iterdir()):
-            job.folder.rmdir()
+        if made:
+            # Only if nothing came of it: a folder that holds something is not removed by this.
+            with contextlib.suppress(OSError):
+                job.folder.rmdir()
 
 
 def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
@@ -86,6 +89,7 @@ def _look(job: Job) -> Found | None:
         raise SessionError(
             f"{job.folder}: holds a capture already; go on with it by --resume, or choose another folder."
         )
+    job.notify(f"{job.folder}: verifying what is there.")
     found = find_capture(job.folder)
     require_same_plan(found, job.config, job.kind, folder=job.folder, calibration_digest=job.calibration_digest)
     return found
