@@ -8,6 +8,7 @@ INSTALLED := $(VENV)/.installed
 LIBRARIES := libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1 libudev1 libidn2-0
 # What firmware and bench are built and run with: hardware/bench/README.md.
 BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev libaravis-0.8-0 aravis-tools
+SHARED := -n 2 --dist loadfile --no-loadscope-reorder
 QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
 
 .PHONY: demo test test-all lint format libraries firmware bench bench-deps clean
@@ -16,13 +17,14 @@ demo: $(INSTALLED) libraries
 	$(BIN)/jaxscan demo -o demo
 
 # Two processes: compiling, which is most of the time, keeps one core busy at a time. Whole files,
-# because the tests of a file share what is compiled. Compiled code that runs a few times need not be
-# fast, and costs half as much to make; `make test-all` compiles as the package does in use.
+# because the tests of a file share what is compiled, in the order of tests/conftest.py. Compiled
+# code that runs a few times need not be fast, and costs half as much to make; `make test-all`
+# compiles as the package does in use.
 test: $(INSTALLED)
-	XLA_FLAGS="$(QUICKLY) $$XLA_FLAGS" $(BIN)/python -m pytest -q -n 2 --dist loadfile
+	XLA_FLAGS="$(QUICKLY) $$XLA_FLAGS" $(BIN)/python -m pytest -q $(SHARED)
 
 test-all: $(INSTALLED)
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile -m "slow or not slow"
+	$(BIN)/python -m pytest -q $(SHARED) -m "slow or not slow"
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

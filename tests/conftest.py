@@ -1,6 +1,7 @@
 """Strict settings for every test: 64 bit, no silent promotion, shapes and types checked."""
 
 import fcntl
+import gc
 import json
 import os
 import shutil
@@ -23,8 +24,26 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
+# Tracing makes objects by the million that all stay; looking through them for rubbish costs a fifth of it.
+gc.set_threshold(100_000, 20, 100)
+
+TESTS = Path(__file__).resolve().parent
+FIRST = ("cli/test_chain.py", "reconstruction", "stripes", "calibration", "hardware", "test_api.py", "cli")
+"""What takes long comes first, so that no process is left alone with it; and one process makes the tiny rig
+while the other does what needs none."""
+
+
 def pytest_collection_modifyitems(items):
-    """Without Open3D the tests that render are skipped, by name; JAXSCAN_REQUIRE_OPEN3D=1 refuses that."""
+    """An order that keeps two processes busy to the end; whole files, and the tests of a file, stay as they are.
+
+    Without Open3D the tests that render are skipped, by name; JAXSCAN_REQUIRE_OPEN3D=1 refuses that.
+    """
+
+    def turn(item):
+        path = item.path.relative_to(TESTS)
+        return next((k for k, first in enumerate(FIRST) if first in (path.as_posix(), path.parts[0])), len(FIRST))
+
+    items.sort(key=turn)
     rendering = [item for item in items if "tiny" in item.fixturenames or "simulation" in item.path.parts]
     if not rendering:
         return

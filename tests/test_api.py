@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -78,6 +79,20 @@ class TestForm:
         assert all(p.annotation is not inspect.Parameter.empty for p in signature.parameters.values())
 
 
+@pytest.fixture(params=["known calibration", pytest.param("whole way", marks=pytest.mark.slow)])
+def calibrate(request, tiny, monkeypatch):
+    """The call as it is, or one that takes the same and gives what it gave on the command line."""
+    if request.param == "whole way":
+        return
+    known = jaxscan.load_calibration(tiny.calibration)
+    same = create_autospec(jaxscan.calibrate, return_value=known)
+    monkeypatch.setattr(jaxscan, "calibrate", same)
+    yield
+    (capture,) = same.call_args.args
+    assert capture.digest() == jaxscan.open_capture(tiny.boards).digest()
+
+
+@pytest.mark.usefixtures("calibrate")
 def test_the_example_of_the_readme(tiny, tmp_path, monkeypatch, capsys):
     (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert len([line for line in example.splitlines() if line]) <= 12

@@ -1,6 +1,7 @@
 """The whole way on the command line: simulate, calibrate, reconstruct, measure, convert."""
 
 import json
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -138,8 +139,9 @@ def test_camera_alone(tiny, run, refused, tmp_path):
     assert not (tmp_path / "a.ply").exists()
 
 
-def test_demo_of_a_tiny_rig(tiny, run, tmp_path, monkeypatch):
-    """The demo's own way, on the captures that are there already."""
+@pytest.mark.parametrize("calibrates", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_demo_of_a_tiny_rig(tiny, run, tmp_path, monkeypatch, calibrates):
+    """The demo's own way, on the captures that are there already, and with the calibration that is."""
     from jaxscan import api
     from jaxscan.cli import demo
 
@@ -147,6 +149,9 @@ def test_demo_of_a_tiny_rig(tiny, run, tmp_path, monkeypatch):
     output.mkdir()
     (output / "captures").symlink_to(tiny.boards.parent)
     monkeypatch.setattr(demo.api, "load_simulation", lambda path: api.load_toml(tiny.config, api.SimulationConfig))
+    if not calibrates:
+        known = create_autospec(api.calibrate, return_value=jaxscan.load_calibration(tiny.calibration))
+        monkeypatch.setattr(demo.api, "calibrate", known)
     ran = run("demo", "-o", output, "--json", "-")
     assert ran.code == 0, ran.err
     result = json.loads(ran.out)

@@ -16,7 +16,6 @@ from .rendered import expose, stripe
 WIDTH, HEIGHT, RECORDS = 192, 96, 6
 NORMAL = np.array([0.9, 0.4, 0.17]) / np.linalg.norm([0.9, 0.4, 0.17])
 COLOURS = ("red", "green", "blue")
-FORMATS = ("mono8", "rgb8", "bayer_grbg8")
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +47,8 @@ def frames(light, colour, pixel_format, lit=1.0):
     return expose(on, 1), expose(room, 2)
 
 
-@pytest.mark.parametrize("pixel_format", FORMATS)
+# The same learning, whatever is reconstructed: RGB in the sweep of two lasers and in the stack below.
+@pytest.mark.parametrize("pixel_format", ["mono8", pytest.param("rgb8", marks=pytest.mark.slow), "bayer_grbg8"])
 def test_a_sweep(scanner, centres, pixel_format):
     """With the colour learned the cloud is that of the colour given."""
     on, off = frames(stripe(*centres[0], 60.0, WIDTH), ["green"] * RECORDS, pixel_format)
@@ -105,7 +105,11 @@ def test_what_cannot_be_learned_is_refused(scanner, centres):
         reconstruct(together, scanner, settings=ReconstructSettings(min_range_m=1.0, max_range_m=4.0))
 
 
-@pytest.mark.parametrize("pixel_format", FORMATS)
+# Mono and Bayer in the sweeps above.
+@pytest.mark.parametrize(
+    "pixel_format",
+    [pytest.param("mono8", marks=pytest.mark.slow), "rgb8", pytest.param("bayer_grbg8", marks=pytest.mark.slow)],
+)
 def test_a_stack_of_frames(centres, pixel_format):
     on, off = frames(stripe(*centres[0], 60.0, WIDTH), ["blue"] * RECORDS, pixel_format)
     given, learned = (

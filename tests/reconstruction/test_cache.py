@@ -1,5 +1,7 @@
 """Stripes that are kept beside a capture: when they serve again, and when they must not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,8 @@ from jaxscan.api import reconstruct_capture
 from jaxscan.files.capture import Capture, CaptureHeader, create_capture, open_capture
 from jaxscan.files.stripe_cache import cache_path
 from jaxscan.geometry import LaserSheet, Scanner, stack_lasers
-from jaxscan.reconstruction import ReconstructSettings, reconstruct
+from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
+from jaxscan.reconstruction.reconstruct import extract_sweep
 from jaxscan.stripes.stripes import NoiseModel, StripeSettings
 from jaxscan.vision.images import encode_png
 
@@ -16,7 +19,8 @@ from .rendered import pairs, stripe
 
 WIDTH, HEIGHT, RECORDS = 192, 96, 6
 NORMAL = np.array([0.9, 0.4, 0.17]) / np.linalg.norm([0.9, 0.4, 0.17])
-SETTINGS = ReconstructSettings(min_range_m=1.0, max_range_m=4.0)
+SETTINGS = ReconstructSettings(min_range_m=1.0, max_range_m=4.0, chunk_records=3)
+"""With one size of chunk for the whole capture and half of it: few compilations."""
 FIELDS = ("xyz", "rgb", "normals", "sigma_random", "sigma_systematic", "intensity", "valid", "record", "laser", "angle")
 
 
@@ -43,6 +47,12 @@ def capture(frames, tmp_path):
         for i, (on, off) in enumerate(zip(*frames, strict=True)):
             writer.append(angle_deg=float(i), on=on, off=off)
     return open_capture(tmp_path / "room")
+
+
+@pytest.fixture(scope="module")
+def stripes(frames, scanner):
+    sweep = Sweep(*frames, np.radians(np.arange(RECORDS, dtype=float)))
+    return extract_sweep(sweep, scanner, settings=SETTINGS)
 
 
 def moved(scanner, distance):
@@ -87,24 +97,33 @@ def test_the_second_time_no_frame_is_read(capture, scanner, monkeypatch):
 @pytest.mark.parametrize(
     "change",
     [
-        {"settings": ReconstructSettings(min_range_m=1.0, max_range_m=5.0)},
-        {"settings": ReconstructSettings(min_range_m=1.0, max_range_m=4.0, stripes=StripeSettings(min_snr=6.0))},
-        {"settings": ReconstructSettings(min_range_m=1.0, max_range_m=4.0, gate=False)},
-        {"settings": ReconstructSettings(min_range_m=1.0, max_range_m=4.0, check_steps=True)},
+        {"settings": replace(SETTINGS, max_range_m=5.0)},
+        {"settings": replace(SETTINGS, stripes=StripeSettings(min_snr=6.0))},
+        {"settings": replace(SETTINGS, gate=False)},
+        {"settings": replace(SETTINGS, check_steps=True)},
         {"settings": SETTINGS, "noise": NoiseModel(1.5, 30.0)},
     ],
     ids=["range", "stripes", "gate", "steps", "noise"],
 )
-def test_other_settings_find_other_stripes(capture, scanner, change):
+def test_other_settings_find_other_stripes(capture, scanner, stripes, monkeypatch, change):
     reconstruct_capture(capture, scanner, settings=SETTINGS)
+    searched = []
+
+    def search(*args, settings, noise, **others):
+        searched.append((settings, noise))
+        return stripes
+
+    # What matters is whether it searches; every search with other settings would be compiled anew.
+    monkeypatch.setattr("jaxscan.api.sweeps.extract_sweep", search)
     assert not reconstruct_capture(capture, scanner, **change).from_cache
+    assert searched == [(change["settings"], change.get("noise"))]
     assert reconstruct_capture(capture, scanner, **change).from_cache
+    assert len(searched) == 1
 
 
 def test_what_does_not_concern_the_stripes_uses_them(capture, scanner):
     reconstruct_capture(capture, scanner, settings=SETTINGS)
-    without = ReconstructSettings(min_range_m=1.0, max_range_m=4.0, normals=False)
-    done = reconstruct_capture(capture, scanner, settings=without)
+    done = reconstruct_capture(capture, scanner, settings=replace(SETTINGS, normals=False))
     assert done.from_cache and not done.cloud.normals.any()
 
 

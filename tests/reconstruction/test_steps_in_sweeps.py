@@ -17,7 +17,8 @@ DISTANCE = 1.5
 BRIGHTER, HIDING = (5, 10, 15), 20
 """Steps in which a reflection outshines the stripe, and one in which it is all that is seen."""
 NOISE = NoiseModel(READ_DN, ELECTRONS_PER_DN)
-CHECKED = ReconstructSettings(check_steps=True)
+CHECKED = ReconstructSettings(check_steps=True, chunk_records=16)
+"""One size of chunk for all tests: few compilations."""
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Noise from the frames themselves, against the sensor's own numbers."""
 
+import functools
 import time
 
 import numpy as np
@@ -82,19 +83,35 @@ ROWS, COLUMNS = 512, 640
 SENSORS = [(1.0, 40.0), (0.5, 100.0), (2.0, 10.0), (3.0, 5.0)]
 
 
+def _drawn_once(make):
+    """Light that many tests use, and none may change."""
+
+    @functools.cache
+    def kept(*words):
+        light = make(*words)
+        light.flags.writeable = False
+        return light
+
+    return kept
+
+
+@_drawn_once
 def _flat(level=10.0):
     return np.full((2, ROWS, COLUMNS), level)
 
 
+@_drawn_once
 def _scene():
     return np.stack([_texture(ROWS, COLUMNS)] * 2)
 
 
+@_drawn_once
 def _stripe(profile, frames=2):
     course = 200 + 100 * np.sin(np.arange(ROWS) / 90.0)
     return np.stack([profile(course + 3 * i, 1.6, 100.0, COLUMNS) for i in range(frames)])
 
 
+@_drawn_once
 def _reflections(profile, share=0.2, amplitude=100.0, width=1.6):
     """A second stripe at random places of so many rows."""
     rng = np.random.default_rng(7)
@@ -160,7 +177,7 @@ def test_clipped_samples_tell_nothing(read, gain, profile, sensor):
 @pytest.mark.parametrize(("read", "gain"), SENSORS)
 def test_two_levels_tell_the_gain(read, gain, profile, sensor):
     camera, light = sensor(read, gain), _stripe(profile) + _reflections(profile)
-    scene = _flat()
+    scene = _flat().copy()
     scene[:, :, COLUMNS // 2 :] = 90.0
     noise = estimate_noise(camera.expose(scene + light), camera.expose(scene))
     _variance_is_right(noise, camera, [10.0, 90.0], rel=0.04)
@@ -175,7 +192,7 @@ def test_stripes_in_the_dark_leave_the_default(profile, sensor):
 def test_restless_levels_do_not_outvote_the_others(sensor):
     # Half of the picture trembles; a line through both would pass below zero at the quiet half.
     camera, rng = sensor(1.0, 40.0), np.random.default_rng(9)
-    scene = _flat(20.0)
+    scene = _flat(20.0).copy()
     scene[:, :, COLUMNS // 2 :] = 60.0
     restless = lambda: scene + 8.0 * rng.normal(size=scene.shape) * (scene > 40)
     noise = estimate_noise(camera.expose(restless()), camera.expose(restless()))
@@ -183,7 +200,7 @@ def test_restless_levels_do_not_outvote_the_others(sensor):
 
 
 def test_no_gain_that_no_sensor_has(sensor):
-    scene = _flat(60.0)
+    scene = _flat(60.0).copy()
     scene[:, :, COLUMNS // 2 :] = 130.0
     camera = sensor(1.0, 0.2)
     noise = estimate_noise(camera.expose(scene), camera.expose(scene))

@@ -1,5 +1,6 @@
 """Corners in rendered and in real pictures of boards, found anew and where they should be."""
 
+import functools
 from pathlib import Path
 
 import cv2
@@ -16,8 +17,15 @@ CHARUCO = Charuco(8, 6, 0.03, 0.022)
 DATA = Path(__file__).parents[1] / "data"
 
 
-def seen(board, homography, size=(800, 600), *, oversampling=8, blur=0.8, noise=1.5, seed=0):
-    """A picture through a homography (board metres to pixels), averaged over sub-pixels."""
+def seen(board, homography):
+    """A picture through a homography (board metres to pixels), which may be drawn on; drawn once for all tests."""
+    return drawn(board, tuple(homography.ravel())).copy()
+
+
+@functools.cache
+def drawn(board, homography, size=(800, 600), *, oversampling=8, blur=0.8, noise=1.5, seed=0):
+    """Averaged over sub-pixels."""
+    homography = np.reshape(homography, (3, 3))
     per_square = 300
     texture = np.pad(board_texture(board, per_square), per_square, constant_values=255).astype(np.float32)
     x0, y0 = board.outline().min(0) - board.square
