@@ -105,9 +105,8 @@ def wall_errors(cloud: jaxscan.PointCloud, planes: list[dict[str, Any]]) -> list
 def calibrated(desk: Desk, folder: Path) -> Path:
     """A calibration from boards that were shown to the loop."""
     place = f"{sys.executable} -m bench place"
-    boards = jaxscan_verb(
-        "scan", str(CONFIG), "-o", str(folder / "boards"), "--boards", "--place-command", place, *port
-    )
+    how = ("--boards", "--place-command", place, "--port", desk.rig.port)
+    boards = jaxscan_verb("scan", str(CONFIG), "-o", str(folder / "boards"), *how)
     desk.command("place none")
     print(f"boards: {boards['records']} pairs, {boards['retakes']} retakes", file=sys.stderr)
     path = folder / "calibration.json"

