@@ -150,9 +150,31 @@ def test_the_link_watchdog_is_fed_while_something_runs(fake, controller):
 
 
 def test_two_lines_lost_in_a_row_do_not_starve_the_watchdog(fake, controller):
-    fake.to_host = losing(b"=", 2)
-    controller.move(8000)
-    assert fake.fault == 0 and fake.seconds_between_lines <= 0.35
+    left = [2]
+
+    def lose(data):
+        if b"STAT" in data and left[0]:
+            left[0] -= 1
+            return b""
+        return data
+
+    fake.to_controller = lose
+    assert controller.move(8000) == 8000
+    assert left == [0] and fake.seconds_between_lines <= 0.35
+
+
+def test_half_a_line_does_not_spoil_the_next(fake, controller):
+    ends = [1]
+
+    def lose_the_end(data):
+        if ends[0]:
+            ends[0] -= 1
+            return data[:-5]
+        return data
+
+    fake.to_controller = lose_the_end
+    controller.stat()
+    assert controller.link_counts.resent <= 2
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -176,8 +198,10 @@ def test_a_nak_asks_for_the_line_again_and_answers_nothing(fake, controller):
         return data if damaged[0] < 0 else data.replace(b"STAT", b"STBT")
 
     fake.to_controller = damage
+    before = fake.clock.now()
     assert controller.stat().state == "idle"
     assert controller.link_counts.naks == 2
+    assert fake.clock.now() - before < 0.02  # at once, without waiting for an answer that will not come
 
 
 def test_answers_to_other_lines_are_strays(fake, controller):

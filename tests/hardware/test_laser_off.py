@@ -179,7 +179,7 @@ def test_at_once_on_an_abort(rig, before):
         sent = simulated.plant()["cycle"]
         controller.link.write(before + ABORT)
         simulated.run_for(0.1)
-        wire = len(before + ABORT) * 11 / 250.0  # the simulated line takes 11 bits per byte
+        wire = len(before + ABORT) * 0.055  # a byte of the simulated line takes 880 cycles
         took = off_after(simulated, sent, f"an abort behind {len(before)} bytes, {wire:.3f} ms of line")
         assert took <= wire + 2.0
         assert simulated.plant()["contactor"] == 0

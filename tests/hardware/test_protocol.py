@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scanrig.protocol import (
     ABORT,
@@ -22,6 +22,9 @@ from scanrig.protocol import (
     seal,
 )
 
+
+BUSY = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+"""A computer with other things to do takes its time over examples."""
 
 VECTORS = Path(__file__).resolve().parents[2] / "hardware" / "protocol_vectors.json"
 
@@ -70,11 +73,13 @@ def test_the_examples_of_the_document():
 
 
 @given(st.lists(MESSAGES, max_size=6))
+@BUSY
 def test_what_the_controller_says_is_understood(messages):
     assert LineReader().feed(b"".join(map(line_of, messages))) == messages
 
 
 @given(STREAMS, st.lists(st.integers(0, 1000)))
+@BUSY
 def test_how_a_stream_is_cut_changes_nothing(stream, cuts):
     whole = LineReader().feed(stream)
     places = sorted({cut for cut in cuts if cut < len(stream)})
@@ -84,7 +89,7 @@ def test_how_a_stream_is_cut_changes_nothing(stream, cuts):
 
 
 @given(st.lists(MESSAGES, min_size=1, max_size=4), st.data())
-@settings(max_examples=500)
+@settings(BUSY, max_examples=500)
 def test_no_changed_byte_makes_another_message(messages, data):
     stream = b"".join(map(line_of, messages))
     place = data.draw(st.integers(0, len(stream) - 1))
@@ -101,7 +106,7 @@ def test_no_changed_byte_makes_another_message(messages, data):
 
 
 @given(MESSAGES.map(line_of), st.data())
-@settings(max_examples=500, derandomize=True, database=None)  # One such burst in 65536 is a collision of the CRC.
+@settings(BUSY, max_examples=500, derandomize=True, database=None)  # One such burst in 65536 is a collision of the CRC.
 def test_no_lost_or_doubled_byte_makes_another_message(line, data):
     place = data.draw(st.integers(0, len(line) - 1))
     sent = LineReader().feed(line)
@@ -111,6 +116,7 @@ def test_no_lost_or_doubled_byte_makes_another_message(line, data):
 
 
 @given(st.binary(max_size=2000))
+@BUSY
 def test_garbage_is_never_a_message(garbage):
     assert all(isinstance(message, Damaged) for message in LineReader().feed(garbage + b"\n"))
 
@@ -137,6 +143,7 @@ def test_a_crc_in_small_letters_is_damaged():
 
 
 @given(st.integers(1, 65535), NAMES, st.dictionaries(KEYS, st.integers(-(2**31), 2**31 - 1), max_size=3))
+@BUSY
 def test_encoded_lines_are_of_the_documents_form(seq, verb, args):
     try:
         line = encode(seq, verb, **args)
