@@ -2,7 +2,6 @@
 
 import contextlib
 from dataclasses import dataclass
-from typing import Any
 
 from scanrig.controller import Controller
 from scanrig.errors import LinkLost, RigError, RigFault
@@ -38,7 +37,7 @@ def ended_by(problem: BaseException, controller: Controller) -> Ending:
     return Ending("failed", f"{type(problem).__name__}: {problem}", problem)
 
 
-def leave_safe(controller: Any) -> str:
+def leave_safe(controller: Controller) -> str:
     """Laser off and contactor open, whatever else happens.
 
     Returns:

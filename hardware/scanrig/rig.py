@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from scanrig.cameras.features import differences
 from scanrig.cameras.frame import Camera, Features
@@ -11,7 +11,7 @@ from scanrig.config import RigConfig
 from scanrig.controller import Controller
 from scanrig.errors import CameraError, CameraLost, LinkLost, Refused, RigFault, RigTimeout, SessionError
 from scanrig.plan import controller_settings, longest_s, nearest
-from scanrig.status import Firmware
+from scanrig.status import Firmware, Status
 from scanrig.step import FrameNumbers, Pair, take_pair
 
 
@@ -38,7 +38,6 @@ class Rig:
     def __init__(self, controller: Controller, camera: Camera, config: RigConfig, clock: Clock, *, note: Note) -> None:
         """Nothing is sent yet; `note` is told of faults, retakes and homings."""
         self.controller, self.camera, self.config = controller, camera, config
-        self.firmware: Firmware | None = None
         self.features: Features = {}
         self.position_known = False
         """Whether the controller was homed when it was made ready, so that its counter says where home is missed."""
@@ -51,7 +50,7 @@ class Rig:
         self._numbers = FrameNumbers()
         self._armed = False
 
-    def prepare(self) -> None:
+    def prepare(self) -> Firmware:
         """Begin a session with both: at rest, out of a fault, set up; not homed yet.
 
         Raises:
@@ -59,7 +58,7 @@ class Rig:
             RigError: If one of them is not what it should be.
         """
         controller = self.controller
-        self.firmware = controller.hello()
+        firmware = controller.hello()
         controller.stop()
         status = self._await_rest()
         if status.estop:
@@ -71,6 +70,7 @@ class Rig:
         controller.configure(controller_settings(self.config))
         self.camera.start()
         self.features = self.camera.features()
+        return firmware
 
     def home(self, why: str) -> int | None:
         """Enable, find home, and close the contactor.
@@ -234,7 +234,7 @@ class Rig:
         elif not status.armed:
             self.arm(True)
 
-    def _await_rest(self) -> Any:
+    def _await_rest(self) -> Status:
         """Ask until nothing moves any more."""
         end = self._clock.now() + _STILL_S
         while (status := self.controller.stat()).state not in ("idle", "fault"):

@@ -45,7 +45,7 @@ class Session:
     def begin(self) -> None:
         """Make the rig ready and the capture open."""
         job, rig = self.job, self.rig
-        rig.prepare()
+        firmware = rig.prepare()
         missing = job.planned - len(self.done)
         needed = math.ceil(2 * missing * frame_bytes(self.config) * RESERVE)
         require_space(job.folder, needed, what=f"the capture of {missing} more pairs")
@@ -55,7 +55,7 @@ class Session:
                 self.config,
                 job.kind,
                 job.planned,
-                firmware=_there(rig.firmware),
+                firmware=firmware,
                 identity=identity,
                 features=rig.features,
                 calibration_digest=job.calibration_digest,
@@ -70,7 +70,6 @@ class Session:
             for problem in self._found.damaged:
                 self._note("damaged", record=problem.record, problem=problem.message)
                 job.notify(f"{problem}; it is taken again.")
-        firmware = _there(rig.firmware)
         self._note("start", firmware=firmware.version, boot=firmware.boot, missing=missing, camera=str(identity))
 
     def start(self, *, compare: bool = True) -> None:
@@ -244,12 +243,6 @@ class Session:
             self._note("light", record=record, was_dn=round(self._ambient, 2), is_dn=round(ambient, 2))
             self.job.notify(f"record {record}: the light changed from {self._ambient:.0f} to {ambient:.0f} DN.")
             self._ambient = ambient
-
-
-def _there(value: Any) -> Any:
-    if value is None:
-        raise SessionError("the controller has not been greeted.")
-    return value
 
 
 def _spoken(runs: Sequence[tuple[int, int]]) -> str:
