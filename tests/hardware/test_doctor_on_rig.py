@@ -101,9 +101,10 @@ def test_a_scan_of_boards_and_room_on_the_bench(rig, rendered_camera, tmp_path, 
     assert (result["status"], result["records"]) == ("complete", 12)
     assert main(["doctor", "--capture", "room"]) == 0
     command = tmp_path / "place.py"
+    socket = str(camera.folder / "camera")
     command.write_text(
-        "import sys; from bench.sockets import ControlClient\n"
-        f"client = ControlClient({str(camera.folder / 'camera')!r}); print(client.ask('board ' + sys.argv[1]))\n"
+        "import sys; from pathlib import Path; from bench.sockets import ControlClient\n"
+        f"print(ControlClient(Path({socket!r})).ask('board ' + sys.argv[1]))\n"
     )
     words = ["--boards", "--place-command", f"{sys.executable} {command}"]
     assert main(["scan", str(config), "-o", "boards", *words]) == 0
