@@ -197,6 +197,8 @@ class ChecksTable(FileModel):
     """Limits of the proof of every pair."""
     retakes: Annotated[Integer, pydantic.Field(ge=0, le=100)] = 3
     """Times that a step is taken again before the scan ends."""
+    late_s: Annotated[Number, pydantic.Field(gt=0, le=60)] = 2.0
+    """How long after its exposure a frame may come; waited for only where one is missing [s]."""
     lost_steps_tolerance: Annotated[Integer, pydantic.Field(ge=0, le=100_000)] = 2
     """Microsteps by which home may be missed before the steps since the last good one are suspect."""
     shift_px: Annotated[Number, pydantic.Field(gt=0, le=1000)] = 1.0

@@ -18,7 +18,6 @@ _WANTED_DN = (200.0, 254.0)
 _BEST_DN = 225.0
 _BRIGHT_ROOM_DN = 100.0
 _CLIPPED = 0.25
-_LATE_S = 1.0
 _LIT_DN = 12.0
 
 
@@ -69,7 +68,7 @@ def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, c
         elif mode == "software":
             camera.trigger()
         try:
-            frames.append(camera.next(config.camera.exposure_ms / 1000 + _LATE_S))
+            frames.append(camera.next(config.camera.exposure_ms / 1000 + config.checks.late_s))
         except CameraTimeout:
             continue
     more = 0 if mode == "free" else camera.drop()

@@ -16,8 +16,6 @@ from scanrig.proof import PairProof, prove_pair
 
 LOOK_S = 0.1
 """Longest wait for a frame between two signs of life to the controller: its link watchdog allows 500 ms."""
-LATE_S = 1.0
-"""How long after its exposure a frame may come."""
 QUIET_S = 0.2
 """Silence after which no late frame is expected any more."""
 _COUNT = 65536
@@ -134,7 +132,7 @@ def _by_wire(
             frames.append(_look(camera, config))
         except CameraTimeout:
             if running and controller.poll().state != "shot":
-                running, give_up = False, clock.now() + LATE_S
+                running, give_up = False, clock.now() + config.checks.late_s
     done = controller.wait_shot(number, longest_s(config) + shot_s(config))
     exposures = (done.exposures - before) % _COUNT
     if exposures != 2:
@@ -188,7 +186,7 @@ def _fresh_frame(controller: Controller, camera: Camera, config: RigConfig, cloc
     if camera.trigger_mode == "software":
         camera.trigger()
     frames = 2 + config.camera.flush_frames
-    give_up = clock.now() + frames * config.camera.exposure_ms / 1000 + LATE_S
+    give_up = clock.now() + frames * config.camera.exposure_ms / 1000 + config.checks.late_s
     while True:
         try:
             return _look(camera, config)

@@ -6,8 +6,9 @@ from typing import Any
 
 from scanrig.compare import Likeness, compare_pairs
 from scanrig.ending import Ending
-from scanrig.errors import SessionError
+from scanrig.errors import FrameError, SessionError
 from scanrig.job import Job, SessionResult
+from scanrig.leaks import PLACES, LeakWatch
 from scanrig.ledger import Ledger
 from scanrig.plan import RESERVE, Target, frame_bytes
 from scanrig.record import capture_header, record_fields
@@ -37,6 +38,7 @@ class Session:
         self._positions = {} if found is None else {i: int(r["microsteps"]) for i, r in found.records.items()}
         self._placements = 0 if found is None else found.placements
         self._ambient: float | None = None
+        self._leaks = LeakWatch()
 
     def should_stop(self) -> bool:
         """Whether the operator asked to stop."""
@@ -112,6 +114,7 @@ class Session:
         self.since_home.append(record)
         self._last, self._positions[record] = record, pair.position
         self._watch_light(record, pair)
+        self._watch_laser(record, pair, None if placement is not None else fields["angle_deg"])
         if job.on_pair is not None:
             job.on_pair(record, math.radians(fields["angle_deg"]), pair.on.image, pair.off.image)
         if job.progress is not None:
@@ -233,6 +236,18 @@ class Session:
 
     def _is_like(self, likeness: Likeness) -> bool:
         return likeness.within(self.config.checks.shift_px, self.config.checks.difference_dn)
+
+    def _watch_laser(self, record: int, pair: Pair, angle_deg: float | None) -> None:
+        """Stop where the laser shines on in laser-off frames, here and there and everywhere."""
+        leak, allowed = self._leaks.add(angle_deg, pair.proof.leak), self.config.checks.proof.leak
+        if leak is None or leak <= allowed:
+            return
+        self.job.controller.arm(False)
+        raise FrameError(
+            f"step {record}: the laser stays on: {100 * leak:.0f} % of its line is in the laser-off frames of "
+            f"the last {PLACES} places too, expected at most {100 * allowed:.0f} %; let it go out "
+            "for longer ([[laser]] off_ms), and see relay and wiring. The contactor has been opened."
+        )
 
     def _watch_light(self, record: int, pair: Pair) -> None:
         """Say it once when the light in the room is not what it was at the beginning."""

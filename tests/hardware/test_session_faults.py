@@ -213,6 +213,24 @@ def test_15_laser_that_flickers_once_costs_a_retake(tmp_path):
     require_whole(tmp_path / "room", desk)
 
 
+def test_15_laser_that_is_slow_to_go_out_is_found_at_the_eighth_place(tmp_path):
+    desk = Desk()
+    see = desk.see
+
+    def slow(position, lit):
+        dark, bright = see(position, False).astype(float), see(position, True).astype(float)
+        glow = bright if lit else dark + 0.2 * np.maximum(bright - dark, 0.0)
+        return np.rint(glow).clip(0, 255).astype(np.uint8)
+
+    desk.see = slow
+    with pytest.raises(
+        FrameError, match=r"step 7: the laser stays on: \d+ % .* last 8 places.*contactor has been opened"
+    ):
+        sweep(desk, tmp_path / "room")
+    assert not desk.table.shines and not desk.table.contactor
+    assert len(open_capture(tmp_path / "room")) == 8
+
+
 # 16 the camera
 
 
