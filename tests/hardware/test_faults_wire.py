@@ -140,6 +140,7 @@ def test_another_device_on_the_port_is_recognised(rig):
 # 6: the cable
 
 
+@pytest.mark.slow
 def test_a_cable_pulled_in_a_slow_move_leaves_the_position_good(rig):
     simulated = rig()
     with ready(simulated, speed=1, watchdog_ms=500, **SHORT) as controller:
@@ -200,6 +201,7 @@ def test_a_cable_pulled_in_a_fast_move_asks_for_home(rig):
         assert simulated.plant()["pos"] == 0
 
 
+@pytest.mark.slow
 def test_power_lost_in_a_shot_asks_for_home(rig):
     simulated = rig()
     with ready(simulated, speed=1, **SHORT) as controller:
@@ -247,6 +249,7 @@ def test_a_reset_in_a_shot_is_noticed_and_recovered_from(rig):
             controller.move(0)
         found = controller.reconnect()
         assert (found.same_boot, found.must_home) == (False, True)
+        simulated.control("speed 0")
         make_ready(controller)
         controller.shot(80, 1)
         assert controller.wait_shot(1).position == simulated.plant()["pos"] == 80
@@ -306,6 +309,7 @@ def test_the_emergency_stop_latches(rig):
         with pytest.raises(Refused, match="driver is off"):
             controller.shot(0, 2)
         assert simulated.plant()["steps"] == plant["steps"]
+        simulated.control("speed 0")
         make_ready(controller)
         assert simulated.plant()["pos"] == 0
 
