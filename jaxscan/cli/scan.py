@@ -132,9 +132,10 @@ def _scan_sweep(
     live: LiveCloud | None,
 ) -> "SessionResult":
     from scanrig.doctor_light import stripe_level
+    from scanrig.plan import plan_sweep
     from scanrig.session import run_sweep
 
-    with ScanDisplay(None if live is None else live.status) as display:
+    with ScanDisplay(None if live is None else live.status, total=len(plan_sweep(rig)[0])) as display:
 
         def on_pair(number: int, angle: float, on: np.ndarray, off: np.ndarray) -> None:
             display.pair(angle, stripe_level(on, off, rig)[0])

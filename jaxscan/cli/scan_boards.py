@@ -65,7 +65,7 @@ def scan_boards(
         if not turning:
             out.print(coverage_text(guide.coverage()))
 
-    with ScanDisplay(bar=False) as display:
+    with ScanDisplay() as display:
         return run_calibration(
             rig,
             folder,

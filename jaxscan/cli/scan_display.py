@@ -14,15 +14,20 @@ from jaxscan.cli.live import LiveStatus
 class ScanDisplay:
     """A bar on standard error where that is a terminal; sentences in any case."""
 
-    def __init__(self, live: Callable[[], LiveStatus] | None = None, *, bar: bool = True) -> None:
-        """Nothing is shown before `with`; `live` says what the live cloud has."""
+    def __init__(self, live: Callable[[], LiveStatus] | None = None, *, total: int | None = None) -> None:
+        """Nothing is shown before `with`.
+
+        Args:
+            live: Says what the live cloud has.
+            total: Records of the scan; None for no bar.
+        """
         self.retakes = 0
         self._live = live
         self._console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
-        self._fields: dict[str, Any] = {"angle": "", "peak": "", "retakes": "", "points": ""}
+        self._fields: dict[str, Any] = {"angle": "   home", "peak": "", "retakes": "", "points": ""}
         self._problem = ""
         self._bars: Progress | None = None
-        if bar and self._console.is_terminal:
+        if total is not None and self._console.is_terminal:
             columns = (
                 TextColumn("{task.fields[angle]}"),
                 BarColumn(),
@@ -31,7 +36,7 @@ class ScanDisplay:
                 TextColumn("{task.fields[peak]}{task.fields[retakes]}{task.fields[points]}"),
             )
             self._bars = Progress(*columns, console=self._console, transient=True)
-            self._task = self._bars.add_task("", total=None, **self._fields)
+            self._task = self._bars.add_task("", total=total, **self._fields)
 
     def __enter__(self) -> "ScanDisplay":
         if self._bars is not None:
