@@ -145,7 +145,7 @@ class ShardStore:
                 self._make(shard)
             with open(self._path / shard, "r+b", buffering=0) as file:
                 file.seek(_HEADER_BYTES + int(index) * self._bytes)
-                data = memoryview(np.ascontiguousarray(image).reshape(-1))
+                data = np.ascontiguousarray(image).reshape(-1).data
                 digest = hashlib.sha256(data).hexdigest() if self._digests else ""
                 while data:
                     data = data[file.write(data) :]

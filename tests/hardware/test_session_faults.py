@@ -223,9 +223,7 @@ def test_15_laser_that_is_slow_to_go_out_is_found_at_the_eighth_place(tmp_path):
         return np.rint(glow).clip(0, 255).astype(np.uint8)
 
     desk.see = slow
-    with pytest.raises(
-        FrameError, match=r"step 7: the laser stays on: .* last 8 places.*contactor has been opened"
-    ):
+    with pytest.raises(FrameError, match=r"step 7: the laser stays on: .* last 8 places.*contactor has been opened"):
         sweep(desk, tmp_path / "room")
     assert not desk.table.shines and not desk.table.contactor
     assert len(open_capture(tmp_path / "room")) == 8
@@ -270,11 +268,16 @@ def test_16_camera_that_does_not_come_back(tmp_path):
 
 
 FRAME_FAULTS = ["missing", "duplicate", "incomplete", "stale", "swapped", "late"]
+FIRST_FRAME_FAULTS = [(one, at) for one in FRAME_FAULTS for at in (1, 2) if (one, at) != ("stale", 1)]
 
 
-# Before the first frame there is no older one.
+# Both frames of a step in the middle, and of the first one: before its first frame there is no older one.
 @pytest.mark.parametrize(
-    ("fault", "exposure"), [(one, at) for one in FRAME_FAULTS for at in (7, 8, 1, 2) if (one, at) != ("stale", 1)]
+    ("fault", "exposure"),
+    [
+        *((one, at) for one in FRAME_FAULTS for at in (7, 8)),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in FIRST_FRAME_FAULTS),
+    ],
 )
 def test_17_frame_fault_is_retaken_at_the_same_place(tmp_path, fault, exposure):
     desk = Desk()

@@ -187,7 +187,9 @@ def test_09_killed_fifty_times_it_goes_on(nursery, rig, tmp_path, seen_at):
     assert kills == 50 and during >= 20, during
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize(
+    "name", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.slow), pytest.param("SIGHUP", marks=pytest.mark.slow)]
+)
 def test_10_one_signal_ends_after_the_step(scan, seen_at, name):
     one = scan(30)
     child = one.begin()
