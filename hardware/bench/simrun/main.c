@@ -67,7 +67,14 @@ static void on_reset(avr_t *core) {
     if (core_reset) core_reset(core);
 }
 
+// Low-level interrupts are the reset state of INT0 and INT1; simavr then polls a low pin every cycle, 25 times slower.
+static void do_not_poll_pins(void) {
+    avr_extint_set_strict_lvl_trig(avr, 0, 0);
+    avr_extint_set_strict_lvl_trig(avr, 1, 0);
+}
+
 static void after_reset(void) {
+    do_not_poll_pins();
     was_reset = false;
     resets++;
     note("reset", reset_wanted ? reset_wanted : "watchdog");
@@ -142,9 +149,7 @@ static bool make_processor(void) {
     avr->sleep = no_sleep;
     core_reset = avr->reset;
     avr->reset = on_reset;
-    // Low-level interrupts are the reset state of INT0 and INT1; simavr then polls a low pin every cycle, 25 times slower.
-    avr_extint_set_strict_lvl_trig(avr, 0, 0);
-    avr_extint_set_strict_lvl_trig(avr, 1, 0);
+    do_not_poll_pins();
     return true;
 }
 
