@@ -4,12 +4,13 @@ import random
 from itertools import pairwise
 
 import pytest
-from bench.fake import FakeController
 from scanrig.controller import Controller
 from scanrig.errors import ControllerReset, FirmwareError, LinkLost, Refused, RigError, RigFault, RigTimeout
 from scanrig.protocol import encode, seal
 from scanrig.settings import Settings
 from scanrig.status import ShotDone
+
+from .fake import FakeController
 
 
 @pytest.fixture

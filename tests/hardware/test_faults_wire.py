@@ -5,13 +5,14 @@ import time
 from dataclasses import replace
 
 import pytest
-from bench.driving import PATIENT, falls, make_ready, milliseconds, ready, rises
 from scanrig.connect import connect
 from scanrig.controller import Controller
 from scanrig.errors import ControllerReset, FirmwareError, LinkLost, PortError, Refused, RigFault
 from scanrig.link import open_serial
 from scanrig.protocol import encode, seal
 from scanrig.settings import Settings
+
+from .driving import PATIENT, falls, make_ready, milliseconds, ready, rises
 
 
 SHORT = {"settle_ms": 5, "laser_on_ms": 5, "laser_off_ms": 5, "exposure_ms": 2, "gap_ms": 1}

@@ -10,9 +10,10 @@ import sys
 import time
 
 import pytest
-from bench.driving import falls, milliseconds, ready, rises
 from scanrig.connect import connect
 from scanrig.protocol import ABORT, encode
+
+from .driving import falls, milliseconds, ready, rises
 
 
 HOST = """

@@ -6,7 +6,6 @@ import pty
 
 import pytest
 import serial
-from bench.fake import FakeController
 from scanrig.clock import ManualClock, SystemClock, rfc3339
 from scanrig.connect import connect
 from scanrig.controller import Controller
@@ -14,6 +13,8 @@ from scanrig.errors import FirmwareError, LinkLost, PortError, TranscriptDiffere
 from scanrig.link import RecordingLink, TranscriptLink, open_serial, port_error
 from scanrig.ports import PortInfo, by_id_names, choose_port, describe, find_again, find_ports, identify
 from scanrig.settings import Settings
+
+from .fake import FakeController
 
 
 UNO = PortInfo("/dev/ttyACM0", "/dev/serial/by-id/usb-Arduino_Uno_5573-if00", "Arduino Uno", "2341:0043", "5573")

@@ -4,7 +4,8 @@ import time
 from itertools import pairwise
 
 import pytest
-from bench.driving import ready, rises
+
+from .driving import ready, rises
 
 
 STEPS = 3600

@@ -3,11 +3,10 @@
 from collections.abc import Iterable
 from typing import Any
 
+from bench.rig import CLOCK_HZ, SimulatedRig
 from scanrig.connect import connect
 from scanrig.controller import Controller
 from scanrig.settings import Settings
-
-from bench.rig import CLOCK_HZ, SimulatedRig
 
 
 PATIENT = 60_000
