@@ -110,15 +110,15 @@ def claimed(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def set_up(folder: Path, *, world: Path, speed: float = 1.0) -> Iterator[Desk]:
-    """Rig and camera in a folder, fresh, switched off at the end.
+def set_up(folder: Path, *, world: Path, speed: float = 1.0, wait_s: float = 1.0) -> Iterator[Desk]:
+    """Rig and camera in a folder, fresh, switched off at the end; `wait_s` is for another camera to end.
 
     Raises:
         BenchError: If a tool is missing, or a bench runs already.
     """
     with ExitStack() as stack:
         stack.enter_context(claimed(folder))
-        stack.enter_context(loopback(timeout_s=1.0))
+        stack.enter_context(loopback(timeout_s=wait_s))
         for old in ("edges.jsonl", "frames.jsonl", "eeprom.bin"):
             (folder / old).unlink(missing_ok=True)
         rig = SimulatedRig(folder, speed=speed, microsteps_per_turn=MICROSTEPS_PER_TURN, apart=True)
