@@ -29,6 +29,6 @@ def test_walls_of_a_room_that_came_through_the_loop(tmp_path):
     # Each wall, floor and ceiling stands where it truly does: 5 mm is what a surveyor of interiors asks for.
     assert figures["planes"] == 6
     assert figures["worst_wall"] < 5.0
-    # The cloud that grew during the scan is that of `jaxscan reconstruct`; one compiled function or two, float32 differs.
+    # The cloud that grew during the scan is that of `jaxscan reconstruct`; float32 differs between compiled functions.
     assert figures["live_cloud_apart"] < 1e-2
     assert figures["live_cloud_differs"] == 0
