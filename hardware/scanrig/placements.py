@@ -72,7 +72,7 @@ def take_placements(
             if not _take_placement(session, records, places):
                 return False
     if session.since_home:
-        session.close_placement()
+        session.close_placement(in_place=False)
     return True
 
 
@@ -86,7 +86,7 @@ def _take_placement(session: Session, records: Sequence[int], places: Sequence[i
             return False
         session.take(record, to, placement=label)
     if len(records) > 1:
-        session.close_placement()
+        session.close_placement(in_place=True)
     return True
 
 

@@ -30,6 +30,8 @@ class Found:
     """Their numbers in the order in which they were taken."""
     since_home: tuple[int, ...]
     """Those taken since home was last found where it should be."""
+    unjudged: bool
+    """Whether home was found since they were taken, and the counter could not say where it was missed."""
     damaged: tuple[Problem, ...]
     """What is wrong with others."""
     suspect: tuple[int, ...]
@@ -56,7 +58,7 @@ def find_capture(folder: Path) -> Found:
     records: dict[int, dict[str, Any]] = {}
     since_home: list[int] = []
     suspect: set[int] = set()
-    placements, status = 0, None
+    placements, status, unjudged = 0, None, False
     for value in _lines(journal):
         if "i" in value:
             number, status = value["i"], None
@@ -67,8 +69,18 @@ def find_capture(folder: Path) -> Found:
             placements = max(placements, 1 + int(value.get("placement", -1)))
             continue
         match value.get("event"):
-            case "home" | "compared" if value.get("good") is True:
+            case "home" if value.get("good") is False:
+                # The session may have ended before it could note what follows from this.
+                suspect.update(since_home)
                 since_home.clear()
+                unjudged = False
+            case "home" if value.get("good") is not True:
+                unjudged = bool(since_home)
+            case "home" if not unjudged:
+                since_home.clear()
+            case "compared" if value.get("good") is True:
+                since_home.clear()
+                unjudged = False
             case "suspect":
                 suspect.update(n for first, last in value["records"] for n in range(first, last + 1))
             case "placed":
@@ -82,6 +94,7 @@ def find_capture(folder: Path) -> Found:
         records=whole,
         order=tuple(whole),
         since_home=tuple(number for number in dict.fromkeys(since_home) if number in whole),
+        unjudged=unjudged,
         damaged=tuple(problem for problem in problems if problem.record is not None),
         suspect=tuple(sorted(suspect & records.keys())),
         placements=placements,

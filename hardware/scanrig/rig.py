@@ -48,7 +48,8 @@ class Rig:
         """Microsteps by which home may be missed."""
         self._clock, self._note = clock, note
         self._numbers = FrameNumbers()
-        self._armed = False
+        self._homing = False
+        """Whether a homing was begun whose result was not heard: it may have set the counter to 0."""
 
     def prepare(self) -> Firmware:
         """Begin a session with both: at rest, out of a fault, set up; not homed yet.
@@ -77,15 +78,16 @@ class Rig:
 
         Returns:
             By how many microsteps home was missed; None where the counter did not say, because the
-            controller had not been homed.
+            controller had not been homed, or had been by a homing whose result was not heard.
         """
         controller, n = self.controller, self.config.microsteps_per_turn
         known = self.position_known
         controller.enable(True)
         if known:
             self._come_from_above()
+        known, self._homing = known and not self._homing, True
         was = controller.home(nearest(self.config.turntable.home_within_deg, n), longest_s(self.config))
-        self.position_known = True
+        self.position_known, self._homing = True, False
         self.homings += 1
         missed = (was + n // 2) % n - n // 2 if known else None
         good = {} if missed is None else {"missed": missed, "good": abs(missed) <= self.tolerance}
@@ -105,7 +107,6 @@ class Rig:
     def arm(self, on: bool) -> None:
         """Close or open the contactor."""
         self.controller.arm(on)
-        self._armed = on
         if not on:
             # Without the laser somebody may look through the camera: its next frame may have any number.
             self._numbers.next = None

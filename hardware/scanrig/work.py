@@ -32,9 +32,12 @@ class Session:
         """Records of this session that are in doubt."""
         self.since_home: list[int] = [] if found is None else list(found.since_home)
         """Records since home was last found where it should be."""
+        self._unjudged = found is not None and found.unjudged
+        """Whether home was found since they were taken, and the counter could not say where it was missed."""
         self.taken = 0
         self._found = found
         self._last = found.order[-1] if found is not None and found.order else None
+        self._last_placement: int | None = None
         self._positions = {} if found is None else {i: int(r["microsteps"]) for i, r in found.records.items()}
         self._placements = 0 if found is None else found.placements
         self._ambient: float | None = None
@@ -80,9 +83,7 @@ class Session:
         Raises:
             SessionError: If the last record, taken again, looks different.
         """
-        missed = self.rig.doing(lambda: self.rig.home("start"), "homing")
-        if missed is not None:
-            self._judge_home(missed)
+        self.rig.doing(lambda: self.rig.home("start"), "homing")
         if not compare or self._last is None or self._last not in self.done:
             return
         likeness = self._again(self._last, "compared")
@@ -93,7 +94,7 @@ class Session:
                 f"most {checks.shift_px:g} px and {checks.difference_dn:g} DN. The rig or the room changed, or steps "
                 "were lost before. Begin a new capture, or allow more in [checks] shift_px and difference_dn."
             )
-        self.since_home.clear()
+        self._believe()
 
     def take(self, record: int, to: int, *, placement: int | None = None) -> None:
         """Take one record and see it onto the disk."""
@@ -102,8 +103,9 @@ class Session:
         require_space(job.folder, room, what="the next pair")
         homings = self.rig.homings
         pair = self.rig.take(to, record)
-        if self.rig.homings > homings and placement is None:
-            self._doubt_before()
+        # Another placement of the board looks different whatever the table does.
+        if self.rig.homings > homings and placement == self._last_placement:
+            self._compare_last()
         fields = record_fields(pair, self.config, self.rig.features, job.clock)
         if placement is not None:
             fields["placement"] = placement
@@ -112,7 +114,7 @@ class Session:
         self.done.add(record)
         self.suspect.discard(record)
         self.since_home.append(record)
-        self._last, self._positions[record] = record, pair.position
+        self._last, self._last_placement, self._positions[record] = record, placement, pair.position
         self._watch_light(record, pair)
         self._watch_laser(record, pair, None if placement is not None else fields["angle_deg"])
         if job.on_pair is not None:
@@ -131,11 +133,11 @@ class Session:
             likeness = self._again(first, "closing")
             if not self._is_like(likeness):
                 self.job.notify(f"The first step of the pass, taken again, is not what it was: {likeness}.")
-        self._find_home("end of a pass")
+        self._find_home("end of a pass", in_place=True)
 
-    def close_placement(self) -> None:
-        """Look for home after a placement of the board."""
-        self._find_home("end of a placement")
+    def close_placement(self, *, in_place: bool) -> None:
+        """Look for home after a placement of the board; `in_place`: it still stands where the last record saw it."""
+        self._find_home("end of a placement", in_place=in_place)
 
     def dark(self) -> None:
         """Open the contactor while somebody is at the board."""
@@ -180,35 +182,47 @@ class Session:
 
     def _note(self, name: str, **fields: Any) -> None:
         self.ledger.note(name, **fields)
+        if name == "home":
+            # Here, since homing may be repeated after this for another reason: what is found then is no news.
+            self._judge_home(fields.get("missed"))
         if name in ("fault", "reconnected", "camera", "suspect", "retake"):
             said = ", ".join(f"{key} {value}" for key, value in fields.items())
             self.job.notify(f"{name}: {said}")
 
-    def _find_home(self, why: str) -> None:
-        missed = self.rig.doing(lambda: self.rig.home(why), "homing")
-        if missed is not None:
-            self._judge_home(missed)
+    def _find_home(self, why: str, *, in_place: bool) -> None:
+        self.rig.doing(lambda: self.rig.home(why), "homing")
+        if self._unjudged:
+            if in_place:
+                self._compare_last()
+            else:
+                self._believe()
 
-    def _judge_home(self, missed: int) -> None:
-        """Home was found elsewhere: what was taken since it was last found well is in doubt."""
-        if abs(missed) > self.rig.tolerance:
+    def _judge_home(self, missed: int | None) -> None:
+        """Home was found: elsewhere, what was taken since it was last found well is in doubt."""
+        if missed is None:
+            self._unjudged = bool(self.since_home)
+        elif abs(missed) > self.rig.tolerance:
             self._doubt(f"home was missed by {missed} microsteps", missed=missed)
-        else:
-            self.since_home.clear()
+        elif not self._unjudged:
+            self._believe()
 
-    def _doubt_before(self) -> None:
+    def _compare_last(self) -> None:
         """The table was homed after a fault, and its counter said nothing: the last record has to."""
         if self._last is None or self._last not in self.done:
             return
         likeness = self._again(self._last, "compared")
         if self._is_like(likeness):
-            self.since_home.clear()
+            self._believe()
         else:
             self._doubt(f"after a fault, record {self._last} looks different: {likeness}")
 
+    def _believe(self) -> None:
+        self.since_home.clear()
+        self._unjudged = False
+
     def _doubt(self, why: str, **fields: Any) -> None:
         records = sorted(set(self.since_home))
-        self.since_home.clear()
+        self._believe()
         if records:
             self._note("suspect", records=[list(run) for run in ranges(records)], why=why, **fields)
             self.suspect.update(records)

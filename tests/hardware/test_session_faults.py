@@ -177,6 +177,71 @@ def test_13_lost_steps_make_all_since_the_last_good_home_suspect(tmp_path, lost,
         assert sweep(Desk(sweep=dict(again.config.sweep)), tmp_path / "room", resume=True).taken == 0
 
 
+def lose_link_in(desk, method, call):
+    """After the rig has done it the call-th time, nobody hears of it."""
+    do, count = getattr(desk.controller, method), []
+
+    def done_unheard(*arguments):
+        result = do(*arguments)
+        count.append(1)
+        if len(count) == call:
+            desk.controller.lose_link()
+            raise LinkLost("no answer from paper")
+        return result
+
+    setattr(desk.controller, method, done_unheard)
+
+
+def reset_in_home(desk):
+    """The controller starts anew while it looks for home at the end of the pass."""
+    home = desk.controller.home
+
+    def reset_once(*arguments):
+        desk.controller.home = home
+        desk.controller.reset()
+
+    desk.controller.before_shot[11] = lambda controller: setattr(controller, "home", reset_once)
+
+
+@pytest.mark.parametrize("when", ["home is not heard", "contactor is not heard", "reset"])
+@pytest.mark.parametrize("lost", [0, 3000])
+def test_13_lost_steps_are_not_forgotten_where_homing_is_repeated(tmp_path, when, lost):
+    """The second homing of a fault finds home at 0 in any case: that says nothing of the records before the first."""
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: controller.lose_steps(lost)
+    if when == "home is not heard":
+        lose_link_in(desk, "home", 2)
+    elif when == "contactor is not heard":
+        lose_link_in(desk, "arm", 2)
+    else:
+        reset_in_home(desk)
+    result = sweep(desk, tmp_path / "room")
+    assert desk.controller.log.count("home") >= 3
+    if lost:
+        assert (result.status, result.suspect) == ("suspect", ((0, 9),))
+        again = Desk()
+        assert sweep(again, tmp_path / "room", resume=True).taken == 10
+        desk = again
+    else:
+        assert result.status == "complete"
+    require_whole(tmp_path / "room", desk)
+
+
+@pytest.mark.parametrize("kept", ["home", "suspect"])
+def test_13_a_session_that_is_killed_right_after_it_missed_home(tmp_path, kept):
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: controller.lose_steps(400)
+    assert sweep(desk, tmp_path / "room").status == "suspect"
+    path = tmp_path / "room" / "frames.jsonl"
+    lines = path.read_text().splitlines(keepends=True)
+    end = max(k for k, line in enumerate(lines) if json.loads(line).get("event") == kept)
+    path.write_text("".join(lines[: end + 1]))
+    # The controller lives on: now it is at home, and says so.
+    result = sweep(desk, tmp_path / "room", resume=True)
+    assert (result.status, result.taken) == ("complete", 10)
+    require_whole(tmp_path / "room", desk)
+
+
 # 15 the laser
 
 
