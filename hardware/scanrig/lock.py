@@ -20,6 +20,8 @@ except ImportError:  # Not on Windows; there the file's content alone decides.
     fcntl = None  # type: ignore[assignment]
 
 _MAX_BYTES = 4096
+# A link in a folder that somebody else made may point anywhere.
+_OPEN = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
 _NO_LOCKS = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
 
 
@@ -74,11 +76,11 @@ class FolderLock:
         """Take the lock; False where the file vanished meanwhile."""
         created = True
         try:
-            file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+            file = os.open(self.path, _OPEN | os.O_CREAT | os.O_EXCL, 0o644)
         except FileExistsError:
             created = False
             try:
-                file = os.open(self.path, os.O_RDWR)
+                file = os.open(self.path, _OPEN)
             except FileNotFoundError:
                 return False
         try:

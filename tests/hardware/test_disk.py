@@ -233,6 +233,19 @@ def test_23_a_lock_whose_writer_died_before_it_had_written(tmp_path, text):
         assert "took over" in lock.note
 
 
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("there", [True, False])
+def test_23_a_link_in_place_of_the_lock_is_not_followed(tmp_path, there):
+    folder, target = tmp_path / "room", tmp_path / "letter"
+    folder.mkdir()
+    if there:
+        target.write_text("dear")
+    (folder / LOCK_NAME).symlink_to(target)
+    with pytest.raises(SessionError, match="cannot be written"), FolderLock(folder):
+        pass
+    assert target.exists() == there and (not there or target.read_text() == "dear")
+
+
 def test_23_where_the_file_system_has_no_locks_the_process_decides(tmp_path, monkeypatch):
     import fcntl
 
