@@ -4,9 +4,10 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+import pydantic
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.bounded import MEGABYTE, read_bounded
@@ -17,6 +18,11 @@ from jaxscan.files.verify import Problem, verify_capture
 from scanrig.config import RigConfig
 from scanrig.errors import SessionError
 from scanrig.record import Kind
+
+
+T = TypeVar("T")
+_RUNS = pydantic.TypeAdapter(list[Annotated[list[int], pydantic.Field(min_length=2, max_length=2)]])
+_PLACEMENT = pydantic.TypeAdapter(Annotated[int, pydantic.Field(ge=0, lt=1 << 31)])
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,8 @@ def find_capture(folder: Path) -> Found:
     """Read and verify all of a capture.
 
     Raises:
-        CaptureError: If header or journal are damaged in a way that no interruption leaves behind.
+        CaptureError: If header or journal are damaged in a way that no interruption leaves behind, or hold
+            what no session writes.
     """
     header, journal = _read(folder)
     problems = verify_capture(folder)
@@ -66,7 +73,8 @@ def find_capture(folder: Path) -> Found:
             records[number] = value
             since_home.append(number)
             suspect.discard(number)
-            placements = max(placements, 1 + int(value.get("placement", -1)))
+            placement = value.get("placement")
+            placements = max(placements, 0 if placement is None else 1 + placement)
             continue
         match value.get("event"):
             case "home" if value.get("good") is False:
@@ -82,9 +90,10 @@ def find_capture(folder: Path) -> Found:
                 since_home.clear()
                 unjudged = False
             case "suspect":
-                suspect.update(n for first, last in value["records"] for n in range(first, last + 1))
+                runs = _checked(folder, value, "records", _RUNS)
+                suspect.update(n for n in records if any(first <= n <= last for first, last in runs))
             case "placed":
-                placements = max(placements, 1 + int(value["placement"]))
+                placements = max(placements, 1 + _checked(folder, value, "placement", _PLACEMENT))
             case "end":
                 status = value.get("status")
     bad = {problem.record for problem in problems}
@@ -100,6 +109,17 @@ def find_capture(folder: Path) -> Found:
         placements=placements,
         status=status,
     )
+
+
+def _checked(folder: Path, event: dict[str, Any], key: str, kind: pydantic.TypeAdapter[T]) -> T:
+    """What an event says; other programs may have written any into the journal."""
+    try:
+        return kind.validate_python(event.get(key), strict=True)
+    except pydantic.ValidationError as problem:
+        raise CaptureError(
+            f"{folder / JOURNAL_NAME}: the event {event['event']!r:.20} holds {key} = {event.get(key)!r:.40}, "
+            "which no session writes; it cannot be gone on with."
+        ) from problem
 
 
 def _lines(journal: bytes) -> Iterator[dict[str, Any]]:

@@ -11,6 +11,7 @@ from scanrig.cameras.synthetic import SyntheticScene
 from scanrig.errors import CameraError, SessionError
 from scanrig.session import run_sweep
 
+from jaxscan.errors import CaptureError
 from jaxscan.files.capture import open_capture
 from jaxscan.files.verify import verify_capture
 
@@ -249,6 +250,44 @@ def test_26_a_capture_from_elsewhere_is_refused(room):
     (room / "capture.toml").write_text(text[: text.index("[acquisition")])
     with pytest.raises(SessionError, match="was not captured by this program"):
         sweep(Desk(), room, resume=True)
+
+
+@pytest.mark.timeout(30)
+@pytest.mark.parametrize(
+    "event",
+    [
+        {"event": "suspect"},
+        {"event": "suspect", "records": 3},
+        {"event": "suspect", "records": [[0]]},
+        {"event": "suspect", "records": [["a", "b"]]},
+        {"event": "placed"},
+        {"event": "placed", "placement": None},
+        {"event": "placed", "placement": "x"},
+    ],
+)
+def test_26_events_that_no_session_writes_are_one_clear_error(room, event):
+    with open(room / "frames.jsonl", "a") as file:
+        file.write(json.dumps(event) + "\n")
+    desk = Desk()
+    with pytest.raises(CaptureError, match="which no session writes"):
+        sweep(desk, room, resume=True)
+    assert desk.table.position == 500
+
+
+@pytest.mark.timeout(30)
+def test_26_a_run_of_suspect_records_has_no_end(room):
+    """As many numbers as somebody likes to write; of them only those of records mean anything."""
+    with open(room / "frames.jsonl", "a") as file:
+        file.write(json.dumps({"event": "suspect", "records": [[4, 10**12]]}) + "\n")
+    result = sweep(Desk(), room, resume=True)
+    assert (result.status, result.taken) == ("complete", 6)
+
+
+def test_26_a_record_may_say_that_it_has_no_placement(room):
+    lines = journal(room)
+    text = "".join(json.dumps({**one, "placement": None} if "i" in one else one) + "\n" for one in lines[:-1])
+    (room / "frames.jsonl").write_text(text)
+    assert sweep(Desk(), room, resume=True).status == "complete"
 
 
 # The rig has moved
