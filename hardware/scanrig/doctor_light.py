@@ -10,7 +10,7 @@ from scanrig.controller import Controller
 from scanrig.errors import CameraTimeout, FrameError
 from scanrig.findings import Finding, Tell, looked_at
 from scanrig.plan import controller_settings
-from scanrig.step import Pair, take_pair
+from scanrig.step import Pair, next_frame, rest, take_pair
 
 
 PULSES = 6
@@ -60,15 +60,17 @@ def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, c
     camera.drop()
     frames: list[Frame] = []
     pulse_s = controller_settings(config).exposure_ms / 1000
+    wait_s = config.camera.exposure_ms / 1000 + config.checks.late_s
+    exposing = controller if mode == "hardware" else None
     before = 0 if controller is None else controller.stat().exposures
     for _ in range(PULSES):
         if mode == "hardware" and controller is not None:
             controller.trigger()
-            clock.sleep(pulse_s + controller_settings(config).gap_ms / 1000)
+            rest(pulse_s + controller_settings(config).gap_ms / 1000, controller, clock, lit=False)
         elif mode == "software":
             camera.trigger()
         try:
-            frames.append(camera.next(config.camera.exposure_ms / 1000 + config.checks.late_s))
+            frames.append(next_frame(camera, exposing, wait_s, clock))
         except CameraTimeout:
             continue
     more = 0 if mode == "free" else camera.drop()

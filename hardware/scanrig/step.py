@@ -164,17 +164,17 @@ def _by_hand(
     position = controller.move(to, longest_s(config))
     if position != to:
         raise _Unbelievable(f"the table stopped at {position}, expected {to}")
-    _rest(config.turntable.settle_ms / 1000, controller, clock, lit=False)
+    rest(config.turntable.settle_ms / 1000, controller, clock, lit=False)
     controller.laser(True)
     try:
-        _rest(config.laser[0].on_ms / 1000, controller, clock, lit=True)
+        rest(config.laser[0].on_ms / 1000, controller, clock, lit=True)
         on = _fresh_frame(controller, camera, config, clock, lit=True)
     except (_Unbelievable, CameraError):
         # After anything else the controller is not there, or is to be aborted at once.
         controller.laser(False)
         raise
     controller.laser(False)
-    _rest(config.laser[0].off_ms / 1000, controller, clock, lit=False)
+    rest(config.laser[0].off_ms / 1000, controller, clock, lit=False)
     off = _fresh_frame(controller, camera, config, clock, lit=False)
     _require_whole(on, off)
     return _Take(on, off, position)
@@ -196,7 +196,26 @@ def _fresh_frame(controller: Controller, camera: Camera, config: RigConfig, cloc
                 raise _Unbelievable(f"no {'laser-on' if lit else 'laser-off'} frame came") from None
 
 
-def _rest(seconds: float, controller: Controller, clock: Clock, *, lit: bool) -> None:
+def next_frame(camera: Camera, controller: Controller | None, timeout_s: float, clock: Clock) -> Frame:
+    """A frame that is on its way, awaited with signs of life: in an exposure, too, the controller's watchdog waits.
+
+    Raises:
+        CameraTimeout: If none came within `timeout_s`.
+        CameraLost, LinkLost, RigFault: As camera and controller have it.
+    """
+    give_up = clock.now() + timeout_s
+    while True:
+        try:
+            return camera.next(min(LOOK_S, timeout_s))
+        except CameraTimeout:
+            if clock.now() >= give_up:
+                raise
+        if controller is not None:
+            controller.poll()
+
+
+def rest(seconds: float, controller: Controller, clock: Clock, *, lit: bool) -> None:
+    """Wait with signs of life to the controller, and with a renewed lease while the laser is on."""
     end = clock.now() + seconds
     while (left := end - clock.now()) > 0:
         clock.sleep(min(left, LOOK_S))

@@ -108,13 +108,16 @@ def make_guide(rig: "RigConfig") -> "Guide":
 
 def _preview(rig: "RigConfig", controller: "Controller", camera: "Camera") -> Callable[[], np.ndarray]:
     """A frame of what the camera sees now, without laser."""
+    from scanrig.clock import SystemClock
+    from scanrig.step import next_frame
 
     def look() -> np.ndarray:
         camera.drop()
-        if camera.trigger_mode == "hardware":
-            controller.trigger()
+        exposing = controller if camera.trigger_mode == "hardware" else None
+        if exposing is not None:
+            exposing.trigger()
         elif camera.trigger_mode == "software":
             camera.trigger()
-        return camera.next(rig.camera.exposure_ms / 1000 + _PREVIEW_S).image
+        return next_frame(camera, exposing, rig.camera.exposure_ms / 1000 + _PREVIEW_S, SystemClock()).image
 
     return look

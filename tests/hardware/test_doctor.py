@@ -211,6 +211,32 @@ def test_no_wire_to_the_camera(desk, tmp_path):
     assert found["trigger"].values == {"pulses": 6, "frames": 0, "complete": 0}
 
 
+class Watched(Turning):
+    """Its link watchdog looks at pulses: half a second without a line in one of them is a fault."""
+
+    heard_s = pulse_ends_s = 0.0
+
+    def _alive(self, verb):
+        now = self.clock.now()
+        if min(now, self.pulse_ends_s) > self.heard_s + 0.5:
+            self.fault = 2
+        self.heard_s = now
+        super()._alive(verb)
+
+    def trigger(self, ms=None):
+        super().trigger(ms)
+        if self.fault:
+            raise RigFault(self.fault, self.counter)
+        self.pulse_ends_s = self.clock.now() + self.settings.exposure_ms / 1000
+
+
+def test_pulses_that_are_longer_than_the_link_watchdog_waits(tmp_path):
+    desk = Desk(camera={"exposure_ms": 2000.0})
+    desk.controller = Watched(desk.table, desk.camera, desk.clock)
+    found = examined(desk, tmp_path)
+    assert found["trigger"].verdict == "works", found["trigger"]
+
+
 def test_a_camera_that_exposes_by_itself(desk, tmp_path):
     desk.controller.twice = True
     found = examined(desk, tmp_path)
