@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -95,6 +96,8 @@ class _Looker:
             located = self._folder.locate(image)
             if not isinstance(expected, str):
                 return None
+            if not re.fullmatch("[0-9a-f]{64}", expected):
+                return f"{image}: found {expected!a:.40} in its record, expected a sha256."
             found = self._digest(image, located)
         except CaptureError as problem:
             return str(problem)

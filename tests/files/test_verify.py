@@ -119,6 +119,15 @@ def test_a_repacked_capture_has_digests_of_its_own(tmp_path):
     assert [problem.record for problem in verify_capture(tmp_path / "packed")] == [3]
 
 
+@pytest.mark.parametrize("said", ["", "0" * 63, "\x1b]0;taken over\x07" + "0" * 50, "A" * 64])
+def test_what_is_no_digest_is_a_problem_and_not_repeated_as_it_stands(tmp_path, said):
+    path = write(tmp_path / "room", count=1)
+    (line,) = journal(path)
+    (path / "frames.jsonl").write_text(json.dumps({**line, "sha256": {**line["sha256"], "on": said}}) + "\n")
+    (problem,) = verify_capture(path)
+    assert problem.record == 0 and "expected a sha256" in problem.message and problem.message.isprintable()
+
+
 def test_a_torn_line_is_said(tmp_path):
     path = write(tmp_path / "room")
     with open(path / "frames.jsonl", "ab") as file:
