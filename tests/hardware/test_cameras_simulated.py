@@ -285,3 +285,10 @@ def test_folders_that_cannot_be_played(tmp_path, spoil):
         made = folder_camera(tmp_path / "none" if spoil == "missing" else tmp_path)
         made.start()
         made.next(1.0)
+
+
+def test_a_cameras_own_words_cannot_steer_a_terminal():
+    from scanrig.cameras.aravis_binding import text
+
+    assert text("Kamera №1".encode()) == "Kamera №1" and text(None) == ""
+    assert text(b"\x1b[2JModel\r\n\xff") == "?[2JModel??\ufffd"

@@ -128,7 +128,7 @@ class Aravis:
         problem = POINTER(_GError)()
         result = function(*arguments, byref(problem))
         if problem:
-            message = (problem.contents.message or b"").decode("utf-8", "replace")
+            message = text(problem.contents.message)
             self._library.g_clear_error(byref(problem))
             raise AravisError(message or "no reason given")
         return result
@@ -154,5 +154,6 @@ def load_aravis() -> Aravis:
 
 
 def text(value: bytes | None) -> str:
-    """A string of the library, "" for none."""
-    return (value or b"").decode("utf-8", "replace")
+    """A string of the library, "" for none; a camera's own words may hold anything, and end up on a terminal."""
+    letters = (value or b"").decode("utf-8", "replace")
+    return "".join(letter if letter.isprintable() else "?" for letter in letters)
