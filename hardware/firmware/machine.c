@@ -137,12 +137,13 @@ uint8_t machine_shot(uint16_t seq, int32_t to, uint32_t id, uint8_t modes) {
     return refusal;
 }
 
-uint8_t machine_expose(uint16_t ms) {
+uint8_t machine_expose(uint16_t seq, uint16_t ms) {
     uint8_t refusal;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         refusal = still_idle();
         if (!refusal) {
             state = SHOOTING;
+            current_seq = seq;
             expose_begin(ms);
         }
     }

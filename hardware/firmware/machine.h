@@ -41,7 +41,7 @@ uint8_t machine_laser(uint16_t ms); /* 0: off */
 uint8_t machine_move(uint16_t seq, int32_t to);
 uint8_t machine_home(uint16_t seq, uint32_t most);
 uint8_t machine_shot(uint16_t seq, int32_t to, uint32_t id, uint8_t modes);
-uint8_t machine_expose(uint16_t ms);
+uint8_t machine_expose(uint16_t seq, uint16_t ms);
 uint8_t machine_selftest(uint16_t seq);
 uint8_t machine_set(const int32_t *candidate); /* all settings at once */
 uint8_t machine_clear(void);

@@ -182,11 +182,10 @@ static uint8_t shot(const struct arguments *arguments, uint16_t seq) {
 }
 
 static uint8_t expose(const struct arguments *arguments, uint16_t seq) {
-    (void)seq;
     int32_t ms = given(arguments, MS) ? arguments->value[MS] : settings[EXP];
     if (ms < 1 || ms > 5000) return E_ARGUMENT;
     uint8_t refusal = permitted(NO_FAULT_NOW | A_SESSION | AT_REST);
-    return refusal ? refusal : machine_expose((uint16_t)ms);
+    return refusal ? refusal : machine_expose(seq, (uint16_t)ms);
 }
 
 static uint8_t stop(const struct arguments *arguments, uint16_t seq) {

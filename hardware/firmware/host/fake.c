@@ -115,9 +115,9 @@ uint8_t machine_shot(uint16_t number, int32_t to, uint32_t id, uint8_t modes) {
     return OK;
 }
 
-uint8_t machine_expose(uint16_t ms) {
+uint8_t machine_expose(uint16_t number, uint16_t ms) {
     if (ms < 1 || ms > 5000) abort();
-    uint8_t refusal = begin(0, SHOOTING, fake.status.position);
+    uint8_t refusal = begin(number, SHOOTING, fake.status.position);
     if (!refusal) work = EXPOSURE_WORK;
     return refusal;
 }
