@@ -174,6 +174,7 @@ def require_same_plan(
     was, now = header.acquisition, config.frame_tables(kind)
     if "config_sha256" not in was:
         raise SessionError(f"{folder}: was not captured by this program, so it cannot be gone on with.")
+    _require_own_words(found, folder)
     changed = list(_changes(was.get("config", {}), now))
     if was.get("microsteps_per_turn") != config.microsteps_per_turn:
         changed.append(f"microsteps per turn: was {was.get('microsteps_per_turn')}, is {config.microsteps_per_turn}")
@@ -187,6 +188,25 @@ def require_same_plan(
             f"{folder}: cannot be gone on with, since it was begun differently: {'; '.join(changed)}. "
             "Set it as it was, or choose another folder."
         )
+
+
+def _require_own_words(found: Found, folder: Path) -> None:
+    """See that what is read of header and records is what a session writes: anybody can edit them."""
+    odd = [
+        f"[acquisition.{key}] = {found.header.acquisition[key]!a:.40}"
+        for key in ("camera", "features")
+        if not isinstance(found.header.acquisition.get(key, {}), Mapping)
+    ]
+    digest = found.header.acquisition.get("calibration", "")
+    if not (isinstance(digest, str) and digest.isprintable()):
+        odd.append(f"[acquisition] calibration = {digest!a:.40}")
+    odd += [
+        f"record {number} at microsteps = {record.get('microsteps')!a:.40}"
+        for number, record in found.records.items()
+        if type(record.get("microsteps")) is not int
+    ]
+    if odd:
+        raise SessionError(f"{folder}: found {odd[0]}, which no session writes; it cannot be gone on with.")
 
 
 def require_same_camera(found: Found, identity: Mapping[str, str], *, folder: Path) -> None:

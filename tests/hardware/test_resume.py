@@ -290,6 +290,35 @@ def test_26_a_record_may_say_that_it_has_no_placement(room):
     assert sweep(Desk(), room, resume=True).status == "complete"
 
 
+@pytest.mark.parametrize("key", ["camera", "features"])
+def test_26_a_header_that_no_session_writes_is_one_clear_error(room, key):
+    text = (room / "capture.toml").read_text()
+    start = text.index(f"[acquisition.{key}]")
+    end = text.index("\n[", start)
+    (room / "capture.toml").write_text(
+        (text[:start] + text[end:]).replace("[acquisition]\n", f"[acquisition]\n{key} = 3\n", 1)
+    )
+    with pytest.raises(SessionError, match=rf"found \[acquisition.{key}\] = 3, which no session writes"):
+        sweep(Desk(), room, resume=True)
+
+
+@pytest.mark.parametrize("digest", ["3", '"\\u001b[2J"'])
+def test_26_a_calibration_that_is_no_digest_is_one_clear_error(room, digest):
+    text = (room / "capture.toml").read_text()
+    (room / "capture.toml").write_text(text.replace("[acquisition]\n", f"[acquisition]\ncalibration = {digest}\n", 1))
+    with pytest.raises(SessionError, match=r"found \[acquisition\] calibration = ") as refused:
+        sweep(Desk(), room, resume=True, calibration_digest="sha256:" + "0" * 64)
+    assert str(refused.value).isprintable()
+
+
+@pytest.mark.parametrize("said", [None, "x", 1.5, True])
+def test_26_a_record_that_no_session_writes_is_one_clear_error(room, said):
+    lines = [{**one, "microsteps": said} if one.get("i") == 5 else one for one in journal(room)]
+    (room / "frames.jsonl").write_text("".join(json.dumps(one) + "\n" for one in lines))
+    with pytest.raises(SessionError, match="found record 5 at microsteps = "):
+        sweep(Desk(), room, resume=True)
+
+
 # The rig has moved
 
 
