@@ -203,6 +203,19 @@ def test_frames_of_another_size_are_refused(stream):
         open_camera(settings(stream.url, width=320))
 
 
+def test_frames_that_cannot_be_read_are_a_loss_and_not_a_silence(camera, monkeypatch):
+    def fails(*arguments):
+        raise cv2.error("Invalid number of channels\n in input image")
+
+    monkeypatch.setattr("scanrig.cameras.opencv._image", fails)
+    with pytest.raises(CameraLost, match="its frames cannot be read: Invalid number of channels in input image"):
+        for _ in range(100):
+            camera.next(1.0)
+    monkeypatch.undo()
+    camera.reopen()
+    assert camera.next(5.0).complete
+
+
 def test_no_device_no_stream():
     with pytest.raises(CameraLost, match="cannot be opened"):
         open_camera(settings("http://127.0.0.1:9/none.mjpg"))

@@ -155,33 +155,39 @@ class OpenCVCamera:
 
     def _read(self, capture: cv2.VideoCapture, stop: threading.Event) -> None:
         """Takes every frame as it comes, until there are no more."""
-        ended = "the camera is closed; reopen it."
+        try:
+            ended = self._take_all(capture, stop)
+        except cv2.error as problem:
+            # Whoever waits for a frame is to hear of it, not this thread's end.
+            ended = f"its frames cannot be read: {' '.join(str(problem).split())}"
+        capture.release()
+        with self._changed:
+            if not stop.is_set():
+                self._ended = ended
+            self._changed.notify_all()
+
+    def _take_all(self, capture: cv2.VideoCapture, stop: threading.Event) -> str:
+        """Why there are no more."""
         while not stop.is_set():
             taken, pixels = capture.read()
             arrival = time.monotonic()
             if not taken:
-                ended = "the camera is gone: its frames ended."
-                break
+                return "the camera is gone: its frames ended."
             image = _image(pixels, self._settings)
             stamp = 1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC)
             features = read_features(capture, self._settings) if self._asked is None else None
             if image is None:
-                ended = (
+                return (
                     f"its frames are {pixels.shape[1]} x {pixels.shape[0]} px, expected "
                     f"{self._settings.width} x {self._settings.height} px."
                 )
-                break
             with self._changed:
                 if stop.is_set():
                     break
                 self._asked = self._asked if features is None else features
                 self._arrive(image, stamp, arrival)
                 self._changed.notify_all()
-        capture.release()
-        with self._changed:
-            if not stop.is_set():
-                self._ended = ended
-            self._changed.notify_all()
+        return "the camera is closed; reopen it."
 
     def _arrive(self, image: np.ndarray, stamp: float, arrival: float) -> None:
         stamped = abs(stamp - arrival) < _SAME_CLOCK_S
