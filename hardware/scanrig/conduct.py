@@ -91,6 +91,8 @@ def _look(job: Job) -> Found | None:
         )
     job.notify(f"{job.folder}: verifying what is there.")
     found = find_capture(job.folder)
+    for problem in found.altered:
+        job.notify(str(problem))
     require_same_plan(found, job.config, job.kind, folder=job.folder, calibration_digest=job.calibration_digest)
     return found
 

@@ -40,6 +40,8 @@ class Found:
     """Whether home was found since they were taken, and the counter could not say where it was missed."""
     damaged: tuple[Problem, ...]
     """What is wrong with others."""
+    altered: tuple[Problem, ...]
+    """What is wrong with the journal itself."""
     suspect: tuple[int, ...]
     """Records that were taken while steps were being lost, and not again since."""
     placements: int
@@ -105,6 +107,7 @@ def find_capture(folder: Path) -> Found:
         since_home=tuple(number for number in dict.fromkeys(since_home) if number in whole),
         unjudged=unjudged,
         damaged=tuple(problem for problem in problems if problem.record is not None),
+        altered=tuple(problem for problem in problems if problem.record is None),
         suspect=tuple(sorted(suspect & records.keys())),
         placements=placements,
         status=status,

@@ -175,6 +175,19 @@ def test_22_damage_in_a_complete_capture_is_repaired(tmp_path):
     assert verify_capture(tmp_path / "room") == []
 
 
+def test_22_a_journal_that_was_changed_is_said(room):
+    """Angles have no digest of their own; the seal at the end of each session covers them."""
+    text = (room / "frames.jsonl").read_text()
+    (room / "frames.jsonl").write_text(text.replace('"angle_deg": 3.6', '"angle_deg": 8.6', 1))
+    desk = Desk()
+    sweep(desk, room, resume=True)
+    assert [sentence for sentence in desk.said if "the seal does not fit the lines before it" in sentence]
+    well = Desk()
+    sweep(well, room.parent / "other")
+    sweep(well, room.parent / "other", resume=True)
+    assert not any("seal" in sentence for sentence in well.said)
+
+
 def test_22_the_damaged_record_was_the_last_one(room):
     (room / "on" / "000005.png").unlink()
     desk = Desk()
