@@ -18,6 +18,7 @@ from jaxscan.reconstruction.chunk import Aim, ChunkKind, ChunkResult, _all_in_on
 from jaxscan.reconstruction.colour import stripe_colours
 from jaxscan.reconstruction.plan import make_plan, make_searches
 from jaxscan.reconstruction.points import Points, Rig
+from jaxscan.reconstruction.triangulate import Limits
 from jaxscan.stripes import NoiseModel
 from jaxscan.stripes.candidates import Located
 from jaxscan.stripes.choose import choose
@@ -104,7 +105,7 @@ def to_fits(job: Job, chunk: Chunk, given: Found, kind: ChunkKind) -> Fits:
         samples=kind.image_size[0],
         pitch=1,
         response=kind.response,
-        settings=kind.settings.stripes,
+        settings=kind.stripes,
     )
     slots = given.located.slots
     index = jnp.maximum(slots, 0)
@@ -116,7 +117,7 @@ def to_path(job: Job, chunk: Chunk, given: Fits, kind: ChunkKind) -> Chosen:
     """The best path over the rows."""
     del chunk
     fields = given.u, given.snr, given.amplitude, given.width, given.valid
-    return Chosen(choose(*fields, job.search.near_side, kind.settings.stripes), given)
+    return Chosen(choose(*fields, job.search.near_side, kind.stripes), given)
 
 
 def to_points(job: Job, chunk: Chunk, given: Chosen, kind: ChunkKind) -> Finished:
@@ -129,7 +130,7 @@ def to_points(job: Job, chunk: Chunk, given: Chosen, kind: ChunkKind) -> Finishe
 
     fields = {name: taken(getattr(given.fits, name)) for name in FrameStripes._fields if name != "valid"}
     stripes = FrameStripes(**fields, valid=valid)
-    points = points_of_centres(stripes.u, stripes.sigma, valid, _aim(job, chunk), kind)
+    points = points_of_centres(stripes.u, stripes.sigma, valid, _aim(job, chunk), stripe_axis=kind.line.stripe_axis)
     how: dict[str, Any] = {"pixel_format": kind.pixel_format, "response": kind.response}
     how["stripe_axis"] = kind.line.stripe_axis
     # The fit knows the grey level already.
@@ -158,8 +159,8 @@ def natively(job: Job, chunk: Chunk, kind: ChunkKind) -> ChunkResult:
 
 
 def _aim(job: Job, chunk: Chunk) -> Aim:
-    return Aim(job.rig, np.asarray(0, np.int32), chunk.phi)
+    return Aim(job.rig, np.asarray(0, np.int32), chunk.phi, Limits.of(ReconstructSettings()))
 
 
 def _look(kind: ChunkKind) -> dict[str, Any]:
-    return {"pixel_format": kind.pixel_format, "line": kind.line, "settings": kind.settings.stripes}
+    return {"pixel_format": kind.pixel_format, "line": kind.line, "settings": kind.stripes}

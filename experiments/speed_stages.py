@@ -18,6 +18,7 @@ from jaxscan.reconstruction.chunk import Aim, points_of_centres
 from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan, make_searches
 from jaxscan.reconstruction.points import Rig
 from jaxscan.reconstruction.reconstruct import extract_sweep
+from jaxscan.reconstruction.triangulate import Limits
 from jaxscan.stripes import NoiseModel
 from jaxscan.stripes.choose import choose
 from jaxscan.stripes.chunk import locate_natively, stripes_of_located
@@ -80,7 +81,7 @@ def chunk_stages(frames: Frames, sweep: Sweep, scanner: Scanner, noise: NoiseMod
     """The stages of one chunk, as functions; and the candidates of a pair."""
     plan = make_plan(sweep, scanner, ReconstructSettings(chunk_records=CHUNK))
     kind, search = plan.kind(0), make_searches(plan, noise)[0]
-    settings = kind.settings.stripes
+    settings = kind.stripes
     how = {"pixel_format": kind.pixel_format, "response": kind.response, "line": kind.line, "settings": settings}
     on, off = frames.on[:CHUNK], frames.off[:CHUNK]
     look = {"pixel_format": kind.pixel_format, "line": kind.line, "settings": settings}
@@ -99,8 +100,10 @@ def chunk_stages(frames: Frames, sweep: Sweep, scanner: Scanner, noise: NoiseMod
 
     stripes = jax.jit(functools.partial(stripes_of_located, image_size=(WIDTH, HEIGHT), **how))
     found = stripes(located, gain, search)
-    aim = Aim(Rig.of(scanner, "rows"), np.asarray(0, np.int32), np.zeros(CHUNK, np.float32))
-    points = jax.jit(functools.partial(points_of_centres, kind=kind))
+    aim = Aim(
+        Rig.of(scanner, "rows"), np.asarray(0, np.int32), np.zeros(CHUNK, np.float32), Limits.of(ReconstructSettings())
+    )
+    points = jax.jit(functools.partial(points_of_centres, stripe_axis=kind.line.stripe_axis))
 
     def single(function, *arguments):
         def run():

@@ -12,13 +12,13 @@ from jaxtyping import Int8, UInt8
 from jaxscan.geometry import Array
 from jaxscan.reconstruction.colour import needs_frames, stripe_colours
 from jaxscan.reconstruction.points import Centres, Points, Rig, locate_points
-from jaxscan.reconstruction.settings import ReconstructSettings
+from jaxscan.reconstruction.triangulate import Limits
 from jaxscan.stripes.candidates import CANDIDATES, Located
 from jaxscan.stripes.chunk import candidates_of_located, is_native, locate_frames, locate_natively
 from jaxscan.stripes.exposures import merge_exposures
-from jaxscan.stripes.frames import LaserLine, PixelFormat, Response
+from jaxscan.stripes.frames import LaserLine, PixelFormat, Response, StripeAxis
 from jaxscan.stripes.search import Search
-from jaxscan.stripes.stripes import FrameStripes
+from jaxscan.stripes.stripes import FrameStripes, StripeSettings
 
 
 class ChunkKind(NamedTuple):
@@ -29,12 +29,13 @@ class ChunkKind(NamedTuple):
     response: Response
     line: LaserLine
     exposures: tuple[float, ...]
-    settings: ReconstructSettings
+    stripes: StripeSettings
+    check_steps: bool
 
     @property
     def profiles_per_frame(self) -> int:
         """Profiles that a frame of one laser gives."""
-        return CANDIDATES if self.settings.stripes.choice == "all" or self.settings.check_steps else 1
+        return CANDIDATES if self.stripes.choice == "all" or self.check_steps else 1
 
 
 class Aim(NamedTuple):
@@ -45,6 +46,7 @@ class Aim(NamedTuple):
     """Which sheet, int32 []."""
     phi: Array
     """The table's angle of each record [rad from home], float32 [records]."""
+    limits: Limits
 
 
 class ChunkResult(NamedTuple):
@@ -80,15 +82,16 @@ def compute_chunk(on: Array, off: Array | None, search: Search, aim: Aim | None,
         return _on_devices(on, off, search, aim, kind=kind)
     if off is None or not is_native(off):
         return _from_frames(on, off, search, aim, kind=kind)
-    settings = kind.settings.stripes
-    located, gain = locate_natively(on, off, search, pixel_format=kind.pixel_format, line=kind.line, settings=settings)
+    located, gain = locate_natively(
+        on, off, search, pixel_format=kind.pixel_format, line=kind.line, settings=kind.stripes
+    )
     seen = off if needs_frames(kind.pixel_format, kind.response) else None
     return _from_located(located, gain, search, seen, aim, kind=kind)
 
 
 def _all_in_one(on: Array, off: Array | None, search: Search, aim: Aim | None, kind: ChunkKind) -> ChunkResult:
     located, gain = locate_frames(
-        on, off, search, pixel_format=kind.pixel_format, line=kind.line, settings=kind.settings.stripes
+        on, off, search, pixel_format=kind.pixel_format, line=kind.line, settings=kind.stripes
     )
     return _fit_and_finish(located, gain, search, off, off is not None, aim, kind)
 
@@ -115,10 +118,10 @@ def _fit_and_finish(
         pixel_format=kind.pixel_format,
         response=kind.response,
         line=kind.line,
-        settings=kind.settings.stripes,
+        settings=kind.stripes,
         keep=kind.profiles_per_frame > 1,
     )
-    chosen = chosen if kind.settings.check_steps else None
+    chosen = chosen if kind.check_steps else None
     exposures = len(kind.exposures)
     if exposures > 1:
         stripes, chosen = _merged(stripes, chosen, kind)
@@ -135,23 +138,25 @@ def _fit_and_finish(
     points = None
     if aim is not None:
         phi = jnp.repeat(aim.phi, kind.profiles_per_frame, total_repeat_length=len(stripes.u))
-        points = points_of_centres(stripes.u, stripes.sigma, stripes.valid, aim._replace(phi=phi), kind)
+        points = points_of_centres(
+            stripes.u, stripes.sigma, stripes.valid, aim._replace(phi=phi), stripe_axis=kind.line.stripe_axis
+        )
     return ChunkResult(stripes, rgb, points, chosen)
 
 
-def points_of_centres(u: Array, sigma: Array, valid: Array, aim: Aim, kind: ChunkKind) -> Points:
+def points_of_centres(u: Array, sigma: Array, valid: Array, aim: Aim, *, stripe_axis: StripeAxis) -> Points:
     """Points of stripe centres [profiles, lines], an angle of `aim` for each profile."""
     return locate_points(
         aim.rig,
         Centres(u, sigma, valid),
         jnp.broadcast_to(aim.laser, (len(u),)),
         aim.phi,
-        stripe_axis=kind.line.stripe_axis,
-        settings=kind.settings,
+        stripe_axis=stripe_axis,
+        limits=aim.limits,
     )
 
 
-points_alone = jax.jit(points_of_centres, static_argnames="kind")
+points_alone = jax.jit(points_of_centres, static_argnames="stripe_axis")
 """`points_of_centres`, compiled."""
 
 
@@ -201,7 +206,7 @@ def _sharded(mesh: Mesh, kind: ChunkKind):
 
     def call(on, off, search, where):
         # Every record's angle goes with its frames.
-        aim = None if where is None else where._replace(rig=everywhere, laser=everywhere, phi=frames)
+        aim = None if where is None else where._replace(rig=everywhere, laser=everywhere, phi=frames, limits=everywhere)
         specs = (frames, None if off is None else frames, everywhere, aim)
         function = functools.partial(_all_in_one, kind=kind)
         # Every frame is computed by itself: nothing is exchanged.

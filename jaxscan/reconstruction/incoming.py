@@ -19,6 +19,7 @@ from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan, make_searches,
 from jaxscan.reconstruction.points import Rig
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
+from jaxscan.reconstruction.triangulate import Limits
 from jaxscan.stripes.frames import LaserLine, PixelFormat, Response
 from jaxscan.stripes.search import Search, learn_search
 from jaxscan.stripes.stripes import Stripes
@@ -129,7 +130,7 @@ class IncomingStripes:
         """
         if self._search is None or self._rig is None:
             raise ValueError("`learn` comes before `compute`.")
-        kind = self._plan.kind(0)
+        kind, limits = self._plan.kind(0), Limits.of(self._plan.settings)
         ordered = sorted(pairs, key=lambda pair: pair.number)
         for start in range(0, len(ordered), self.size):
             some = ordered[start : start + self.size]
@@ -139,8 +140,9 @@ class IncomingStripes:
             with jax.enable_x64(False):
                 result = jax.tree.map(np.asarray, compute_chunk(on, off, self._search, None, kind))
                 found = result.stripes
-                aim = Aim(self._rig, np.asarray(self._plan.sheet[0], np.int32), phi)
-                valid = np.asarray(points_alone(found.u, found.sigma, found.valid, aim, kind=kind).valid)
+                aim = Aim(self._rig, np.asarray(self._plan.sheet[0], np.int32), phi, limits)
+                axis = self._plan.stripe_axis
+                valid = np.asarray(points_alone(found.u, found.sigma, found.valid, aim, stripe_axis=axis).valid)
             self._stripes.store(numbers, found, result.rgb)
             self.points[numbers] = np.count_nonzero(valid[: len(some)], axis=1)
 

@@ -51,10 +51,18 @@ class Plan:
 
     def kind(self, laser: int) -> ChunkKind:
         """What is compiled for the frames of a laser; the same for lasers that look the same."""
-        sweep, line = self.sweep, self.lasers[laser]
-        look = LaserLine(colour=line.colour, stripe_axis=line.stripe_axis)
+        sweep, line, settings = self.sweep, self.lasers[laser], self.settings
+        look = LaserLine(stripe_axis=line.stripe_axis)
+        if sweep.pixel_format != "mono8":
+            look = dataclasses.replace(look, colour=line.colour)
         return ChunkKind(
-            sweep.image_size, sweep.pixel_format, sweep.response, look, tuple(sweep.exposures), self.settings
+            sweep.image_size,
+            sweep.pixel_format,
+            sweep.response,
+            look,
+            tuple(sweep.exposures),
+            settings.stripes,
+            settings.check_steps,
         )
 
 

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import AbstractCamera, Array, Scanner
-from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.reconstruction.triangulate import triangulate
+from jaxscan.reconstruction.triangulate import Limits, triangulate
 from jaxscan.reconstruction.uncertainty import RangeTable, range_table
 from jaxscan.stripes.frames import StripeAxis
 
@@ -55,7 +54,7 @@ def locate_points(
     phi: Float[Array, " profiles"],
     *,
     stripe_axis: StripeAxis,
-    settings: ReconstructSettings,
+    limits: Limits,
 ) -> Points:
     """Points and sigmas of a chunk; pure and traceable.
 
@@ -65,7 +64,7 @@ def locate_points(
         laser: Which sheet lit each profile.
         phi: The table's angle of each profile [rad from home].
         stripe_axis: What a line is.
-        settings: Range limits.
+        limits: What is accepted.
     """
     lines = centres.u.shape[1]
     line = jnp.arange(lines, dtype=jnp.float32)
@@ -73,7 +72,7 @@ def locate_points(
     def one(u, sigma, valid, number, laser):
         u = jnp.where(valid, u, 0.0).astype(u.dtype)
         found = triangulate(
-            u, number, rig.scanner.camera, rig.scanner.laser(laser), stripe_axis=stripe_axis, settings=settings
+            u, number, rig.scanner.camera, rig.scanner.laser(laser), stripe_axis=stripe_axis, limits=limits
         )
         exists = valid & found.valid
         systematic = rig.table.sigma(laser, number.astype(jnp.int32), u, found.incidence)

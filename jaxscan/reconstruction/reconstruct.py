@@ -11,7 +11,7 @@ from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction.ahead import map_ahead, workers
 from jaxscan.reconstruction.batches import Batch, batches, padded
-from jaxscan.reconstruction.chunk import Aim, ChunkKind, ChunkResult, compute_chunk, points_alone
+from jaxscan.reconstruction.chunk import Aim, ChunkResult, compute_chunk, points_alone
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.colour import sample_colours
 from jaxscan.reconstruction.grid import GrowingCloud, GrowingStripes
@@ -20,6 +20,8 @@ from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan, make_sea
 from jaxscan.reconstruction.points import Points, Rig, line_step
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.reconstruction.triangulate import Limits
+from jaxscan.stripes.frames import PixelFormat, StripeAxis
 from jaxscan.stripes.search import learn_search
 from jaxscan.stripes.stripes import NoiseModel, Stripes
 
@@ -145,13 +147,13 @@ def _chunks(
     plan = with_colours(plan)
     sweep, size = plan.sweep, plan.size
     searches, learns = make_searches(plan, noise), plan.settings.stripes.learn_width
-    angles = sweep.angles.astype(np.float32)
+    angles, limits = sweep.angles.astype(np.float32), Limits.of(plan.settings)
 
     def compute(batch: Batch) -> tuple[np.ndarray, ChunkResult]:
         kind, aim = plan.kind(batch.laser), None
         if rig is not None:
             sheet = np.asarray(plan.sheet[batch.profiles[0]], np.int32)
-            aim = Aim(rig, sheet, padded(angles[sweep.record[batch.profiles]], size))
+            aim = Aim(rig, sheet, padded(angles[sweep.record[batch.profiles]], size), limits)
         # JAX keeps this setting per thread.
         with jax.enable_x64(False):
             result = compute_chunk(batch.on, batch.off, searches[batch.laser], aim, kind)
@@ -177,7 +179,7 @@ def _from_stripes(
 ) -> Iterator[tuple[np.ndarray, Points, np.ndarray]]:
     """Points and colours of known stripes, with the profiles that they are."""
     sweep, size = plan.sweep, plan.size
-    angles = sweep.angles.astype(np.float32)
+    angles, limits, axis = sweep.angles.astype(np.float32), Limits.of(plan.settings), plan.stripe_axis
 
     def compute(item: tuple[np.ndarray, Array | None]) -> tuple[np.ndarray, Points, np.ndarray]:
         profiles, off = item
@@ -186,14 +188,13 @@ def _from_stripes(
         u, sigma = u.astype(np.float32), sigma.astype(np.float32)
         u, sigma, valid = (padded(field, size * each) for field in (u, sigma, valid))
         phi = padded(np.repeat(angles[sweep.record[profiles]], each), size * each)
-        laser = int(sweep.laser[profiles[0]])
-        aim = Aim(rig, np.asarray(plan.sheet[profiles[0]], np.int32), phi)
+        aim = Aim(rig, np.asarray(plan.sheet[profiles[0]], np.int32), phi, limits)
         with jax.enable_x64(False):
-            points = points_alone(u, sigma, valid, aim, kind=plan.kind(laser))
+            points = points_alone(u, sigma, valid, aim, stripe_axis=axis)
             if stripes.rgb is not None:
                 rgb = np.asarray(stripes.rgb)[rows]
             else:
-                rgb = np.asarray(_colours_alone(u, valid, off, kind=plan.kind(laser)))
+                rgb = np.asarray(_colours_alone(u, valid, off, pixel_format=sweep.pixel_format, stripe_axis=axis))
             return rows, jax.tree.map(np.asarray, points), rgb
 
     if stripes.rgb is not None:
@@ -223,12 +224,14 @@ def _not_none(points: Points | None) -> Points:
     return points
 
 
-@functools.partial(jax.jit, static_argnames="kind")
-def _colours_alone(u: Array, valid: Array, off: Array | None, *, kind: ChunkKind) -> Array:
+@functools.partial(jax.jit, static_argnames=("pixel_format", "stripe_axis"))
+def _colours_alone(
+    u: Array, valid: Array, off: Array | None, *, pixel_format: PixelFormat, stripe_axis: StripeAxis
+) -> Array:
     if off is None:
         return jnp.zeros((*u.shape, 3), jnp.uint8)
     u = jnp.where(valid, u, 0.0)
-    colour = sample_colours(u, off, pixel_format=kind.pixel_format, stripe_axis=kind.line.stripe_axis)
+    colour = sample_colours(u, off, pixel_format=pixel_format, stripe_axis=stripe_axis)
     return jnp.where(valid[:, :, None], colour, 0).astype(jnp.uint8)
 
 

@@ -7,7 +7,7 @@ from jaxscan.stripes.stripes import StripeSettings
 
 @dataclass(frozen=True)
 class ReconstructSettings:
-    """Static, so a change recompiles."""
+    """Of these, how stripes are found and whether steps are checked is static: a change recompiles."""
 
     stripes: StripeSettings = field(default_factory=StripeSettings)
     """How stripes are found in the frames."""

@@ -4,10 +4,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.geometry import AbstractCamera, Array, LaserSheet
-from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
+from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.stripes.frames import StripeAxis
 
 
@@ -25,6 +26,20 @@ class Triangulated(NamedTuple):
     valid: Bool[Array, ""]
 
 
+class Limits(NamedTuple):
+    """Which points are accepted; arrays, so a change compiles nothing."""
+
+    min_range_m: Float[Array, ""]
+    max_range_m: Float[Array, ""]
+    min_incidence: Float[Array, ""]
+
+    @staticmethod
+    def of(settings: ReconstructSettings) -> "Limits":
+        """Those of the settings, float32."""
+        values = (settings.min_range_m, settings.max_range_m, settings.min_incidence)
+        return Limits(*(np.asarray(value, np.float32) for value in values))
+
+
 def stripe_pixel(u: Float[Array, ""], line: Float[Array, ""], stripe_axis: StripeAxis) -> Float[Array, "2"]:
     """Pixel q = (u, v) [px] of a centre `u` across the line number `line`."""
     return jnp.stack([u, line] if stripe_axis == "rows" else [line, u])
@@ -37,7 +52,7 @@ def triangulate(
     laser: LaserSheet,
     *,
     stripe_axis: StripeAxis = "rows",
-    settings: ReconstructSettings = DEFAULTS,
+    limits: Limits,
 ) -> Triangulated:
     r"""Intersect the viewing ray of a stripe centre with its laser sheet.
 
@@ -50,7 +65,7 @@ def triangulate(
         camera: The camera.
         laser: The sheet that lit the stripe.
         stripe_axis: What a line is.
-        settings: Range limits and the smallest incidence.
+        limits: Range limits and the smallest incidence.
 
     Source: PAPER.md equations (1)-(4).
     """
@@ -61,8 +76,8 @@ def triangulate(
         return range_m, (ray, incidence)
 
     range_m, slope, (ray, incidence) = jax.jvp(range_at, (u,), (jnp.ones_like(u),), has_aux=True)
-    valid = (incidence >= settings.min_incidence) & (range_m >= settings.min_range_m)
-    valid &= range_m <= settings.max_range_m
+    valid = (incidence >= limits.min_incidence) & (range_m >= limits.min_range_m)
+    valid &= range_m <= limits.max_range_m
     kept = jnp.where(valid, range_m, 0.0).astype(range_m.dtype)
     return Triangulated(
         p_cam=kept * ray,

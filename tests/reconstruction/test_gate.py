@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from jaxscan.geometry import Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.reconstruction.gate import line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.reconstruction.triangulate import triangulate
+from jaxscan.reconstruction.triangulate import Limits, triangulate
 
 
 WIDTH, HEIGHT = 320, 240
@@ -39,8 +39,8 @@ def rig(camera, normal, distance, bow=(0.0, 0.0)):
 
 @functools.partial(jax.jit, static_argnames="axis")
 def everywhere(camera, sheet, u, line, axis):
-    unlimited = ReconstructSettings(min_range_m=0.0, max_range_m=math.inf)
-    one = lambda u, line: triangulate(u, line, camera, sheet, stripe_axis=axis, settings=unlimited)
+    unlimited = Limits(*(jnp.asarray(limit, u.dtype) for limit in (0.0, math.inf, ReconstructSettings().min_incidence)))
+    one = lambda u, line: triangulate(u, line, camera, sheet, stripe_axis=axis, limits=unlimited)
     return jax.vmap(one)(u, line)
 
 

@@ -8,6 +8,7 @@ from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.stripes.frames import LaserLine
+from jaxscan.stripes.stripes import NoiseModel
 
 
 WIDTH, HEIGHT = 96, 64
@@ -111,6 +112,28 @@ def test_one_compilation_for_any_number_of_records(small_scanner, flat_stripes, 
     with caplog.at_level("WARNING"), jax.log_compiles():
         run(5, 0.3)
     assert not [record for record in caplog.records if "Compiling" in record.getMessage()]
+
+
+def test_what_is_no_shape_compiles_nothing(small_scanner, flat_stripes, frames, caplog):
+    """Range limits, gate, normals and the colour that a mono camera does not see, from stripes and from frames."""
+    scanner, stripes = small_scanner(), flat_stripes((7, HEIGHT), 40.0)
+    lit = np.maximum(frames // 32, np.round(100 * np.exp(-0.5 * ((np.arange(WIDTH) - 40.0) / 1.5) ** 2)))
+    on, off = lit.astype(np.uint8), frames // 32
+
+    def run(colour, chunk, **settings):
+        sweep = Sweep(on, off, np.radians(np.arange(7.0)), lines=(LaserLine("left", colour),))
+        settings = ReconstructSettings(chunk_records=chunk, **settings)
+        reconstruct(sweep, scanner, stripes=stripes, settings=settings)
+        return reconstruct(sweep, scanner, settings=settings, noise=NoiseModel())
+
+    before = run("red", 7)
+    with caplog.at_level("WARNING"), jax.log_compiles():
+        after = run("green", 7, normals=False, gate=False, min_range_m=0.1, max_range_m=9.0, min_incidence=2e-3)
+        assert not [record for record in caplog.records if "Compiling" in record.getMessage()]
+        # Of as many records at a time: a chunk of 100 holds no more than there are.
+        run("red", 100)
+    assert not [record for record in caplog.records if "Compiling" in record.getMessage()]
+    assert before.valid.any() and after.valid.any() and not after.normals.any()
 
 
 def test_two_lasers_are_data(small_scanner, flat_stripes, frames):
