@@ -56,6 +56,10 @@ def flat_stripes(shape: tuple[int, int], u: float | np.ndarray, sigma: float = 0
     )
 
 
+STEPS = 24
+"""Angles for which stripes are computed at a time: one compiled function for sweeps of any length."""
+
+
 def stripes_on_plane(
     scanner: Scanner, phi: np.ndarray, normal: np.ndarray, distance: float, laser: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -64,31 +68,38 @@ def stripes_on_plane(
     Solved for u in float64 by bisection along every row; returns centres and where they exist.
     """
     with jax.enable_x64(True):
-        exact = scanner.as_dtype(jnp.float64)
-        lines = jnp.arange(scanner.camera.height, dtype=jnp.float64)
+        sheet = jax.tree.map(lambda field: field[laser : laser + 1], scanner.lasers)
+        exact = Scanner(scanner.camera, sheet, scanner.turntable).as_dtype(jnp.float64)
+        padded = np.resize(phi, -(-len(phi) // STEPS) * STEPS).reshape(-1, STEPS)
+        found = [_on_plane(exact, some, jnp.asarray(normal), jnp.asarray(distance)) for some in padded]
+        return tuple(np.concatenate([np.asarray(one[k]) for one in found])[: len(phi)] for k in (0, 1))
 
-        def offset(u, line, phi):
-            point, incidence = exact.point(jnp.stack([u, line]), laser, phi)
-            return jnp.where(incidence > 0, jnp.dot(jnp.asarray(normal), point) - distance, jnp.inf)
 
-        def solve(line, phi):
-            grid = jnp.linspace(0.0, scanner.camera.width - 1.0, 4 * scanner.camera.width)
-            values = jax.vmap(offset, (0, None, None))(grid, line, phi)
-            cross = jnp.isfinite(values[1:]) & jnp.isfinite(values[:-1]) & (values[1:] * values[:-1] <= 0)
-            first = jnp.argmax(cross)
-            low, high = grid[first], grid[first + 1]
+@jax.jit
+def _on_plane(exact, phi, normal, distance):
+    lines = jnp.arange(exact.camera.height, dtype=jnp.float64)
 
-            def halve(_, bounds):
-                low, high = bounds
-                middle = 0.5 * (low + high)
-                left = offset(low, line, phi) * offset(middle, line, phi) <= 0
-                return jnp.where(left, low, middle), jnp.where(left, middle, high)
+    def offset(u, line, phi):
+        point, incidence = exact.point(jnp.stack([u, line]), 0, phi)
+        return jnp.where(incidence > 0, jnp.dot(normal, point) - distance, jnp.inf)
 
-            low, high = jax.lax.fori_loop(0, 45, halve, (low, high))
-            return 0.5 * (low + high), jnp.any(cross)
+    def solve(line, phi):
+        grid = jnp.linspace(0.0, exact.camera.width - 1.0, 4 * exact.camera.width)
+        values = jax.vmap(offset, (0, None, None))(grid, line, phi)
+        cross = jnp.isfinite(values[1:]) & jnp.isfinite(values[:-1]) & (values[1:] * values[:-1] <= 0)
+        first = jnp.argmax(cross)
+        low, high = grid[first], grid[first + 1]
 
-        found = jax.jit(jax.vmap(jax.vmap(solve, (0, None)), (None, 0)))(lines, jnp.asarray(phi))
-        return np.asarray(found[0]), np.asarray(found[1])
+        def halve(_, bounds):
+            low, high = bounds
+            middle = 0.5 * (low + high)
+            left = offset(low, line, phi) * offset(middle, line, phi) <= 0
+            return jnp.where(left, low, middle), jnp.where(left, middle, high)
+
+        low, high = jax.lax.fori_loop(0, 45, halve, (low, high))
+        return 0.5 * (low + high), jnp.any(cross)
+
+    return jax.vmap(jax.vmap(solve, (0, None)), (None, 0))(lines, phi)
 
 
 @pytest.fixture(name="small_scanner")
