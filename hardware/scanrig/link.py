@@ -13,6 +13,11 @@ from scanrig.transcript import RecordingLink as RecordingLink
 from scanrig.transcript import TranscriptLink as TranscriptLink
 
 
+try:
+    from termios import error as _TerminalError
+except ImportError:  # Not on Windows, whose ports raise nothing of the kind.
+    _TerminalError = OSError  # type: ignore[assignment, misc]
+
 POLL_S = 0.02
 WRITE_TIMEOUT_S = 1.0
 
@@ -114,7 +119,8 @@ def open_serial(port: str, baud: int = 250_000, clock: Clock | None = None) -> S
     device.rts = False
     try:
         device.open()
-    except (OSError, ValueError) as problem:
+    except (OSError, ValueError, _TerminalError) as problem:
+        # A port that goes away while it is set up is a termios.error, which is no OSError and comes through pyserial.
         raise port_error(port, problem) from problem
     return SerialLink(device, clock or SystemClock())
 
@@ -124,6 +130,8 @@ def port_error(port: str, problem: Exception) -> PortError:
     candidates = [describe(info) for info in find_ports()]
     there = "; ports found: " + ", ".join(candidates) if candidates else "; no serial port was found at all"
     code = getattr(problem, "errno", None)
+    if isinstance(problem, _TerminalError) and problem.args:
+        code = problem.args[0]
     path = Path(port)
     if path.is_dir():
         says = f"{port} is a folder, expected a serial port{there}"
@@ -146,4 +154,6 @@ def port_error(port: str, problem: Exception) -> PortError:
 def reason(problem: Exception) -> str:
     """The system's own words, in one line, without pyserial's around them."""
     strerror = getattr(problem, "strerror", None)
+    if isinstance(problem, _TerminalError) and len(problem.args) > 1:
+        strerror = str(problem.args[1])
     return " ".join((strerror or str(problem) or type(problem).__name__).split())

@@ -97,6 +97,18 @@ def test_reading_nothing_takes_its_time(terminal):
     link.close()
 
 
+@pytest.mark.parametrize("call", ["tcflush", "tcsetattr"])
+def test_a_port_that_goes_away_while_it_is_opened(terminal, monkeypatch, call):
+    termios = pytest.importorskip("termios")
+
+    def gone(*args):
+        raise termios.error(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(termios, call, gone)
+    with pytest.raises(PortError, match=r"cannot open /dev/\S+ \(Input/output error\)"):
+        open_serial(terminal[1])
+
+
 def test_the_other_end_goes_away():
     master, slave = pty.openpty()
     link = open_serial(os.ttyname(slave))
