@@ -16,7 +16,7 @@ from scanrig.config import RigConfig
 from scanrig.controller import Controller
 from scanrig.doctor_light import examine_camera, examine_light
 from scanrig.doctor_table import examine_table
-from scanrig.errors import LinkLost, RigError
+from scanrig.errors import RigError
 from scanrig.findings import Finding as Finding
 from scanrig.findings import Tell, looked_at
 from scanrig.plan import estimate, plan_sweep
@@ -109,7 +109,7 @@ def _seconds_a_pair(config: RigConfig, folder: Path, pair: Pair | None) -> float
 def _laser_off(controller: Controller) -> Finding:
     try:
         safe = controller.make_safe()
-    except LinkLost as problem:
+    except RigError as problem:
         return Finding("laser off", "wrong", str(problem), "switch the laser's supply off by hand")
     if safe:
         return Finding("laser off", "works", "confirmed by the controller, contactor open")

@@ -3,7 +3,7 @@
 import logging
 
 from scanrig.clock import Clock
-from scanrig.errors import LinkLost, Refused, RigError
+from scanrig.errors import Refused, RigError
 from scanrig.exchange import Exchange
 from scanrig.status import read_status
 
@@ -34,7 +34,8 @@ def make_safe(wire: Exchange, clock: Clock) -> bool:
         _insist(wire, "ARM", on=0)
         if is_dark(wire, clock):
             return True
-    except LinkLost as problem:
+    except RigError as problem:
+        # No answer, or one that does not say what it should: the byte needs neither.
         log.warning("%s", problem)
     try:
         wire.abort()
@@ -45,7 +46,7 @@ def make_safe(wire: Exchange, clock: Clock) -> bool:
 
 
 def is_dark(wire: Exchange, clock: Clock) -> bool:
-    """Whether the controller says that the laser is off and stays off. Raises LinkLost where it says nothing."""
+    """Whether the controller says that the laser is off and stays off. Raises RigError where it does not say."""
     end = clock.now() + STOPPING_S
     while True:
         status = read_status(wire.ask("STAT", tries=TRIES))

@@ -469,6 +469,23 @@ def test_without_answers_making_safe_aborts(fake, controller):
     assert fake.clock.now() - before < 2.0
 
 
+@pytest.mark.parametrize("answer", ["", " st=idle f=0", " st=idle f=x pos=0"])
+def test_a_state_that_cannot_be_read_is_no_reason_not_to_abort(fake, controller, answer):
+    """The line is whole, and says nothing that a state says: nobody knows whether the laser is off."""
+    real = fake.write
+
+    def odd(data):
+        if b" STAT*" not in data:
+            real(data)
+        else:
+            number = data.strip().partition(b" ")[0][1:].decode()
+            fake.say(seal(f"={number} ok{answer}"))
+
+    fake.write = odd
+    assert not controller.make_safe()
+    assert fake.fault == 5 and not fake.laser and not fake.armed
+
+
 def test_what_could_not_be_made_safe_is_said_aloud(fake):
     controller = Controller(fake, fake.clock)
     controller.hello()

@@ -5,7 +5,7 @@ import pytest
 from scanrig.cameras.synthetic import SyntheticScene
 from scanrig.doctor import examine
 from scanrig.doctor_light import stripe_level
-from scanrig.errors import LinkLost, RigError, RigFault
+from scanrig.errors import FirmwareError, LinkLost, RigError, RigFault
 from scanrig.gearing import fitting_gear, measure_turn
 from scanrig.status import Counters
 
@@ -328,3 +328,15 @@ def test_levels_of_the_line():
     on[:48, 60] = 255
     level, clipped = stripe_level(on, off, desk.config)
     assert (level, clipped) == (255.0, 0.5)
+
+
+@pytest.mark.parametrize("problem", [LinkLost("gone"), FirmwareError("the controller's answer lacks 'st'")])
+def test_what_keeps_the_laser_from_being_confirmed_off_is_a_finding(desk, tmp_path, problem):
+    found = {}
+
+    def fails():
+        raise problem
+
+    desk.controller.make_safe = fails
+    examine(desk.controller, None, None, folder=tmp_path, tell=lambda f: found.update({f.name: f}), clock=desk.clock)
+    assert found["laser off"].verdict == "wrong" and "by hand" in found["laser off"].do
