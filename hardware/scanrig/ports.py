@@ -22,6 +22,9 @@ BOARDS = {
 }
 """USB numbers under which an ATmega328P board usually appears."""
 
+_LONGEST = 126
+"""Letters of a USB string."""
+
 
 @dataclass(frozen=True)
 class PortInfo:
@@ -46,12 +49,17 @@ def find_ports(by_id_folder: Path = BY_ID) -> list[PortInfo]:
             PortInfo(
                 device=port.device,
                 by_id=names.get(str(Path(port.device).resolve()), ""),
-                description=BOARDS.get(vid_pid) or port.description or "",
+                description=BOARDS.get(vid_pid) or printable(port.description or ""),
                 vid_pid=vid_pid,
-                serial_number=port.serial_number or "",
+                serial_number=printable(port.serial_number or ""),
             )
         )
     return sorted(found, key=lambda info: (info.vid_pid not in BOARDS, info.vid_pid == "", info.device))
+
+
+def printable(text: str) -> str:
+    """What a device says of itself, without what could steer a terminal, and not longer than a line."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text[:_LONGEST])
 
 
 def by_id_names(folder: Path) -> dict[str, str]:
@@ -112,10 +120,16 @@ def find_again(known: PortInfo, ports: Iterable[PortInfo] | None = None) -> str:
     """The path of a port that was known before, even if it came back under another number.
 
     By USB numbers and serial number if it has one, else by its path under /dev/serial/by-id, else by its old path.
+
+    Raises:
+        PortError: it has a serial number, and no port there is has it: what is at its old path now is another board.
     """
     found = list(find_ports() if ports is None else ports)
     if known.serial_number:
         for info in found:
             if (info.vid_pid, info.serial_number) == (known.vid_pid, known.serial_number):
                 return info.device
+        names = [describe(info) for info in found]
+        others = f"ports found: {', '.join(names)}" if names else "no serial port was found at all"
+        raise PortError(f"{describe(known)} is not there any more; {others}", names)
     return known.by_id or known.device

@@ -3,6 +3,7 @@
 import errno
 import os
 import pty
+from dataclasses import replace
 
 import pytest
 import serial
@@ -13,6 +14,8 @@ from scanrig.errors import FirmwareError, LinkLost, PortError, TranscriptDiffere
 from scanrig.link import RecordingLink, TranscriptLink, open_serial, port_error
 from scanrig.ports import PortInfo, by_id_names, choose_port, describe, find_again, find_ports, identify
 from scanrig.settings import Settings
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
 from .fake import FakeController
 
@@ -163,8 +166,30 @@ def test_no_board_and_several_boards_are_named():
 def test_a_board_is_found_again_under_another_number():
     moved = PortInfo("/dev/ttyACM3", UNO.by_id, UNO.description, UNO.vid_pid, UNO.serial_number)
     assert find_again(UNO, [OTHER_UNO, moved]) == "/dev/ttyACM3"
-    assert find_again(UNO, [OTHER_UNO]) == UNO.by_id
     assert find_again(MODEM, []) == MODEM.device
+
+
+@pytest.mark.parametrize("there", [[], [OTHER_UNO], [replace(OTHER_UNO, device=UNO.device, by_id=UNO.by_id)]])
+def test_another_board_at_the_old_path_is_not_taken_for_the_one_that_was_there(there):
+    with pytest.raises(PortError, match=r"5573.* is not there any more") as error:
+        find_again(UNO, there)
+    assert error.value.candidates == tuple(describe(info) for info in there)
+
+
+def test_a_board_cannot_steer_a_terminal_by_its_name(monkeypatch):
+    port = ListPortInfo("/dev/ttyUSB7")
+    port.vid, port.pid, port.description, port.serial_number = (
+        0x1234,
+        0x5678,
+        "Uno\x1b[2J\n\x9bx",
+        "1\r\x07" + "2" * 500,
+    )
+    monkeypatch.setattr(list_ports, "comports", lambda: [port])
+    (info,) = find_ports()
+    assert describe(info).isprintable() and len(describe(info)) < 300
+    with pytest.raises(PortError) as error:
+        choose_port("1234")
+    assert str(error.value).isprintable()
 
 
 def test_ports_are_described_by_what_does_not_change(tmp_path):
