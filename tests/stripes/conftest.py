@@ -48,6 +48,22 @@ class Scene:
     u: np.ndarray
 
 
+def kept(render):
+    """A scene is rendered once for all tests, which may not change it."""
+    drawn = {}
+
+    def of(width, amplitude, *, u=None, **words):
+        key = (width, amplitude, None if u is None else u.tobytes(), *sorted(words.items()))
+        if key not in drawn:
+            drawn[key] = render(width, amplitude, u=u, **words)
+            for array in vars(drawn[key]).values():
+                array.flags.writeable = False
+        return drawn[key]
+
+    return of
+
+
+@kept
 def render_stripes(width, amplitude, *, rows=2048, columns=96, ambient=10.0, seed=0, u=None, noise=True):
     """A frame with one stripe per row, at random phases unless `u` is given."""
     sensor = Sensor(seed=seed)
