@@ -49,7 +49,7 @@ uint16_t machine_boot(void) {
 }
 
 void machine_feed(void) {
-    watch_feed((uint16_t)settings[WD]);
+    watch_feed((uint16_t)settings[WD], armed_idle_ms());
 }
 
 /* With interrupts off. What commands.c allowed a moment ago may be forbidden by now: an interrupt came in between. */
@@ -203,6 +203,7 @@ void machine_stop(void) {
 void machine_session(void) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         laser_off();
+        contactor_open();
         if (state == SHOOTING) machine_stop();
     }
 }

@@ -11,6 +11,7 @@
 #include <stdint.h>
 
 #define LEASE_MS 1000u
+#define ARMED_IDLE_MS 10000u /* without a good line, after which the contactor opens while nothing runs */
 
 enum state { IDLE, MOVING, HOMING, SHOOTING, FAULTED };
 enum fault { NO_FAULT, F_ESTOP, F_LINK, F_LEASE, F_HOME, F_ABORT, F_CAMERA };
@@ -46,7 +47,7 @@ uint8_t machine_selftest(uint16_t seq);
 uint8_t machine_set(const int32_t *candidate); /* all settings at once */
 uint8_t machine_clear(void);
 void machine_stop(void);
-void machine_session(void); /* another host may be there: laser off, and a shot ends as by machine_stop */
+void machine_session(void); /* another host may be there: laser off, contactor open, and a shot ends as by machine_stop */
 
 uint16_t machine_current_seq(void); /* of the command that is being carried out */
 

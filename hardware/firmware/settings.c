@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include "settings.h"
 
+#include "machine.h"
 #include "text.h"
 
 const struct setting_row setting_rows[SETTINGS] PROGMEM = {
@@ -26,6 +27,10 @@ int32_t settings[SETTINGS];
 void settings_reset(void) {
     for (uint8_t i = 0; i < SETTINGS; i++)
         memcpy_P(&settings[i], &setting_rows[i].preset, sizeof settings[i]);
+}
+
+uint16_t armed_idle_ms(void) {
+    return settings[WD] > (int32_t)ARMED_IDLE_MS ? (uint16_t)settings[WD] : (uint16_t)ARMED_IDLE_MS;
 }
 
 bool settings_good(const int32_t candidate[SETTINGS]) {

@@ -38,6 +38,9 @@ extern int32_t settings[SETTINGS];                      /* changed only while th
 
 void settings_reset(void);
 
+/* How long the contactor stays closed with nothing running and nobody there; whoever asks for a longer `wd` means that, too. */
+uint16_t armed_idle_ms(void);
+
 /* True if these values may all be used together. */
 bool settings_good(const int32_t candidate[SETTINGS]);
 

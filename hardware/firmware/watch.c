@@ -14,6 +14,7 @@ volatile uint8_t state, fault;
 volatile bool fault_unsaid, homed, enabled;
 volatile uint32_t clock_ms;
 static volatile uint16_t link_ms; /* until the link counts as lost */
+static volatile uint16_t armed_ms; /* until nobody is thought to be there who would want the contactor closed */
 static volatile bool ticked;
 
 /* Optiboot clears MCUSR and leaves it in r2; both are read before anything else can run. */
@@ -54,8 +55,11 @@ void watch_loop_lives(void) {
     wdt_reset();
 }
 
-void watch_feed(uint16_t ms) {
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) link_ms = ms;
+void watch_feed(uint16_t ms, uint16_t idle_ms) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        link_ms = ms;
+        armed_ms = idle_ms;
+    }
 }
 
 void driver_switch(bool on) {
@@ -98,10 +102,12 @@ ISR(TIMER0_COMPA_vect) {
     clock_ms++;
     ticked = true;
     if (link_ms) link_ms--;
+    if (armed_ms) armed_ms--;
     laser_count_down();
     if (estop_pressed() && fault != F_ESTOP) fault_enter(F_ESTOP);
     shot_tick();
     if (laser_expired()) fault_enter(F_LEASE);
     if (!link_ms && (laser_is_on() || (state != IDLE && state != FAULTED))) fault_enter(F_LINK);
+    if (!armed_ms && state == IDLE) contactor_open(); /* A MOSFET that has failed would shine for nobody. */
     show();
 }

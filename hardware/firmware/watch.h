@@ -18,7 +18,7 @@ extern volatile uint32_t clock_ms;
 uint8_t watch_begin(void); /* first thing in main; returns why the processor was reset (MCUSR) */
 void watch_start_clock(void);
 void watch_loop_lives(void); /* called by the main loop */
-void watch_feed(uint16_t ms);
+void watch_feed(uint16_t ms, uint16_t idle_ms); /* until the link counts as lost; until the contactor opens at rest */
 
 /* With interrupts off. The e-stop overrides every fault, an abort all but that, the others none. */
 void fault_enter(enum fault which);

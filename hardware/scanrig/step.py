@@ -1,5 +1,6 @@
 """One step: the table at its place, one frame with the laser and one without, proven to be that."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -12,7 +13,10 @@ from scanrig.controller import Controller
 from scanrig.errors import CameraError, CameraTimeout, FrameError
 from scanrig.plan import longest_s, shot_s
 from scanrig.proof import PairProof, prove_pair
+from scanrig.status import Status
 
+
+log = logging.getLogger(__name__)
 
 LOOK_S = 0.1
 """Longest wait for a frame between two signs of life to the controller: its link watchdog allows 500 ms."""
@@ -122,7 +126,7 @@ def _by_wire(
     waiting = camera.drop()
     if numbers.next is not None:
         numbers.next += waiting
-    before = controller.stat().exposures
+    before = _armed(controller).exposures
     controller.shot(to, number)
     give_up = clock.now() + longest_s(config) + shot_s(config)
     frames: list[Frame] = []
@@ -161,6 +165,7 @@ def _by_hand(
     """Laser and exposures are commanded from here, for cameras that no wire triggers."""
     del number, numbers
     controller.laser(False)
+    _armed(controller)
     position = controller.move(to, longest_s(config))
     if position != to:
         raise _Unbelievable(f"the table stopped at {position}, expected {to}")
@@ -178,6 +183,15 @@ def _by_hand(
     off = _fresh_frame(controller, camera, config, clock, lit=False)
     _require_whole(on, off)
     return _Take(on, off, position)
+
+
+def _armed(controller: Controller) -> Status:
+    """The state, with the contactor closed: after a long silence the controller has opened it, which is no fault."""
+    status = controller.stat()
+    if not status.armed and status.fault == 0:
+        log.info("%s: the contactor was open, as it is after a long silence; it is closed again", controller.name)
+        controller.arm(True)
+    return status
 
 
 def _fresh_frame(controller: Controller, camera: Camera, config: RigConfig, clock: Clock, *, lit: bool) -> Frame:

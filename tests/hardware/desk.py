@@ -13,6 +13,8 @@ from scanrig.errors import CameraTimeout, ControllerReset, LinkLost, Refused, Ri
 from scanrig.settings import Settings
 from scanrig.status import Firmware, Reconnection, ShotDone, Status
 
+from .fake import ARMED_IDLE_S
+
 
 WIDTH, HEIGHT = 128, 96
 
@@ -66,6 +68,7 @@ class PaperController:
         """How many attempts to reconnect fail."""
         self.lost = False
         self.never_safe = False
+        self._heard = clock.now()
 
     # What befalls it
 
@@ -98,9 +101,16 @@ class PaperController:
 
     def _alive(self, verb: str) -> None:
         self.log.append(verb)
+        patience = max(ARMED_IDLE_S, self.settings.watchdog_ms / 1000 if self.settings else 0.0)
+        if self.clock.now() - self._heard >= patience:
+            self._open_contactor()
         self.clock.sleep(0.003)
         if self.lost:
             raise LinkLost("no answer from paper")
+        self._heard = self.clock.now()
+
+    def _open_contactor(self) -> None:
+        self.table.contactor = self.armed = False
 
     def _require(self, held: bool, code: int, verb: str) -> None:
         if not held:
@@ -109,6 +119,7 @@ class PaperController:
     def hello(self) -> Firmware:
         self._alive("hello")
         self.table.laser = False
+        self._open_contactor()
         return Firmware(1, "1.0.0", self.boot, 1000)
 
     def configure(self, settings: Settings) -> None:
@@ -121,6 +132,7 @@ class PaperController:
             raise LinkLost("paper did not come back")
         self.clock.sleep(self.gone * 2.0)
         self.gone, self.lost = 0, False
+        self._open_contactor()  # It is greeted.
         return Reconnection(self.settings is not None, not self.homed, self.stat())
 
     def enable(self, on: bool) -> None:

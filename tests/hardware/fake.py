@@ -13,6 +13,8 @@ from scanrig.protocol import ABORT, crc, seal
 
 ANSWER_S = 0.002
 """From question to answer."""
+ARMED_IDLE_S = 10.0
+"""Without a line, after which the contactor opens while nothing runs; or the watchdog's time, where that is longer."""
 
 DEFAULTS = {
     "motion": {"wd": 500, "vmax": 4000, "vst": 400, "acc": 8000, "hv": 200, "back": 0, "dir": 0},
@@ -123,6 +125,10 @@ class FakeController:
         busy = self.laser or self.due is not None
         if busy and self.clock.now() - self._fed > self.settings["motion"]["wd"] / 1000:
             self.fail(2)
+        if self.state == "idle" and self.clock.now() - self._fed >= max(
+            ARMED_IDLE_S, self.settings["motion"]["wd"] / 1000
+        ):
+            self.armed = False
         if self.due and self.clock.now() >= self.due[0] - 1e-9:
             _, finish = self.due
             self.due = None
@@ -162,7 +168,7 @@ class FakeController:
         """The fields of the answer, or an error."""
         match verb:
             case "HELLO":
-                self.session, self.laser, self.events = True, False, 0
+                self.session, self.laser, self.armed, self.events = True, False, False, 0
                 return f" proto={self.proto} fw=9.9.9 boot={self.boot} lease=1000 buf=96"
             case "STAT":
                 inputs = int(self.position <= 0 and self.switch) + 2 * self.estop

@@ -361,6 +361,7 @@ def test_a_cable_pulled_for_a_moment_in_a_move(fake, controller):
     fake.unplugged = False
     found = controller.reconnect()
     assert (found.same_boot, found.must_home, found.status.state) == (True, False, "idle")
+    controller.arm(True)
     controller.shot(8000, 1)
     assert controller.wait_shot(1).position == fake.position == 8000
 

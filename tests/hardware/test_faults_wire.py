@@ -85,6 +85,7 @@ def test_a_host_that_does_not_wait_breaks_nothing(rig):
     simulated = rig()
     with ready(simulated, speed=10, **SHORT) as controller:
         boot = controller.hello().boot
+        controller.arm(True)
         link = controller.link
         for start in range(0, 400, 100):
             link.write(b"".join(encode(20000 + start + n, "STAT") for n in range(100)))
@@ -177,6 +178,7 @@ def test_a_cable_pulled_for_a_moment_in_a_move(rig):
         assert (found.same_boot, found.must_home, found.status.state) == (True, False, "idle")
         assert found.status.position == simulated.plant()["pos"] < 20000
         assert rises(simulated.edges(), "trig") == []
+        controller.arm(True)
         controller.shot(800, 1)
         assert controller.wait_shot(1).position == simulated.plant()["pos"] == 800
 

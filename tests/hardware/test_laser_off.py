@@ -12,6 +12,7 @@ import time
 import pytest
 from scanrig.connect import connect
 from scanrig.protocol import ABORT, encode
+from scanrig.settings import Settings
 
 from .driving import falls, milliseconds, ready, rises
 
@@ -30,6 +31,10 @@ with Interrupts() as should_stop, connect(port) as controller:
     controller.arm(True)
     if doing == "shot":
         controller.shot(40, 1)
+    while doing == "between shots":
+        controller.poll()
+        print("lit", flush=True)
+        time.sleep(0.05)
     while not should_stop():
         if doing != "shot":
             controller.laser(True, 1000)
@@ -40,7 +45,7 @@ with Interrupts() as should_stop, connect(port) as controller:
             print("lit", flush=True)
         time.sleep(0.05)
 """
-"""A host that keeps the laser on and says so, until it is told to stop."""
+"""A host that keeps the laser on and says so, until it is told to stop; between shots it only says so."""
 
 
 def host(simulated, doing):
@@ -95,6 +100,63 @@ def test_within_600_ms_of_the_hosts_death(rig, doing):
     with connect(simulated.port) as controller:
         controller.hello()
         assert controller.stat().fault == 2
+
+
+def test_a_failed_mosfet_shines_no_longer_than_ten_seconds_for_a_host_that_died_between_shots(rig):
+    simulated = homed(rig)
+    process = host(simulated, "between shots")
+    simulated.control("laser welded")
+    simulated.run_for(0.1)
+    dead = simulated.plant()
+    assert (dead["light"], dead["laser"], dead["contactor"]) == (1, 0, 1)
+    process.kill()
+    finish(process)
+    simulated.control("speed 0")
+    simulated.run_for(10.5)
+    opened, dark = (falls(simulated.edges(), pin)[-1] for pin in ("contactor", "light"))
+    assert opened["cycle"] == dark["cycle"] and simulated.plant()["contactor"] == 0
+    took = milliseconds(dead["cycle"], opened)
+    print(f"\ncontactor open {took:9.3f} ms after kill -9 of the host between shots", end="")
+    assert 9000.0 < took <= 10500.0
+    simulated.control("speed 1")
+    with connect(simulated.port) as controller:
+        controller.hello()
+        status = controller.stat()
+        assert (status.state, status.fault, status.armed, status.homed) == ("idle", 0, False, True)
+
+
+def test_the_contactor_opens_ten_seconds_after_the_last_line_and_is_no_fault(rig):
+    simulated = rig()
+    with ready(simulated, speed=1) as controller:
+        controller.configure(Settings(watchdog_ms=500))
+        asked = simulated.plant()["cycle"]
+        controller.stat()
+        answered = simulated.plant()["cycle"]
+        simulated.control("speed 0")
+        simulated.run_for(10.5)
+        simulated.control("speed 1")
+        opened = falls(simulated.edges(), "contactor")[-1]
+        assert milliseconds(answered, opened) <= 10000.0 <= milliseconds(asked, opened) + 1.0
+        status = controller.stat()
+        assert (status.state, status.fault, status.armed) == ("idle", 0, False)
+        controller.arm(True)
+        for _ in range(3):
+            simulated.run_for(0.3)
+            controller.stat()
+        assert simulated.plant()["contactor"] == 1
+
+
+def test_a_greeting_opens_the_contactor(rig):
+    simulated = rig()
+    with ready(simulated, speed=1) as controller:
+        assert simulated.plant()["contactor"] == 1
+        asked = simulated.plant()["cycle"]
+        controller.hello()
+        assert simulated.plant()["contactor"] == 0
+        opened = falls(simulated.edges(), "contactor")[-1]
+        assert opened["cycle"] > asked
+        status = controller.stat()
+        assert (status.state, status.fault, status.armed, status.homed) == ("idle", 0, False, True)
 
 
 @pytest.mark.slow

@@ -7,11 +7,12 @@ import pytest
 from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.cameras.synthetic import SyntheticScene, draw
 from scanrig.connect import connect
-from scanrig.errors import FrameError
+from scanrig.errors import FrameError, Refused, RigFault
 from scanrig.session import run_sweep
 from scanrig.step import FrameNumbers, take_pair
 
 from .desk import HEIGHT, WIDTH, Desk, rig_config
+from .nursery import Wire
 
 
 def ready(desk):
@@ -83,6 +84,65 @@ def test_the_laser_is_off_after_a_step_from_here_that_went_wrong(trigger):
     with pytest.raises(Exception, match="gone"):
         take(desk)
     assert not desk.table.laser
+
+
+@pytest.mark.parametrize("trigger", ["hardware", "software", "free"])
+def test_a_session_that_was_silent_for_long_closes_the_contactor_again_once(trigger):
+    desk = Desk(camera={"trigger": trigger})
+    ready(desk)
+    desk.controller.log.clear()
+    assert take(desk).rejected == () and "arm 1" not in desk.controller.log
+    desk.clock.sleep(12.0)
+    pair = take(desk)
+    assert pair.rejected == () and pair.proof.ok
+    assert desk.controller.log.count("arm 1") == 1
+
+
+def test_a_contactor_that_a_fault_opened_is_not_closed_by_a_step():
+    desk = Desk()
+    ready(desk)
+    with pytest.raises(RigFault):
+        desk.controller.fall_into(1)
+    desk.controller.log.clear()
+    with pytest.raises(Refused):
+        take(desk)
+    assert "arm 1" not in desk.controller.log and not desk.table.contactor
+
+
+@pytest.mark.parametrize("trigger", ["hardware", "software"])
+def test_a_session_that_was_silent_for_long_goes_on_with_real_firmware(rig, tmp_path, trigger):
+    """Twelve simulated seconds of silence after the first pair, as of a slow disk: open, no fault, closed again."""
+    simulated = rig(speed=1)
+    config = rig_config(camera={"trigger": trigger}, sweep={"steps": 2, "turn_deg": 1.0})
+    generator = np.random.default_rng(0)
+
+    def see(position, lit):
+        return draw(SyntheticScene(), position, lit, width=WIDTH, height=HEIGHT, generator=generator)
+
+    camera = SimulatedCamera(config.camera, see)
+
+    def expose():
+        plant = simulated.plant()
+        camera.expose(plant["pos"], bool(plant["light"]))
+
+    def pause(number, *_):
+        if number == 0:
+            simulated.control("speed 0")
+            simulated.run_for(12.0)
+            simulated.control("speed 1")
+            assert simulated.plant()["contactor"] == 0
+
+    camera.trigger = expose
+    wire = Wire(simulated.edges_path, camera) if trigger == "hardware" else None
+    with connect(simulated.port) as controller:
+        result = run_sweep(config, tmp_path / "room", controller=controller, camera=camera, on_pair=pause)
+    if wire is not None:
+        wire.close()
+    assert (result.status, result.records) == ("complete", 2)
+    journal = (tmp_path / "room" / "frames.jsonl").read_text()
+    assert '"fault"' not in journal and '"retake"' not in journal
+    contactor = [edge["v"] for edge in simulated.edges() if edge.get("pin") == "contactor"]
+    assert contactor[-4:] == [1, 0, 1, 0]
 
 
 def test_the_lease_is_renewed_on_real_firmware_while_a_slow_camera_exposes(rig, tmp_path):

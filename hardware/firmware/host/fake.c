@@ -31,6 +31,7 @@ uint16_t machine_current_seq(void) {
 
 void machine_feed(void) {
     fake.link_ms = (uint32_t)settings[WD];
+    fake.armed_ms = armed_idle_ms();
 }
 
 static uint8_t still_idle(void) {
@@ -152,6 +153,7 @@ void machine_stop(void) {
 
 void machine_session(void) {
     laser_off();
+    fake.status.armed = false;
     if (fake.status.state == SHOOTING) machine_stop();
 }
 
@@ -182,6 +184,17 @@ void fake_fault(uint8_t which) {
     fake.status.state = FAULTED;
     fake.status.fault = which;
     say("FAULT", "f", which, "pos", fake.status.position, false);
+}
+
+void fake_pass(uint32_t ms) {
+    while (ms--) {
+        if (fake.link_ms) fake.link_ms--;
+        if (fake.armed_ms) fake.armed_ms--;
+        if (fake.status.laser && !--fake.status.lease_ms) fake_fault(F_LEASE);
+        bool runs = fake.status.laser || (fake.status.state != IDLE && fake.status.state != FAULTED);
+        if (!fake.link_ms && runs) fake_fault(F_LINK);
+        if (!fake.armed_ms && fake.status.state == IDLE) fake.status.armed = false;
+    }
 }
 
 void fake_byte(uint8_t byte) {

@@ -15,6 +15,7 @@ struct fake {
     struct machine_status status;
     struct machine_counters counters;
     uint32_t link_ms;      /* until the link counts as lost */
+    uint32_t armed_ms;     /* until the contactor opens at rest */
     unsigned laser_asked;  /* calls of machine_laser that switched it on */
     unsigned motions;      /* calls that started one */
     int32_t target;        /* of the last motion */
@@ -30,5 +31,6 @@ void fake_reset(void);        /* a fresh boot: says BOOT */
 void fake_fault(uint8_t which);
 void fake_byte(uint8_t byte); /* as the receive interrupt and the main loop would take it */
 void fake_end(void);          /* what was begun ends, with its event */
+void fake_pass(uint32_t ms);  /* time goes by, and nothing comes */
 
 #endif

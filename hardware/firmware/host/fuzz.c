@@ -189,6 +189,7 @@ static void check_machine(const struct fake *before, bool authorised, bool stric
         must(fake.status.state != SHOOTING || fake.shot_modes == 0 || before->status.homed, "a shot from an unknown place");
     }
     must(!now->laser || now->armed, "the laser is on and not armed");
+    must(!now->armed || fake.armed_ms, "armed, and nobody is there");
     must(now->state != FAULTED || (!now->laser && !now->armed && now->fault), "a fault that did not make safe");
     must(settings_good(settings), "settings that no SET may leave");
     if (memcmp(now, &before->status, sizeof *now)) must(may || memchr(line, ABORT_BYTE, (size_t)line_length), "a damaged line changed something");
@@ -204,11 +205,15 @@ static void play(bool *strict) {
     bool authorised = is_checked_line();
     check_answers();
     check_machine(&before, authorised, *strict);
-    if (strstr(fake.sent, " ok proto=1") && fake.sent_length) *strict = memchr(line, '*', (size_t)line_length) != NULL;
+    bool greeted = fake.sent_length && strstr(fake.sent, " ok proto=1");
+    must(!greeted || !fake.status.armed, "armed before the session that greets");
+    if (greeted) *strict = memchr(line, '*', (size_t)line_length) != NULL;
     fake.sent_length = 0;
     memset(fake.sent, 0, sizeof fake.sent);
     if (any(2)) fake_end();
     if (!any(400)) fake_fault((uint8_t)(1 + any(6)));
+    if (!any(100)) fake_pass(any(12000));
+    must(!fake.status.armed || fake.armed_ms || fake.status.state != IDLE, "armed, at rest, and nobody is there");
     check_answers();
     fake.sent_length = 0;
     memset(fake.sent, 0, sizeof fake.sent);

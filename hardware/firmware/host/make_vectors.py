@@ -274,6 +274,31 @@ DIALOGUES = {
             machine("end", "!2 DONE seq=5 pos=0"),
         )
     ],
+    "the contactor opens at rest where nobody is there, without a fault": [
+        *ready(
+            machine("pass 9999"),
+            step("@5 STAT", status(5, 1, hm=1, arm=1, en=1)),
+            machine("pass 9999"),
+            raw("@6 STAT*0000\n", NAK),
+            machine("pass 1"),
+            step("@6 STAT", status(6, 1, hm=1, en=1)),
+            step("@7 SHOT to=9 id=1", "=7 err 14"),
+            step("@8 ARM on=1", "=8 ok"),
+            step("@9 SHOT to=9 id=1", "=9 ok"),
+        )
+    ],
+    "who allows a longer silence has the contactor closed as long": [
+        *ready(
+            step("@5 SET wd=60000", "=5 ok"),
+            machine("pass 59999"),
+            step("@6 STAT", status(6, 1, hm=1, arm=1, en=1)),
+            machine("pass 60000"),
+            step("@7 STAT", status(7, 1, hm=1, en=1)),
+        )
+    ],
+    "hello opens the contactor": [
+        *ready(step(*HELLO), step("@2 STAT", status(2, 0, hm=1, en=1)), step("@3 LASER on=1 ms=5", "=3 err 14"))
+    ],
     "stop": [
         *ready(
             step("@5 STOP", "=5 ok"),

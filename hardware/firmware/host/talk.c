@@ -3,6 +3,7 @@
  * Bytes go to the firmware as they are, except for lines that begin with a NUL byte, which speak to the fake machine:
  *   \0boot   a fresh boot        \0end        what was begun ends       \0fault N    fault N comes
  *   \0input N  inputs as in STAT  \0pos N      position                 \0extreme    every number of the machine at its longest
+ *   \0pass N   N ms go by, and nothing comes
  *   \0mark   writes a line with one NUL, so that the reader knows that everything before it was answered
  *
  * SPDX-License-Identifier: Apache-2.0
@@ -40,6 +41,8 @@ static void control(const char *order) {
         fake.status.inputs = (uint8_t)number;
     else if (!strncmp(order, "pos ", 4))
         fake.status.position = (int32_t)number;
+    else if (!strncmp(order, "pass ", 5))
+        fake_pass((uint32_t)number);
     else if (!strcmp(order, "extreme"))
         extreme();
     else if (!strcmp(order, "mark")) {
