@@ -149,7 +149,7 @@ def tiny(tmp_path_factory):
 
 VERBS = {
     "simulate": "rig.toml -o captures",
-    "calibrate": "captures/boards -o calibration.json --report calibration.html",
+    "calibrate": "captures/boards -o calibration.json",
     "reconstruct": "captures/sweep -c calibration.json -o room.ply",
     "measure-room": "room.ply -c calibration.json",
     "measure-compare": "room.ply captures/truth.npz -c calibration.json",
