@@ -55,6 +55,11 @@ static inline void timer_load(uint32_t ticks) {
     }
 }
 
+/* A halt from another interrupt looks at it while the step's own is open to interrupts. */
+static void set_interval(uint32_t ticks) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) interval = ticks;
+}
+
 /* The interval after the one that is running. */
 static void next_interval(uint32_t steps_left) {
     uint32_t now = interval;
@@ -70,7 +75,7 @@ static void next_interval(uint32_t steps_left) {
         now -= (2 * now + share / 2) / share; /* Rounded: cut off, it would come to speed a twentieth late. */
         if (now < shortest) now = shortest;
     }
-    interval = now;
+    set_interval(now);
     next_ticks = now >> 8;
 }
 
@@ -124,7 +129,7 @@ void motor_run(int32_t to, uint32_t speed, enum seek sought) {
     ramp = 0;
     ramp_base = base;
     shortest = limit << 8;
-    interval = first << 8;
+    set_interval(first << 8);
     slow_ticks = TICKS_PER_S / vst;
     next_interval(steps);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {

@@ -183,10 +183,13 @@ def test_forged_and_damaged_laser_lines_light_nothing(talk):
     assert fields(after)["las"] == "1", "the line that was damaged above would have lit it"
 
 
-@pytest.mark.skipif(
+needs_avr = pytest.mark.skipif(
     not shutil.which("avr-gcc") and not os.environ.get("JAXSCAN_REQUIRE_BENCH"),
     reason="the firmware itself needs gcc-avr and avr-libc: type `make bench-deps`",
 )
+
+
+@needs_avr
 def test_the_firmware_leaves_room(tmp_path):
     """`make size` refuses more than 60 % of flash or memory: what is left of the memory is the stack."""
     done = subprocess.run(
@@ -195,6 +198,27 @@ def test_the_firmware_leaves_room(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     flash, memory = (float(percent) for percent in re.findall(r"\(([0-9.]+) %\)", done.stdout))
     assert 10 < flash <= 60 and 10 < memory <= 60
+
+
+@needs_avr
+def test_what_a_halt_reads_of_the_ramp_is_never_half_written(tmp_path):
+    """A halt may interrupt the step's own interrupt: every store to `interval`, of four bytes, has interrupts off."""
+    image = tmp_path / "scan.elf"
+    subprocess.run(["make", "-s", "-C", str(FIRMWARE), str(image), f"BUILD={tmp_path}"], check=True, timeout=120)
+    symbols = subprocess.run(["avr-nm", image], capture_output=True, text=True, check=True, timeout=60).stdout
+    start = int(re.search(r"^0080([0-9a-f]{4}) \w interval$", symbols, re.MULTILINE)[1], 16)
+    code = subprocess.run(["avr-objdump", "-d", image], capture_output=True, text=True, check=True, timeout=60).stdout
+    stored, off = [], False
+    for line in code.splitlines():
+        # Straight through each function: from `cli` to `sei`, to the flags put back, or to the function's end.
+        if line.endswith(">:") or re.search(r"\tsei|\tout\t0x3f|\treti?\b", line):
+            off = False
+        elif "\tcli" in line:
+            off = True
+        elif (store := re.search(r"\tsts\t0x([0-9A-F]{4})", line)) and start <= int(store[1], 16) < start + 4:
+            stored.append(int(store[1], 16) - start)
+            assert off, line
+    assert sorted(set(stored)) == [0, 1, 2, 3]
 
 
 def fuzz(build, lines, seed):
