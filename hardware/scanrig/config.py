@@ -203,8 +203,9 @@ class ChecksTable(FileModel):
     """Microsteps by which home may be missed before the steps since the last good one are suspect."""
     shift_px: Annotated[Number, pydantic.Field(gt=0, le=1000)] = 1.0
     """How far the line may have moved where a step is taken again and compared."""
-    difference_dn: Annotated[Number, pydantic.Field(gt=0, le=255)] = 6.0
-    """Mean absolute difference of the laser-off images, brightness aside, that such a comparison accepts [DN]."""
+    correlation: Annotated[Number, pydantic.Field(gt=0, lt=1)] = 0.75
+    """Least correlation of the laser-off images' structure, 1 for the same view in any light, that such a comparison
+    accepts."""
     camera_reopens: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 10
     """Times that a lost camera is opened again, with growing pauses, before the scan ends."""
 

@@ -91,8 +91,8 @@ class Session:
             checks = self.config.checks
             raise SessionError(
                 f"{self.job.folder}: record {self._last}, taken again, is not what it was: {likeness}; expected at "
-                f"most {checks.shift_px:g} px and {checks.difference_dn:g} DN. The rig or the room changed, or steps "
-                "were lost before. Begin a new capture, or allow more in [checks] shift_px and difference_dn."
+                f"most {checks.shift_px:g} px and at least {checks.correlation:g}. The rig or the room changed, or "
+                "steps were lost before. Begin a new capture, or allow more in [checks] shift_px and correlation."
             )
         self._believe()
 
@@ -233,8 +233,13 @@ class Session:
         pair = self.rig.take(self._positions[record], record)
         likeness = self._compare(record, pair)
         shift = {} if likeness.shift_px is None else {"shift_px": round(likeness.shift_px, 3)}
-        difference = round(likeness.difference_dn, 3)
-        self._note(event, record=record, **shift, difference_dn=difference, good=self._is_like(likeness))
+        seen = {} if likeness.correlation is None else {"correlation": round(likeness.correlation, 4)}
+        self._note(event, record=record, **shift, **seen, good=self._is_like(likeness))
+        if likeness.correlation is None:
+            self.job.notify(
+                f"record {record}, taken again, was compared by the laser's line alone: without it the frames show too "
+                "little. More light in the room lets lost steps be seen."
+            )
         return likeness
 
     def _compare(self, record: int, pair: Pair) -> Likeness:
@@ -249,7 +254,7 @@ class Session:
         )
 
     def _is_like(self, likeness: Likeness) -> bool:
-        return likeness.within(self.config.checks.shift_px, self.config.checks.difference_dn)
+        return likeness.within(self.config.checks.shift_px, self.config.checks.correlation)
 
     def _watch_laser(self, record: int, pair: Pair, angle_deg: float | None) -> None:
         """Stop where the laser shines on in laser-off frames, here and there and everywhere."""

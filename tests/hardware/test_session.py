@@ -82,7 +82,7 @@ def test_the_journal_tells_the_story(tmp_path):
     assert (first["was"], "missed" in first) == (-500, False)
     assert (last["was"], last["missed"], last["good"]) == (0, 0, True)
     (closing,) = events(tmp_path / "room", "closing")
-    assert abs(closing["shift_px"]) < 0.1 and closing["difference_dn"] < 3 and closing["good"]
+    assert abs(closing["shift_px"]) < 0.1 and closing["correlation"] > 0.98 and closing["good"]
 
 
 def test_the_header_says_with_what_it_was_taken(tmp_path):
