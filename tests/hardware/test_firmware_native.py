@@ -221,6 +221,16 @@ def test_what_a_halt_reads_of_the_ramp_is_never_half_written(tmp_path):
     assert sorted(set(stored)) == [0, 1, 2, 3]
 
 
+def test_the_brown_out_fuse_fits_the_clock():
+    """What the guide has burnt resets the ATmega328P before its clock is too fast for its voltage."""
+    clock_hz = int(re.search(r"-DF_CPU=(\d+)", (FIRMWARE / "Makefile").read_text())[1])
+    needed_v = 2.7 + (clock_hz - 10e6) / (20e6 - 10e6) * (4.5 - 2.7)
+    guide = (FIRMWARE / "README.md").read_text()
+    level = {0b110: 1.8, 0b101: 2.7, 0b100: 4.3}[int(re.search(r"efuse:w:0x([0-9A-F]{2})", guide)[1], 16) & 0b111]
+    assert level > needed_v
+    assert f"brown-out at {level} V" in guide and f"it needs {needed_v:.1f} V" in guide
+
+
 def fuzz(build, lines, seed):
     done = subprocess.run([build / "fuzz", str(lines), str(seed)], capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stdout + done.stderr
