@@ -4,6 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+import numpy as np
+
 from scanrig.work import Session
 
 
@@ -18,6 +20,9 @@ class PlacementRequest:
     total: int
     advice: list[str]
     """What would help most, a sentence each."""
+    look: Callable[[], np.ndarray]
+    """What the camera sees now, without laser: uint8 [rows, columns] (rgb8: and 3). Comes back from what the rig
+    recovers from, as every step does, and keeps the contactor open."""
 
 
 class Operator(Protocol):
@@ -63,7 +68,7 @@ def take_placements(
                 return False
             session.dark()
             advice = list(advise()) if advise is not None else []
-            placed = operator.place(PlacementRequest(_kind(kind), number, len(asked), advice))
+            placed = operator.place(PlacementRequest(_kind(kind), number, len(asked), advice, session.rig.look))
             if session.should_stop():
                 return False
             if not placed:

@@ -4,15 +4,17 @@ import contextlib
 from collections.abc import Callable
 from typing import TypeVar
 
+import numpy as np
+
 from scanrig.cameras.features import differences
 from scanrig.cameras.frame import Camera, Features
 from scanrig.clock import Clock
 from scanrig.config import RigConfig
 from scanrig.controller import Controller
-from scanrig.errors import CameraError, CameraLost, LinkLost, Refused, RigFault, RigTimeout, SessionError
+from scanrig.errors import CameraError, CameraLost, CameraTimeout, LinkLost, Refused, RigFault, RigTimeout, SessionError
 from scanrig.plan import controller_settings, longest_s, nearest
 from scanrig.status import Firmware, Status
-from scanrig.step import FrameNumbers, Pair, take_pair
+from scanrig.step import FrameNumbers, Pair, next_frame, take_pair
 
 
 Note = Callable[..., None]
@@ -50,6 +52,8 @@ class Rig:
         self._numbers = FrameNumbers()
         self._homing = False
         """Whether a homing was begun whose result was not heard: it may have set the counter to 0."""
+        self._dark = False
+        """Whether the contactor stays open, whatever has to be recovered from: somebody is in front of the laser."""
 
     def prepare(self) -> Firmware:
         """Begin a session with both: at rest, out of a fault, set up; not homed yet.
@@ -92,7 +96,8 @@ class Rig:
         missed = (was + n // 2) % n - n // 2 if known else None
         good = {} if missed is None else {"missed": missed, "good": abs(missed) <= self.tolerance}
         self._note("home", why=why, was=was, **good)
-        self.arm(True)
+        if not self._dark:
+            self.arm(True)
         return missed
 
     def _come_from_above(self) -> None:
@@ -110,6 +115,44 @@ class Rig:
         if not on:
             # Without the laser somebody may look through the camera: its next frame may have any number.
             self._numbers.next = None
+
+    def dark(self) -> None:
+        """Open the contactor, and keep it open until `light`."""
+        self._dark = True
+        self.doing(lambda: self.arm(False), "opening the contactor")
+
+    def light(self) -> None:
+        """Close the contactor again."""
+        self._dark = False
+        self.doing(lambda: self.arm(True), "closing the contactor")
+
+    def look(self) -> np.ndarray:
+        """What the camera sees now, without laser: uint8 [rows, columns] (rgb8: and 3).
+
+        Raises:
+            CameraTimeout: If no whole frame came, however often it was asked for.
+            RigError: If the rig did not come back.
+        """
+        for _ in range(self.config.checks.retakes):
+            try:
+                return self.doing(self._look, "a look")
+            except CameraTimeout as problem:
+                self._note("retake", reason=str(problem))
+        return self.doing(self._look, "a look")
+
+    def _look(self) -> np.ndarray:
+        camera, settings = self.camera, self.config.camera
+        self._numbers.next = None
+        camera.drop()
+        exposing = self.controller if camera.trigger_mode == "hardware" else None
+        if exposing is not None:
+            exposing.trigger()
+        elif camera.trigger_mode == "software":
+            camera.trigger()
+        frame = next_frame(camera, exposing, settings.exposure_ms / 1000 + self.config.checks.late_s, self._clock)
+        if not frame.complete:
+            raise CameraTimeout(f"{camera.identity}: frame {frame.number} is not complete")
+        return frame.image
 
     def take(self, to: int, number: int) -> Pair:
         """Take one step; come back from a lost link, a reset, a lost camera and temporary faults.
@@ -232,7 +275,7 @@ class Rig:
             # Where it was stopped while it ran, its counter may be wrong for that reason alone.
             self.position_known = False
             self.home("after a fault")
-        elif not status.armed:
+        elif not status.armed and not self._dark:
             self.arm(True)
 
     def _await_rest(self) -> Status:

@@ -141,11 +141,11 @@ class Session:
 
     def dark(self) -> None:
         """Open the contactor while somebody is at the board."""
-        self.rig.doing(lambda: self.rig.arm(False), "opening the contactor")
+        self.rig.dark()
 
     def light(self) -> None:
         """Close the contactor again: whoever was at the board is ready."""
-        self.rig.doing(lambda: self.rig.arm(True), "closing the contactor")
+        self.rig.light()
 
     def next_placement(self) -> int:
         """A number that no placement of the board has had."""

@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from scanrig.session import SessionResult
 
 
-_PREVIEW_S = 2.0
-"""Longest wait for a frame of what the camera sees now."""
-
-
 def scan_boards(
     rig: "RigConfig",
     folder: Path,
@@ -45,8 +41,7 @@ def scan_boards(
     operator: TerminalOperator | CommandOperator
     if place_command is None:
         lines = Lines()
-        preview = _preview(rig, controller, camera)
-        operator = TerminalOperator(guide, preview, lines, should_stop=interrupted, console=out)
+        operator = TerminalOperator(guide, lines, should_stop=interrupted, console=out)
     else:
         operator = CommandOperator(place_command, free_views=rig.calibration.free_views, console=out)
 
@@ -104,20 +99,3 @@ def make_guide(rig: "RigConfig") -> "Guide":
         return points if line.stripe_axis == "rows" else points[:, ::-1]
 
     return Guide(board, (camera.width, camera.height), detect, find_line)
-
-
-def _preview(rig: "RigConfig", controller: "Controller", camera: "Camera") -> Callable[[], np.ndarray]:
-    """A frame of what the camera sees now, without laser."""
-    from scanrig.clock import SystemClock
-    from scanrig.step import next_frame
-
-    def look() -> np.ndarray:
-        camera.drop()
-        exposing = controller if camera.trigger_mode == "hardware" else None
-        if exposing is not None:
-            exposing.trigger()
-        elif camera.trigger_mode == "software":
-            camera.trigger()
-        return next_frame(camera, exposing, rig.camera.exposure_ms / 1000 + _PREVIEW_S, SystemClock()).image
-
-    return look

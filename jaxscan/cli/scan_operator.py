@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-import numpy as np
 from rich.console import Console
 
 from jaxscan.errors import OptionError
@@ -57,7 +56,6 @@ class TerminalOperator:
     def __init__(
         self,
         guide: "Guide",
-        look: Callable[[], np.ndarray],
         lines: Lines,
         *,
         should_stop: Callable[[], bool],
@@ -67,12 +65,11 @@ class TerminalOperator:
 
         Args:
             guide: Knows what is missing.
-            look: A frame of what the camera sees now, without laser.
             lines: What the person types.
             should_stop: Whether the session is to end.
             console: What the person reads.
         """
-        self._guide, self._look, self._lines = guide, look, lines
+        self._guide, self._lines = guide, lines
         self._should_stop, self._console = should_stop, console
         self._enough = False
         self.placing: PlacementRequest | None = None
@@ -99,7 +96,7 @@ class TerminalOperator:
             if answer:
                 self._console.print(f"  {answer!r} is none of these.")
                 continue
-            seen = self._guide.look(None, self._look())
+            seen = self._guide.look(None, request.look())
             if seen.view is not None:
                 return True
             self._console.print(f"  Not taken: {seen.problem}.")

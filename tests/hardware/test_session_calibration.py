@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from scanrig.errors import LinkLost
+from scanrig.errors import CameraLost, CameraTimeout, LinkLost
 from scanrig.session import run_calibration
 
 from jaxscan.files.capture import open_capture
@@ -125,6 +125,74 @@ def test_steps_lost_during_a_placement_make_it_suspect_and_it_alone(tmp_path):
     result = calibration(again, tmp_path / "boards", somebody, resume=True)
     assert (result.status, result.suspect) == ("complete", ())
     assert somebody.asked == [("free", k, 3) for k in range(3)] + [("placement", 0, 2)]
+
+
+class Looking(Somebody):
+    """Looks through the camera before the board is taken to be placed; `befalls[n]` happens in the n-th look."""
+
+    def __init__(self, desk, **befalls):
+        super().__init__(desk)
+        self.befalls = {int(name.removeprefix("look")): what for name, what in befalls.items()}
+        self.looks, self.contactor = [], []
+        self._arm = desk.controller.arm
+        desk.controller.trigger, desk.controller.arm = self.trigger, self.arm
+
+    def trigger(self, ms=None):
+        controller = self.desk.controller
+        controller.stat()
+        self.looks.append(1)
+        exposed = self.befalls.get(len(self.looks), lambda controller: None)(controller)
+        controller.stat()
+        controller.exposures = (controller.exposures + 1) % 65536
+        if exposed is None:
+            controller.camera.expose(self.desk.table.position, self.desk.table.shines)
+
+    def arm(self, on):
+        self.contactor.append((on, len(self.asked), self.at_the_board))
+        self._arm(on)
+
+    at_the_board = False
+
+    def place(self, request):
+        self.at_the_board = True
+        image = request.look()
+        assert image.shape == (96, 128) and image.max() < 100
+        self.at_the_board = False
+        return super().place(request)
+
+
+def lost_camera(controller):
+    raise CameraLost("SIM1 went away")
+
+
+@pytest.mark.parametrize(
+    "befalls",
+    [
+        lambda controller: "no frame",
+        lambda controller: controller.lose_link(2),
+        lambda controller: controller.reset(),
+        lambda controller: controller.fall_into(2),
+        lost_camera,
+    ],
+    ids=["lost frame", "lost link", "reset", "fault", "lost camera"],
+)
+def test_what_befalls_the_rig_while_somebody_looks_through_the_camera_ends_nothing(tmp_path, befalls):
+    desk = make()
+    somebody = Looking(desk, look2=befalls)
+    result = calibration(desk, tmp_path / "boards", somebody)
+    assert (result.status, result.records, len(somebody.looks)) == ("complete", 9, 6)
+    # Nothing that had to be recovered from has closed the contactor in front of whoever stands there.
+    assert somebody.lit == [False] * 5
+    assert not any(on and at_the_board for on, _, at_the_board in somebody.contactor)
+    assert verify_capture(tmp_path / "boards") == []
+
+
+def test_a_camera_that_shows_nothing_any_more_is_an_error(tmp_path):
+    desk = make(checks={"retakes": 2})
+    somebody = Looking(desk, **{f"look{k}": lambda controller: "no frame" for k in (2, 3, 4)})
+    with pytest.raises(CameraTimeout):
+        calibration(desk, tmp_path / "boards", somebody)
+    assert len(somebody.looks) == 4 and not desk.table.contactor
 
 
 def test_asked_to_stop_while_the_board_is_moved(tmp_path):
