@@ -131,7 +131,8 @@ class Controller:
         """Find the controller again after LinkLost or ControllerReset, with longer and longer pauses.
 
         Motion is stopped, a link fault cleared, and the settings are sent again. If it is still the same boot, its
-        position is good; otherwise it must be enabled, armed and homed anew. What is left to do is in its state.
+        position is good; otherwise it must be enabled and homed anew. The contactor is open in either
+        case. What is left to do is in its state.
 
         Args:
             timeout_s: when to give up.

@@ -1,6 +1,7 @@
 """A whole turn on the real firmware: every step where it belongs, no drift, and how long it takes."""
 
 import time
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -46,13 +47,15 @@ def test_a_revolution_of_3600_shots(rig):
     simulated = rig()
     turn = 28800
     with ready(simulated, **QUICK) as controller:
+        # Opening a port cuts into what the controller says just then: BOOT may come torn, before anything was asked.
+        before = replace(controller.link_counts)
         begin, cycle = time.process_time(), simulated.plant()["cycle"]
         took = sweep(simulated, controller, turn)
         worked, simulated_s = time.process_time() - begin, (simulated.plant()["cycle"] - cycle) / 16e6
         assert_exact(simulated, turn)
         assert controller.home(40000) == turn
         counts = controller.link_counts
-        assert (counts.naks, counts.damaged, counts.events_missed) == (0, 0, 0)
+        assert (counts.naks, counts.damaged, counts.events_missed) == (0, before.damaged, 0) and before.damaged <= 1
         print(
             f"\n{STEPS} shots in {took:.1f} s, {took / STEPS * 1e3:.2f} ms each; the host worked {worked:.1f} s; "
             f"{simulated_s:.0f} s of the controller's time"
