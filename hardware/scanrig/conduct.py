@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
-from scanrig.ending import Ending, ended_by, leave_safe
+from scanrig.ending import Ending, counted, ended_by, leave_safe
 from scanrig.errors import SessionError
 from scanrig.job import Job, SessionResult
 from scanrig.lock import FolderLock
@@ -53,7 +53,12 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
         ending = ended_by(problem, job.controller)
     unsafe = leave_safe(job.controller)
     unsealed = session.ledger.end(
-        ending.status, records=len(session.done), taken=session.taken, problem=ending.message, laser_off=not unsafe
+        ending.status,
+        records=len(session.done),
+        taken=session.taken,
+        problem=ending.message,
+        laser_off=not unsafe,
+        **counted(job.controller, answers=not unsafe),
     )
     for sentence in (unsafe, unsealed):
         if sentence:

@@ -1,13 +1,18 @@
 """How sessions end: what an error means for the capture, and the laser off whatever happened."""
 
 import contextlib
-from dataclasses import dataclass
+import logging
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from scanrig.controller import Controller
 from scanrig.errors import LinkLost, RigError, RigFault
 from scanrig.rig import ESTOP
 from scanrig.safety import UNCONFIRMED
 from scanrig.space import is_full
+
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,26 @@ def ended_by(problem: BaseException, controller: Controller) -> Ending:
     if isinstance(problem, RigFault) and problem.code == ESTOP:
         return Ending("e-stop", str(problem))
     return Ending("failed", f"{type(problem).__name__}: {problem}", problem)
+
+
+def counted(controller: Controller, *, answers: bool) -> dict[str, Any]:
+    """What the controller and the link to it have counted: wear of the laser's switch, trouble of the wires.
+
+    Args:
+        controller: Made safe.
+        answers: Whether it answered then; one that did not is not asked for more.
+
+    Returns:
+        Fields for the journal; without those of a controller that cannot be asked.
+    """
+    link: dict[str, Any] = {"link": asdict(controller.link_counts)}
+    if not answers:
+        return link
+    try:
+        return {"controller": asdict(controller.counters()), **link}
+    except RigError as problem:
+        log.info("the controller's counters could not be asked for: %s", problem)
+        return link
 
 
 def leave_safe(controller: Controller) -> str:

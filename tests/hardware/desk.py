@@ -11,7 +11,7 @@ from scanrig.clock import ManualClock
 from scanrig.config import RigConfig
 from scanrig.errors import CameraTimeout, ControllerReset, LinkLost, Refused, RigFault
 from scanrig.settings import Settings
-from scanrig.status import Firmware, Reconnection, ShotDone, Status
+from scanrig.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
 
 from .fake import ARMED_IDLE_S
 
@@ -68,6 +68,7 @@ class PaperController:
         """How many attempts to reconnect fail."""
         self.lost = False
         self.never_safe = False
+        self.link_counts = LinkCounts()
         self._heard = clock.now()
 
     # What befalls it
@@ -105,6 +106,7 @@ class PaperController:
         if self.clock.now() - self._heard >= patience:
             self._open_contactor()
         self.clock.sleep(0.003)
+        self.link_counts.sent += 1
         if self.lost:
             raise LinkLost("no answer from paper")
         self._heard = self.clock.now()
@@ -218,6 +220,10 @@ class PaperController:
         if self.fault:
             raise RigFault(self.fault, self.counter)
         return status
+
+    def counters(self) -> Counters:
+        self._alive("counters")
+        return Counters(0, 0, 0, self.table.lit_cycles, 1000, 0)
 
     def clear(self) -> None:
         self._alive("clear")

@@ -7,7 +7,6 @@ from scanrig.doctor import examine
 from scanrig.doctor_light import stripe_level
 from scanrig.errors import FirmwareError, LinkLost, RigError, RigFault
 from scanrig.gearing import fitting_gear, measure_turn
-from scanrig.status import Counters
 
 from .desk import Desk, PaperController
 
@@ -31,10 +30,6 @@ class Turning(PaperController):
         self.table.position -= below - self.slips
         self.counter, self.homed = 0, True
         return was
-
-    def counters(self):
-        self._alive("counters")
-        return Counters(0, 0, 0, self.table.lit_cycles, 1000, 0)
 
     def trigger(self, ms=None):
         self._alive("trigger")

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scanrig.errors import SessionError
+from scanrig.errors import FirmwareError, LinkLost, RigFault, SessionError
 from scanrig.session import run_sweep
 
 from jaxscan.errors import CaptureError
@@ -85,6 +85,47 @@ def test_the_journal_tells_the_story(tmp_path):
     assert abs(closing["shift_px"]) < 0.1 and closing["correlation"] > 0.98 and closing["good"]
 
 
+def test_the_end_says_what_was_counted(tmp_path):
+    """Each switching wears the laser's switch: ten steps and the closing one; the link's losses tell of its wiring."""
+    desk = Desk()
+    sweep(desk, tmp_path / "room")
+    end = journal(tmp_path / "room")[-1]
+    assert end["controller"] == {
+        "damaged": 0,
+        "overruns": 0,
+        "repeated": 0,
+        "laser_cycles": 11,
+        "up_ms": 1000,
+        "watchdog_resets": 0,
+    }
+    assert end["link"]["sent"] > 30 and (end["link"]["resent"], end["link"]["events_by_name"]) == (0, {})
+    # The question comes when everything is off, and after it nothing that could change that.
+    assert desk.controller.log[-2:] == ["make_safe", "counters"]
+
+
+@pytest.mark.parametrize("problem", [LinkLost("gone"), FirmwareError("lacks 'las'"), RigFault(1, 0)])
+def test_counters_that_cannot_be_asked_for_are_left_out(tmp_path, problem):
+    desk = Desk()
+
+    def fails():
+        raise problem
+
+    desk.controller.counters = fails
+    assert sweep(desk, tmp_path / "room").status == "complete"
+    end = journal(tmp_path / "room")[-1]
+    assert "controller" not in end and "link" in end and end["laser_off"] is True
+
+
+def test_a_controller_that_is_gone_is_not_asked_what_it_counted(tmp_path):
+    desk = Desk()
+    desk.controller.before_shot[3] = lambda controller: controller.lose_link(attempts=1000)
+    with pytest.raises(LinkLost):
+        sweep(desk, tmp_path / "room")
+    end = journal(tmp_path / "room")[-1]
+    assert (end["status"], end["laser_off"]) == ("failed", False) and "controller" not in end and "link" in end
+    assert "counters" not in desk.controller.log
+
+
 def test_the_header_says_with_what_it_was_taken(tmp_path):
     desk = Desk()
     sweep(desk, tmp_path / "room", calibration_digest="sha256:abc")
@@ -133,7 +174,7 @@ def test_a_folder_with_anything_else_is_not_touched(tmp_path):
     with pytest.raises(CaptureError, match="exists and is not empty"):
         sweep(desk, tmp_path / "room", resume=True)
     assert [path.name for path in (tmp_path / "room").iterdir()] == ["thesis.txt"]
-    assert desk.controller.log[-1] == "make_safe"
+    assert desk.controller.log[-2:] == ["make_safe", "counters"]
 
 
 def test_a_folder_that_cannot_be_written_is_one_clear_error(tmp_path):

@@ -106,5 +106,5 @@ def test_10_an_interrupt_while_the_laser_is_switched_off(tmp_path):
 
     desk.controller.make_safe = disturbed
     result = sweep(desk, tmp_path / "room")
-    assert result.laser_off and desk.controller.log[-2:] == ["abort", "make_safe"]
+    assert result.laser_off and desk.controller.log[-3:] == ["abort", "make_safe", "counters"]
     assert not desk.table.contactor
