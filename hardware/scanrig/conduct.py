@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
+from jaxscan.files.writer import make_folder
 from scanrig.ending import Ending, counted, ended_by, leave_safe
 from scanrig.errors import SessionError
 from scanrig.job import Job, SessionResult
@@ -80,7 +81,7 @@ def _folder(folder: Path) -> bool:
     try:
         if folder.is_dir():
             return False
-        folder.mkdir(parents=True)
+        make_folder(folder, durable=True)
     except OSError as problem:
         raise SessionError(f"{folder}: cannot be created: {problem.strerror or problem}.") from problem
     return True

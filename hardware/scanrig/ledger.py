@@ -10,6 +10,7 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CaptureHeader, CaptureWriter, create_capture, resume_capture
 from jaxscan.files.journal import JOURNAL_NAME
 from jaxscan.files.verify import SEAL, seal
+from jaxscan.files.writer import require_no_links
 from scanrig.clock import Clock
 from scanrig.step import Pair
 
@@ -42,8 +43,9 @@ class Ledger:
         """Go on with the capture, without what a crash left half written.
 
         Raises:
-            CaptureError: If it cannot be read or written.
+            CaptureError: If it cannot be read or written, or a link leads out of it.
         """
+        require_no_links(self.folder)
         for folder in (self.folder, self.folder / "on", self.folder / "off"):
             for part in folder.glob(".part-*"):
                 with contextlib.suppress(FileNotFoundError):

@@ -12,7 +12,7 @@ from jaxscan.files.exposures import exposure_levels
 from jaxscan.files.header import HEADER_NAME, parse_header
 from jaxscan.files.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record, read_journal
 from jaxscan.files.store import Storage
-from jaxscan.files.writer import CaptureWriter
+from jaxscan.files.writer import CaptureWriter, require_no_links
 
 
 def resume_capture(
@@ -33,9 +33,10 @@ def resume_capture(
         The writer; its next number follows the largest in the journal.
 
     Raises:
-        CaptureError: If it is no capture, or damaged in another way.
+        CaptureError: If it is no capture, damaged in another way, or has a link where something would be written.
     """
     path = Path(path)
+    require_no_links(path)
     header_name, journal = str(path / HEADER_NAME), path / JOURNAL_NAME
     header = parse_header(read_bounded(header_name, MEGABYTE, name=header_name, error=CaptureError), name=header_name)
     data = read_bounded(journal, MAX_JOURNAL_BYTES, name=str(journal), error=CaptureError)

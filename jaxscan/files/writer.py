@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.atomic import write_atomically
+from jaxscan.files.atomic import sync_to_disk, write_atomically
 from jaxscan.files.given import copies, given_exposures, named, unnamed
 from jaxscan.files.header import HEADER_NAME, CaptureHeader, frame_shape, header_toml
 from jaxscan.files.journal import JOURNAL_NAME, MAX_LINE_BYTES
@@ -300,7 +300,8 @@ def create_capture(
     path = Path(path)
     toml = header_toml(header)
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        make_folder(path, durable=durable)
+        require_no_links(path)
         if not _is_unused(path):
             raise CaptureError(
                 f"{path}: exists and is not empty; choose another folder, a capture is never overwritten."
@@ -313,6 +314,35 @@ def create_capture(
         return CaptureWriter(path, header, storage=storage, durable=durable, digests=digests)
     except OSError as problem:
         raise CaptureError(f"{path}: cannot be created: {problem.strerror or problem}.") from problem
+
+
+def make_folder(path: Path, *, durable: bool) -> None:
+    """Make a folder, and those above it that are missing; none is lost with the power.
+
+    Raises:
+        OSError: If it cannot be made.
+    """
+    new = [path, *(above for above in path.parents if not above.exists())]
+    path.mkdir(parents=True, exist_ok=True)
+    if durable and os.name == "posix":
+        for folder in new:
+            # A folder that may be written but not listed cannot be waited for.
+            with contextlib.suppress(PermissionError):
+                sync_to_disk(folder.parent)
+
+
+def require_no_links(path: Path) -> None:
+    """See that what is written into a capture stays in its folder.
+
+    Raises:
+        CaptureError: If a folder of images or the journal is a link.
+    """
+    for name in ("on", "off", JOURNAL_NAME):
+        if (path / name).is_symlink():
+            raise CaptureError(
+                f"{path / name}: found a link, which may lead anywhere, expected the capture's own; "
+                "nothing is written there."
+            )
 
 
 def _is_unused(path: Path) -> bool:

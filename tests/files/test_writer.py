@@ -225,3 +225,12 @@ def test_resuming_before_the_first_record_and_where_there_is_no_capture(tmp_path
     (tmp_path / "room" / "frames.jsonl").write_bytes(b"{torn\n{torn\n")
     with pytest.raises(CaptureError, match="line 1"):
         resume_capture(tmp_path / "room")
+
+
+def test_a_capture_is_not_begun_through_a_link(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "room").mkdir()
+    (tmp_path / "room" / "on").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(CaptureError, match="on: found a link"):
+        create_capture(tmp_path / "room", header())
+    assert not list((tmp_path / "elsewhere").iterdir()) and not (tmp_path / "room" / "capture.toml").exists()

@@ -14,6 +14,7 @@ from scanrig.errors import SessionError
 from scanrig.lock import LOCK_NAME, FolderLock
 from scanrig.session import run_sweep
 
+from jaxscan.errors import CaptureError
 from jaxscan.files import store
 from jaxscan.files.capture import open_capture
 from jaxscan.files.verify import verify_capture
@@ -287,3 +288,37 @@ def test_23_never_two_at_once_however_they_race(tmp_path):
         for run in [pool.submit(race) for _ in range(4)]:
             run.result(timeout=60)
     assert refused and not (tmp_path / "inside").exists()
+
+
+@pytest.mark.parametrize("name", ["on", "off", "frames.jsonl"])
+def test_nothing_is_written_through_a_link_out_of_the_capture(tmp_path, name):
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: (_ for _ in ()).throw(KeyboardInterrupt)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(desk, tmp_path / "room")
+    outside = tmp_path / "outside"
+    (tmp_path / "room" / name).rename(outside)
+    (tmp_path / "room" / name).symlink_to(outside)
+    if outside.is_dir():
+        (outside / ".part-precious").write_text("not the session's")
+    before = {path: path.stat() for path in (outside, *outside.glob("*"))}
+    again = Desk()
+    with pytest.raises(CaptureError, match="found a link"):
+        sweep(again, tmp_path / "room", resume=True)
+    assert {path: path.stat() for path in (outside, *outside.glob("*"))} == before
+    assert again.controller.shots == [] and not again.table.contactor
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders are waited for on POSIX alone")
+def test_a_new_capture_and_the_folders_above_it_are_on_the_disk(tmp_path, monkeypatch):
+    synced, fsync = set(), os.fsync
+
+    def noted(handle):
+        synced.add(os.fstat(handle).st_ino)
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    room = tmp_path / "a" / "b" / "room"
+    assert sweep(Desk(), room).status == "complete"
+    for folder in (room, room.parent, room.parent.parent, tmp_path):
+        assert folder.stat().st_ino in synced, folder
