@@ -1,5 +1,6 @@
 """Signals that ask a session to end: once, after the step; twice, at once."""
 
+import os
 import signal
 from types import FrameType, TracebackType
 from typing import Any
@@ -13,18 +14,23 @@ class Interrupts:
 
     Pass it as `should_stop`. Further signals do nothing, so that nothing disturbs switching the laser off.
     Only for the main thread, as Python has it.
+
+    With the terminal that hung up goes everything that is printed; it goes nowhere from then on, rather than being an
+    error where the session is to end in order.
     """
 
     def __init__(self) -> None:
         self.received: list[str] = []
         """Names of the signals that came."""
         self._before: dict[int, Any] = {}
+        self._terminals: list[int] = []
 
     def __call__(self) -> bool:
         """Whether the session is asked to end."""
         return bool(self.received)
 
     def __enter__(self) -> "Interrupts":
+        self._terminals = [number for number in (0, 1, 2) if os.isatty(number)]
         for name in NAMES:
             number = getattr(signal, name, None)  # Windows has no SIGHUP.
             if number is not None:
@@ -40,5 +46,14 @@ class Interrupts:
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.received.append(signal.Signals(number).name)
+        self._let_go_of_dead_terminals()
         if len(self.received) == 2:
             raise KeyboardInterrupt(f"{self.received[0]}, then {self.received[1]}")
+
+    def _let_go_of_dead_terminals(self) -> None:
+        for number in self._terminals:
+            # One that hung up is none any more; one that lives stays what it is.
+            if not os.isatty(number):
+                nowhere = os.open(os.devnull, os.O_RDWR)
+                os.dup2(nowhere, number)
+                os.close(nowhere)

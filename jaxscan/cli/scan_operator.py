@@ -41,7 +41,10 @@ class Lines:
                 return None
             if not select.select([self._file], [], [], _TICK_S)[0]:
                 continue
-            data = os.read(self._file, 4096)
+            try:
+                data = os.read(self._file, 4096)
+            except OSError:
+                data = b""  # A terminal that hung up, whose signal is still on its way.
             self.ended = not data
             self._waiting += data
         if b"\n" not in self._waiting:

@@ -2,7 +2,11 @@
 
 import json
 import os
+import select
 import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from scanrig.session import run_sweep
@@ -12,6 +16,9 @@ from jaxscan.files.capture import open_capture
 from jaxscan.files.verify import verify_capture
 
 from .desk import Desk
+
+
+ROOT = Path(__file__).parents[2]
 
 
 def journal(path):
@@ -108,3 +115,52 @@ def test_10_an_interrupt_while_the_laser_is_switched_off(tmp_path):
     result = sweep(desk, tmp_path / "room")
     assert result.laser_off and desk.controller.log[-3:] == ["abort", "make_safe", "counters"]
     assert not desk.table.contactor
+
+
+HUNG_UP = """
+import sys, time
+from pathlib import Path
+from scanrig.session import run_sweep
+from scanrig.signals import Interrupts
+from tests.hardware.desk import Desk
+import fcntl, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+desk = Desk()
+with Interrupts() as interrupts:
+    def wait(controller):
+        print("in the fourth step", flush=True)
+        limit = time.monotonic() + 20
+        while not interrupts() and time.monotonic() < limit:
+            time.sleep(0.01)
+    def told(number, *_):
+        print("record", number, flush=True)
+        print("record", number, file=sys.stderr, flush=True)
+    desk.controller.before_shot[4] = wait
+    result = run_sweep(desk.config, Path(sys.argv[1]), **desk.rig(), on_pair=told, should_stop=interrupts)
+print(result.message, flush=True)
+sys.exit(0 if interrupts.received == ["SIGHUP"] else 3)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo terminals")
+def test_10_a_terminal_that_is_closed_ends_after_the_step_though_nothing_can_be_printed(tmp_path):
+    master, slave = os.openpty()
+    child = subprocess.Popen(
+        [sys.executable, "-c", HUNG_UP, str(tmp_path / "room")],
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+        start_new_session=True,
+        cwd=ROOT,
+    )
+    os.close(slave)
+    said = b""
+    try:
+        while b"in the fourth step" not in said:
+            assert select.select([master], [], [], 60)[0], said
+            said += os.read(master, 4096)
+    finally:
+        os.close(master)
+    assert child.wait(60) == 0
+    assert journal(tmp_path / "room")[-1]["status"] == "interrupted"
+    assert len(open_capture(tmp_path / "room")) == 4
