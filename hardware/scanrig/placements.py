@@ -50,7 +50,7 @@ def take_placements(
         advise: Asked for advice before each placing.
 
     Returns:
-        False where the operator asked to stop.
+        False where the operator asked to stop, or had enough before there was anything.
     """
     plan = session.config.calibration
     views = [((view,), (0,)) for view in range(plan.free_views)]
@@ -78,7 +78,7 @@ def take_placements(
                 return False
     if session.since_home:
         session.close_placement(in_place=False)
-    return True
+    return bool(session.done or session.suspect)
 
 
 def _take_placement(session: Session, records: Sequence[int], places: Sequence[int]) -> bool:

@@ -326,6 +326,13 @@ def test_enough_of_all(run, paper, board_rig, typed, tmp_path):
     assert len(open_capture(tmp_path / "boards")) == 1
 
 
+def test_enough_before_there_is_anything(run, paper, board_rig, typed, tmp_path):
+    typed("q\n")
+    ran = run("scan", board_rig.path, "-o", tmp_path / "boards", "--boards")
+    assert ran.code == 1 and "--boards --resume" in ran.err.splitlines()[-1]
+    assert "complete" not in ran.out and "next: jaxscan calibrate" not in ran.out
+
+
 def test_input_that_ends_is_no_consent(run, paper, board_rig, typed, tmp_path):
     typed("\n")
     ran = run("scan", board_rig.path, "-o", tmp_path / "boards", "--boards")

@@ -88,6 +88,15 @@ def test_the_operator_may_have_enough(tmp_path):
     assert [placement for *_, placement in records(tmp_path / "boards")] == [0, 1, 1, 1]
 
 
+def test_enough_of_nothing_is_no_calibration(tmp_path):
+    desk = make()
+    result = calibration(desk, tmp_path / "boards", Somebody(desk, free=0, placements=0))
+    assert (result.status, result.records) == ("interrupted", 0)
+    assert "0 of 9 records" in result.message and "--resume" in result.message
+    again = make()
+    assert calibration(again, tmp_path / "boards", Somebody(again), resume=True).records == 9
+
+
 def test_a_placement_that_was_half_done_is_begun_anew_under_another_number(tmp_path):
     desk = make()
     desk.controller.before_shot[8] = lambda controller: controller.lose_link(attempts=1000)
