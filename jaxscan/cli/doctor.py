@@ -4,10 +4,10 @@ import contextlib
 import importlib
 import os
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import tyro
 from rich.console import Console
@@ -16,6 +16,10 @@ from jaxscan.cli.doctor_rig import examine_rig
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import CaptureError, DependencyError, JaxscanError, OptionError
+
+
+if TYPE_CHECKING:
+    from jaxscan.files.verify import Problem
 
 
 class Check(NamedTuple):
@@ -108,14 +112,28 @@ def _verify(capture: Path, out: Console, json: str | None) -> None:
     from jaxscan.files.verify import verify_capture
 
     with progress_bar("Verifying") as progress:
-        problems = [str(problem) for problem in verify_capture(capture, progress=progress)]
-    for problem in problems:
-        out.print(problem)
+        found = verify_capture(capture, progress=progress)
+    problems = [str(problem) for problem in found]
+    for sentence in problems:
+        out.print(sentence)
     if not problems:
         out.print(f"{capture}: all images are as they were written.")
     emit_json(json, "doctor", {"capture": str(capture), "problems": problems})
     if problems:
-        raise CaptureError(f"{capture}: {len(problems)} problems; take the records again with jaxscan scan --resume.")
+        raise CaptureError(f"{capture}: {len(problems)} problems; {_cure(found)}.")
+
+
+def _cure(found: Sequence["Problem"]) -> str:
+    """What helps: what is missing can be taken again; a journal that was changed stays changed."""
+    cures = []
+    if not all(problem.lasting for problem in found):
+        cures.append("take the records again with jaxscan scan --resume")
+    if any(problem.lasting for problem in found):
+        cures.append(
+            "the journal is not as it was written, which taking records again does not mend: compare it with a copy, "
+            "or take the capture anew"
+        )
+    return "; ".join(cures)
 
 
 def _ports() -> list[str]:

@@ -32,6 +32,8 @@ class Problem:
     """Number of the record whose image it is; None: it concerns the journal."""
     message: str
     """The file, what was found, and what was expected."""
+    lasting: bool = False
+    """Whether it stays where the capture is gone on with; what an interruption leaves behind does not."""
 
     def __str__(self) -> str:
         return self.message if self.record is None else f"record {self.record}: {self.message}"
@@ -130,7 +132,8 @@ def _broken_seals(journal: bytes, name: str) -> list[Problem]:
         at = start
         if sealed.hexdigest() != value[SEAL]:
             line = journal.count(b"\n", 0, start) + 1
-            problems.append(Problem(None, f"{name}: line {line}: the seal does not fit the lines before it."))
+            message = f"{name}: line {line}: the seal does not fit the lines before it."
+            problems.append(Problem(None, message, lasting=True))
     return problems
 
 

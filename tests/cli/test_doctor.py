@@ -3,6 +3,10 @@
 import json
 import sys
 
+from scanrig.session import run_sweep
+
+from ..hardware.desk import Desk
+
 
 def checks(ran):
     result = json.loads(ran.out)
@@ -44,6 +48,22 @@ def test_a_capture_is_verified(run, sweep):
     assert ran.code == 1 and "1 problems" in ran.err.splitlines()[-1]
     (problem,) = json.loads(ran.out)["problems"]
     assert victim.name in problem
+
+
+def test_a_broken_seal_is_not_cured_by_taking_records_again(run, tmp_path):
+    assert run_sweep(Desk().config, tmp_path / "room", **Desk().rig()).status == "complete"
+    journal = tmp_path / "room" / "frames.jsonl"
+    journal.write_text(journal.read_text().replace('"angle_deg": 3.6', '"angle_deg": 3.7'))
+    ran = run("doctor", "--capture", tmp_path / "room")
+    last = ran.err.splitlines()[-1]
+    assert ran.code == 1 and "the seal does not fit" in ran.out
+    assert "1 problems; the journal is not as it was written" in last and "--resume" not in last
+    # A torn last line and a missing image are what going on mends.
+    with open(journal, "a") as file:
+        file.write('{"event": "ta')
+    next((tmp_path / "room" / "on").iterdir()).unlink()
+    last = run("doctor", "--capture", tmp_path / "room").err.splitlines()[-1]
+    assert "3 problems" in last and "--resume" in last and "journal is not as it was written" in last
 
 
 def test_options_that_do_not_go_together(refused):
