@@ -51,6 +51,8 @@ def controller(rig):
 
 def shoot(controller, to, number):
     """One shot, real time where the exposures are close."""
+    # At the rig's speed a minute goes by while a frame is rendered, and the contactor does not wait that long.
+    controller.arm(True)
     controller.shot(to, number)
     controller.wait_shot(number)
 
