@@ -1,6 +1,7 @@
 """`jaxscan scan`: drives a rig, turns the table, takes the pictures, and may show the cloud while it grows."""
 
 import contextlib
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -101,7 +102,13 @@ def scan(
     if result.status == "interrupted" and interrupts():
         raise KeyboardInterrupt
     if result.status != "complete":
-        raise ScanError(f"{output}: {result.status}; go on with: {_resume_command(config, output, boards)}")
+        again = _resume_command(
+            config,
+            output,
+            boards,
+            {"--port": port, "-c": calibration, "--cloud": cloud, "--place-command": place_command},
+        )
+        raise ScanError(f"{output}: {result.status}; go on with: {again}")
 
 
 def _check_options(*, boards: bool, calibration: Path | None, cloud: Path | None, place_command: str | None) -> None:
@@ -193,5 +200,8 @@ def _next_command(boards: bool, folder: Path, calibration: Path | None, cloud: P
     return f"jaxscan reconstruct {folder} -c {calibration or 'calibration.json'} -o {folder.name}.ply"
 
 
-def _resume_command(config: Path, folder: Path, boards: bool) -> str:
-    return f"jaxscan scan {config} -o {folder}{' --boards' if boards else ''} --resume"
+def _resume_command(config: Path, folder: Path, boards: bool, given: dict[str, str | Path | None]) -> str:
+    words = ["jaxscan", "scan", str(config), "-o", str(folder), *(["--boards"] if boards else [])]
+    for option, value in given.items():
+        words += [] if value is None else [option, str(value)]
+    return shlex.join([*words, "--resume"])

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import sys
@@ -179,6 +180,19 @@ def test_the_emergency_stop_is_an_error(run, paper, config, tmp_path):
     ran = run("scan", config, "-o", tmp_path / "room")
     assert ran.code == 1
     assert ran.err.splitlines()[-1].startswith(f"jaxscan: {tmp_path / 'room'}: e-stop; go on with: jaxscan scan")
+
+
+def test_what_goes_on_is_said_with_what_was_asked_for(run, paper, config, tmp_path):
+    def press(controller):
+        controller.estop = True
+        controller.fall_into(1)
+
+    paper.desk.controller.before_shot[3] = press
+    words = ("scan", config, "-o", tmp_path / "a room", "--port", "/dev/ttyACM1")
+    ran = run(*words)
+    assert ran.code == 1
+    command = ran.err.splitlines()[-1].split("go on with: jaxscan ")[1]
+    assert shlex.split(command) == [*map(str, words), "--resume"]
 
 
 def test_retakes_are_said(run, paper, config, tmp_path):
