@@ -147,6 +147,9 @@ def loopback(*, timeout_s: float = 240.0) -> Iterator[None]:
                 break
             except BlockingIOError:
                 if time.monotonic() > limit:
-                    raise BenchError(f"{ADDRESS} has been taken for {timeout_s} s: {path} is locked.") from None
+                    raise BenchError(
+                        f"{ADDRESS} is taken: another bench, or a test with a camera, runs on this machine "
+                        f"({path} is locked); wait until it has ended."
+                    ) from None
                 time.sleep(0.05)
         yield

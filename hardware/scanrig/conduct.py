@@ -67,7 +67,7 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
     if ending.error is not None:
         if unsafe and ending.error.args:
             # One line is all that many see of an error.
-            ending.error.args = (f"{ending.error} {unsafe}", *ending.error.args[1:])
+            ending.error.args = (f"{str(ending.error).rstrip('.')}. {unsafe}", *ending.error.args[1:])
         if session.ledger.events and session.done:
             job.notify(
                 f"{job.folder}: {len(session.done)} of {job.planned} records are on the disk; go on with --resume."
