@@ -1,7 +1,7 @@
 """A session at work: which records are on the disk, which are in doubt, and how one more is taken."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from scanrig.compare import Likeness, compare_pairs
@@ -167,6 +167,8 @@ class Session:
             "e-stop": f"{ending.message}. {there} are there; release the e-stop, then {again}",
             "disk full": f"{ending.message} {there} are there",
         }[ending.status]
+        # What failed may have named the folder already.
+        says = says.removeprefix(f"{job.folder}: ")
         message = " ".join(part for part in (f"{job.folder}: {says.rstrip('.')}.", unsafe) if part)
         return SessionResult(
             status=ending.status,  # type: ignore[arg-type]
@@ -185,9 +187,8 @@ class Session:
         if name == "home":
             # Here, since homing may be repeated after this for another reason: what is found then is no news.
             self._judge_home(fields.get("missed"))
-        if name in ("fault", "reconnected", "camera", "suspect", "retake"):
-            said = ", ".join(f"{key} {value}" for key, value in fields.items())
-            self.job.notify(f"{name}: {said}")
+        if sentence := _said(name, fields):
+            self.job.notify(sentence)
 
     def _find_home(self, why: str, *, in_place: bool) -> None:
         self.rig.doing(lambda: self.rig.home(why), "homing")
@@ -281,3 +282,23 @@ class Session:
 
 def _spoken(runs: Sequence[tuple[int, int]]) -> str:
     return ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)
+
+
+def _said(name: str, fields: Mapping[str, Any]) -> str:
+    """What people are told of an event; "" of most."""
+    match name:
+        case "retake":
+            what = f"step {fields['step']}" if "step" in fields else "a look"
+            return f"{what} is taken again: {fields['reason']}"
+        case "fault":
+            return f"{fields['at']}: {fields['problem']}"
+        case "reconnected":
+            stands = "knows where it stands" if fields["same_boot"] else "was reset"
+            return f"the controller is there again, and {stands}"
+        case "camera":
+            return f"the camera is there again, at attempt {fields['reopened']}"
+        case "suspect":
+            runs = _spoken([(first, last) for first, last in fields["records"]])
+            return f"records {runs} are suspect: {fields['why']}"
+        case _:
+            return ""

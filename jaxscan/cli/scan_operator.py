@@ -34,6 +34,17 @@ class Lines:
         self.ended = False
         """Whether there is no more input."""
 
+    def forget(self) -> None:
+        """Drop what was typed before it was asked for; a file or a pipe, which asks for nothing, is left alone."""
+        if not os.isatty(self._file):
+            return
+        self._waiting = b""
+        while not self.ended and select.select([self._file], [], [], 0.0)[0]:
+            try:
+                self.ended = not os.read(self._file, 4096)
+            except OSError:
+                self.ended = True
+
     def next(self, should_stop: Callable[[], bool]) -> str | None:
         """The next line without its end; None where the input ended or the wait was to stop."""
         while b"\n" not in self._waiting and not self.ended:
@@ -88,6 +99,8 @@ class TerminalOperator:
         for sentence in self._guide.advice(request.kind):
             self._console.print(f"  → {sentence}")
         while True:
+            # An Enter of impatience would take the board on its way to the next pose.
+            self._lines.forget()
             self._console.print(f"  {KEYS}", style="dim")
             answer = self._lines.next(self._should_stop)
             if answer is None:
@@ -99,6 +112,7 @@ class TerminalOperator:
             if answer:
                 self._console.print(f"  {answer!r} is none of these.")
                 continue
+            self._console.print("  looking …", style="dim")
             seen = self._guide.look(None, request.look())
             if seen.view is not None:
                 return True

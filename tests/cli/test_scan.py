@@ -199,7 +199,7 @@ def test_retakes_are_said(run, paper, config, tmp_path):
     paper.desk.camera.faults[5] = "incomplete"
     ran = run("scan", config, "-o", tmp_path / "room", "--json", tmp_path / "scan.json")
     assert ran.code == 0, ran.err
-    assert "retake: step 2" in ran.err
+    assert "step 2 is taken again" in ran.err
     assert json.loads((tmp_path / "scan.json").read_text())["retakes"] == 1
 
 
