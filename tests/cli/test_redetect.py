@@ -45,6 +45,7 @@ def test_the_second_look_can_be_left_out(spoilt):
     assert result.quality["views"] == 20
 
 
+@pytest.mark.slow
 def test_the_camera_alone_is_looked_at_twice_too(tiny):
     result = jaxscan.calibrate(jaxscan.open_capture(tiny.boards), only_camera=True)
     brought = result.quality["redetected"]

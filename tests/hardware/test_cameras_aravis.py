@@ -223,6 +223,7 @@ def test_another_camera_in_its_place_is_refused(server):
     camera.close()
 
 
+@pytest.mark.slow
 def test_cameras_are_found_by_search(server):
     server.start()
     opened().close()

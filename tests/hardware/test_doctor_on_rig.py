@@ -69,6 +69,7 @@ def test_nothing_moves_while_the_emergency_stop_is_pressed(rig, tmp_path):
     assert not moved and dark(simulated)
 
 
+@pytest.mark.slow
 def test_some_other_device(rig, tmp_path, capsys):
     simulated = rig(echo=True)
     assert main(["doctor", "--port", simulated.port]) == 1

@@ -145,6 +145,7 @@ def test_a_session_that_was_silent_for_long_goes_on_with_real_firmware(rig, tmp_
     assert contactor[-4:] == [1, 0, 1, 0]
 
 
+@pytest.mark.slow
 def test_the_lease_is_renewed_on_real_firmware_while_a_slow_camera_exposes(rig, tmp_path):
     """1.3 s of light by leases of at most 1 s, under a link watchdog of 500 ms; judged by what truly shone."""
     simulated = rig(speed=1)
