@@ -11,4 +11,4 @@ WORLD = HERE / "world.toml"
 
 def runtime() -> Path:
     """The folder of the one running `make bench`; fixed, because configs/bench.toml names the port in it."""
-    return Path(os.environ.get("JAXSCAN_BENCH") or "/tmp/jaxscan-bench")
+    return Path(os.environ.get("JAXSCAN_BENCH") or HERE / "build" / "desk")

@@ -90,7 +90,7 @@ def test_a_scan_of_boards_and_room_on_the_bench(rig, rendered_camera, tmp_path, 
     camera = rendered_camera(simulated)
     text = (Path(__file__).parents[2] / "configs" / "bench.toml").read_text()
     config = tmp_path / "bench.toml"
-    text = text.replace('"/tmp/jaxscan-bench/port"', f'"{simulated.port}"').replace("steps = 180", "steps = 12")
+    text = text.replace('"hardware/bench/build/desk/port"', f'"{simulated.port}"').replace("steps = 180", "steps = 12")
     text = text.replace("free_views = 30", "free_views = 2").replace("placements = 4", "placements = 1")
     config.write_text(text.replace("angles_deg = [-10.0, -5.0, 0.0, 5.0, 10.0]", "angles_deg = [-3.0, 3.0]"))
     monkeypatch.chdir(tmp_path)
