@@ -14,11 +14,11 @@ import sys
 import time
 from typing import NamedTuple
 
-import calibration_trials as trials
 import numpy as np
+from worlds import calibration_trials as trials
 
 from jaxscan.calibration import calibrate_observations
-from jaxscan.calibration.lengths import Length, length_sigma, measure_lengths, typical_lengths
+from jaxscan.calibration.verdict.lengths import Length, length_sigma, measure_lengths, typical_lengths
 from jaxscan.simulation import SimulationConfig, true_scanner
 from jaxscan.simulation.ideal_boards import BoardPoses, add_noise, draw_poses, ideal_boards
 

@@ -10,8 +10,8 @@ both sides, or all to one side, as reflections are.
 import sys
 import time
 
-import calibration_trials as trials
 import numpy as np
+from worlds import calibration_trials as trials
 
 from jaxscan.calibration import calibrate_observations
 from jaxscan.simulation import true_scanner

@@ -9,8 +9,8 @@ import sys
 import time
 from collections.abc import Callable
 
-import calibration_trials as trials
 import numpy as np
+from worlds import calibration_trials as trials
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.simulation import SimulationConfig

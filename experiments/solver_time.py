@@ -15,7 +15,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import calibration_trials as trials
 import cv2
 import equinox as eqx
 import jax
@@ -23,14 +22,15 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
+from worlds import calibration_trials as trials
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
 from jaxscan.calibration.calibrate import make_problem
-from jaxscan.calibration.prepare import prepare
-from jaxscan.calibration.problem import Problem, Step, move, zero_step
-from jaxscan.calibration.residuals import residuals
-from jaxscan.calibration.seed import average_placements
-from jaxscan.calibration.solve import solve
+from jaxscan.calibration.seed.closed_form import average_placements
+from jaxscan.calibration.solve.levenberg_marquardt import solve
+from jaxscan.calibration.solve.prepare import prepare
+from jaxscan.calibration.solve.problem import Problem, Step, move, zero_step
+from jaxscan.calibration.solve.residuals import residuals
 from jaxscan.simulation.ideal_boards import add_noise, draw_poses, ideal_boards
 
 

@@ -26,9 +26,12 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import speed_disk
-import speed_peers as peers
-from speed_scene import (
+from measuring import speed_disk
+from measuring import speed_peers as peers
+from measuring.speed_stages import stages
+from measuring.speed_times import Figure, Times, load, machine, take_turns
+from tables.speed_table import write_results
+from worlds.speed_scene import (
     DISTINCT,
     ELECTRONS_PER_DN,
     HEIGHT,
@@ -39,9 +42,6 @@ from speed_scene import (
     make_frames,
     make_scanner,
 )
-from speed_stages import stages
-from speed_table import write_results
-from speed_times import Figure, Times, load, machine, take_turns
 
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.stripes import NoiseModel, extract_stripes

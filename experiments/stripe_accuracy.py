@@ -26,9 +26,9 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-import stripe_reflections as reflections
-from stripe_table import Cell, Figure, cell_figures, cell_lines, draw, figure_lines, processor
-from stripe_world import Sensor, centre_bound, curved_course, expose_evenly, render, scattered_course
+from measuring import stripe_reflections as reflections
+from tables.stripe_table import Cell, Figure, cell_figures, cell_lines, draw, figure_lines, processor
+from worlds.stripe_world import Sensor, centre_bound, curved_course, expose_evenly, render, scattered_course
 
 import jaxscan
 from jaxscan.stripes import NoiseModel

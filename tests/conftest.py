@@ -48,7 +48,7 @@ def pytest_collection_modifyitems(items):
     if not rendering:
         return
     from jaxscan.errors import DependencyError
-    from jaxscan.simulation.open3d import load_open3d
+    from jaxscan.simulation.scene.open3d import load_open3d
 
     try:
         load_open3d()

@@ -38,12 +38,12 @@ MAY_IMPORT = {
 
 HOME_OF = {
     "cv2": {"vision"},
-    "open3d": {"simulation/open3d.py"},
-    "libusb_package": {"simulation/open3d.py"},
+    "open3d": {"simulation/scene/open3d.py"},
+    "libusb_package": {"simulation/scene/open3d.py"},
     "pye57": {"files"},
     "laspy": {"files"},
     "serial": set(),
-    "numba": {"stripes/native.py"},
+    "numba": {"stripes/search/native.py"},
     "scipy": {"measurement"},
     "matplotlib": {"report"},
     "viser": {"report"},
@@ -59,7 +59,7 @@ RIG_MAY_IMPORT = {"files", "errors", "geometry", "stripes"}
 BENCH_MAY_IMPORT = {"files", "errors", "simulation", "vision"}
 """Folders of the package that the simulated rig may import: what renders, nothing that estimates."""
 
-RIG_HOME_OF = {"cv2": ("cameras/",), "serial": ("link.py", "ports.py"), "ctypes": ("cameras/aravis",)}
+RIG_HOME_OF = {"cv2": ("cameras/",), "serial": ("wire/",), "ctypes": ("cameras/aravis",)}
 """Libraries that belong to one place of the acquisition layer."""
 
 IDS = [str(path.relative_to(PACKAGE)) for path in FILES]

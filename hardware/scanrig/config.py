@@ -8,13 +8,13 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
-from jaxscan.files.config import load_toml
-from jaxscan.files.header import BoardTable, LaserTable
-from jaxscan.files.validation import FileModel, Integer, Number
+from jaxscan.files.capture.header import BoardTable, LaserTable
+from jaxscan.files.disk.config import load_toml
+from jaxscan.files.disk.validation import FileModel, Integer, Number
 from jaxscan.geometry.turntable import Carries
-from jaxscan.stripes.frames import LaserLine
+from jaxscan.stripes.frames.formats import LaserLine
 from scanrig.cameras.settings import CameraSettings
-from scanrig.proof import ProofLimits
+from scanrig.checks.proof import ProofLimits
 
 
 MAX_MICROSTEPS = 10_000_000

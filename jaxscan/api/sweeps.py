@@ -4,13 +4,14 @@ import dataclasses
 import functools
 import hashlib
 from importlib import resources
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import Capture
-from jaxscan.files.stripe_cache import cache_path, cached_stripes, frames_key, save_stripes
+from jaxscan.files.capture.capture import Capture
+from jaxscan.files.capture.stripe_cache import cache_path, cached_stripes, frames_key, save_stripes
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud, ReconstructSettings, reconstruct
 from jaxscan.reconstruction.plan import Plan, make_plan, search_gates, with_colours
@@ -137,15 +138,11 @@ def _key(capture: Capture, settings: ReconstructSettings, noise: NoiseModel | No
 @functools.lru_cache(maxsize=1)
 def _code_digest() -> str:
     """Digest of the code that finds stripes, so that better code never takes the stripes of worse."""
-    files = [
-        file
-        for folder in ("jaxscan.stripes", "jaxscan.reconstruction")
-        for file in resources.files(folder).iterdir()
-        if file.name.endswith(".py")
-    ]
+    root = Path(str(resources.files("jaxscan")))
+    files = sorted(file for room in ("stripes", "reconstruction") for file in (root / room).rglob("*.py"))
     digest = hashlib.sha256()
-    for file in sorted(files, key=str):
-        digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    for file in files:
+        digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
     return "sha256:" + digest.hexdigest()
 
 

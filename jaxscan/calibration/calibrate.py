@@ -8,20 +8,20 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxscan.calibration.adjust import Adjustment, adjust
-from jaxscan.calibration.advice import advise, cures
-from jaxscan.calibration.covariance import determine
-from jaxscan.calibration.judge import ACCEPTED_P, ModelTest, chance, judge
-from jaxscan.calibration.lengths import length_changes, length_sigma, predict_lengths, typical_lengths
 from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_PARAMETERS, block_of, parameter_scales
-from jaxscan.calibration.prepare import Prepared, prepare
-from jaxscan.calibration.problem import Problem
-from jaxscan.calibration.quality import describe_quality
 from jaxscan.calibration.result import Calibration, Fit
-from jaxscan.calibration.seed import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
-from jaxscan.calibration.seed_fisheye import seed_fisheye
+from jaxscan.calibration.seed.closed_form import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
+from jaxscan.calibration.seed.fisheye import seed_fisheye
 from jaxscan.calibration.settings import CAMERA_BLOCKS, CalibrationSettings
+from jaxscan.calibration.solve.adjust import Adjustment, adjust
+from jaxscan.calibration.solve.covariance import determine
+from jaxscan.calibration.solve.prepare import Prepared, prepare
+from jaxscan.calibration.solve.problem import Problem
+from jaxscan.calibration.verdict.advice import advise, cures
+from jaxscan.calibration.verdict.judge import ACCEPTED_P, ModelTest, chance, judge
+from jaxscan.calibration.verdict.lengths import length_changes, length_sigma, predict_lengths, typical_lengths
+from jaxscan.calibration.verdict.quality import describe_quality
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
 from jaxscan.geometry.laser import LASER_PARAMETERS

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.problem import warp_height
 from jaxscan.calibration.result import Calibration
+from jaxscan.calibration.solve.problem import warp_height
 from jaxscan.geometry import AbstractBoard, AbstractCamera, Array, LaserSheet, invert, transform
 
 

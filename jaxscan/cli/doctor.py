@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import tyro
 from rich.console import Console
 
-from jaxscan.cli.doctor_rig import examine_rig
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
 from jaxscan.cli.progress import progress_bar
+from jaxscan.cli.scanning.doctor_rig import examine_rig
 from jaxscan.errors import CaptureError, DependencyError, JaxscanError, OptionError
 
 
 if TYPE_CHECKING:
-    from jaxscan.files.verify import Problem
+    from jaxscan.files.capture.verify import Problem
 
 
 class Check(NamedTuple):
@@ -109,7 +109,7 @@ def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out:
 
 
 def _verify(capture: Path, out: Console, json: str | None) -> None:
-    from jaxscan.files.verify import verify_capture
+    from jaxscan.files.capture.verify import verify_capture
 
     with progress_bar("Verifying") as progress:
         found = verify_capture(capture, progress=progress)
@@ -139,7 +139,7 @@ def _cure(found: Sequence["Problem"]) -> str:
 def _ports() -> list[str]:
     """Serial ports as a person would name them."""
     try:
-        from scanrig.ports import describe, find_ports
+        from scanrig.wire.ports import describe, find_ports
 
         return [describe(info) for info in find_ports()]
     except (ImportError, OSError, JaxscanError) as problem:
@@ -179,6 +179,6 @@ def _jax() -> str:
 
 
 def _open3d() -> str:
-    from jaxscan.simulation.open3d import load_open3d
+    from jaxscan.simulation.scene.open3d import load_open3d
 
     return str(load_open3d().__version__)

@@ -19,7 +19,7 @@ from jaxscan.cli.doctor import doctor
 from jaxscan.cli.measure import MEASURES, measure
 from jaxscan.cli.reconstruct import reconstruct
 from jaxscan.cli.report import report
-from jaxscan.cli.scan import scan
+from jaxscan.cli.scanning.scan import scan
 from jaxscan.cli.simulate import simulate
 from jaxscan.errors import JaxscanError
 

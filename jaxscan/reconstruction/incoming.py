@@ -12,18 +12,18 @@ import jax
 import numpy as np
 
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction.batches import chunk_records, padded
-from jaxscan.reconstruction.chunk import Aim, compute_chunk, points_alone
-from jaxscan.reconstruction.grid import GrowingStripes
 from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan, make_searches, with_colours
-from jaxscan.reconstruction.points import Rig
+from jaxscan.reconstruction.points.locate import Rig
+from jaxscan.reconstruction.points.triangulate import Limits
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
+from jaxscan.reconstruction.streaming.batches import chunk_records, padded
+from jaxscan.reconstruction.streaming.chunk import Aim, compute_chunk, points_alone
+from jaxscan.reconstruction.streaming.grid import GrowingStripes
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
-from jaxscan.reconstruction.triangulate import Limits
-from jaxscan.stripes.frames import LaserLine, PixelFormat, Response
-from jaxscan.stripes.search import Search, learn_search
+from jaxscan.stripes.fitting.widths import LEARNED_FRAMES
+from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response
+from jaxscan.stripes.search.search import Search, learn_search
 from jaxscan.stripes.stripes import Stripes
-from jaxscan.stripes.widths import LEARNED_FRAMES
 
 
 class Pair(NamedTuple):

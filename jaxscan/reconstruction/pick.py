@@ -4,9 +4,9 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int, Int8
 
-from jaxscan.reconstruction.chunk import ChunkResult
-from jaxscan.reconstruction.grid import GrowingStripes
-from jaxscan.stripes.steps import check_steps
+from jaxscan.reconstruction.streaming.chunk import ChunkResult
+from jaxscan.reconstruction.streaming.grid import GrowingStripes
+from jaxscan.stripes.choosing.steps import check_steps
 from jaxscan.stripes.stripes import FrameStripes
 
 

@@ -9,15 +9,15 @@ import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction.batches import chunk_records
-from jaxscan.reconstruction.chunk import ChunkKind
-from jaxscan.reconstruction.gate import LineGate, line_gate
+from jaxscan.reconstruction.points.gate import LineGate, line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
+from jaxscan.reconstruction.streaming.batches import chunk_records
+from jaxscan.reconstruction.streaming.chunk import ChunkKind
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
-from jaxscan.stripes.frames import LaserLine, StripeAxis
-from jaxscan.stripes.learn_colour import with_colour
-from jaxscan.stripes.noise import estimate_noise
-from jaxscan.stripes.search import Search, prepare_search
+from jaxscan.stripes.frames.formats import LaserLine, StripeAxis
+from jaxscan.stripes.frames.learn_colour import with_colour
+from jaxscan.stripes.frames.noise import estimate_noise
+from jaxscan.stripes.search.search import Search, prepare_search
 from jaxscan.stripes.stripes import NoiseModel, Stripes
 
 

@@ -9,20 +9,20 @@ import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Array, Scanner
-from jaxscan.reconstruction.ahead import map_ahead, workers
-from jaxscan.reconstruction.batches import Batch, batches, padded
-from jaxscan.reconstruction.chunk import Aim, ChunkResult, compute_chunk, points_alone
 from jaxscan.reconstruction.cloud import PointCloud
-from jaxscan.reconstruction.colour import sample_colours
-from jaxscan.reconstruction.grid import GrowingCloud, GrowingStripes
 from jaxscan.reconstruction.pick import one_per_line, pick_by_steps
 from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan, make_searches, with_colours
-from jaxscan.reconstruction.points import Points, Rig, line_step
+from jaxscan.reconstruction.points.colour import sample_colours
+from jaxscan.reconstruction.points.locate import Points, Rig, line_step
+from jaxscan.reconstruction.points.triangulate import Limits
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
+from jaxscan.reconstruction.streaming.ahead import map_ahead, workers
+from jaxscan.reconstruction.streaming.batches import Batch, batches, padded
+from jaxscan.reconstruction.streaming.chunk import Aim, ChunkResult, compute_chunk, points_alone
+from jaxscan.reconstruction.streaming.grid import GrowingCloud, GrowingStripes
 from jaxscan.reconstruction.sweep import SweepSource
-from jaxscan.reconstruction.triangulate import Limits
-from jaxscan.stripes.frames import PixelFormat, StripeAxis
-from jaxscan.stripes.search import learn_search
+from jaxscan.stripes.frames.formats import PixelFormat, StripeAxis
+from jaxscan.stripes.search.search import learn_search
 from jaxscan.stripes.stripes import NoiseModel, Stripes
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.frames import PIXEL_FORMATS, LaserLine, PixelFormat, Response, frame_rank
+from jaxscan.stripes.frames.formats import PIXEL_FORMATS, LaserLine, PixelFormat, Response, frame_rank
 
 
 class FrameChunk(NamedTuple):

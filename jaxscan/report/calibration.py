@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from jaxscan.calibration import Calibration
-from jaxscan.calibration.judge import ACCEPTED_P
+from jaxscan.calibration.verdict.judge import ACCEPTED_P
 
 
 TESTS = {

@@ -1,7 +1,7 @@
 """A known world to frames."""
 
 from jaxscan.simulation.rig import make_rig as make_rig
-from jaxscan.simulation.scene import make_scene as make_scene
+from jaxscan.simulation.scene.scene import make_scene as make_scene
 from jaxscan.simulation.sensor import expose as expose
 from jaxscan.simulation.spec import BoardsSpec as BoardsSpec
 from jaxscan.simulation.spec import CameraSpec as CameraSpec

@@ -18,7 +18,7 @@ from jaxscan.simulation.boards import SeenBoard
 from jaxscan.simulation.optics import psf_weights, splat
 from jaxscan.simulation.rays import Numbers
 from jaxscan.simulation.rig import Motion, Rig, Sheet
-from jaxscan.simulation.scene import Scene
+from jaxscan.simulation.scene.scene import Scene
 
 
 SAMPLES_ALONG = 2

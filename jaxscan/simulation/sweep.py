@@ -12,7 +12,7 @@ from jaxscan.simulation.boards import SeenBoard, cover, make_print
 from jaxscan.simulation.optics import blur
 from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.rig import WALL_ALBEDO, Motion, Rig, Sheet, make_rig
-from jaxscan.simulation.scene import Scene, make_scene
+from jaxscan.simulation.scene.scene import Scene, make_scene
 from jaxscan.simulation.sensor import channels, expose, laser_response, mosaic, speckled
 from jaxscan.simulation.spec import SimulationConfig
 from jaxscan.simulation.stripe import RowTruth, laser_image, row_truth

@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float, Int, Int8, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.candidates import CANDIDATES, Located
-from jaxscan.stripes.choose import choose
-from jaxscan.stripes.fits import fit_candidates
-from jaxscan.stripes.flicker import applied_gain, pair_gain
-from jaxscan.stripes.frames import LaserLine, PixelFormat, Response, laser_plane, laser_sites
-from jaxscan.stripes.locate import locate
-from jaxscan.stripes.native import NativeLocator
-from jaxscan.stripes.search import Search
+from jaxscan.stripes.choosing.choose import choose
+from jaxscan.stripes.fitting.fits import fit_candidates
+from jaxscan.stripes.frames.flicker import applied_gain, pair_gain
+from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response, laser_plane, laser_sites
+from jaxscan.stripes.search.candidates import CANDIDATES, Located
+from jaxscan.stripes.search.locate import locate
+from jaxscan.stripes.search.native import NativeLocator
+from jaxscan.stripes.search.search import Search
 from jaxscan.stripes.stripes import FrameStripes, StripeSettings
 
 

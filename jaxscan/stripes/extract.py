@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.candidates import CANDIDATES
 from jaxscan.stripes.chunk import is_native, locate_natively, stripes_of_frames, stripes_of_located
-from jaxscan.stripes.frames import LaserLine, PixelFormat, Response, frame_rank
-from jaxscan.stripes.learn_colour import with_colour
-from jaxscan.stripes.noise import estimate_noise
-from jaxscan.stripes.search import Search, learn_search, prepare_search
+from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response, frame_rank
+from jaxscan.stripes.frames.learn_colour import with_colour
+from jaxscan.stripes.frames.noise import estimate_noise
+from jaxscan.stripes.search.candidates import CANDIDATES
+from jaxscan.stripes.search.search import Search, learn_search, prepare_search
 from jaxscan.stripes.stripes import FrameStripes, NoiseModel, Stripes, StripeSettings
 
 

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from jaxscan.geometry import Array
 from jaxscan.stripes.chunk import sample_pair
 from jaxscan.stripes.extract import extract_stripes
-from jaxscan.stripes.flicker import pair_gain
-from jaxscan.stripes.frames import LaserLine, PixelFormat, Response, decode_table, laser_plane, laser_sites
+from jaxscan.stripes.frames.flicker import pair_gain
+from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response, decode_table, laser_plane, laser_sites
+from jaxscan.stripes.frames.noise import estimate_noise
 from jaxscan.stripes.leak import frame_leak, leak
-from jaxscan.stripes.noise import estimate_noise
 
 
 _HALF_WINDOW = 12

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.extra_terms import turning_twist
-from jaxscan.calibration.halves import deal_halves
-from jaxscan.calibration.judge import chance
+from jaxscan.calibration.verdict.extra_terms import turning_twist
+from jaxscan.calibration.verdict.halves import deal_halves
+from jaxscan.calibration.verdict.judge import chance
 from jaxscan.geometry import exponential, invert
 
 

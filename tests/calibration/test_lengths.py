@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxscan.calibration.lengths import (
+from jaxscan.calibration.verdict.lengths import (
     depth_sigma,
     length_sigma,
     measure_lengths,

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration.prepare import prepare
-from jaxscan.calibration.seed import lift_stripes
-from jaxscan.calibration.seed_fisheye import seed_fisheye
+from jaxscan.calibration.seed.closed_form import lift_stripes
+from jaxscan.calibration.seed.fisheye import seed_fisheye
+from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Fisheye
 

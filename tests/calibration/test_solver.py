@@ -8,14 +8,14 @@ import pytest
 
 from jaxscan.calibration import CalibrationSettings
 from jaxscan.calibration.calibrate import prior_weights, shared_names
-from jaxscan.calibration.covariance import linearise
 from jaxscan.calibration.parameters import parameter_scales
-from jaxscan.calibration.prepare import prepare
-from jaxscan.calibration.problem import Problem, Step, camera_from_board, move, zero_step
-from jaxscan.calibration.residuals import residuals
-from jaxscan.calibration.rows import stripe_rows
 from jaxscan.calibration.settings import BLOCKS
-from jaxscan.calibration.solve import form_blocks, jacobian_columns, schur_step
+from jaxscan.calibration.solve.covariance import linearise
+from jaxscan.calibration.solve.levenberg_marquardt import form_blocks, jacobian_columns, schur_step
+from jaxscan.calibration.solve.prepare import prepare
+from jaxscan.calibration.solve.problem import Problem, Step, camera_from_board, move, zero_step
+from jaxscan.calibration.solve.residuals import residuals
+from jaxscan.calibration.solve.rows import stripe_rows
 from jaxscan.geometry import LaserSheet, Pinhole, Turntable, exponential, stack_lasers
 
 

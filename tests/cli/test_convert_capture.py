@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from jaxscan.files.capture import CaptureHeader, create_capture, open_capture
+from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture
 
 
 FRAMES = np.random.default_rng(8).integers(0, 256, (8, 4, 6), np.uint8)

@@ -3,7 +3,7 @@
 import json
 import sys
 
-from scanrig.session import run_sweep
+from scanrig.session.session import run_sweep
 
 from ..hardware.desk import Desk
 

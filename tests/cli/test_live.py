@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from jaxscan import api
-from jaxscan.cli.live import LiveCloud
+from jaxscan.cli.scanning.live import LiveCloud
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.files.capture import Capture, open_capture, resume_capture
+from jaxscan.files.capture.capture import Capture, open_capture, resume_capture
 from jaxscan.reconstruction.incoming import IncomingStripes
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import open_capture
-from jaxscan.files.decode import Buffers, decode_ahead
+from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture.decode import Buffers, decode_ahead
 
 
 class Made:

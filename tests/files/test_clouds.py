@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CloudError, DependencyError
-from jaxscan.files import clouds as clouds_module
-from jaxscan.files.clouds import READERS, WRITERS, load_cloud, save_cloud
+from jaxscan.files.clouds.clouds import READERS, WRITERS, load_cloud, save_cloud
+from jaxscan.files.clouds import clouds as clouds_module
 
 from .clouds import LINES, PROFILES, make_cloud
 
@@ -20,7 +20,7 @@ from .clouds import LINES, PROFILES, make_cloud
 def open3d():
     """Open3D, or a skip that says why."""
     try:
-        from jaxscan.simulation.open3d import load_open3d
+        from jaxscan.simulation.scene.open3d import load_open3d
 
         return load_open3d()
     except (ImportError, DependencyError) as problem:
@@ -290,7 +290,7 @@ def test_the_organised_grid_comes_back(tmp_path, suffix):
 
 
 def test_blocks_do_not_show(tmp_path, monkeypatch):
-    from jaxscan.files import points
+    from jaxscan.files.clouds.clouds import points
 
     save_cloud(make_cloud(), tmp_path / "whole.ply")
     # One profile per block, of which one is empty.

@@ -6,9 +6,9 @@ import pydantic
 import pytest
 
 from jaxscan.errors import ConfigError
-from jaxscan.files.bounded import parse_json
-from jaxscan.files.config import MAX_CONFIG_BYTES, load_toml
-from jaxscan.files.validation import FileModel, Integer, Number
+from jaxscan.files.disk.bounded import parse_json
+from jaxscan.files.disk.config import MAX_CONFIG_BYTES, load_toml
+from jaxscan.files.disk.validation import FileModel, Integer, Number
 
 
 class Round(FileModel):

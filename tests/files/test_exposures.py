@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import CaptureHeader, create_capture, open_capture, resume_capture
-from jaxscan.files.exposures import average
-from jaxscan.files.references import MAX_IMAGES, ImageRef
+from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture, resume_capture
+from jaxscan.files.capture.exposures import average
+from jaxscan.files.capture.references import MAX_IMAGES, ImageRef
 
 from .conftest import BOARD, LASER
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files import store
-from jaxscan.files.capture import open_capture
-from jaxscan.files.repack import repack_capture
+from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.recording import store
+from jaxscan.files.recording.repack import repack_capture
 
 from .conftest import BOARD, LASER
 
@@ -131,7 +131,7 @@ def test_nothing_is_left_behind(folder, tmp_path, monkeypatch, broken):
 def test_a_capture_that_grows_meanwhile_is_refused(folder, tmp_path, monkeypatch):
     folder.record(0)
     capture = open_capture(folder.path)
-    monkeypatch.setattr("jaxscan.files.repack.open_capture", lambda path: capture)
+    monkeypatch.setattr("jaxscan.files.recording.repack.open_capture", lambda path: capture)
     folder.record(1)
     with pytest.raises(CaptureError, match="has changed while it was read"):
         repack_capture(folder.path, tmp_path / "fast", storage="npy")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import open_capture
-from jaxscan.files.stripe_cache import cache_path, cached_stripes, frames_key, load_stripes, save_stripes
+from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture.stripe_cache import cache_path, cached_stripes, frames_key, load_stripes, save_stripes
 
 
 RNG = np.random.default_rng(7)
@@ -58,7 +58,7 @@ def test_a_newer_one_replaces_it_and_a_failure_does_not(cache, monkeypatch):
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("jaxscan.files.stripe_cache.write_arrays", full)
+    monkeypatch.setattr("jaxscan.files.capture.stripe_cache.write_arrays", full)
     with pytest.raises(CaptureError, match="No space left"):
         save_stripes(cache, ARRAYS, KEY)
     assert load_stripes(cache)[1] == {"new": True} and os.listdir(cache.parent) == ["stripes.npz"]

@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from jaxscan.files.capture import CaptureHeader, create_capture, open_capture, resume_capture
-from jaxscan.files.repack import repack_capture
-from jaxscan.files.verify import SEAL, seal, verify_capture
+from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture, resume_capture
+from jaxscan.files.capture.verify import SEAL, seal, verify_capture
+from jaxscan.files.recording.repack import repack_capture
 
 
 RNG = np.random.default_rng(5)

@@ -32,7 +32,7 @@ def missing_for_the_loopback():
 def missing_for_the_camera():
     """What the camera that renders lacks, as one line; "" if nothing."""
     from jaxscan.errors import DependencyError
-    from jaxscan.simulation.open3d import load_open3d
+    from jaxscan.simulation.scene.open3d import load_open3d
 
     try:
         load_open3d()

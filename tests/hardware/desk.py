@@ -9,9 +9,9 @@ from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.cameras.synthetic import SyntheticScene, draw
 from scanrig.clock import ManualClock
 from scanrig.config import RigConfig
+from scanrig.controllers.settings import Settings
+from scanrig.controllers.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
 from scanrig.errors import CameraTimeout, ControllerReset, LinkLost, Refused, RigFault
-from scanrig.settings import Settings
-from scanrig.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
 
 from .fake import ARMED_IDLE_S
 
@@ -49,7 +49,7 @@ class Table:
 
 
 class PaperController:
-    """As `scanrig.controller.Controller`, without a wire; `before_shot[n]` is called before the n-th shot."""
+    """As `Controller`, without a wire; `before_shot[n]` is called before the n-th shot."""
 
     def __init__(self, table: Table, camera: SimulatedCamera, clock: ManualClock) -> None:
         self.table, self.camera, self.clock = table, camera, clock

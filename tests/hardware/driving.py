@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from typing import Any
 
 from bench.rig import CLOCK_HZ, SimulatedRig
-from scanrig.connect import connect
-from scanrig.controller import Controller
-from scanrig.settings import Settings
+from scanrig.controllers.connect import connect
+from scanrig.controllers.controller import Controller
+from scanrig.controllers.settings import Settings
 
 
 PATIENT = 60_000

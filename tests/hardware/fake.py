@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from scanrig.clock import ManualClock
 from scanrig.errors import LinkLost
-from scanrig.protocol import ABORT, crc, seal
+from scanrig.wire.protocol import ABORT, crc, seal
 
 
 ANSWER_S = 0.002

@@ -17,9 +17,9 @@ import numpy as np
 from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.cameras.synthetic import SyntheticScene, draw
 from scanrig.config import RigConfig
-from scanrig.connect import connect
-from scanrig.session import run_sweep
-from scanrig.signals import Interrupts
+from scanrig.controllers.connect import connect
+from scanrig.session.session import run_sweep
+from scanrig.session.signals import Interrupts
 
 from jaxscan.vision import images
 

@@ -10,8 +10,8 @@ import serial
 from bench.errors import BenchError
 from bench.follow import Exposure, LogReader, Plant
 from bench.rig import CLOCK_HZ
-from scanrig.connect import connect
-from scanrig.settings import Settings
+from scanrig.controllers.connect import connect
+from scanrig.controllers.settings import Settings
 
 
 def pulses(edges, pin):

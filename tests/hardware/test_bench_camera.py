@@ -13,11 +13,11 @@ from bench.places import WORLD
 from bench.rendered import loopback
 from bench.sockets import ControlClient
 from scanrig.cameras import CameraSettings, open_camera
-from scanrig.connect import connect
+from scanrig.controllers.connect import connect
+from scanrig.controllers.settings import Settings
 from scanrig.errors import CameraLost, CameraTimeout
-from scanrig.settings import Settings
 
-from jaxscan.files.config import load_toml
+from jaxscan.files.disk.config import load_toml
 from jaxscan.simulation import SimulationConfig, expect_record, make_rig, make_scene
 
 

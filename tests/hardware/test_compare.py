@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from scanrig.cameras.synthetic import SyntheticScene, draw
-from scanrig.compare import compare_pairs
+from scanrig.checks.compare import compare_pairs
 from scanrig.config import ChecksTable
 
-from jaxscan.stripes.frames import LaserLine
+from jaxscan.stripes.frames.formats import LaserLine
 
 
 LEAST = ChecksTable().correlation

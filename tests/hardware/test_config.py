@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from scanrig.config import load_rig
-from scanrig.plan import controller_settings
+from scanrig.session.plan import controller_settings
 
 from jaxscan.errors import ConfigError
 

@@ -4,11 +4,11 @@ import random
 from itertools import pairwise
 
 import pytest
-from scanrig.controller import Controller
+from scanrig.controllers.controller import Controller
+from scanrig.controllers.settings import Settings
+from scanrig.controllers.status import ShotDone
 from scanrig.errors import ControllerReset, FirmwareError, LinkLost, Refused, RigError, RigFault, RigTimeout
-from scanrig.protocol import encode, seal
-from scanrig.settings import Settings
-from scanrig.status import ShotDone
+from scanrig.wire.protocol import encode, seal
 
 from .fake import FakeController
 

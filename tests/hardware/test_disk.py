@@ -9,15 +9,15 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from scanrig import space
 from scanrig.errors import SessionError
-from scanrig.lock import LOCK_NAME, FolderLock
-from scanrig.session import run_sweep
+from scanrig.recording import space
+from scanrig.recording.lock import LOCK_NAME, FolderLock
+from scanrig.session.session import run_sweep
 
 from jaxscan.errors import CaptureError
-from jaxscan.files import store
-from jaxscan.files.capture import open_capture
-from jaxscan.files.verify import verify_capture
+from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture.verify import verify_capture
+from jaxscan.files.recording import store
 
 from .desk import Desk
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from scanrig.cameras.synthetic import SyntheticScene
-from scanrig.doctor import examine
-from scanrig.doctor_light import stripe_level
+from scanrig.controllers.gearing import fitting_gear, measure_turn
+from scanrig.doctor.doctor import examine
+from scanrig.doctor.light import stripe_level
 from scanrig.errors import FirmwareError, LinkLost, RigError, RigFault
-from scanrig.gearing import fitting_gear, measure_turn
 
 from .desk import Desk, PaperController
 

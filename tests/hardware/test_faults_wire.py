@@ -5,12 +5,12 @@ import time
 from dataclasses import replace
 
 import pytest
-from scanrig.connect import connect
-from scanrig.controller import Controller
+from scanrig.controllers.connect import connect
+from scanrig.controllers.controller import Controller
+from scanrig.controllers.settings import Settings
 from scanrig.errors import ControllerReset, FirmwareError, LinkLost, PortError, Refused, RigFault
-from scanrig.link import open_serial
-from scanrig.protocol import encode, seal
-from scanrig.settings import Settings
+from scanrig.wire.link import open_serial
+from scanrig.wire.protocol import encode, seal
 
 from .driving import PATIENT, falls, make_ready, milliseconds, ready, rises
 

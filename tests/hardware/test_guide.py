@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scanrig.boardview import guess_focal, pose_of, view_board
-from scanrig.guide import COLUMNS, MIN_DEPTH_RATIO, MIN_IN_CELL, MIN_PLACEMENTS, MIN_TILT_DEG, ROWS, SIDES, Guide
+from scanrig.checks.boardview import guess_focal, pose_of, view_board
+from scanrig.checks.guide import COLUMNS, MIN_DEPTH_RATIO, MIN_IN_CELL, MIN_PLACEMENTS, MIN_TILT_DEG, ROWS, SIDES, Guide
 
-from jaxscan.calibration import advice as after
-from jaxscan.calibration.advice import (
+from jaxscan.calibration.verdict import advice as after
+from jaxscan.calibration.verdict.advice import (
     _COLUMNS,
     _MIN_DEPTH_RATIO,
     _MIN_IN_CELL,

@@ -10,9 +10,9 @@ import sys
 import time
 
 import pytest
-from scanrig.connect import connect
-from scanrig.protocol import ABORT, encode
-from scanrig.settings import Settings
+from scanrig.controllers.connect import connect
+from scanrig.controllers.settings import Settings
+from scanrig.wire.protocol import ABORT, encode
 
 from .driving import falls, milliseconds, ready, rises
 
@@ -20,9 +20,9 @@ from .driving import falls, milliseconds, ready, rises
 HOST = """
 import sys
 import time
-from scanrig.connect import connect
-from scanrig.settings import Settings
-from scanrig.signals import Interrupts
+from scanrig.controllers.connect import connect
+from scanrig.controllers.settings import Settings
+from scanrig.session.signals import Interrupts
 
 port, doing = sys.argv[1:]
 with Interrupts() as should_stop, connect(port) as controller:

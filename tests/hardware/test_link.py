@@ -8,12 +8,12 @@ from dataclasses import replace
 import pytest
 import serial
 from scanrig.clock import ManualClock, SystemClock, rfc3339
-from scanrig.connect import connect
-from scanrig.controller import Controller
+from scanrig.controllers.connect import connect
+from scanrig.controllers.controller import Controller
+from scanrig.controllers.settings import Settings
 from scanrig.errors import FirmwareError, LinkLost, PortError, TranscriptDifference
-from scanrig.link import RecordingLink, TranscriptLink, open_serial, port_error
-from scanrig.ports import PortInfo, by_id_names, choose_port, describe, find_again, find_ports, identify
-from scanrig.settings import Settings
+from scanrig.wire.link import RecordingLink, TranscriptLink, open_serial, port_error
+from scanrig.wire.ports import PortInfo, by_id_names, choose_port, describe, find_again, find_ports, identify
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 

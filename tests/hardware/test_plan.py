@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scanrig.config import RigConfig
-from scanrig.plan import (
+from scanrig.session.plan import (
     angle_deg,
     estimate,
     longest_s,

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 from scanrig.cameras.synthetic import SyntheticScene, draw
-from scanrig.proof import ProofLimits, prove_pair
+from scanrig.checks.proof import ProofLimits, prove_pair
 
-from jaxscan.stripes.frames import LaserLine
+from jaxscan.stripes.frames.formats import LaserLine
 
 
 HERE = __file__.rsplit("/", 2)[0]
@@ -187,7 +187,7 @@ def test_real_pairs():
 
 
 def test_rendered_pairs(tiny):
-    from jaxscan.files.capture import open_capture
+    from jaxscan.files.capture.capture import open_capture
 
     capture = open_capture(tiny.sweep)
     settings = {"pixel_format": capture.pixel_format, "response": capture.response, "line": capture.lines[0]}

@@ -9,11 +9,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scanrig.cameras.synthetic import SyntheticScene
 from scanrig.errors import CameraError, SessionError
-from scanrig.session import run_sweep
+from scanrig.session.session import run_sweep
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import open_capture
-from jaxscan.files.verify import verify_capture
+from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture.verify import verify_capture
 
 from .desk import Desk
 

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 from scanrig.errors import FirmwareError, LinkLost, RigFault, SessionError
-from scanrig.session import run_sweep
+from scanrig.session.session import run_sweep
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import open_capture
-from jaxscan.files.verify import verify_capture
+from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture.verify import verify_capture
 
 from .desk import Desk
 

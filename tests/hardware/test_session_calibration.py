@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 from scanrig.errors import CameraLost, CameraTimeout, LinkLost
-from scanrig.session import run_calibration
+from scanrig.session.session import run_calibration
 
-from jaxscan.files.capture import open_capture
-from jaxscan.files.verify import verify_capture
+from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture.verify import verify_capture
 
 from .desk import Desk
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scanrig.cameras.synthetic import SyntheticScene
 from scanrig.errors import CameraError, FrameError, LinkLost, RigFault
-from scanrig.session import run_sweep
+from scanrig.session.session import run_sweep
 
-from jaxscan.files.capture import open_capture
-from jaxscan.files.verify import verify_capture
+from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture.verify import verify_capture
 
 from .desk import Desk
 
@@ -464,7 +464,7 @@ def test_24_clock_that_jumps_back_by_a_year(tmp_path):
 
 
 def test_25_slow_disk_holds_the_table_and_loses_nothing(tmp_path, monkeypatch):
-    from jaxscan.files import store
+    from jaxscan.files.recording import store
 
     original, desk, behind = store.write_atomically, Desk(), []
 

@@ -9,11 +9,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from scanrig.session import run_sweep
-from scanrig.signals import Interrupts
+from scanrig.session.session import run_sweep
+from scanrig.session.signals import Interrupts
 
-from jaxscan.files.capture import open_capture
-from jaxscan.files.verify import verify_capture
+from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture.verify import verify_capture
 
 from .desk import Desk
 
@@ -73,7 +73,7 @@ def test_10_an_abort_switches_off_before_anything_else(tmp_path, monkeypatch, at
             1
         ]
     elif at == "while the pair is stored":
-        from jaxscan.files.writer import CaptureWriter
+        from jaxscan.files.recording.writer import CaptureWriter
 
         flush, flushes = CaptureWriter.flush, []
 
@@ -120,8 +120,8 @@ def test_10_an_interrupt_while_the_laser_is_switched_off(tmp_path):
 HUNG_UP = """
 import sys, time
 from pathlib import Path
-from scanrig.session import run_sweep
-from scanrig.signals import Interrupts
+from scanrig.session.session import run_sweep
+from scanrig.session.signals import Interrupts
 from tests.hardware.desk import Desk
 import fcntl, termios
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)

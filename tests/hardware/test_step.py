@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.cameras.synthetic import SyntheticScene, draw
-from scanrig.connect import connect
+from scanrig.controllers.connect import connect
 from scanrig.errors import FrameError, Refused, RigFault
-from scanrig.session import run_sweep
-from scanrig.step import FrameNumbers, take_pair
+from scanrig.session.session import run_sweep
+from scanrig.session.step import FrameNumbers, take_pair
 
 from .desk import HEIGHT, WIDTH, Desk, rig_config
 from .nursery import Wire
@@ -18,7 +18,7 @@ from .nursery import Wire
 def ready(desk):
     controller = desk.controller
     controller.hello()
-    from scanrig.plan import controller_settings
+    from scanrig.session.plan import controller_settings
 
     controller.configure(controller_settings(desk.config))
     controller.enable(True)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction.colour import sample_colour
+from jaxscan.reconstruction.points.colour import sample_colour
 
 
 ROWS, COLUMNS = 12, 16

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscan.geometry import Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
-from jaxscan.reconstruction.gate import line_gate
+from jaxscan.reconstruction.points.gate import line_gate
+from jaxscan.reconstruction.points.triangulate import Limits, triangulate
 from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.reconstruction.triangulate import Limits, triangulate
 
 
 WIDTH, HEIGHT = 320, 240

@@ -5,7 +5,7 @@ import pytest
 
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.reconstruction.reconstruct import extract_sweep
-from jaxscan.stripes.frames import LaserLine
+from jaxscan.stripes.frames.formats import LaserLine
 from jaxscan.stripes.stripes import NoiseModel, StripeSettings
 
 from .rendered import ELECTRONS_PER_DN, READ_DN, pairs, stripe

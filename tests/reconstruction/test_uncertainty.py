@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction.uncertainty import range_sigma, range_table
+from jaxscan.reconstruction.points.uncertainty import range_sigma, range_table
 
 
 @jax.jit

@@ -16,10 +16,10 @@ from jaxscan.simulation import (
     expect_record,
     make_rig,
 )
-from jaxscan.simulation.meshes import Mesh
 from jaxscan.simulation.optics import psf_weights
-from jaxscan.simulation.scene import build_scene
-from jaxscan.simulation.textures import Material, stripes
+from jaxscan.simulation.scene.meshes import Mesh
+from jaxscan.simulation.scene.scene import build_scene
+from jaxscan.simulation.scene.textures import Material, stripes
 
 
 GREY = Material(((0.7, 0.7, 0.7),))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.stripes.albedo import albedo_shift
+from jaxscan.stripes.fitting.albedo import albedo_shift
 
 
 SAMPLES, SUBSAMPLES = 24, 16

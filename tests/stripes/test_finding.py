@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from jaxscan.stripes import NoiseModel, extract_stripes
-from jaxscan.stripes.candidates import thresholds
-from jaxscan.stripes.native import NativeLocator
+from jaxscan.stripes.search.candidates import thresholds
+from jaxscan.stripes.search.native import NativeLocator
 from jaxscan.stripes.stripes import StripeSettings
 
 

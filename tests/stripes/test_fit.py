@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.stripes.fit import UNUSED, Start, Window, fit_stripe
+from jaxscan.stripes.fitting.fit import UNUSED, Start, Window, fit_stripe
 
 
 X = np.arange(24.0) - 11.5

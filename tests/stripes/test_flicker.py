@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.stripes.flicker import NO_INFORMATION, SMALLEST_CHANGE, PairGain, applied_gain, pair_gain
+from jaxscan.stripes.frames.flicker import NO_INFORMATION, SMALLEST_CHANGE, PairGain, applied_gain, pair_gain
 
 
 ROWS, COLUMNS = 64, 160

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.stripes import LaserLine, NoiseModel, extract_stripes
-from jaxscan.stripes.frames import decode_table, laser_plane, laser_sites
+from jaxscan.stripes.frames.formats import decode_table, laser_plane, laser_sites
 
 
 KNOWN = NoiseModel(read_dn=1.0, electrons_per_dn=40.0)

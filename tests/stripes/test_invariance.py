@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscan.stripes import LaserLine, NoiseModel, StripeSettings, extract_stripes, stripes_of_frames
-from jaxscan.stripes.search import learn_search, prepare_search
+from jaxscan.stripes.search.search import learn_search, prepare_search
 
 
 KNOWN = NoiseModel(read_dn=1.0, electrons_per_dn=40.0)

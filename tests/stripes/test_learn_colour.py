@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.stripes.learn_colour import learn_colour
+from jaxscan.stripes.frames.learn_colour import learn_colour
 
 
 FORMATS = ["rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_grbg8", "bayer_gbrg8"]

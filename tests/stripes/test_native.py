@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.stripes.candidates import NARROW, WIDE, thresholds
-from jaxscan.stripes.locate import locate
-from jaxscan.stripes.native import NativeLocator
+from jaxscan.stripes.search.candidates import NARROW, WIDE, thresholds
+from jaxscan.stripes.search.locate import locate
+from jaxscan.stripes.search.native import NativeLocator
 from jaxscan.stripes.stripes import NoiseModel, StripeSettings
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from types import TracebackType
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import open_capture
-from jaxscan.files.header import HEADER_NAME, CameraTable, CaptureHeader, LaserTable
-from jaxscan.files.images import ImageReader
-from jaxscan.files.references import Folder, ImageRef
+from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture.header import HEADER_NAME, CameraTable, CaptureHeader, LaserTable
+from jaxscan.files.capture.images import ImageReader
+from jaxscan.files.capture.references import Folder, ImageRef
 from scanrig.cameras.features import require, wanted
 from scanrig.cameras.frame import CameraIdentity, Features, Frame
 from scanrig.cameras.settings import CameraSettings, TriggerMode

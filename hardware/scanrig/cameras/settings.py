@@ -4,9 +4,9 @@ from typing import Annotated, Literal
 
 import pydantic
 
-from jaxscan.files.validation import FileModel, Integer, Number
+from jaxscan.files.disk.validation import FileModel, Integer, Number
 from jaxscan.geometry.scanner import Up
-from jaxscan.stripes.frames import PixelFormat, Response
+from jaxscan.stripes.frames.formats import PixelFormat, Response
 
 
 CameraKind = Literal["aravis", "opencv", "folder", "simulated"]

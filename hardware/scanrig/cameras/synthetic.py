@@ -6,8 +6,8 @@ import numpy as np
 import pydantic
 from jaxtyping import Float, UInt8
 
-from jaxscan.files.validation import FileModel, Integer, Number
-from jaxscan.stripes.frames import Colour, PixelFormat, StripeAxis, frame_rank
+from jaxscan.files.disk.validation import FileModel, Integer, Number
+from jaxscan.stripes.frames.formats import Colour, PixelFormat, StripeAxis, frame_rank
 
 
 _CHANNEL = {"red": 0, "green": 1, "blue": 2}

@@ -1,0 +1,214 @@
+"""The other side of the speed experiments: NumPy and OpenCV pipelines, and what the processor could do.
+
+All pipelines end in coloured points: `horus` as the well-known desk scanner does it, operation by
+operation; `usual` the same for all rows at once; `lean` the least that gives a centroid. `fused`
+and `read` are bounds: one native pass for peak and centroid, and one over the bytes alone.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import cv2
+import jax
+import numba
+import numpy as np
+from worlds.speed_scene import DISTORTION, HEIGHT, WIDTH
+
+from jaxscan.geometry import Scanner
+
+
+THREADS = 2
+"""As many as there are cores: frames over threads, since NumPy, OpenCV and the kernels let go of the lock."""
+REACH = 8
+"""Half of the window of the centroid [px]."""
+_ROWS = np.arange(HEIGHT)[:, None]
+
+Centres = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""A frame's laser-on and laser-off image to the stripe's centre on every row, and where it is."""
+
+
+class Peer(NamedTuple):
+    """A pipeline ready to run on a stack, and where its points go."""
+
+    run: Callable[[], int]
+    """Returns the number of points."""
+    u: np.ndarray
+    """Centres of the last run [pairs, rows], px; NaN where there is none."""
+
+
+def horus(scanner: Scanner, on: np.ndarray, off: np.ndarray, angle: np.ndarray, pool: ThreadPoolExecutor) -> Peer:
+    """Operation by operation as the desk scanner's laser segmentation and point cloud generation.
+
+    8-bit difference, threshold 50, 5 x 5 box, threshold again, a mask of 8 px around each row's
+    maximum drawn row by row in Python, the centroid as a sum over the whole frame of pixels times
+    a matrix of column numbers; then, in double precision, pixels to rays without distortion, the
+    plane, the rig's pose at angle 0, the turn about the axis, the nearest pixel's colour. Its
+    smoothing along the stripe is left out: it is an option, and no other pipeline here has it.
+
+    Source: bqlabs/horus, `laser_segmentation.py` and `point_cloud_generation.py`, described anew.
+    """
+    camera = scanner.camera
+    column = np.repeat(np.arange(WIDTH, dtype=float)[None, :], HEIGHT, 0)
+    normal, distance = np.asarray(scanner.lasers.normal[0], float), float(scanner.lasers.distance[0])
+    start = _poses(scanner, np.zeros(1))[0].astype(float)
+    xyz, rgb, u = _results(len(on))
+
+    def one(number: int) -> int:
+        difference = cv2.subtract(on[number], off[number])
+        image = cv2.threshold(difference, 50, 255, cv2.THRESH_TOZERO)[1]
+        image = cv2.threshold(cv2.blur(image, (5, 5)), 50, 255, cv2.THRESH_TOZERO)[1]
+        peak = image.argmax(axis=1)
+        first, last = np.maximum(peak - REACH, 0), np.minimum(peak + REACH + 1, WIDTH)
+        mask = np.zeros_like(image)
+        for row in range(HEIGHT):
+            mask[row, first[row] : last[row]] = 255
+        image = cv2.bitwise_and(image, mask)
+        total = image.sum(axis=1)
+        v = np.where(total > 0)[0]
+        centre = (column * image).sum(axis=1)[v] / total[v]
+
+        rays = np.stack([(centre - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(v))])
+        p = distance / (normal @ rays) * rays
+        p = start[:3, :3] @ p + start[:3, 3:]
+        sine, cosine = np.sin(angle[number]), np.cos(angle[number])
+        turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        u[number] = np.nan
+        u[number, v] = centre
+        xyz[number, v] = (turn @ p).T
+        rgb[number, v] = off[number][v, np.around(centre).astype(int)][:, None]
+        return len(v)
+
+    return Peer(lambda: sum(pool.map(one, range(len(on)))), u)
+
+
+def usual_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same centroids as `horus`, for all rows at once and in the window alone."""
+    difference = cv2.subtract(on, off)
+    cv2.threshold(difference, 50, 255, cv2.THRESH_TOZERO, dst=difference)
+    cv2.blur(difference, (5, 5), dst=difference)
+    cv2.threshold(difference, 50, 255, cv2.THRESH_TOZERO, dst=difference)
+    return _centroid(difference, difference.argmax(axis=1), REACH, 0)
+
+
+def lean_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least that gives a centroid: one blurred row at a time, one threshold."""
+    difference = cv2.subtract(on, off)
+    blurred = cv2.GaussianBlur(difference, (5, 1), 0)
+    peak = blurred.argmax(axis=1)
+    u, _ = _centroid(difference, peak, 6, 6)
+    return u, blurred[_ROWS[:, 0], peak] > 12
+
+
+def _centroid(image: np.ndarray, peak: np.ndarray, reach: int, least: int) -> tuple[np.ndarray, np.ndarray]:
+    columns = np.clip(peak[:, None] + np.arange(-reach, reach + 1), 0, WIDTH - 1)
+    window = image[_ROWS, columns].astype(np.float32)
+    window[window < least] = 0
+    total = window.sum(1)
+    return (window * columns).sum(1) / np.maximum(total, 1.0), total > 0
+
+
+def pipeline(
+    centres: Centres, scanner: Scanner, on: np.ndarray, off: np.ndarray, angle: np.ndarray, pool: ThreadPoolExecutor
+) -> Peer:
+    """From centres to coloured points in single precision, with distortion; all prepared that can be."""
+    camera = scanner.camera
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], float)
+    normal, distance = np.asarray(scanner.lasers.normal[0], np.float32), float(scanner.lasers.distance[0])
+    poses = _poses(scanner, angle)
+    xyz, rgb, every_u = _results(len(on))
+
+    def one(number: int) -> int:
+        u, valid = centres(on[number], off[number])
+        found = np.flatnonzero(valid)
+        q = np.stack([u[valid], found.astype(np.float32)], -1)[:, None, :].astype(np.float32)
+        x = cv2.undistortPoints(q, matrix, DISTORTION)[:, 0]
+        ray = np.column_stack([x, np.ones(len(x), np.float32)])
+        p = ray * (distance / (ray @ normal))[:, None]
+        xyz[number, found] = p @ poses[number, :3, :3].T + poses[number, :3, 3]
+        left = np.clip(q[:, 0, 0].astype(int), 0, WIDTH - 2)
+        weight = q[:, 0, 0] - left
+        grey = (1 - weight) * off[number][found, left] + weight * off[number][found, left + 1]
+        rgb[number, found] = np.round(grey)[:, None].astype(np.uint8)
+        every_u[number] = np.where(valid, u, np.nan)
+        return len(found)
+
+    return Peer(lambda: sum(pool.map(one, range(len(on)))), every_u)
+
+
+def _poses(scanner: Scanner, angle: np.ndarray) -> np.ndarray:
+    with jax.enable_x64(True):
+        return np.asarray(jax.jit(jax.vmap(scanner.as_dtype(np.float64).pose))(angle)).astype(np.float32)
+
+
+def _results(pairs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    shape = (pairs, HEIGHT)
+    return np.zeros((*shape, 3), np.float32), np.zeros((*shape, 3), np.uint8), np.full(shape, np.nan, np.float32)
+
+
+@numba.njit(nogil=True, error_model="numpy")
+def _fused(on, off, u, top):
+    """Peak and centroid of each row [rows, columns]; the width must be a multiple of 64.
+
+    Everything that touches all bytes stays in 8 bit: blocks of 64, one register each, whose
+    maximum goes into a key with the block's number. Only the winning block is searched for the
+    place, and only 17 pixels make the centroid, all still in the nearest cache.
+    """
+    for row in range(on.shape[0]):
+        best = np.uint16(0)
+        for block in range(WIDTH // 64):
+            highest = np.uint8(0)
+            for i in range(64):
+                x, y = on[row, 64 * block + i], off[row, 64 * block + i]
+                difference = np.uint8((x if x > y else y) - y)
+                highest = difference if difference > highest else highest
+            # The first of equals wins.
+            key = np.uint16((np.uint16(highest) << 8) | np.uint16(255 - block))
+            best = key if key > best else best
+        peak = np.uint8(best >> 8)
+        start = 64 * (255 - np.int64(best & 255))
+        place = np.int32(64)
+        for i in range(64):
+            x, y = on[row, start + i], off[row, start + i]
+            here = np.int32(i) if np.uint8((x if x > y else y) - y) == peak else np.int32(64)
+            place = here if here < place else place
+        first = min(max(start + place - REACH, 0), WIDTH - 2 * REACH - 1)
+        total, moment = np.int32(0), np.int32(0)
+        for i in range(2 * REACH + 1):
+            x, y = on[row, first + i], off[row, first + i]
+            weight = np.int32(np.uint8((x if x > y else y) - y))
+            total += weight
+            moment += np.int32(i) * weight
+        u[row] = np.float32(first) + np.float32(moment) / np.float32(total) if total > 0 else np.float32(-1)
+        top[row] = peak
+
+
+@numba.njit(nogil=True)
+def _add_up(words):
+    total = np.uint64(0)
+    for i in range(words.size):
+        total += words[i]
+    return total
+
+
+def fused(on: np.ndarray, off: np.ndarray, pool: ThreadPoolExecutor) -> Peer:
+    """Peak and centroid of every row in one native pass over the bytes, on all cores."""
+    u, top = np.zeros((len(on), HEIGHT), np.float32), np.zeros((len(on), HEIGHT), np.uint8)
+    several = 8
+
+    def some(start: int) -> None:
+        rows = slice(start, start + several)
+        _fused(*(stack[rows].reshape(-1, WIDTH) for stack in (on, off)), u[rows].reshape(-1), top[rows].reshape(-1))
+
+    def run() -> int:
+        list(pool.map(some, range(0, len(on), several)))
+        return u.size
+
+    return Peer(run, u)
+
+
+def read(on: np.ndarray, off: np.ndarray, pool: ThreadPoolExecutor) -> Callable[[], object]:
+    """Add up all bytes, eight at a time, on all cores: what merely touching the frames costs."""
+    words = (stack.reshape(-1).view(np.uint64) for stack in (on, off))
+    parts = [part for whole in words for part in np.array_split(whole, 8 * THREADS)]
+    return lambda: list(pool.map(_add_up, parts))

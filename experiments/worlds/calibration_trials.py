@@ -1,0 +1,140 @@
+"""What the calibration experiments share: noisy observations of a known rig, and figures against targets."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import jaxscan
+from jaxscan.calibration import BoardViews, CalibrationSettings, Observations, StripeViews
+from jaxscan.geometry import Scanner
+from jaxscan.simulation import SimulationConfig, true_scanner
+from jaxscan.simulation.ideal_boards import IdealBoards
+
+
+CORNER_PX, STRIPE_PX = 0.1, 0.15
+CORRELATIONS = {"white": 0.0, "correlated": 0.6}
+"""Noise along the stripe: between neighbouring points; at 0.6, n points are worth n / 4."""
+SETTINGS = CalibrationSettings(judge=False)
+"""The tests of the models take longer than the solve and are not what is looked at here."""
+REFERENCE = Path(__file__).resolve().parents[2] / "configs" / "reference.toml"
+
+
+class Figure(NamedTuple):
+    """A number and what it must be."""
+
+    key: str
+    value: float
+    unit: str
+    low: float | None = None
+    high: float | None = None
+
+    def met(self) -> bool:
+        """Whether it is where it must be; a figure without a target is."""
+        above = self.low is None or self.value >= self.low
+        return bool(np.isfinite(self.value) and above and (self.high is None or self.value <= self.high))
+
+    def target(self) -> str:
+        """The target in words."""
+        if self.low is None:
+            return "" if self.high is None else f"<= {self.high:g}"
+        return f">= {self.low:g}" if self.high is None else f"{self.low:g} ... {self.high:g}"
+
+
+def reference() -> SimulationConfig:
+    """The rig that the targets refer to."""
+    return jaxscan.load_simulation(REFERENCE)
+
+
+def observations(ideal: IdealBoards, config: SimulationConfig) -> Observations:
+    """As the estimator takes them, with the standard deviations a detector would state."""
+    views, corners = ideal.corner_q.shape[:2]
+    return Observations(
+        board=config.boards.board(),
+        corners=BoardViews(
+            q=ideal.corner_q,
+            sigma=np.full((views, corners), CORNER_PX),
+            valid=np.ones((views, corners), bool),
+            angle=ideal.angle,
+            placement=ideal.placement,
+            record=np.arange(views, dtype=np.int32),
+        ),
+        stripes=StripeViews(
+            q=ideal.stripe_q,
+            sigma=np.full(ideal.stripe_valid.shape, STRIPE_PX),
+            valid=ideal.stripe_valid,
+            view=ideal.stripe_view,
+            laser=ideal.stripe_laser,
+        ),
+        width=config.camera.width,
+        height=config.camera.height,
+        laser_names=tuple(laser.name for laser in config.laser),
+        up=config.camera.up,
+        carries=config.turntable.carries,
+    )
+
+
+def errors(scanner: Scanner, config: SimulationConfig) -> np.ndarray:
+    """Estimate minus truth in the scanner's minimal coordinates, to first order."""
+    camera, true = config.camera, true_scanner(config)
+    lens = np.array([camera.k1, camera.k2, camera.p1, camera.p2, camera.k3])
+    parts = [*(np.asarray(scanner.camera.parameters()) - np.array([camera.fx, camera.fy, *camera.centre(), *lens]))]
+    for laser in range(len(config.laser)):
+        # The truth as seen from the estimate's tangent vectors, hence the minus.
+        parts += list(-scanner.lasers.basis[laser] @ true.lasers.normal[laser])
+        parts += [scanner.lasers.distance[laser] - true.lasers.distance[laser]]
+        parts += list(scanner.lasers.bow[laser] - true.lasers.bow[laser])
+    table, axis = scanner.turntable, true.turntable
+    parts += list(-table.basis @ axis.direction) + list(table.basis @ (table.point - axis.point))
+    parts += [table.gain - axis.gain, *(table.harmonics - axis.harmonics)]
+    return np.array(parts, float)
+
+
+def to_true_tangents(scanner: Scanner, config: SimulationConfig) -> np.ndarray:
+    """Matrix from coordinates in the estimate's tangent vectors to those in the truth's.
+
+    The estimate's own may stand at a right angle to those of the next one: they are drawn beside
+    the coordinate axis that a direction is farthest from, and of an upright axis that is a toss-up.
+    """
+    true, names = true_scanner(config), list(scanner.parameter_names())
+    turned = np.eye(len(names))
+    pairs = [("axis.d1", scanner.turntable.basis, true.turntable.basis)]
+    pairs += [("axis.p1", scanner.turntable.basis, true.turntable.basis)]
+    for index, name in enumerate(scanner.laser_names):
+        pairs += [(f"laser.{name}.n1", scanner.lasers.basis[index], true.lasers.basis[index])]
+    for first, own, wanted in pairs:
+        at = slice(names.index(first), names.index(first) + 2)
+        turned[at, at] = np.asarray(wanted) @ np.asarray(own).T
+    return turned
+
+
+def parser(description: str | None) -> argparse.ArgumentParser:
+    """The options that all have."""
+    made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--quick", action="store_true", help="few draws: shows that all runs, not how exact it is")
+    made.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
+    return made
+
+
+def progress(text: str) -> None:
+    """A line for people who wait."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def report(name: str, figures: list[Figure], json_file: str | None) -> int:
+    """Print all figures beside their targets; 1 if one is missed, else 0."""
+    width = max(len(figure.key) for figure in figures)
+    out = sys.stderr if json_file == "-" else sys.stdout
+    for figure in figures:
+        verdict = "" if not figure.target() else ("met" if figure.met() else "MISSED")
+        print(f"{figure.key:<{width}} {figure.value:10.4g} {figure.unit:<8} {figure.target():<18} {verdict}", file=out)
+    missed = [figure.key for figure in figures if not figure.met()]
+    print(f"{name}: " + (f"{len(missed)} missed: {', '.join(missed)}" if missed else "all targets met"), file=out)
+    if json_file:
+        rows = [figure._asdict() | {"met": figure.met()} for figure in figures]
+        text = json.dumps({"format": f"jaxscan-{name}/1", "figures": rows}, indent=2) + "\n"
+        sys.stdout.write(text) if json_file == "-" else Path(json_file).write_text(text)
+    return 1 if missed else 0

@@ -1,0 +1,1 @@
+"""What is looked at in the pictures while the rig works."""

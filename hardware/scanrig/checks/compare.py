@@ -1,0 +1,119 @@
+"""Whether a pair that was taken again shows what it showed the first time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import UInt8
+
+from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response, decode_table, laser_plane, laser_sites
+from scanrig.checks.ridges import find_ridges
+
+
+_WINDOW = 8
+"""Samples on either side of a ridge over which its centre of light is formed."""
+_FEWEST = 5
+"""Lines that both pairs must show the laser on before a shift means anything."""
+_BLOCK_PX = 8
+"""Side of the blocks whose means are compared: of so many pixels little noise is left."""
+_AROUND = 5
+"""Side of the neighbourhood, in blocks, whose mean is taken out: what is wider may be the light's, not the room's."""
+_CONTRAST = 4.0
+"""Variance of such means, over that which noise alone has, below which they say nothing of the place."""
+_ROUNDING = 1.0 / 12.0
+"""Variance of rounding [DN²]: no frame has less noise."""
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """How two pairs differ."""
+
+    shift_px: float | None
+    """How far the line has moved: median over the lines on which both show it [px]; None where there are too few."""
+    lines: int
+    """Lines on which both show it."""
+    correlation: float | None
+    """Correlation of the laser-off frames' structure, 1 for the same view whatever the brightness [1]; None where
+    they show too little of it above noise."""
+
+    def __str__(self) -> str:
+        shift = (
+            "the line is not on the same rows" if self.shift_px is None else f"the line moved {self.shift_px:+.2f} px"
+        )
+        frames = (
+            "have too little contrast to compare by" if self.correlation is None else f"agree by {self.correlation:.2f}"
+        )
+        return f"{shift}, the laser-off frames {frames}"
+
+    def within(self, shift_px: float, correlation: float) -> bool:
+        """Whether it is the same view; an unknown shift is none, and without contrast the line alone has to tell."""
+        seen = self.correlation is None or self.correlation >= correlation
+        return seen and self.shift_px is not None and abs(self.shift_px) <= shift_px
+
+
+def compare_pairs(
+    first: tuple[UInt8[np.ndarray, "rows columns *three"], UInt8[np.ndarray, "rows columns *three"]],
+    again: tuple[UInt8[np.ndarray, "rows columns *three"], UInt8[np.ndarray, "rows columns *three"]],
+    *,
+    pixel_format: PixelFormat,
+    response: Response,
+    line: LaserLine,
+) -> Likeness:
+    """Compare two pairs (laser-on frame, laser-off frame) of the same view.
+
+    Args:
+        first: As it was, uint8 [rows, columns] (rgb8: and 3) each.
+        again: As it is, of the same shape.
+        pixel_format: How a frame is to be read.
+        response: "linear" or "srgb".
+        line: The laser; of a colour "auto" the green channel is taken.
+    """
+    if line.colour == "auto":
+        line = LaserLine(line.name, "green", line.stripe_axis)
+    level = decode_table(response)[0].astype(np.float32)
+    frames = np.stack([*first, *again])
+    planes = level[np.asarray(laser_plane(frames, pixel_format=pixel_format, line=line))]
+    (at_first, seen_first), (at_again, seen_again) = (_centres(planes[k], planes[k + 1]) for k in (0, 2))
+    both = seen_first & seen_again
+    lines = int(np.count_nonzero(both))
+    shift = None
+    if lines >= _FEWEST:
+        shift = float(np.median((at_again - at_first)[both])) * laser_sites(pixel_format, line).pitch
+    return Likeness(shift, lines, _correlation(planes[1], planes[3], laser_sites(pixel_format, line).pitch))
+
+
+def _correlation(first: np.ndarray, again: np.ndarray, pitch: int) -> float | None:
+    """How alike two views of the room are, lamps and daylight aside, which come and go; None where they show nothing.
+
+    What noise takes from the correlation is put back, so that dim rooms are judged as bright ones are.
+    """
+    means, noises = zip(*(_structure(plane, _BLOCK_PX // pitch) for plane in (first, again)), strict=True)
+    variances = [float(np.mean(mean**2)) for mean in means]
+    if any(variance < _CONTRAST * noise for variance, noise in zip(variances, noises, strict=True)):
+        return None
+    real = np.prod([variance - noise for variance, noise in zip(variances, noises, strict=True)])
+    return float(np.mean(means[0] * means[1]) / np.sqrt(real))
+
+
+def _structure(plane: np.ndarray, side: int) -> tuple[np.ndarray, float]:
+    """Means of blocks, less those around them [DN], and the variance that noise has in them [DN²]."""
+    rows, columns = (size // side for size in plane.shape)
+    blocks = plane[: rows * side, : columns * side].reshape(rows, side, columns, side).astype(np.float64)
+    mean = blocks.mean((1, 3))
+    # Half of the pixels against the other half, as on a chessboard: what is seen is the same in both, noise is not.
+    sign = np.where(np.add.outer(np.arange(side), np.arange(side)) % 2, -1.0, 1.0)
+    noise = np.mean((blocks * sign[None, :, None, :]).mean((1, 3)) ** 2)
+    around = np.pad(mean, _AROUND // 2, mode="reflect")
+    wide = np.lib.stride_tricks.sliding_window_view(around, (_AROUND, _AROUND)).mean((2, 3))
+    return mean - wide, max(float(noise), _ROUNDING / side**2)
+
+
+def _centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centre of the laser's light on each line of its plane [samples], and where there is one."""
+    difference = np.ascontiguousarray(on - off)
+    ridges = find_ridges(difference, np.ascontiguousarray(off)).ridges
+    x = np.clip(ridges.at[:, None] + np.arange(-_WINDOW, _WINDOW + 1), 0, difference.shape[1] - 1)
+    light = np.take_along_axis(difference, x, 1)
+    # Half of the height: the tails, where noise is all there is, would pull towards the window's middle.
+    light = np.maximum(light - 0.5 * light.max(1, keepdims=True), 0.0)
+    total = light.sum(1)
+    return (light * x).sum(1) / np.where(total > 0, total, 1.0), ridges.clear & (total > 0)

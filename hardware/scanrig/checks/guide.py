@@ -1,0 +1,266 @@
+"""What the calibration board should do next, in words, from the pictures so far and without a calibration.
+
+Says what `jaxscan calibrate` would say afterwards (`jaxscan.calibration.verdict.advice`), while the board is
+still at hand. Corners and the laser's line are found by whoever calls, with what it has for that.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Int, UInt8
+
+from jaxscan.geometry import AbstractBoard
+from scanrig.checks.boardview import BoardView, Pose, guess_focal, pose_of, view_board
+
+
+Detect = Callable[[np.ndarray], "tuple[np.ndarray, np.ndarray] | None"]
+"""A frame to corners [corners, 2] [px], in the board's order, and which of them are valid [corners]; None: no board."""
+FindLine = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Laser-on and laser-off frame to centres of the laser's line [n, 2] [px]."""
+
+# As in `jaxscan.calibration.verdict.advice`.
+COLUMNS, ROWS = 4, 3
+MIN_IN_CELL = 8
+SIDES = (("upper", "middle", "lower"), ("left", "centre", "right"))
+MIN_TILT_DEG = 20.0
+MIN_DEPTH_RATIO = 1.5
+MIN_STRIPES = 4
+MIN_PLACEMENTS = 3
+
+_GOOD_SHARE = 0.5
+"""Part of the views that should be tilted, and part that should be crossed by the laser."""
+_GOOD_DEPTH_RATIO = 2.0
+_GOOD_ROLL_DEG = 45.0
+_DARK_DN, _CLIPPED_DN, _CLIPPED_SHARE = 40, 250, 0.25
+_NAMED_CELLS = 3
+_SIDES_OF_TILT = 4
+
+
+@dataclass(frozen=True)
+class Look:
+    """What was seen of one pose."""
+
+    view: BoardView | None
+    """None: the pose is refused."""
+    problem: str = ""
+    """Why it is refused, and what to do."""
+    notes: tuple[str, ...] = ()
+    """What is not as good as it could be."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What the poses so far have covered."""
+
+    views: int
+    corners: Int[np.ndarray, "rows columns"]
+    """Corners in every cell of the image."""
+    tilted: int
+    """Views tilted by `MIN_TILT_DEG` or more."""
+    tilts_deg: tuple[float, ...]
+    tilt_sides: int
+    """Towards how many of the four sides the board was tilted."""
+    depth_m: tuple[float, float] | None
+    """Nearest and farthest, by a guessed focal length."""
+    stripe_depth_m: tuple[float, float] | None
+    """The same of boards with the laser's line on them."""
+    crossed: int
+    """Views that the laser's line crosses."""
+    roll_deg: float
+    """How far the board was turned in its plane between views."""
+    placements: int
+    """Places where it stood while the table turned."""
+
+    @property
+    def empty_cells(self) -> tuple[str, ...]:
+        """Parts of the image with too few corners, the emptiest first, in words."""
+        cells = sorted(zip(*np.nonzero(self.corners < MIN_IN_CELL), strict=True), key=lambda cell: self.corners[cell])
+        return tuple(dict.fromkeys(_name(int(row), int(column)) for row, column in cells))
+
+
+@dataclass
+class Guide:
+    """Looks at poses, keeps those that are taken, and says what is missing."""
+
+    board: AbstractBoard
+    image_size: tuple[int, int]
+    """Width and height [px]."""
+    detect: Detect
+    find_line: FindLine | None = None
+    """None: without laser."""
+    _views: list[BoardView] = field(default_factory=list)
+    _placements: set[int] = field(default_factory=set)
+
+    def look(self, on: UInt8[np.ndarray, "..."] | None, off: UInt8[np.ndarray, "..."]) -> Look:
+        """Look at one pose; nothing is kept.
+
+        Args:
+            on: Laser-on frame, where there is one.
+            off: Laser-off frame.
+        """
+        found = self.detect(off)
+        stripe = None if on is None or self.find_line is None else self.find_line(on, off)
+        view = None if found is None else view_board(self.board, *found, stripe, self.image_size)
+        if view is None:
+            return Look(None, _why_not_found(off))
+        notes = []
+        if self.find_line is not None and not view.crossed:
+            notes.append("the laser's line does not cross the board; move the board into it in most of the poses")
+        return Look(view, notes=tuple(notes))
+
+    def keep(self, look: Look, placement: int | None = None) -> None:
+        """Count a pose that was taken.
+
+        Args:
+            look: What was seen of it.
+            placement: Which place of the board it is, where the table turns while it stands.
+        """
+        if look.view is not None:
+            self._views.append(look.view)
+            if placement is not None:
+                self._placements.add(placement)
+
+    def pose(self, look: Look) -> Pose | None:
+        """How the board of a look stands, with the focal length that all poses so far suggest."""
+        if look.view is None:
+            return None
+        return pose_of(look.view, guess_focal([*self._views, look.view], self.image_size))
+
+    def coverage(self) -> Coverage:
+        """What the poses so far have covered."""
+        focal = guess_focal(self._views, self.image_size)
+        posed = [(view, pose) for view in self._views if (pose := pose_of(view, focal)) is not None]
+        poses = [pose for _, pose in posed]
+        tilted = [pose for pose in poses if pose.tilt_deg >= MIN_TILT_DEG]
+        return Coverage(
+            views=len(self._views),
+            corners=self._cells(),
+            tilted=len(tilted),
+            tilts_deg=tuple(pose.tilt_deg for pose in poses),
+            tilt_sides=len({round(pose.towards_deg / 90.0) % 4 for pose in tilted}),
+            depth_m=_range([pose.depth_m for pose in poses]),
+            stripe_depth_m=_range([pose.depth_m for view, pose in posed if view.crossed]),
+            crossed=sum(view.crossed for view in self._views),
+            roll_deg=_turned([pose.roll_deg for pose in poses]),
+            placements=len(self._placements),
+        )
+
+    def advice(self, kind: Literal["free", "placement"] = "free", most: int = 2) -> list[str]:
+        """What would help most, a sentence each, the most needed first; empty where nothing is missing."""
+        seen = self.coverage()
+        if kind == "placement":
+            return _about_placing(seen, laser=self.find_line is not None)[:most]
+        if seen.views == 0:
+            line = ", with the laser's line across it" if self.find_line is not None else ""
+            return [f"hold the board still, wholly in the picture{line}"]
+        needs = [*_about_image(seen), *_about_tilt(seen), *_about_depth(seen)]
+        if self.find_line is not None:
+            needs += _about_stripe(seen)
+        needs.sort(key=lambda need: -need[0])
+        return [sentence for _, sentence in needs[:most]]
+
+    def _cells(self) -> np.ndarray:
+        width, height = self.image_size
+        q = np.concatenate([view.q for view in self._views]) if self._views else np.zeros((0, 2))
+        counts, _, _ = np.histogram2d(
+            q[:, 1], q[:, 0], bins=(ROWS, COLUMNS), range=((-0.5, height - 0.5), (-0.5, width - 0.5))
+        )
+        return counts.astype(int)
+
+
+def _name(row: int, column: int) -> str:
+    side = SIDES[1][0 if column == 0 else 2 if column == COLUMNS - 1 else 1]
+    return f"{SIDES[0][row]} {side}"
+
+
+# Each need: how much is missing, from 0 to 1, and the sentence.
+
+
+def _about_image(seen: Coverage) -> list[tuple[float, str]]:
+    empty = seen.empty_cells
+    if not empty:
+        return []
+    missing = float(np.mean(seen.corners < MIN_IN_CELL))
+    return [
+        (
+            0.4 + 0.5 * missing,
+            f"bring the board into the {', '.join(empty[:_NAMED_CELLS])} of the image: too few corners lie there",
+        )
+    ]
+
+
+def _about_tilt(seen: Coverage) -> list[tuple[float, str]]:
+    share = seen.tilted / seen.views
+    if share < _GOOD_SHARE:
+        most = max(seen.tilts_deg, default=0.0)
+        why = f"hardly one is tilted by more than {most:.0f} degrees" if most < MIN_TILT_DEG else "too few are"
+        return [(0.9 - share, f"tilt the board by 20 to 45 degrees: {why}")]
+    if seen.tilt_sides < _SIDES_OF_TILT:
+        return [(0.35, "tilt the board both ways, to the left and right and up and down")]
+    if seen.roll_deg < _GOOD_ROLL_DEG:
+        return [(0.2, "turn the board in its plane by 90 degrees in a few poses")]
+    return []
+
+
+def _about_depth(seen: Coverage) -> list[tuple[float, str]]:
+    if seen.depth_m is None or seen.views < 2 or seen.depth_m[1] >= _GOOD_DEPTH_RATIO * seen.depth_m[0]:
+        return []
+    near, far = seen.depth_m
+    return [(0.6, f"hold the board nearer and farther: all stand at about {near:.2f} to {far:.2f} m")]
+
+
+def _about_stripe(seen: Coverage) -> list[tuple[float, str]]:
+    if seen.crossed < max(min(MIN_STRIPES, seen.views), _GOOD_SHARE * seen.views):
+        return [(0.95, f"capture the stripe on more boards: it was seen on {seen.crossed} of {seen.views}")]
+    if seen.stripe_depth_m is not None and seen.crossed >= MIN_STRIPES:
+        near, far = seen.stripe_depth_m
+        if far < MIN_DEPTH_RATIO * near:
+            return [
+                (
+                    0.7,
+                    f"capture the stripe nearer and farther: all boards with a stripe stand at about {near:.2f} to "
+                    f"{far:.2f} m",
+                )
+            ]
+    return []
+
+
+def _about_placing(seen: Coverage, *, laser: bool) -> list[str]:
+    line = " and the laser's line across it" if laser else ""
+    sentences = [f"stand the board where it will not move while the table turns, in the middle of the picture{line}"]
+    if seen.placements:
+        sentences = [f"stand it elsewhere than before, nearer or farther, tilted, {sentences[0].split(', ', 1)[1]}"]
+    if seen.placements < MIN_PLACEMENTS:
+        there = seen.placements
+        sentences.append(
+            f"leave the board standing in {MIN_PLACEMENTS} or more places while the table turns: there is {there}"
+        )
+    return sentences
+
+
+def _why_not_found(off: np.ndarray) -> str:
+    """Why no board is found, as far as the picture tells."""
+    few = off[::4, ::4]
+    if np.percentile(few, 99) < _DARK_DN:
+        return "no board found: the picture is dark; switch a light on, or expose longer"
+    if np.mean(few >= _CLIPPED_DN) > _CLIPPED_SHARE:
+        return "no board found: the picture is too bright; take a light away, or expose shorter"
+    return (
+        "no board found: it must be in the picture, sharp, lit evenly and tilted by less than 60 degrees; nothing, "
+        "no hand either, may cover its squares"
+    )
+
+
+def _range(values: Sequence[float]) -> tuple[float, float] | None:
+    return (min(values), max(values)) if values else None
+
+
+def _turned(rolls_deg: Sequence[float]) -> float:
+    """Widest difference between two rolls, a board upside down counting as upright [deg]."""
+    if not rolls_deg:
+        return 0.0
+    rolls = np.array(rolls_deg)
+    apart = np.abs((rolls[:, None] - rolls[None, :] + 90.0) % 180.0 - 90.0)
+    return float(apart.max())

@@ -1,0 +1,1 @@
+"""Controllers: what turns the table, switches the laser and triggers the camera."""

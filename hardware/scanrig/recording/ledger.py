@@ -1,0 +1,127 @@
+"""The capture that a session writes: a pair is on the disk, and the journal knows it, before the next is taken."""
+
+import contextlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture.capture import CaptureHeader, CaptureWriter, create_capture, resume_capture
+from jaxscan.files.capture.journal import JOURNAL_NAME
+from jaxscan.files.capture.verify import SEAL, seal
+from jaxscan.files.recording.writer import require_no_links
+from scanrig.clock import Clock
+from scanrig.session.step import Pair
+
+
+class Ledger:
+    """Appends pairs and events; before `create` or `resume`, events wait."""
+
+    def __init__(self, folder: Path, clock: Clock) -> None:
+        self.folder = folder
+        self.events: list[dict[str, Any]] = []
+        """All that were noted, in order."""
+        self._clock = clock
+        self._writer: CaptureWriter | None = None
+        self._waiting: list[dict[str, Any]] = []
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a capture to write to."""
+        return self._writer is not None
+
+    def create(self, header: CaptureHeader) -> None:
+        """Begin the capture.
+
+        Raises:
+            CaptureError: If the folder holds something, or cannot be written.
+        """
+        self._attach(create_capture(self.folder, header, digests=True))
+
+    def resume(self) -> None:
+        """Go on with the capture, without what a crash left half written.
+
+        Raises:
+            CaptureError: If it cannot be read or written, or a link leads out of it.
+        """
+        require_no_links(self.folder)
+        for folder in (self.folder, self.folder / "on", self.folder / "off"):
+            for part in folder.glob(".part-*"):
+                with contextlib.suppress(FileNotFoundError):
+                    part.unlink()
+        self._attach(resume_capture(self.folder, digests=True))
+
+    def note(self, name: str, **fields: Any) -> None:
+        """An event, on the disk when this returns if the capture has begun.
+
+        Raises:
+            CaptureError: If it cannot be written.
+        """
+        event = self._event(name, fields)
+        self.events.append(event)
+        if self._writer is None:
+            self._waiting.append(event)
+        else:
+            self._writer.append_event(event)
+            self._writer.flush()
+
+    def add(self, number: int, pair: Pair, fields: dict[str, Any]) -> None:
+        """A record, on the disk when this returns.
+
+        Raises:
+            CaptureError: If it cannot be written; the capture ends with the record before it.
+        """
+        if self._writer is None:
+            raise CaptureError(f"{self.folder}: nothing was begun that a record could be added to.")
+        self._writer.append(i=number, on=pair.on.image, off=pair.off.image, **fields)
+        self._writer.flush()
+
+    def end(self, status: str, **fields: Any) -> str:
+        """Note the end with the seal of the journal, and close; what cannot be written is no reason to fail.
+
+        Returns:
+            Why the end could not be noted; "" if it was.
+        """
+        writer, self._writer = self._writer, None
+        if writer is None:
+            return ""
+        with contextlib.suppress(CaptureError):  # Whoever appended what cannot be written was told.
+            writer.close()
+        try:
+            event = self._event("end", {"status": status, **fields, SEAL: seal(self.folder)})
+            self.events.append(event)
+            _append_whole(self.folder / JOURNAL_NAME, json.dumps(event).encode() + b"\n")
+        except (CaptureError, OSError) as problem:
+            return f"the end could not be noted in the journal: {problem}"
+        return ""
+
+    def _attach(self, writer: CaptureWriter) -> None:
+        self._writer = writer
+        waiting, self._waiting = self._waiting, []
+        for event in waiting:
+            writer.append_event(event)
+        writer.flush()
+
+    def _event(self, name: str, fields: dict[str, Any]) -> dict[str, Any]:
+        return {"event": name, "time": self._clock.utc(), "time_s": round(self._clock.now(), 6), **fields}
+
+
+def _append_whole(path: Path, line: bytes) -> None:
+    """Append a line, or nothing."""
+    handle = os.open(path, os.O_RDWR | os.O_APPEND)
+    try:
+        before = os.fstat(handle).st_size
+        if before and os.pread(handle, 1, before - 1) != b"\n":
+            raise OSError("its last line is torn")
+        try:
+            rest = memoryview(line)
+            while rest:
+                rest = rest[os.write(handle, rest) :]
+            os.fsync(handle)
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.ftruncate(handle, before)
+            raise
+    finally:
+        os.close(handle)

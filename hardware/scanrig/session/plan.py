@@ -1,0 +1,175 @@
+"""What a capture will be: positions, angles, number of frames, space and time; and what the controller is set to."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+from jaxscan.errors import ConfigError
+from scanrig.config import RigConfig
+from scanrig.controllers.settings import Settings
+
+
+RESERVE = 1.1
+"""Space that is asked for, over what the frames need uncompressed."""
+_OVERHEAD_S = 0.03
+"""Of a step, beside motion and exposures: the wire, and the disk."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """One record that is to be taken."""
+
+    record: int
+    position: int
+    """Microsteps from home."""
+    turn: int
+    """Which pass it belongs to, or which placement."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a capture needs."""
+
+    frames: int
+    bytes: int
+    """Space, with a reserve."""
+    seconds: float
+
+
+def nearest(angle_deg: Fraction | float, microsteps_per_turn: int) -> int:
+    """The position next to an angle [microsteps]; halves go up."""
+    return math.floor(exactly(angle_deg) * microsteps_per_turn / 360 + Fraction(1, 2))
+
+
+def exactly(angle: Fraction | float) -> Fraction:
+    """The number that a person wrote: 0.1 is a tenth."""
+    return angle if isinstance(angle, Fraction) else Fraction(repr(float(angle)))
+
+
+def angle_deg(position: int, microsteps_per_turn: int) -> float:
+    """The table's angle at a position, as reached, unwrapped [deg from home]."""
+    return 360 * position / microsteps_per_turn
+
+
+def plan_sweep(config: RigConfig) -> tuple[tuple[Target, ...], tuple[str, ...]]:
+    """The records of a sweep in the order in which they are taken.
+
+    Step k of K of a full turn of N microsteps stands at (2 k N + K) div (2 K): every target is
+    computed anew, so rounding never adds up.
+
+    Returns:
+        targets: One per record.
+        notes: What a person should know, a sentence each.
+
+    Raises:
+        ConfigError: If steps fall together, or the table would leave its limits.
+    """
+    sweep, n = config.sweep, config.microsteps_per_turn
+    step = exactly(sweep.turn_deg) / sweep.steps
+    pass_ = [nearest(exactly(sweep.start_deg) + k * step, n) for k in range(sweep.steps)]
+    if len(set(pass_)) < len(pass_):
+        raise ConfigError(
+            f"sweep.steps: found {sweep.steps} steps in {abs(sweep.turn_deg):g} deg, expected at most "
+            f"{abs(exactly(sweep.turn_deg)) * n // 360}: a turn has {n} microsteps."
+        )
+    _within_limits(config, pass_, "sweep")
+    notes = []
+    in_microsteps = abs(step) * n / 360
+    if in_microsteps.denominator != 1:
+        notes.append(
+            f"A step of {float(abs(step)):g} deg is {float(in_microsteps):.4f} microsteps: steps are taken up to "
+            f"{180 / n:.4f} deg beside the plan, and recorded where they are taken."
+        )
+    targets = (Target(turn * sweep.steps + k, to, turn) for turn in range(sweep.turns) for k, to in enumerate(pass_))
+    return tuple(targets), tuple(notes)
+
+
+def placement_positions(config: RigConfig) -> tuple[int, ...]:
+    """Where the table stops for each placement of the board [microsteps].
+
+    Raises:
+        ConfigError: If angles fall together, or the table would leave its limits.
+    """
+    n = config.microsteps_per_turn
+    positions = tuple(nearest(angle, n) for angle in config.calibration.angles_deg)
+    if len(set(positions)) < len(positions):
+        raise ConfigError("calibration.angles_deg: found two that are the same microstep, expected different ones.")
+    _within_limits(config, positions, "calibration")
+    return positions
+
+
+def _within_limits(config: RigConfig, positions: Sequence[int], what: str) -> None:
+    limits = controller_settings(config).limits
+    if limits is None:
+        return
+    low, high = min(*positions, 0), max(*positions, 0)
+    if not limits[0] <= low <= high <= limits[1]:
+        n = config.microsteps_per_turn
+        raise ConfigError(
+            f"{what}: goes from {angle_deg(low, n):g} to {angle_deg(high, n):g} deg, but turntable.limits_deg allows "
+            f"{angle_deg(limits[0], n):g} to {angle_deg(limits[1], n):g}."
+        )
+
+
+def controller_settings(config: RigConfig) -> Settings:
+    """What the controller is set to, in its own units."""
+    table, n = config.turntable, config.microsteps_per_turn
+    laser, trigger = config.laser[0], config.trigger
+    limits = None
+    if table.limits_deg is not None:
+        low, high = (exactly(limit) * n / 360 for limit in table.limits_deg)
+        limits = (math.ceil(low), math.floor(high))
+    return Settings(
+        watchdog_ms=config.controller.watchdog_ms,
+        speed=table.rate("speed_deg_s"),
+        start_speed=table.rate("start_speed_deg_s"),
+        acceleration=table.rate("acceleration_deg_s2"),
+        home_speed=table.rate("home_speed_deg_s"),
+        backlash=nearest(table.backlash_deg, n),
+        reverse=table.reverse,
+        settle_ms=table.settle_ms,
+        laser_on_ms=laser.on_ms,
+        laser_off_ms=laser.off_ms,
+        exposure_ms=min(trigger.pulse_ms or math.ceil(config.camera.exposure_ms), 5000),
+        gap_ms=trigger.gap_ms,
+        ready_ms=trigger.ready_ms,
+        limits=limits,
+    )
+
+
+def frame_bytes(config: RigConfig) -> int:
+    """Size of one frame, uncompressed [bytes]."""
+    return config.camera.width * config.camera.height * (3 if config.camera.pixel_format == "rgb8" else 1)
+
+
+def move_s(config: RigConfig, microsteps: int) -> float:
+    """How long a motion takes: a ramp up, a ramp down, and full speed between where it is long enough [s]."""
+    settings = controller_settings(config)
+    distance, v0, v, a = abs(microsteps), settings.start_speed, settings.speed, settings.acceleration
+    ramps = (v * v - v0 * v0) / a
+    if distance >= ramps:
+        return 2 * (v - v0) / a + (distance - ramps) / v
+    return 2 * (math.sqrt(v0 * v0 + a * distance) - v0) / a
+
+
+def longest_s(config: RigConfig) -> float:
+    """Time after which a motion, homing included, has failed: twice what the longest takes, and some [s]."""
+    turns = max(2.0, config.turntable.home_within_deg / 360)
+    return 2 * move_s(config, round(turns * config.microsteps_per_turn)) + 30
+
+
+def shot_s(config: RigConfig) -> float:
+    """How long a shot takes at rest, the waits for the camera's ready line included [s]."""
+    s = controller_settings(config)
+    exposures = 2 * (s.exposure_ms + s.gap_ms + s.ready_ms)
+    return (s.settle_ms + s.laser_on_ms + s.laser_off_ms + exposures) / 1000
+
+
+def estimate(config: RigConfig, positions: Sequence[int]) -> Estimate:
+    """What it takes to take pairs at these positions, one after the other, from home."""
+    frames = 2 * len(positions)
+    moves = sum(move_s(config, to - at) for at, to in zip((0, *positions), positions, strict=False))
+    ready = 2 * config.trigger.ready_ms / 1000  # A camera is usually ready.
+    seconds = moves + len(positions) * (shot_s(config) - ready + _OVERHEAD_S)
+    return Estimate(frames, math.ceil(frames * frame_bytes(config) * RESERVE), seconds)

@@ -1,0 +1,258 @@
+"""What is there of a capture that was interrupted, and whether it may be gone on with."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+import pydantic
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture.header import HEADER_NAME, CaptureHeader, parse_header
+from jaxscan.files.capture.images import ImageReader
+from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, read_journal
+from jaxscan.files.capture.verify import Problem, verify_capture
+from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
+from scanrig.config import RigConfig
+from scanrig.errors import SessionError
+from scanrig.recording.record import Kind
+
+
+T = TypeVar("T")
+_RUNS = pydantic.TypeAdapter(list[Annotated[list[int], pydantic.Field(min_length=2, max_length=2)]])
+_PLACEMENT = pydantic.TypeAdapter(Annotated[int, pydantic.Field(ge=0, lt=1 << 31)])
+
+
+@dataclass(frozen=True)
+class Found:
+    """A capture as an earlier session left it."""
+
+    header: CaptureHeader
+    records: dict[int, dict[str, Any]]
+    """Records that are whole and not suspect, the last take of each."""
+    order: tuple[int, ...]
+    """Their numbers in the order in which they were taken."""
+    since_home: tuple[int, ...]
+    """Those taken since home was last found where it should be."""
+    unjudged: bool
+    """Whether home was found since they were taken, and the counter could not say where it was missed."""
+    damaged: tuple[Problem, ...]
+    """What is wrong with others."""
+    altered: tuple[Problem, ...]
+    """What is wrong with the journal itself."""
+    suspect: tuple[int, ...]
+    """Records that were taken while steps were being lost, and not again since."""
+    placements: int
+    """Placements of a calibration's board so far, the half done ones too."""
+    status: str | None
+    """How the last session ended, if it came to an end after its last record."""
+
+
+def is_capture(folder: Path) -> bool:
+    """Whether a folder holds a capture, however short."""
+    return (folder / HEADER_NAME).exists()
+
+
+def find_capture(folder: Path) -> Found:
+    """Read and verify all of a capture.
+
+    Raises:
+        CaptureError: If header or journal are damaged in a way that no interruption leaves behind, or hold
+            what no session writes.
+    """
+    header, journal = _read(folder)
+    problems = verify_capture(folder)
+    records: dict[int, dict[str, Any]] = {}
+    since_home: list[int] = []
+    suspect: set[int] = set()
+    placements, status, unjudged = 0, None, False
+    for value in _lines(journal):
+        if "i" in value:
+            number, status = value["i"], None
+            records.pop(number, None)  # So that the order is that of the last takes.
+            records[number] = value
+            since_home.append(number)
+            suspect.discard(number)
+            placement = value.get("placement")
+            placements = max(placements, 0 if placement is None else 1 + placement)
+            continue
+        match value.get("event"):
+            case "home" if value.get("good") is False:
+                # The session may have ended before it could note what follows from this.
+                suspect.update(since_home)
+                since_home.clear()
+                unjudged = False
+            case "home" if value.get("good") is not True:
+                unjudged = bool(since_home)
+            case "home" if not unjudged:
+                since_home.clear()
+            case "compared" if value.get("good") is True:
+                since_home.clear()
+                unjudged = False
+            case "suspect":
+                runs = _checked(folder, value, "records", _RUNS)
+                suspect.update(n for n in records if any(first <= n <= last for first, last in runs))
+            case "placed":
+                placements = max(placements, 1 + _checked(folder, value, "placement", _PLACEMENT))
+            case "end":
+                status = value.get("status")
+    bad = {problem.record for problem in problems}
+    whole = {number: value for number, value in records.items() if number not in bad and number not in suspect}
+    return Found(
+        header=header,
+        records=whole,
+        order=tuple(whole),
+        since_home=tuple(number for number in dict.fromkeys(since_home) if number in whole),
+        unjudged=unjudged,
+        damaged=tuple(problem for problem in problems if problem.record is not None),
+        altered=tuple(problem for problem in problems if problem.record is None),
+        suspect=tuple(sorted(suspect & records.keys())),
+        placements=placements,
+        status=status,
+    )
+
+
+def _checked(folder: Path, event: dict[str, Any], key: str, kind: pydantic.TypeAdapter[T]) -> T:
+    """What an event says; other programs may have written any into the journal."""
+    try:
+        return kind.validate_python(event.get(key), strict=True)
+    except pydantic.ValidationError as problem:
+        raise CaptureError(
+            f"{folder / JOURNAL_NAME}: the event {event['event']!r:.20} holds {key} = {event.get(key)!r:.40}, "
+            "which no session writes; it cannot be gone on with."
+        ) from problem
+
+
+def _lines(journal: bytes) -> Iterator[dict[str, Any]]:
+    for line in journal.split(b"\n"):
+        try:
+            value = json.loads(line) if line.strip() else None
+        except ValueError:
+            continue  # The last line, torn; another one was refused before.
+        if isinstance(value, dict):
+            yield value
+
+
+def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """The frames of one record, whatever has become of the others.
+
+    Returns:
+        on, off: uint8 [rows, columns] (rgb8: and 3).
+
+    Raises:
+        CaptureError: If they are not there, or damaged.
+    """
+    header, journal = _read(folder)
+    names = tuple(laser.name for laser in header.laser)
+    records, _ = read_journal(journal, name=str(folder / JOURNAL_NAME), kind=header.kind, laser_names=names)
+    reader = ImageReader(folder, header)
+    for record in records:
+        if record.i == number:
+            on, off = reader.frame(record.on), reader.frame(record.off)
+            if on is not None and off is not None:
+                return on, off
+    raise CaptureError(f"{folder}: record {number} has not both frames, so nothing can be compared with it.")
+
+
+def _read(folder: Path) -> tuple[CaptureHeader, bytes]:
+    """Header and journal."""
+    name, journal_name = str(folder / HEADER_NAME), str(folder / JOURNAL_NAME)
+    header = parse_header(read_bounded(name, MEGABYTE, name=name, error=CaptureError), name=name)
+    return header, read_bounded(journal_name, MAX_JOURNAL_BYTES, name=journal_name, error=CaptureError)
+
+
+def require_same_plan(
+    found: Found, config: RigConfig, kind: Kind, *, folder: Path, calibration_digest: str | None
+) -> None:
+    """See that nothing changed that the frames depend on.
+
+    Raises:
+        SessionError: With what changed.
+    """
+    header = found.header
+    if header.kind != kind:
+        raise SessionError(f"{folder}: found a capture of kind {header.kind}, expected {kind}; choose another folder.")
+    was, now = header.acquisition, config.frame_tables(kind)
+    if "config_sha256" not in was:
+        raise SessionError(f"{folder}: was not captured by this program, so it cannot be gone on with.")
+    _require_own_words(found, folder)
+    changed = list(_changes(was.get("config", {}), now))
+    if was.get("microsteps_per_turn") != config.microsteps_per_turn:
+        changed.append(f"microsteps per turn: was {was.get('microsteps_per_turn')}, is {config.microsteps_per_turn}")
+    before = was.get("calibration")
+    if calibration_digest is not None and before is not None and before != calibration_digest:
+        changed.append(f"calibration: was {before[:19]}…, is {calibration_digest[:19]}…")
+    if not changed and was["config_sha256"] != config.digest(kind):
+        changed.append("the configuration's digest")
+    if changed:
+        raise SessionError(
+            f"{folder}: cannot be gone on with, since it was begun differently: {'; '.join(changed)}. "
+            "Set it as it was, or choose another folder."
+        )
+
+
+def _require_own_words(found: Found, folder: Path) -> None:
+    """See that what is read of header and records is what a session writes: anybody can edit them."""
+    odd = [
+        f"[acquisition.{key}] = {found.header.acquisition[key]!a:.40}"
+        for key in ("camera", "features")
+        if not isinstance(found.header.acquisition.get(key, {}), Mapping)
+    ]
+    digest = found.header.acquisition.get("calibration", "")
+    if not (isinstance(digest, str) and digest.isprintable()):
+        odd.append(f"[acquisition] calibration = {digest!a:.40}")
+    odd += [
+        f"record {number} at microsteps = {record.get('microsteps')!a:.40}"
+        for number, record in found.records.items()
+        if type(record.get("microsteps")) is not int
+    ]
+    if odd:
+        raise SessionError(f"{folder}: found {odd[0]}, which no session writes; it cannot be gone on with.")
+
+
+def require_same_camera(found: Found, identity: Mapping[str, str], *, folder: Path) -> None:
+    """See that it is the camera that the capture was begun with.
+
+    Raises:
+        SessionError: With both.
+    """
+    was = found.header.acquisition.get("camera", {})
+    changed = [f"{key}: was {was.get(key)!r}, is {value!r}" for key, value in identity.items() if was.get(key) != value]
+    if changed:
+        raise SessionError(
+            f"{folder}: was begun with another camera ({'; '.join(changed)}); "
+            "connect that one, or choose another folder."
+        )
+
+
+def _changes(was: Any, now: Any, path: str = "") -> Iterator[str]:
+    """Keys whose values differ, with both."""
+    if isinstance(was, Mapping) and isinstance(now, Mapping):
+        for key in dict.fromkeys((*was, *now)):
+            yield from _changes(was.get(key), now.get(key), f"{path}.{key}" if path else str(key))
+    elif _is_list(was) and _is_list(now) and len(was) == len(now):
+        for number, (one, other) in enumerate(zip(was, now, strict=True)):
+            yield from _changes(one, other, f"{path}[{number}]")
+    elif was != now:
+        yield f"{path}: was {_shown(was)}, is {_shown(now)}"
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
+def _shown(value: Any) -> str:
+    return "not given" if value is None else json.dumps(value)
+
+
+def ranges(numbers: Sequence[int]) -> list[tuple[int, int]]:
+    """First and last of each run of consecutive numbers, ascending."""
+    runs: list[tuple[int, int]] = []
+    for number in sorted(set(numbers)):
+        if runs and number == runs[-1][1] + 1:
+            runs[-1] = (runs[-1][0], number)
+        else:
+            runs.append((number, number))
+    return runs

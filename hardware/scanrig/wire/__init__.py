@@ -1,0 +1,1 @@
+"""Bytes and messages between host and controller."""

@@ -1,0 +1,1 @@
+"""First values, before any iteration."""

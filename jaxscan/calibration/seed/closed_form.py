@@ -1,0 +1,296 @@
+"""Closed-form first values: camera, board poses, laser planes, axis."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.calibration.solve.prepare import Prepared
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import AbstractCamera, Array, LaserSheet, Pinhole, Turntable, fit_axis, fit_plane, point_up
+from jaxscan.geometry.scanner import Up
+from jaxscan.geometry.turntable import Carries
+
+
+# Boards whose normals differ by less show the camera one vanishing line: focal length and
+# principal point cannot be told apart.
+_MIN_TILT_DEG = 5.0
+# Stripe points reaching less far across than this share of their length are one line.
+_MIN_PLANE_SPREAD = 0.02
+# Angles closer than this are the same stop of the table [rad].
+_MIN_TURN = 1e-3
+
+
+def seed_camera(data: Prepared, width: int, height: int, coefficients: int) -> tuple[Pinhole, np.ndarray]:
+    """Focal length and board poses from homographies, without distortion.
+
+    Square pixels and a centred principal point are assumed, which keeps the estimate sound under
+    strong distortion; the solve frees both.
+
+    Returns:
+        The camera, and T_cam_board of every view [views, 4, 4] (identity where not usable).
+
+    Raises:
+        CalibrationError: If the views do not determine a camera.
+
+    Source: Zhang, A flexible new technique for camera calibration (2000), section 3.1.
+    """
+    views = usable_views(data)
+    centre = np.array([(width - 1) / 2, (height - 1) / 2])
+    homographies = {
+        view: fit_homography(
+            data.board[data.corner_valid[view], :2], data.corner_q[view, data.corner_valid[view]] - centre
+        )
+        for view in views
+    }
+    focal = _focal_length(list(homographies.values()))
+    poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
+    # A hopeless focal length still gives normals, which then say what is wrong.
+    for view, homography in homographies.items():
+        poses[view] = pose_from_homography(homography, focal or 1.2 * max(width, height))
+    check_tilts(poses[views], determined=focal is not None)
+    camera = Pinhole(
+        fx=np.asarray(focal),
+        fy=np.asarray(focal),
+        cx=np.asarray(centre[0]),
+        cy=np.asarray(centre[1]),
+        distortion=np.zeros(coefficients),
+        width=width,
+        height=height,
+    )
+    return camera, poses
+
+
+def usable_views(data: Prepared) -> np.ndarray:
+    """Numbers of the views that fix a pose.
+
+    Raises:
+        CalibrationError: If they are too few for any camera.
+    """
+    views = np.flatnonzero(data.usable)
+    if len(views) == 0:
+        raise CalibrationError(
+            "The board was not found in any view: "
+            "check `[board]` in capture.toml (type, columns, rows) and the exposure."
+        )
+    if len(views) < 3:
+        raise CalibrationError(
+            f"The board was found in {len(views)} view(s) and a camera needs at least 3: "
+            "capture 10 or more, tilted by 20 to 45 degrees in different directions."
+        )
+    return views
+
+
+def check_tilts(poses: np.ndarray, *, determined: bool = True) -> None:
+    """See that boards at T_cam_board [views, 4, 4] are tilted differently.
+
+    Raises:
+        CalibrationError: If they are not, or the focal length was not `determined`.
+    """
+    normals = poses[:, :3, 2]
+    tilt = np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))).max()
+    if not determined or tilt < _MIN_TILT_DEG:
+        raise CalibrationError(
+            f"All {len(poses)} views show the board at the same tilt (within {tilt:.1f} degrees), which determines no "
+            "camera: tilt the board by 20 to 45 degrees in different directions."
+        )
+
+
+def seed_plane(points: np.ndarray, name: str) -> LaserSheet:
+    """The laser plane through stripe points lifted to their boards [n, 3].
+
+    Raises:
+        CalibrationError: If there are no points, or they all lie on one line.
+
+    Source: PAPER.md equation (8), as total least squares.
+    """
+    if len(points) < 10:
+        raise CalibrationError(
+            f"No stripe of laser {name!r} was seen on the board, so its plane cannot be determined: "
+            "capture each board pose with the laser on and off."
+        )
+    for _ in range(5):
+        plane = fit_plane(points)
+        distance = np.abs(points @ plane.normal - plane.distance)
+        keep = distance <= 3.5 * 1.4826 * np.median(distance) + 1e-9
+        if keep.all():
+            break
+        points = points[keep]
+    plane = fit_plane(points)
+    if plane.spread[1] < _MIN_PLANE_SPREAD * plane.spread[0]:
+        raise CalibrationError(
+            f"All stripes of laser {name!r} lie on one line in space, so its plane cannot be determined: "
+            "capture the stripe on board poses at different distances or tilts."
+        )
+    if plane.distance <= 0:
+        raise CalibrationError(f"The plane of laser {name!r} contains the camera centre: it shows no depth.")
+    return LaserSheet.from_plane(plane.normal, plane.distance)
+
+
+def seed_axis(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> Turntable:
+    """Axis and sense of the table from placements seen at several angles.
+
+    Args:
+        poses: T_cam_board of every view [views, 4, 4].
+        data: For the angle and placement of each view.
+        carries: What the table carries.
+        up: The image's up direction.
+
+    Raises:
+        CalibrationError: If no placement was seen from two angles, or nothing turned.
+
+    Source: PAPER.md equation (10), for all pairs of angles.
+    """
+    turns, motions = [], []
+    for number in np.unique(data.placement[data.usable]):
+        views = np.flatnonzero(data.usable & (data.placement == number))
+        for i, first in enumerate(views):
+            for second in views[i + 1 :]:
+                turn = data.angle[first] - data.angle[second]
+                if abs(turn) > _MIN_TURN:
+                    turns.append(turn)
+                    motions.append(poses[second] @ np.linalg.inv(poses[first]))
+    if not turns:
+        raise CalibrationError(
+            "No board placement was seen from two table angles, so the axis cannot be determined: "
+            "leave the board standing and turn the table between images (same `placement`, other `angle_deg`)."
+        )
+    turn, motion = np.array(turns), np.array(motions)
+    try:
+        axis = fit_axis(motion)
+    except ValueError:
+        raise CalibrationError(
+            f"The commanded angles differ by up to {np.degrees(np.abs(turn).max()):.1f} degrees but the board did not "
+            "move in the image: the table did not turn, or the board turned with the camera."
+        ) from None
+    seen = _signed_angles(motion[:, :3, :3], axis.direction)
+    gain = _gain(turn, seen)
+    if not 0.8 < abs(gain) < 1.25:
+        raise CalibrationError(
+            f"The boards turned by {gain:.3f} times the commanded angles: check the steps per turn of the table, and "
+            "that records with the same `placement` saw the board unmoved."
+        )
+    if carries == "object":
+        gain = -gain
+    start = Turntable.from_axis(axis.direction, axis.point, gain=float(np.sign(gain)), carries=carries)
+    return point_up(start, up)
+
+
+def fit_homography(points: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Homography [3, 3] from board points [n, 2] to pixels [n, 2], robust against a few wrong corners.
+
+    Source: Hartley and Zisserman, Multiple View Geometry, normalised direct linear transformation.
+    """
+    keep = np.ones(len(points), bool)
+    for _ in range(3):
+        homography = _direct_homography(points[keep], q[keep])
+        image = np.column_stack([points, np.ones(len(points))]) @ homography.T
+        distance = np.hypot(*(image[:, :2] / image[:, 2:] - q).T)
+        # Lens distortion is no error here, so only what is far beyond the usual misfit goes.
+        trimmed = distance <= 6.0 * np.median(distance) + 1e-9
+        if trimmed.sum() < max(6, len(points) // 2) or np.array_equal(trimmed, keep):
+            break
+        keep = trimmed
+    return homography
+
+
+def pose_from_homography(homography: np.ndarray, focal: float) -> np.ndarray:
+    """T_cam_board [4, 4] from a homography to pixels about the principal point."""
+    columns = homography / np.array([[focal], [focal], [1.0]])
+    columns = columns * (2.0 / (np.linalg.norm(columns[:, 0]) + np.linalg.norm(columns[:, 1])))
+    columns = columns * (1.0 if columns[2, 2] >= 0 else -1.0)
+    u, _, vt = np.linalg.svd(np.column_stack([columns[:, 0], columns[:, 1], np.cross(columns[:, 0], columns[:, 1])]))
+    pose = np.eye(4)
+    pose[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    pose[:3, 3] = columns[:, 2]
+    return pose
+
+
+def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray, laser: int) -> np.ndarray:
+    """Stripe points of one laser in the camera frame [n, 3], by the boards they lie on.
+
+    Source: PAPER.md equations (5)-(7).
+    """
+    rows = np.flatnonzero((data.stripe_laser == laser) & data.stripe_valid.any(1))
+    if len(rows) == 0:
+        return np.zeros((0, 3))
+    valid = data.stripe_valid[rows]
+    rays = np.asarray(_rays(camera, data.stripe_q.reshape(-1, 2))).reshape(*data.stripe_q.shape[:2], 3)[rows]
+    pose = poses[data.stripe_view[rows]]
+    along = np.einsum("si,spi->sp", pose[:, :3, 2], rays)
+    offset = np.einsum("si,si->s", pose[:, :3, 2], pose[:, :3, 3])
+    range_m = offset[:, None] / np.where(along == 0, 1.0, along)
+    points = range_m[..., None] * rays
+    return points[valid & (along != 0) & (range_m > 0)]
+
+
+@jax.jit
+def _motions(table: Turntable, angle: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
+    return jax.vmap(table.motion)(jnp.asarray(angle))
+
+
+@jax.jit
+def _rays(camera: AbstractCamera, q: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
+    return jax.vmap(camera.unproject)(jnp.asarray(q))
+
+
+def average_placements(poses: np.ndarray, data: Prepared, table: Turntable) -> np.ndarray:
+    """T_cam0_board of every placement [views, 4, 4] (as many as views; the rest is identity)."""
+    motions = np.asarray(_motions(table, data.angle))
+    result = np.tile(np.eye(4), (len(data.usable), 1, 1))
+    for number in np.unique(data.placement[data.usable]):
+        views = np.flatnonzero(data.usable & (data.placement == number))
+        still = motions[views] @ poses[views]
+        u, _, vt = np.linalg.svd(still[:, :3, :3].mean(0))
+        result[number, :3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        result[number, :3, 3] = np.median(still[:, :3, 3], axis=0)
+    return result
+
+
+def _focal_length(homographies: list[np.ndarray]) -> float | None:
+    a, b = [], []
+    for homography in homographies:
+        x, y = homography[:, 0], homography[:, 1]
+        size = np.linalg.norm(x[:2]) * np.linalg.norm(y[:2])
+        # The columns are images of perpendicular vectors of equal length.
+        a += [x[:2] @ y[:2] / size, (x[:2] @ x[:2] - y[:2] @ y[:2]) / size]
+        b += [-x[2] * y[2] / size, (y[2] ** 2 - x[2] ** 2) / size]
+    inverse_square = np.dot(a, b) / max(np.dot(a, a), 1e-300)
+    return float(1.0 / np.sqrt(inverse_square)) if inverse_square > 0 else None
+
+
+def _direct_homography(points: np.ndarray, q: np.ndarray) -> np.ndarray:
+    to_points, to_q = _normalisation(points), _normalisation(q)
+    x = np.column_stack([points, np.ones(len(points))]) @ to_points.T
+    u = np.column_stack([q, np.ones(len(q))]) @ to_q.T
+    zero = np.zeros_like(x)
+    system = np.concatenate(
+        [np.hstack([x, zero, -u[:, :1] * x]), np.hstack([zero, x, -u[:, 1:2] * x])],
+    )
+    # Of the normalised system the square keeps digits enough for first values, and is ten times as fast.
+    homography = np.linalg.eigh(system.T @ system)[1][:, 0].reshape(3, 3)
+    homography = np.linalg.inv(to_q) @ homography @ to_points
+    return homography / np.linalg.norm(homography[:, :2])
+
+
+def _normalisation(points: np.ndarray) -> np.ndarray:
+    centre, size = points.mean(0), max(float(points.std()), 1e-12)
+    return np.array([[1 / size, 0, -centre[0] / size], [0, 1 / size, -centre[1] / size], [0, 0, 1.0]])
+
+
+def _signed_angles(rotations: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    skew = rotations - np.swapaxes(rotations, 1, 2)
+    vector = np.column_stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]]) / 2
+    return np.arctan2(vector @ direction, (np.trace(rotations, axis1=1, axis2=2) - 1) / 2)
+
+
+def _gain(commanded: np.ndarray, seen: np.ndarray) -> float:
+    """Seen over commanded angle, whichever sense fits; `seen` is known up to full turns."""
+    best, error = 0.0, np.inf
+    for sense in (1.0, -1.0):
+        full = seen + 2 * np.pi * np.round((sense * commanded - seen) / (2 * np.pi))
+        gain = float(commanded @ full / (commanded @ commanded))
+        misfit = float(np.abs(full - gain * commanded).mean() + np.abs(full - sense * commanded).mean())
+        if misfit < error:
+            best, error = gain, misfit
+    return best

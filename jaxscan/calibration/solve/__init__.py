@@ -1,0 +1,1 @@
+"""The joint least squares: problem, residuals, solver, covariance."""

@@ -1,0 +1,222 @@
+"""What the observations say at the minimum: information, covariance, leverages, weak directions."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxscan.calibration.solve.levenberg_marquardt import Blocks, reduce_blocks
+from jaxscan.calibration.solve.problem import Problem, Step, camera_from_board, move, zero_step
+from jaxscan.calibration.solve.residuals import priors
+from jaxscan.calibration.solve.rows import Departures, corner_rows, departures, stripe_rows
+from jaxscan.geometry import Array
+
+
+# Directions of which the priors know less than this share are the data's alone.
+_LEAST_SHARE = 1e-6
+# Eigenvalue of the information, scaled to a unit diagonal, that is rounding error: sums of some ten
+# thousand squares lose three digits, and inverting what is left of them some more.
+_SINGULAR = 1e-11
+
+
+class Linearised(NamedTuple):
+    """The problem at its minimum, to first order; scaled unknowns."""
+
+    corner_error: Float[Array, "views rows"]
+    """Projected minus observed corners, u and v of each [px]."""
+    offset: Float[Array, "stripes points"]
+    """Distance e of a stripe point, lifted to its board, from its sheet [m]."""
+    slope: Float[Array, "stripes points"]
+    """|grad_q e|: what one pixel across the stripe is worth [m / px]."""
+    prior_residual: Float[Array, " shared"]
+    corner_leverage: Float[Array, "views rows"]
+    """Share of each whitened residual that the fit takes up, 0 ... 1 [1]."""
+    stripe_leverage: Float[Array, "stripes points"]
+    reduced: Float[Array, "shared shared"]
+    """Information of the shared unknowns, poses eliminated; 1 on the diagonal of held ones."""
+    prior: Float[Array, "shared shared"]
+    """The part of it that comes from the priors."""
+    known_poses: Float[Array, " shared"]
+    """Diagonal of the information that there would be if all poses were known."""
+    view_poses: Float[Array, "views 4 4"]
+    """T_cam(phi)_board of every view."""
+    by_q: Float[Array, "stripes points 2"]
+    """grad_q e [m / px]."""
+    corner_slopes: Float[Array, "views rows departures"]
+    """Derivatives of the whitened rows by the departures of their view."""
+    stripe_slopes: Float[Array, "stripes points departures"]
+    corner_chain: Float[Array, "unknowns views departures"]
+    """Derivatives of the departures by the shared unknowns and the pose of the view."""
+    stripe_chain: Float[Array, "unknowns stripes departures"]
+
+
+def linearise(problem: Problem) -> Linearised:
+    """Errors, information and leverages at the point that the problem holds; traceable, in 64 bit."""
+    corners, (stripes, by_q) = corner_rows(problem), stripe_rows(problem)
+    corner_weight, stripe_weight = jnp.repeat(problem.corner_weight, 2, axis=1), problem.stripe_weight
+    corner_slopes = corners.slopes * corner_weight[..., None]
+    stripe_slopes = stripes.slopes * stripe_weight[..., None]
+    chain = chains(problem)
+    prior_residual, prior = prior_information(problem)
+    view_owner, stripe_owner = problem.placement, problem.stripe_placement()
+    grams = (gram(corner_slopes, chain.corner), gram(stripe_slopes, chain.stripe))
+    blocks = sum_blocks(*grams, prior, view_owner, stripe_owner, len(problem.poses))
+    information = inverse_blocks(blocks)
+
+    def leverage(slopes: Array, chain: Array, owner: Array) -> Array:
+        # The covariance of a view's departures, then that of each row.
+        own = information.of(owner)
+        small = jnp.einsum("kvd,vkj,jve->vde", chain, own, chain)
+        return jnp.einsum("vrd,vde,vre->vr", slopes, small, slopes)
+
+    return Linearised(
+        corners.value,
+        stripes.value,
+        jnp.linalg.norm(by_q, axis=-1),
+        prior_residual,
+        leverage(corner_slopes, chain.corner, view_owner),
+        leverage(stripe_slopes, chain.stripe, stripe_owner),
+        information.reduced,
+        prior,
+        jnp.diagonal(blocks.shared),
+        camera_from_board(problem),
+        by_q,
+        corner_slopes,
+        stripe_slopes,
+        chain.corner,
+        chain.stripe,
+    )
+
+
+def chains(problem: Problem) -> Departures:
+    """Derivatives of the departures by the shared unknowns and their own pose [unknowns, owners, departures]."""
+    start = zero_step(problem)
+    count = len(start.shared)
+    product = jax.linearize(lambda step: departures(step, problem), start)[1]
+    unit = jnp.eye(count + 6, dtype=start.shared.dtype)
+    # Poses of different placements meet different views, so all are moved at once.
+    return jax.vmap(lambda e: product(Step(e[:count], jnp.broadcast_to(e[None, count:], start.local.shape))))(unit)
+
+
+def gram(slopes: Float[Array, "owners rows departures"], chain: Float[Array, "unknowns owners departures"]) -> Array:
+    """J'J of every view or stripe, by the shared unknowns and its pose [owners, unknowns, unknowns]."""
+    small = jnp.einsum("vrd,vre->vde", slopes, slopes)
+    return jnp.einsum("kvd,vde,jve->vkj", chain, small, chain)
+
+
+def prior_information(problem: Problem) -> tuple[Float[Array, " shared"], Float[Array, "shared shared"]]:
+    """Residuals of the priors, and their part of the information of the scaled shared unknowns."""
+    start = zero_step(problem)
+    move_priors = lambda shared: priors(move(Step(shared, start.local), problem))
+    slopes = jax.jacfwd(move_priors)(start.shared)
+    return priors(problem), slopes.T @ slopes
+
+
+class Inverse(NamedTuple):
+    """The inverse of J'J, by blocks."""
+
+    reduced: Float[Array, "shared shared"]
+    shared: Float[Array, "shared shared"]
+    cross: Float[Array, "placements shared 6"]
+    local: Float[Array, "placements 6 6"]
+
+    def of(self, owner: Int[Array, " owners"]) -> Float[Array, "owners unknowns unknowns"]:
+        """Covariance of the shared unknowns together with the pose of each owner."""
+        shared = jnp.broadcast_to(self.shared[None], (owner.shape[0], *self.shared.shape))
+        cross = self.cross[owner]
+        return jnp.concatenate(
+            [
+                jnp.concatenate([shared, cross], axis=2),
+                jnp.concatenate([jnp.swapaxes(cross, 1, 2), self.local[owner]], axis=2),
+            ],
+            axis=1,
+        )
+
+
+def inverse_blocks(blocks: Blocks) -> Inverse:
+    """Covariances of the unknowns from the blocks of J'J."""
+    reduced, coupling, _, _ = reduce_blocks(blocks, jnp.zeros((), blocks.shared.dtype))
+    shared = jnp.linalg.inv(reduced)
+    empty = jnp.diagonal(blocks.local, axis1=1, axis2=2) == 0
+    filled = blocks.local + jax.vmap(jnp.diag)(empty.astype(reduced.dtype))
+    cross = -jnp.einsum("kj,vdj->vkd", shared, coupling)
+    return Inverse(reduced, shared, cross, jnp.linalg.inv(filled) - jnp.einsum("vdk,vke->vde", coupling, cross))
+
+
+def sum_blocks(
+    corner: Array, stripe: Array, prior: Array, view_owner: Array, stripe_owner: Array, placements: int
+) -> Blocks:
+    """J'J from that of every view and stripe and of the priors."""
+    count = len(prior)
+    own = (
+        jnp.zeros((placements, *corner.shape[1:]), prior.dtype).at[view_owner].add(corner).at[stripe_owner].add(stripe)
+    )
+    zero = jnp.zeros(count, prior.dtype)
+    return Blocks(
+        own[:, :count, :count].sum(0) + prior,
+        own[:, :count, count:],
+        own[:, count:, count:],
+        zero,
+        jnp.zeros((placements, 6), prior.dtype),
+    )
+
+
+class Determination(NamedTuple):
+    """How well the shared unknowns are known."""
+
+    covariance: np.ndarray
+    """[shared, shared], in px, rad, m; zero for held unknowns."""
+    condition: float
+    """Condition number of the information scaled to a unit diagonal."""
+    unobserved: list[dict[str, float]]
+    """Directions that the priors know better than the data: parameter -> component, in units of
+    its standard deviation."""
+    spectrum: list[dict[str, Any]]
+    """Independent directions that priors speak of: `sigma_over_prior`, the standard deviation along
+    each over that of its prior [1], and `direction`, its largest components as in `unobserved`."""
+    prior_share: float
+    """Largest share of the information in any one direction that is the priors' own."""
+
+
+def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]) -> Determination | dict[str, float]:
+    """Covariance of the shared unknowns from their information.
+
+    Where that is singular, the largest components of the direction of which it says least.
+    """
+    reduced, prior = np.asarray(linearised.reduced), np.asarray(linearised.prior)
+    free = np.flatnonzero(scales)
+    covariance = np.zeros_like(reduced)
+    if len(free) == 0:
+        return Determination(covariance, 1.0, [], [], 0.0)
+    information = reduced[np.ix_(free, free)]
+    # What is left of the information once the poses are eliminated is compared with what was there
+    # before: of nothing, rounding error remains.
+    known = np.sqrt(np.asarray(linearised.known_poses)[free])
+    if np.any(known == 0):
+        return {names[free[i]]: 1.0 for i in np.flatnonzero(known == 0)}
+    values, vectors = np.linalg.eigh(information / np.outer(known, known))
+    if values[0] <= _SINGULAR:
+        return _components(vectors[:, 0], free, names)
+    size = np.sqrt(np.diag(information))
+    eigenvalues = np.linalg.eigvalsh(information / np.outer(size, size))
+    inverse = np.linalg.inv(information / np.outer(size, size)) / np.outer(size, size)
+    covariance[np.ix_(free, free)] = inverse * np.outer(scales[free], scales[free])
+    # Shares of the prior in the information: generalised eigenvalues, 0 (data only) ... 1.
+    root = np.linalg.cholesky(inverse)
+    shares, vectors = np.linalg.eigh(root.T @ prior[np.ix_(free, free)] @ root)
+    sigma = np.sqrt(np.diag(inverse))
+    spectrum: list[dict[str, Any]] = []
+    for share, vector in zip(shares[::-1], vectors.T[::-1], strict=True):
+        if share > _LEAST_SHARE:
+            parts = _components((root @ vector) / sigma, free, names)
+            spectrum.append({"sigma_over_prior": float(np.sqrt(min(share, 1.0))), "direction": parts})
+    unobserved = [row["direction"] for row in spectrum if row["sigma_over_prior"] ** 2 > 0.5]
+    condition = float(eigenvalues[-1] / eigenvalues[0])
+    return Determination(covariance, condition, unobserved, spectrum, float(shares[-1]))
+
+
+def _components(direction: np.ndarray, free: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
+    largest = np.argsort(-np.abs(direction))[:3]
+    return {names[free[i]]: round(float(direction[i]), 3) for i in largest if abs(direction[i]) > 0.1}

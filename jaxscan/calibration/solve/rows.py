@@ -1,0 +1,196 @@
+"""Errors of corners and stripe points, and their derivatives by the few numbers that each view shares.
+
+Thousands of points share the numbers of one camera, one board's pose in one view, one sheet and
+one board shape: the *departures* of a view. Derivatives by these are formed once per point; how
+departures follow from the unknowns of the joint solve is a small matrix per view.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jaxscan.calibration.solve.problem import Problem, Step, board_points, camera_from_board, move, warp_height
+from jaxscan.geometry import AbstractCamera, Array, LaserSheet, invert, transform
+
+
+class Rows(NamedTuple):
+    """Errors of one kind, and their derivatives by the departures of their view."""
+
+    value: Float[Array, "owners rows"]
+    slopes: Float[Array, "owners rows departures"]
+
+
+class Departures(NamedTuple):
+    """First-order departures from a point: zero in value, right in derivative."""
+
+    corner: Float[Array, "views departures"]
+    """Camera, pose of the board in the camera frame (translation, rotation; in board axes), board."""
+    stripe: Float[Array, "stripes departures"]
+    """The same without the board's pitch; then normal, distance and bow of the sheet."""
+
+
+def departures(step: Step, problem: Problem) -> Departures:
+    """How the departures of every view and stripe follow from a step of the unknowns."""
+    moved = move(step, problem)
+    fixed = jax.lax.stop_gradient(moved)
+    camera = moved.camera.parameters() - fixed.camera.parameters()
+    board = moved.shape - fixed.shape
+    poses = camera_from_board(moved)
+    turn = jnp.matmul(jax.vmap(invert)(jax.lax.stop_gradient(poses)), poses)
+    # Of a motion next to the identity, the twist is read off the matrix.
+    twist = jnp.stack([turn[:, 0, 3], turn[:, 1, 3], turn[:, 2, 3], turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], 1)
+    twist = twist - jax.lax.stop_gradient(twist)
+    spread = lambda values, count: jnp.broadcast_to(values[None], (count, values.shape[0]))
+    views, stripes = len(problem.corner_q), len(problem.stripe_q)
+    corner = jnp.concatenate([spread(camera, views), twist, spread(board, views)], axis=1)
+    sheets = _sheet_numbers(moved.lasers) - _sheet_numbers(fixed.lasers)
+    sheet = sheets[problem.stripe_laser] if len(sheets) else jnp.zeros((stripes, 6), twist.dtype)
+    stripe = jnp.concatenate(
+        [spread(camera, stripes), twist[problem.stripe_view], spread(board[:2], stripes), sheet], 1
+    )
+    return Departures(corner, stripe)
+
+
+def _sheet_numbers(sheets: LaserSheet) -> Float[Array, "lasers 6"]:
+    return jnp.concatenate([sheets.normal, jnp.asarray(sheets.distance)[:, None], sheets.bow], axis=1)
+
+
+def corner_rows(problem: Problem) -> Rows:
+    r"""Projected minus observed corners [px], $\pi(T X) - q$; rows are u and v of each corner.
+
+    Source: PAPER.md equations (1), (2), (4).
+    """
+    camera, frame, shape = problem.camera, problem.frame, problem.shape
+    points = board_points(problem)
+    count = len(camera.parameter_names())
+
+    def by_shape(flat):
+        a, b = (flat[0] - frame[0]) / frame[2], (flat[1] - frame[1]) / frame[3]
+        rise = jnp.stack([1.0 - a * a, 1.0 - b * b])
+        lift = jnp.concatenate([jnp.zeros((2, 2), flat.dtype), rise[None]])
+        return jnp.concatenate([lift, flat[:, None]], axis=1)
+
+    by_shape_points = jax.vmap(by_shape)(jnp.asarray(problem.board))
+
+    def corner(pose, point, by_shape_point):
+        p = transform(pose, point)
+        project = lambda s, p: camera.retract(s).project(p)
+        zero = jnp.zeros(count, shape.dtype)
+        by_camera, by_p = jax.jacfwd(project, argnums=(0, 1))(zero, p)
+        turned = by_p @ pose[:3, :3]
+        return camera.project(p), jnp.concatenate(
+            [by_camera, turned, -turned @ _cross_matrix(point), turned @ by_shape_point], axis=1
+        )
+
+    predicted, slopes = jax.vmap(lambda pose: jax.vmap(lambda x, b: corner(pose, x, b))(points, by_shape_points))(
+        camera_from_board(problem)
+    )
+    views = len(problem.corner_q)
+    return Rows((predicted - problem.corner_q).reshape(views, -1), slopes.reshape(views, -1, slopes.shape[-1]))
+
+
+def stripe_rows(problem: Problem) -> tuple[Rows, Float[Array, "stripes points 2"]]:
+    r"""Distance e [m] of every stripe point, lifted to its board, from its sheet; and $\nabla_q e$ [m / px].
+
+    With $P = \lambda r$ on the board's surface, whose normal there is $m$ (board frame), a motion of
+    the board changes $\lambda$ by $(m \cdot v + (X \times m) \cdot \omega) / (R m \cdot r)$, and a
+    turn of the ray by $-\lambda\, (R m \cdot \delta r) / (R m \cdot r)$.
+
+    Source: PAPER.md equations (5)-(8).
+    """
+    count = len(problem.camera.parameter_names())
+    if len(problem.lasers.distance) == 0:
+        empty = jnp.zeros((*problem.stripe_q.shape[:2], count + 14), problem.shape.dtype)
+        return Rows(empty[..., 0], empty), empty[..., :2]
+
+    def stripe(pose, laser, q):
+        sheet = jax.tree.map(lambda leaf: leaf[laser], problem.lasers)
+        return jax.vmap(lambda q: _stripe_row(problem, count, pose, sheet, q))(q)
+
+    poses = camera_from_board(problem)[problem.stripe_view]
+    value, slopes, by_q = jax.vmap(stripe)(poses, problem.stripe_laser, problem.stripe_q)
+    return Rows(value, slopes), by_q
+
+
+def _stripe_row(
+    problem: Problem, count: int, pose: Float[Array, "4 4"], sheet: LaserSheet, q: Float[Array, "2"]
+) -> tuple[Float[Array, ""], Float[Array, " departures"], Float[Array, "2"]]:
+    # Sums are written out: products of 3 x 3 matrices by the ten thousand are slow.
+    camera = problem.camera
+    ray = camera.unproject(q)
+    range_m, point, normal = _meet_board(problem, pose, ray)
+    value, (by_sheet, by_point) = jax.value_and_grad(LaserSheet.offset, argnums=(0, 1))(sheet, range_m * ray)
+    surface = pose[:3, 0] * normal[0] + pose[:3, 1] * normal[1] + pose[:3, 2] * normal[2]
+    upright = _dot(surface, ray)
+    along = _dot(by_point, ray) / jnp.where(upright == 0, 1.0, upright).astype(ray.dtype)
+    by_ray = range_m * (by_point - along * surface)
+    by_q = _by_pixel(camera, ray, by_ray)
+    by_u, by_v = jax.jacfwd(lambda s: camera.retract(s).project(ray))(jnp.zeros(count, q.dtype))
+    rise = _bow_shape(problem, point)
+    slopes = [
+        # Implicit function theorem: where the pixel of a ray moves one way, the ray of a pixel moves back.
+        -(by_q[0] * by_u + by_q[1] * by_v),
+        along * normal,
+        along * _cross(point, normal),
+        along * rise,
+        by_sheet.normal,
+        by_sheet.distance[None],
+        by_sheet.bow,
+    ]
+    return value, jnp.concatenate(slopes), by_q
+
+
+def _meet_board(
+    problem: Problem, pose: Float[Array, "4 4"], ray: Float[Array, "3"]
+) -> tuple[Float[Array, ""], Float[Array, "3"], Float[Array, "3"]]:
+    """Where a ray meets the bowed board: range [m], point and surface normal in the board frame."""
+    origin = -jnp.stack([_dot(pose[:3, i], pose[:3, 3]) for i in range(3)])
+    direction = jnp.stack([_dot(pose[:3, i], ray) for i in range(3)])
+    # A harmless 1 where the ray runs along the board; such a point has no meaning anyway.
+    along_z = jnp.where(direction[2] == 0, 1.0, direction[2]).astype(ray.dtype)
+    range_m = jnp.asarray(-origin[2] / along_z)
+    # Every round leaves the slope of the bow, less than a hundredth, of the error before.
+    for _ in range(4):
+        point = origin + range_m * direction
+        range_m = jnp.asarray((warp_height(problem.frame, problem.shape, point[0], point[1]) - origin[2]) / along_z)
+    point = origin + range_m * direction
+    centre, half = problem.frame[:2], problem.frame[2:]
+    slope = 2.0 * problem.shape[:2] * (point[:2] - centre) / (half * half)
+    return range_m, point, jnp.stack([slope[0], slope[1], jnp.ones_like(slope[0])])
+
+
+def _bow_shape(problem: Problem, point: Float[Array, "3"]) -> Float[Array, "2"]:
+    """How the surface rises with kx and ky."""
+    a = (point[:2] - problem.frame[:2]) / problem.frame[2:]
+    return 1.0 - a * a
+
+
+def _by_pixel(camera: AbstractCamera, ray: Float[Array, "3"], by_ray: Float[Array, "3"]) -> Float[Array, "2"]:
+    """Derivative by the pixel of something whose derivative by the ray is known."""
+    # Branch-free tangents of a unit vector. Source: Duff et al., Building an orthonormal basis, revisited (2017).
+    x, y, z = ray[0], ray[1], ray[2]
+    sign = jnp.where(z >= 0, 1.0, -1.0).astype(ray.dtype)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = jnp.stack([1.0 + sign * x * x * a, sign * b, -sign * x])
+    second = jnp.stack([b, sign + y * y * a, -y])
+    _, by_first = jax.jvp(camera.project, (ray,), (first,))
+    _, by_second = jax.jvp(camera.project, (ray,), (second,))
+    det = by_first[0] * by_second[1] - by_second[0] * by_first[1]
+    one, two = _dot(by_ray, first) / det, _dot(by_ray, second) / det
+    return jnp.stack([one * by_second[1] - two * by_first[1], two * by_first[0] - one * by_second[0]])
+
+
+def _dot(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, ""]:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, "3"]:
+    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _cross_matrix(p: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    zero = jnp.zeros_like(p[0])
+    return jnp.stack([jnp.stack([zero, -p[2], p[1]]), jnp.stack([p[2], zero, -p[0]]), jnp.stack([-p[1], p[0], zero])])

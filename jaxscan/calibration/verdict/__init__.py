@@ -1,0 +1,1 @@
+"""What a solve is worth: tests of the models, lengths in millimetres, advice."""

@@ -1,0 +1,334 @@
+"""What a calibration's covariance means in millimetres: depths, points and lengths, free of any gauge.
+
+Standard deviations of parameters say little: they are strongly correlated, and where the frame
+lies is nobody's concern. So everything here is a length between points that were scanned, or a
+distance from the camera, at fixed pixels and table angles.
+
+Nothing is differentiated: the same points are scanned again with the calibration moved one
+standard deviation either way along each of its independent directions.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxscan.calibration.verdict.lit import Lit, bare, lit_lines
+from jaxscan.geometry import Array, Scanner
+from jaxscan.geometry.rigid import transform
+
+
+DEPTHS_M = (0.1, 0.15, 0.25, 0.4, 0.6, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 15.0, 25.0)
+"""Depths at which a rig is judged, where it reaches them [m]."""
+HALF_TURN_DEPTHS_M = (1.91, 3.075)
+"""Depths of two opposite walls, seen half a turn apart: rooms about 3.8 and 6.1 m wide [m]."""
+# As long, for its depth, as 300 mm at 2.5 m, by which scanners of rooms are compared.
+_LENGTH_SHARE = 0.12
+_COMMON_DEPTH_M = 2.5
+# Beyond the depth where one pixel is worth more than this share of it, nobody scans.
+_MAX_PIXEL_SHARE = 0.02
+# An object on a table: it ends within this share of the axis' depth from the axis.
+_OBJECT_SHARE = 0.15
+# Neighbouring rows know the same: this many of them, evenly spread, stand for all.
+_LINES = 64
+_TURN_LINES = 8
+_TURN_STOPS = 24
+_BLOCK = 512
+
+
+class Length(NamedTuple):
+    """The distance between two stripe points, each seen at a fixed pixel and table angle."""
+
+    name: str
+    """"along the stripe", "across the sweep" or "half a turn"."""
+    depth: float
+    """Depth of the points in the camera frame of their own angle [m]."""
+    laser: int
+    q: np.ndarray
+    """Pixels of the two points [2, 2]."""
+    angle: np.ndarray
+    """Table angles of the two points [2], rad."""
+
+
+def predict_lengths(scanner: Scanner) -> dict[str, Any]:
+    r"""Standard deviations that the calibration causes in what people measure, ready for JSON.
+
+    With the covariance $C = L L^T$ and $l_k$ the columns of $L$, the variance of a length $f$ is
+    $\sum_k [(f(+l_k) - f(-l_k)) / 2]^2$, every point at its fixed pixel and angle: to first order
+    $J C J^T$. Noise of the stripe itself comes on top.
+
+    Args:
+        scanner: With its covariance.
+
+    Returns:
+        `lasers`: for every laser its `name` and
+        `depths`: at each `depth_m` that the rig reaches, root mean squares over the `lines` of
+        the image (rows, or columns where the stripe runs along them) on which that depth is seen:
+        `sigma_depth_mm` of the depth z and `sigma_range_mm` of the distance from the camera
+        centre; and `sigma_point_mm`, the distance of points of one full turn at that depth from
+        where they should be, after the best rigid motion of them all;
+        `lengths`: `name`, `depth_m`, `length_m`, `sigma_mm` of each of `typical_lengths`.
+        Depths out of reach or out of the image are left out, so lists may be empty.
+
+    Raises:
+        ValueError: If the scanner has no covariance.
+
+    Source: mrcal's projection uncertainty, carried over to lengths; ASTM E3125 for the choice.
+    """
+    steps = _steps(scanner)
+    lasers = []
+    for index, name in enumerate(scanner.laser_names):
+        reached = lit_in_reach(scanner, index)
+        lengths = _typical(scanner, index, reached)
+        lasers.append(
+            {
+                "name": name,
+                "depths": _at_depths(scanner, index, reached, steps),
+                "lengths": _described(scanner, lengths, steps),
+            }
+        )
+    return {"lasers": lasers}
+
+
+def lit_in_reach(scanner: Scanner, laser: int) -> list[Lit]:
+    """The stripe at those of `DEPTHS_M` where it is in the image and its pixels still mean something.
+
+    A table that carries the object is never looked at far beyond itself.
+    """
+    limit = 2.0 * float(scanner.turntable.point[2]) if scanner.turntable.carries == "object" else np.inf
+    candidates = lit_lines(scanner, laser, [depth for depth in DEPTHS_M if depth <= limit])
+    return [lit for lit in candidates if len(lit.q) and lit.per_pixel <= _MAX_PIXEL_SHARE * lit.depth]
+
+
+def stripe_pixels(scanner: Scanner, laser: int, depth: float) -> Float[np.ndarray, "lines 2"]:
+    """Where the stripe of one depth is seen: one pixel for each row of the image that it crosses.
+
+    One for each column, if the stripe at that depth runs along the rows of the image.
+
+    Args:
+        scanner: Camera and sheets; its covariance is not used.
+        laser: Which sheet.
+        depth: z in the camera frame [m].
+
+    Returns:
+        (u, v) [px] by ascending row or column; empty where that depth is nowhere in the image.
+    """
+    return lit_lines(scanner, laser, (depth,))[0].q
+
+
+def stripe_depths(scanner: Scanner, laser: int, q: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+    """Depth z in the camera frame of stripe points seen at pixels `q` [m]."""
+    return _scanned(scanner, _no_steps(scanner), q, laser)[0, :, 2]
+
+
+def depth_sigma(scanner: Scanner, laser: int, q: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+    """Standard deviation that the calibration causes in `stripe_depths` [m].
+
+    Raises:
+        ValueError: If the scanner has no covariance.
+    """
+    return _sigma(_scanned(scanner, _steps(scanner), q, laser)[..., 2])
+
+
+def typical_lengths(scanner: Scanner, laser: int) -> list[Length]:
+    """Lengths that people ask for, as far as the rig reaches them.
+
+    300 mm at 2.5 m (or as long for its depth at the middle one of the depths in reach), along the
+    stripe of one image and across the sweep; and between two points half a turn apart: opposite
+    walls of two rooms, or two sides of an object on the table.
+    """
+    return _typical(scanner, laser, lit_in_reach(scanner, laser))
+
+
+def measure_lengths(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, " lengths"]:
+    """The lengths as this scanner measures them at their pixels and angles [m]."""
+    return _lengths(scanner, lengths, _no_steps(scanner))[0]
+
+
+def length_changes(
+    scanner: Scanner, lengths: list[Length], steps: Float[np.ndarray, "steps params"]
+) -> Float[np.ndarray, "steps lengths"]:
+    """How `measure_lengths` changes if the scanner is moved by steps in its minimal coordinates [m].
+
+    Raises:
+        ValueError: If there are more than two steps a parameter.
+    """
+    padded = _no_steps(scanner)
+    if len(steps) >= len(padded):
+        raise ValueError(f"{len(steps)} steps are more than {len(padded) - 1}.")
+    padded[1 : 1 + len(steps)] = steps
+    values = _lengths(scanner, lengths, padded)
+    return values[1 : 1 + len(steps)] - values[0]
+
+
+def length_sigma(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, " lengths"]:
+    """Standard deviation that the calibration causes in `measure_lengths` [m].
+
+    Raises:
+        ValueError: If the scanner has no covariance.
+    """
+    return _sigma(_lengths(scanner, lengths, _steps(scanner)))
+
+
+def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
+    if not reached:
+        return []
+    lit = next((each for each in reached if each.depth == _COMMON_DEPTH_M), reached[len(reached) // 2])
+    halves: tuple[float, ...] = HALF_TURN_DEPTHS_M
+    if scanner.turntable.carries == "object":
+        halves = ((1.0 - _OBJECT_SHARE) * float(scanner.turntable.point[2]),)
+    elif reached[-1].depth < max(halves):
+        halves = (reached[-1].depth,)
+    found = [
+        _along_stripe(laser, lit, _LENGTH_SHARE * lit.depth),
+        _across_sweep(scanner, laser, lit, _LENGTH_SHARE * lit.depth),
+        *(_half_turn(laser, each) for each in lit_lines(scanner, laser, halves)),
+    ]
+    return [length for length in found if length is not None]
+
+
+def _described(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> list[dict[str, Any]]:
+    values = _lengths(scanner, lengths, steps)
+    return [
+        {"name": length.name, "depth_m": length.depth, "length_m": float(value), "sigma_mm": 1000.0 * float(sigma)}
+        for length, value, sigma in zip(lengths, values[0], _sigma(values), strict=True)
+    ]
+
+
+def _lengths(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> np.ndarray:
+    """[steps, lengths], metres."""
+    if not lengths:
+        return np.zeros((len(steps), 0))
+    q, angle = (np.concatenate([getattr(length, name) for length in lengths]) for name in ("q", "angle"))
+    p = _scanned(scanner, steps, q, np.repeat([length.laser for length in lengths], 2), angle)
+    return np.linalg.norm(p[:, 1::2] - p[:, 0::2], axis=-1)
+
+
+def _at_depths(scanner: Scanner, laser: int, reached: list[Lit], steps: np.ndarray) -> list[dict[str, Any]]:
+    lines = [_some(lit.q, _LINES) for lit in reached]
+    turned = [_some(lit.q, _TURN_LINES) for lit in reached]
+    stops = 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
+    q = [part for one, other in zip(lines, turned, strict=True) for part in (one, np.tile(other, (_TURN_STOPS, 1)))]
+    angle = [
+        part for one, other in zip(lines, turned, strict=True) for part in (0.0 * one[:, 0], stops.repeat(len(other)))
+    ]
+    if not q:
+        return []
+    p = _scanned(scanner, steps, np.concatenate(q), laser, np.concatenate(angle))
+    parts = np.split(p, np.cumsum([len(part) for part in q])[:-1], axis=1)
+    return [
+        {
+            "depth_m": lit.depth,
+            "lines": len(lit.q),
+            "sigma_depth_mm": 1000.0 * _rms(_sigma(still[..., 2])),
+            "sigma_range_mm": 1000.0 * _rms(_sigma(np.linalg.norm(still, axis=-1))),
+            "sigma_point_mm": 1000.0 * _shape_sigma(turning),
+        }
+        for lit, still, turning in zip(reached, parts[0::2], parts[1::2], strict=True)
+    ]
+
+
+def _shape_sigma(p: np.ndarray) -> float:
+    """Root mean square error of points [steps, n, 3], their best common rigid motion removed [m]."""
+    arm = p[0] - p[0].mean(0)
+    turns = np.stack([np.cross(axis, arm).ravel() for axis in np.eye(3)], axis=-1)
+    shifts = np.tile(np.eye(3), (len(arm), 1))
+    motions, _ = np.linalg.qr(np.concatenate([shifts, turns], axis=-1))
+    change = _change(p).reshape(len(p) // 2, -1)
+    change = change - (change @ motions) @ motions.T
+    return float(np.sqrt(np.sum(change**2) / len(arm)))
+
+
+def _along_stripe(laser: int, lit: Lit, length: float) -> Length | None:
+    """Two points of one image, as near to the optical axis as the image lets them be."""
+    if len(lit.q) == 0 or np.ptp(lit.along) < length:
+        return None
+    middle = np.clip(0.0, lit.along.min() + length / 2, lit.along.max() - length / 2)
+    at, order = middle + length / 2 * np.array([-1.0, 1.0]), np.argsort(lit.along)
+    # Between neighbouring lines the stripe is straight to far less than a pixel.
+    ends = np.stack([np.interp(at, lit.along[order], lit.q[order, i]) for i in range(2)], axis=-1)
+    return Length("along the stripe", lit.depth, laser, ends, np.zeros(2))
+
+
+def _across_sweep(scanner: Scanner, laser: int, lit: Lit, length: float) -> Length | None:
+    """The middle of the stripe, turned so far that the point moves by the length."""
+    table = scanner.turntable
+    point = _scanned(scanner, _no_steps(scanner), lit.middle()[None], laser)[0, 0]
+    radius = float(np.linalg.norm(np.cross(np.asarray(table.direction), point - np.asarray(table.point))))
+    if length > 2.0 * radius:
+        return None
+    turn = 2.0 * np.arcsin(length / (2.0 * radius)) / abs(float(table.gain))
+    return Length("across the sweep", lit.depth, laser, np.tile(lit.middle(), (2, 1)), np.array([0.0, turn]))
+
+
+def _half_turn(laser: int, lit: Lit) -> Length | None:
+    if len(lit.q) == 0:
+        return None
+    return Length("half a turn", lit.depth, laser, np.tile(lit.middle(), (2, 1)), np.array([0.0, np.pi]))
+
+
+def _steps(scanner: Scanner) -> np.ndarray:
+    """No step, then one standard deviation forth along each independent direction, then back."""
+    if scanner.covariance is None:
+        raise ValueError("The scanner has no covariance, so nothing can be said about its lengths.")
+    covariance = np.asarray(scanner.covariance, np.float64)
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    # Pixels and radians differ by a million: in units of sigma all directions are of one size.
+    unit = np.where(sigma > 0, sigma, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    forth = (unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))).T
+    return np.concatenate([np.zeros((1, len(sigma))), forth, -forth])
+
+
+def _no_steps(scanner: Scanner) -> np.ndarray:
+    # As many as `_steps` has: then both are one compilation.
+    return np.zeros((1 + 2 * len(scanner.parameter_names()), len(scanner.parameter_names())))
+
+
+def _change(values: np.ndarray) -> np.ndarray:
+    """Half of what a quantity [steps, ...] changes from back to forth, for each direction."""
+    count = len(values) // 2
+    return (values[1 : 1 + count] - values[1 + count :]) / 2.0
+
+
+def _sigma(values: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.sum(_change(values) ** 2, axis=0))
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _some(values: np.ndarray, count: int) -> np.ndarray:
+    return values[np.unique(np.linspace(0, len(values) - 1, count).round().astype(int))]
+
+
+def _scanned(
+    scanner: Scanner, steps: np.ndarray, q: np.ndarray, laser: np.ndarray | int, angle: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Points in the camera frame at angle 0, with the scanner moved by each step [steps, points, 3]."""
+    laser = np.broadcast_to(np.asarray(laser, np.int32), len(q))
+    angle = np.broadcast_to(np.asarray(angle, np.float64), len(q))
+    # Padded, so that one compilation serves all.
+    index = np.resize(np.arange(len(q)), -(-len(q) // _BLOCK) * _BLOCK)
+    with jax.enable_x64(True):
+        parts = [_scan(bare(scanner), steps, q[i], laser[i], angle[i]) for i in index.reshape(-1, _BLOCK)]
+        return np.concatenate([np.asarray(part) for part in parts], axis=1)[:, : len(q)]
+
+
+@jax.jit
+def _scan(
+    scanner: Scanner,
+    steps: Float[Array, "steps params"],
+    q: Float[Array, "n 2"],
+    laser: Int[Array, " n"],
+    angle: Float[Array, " n"],
+) -> Float[Array, "steps n 3"]:
+    def one(scanner, q, laser, phi):
+        ray = scanner.camera.unproject(q)
+        range_m, _ = scanner.laser(laser).intersect(ray)
+        return transform(scanner.turntable.motion(phi), range_m * ray)
+
+    every = jax.vmap(one, in_axes=(None, 0, 0, 0))
+    return jax.lax.map(lambda step: every(scanner.retract(step), q, laser, angle), steps)

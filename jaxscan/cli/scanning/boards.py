@@ -1,0 +1,101 @@
+"""`jaxscan scan --boards`: poses of the calibration board, looked at as soon as they are taken."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+
+from jaxscan import api
+from jaxscan.cli.scanning.display import ScanDisplay
+from jaxscan.cli.scanning.operator import CommandOperator, Lines, TerminalOperator, coverage_text
+from jaxscan.cli.scanning.plan import sweep_header
+from jaxscan.errors import OptionError
+from jaxscan.files.capture.header import board_of
+
+
+if TYPE_CHECKING:
+    from scanrig.cameras.frame import Camera
+    from scanrig.checks.guide import Guide
+    from scanrig.config import RigConfig
+    from scanrig.controllers.controller import Controller
+    from scanrig.session.session import SessionResult
+
+
+def scan_boards(
+    rig: "RigConfig",
+    folder: Path,
+    controller: "Controller",
+    camera: "Camera",
+    interrupted: Callable[[], bool],
+    resume: bool,
+    place_command: str | None,
+    out: Console,
+) -> "SessionResult":
+    """Capture a calibration, the board placed by a person or by a command."""
+    from scanrig.session.session import run_calibration
+
+    guide, lines = make_guide(rig), None
+    operator: TerminalOperator | CommandOperator
+    if place_command is None:
+        lines = Lines()
+        operator = TerminalOperator(guide, lines, should_stop=interrupted, console=out)
+    else:
+        operator = CommandOperator(place_command, free_views=rig.calibration.free_views, console=out)
+
+    def on_pair(number: int, angle: float, on: np.ndarray, off: np.ndarray) -> None:
+        request = operator.placing
+        turning = request is not None and request.kind == "placement"
+        seen = guide.look(on, off)
+        guide.keep(seen, request.number if turning and request is not None else None)
+        at = f"at {math.degrees(angle):.1f}°: " if turning else ""
+        if seen.view is None:
+            out.print(f"  {at}{seen.problem}")
+            return
+        pose = guide.pose(seen)
+        stands = "" if pose is None else f", tilted {pose.tilt_deg:.0f}°, about {pose.depth_m:.2f} m away"
+        out.print(f"  {at}board found, {len(seen.view.q)} corners{stands}; laser {seen.view.where}")
+        if not turning:
+            out.print(coverage_text(guide.coverage()))
+
+    with ScanDisplay() as display:
+        return run_calibration(
+            rig,
+            folder,
+            controller=controller,
+            camera=camera,
+            operator=operator,
+            resume=resume,
+            on_pair=on_pair,
+            notify=display.say,
+            should_stop=lambda: interrupted() or (lines is not None and lines.ended),
+        )
+
+
+def make_guide(rig: "RigConfig") -> "Guide":
+    """The guide, with OpenCV for corners and the stripe extraction for the laser's line."""
+    from scanrig.checks.guide import Guide
+
+    from jaxscan.vision.boards import find_corners
+    from jaxscan.vision.grey import to_grey
+
+    camera, line = rig.camera, rig.laser[0].line
+    header = sweep_header(rig).model_copy(update={"kind": "calibration", "board": rig.board})
+    board = board_of(header)
+    if board is None:
+        raise OptionError("The configuration has no [board] table.")
+
+    def detect(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        found = find_corners(to_grey(frame, camera.pixel_format), board)
+        return None if found is None else (found.q, found.valid)
+
+    def find_line(on: np.ndarray, off: np.ndarray) -> np.ndarray:
+        how: dict[str, Any] = {"pixel_format": camera.pixel_format, "response": camera.response, "line": line}
+        stripes = api.extract_stripes(on[None], off[None], **how)
+        valid = np.asarray(stripes.valid)[0]
+        points = np.column_stack([np.asarray(stripes.u)[0][valid], np.flatnonzero(valid)]).astype(float)
+        return points if line.stripe_axis == "rows" else points[:, ::-1]
+
+    return Guide(board, (camera.width, camera.height), detect, find_line)

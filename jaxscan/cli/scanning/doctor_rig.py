@@ -1,0 +1,67 @@
+"""Opens what there is of a rig, has it examined, and closes it with the laser off."""
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from jaxscan.errors import JaxscanError
+
+
+if TYPE_CHECKING:
+    from scanrig.config import RigConfig
+
+T = TypeVar("T")
+
+
+def examine_rig(
+    port: str | None,
+    config: Path | None,
+    camera: str | None,
+    tell: Callable[[Any], None],
+    *,
+    say: Callable[[str], None],
+) -> None:
+    """Examine a rig, or a controller alone.
+
+    Args:
+        port: Serial port instead of that of the configuration.
+        config: The rig's configuration, where there is one.
+        camera: Id of the camera instead of that of the configuration.
+        tell: Called with every `scanrig.doctor.findings.Finding`.
+        say: Called with what is going on where it takes long.
+
+    Raises:
+        ConfigError: If the configuration cannot be read.
+    """
+    from scanrig.cameras import open_camera
+    from scanrig.config import load_rig
+    from scanrig.controllers.connect import connect
+    from scanrig.doctor.doctor import examine
+    from scanrig.doctor.findings import Finding
+
+    rig = None if config is None else _with_camera(load_rig(config), camera)
+
+    def opened(name: str, open_it: Callable[[], T]) -> T | None:
+        try:
+            return open_it()
+        except JaxscanError as problem:
+            tell(Finding(name, "wrong", " ".join(str(problem).split())))
+            return None
+
+    with contextlib.ExitStack() as stack:
+        wanted = port or ("auto" if rig is None else rig.controller.port)
+        controller = opened("port", lambda: connect(wanted, 250_000 if rig is None else rig.controller.baud))
+        if controller is not None:
+            stack.enter_context(controller)
+            tell(Finding("port", "works", controller.name))
+        device = None if rig is None else opened("camera", lambda: open_camera(rig.camera))
+        if device is not None:
+            stack.enter_context(device)
+        examine(controller, device, rig, folder=Path.cwd(), tell=tell, say=say)
+
+
+def _with_camera(rig: "RigConfig", camera: str | None) -> "RigConfig":
+    if camera is None:
+        return rig
+    return rig.model_copy(update={"camera": rig.camera.model_copy(update={"id": camera})})

@@ -1,0 +1,300 @@
+"""The cloud while it is being scanned: stripes are found beside the rig, which does not wait for them."""
+
+import queue
+import threading
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan import api
+from jaxscan.errors import CaptureError, JaxscanError
+from jaxscan.files.capture.capture import Capture, CaptureHeader, open_capture
+from jaxscan.geometry import Scanner
+from jaxscan.reconstruction.incoming import IncomingStripes, Pair, PlannedSweep
+from jaxscan.reconstruction.reconstruct import Progress
+from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
+
+
+_PATIENCE_S = 5.0
+"""Age from which a chunk that is not full is computed all the same."""
+_TICK_S = 0.1
+"""Longest wait for a pair."""
+_END_S = 600.0
+"""Longest wait for what is still to be computed at the end, which is one queue of pairs."""
+
+
+class LiveStatus(NamedTuple):
+    """What is known so far."""
+
+    records: int
+    """Records whose stripes are found."""
+    points: int
+    later: int
+    """Records that are read from the disk when there is time."""
+    problem: str
+    """Why nothing is computed any more; empty while all is well."""
+
+
+class LiveResult(NamedTuple):
+    """The cloud of the finished capture."""
+
+    cloud: api.PointCloud
+    live: bool
+    """Whether its stripes were found while it was scanned."""
+    notes: tuple[str, ...]
+
+
+class LiveCloud:
+    """Finds stripes while pairs come in; a context manager, which ends its thread.
+
+    `add` never waits: where the computer does not keep up, a pair is left on the disk, and read
+    when there is time or at the end.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        header: CaptureHeader,
+        scanner: Scanner,
+        *,
+        steps: int,
+        settings: ReconstructSettings = DEFAULTS,
+    ) -> None:
+        """Check that the sweep fits the scanner, and begin to wait for pairs.
+
+        Args:
+            folder: Where the capture is, or will be.
+            header: Of the capture.
+            scanner: The calibrated rig.
+            steps: Records of the whole sweep.
+            settings: As of `reconstruct`.
+
+        Raises:
+            CalibrationError: If the scanner is not that of the sweep.
+            CaptureError: If records may show several lasers, of which only the finished capture tells.
+        """
+        if len(header.lines) != 1:
+            raise CaptureError(f"{folder}: found {len(header.lines)} lasers, expected one for a cloud while scanning.")
+        camera = header.camera
+        carries = None if header.turntable is None else header.turntable.carries
+        size = (camera.width, camera.height)
+        sweep = PlannedSweep(camera.pixel_format, camera.response, header.lines, size, carries, steps)
+        self._stripes = IncomingStripes(sweep, scanner, settings)
+        self._folder, self._scanner, self._settings, self._steps = folder, scanner, settings, steps
+        self._first: dict[int, Pair] = {}
+        self._given: set[int] = set()
+        self._learned_again = False
+        self._queue: queue.Queue[Pair] = queue.Queue(self._stripes.size)
+        self._lock = threading.Lock()
+        self._later: set[int] = set()
+        self._unread: set[int] = set()
+        self._capture: tuple[int, Capture] | None = None
+        self._changes = 0
+        self._problem: Exception | None = None
+        self._ending, self._stopped = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._work, name="jaxscan-live", daemon=True)
+        self._thread.start()
+
+    def add(self, number: int, angle: float, on: np.ndarray, off: np.ndarray) -> None:
+        """Take a pair that is on the disk; returns at once.
+
+        Args:
+            number: Of the record; one that was there before is a retake.
+            angle: The table's angle [rad from home].
+            on: Laser-on frame, uint8 [rows, columns(, 3)].
+            off: Laser-off frame.
+        """
+        if self._problem is not None or not 0 <= number < self._steps:
+            return
+        # The camera may use its memory again.
+        pair = Pair(number, angle, np.array(on), np.array(off))
+        with self._lock:
+            self._notice(number)
+            self._later.discard(number)
+            try:
+                self._queue.put_nowait(pair)
+            except queue.Full:
+                self._later.add(number)
+                self._changes += 1
+
+    def add_from_disk(self) -> int:
+        """Take the records that the capture holds already; they are read beside the scan.
+
+        Returns:
+            How many there are.
+
+        Raises:
+            CaptureError: If it cannot be read.
+        """
+        capture = open_capture(self._folder)
+        numbers = {record.i for record in capture.records if record.i < self._steps}
+        with self._lock:
+            self._capture = (self._changes, capture)
+            for number in numbers:
+                self._notice(number)
+            self._later |= numbers
+        return len(numbers)
+
+    def status(self) -> LiveStatus:
+        """What is known so far."""
+        points = self._stripes.points.copy()
+        with self._lock:
+            later = len(self._later | self._unread)
+        problem = "" if self._problem is None else " ".join(str(self._problem).split())
+        return LiveStatus(int((points >= 0).sum()), int(points[points > 0].sum()), later, problem)
+
+    def finish(self, progress: Progress = None) -> LiveResult:
+        """The cloud of the capture as it is on the disk now.
+
+        Where what was learned at the start has changed since, or something went wrong, it is
+        reconstructed from the disk as `jaxscan reconstruct` does it.
+
+        Args:
+            progress: Called with (records done, records in all) of what is read from the disk.
+
+        Raises:
+            CaptureError, CalibrationError: As of `reconstruct`.
+        """
+        self._ending.set()
+        self._thread.join(_END_S)
+        if self._thread.is_alive():
+            raise CaptureError(f"{self._folder}: the live cloud does not end; reconstruct the capture.")
+        capture = open_capture(self._folder)
+        numbers = [record.i for record in capture.records]
+        why = self._why_not(capture, numbers)
+        if why is not None:
+            done = api.reconstruct_capture(capture, self._scanner, settings=self._settings, progress=progress)
+            return LiveResult(done.cloud, False, (why, *done.notes))
+        self._catch_up(capture, progress)
+        stripes = self._stripes.finish(numbers)
+        cloud = api.reconstruct(capture, self._scanner, stripes=stripes, settings=self._settings)
+        return LiveResult(cloud, True, ())
+
+    def close(self) -> None:
+        """End the thread; what is not computed is dropped."""
+        self._stopped.set()
+        self._thread.join(_END_S)
+
+    def __enter__(self) -> "LiveCloud":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _notice(self, number: int) -> None:
+        """Whether a record from which was learned comes a second time."""
+        if number < self._stripes.needed:
+            self._learned_again |= number in self._given
+            self._given.add(number)
+
+    def _why_not(self, capture: Capture, numbers: list[int]) -> str | None:
+        """Why the stripes found so far are not those of the finished capture; None if they are."""
+        if isinstance(self._problem, JaxscanError):
+            return f"the live cloud stopped ({' '.join(str(self._problem).split())}); reconstructed from the disk"
+        if self._problem is not None:
+            raise self._problem
+        if self._learned_again or not self._stripes.are_of(capture, numbers):
+            return "the first records are not those at the start of the scan; reconstructed from the disk"
+        return None
+
+    def _catch_up(self, capture: Capture, progress: Progress) -> None:
+        """Compute what was left on the disk."""
+        stale, points = self._later | self._unread, self._stripes.points
+        missing = [n for n, record in enumerate(capture.records) if points[record.i] < 0 or record.i in stale]
+        for start in range(0, len(missing), self._stripes.size):
+            some = missing[start : start + self._stripes.size]
+            self._stripes.compute([_from_disk(capture, n) for n in some])
+            if progress is not None:
+                progress(start + len(some), len(missing))
+
+    def _work(self) -> None:
+        try:
+            self._collect()
+        except Exception as problem:
+            # `status` and `finish` tell; the scan goes on, and its pairs are on the disk.
+            self._problem = problem
+
+    def _collect(self) -> None:
+        stripes = self._stripes
+        chunk: dict[int, Pair] = {}
+        since = time.monotonic()
+        while not self._stopped.is_set():
+            pair = self._next()
+            if pair is not None:
+                since = since if chunk else time.monotonic()
+                chunk[pair.number] = pair
+                if self._learn(pair):
+                    chunk |= self._first
+                    self._first = {}
+            ending = pair is None and self._ending.is_set()
+            full = len(chunk) >= stripes.size
+            if chunk and stripes.learned and (full or ending or time.monotonic() - since > _PATIENCE_S):
+                stripes.compute(list(chunk.values()))
+                chunk = {}
+            elif full and not stripes.learned:
+                # Memory has an end; without its first records nothing is known of the sweep.
+                with self._lock:
+                    self._later |= chunk.keys() - self._first.keys()
+                    self._changes += 1
+                chunk = {}
+            if ending:
+                return
+
+    def _next(self) -> Pair | None:
+        """A pair as it comes, or one from the disk where none comes."""
+        try:
+            return self._queue.get_nowait()
+        except queue.Empty:
+            number = None if self._ending.is_set() else self._take_later()
+        if number is None:
+            try:
+                return self._queue.get(timeout=_TICK_S)
+            except queue.Empty:
+                return None
+        try:
+            return self._read(number)
+        except CaptureError:
+            # Perhaps it is being replaced; at the end it is read, or said to be damaged.
+            with self._lock:
+                self._unread.add(number)
+            return None
+
+    def _take_later(self) -> int | None:
+        with self._lock:
+            wanted = [n for n in self._later if self._stripes.learned or n < self._stripes.needed]
+            number = min(wanted, default=None)
+            if number is not None:
+                self._later.discard(number)
+            return number
+
+    def _read(self, number: int) -> Pair:
+        with self._lock:
+            changes, known = self._changes, self._capture
+        if known is None or known[0] != changes:
+            known = self._capture = (changes, open_capture(self._folder))
+        capture = known[1]
+        for index, record in enumerate(capture.records):
+            if record.i == number:
+                return _from_disk(capture, index)
+        raise CaptureError(f"{self._folder}: record {number} is not in the journal.")
+
+    def _learn(self, pair: Pair) -> bool:
+        """Learn as soon as the first records are there; whether that was now."""
+        needed = self._stripes.needed
+        if self._stripes.learned or pair.number >= needed:
+            return False
+        self._first[pair.number] = pair
+        if len(self._first) < needed:
+            return False
+        self._stripes.learn([self._first[n] for n in range(needed)])
+        return True
+
+
+def _from_disk(capture: Capture, index: int) -> Pair:
+    on, off = capture.frames(index)
+    record = capture.records[index]
+    if on is None or off is None or record.angle is None:
+        raise CaptureError(f"{capture.path}: record {record.i}: expected a pair at a known angle.")
+    return Pair(record.i, record.angle, on, off)

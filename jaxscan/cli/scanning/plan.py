@@ -1,0 +1,71 @@
+"""What a scan is going to be, said before it begins: records, time, space, and what a person should know."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from jaxscan.files.capture.capture import CaptureHeader
+from jaxscan.files.capture.header import CameraTable, TurntableTable
+
+
+if TYPE_CHECKING:
+    from scanrig.config import RigConfig
+
+
+class ScanPlan:
+    """How many records, how long, how large."""
+
+    def __init__(self, records: int, what: str, seconds: float, size: int, notes: tuple[str, ...]) -> None:
+        self.records, self._what, self._seconds, self._size, self._notes = records, what, seconds, size, notes
+
+    @classmethod
+    def of(cls, rig: "RigConfig", *, boards: bool) -> "ScanPlan":
+        """The plan of a sweep, or of views of the board.
+
+        Raises:
+            ConfigError: If the table cannot stand where it is asked to.
+        """
+        from scanrig.session.plan import estimate, placement_positions, plan_sweep
+
+        if not boards:
+            targets, notes = plan_sweep(rig)
+            needed = estimate(rig, [target.position for target in targets])
+            step = abs(rig.sweep.turn_deg) / rig.sweep.steps
+            what = f"{len(targets)} steps of {step:.4g}°"
+            return cls(len(targets), what, needed.seconds, needed.bytes, notes)
+        positions, views = placement_positions(rig), rig.calibration
+        stands = [to for _ in range(views.placements) for to in positions]
+        needed = estimate(rig, [0] * views.free_views + stands)
+        what = (
+            f"{views.free_views} poses of the board, then {views.placements} places where it stands while the table "
+            f"turns to {len(positions)} angles"
+        )
+        return cls(views.free_views + len(stands), what, needed.seconds, needed.bytes, ())
+
+    def show(self, out: Console, rig: "RigConfig", folder: Path) -> None:
+        """Say what is going to happen."""
+        from scanrig.recording.space import readable
+
+        out.print(f"{self._what}: {2 * self.records} images of {rig.camera.width} x {rig.camera.height} to {folder}")
+        turn = f"{rig.microsteps_per_turn} microsteps per turn"
+        out.print(f"about {_duration(self._seconds)}, up to {readable(self._size)}, {turn}")
+        for note in self._notes:
+            out.print(f"note: {note}")
+
+
+def _duration(seconds: float) -> str:
+    minutes = math.ceil(seconds / 60)
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def sweep_header(rig: "RigConfig") -> CaptureHeader:
+    """What the capture's header will say of its frames."""
+    camera = rig.camera
+    size = {"width": camera.width, "height": camera.height}
+    table = CameraTable(**size, pixel_format=camera.pixel_format, response=camera.response, up=camera.up)
+    turntable = TurntableTable(carries=rig.turntable.carries)
+    return CaptureHeader(kind="sweep", camera=table, turntable=turntable, laser=tuple(one.table for one in rig.laser))

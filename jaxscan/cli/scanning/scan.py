@@ -1,0 +1,207 @@
+"""`jaxscan scan`: drives a rig, turns the table, takes the pictures, and may show the cloud while it grows."""
+
+import contextlib
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+
+from jaxscan import api
+from jaxscan.cli.options import OutputPath
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.progress import progress_bar
+from jaxscan.cli.scanning.boards import scan_boards
+from jaxscan.cli.scanning.display import ScanDisplay
+from jaxscan.cli.scanning.live import LiveCloud
+from jaxscan.cli.scanning.plan import ScanPlan, sweep_header
+from jaxscan.errors import CaptureError, JaxscanError, OptionError
+from jaxscan.files.calibration.calibration import calibration_digest
+from jaxscan.files.capture.header import HEADER_NAME
+from jaxscan.files.clouds.clouds import check_cloud_path
+
+
+if TYPE_CHECKING:
+    from scanrig.cameras.frame import Camera
+    from scanrig.config import RigConfig
+    from scanrig.controllers.controller import Controller
+    from scanrig.session.session import SessionResult
+
+
+ConfigPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")]
+
+
+class ScanError(JaxscanError):
+    """A scan that ended before its end, or whose records are in doubt."""
+
+
+def scan(
+    config: ConfigPath,
+    /,
+    *,
+    output: OutputPath,
+    boards: bool = False,
+    resume: bool = False,
+    port: str | None = None,
+    calibration: Annotated[Path | None, tyro.conf.arg(aliases=["-c"])] = None,
+    cloud: Path | None = None,
+    place_command: str | None = None,
+    json: JsonTarget = None,
+) -> None:
+    """Scan with a rig: `jaxscan scan configs/scan.toml -o captures/room`.
+
+    Ctrl-C ends after the step and switches the laser off; a second one does so at once.
+
+    Args:
+        config: The rig: controller, turntable, laser, camera, and what is to be taken.
+        output: Folder of the capture.
+        boards: Capture the calibration board instead of a sweep; says what is still missing.
+        resume: Go on with a capture that was interrupted.
+        port: Serial port instead of that of the configuration; "auto" takes the only controller there is.
+        calibration: Calibration of the rig: points are counted while it scans.
+        cloud: With --calibration: cloud to write at the end (.ply .e57 .laz .las .pcd .xyz .ptx .npz).
+        place_command: With --boards: command that places the board, run with the number of the pose after it.
+        json: Write the result as JSON too.
+    """
+    # Here, so that no other verb loads what drives hardware.
+    from scanrig.cameras import open_camera
+    from scanrig.config import load_rig
+    from scanrig.controllers.connect import connect
+    from scanrig.session.signals import Interrupts
+
+    _check_options(boards=boards, calibration=calibration, cloud=cloud, place_command=place_command)
+    check_json(json)
+    rig = load_rig(config)
+    if boards and rig.board is None:
+        raise OptionError(f"{config}: has no [board] table, which --boards needs.")
+    out = console(json)
+    plan = ScanPlan.of(rig, boards=boards)
+    plan.show(out, rig, output)
+    with contextlib.ExitStack() as stack:
+        live = None
+        if calibration is not None:
+            scanner = api.load_scanner(calibration)
+            live = stack.enter_context(LiveCloud(output, sweep_header(rig), scanner, steps=plan.records))
+            if resume and (output / HEADER_NAME).exists():
+                _take_along(live)
+        # Signals ask for an end only while the rig is in use.
+        with Interrupts() as interrupts, connect(port or rig.controller.port, rig.controller.baud) as controller:
+            with open_camera(rig.camera) as camera:
+                if boards:
+                    result = scan_boards(rig, output, controller, camera, interrupts, resume, place_command, out)
+                else:
+                    result = _scan_sweep(rig, output, controller, camera, interrupts, resume, calibration, live)
+        out.print(result.message)
+        done = _finish_cloud(live, result, cloud, calibration, out)
+    if result.status == "complete":
+        out.print(f"next: {_next_command(boards, output, calibration, cloud)}")
+    emit_json(json, "scan", {**_as_json(result), "capture": str(output), **done})
+    if result.status == "interrupted" and interrupts():
+        raise KeyboardInterrupt
+    if result.status != "complete":
+        again = _resume_command(
+            config,
+            output,
+            boards,
+            {"--port": port, "-c": calibration, "--cloud": cloud, "--place-command": place_command},
+        )
+        raise ScanError(f"{output}: {result.status}; go on with: {again}")
+
+
+def _check_options(*, boards: bool, calibration: Path | None, cloud: Path | None, place_command: str | None) -> None:
+    if place_command is not None and not boards:
+        raise OptionError("--place-command: found without --boards, expected with it.")
+    if boards and calibration is not None:
+        raise OptionError("--calibration: found with --boards, expected for a sweep: boards are what it is made of.")
+    if cloud is not None:
+        if calibration is None:
+            raise OptionError("--cloud: found without --calibration, expected with it.")
+        check_cloud_path(cloud)
+
+
+def _take_along(live: LiveCloud) -> None:
+    """The records of an earlier session; a capture without any is none yet."""
+    with contextlib.suppress(CaptureError):
+        live.add_from_disk()
+
+
+def _scan_sweep(
+    rig: "RigConfig",
+    folder: Path,
+    controller: "Controller",
+    camera: "Camera",
+    should_stop: Callable[[], bool],
+    resume: bool,
+    calibration: Path | None,
+    live: LiveCloud | None,
+) -> "SessionResult":
+    from scanrig.doctor.light import stripe_level
+    from scanrig.session.plan import plan_sweep
+    from scanrig.session.session import run_sweep
+
+    with ScanDisplay(None if live is None else live.status, total=len(plan_sweep(rig)[0])) as display:
+
+        def on_pair(number: int, angle: float, on: np.ndarray, off: np.ndarray) -> None:
+            display.pair(angle, stripe_level(on, off, rig)[0])
+            if live is not None:
+                live.add(number, angle, on, off)
+
+        return run_sweep(
+            rig,
+            folder,
+            controller=controller,
+            camera=camera,
+            resume=resume,
+            calibration_digest=None if calibration is None else calibration_digest(calibration),
+            on_pair=on_pair,
+            progress=display.progress,
+            notify=display.say,
+            should_stop=should_stop,
+        )
+
+
+def _finish_cloud(
+    live: LiveCloud | None, result: "SessionResult", cloud: Path | None, calibration: Path | None, out: Console
+) -> dict[str, Any]:
+    """Write the cloud, where one is asked for and the sweep is whole."""
+    if live is None or cloud is None or calibration is None or result.status not in ("complete", "suspect"):
+        return {}
+    with progress_bar("Finishing the cloud") as progress:
+        done = live.finish(progress)
+    for note in done.notes:
+        out.print(f"note: {note}")
+    api.save_cloud(done.cloud, cloud, calibration_digest=calibration_digest(calibration))
+    points = int(np.count_nonzero(done.cloud.valid))
+    out.print(f"{points} points, written: {cloud}")
+    return {"cloud": str(cloud), "points": points, "live": done.live}
+
+
+def _as_json(result: "SessionResult") -> dict[str, Any]:
+    return {
+        "status": result.status,
+        "message": result.message,
+        "records": result.records,
+        "planned": result.planned,
+        "taken": result.taken,
+        "retakes": result.retakes,
+        "suspect": [list(run) for run in result.suspect],
+        "laser_off": result.laser_off,
+    }
+
+
+def _next_command(boards: bool, folder: Path, calibration: Path | None, cloud: Path | None) -> str:
+    if boards:
+        return f"jaxscan calibrate {folder} -o calibration.json --report calibration.html"
+    if cloud is not None:
+        return f"jaxscan measure room {cloud} -c {calibration}"
+    return f"jaxscan reconstruct {folder} -c {calibration or 'calibration.json'} -o {folder.name}.ply"
+
+
+def _resume_command(config: Path, folder: Path, boards: bool, given: dict[str, str | Path | None]) -> str:
+    words = ["jaxscan", "scan", str(config), "-o", str(folder), *(["--boards"] if boards else [])]
+    for option, value in given.items():
+        words += [] if value is None else [option, str(value)]
+    return shlex.join([*words, "--resume"])

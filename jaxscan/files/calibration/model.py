@@ -1,0 +1,215 @@
+"""What a calibration file holds, key by key, and the conditions on the numbers."""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pydantic
+
+from jaxscan.files.capture.header import MAX_PIXELS
+from jaxscan.files.disk.validation import FileModel, Integer, Number
+from jaxscan.geometry import Fisheye, Pinhole
+from jaxscan.geometry.scanner import UP_VECTORS, Up
+from jaxscan.geometry.turntable import Carries
+
+
+CALIBRATION_FORMAT: Literal["jaxscan-calibration/1"] = "jaxscan-calibration/1"
+UNIT_TOLERANCE = 1e-6
+"""How far from unit length, and from perpendicular, a written vector may be: digits lost by hand."""
+
+Pair = tuple[Number, Number]
+Triple = tuple[Number, Number, Number]
+Positive = Annotated[Number, pydantic.Field(gt=0)]
+Extent = Annotated[Integer, pydantic.Field(ge=1, le=65535)]
+
+
+class BrownTable(FileModel):
+    """Brown-Conrady coefficients [1]."""
+
+    k1: Number
+    k2: Number
+    p1: Number
+    p2: Number
+    k3: Number
+    k4: Number | None = None
+    k5: Number | None = None
+    k6: Number | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _all_or_none(self) -> "BrownTable":
+        if len({self.k4 is None, self.k5 is None, self.k6 is None}) > 1:
+            raise ValueError("k4, k5 and k6 come together or not at all")
+        return self
+
+    def coefficients(self) -> np.ndarray:
+        """In the order of `Pinhole.distortion`."""
+        every = (self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6)
+        return np.array([value for value in every if value is not None], np.float64)
+
+
+class KannalaTable(FileModel):
+    """Kannala-Brandt coefficients [1]."""
+
+    k1: Number
+    k2: Number
+    k3: Number
+    k4: Number
+
+    def coefficients(self) -> np.ndarray:
+        """In the order of `Fisheye.distortion`."""
+        return np.array([self.k1, self.k2, self.k3, self.k4], np.float64)
+
+
+class _CameraTable(FileModel):
+    """What every camera has [px]."""
+
+    width: Extent
+    height: Extent
+    up: Up = "-v"
+    fx: Positive
+    fy: Positive
+    cx: Number
+    cy: Number
+
+    def numbers(self) -> dict[str, Any]:
+        """Arguments that every camera of the geometry takes."""
+        floats = {name: np.asarray(getattr(self, name), np.float64) for name in ("fx", "fy", "cx", "cy")}
+        return {**floats, "width": self.width, "height": self.height}
+
+    @pydantic.model_validator(mode="after")
+    def _bounded(self) -> "_CameraTable":
+        if self.width * self.height > MAX_PIXELS:
+            raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
+        return self
+
+
+class PinholeTable(_CameraTable):
+    """A pinhole camera [px]."""
+
+    model: Literal["pinhole"]
+    skew: Number = 0.0
+    distortion: BrownTable
+
+    def camera(self) -> Pinhole:
+        """The camera of the geometry."""
+        skew = np.asarray(self.skew, np.float64)
+        return Pinhole(**self.numbers(), distortion=self.distortion.coefficients(), skew=skew)
+
+
+class FisheyeTable(_CameraTable):
+    """A fisheye camera [px, px/rad]."""
+
+    model: Literal["fisheye"]
+    skew: Number = 0.0
+    distortion: KannalaTable
+
+    @pydantic.field_validator("skew")
+    @classmethod
+    def _upright(cls, skew: float) -> float:
+        if skew != 0.0:
+            raise ValueError(f"found {skew}, a fisheye has no skew: expected 0")
+        return skew
+
+    def camera(self) -> Fisheye:
+        """The camera of the geometry."""
+        return Fisheye(**self.numbers(), distortion=self.distortion.coefficients())
+
+
+CameraTable = Annotated[PinholeTable | FisheyeTable, pydantic.Field(discriminator="model")]
+
+
+class LaserTable(FileModel):
+    """A laser sheet in the camera frame at angle 0."""
+
+    name: Annotated[str, pydantic.Field(min_length=1, max_length=64)]
+    normal: Triple
+    distance_m: Positive
+    bow: Pair
+    basis: tuple[Triple, Triple]
+
+    @pydantic.model_validator(mode="after")
+    def _orthonormal(self) -> "LaserTable":
+        _check_frame("normal", self.normal, self.basis)
+        return self
+
+
+class TurntableTable(FileModel):
+    """The axis in the camera frame at angle 0, and the model of the angle."""
+
+    carries: Carries
+    direction: Triple
+    point_m: Triple
+    gain: Number
+    harmonics: tuple[Number, Number, Number, Number]
+    basis: tuple[Triple, Triple]
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> "TurntableTable":
+        _check_frame("direction", self.direction, self.basis)
+        along = float(np.dot(self.direction, self.point_m))
+        if abs(along) > UNIT_TOLERANCE * max(1.0, float(np.linalg.norm(self.point_m))):
+            raise ValueError(
+                f"direction · point_m = {along:.3g}, expected 0: point_m is the axis point nearest the camera"
+            )
+        if self.gain == 0:
+            raise ValueError("gain = 0: the table does not turn")
+        return self
+
+
+class CovarianceTable(FileModel):
+    """Covariance of the minimal coordinates [px, rad, m]."""
+
+    order: Annotated[tuple[str, ...], pydantic.Field(max_length=200)]
+    matrix: Annotated[tuple[tuple[Number, ...], ...], pydantic.Field(max_length=200)]
+    scale: Annotated[Number, pydantic.Field(ge=0)] = 1.0
+    """Factor by which the misfit of the solve has already scaled `matrix`; for the record."""
+
+    @pydantic.model_validator(mode="after")
+    def _semidefinite(self) -> "CovarianceTable":
+        count = len(self.order)
+        if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
+            raise ValueError(f"matrix: expected {count} rows of {count} numbers, as order has names")
+        matrix = np.array(self.matrix, np.float64).reshape(count, count)
+        variances = np.diag(matrix)
+        if (variances < 0).any():
+            raise ValueError(f"matrix: the variance of {self.order[int(np.argmin(variances))]} is negative")
+        # As correlations, so that px and rad are judged alike; a parameter held fixed has no row.
+        deviations = np.sqrt(np.where(variances > 0, variances, 1.0))
+        correlations = matrix / deviations[:, None] / deviations[None, :]
+        if not np.allclose(correlations, correlations.T, rtol=0, atol=1e-9):
+            raise ValueError("matrix: not symmetric")
+        # Rounding in inverting an information matrix of condition 1e10 leaves about 1e-6.
+        if count and np.linalg.eigvalsh(correlations)[0] < -1e-6:
+            raise ValueError("matrix: not positive semidefinite")
+        return self
+
+
+class CalibrationTable(FileModel):
+    """All of a calibration file; without lasers and turntable it holds a camera alone."""
+
+    format: Literal["jaxscan-calibration/1"]
+    camera: CameraTable
+    lasers: Annotated[tuple[LaserTable, ...], pydantic.Field(max_length=16)] = ()
+    turntable: TurntableTable | None = None
+    quality: dict[str, Any] = pydantic.Field(default_factory=dict)
+    provenance: dict[str, Any] = pydantic.Field(default_factory=dict)
+    covariance: CovarianceTable | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> "CalibrationTable":
+        if bool(self.lasers) != (self.turntable is not None):
+            raise ValueError("lasers and turntable come together; a file without both holds a camera alone")
+        names = [laser.name for laser in self.lasers]
+        if len(set(names)) < len(names):
+            raise ValueError(f"lasers: found the names {', '.join(names)}, expected no name twice")
+        if self.turntable is not None and np.dot(self.turntable.direction, UP_VECTORS[self.camera.up]) < 0:
+            raise ValueError(f'turntable.direction: points down, expected towards the image\'s up "{self.camera.up}"')
+        return self
+
+
+def _check_frame(name: str, direction: Triple, basis: tuple[Triple, Triple]) -> None:
+    length = float(np.linalg.norm(direction))
+    if abs(length - 1) > UNIT_TOLERANCE:
+        raise ValueError(f"{name}: found a vector of length {length:.9g}, expected 1")
+    frame = np.array([direction, *basis], np.float64)
+    if np.abs(frame @ frame.T - np.eye(3)).max() > UNIT_TOLERANCE:
+        raise ValueError(f"basis: expected two unit vectors, perpendicular to each other and to {name}")

@@ -1,0 +1,170 @@
+"""The observations beside a calibration file, so that anyone can solve again: NPZ."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pydantic
+
+from jaxscan.calibration.observations import BoardViews, Observations, StripeViews
+from jaxscan.errors import CalibrationError
+from jaxscan.files.disk.arrays import read_arrays, write_arrays
+from jaxscan.files.disk.atomic import write_atomically
+from jaxscan.files.disk.bounded import parse_json
+from jaxscan.files.disk.readable_json import readable_json
+from jaxscan.files.disk.validation import FileModel, Integer, Number, check
+from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
+from jaxscan.geometry.scanner import Up
+from jaxscan.geometry.turntable import Carries
+
+
+OBSERVATIONS_FORMAT: Literal["jaxscan-observations/1"] = "jaxscan-observations/1"
+MAX_ARRAY_BYTES = 1 << 30
+
+# The letter is NumPy's for the kind of number; the extents refer to `_About`'s board and each other.
+_ARRAYS = {
+    "corners.q": ("f", ("views", "corners", 2)),
+    "corners.sigma": ("f", ("views", "corners")),
+    "corners.valid": ("b", ("views", "corners")),
+    "corners.angle": ("f", ("views",)),
+    "corners.placement": ("i", ("views",)),
+    "corners.record": ("i", ("views",)),
+    "stripes.q": ("f", ("stripes", "points", 2)),
+    "stripes.sigma": ("f", ("stripes", "points")),
+    "stripes.valid": ("b", ("stripes", "points")),
+    "stripes.view": ("i", ("stripes",)),
+    "stripes.laser": ("i", ("stripes",)),
+}
+Inner = Annotated[Integer, pydantic.Field(ge=1, le=1000)]
+Extent = Annotated[Integer, pydantic.Field(ge=1, le=65535)]
+Length = Annotated[Number, pydantic.Field(gt=0)]
+
+
+class _Charuco(FileModel):
+    type: Literal["charuco"]
+    columns: Inner
+    rows: Inner
+    square: Length
+    marker: Length
+    dictionary: str
+
+
+class _Chessboard(FileModel):
+    type: Literal["chessboard"]
+    columns: Inner
+    rows: Inner
+    square: Length
+
+
+class _About(FileModel):
+    """What is not an array, as JSON; lengths in metres, as the board itself has them."""
+
+    format: Literal["jaxscan-observations/1"]
+    board: Annotated[_Charuco | _Chessboard, pydantic.Field(discriminator="type")]
+    width: Extent
+    height: Extent
+    laser_names: tuple[str, ...]
+    up: Up
+    carries: Carries
+
+
+def observations_path(path: Path) -> Path:
+    """Where the observations of a calibration file lie."""
+    return path.with_suffix(".npz")
+
+
+def write_observations(observations: Observations, path: Path) -> None:
+    """Write the observations, whole or not at all.
+
+    Raises:
+        CalibrationError: If another file stands there, the board is of an unknown kind, or the
+            file cannot be written.
+    """
+    if path.exists() and not is_observations(path):
+        raise CalibrationError(f"{path}: exists and holds no observations; choose another name for the calibration.")
+    about = {
+        "format": OBSERVATIONS_FORMAT,
+        "board": _describe(observations.board),
+        "width": observations.width,
+        "height": observations.height,
+        "laser_names": list(observations.laser_names),
+        "up": observations.up,
+        "carries": observations.carries,
+    }
+    arrays = {"about": np.array(readable_json(about))}
+    for name in _ARRAYS:
+        part, field = name.split(".")
+        arrays[name] = np.asarray(getattr(getattr(observations, part), field))
+    write_atomically(path, lambda part: write_arrays(part, arrays), error=CalibrationError)
+
+
+def is_observations(path: Path) -> bool:
+    """Whether a file is one that `write_observations` wrote."""
+    try:
+        about = read_arrays(path, error=CalibrationError, limit=MAX_ARRAY_BYTES, only="about").get("about")
+    except CalibrationError:
+        return False
+    return about is not None and OBSERVATIONS_FORMAT in str(about)
+
+
+def read_observations(path: Path) -> Observations:
+    """The observations that belong to a calibration.
+
+    Raises:
+        CalibrationError: If they are damaged.
+    """
+    arrays = read_arrays(path, error=CalibrationError, limit=MAX_ARRAY_BYTES)
+    text = str(arrays.get("about", "null")).encode()
+    about = check(
+        _About, parse_json(text, name=str(path), error=CalibrationError), name=str(path), error=CalibrationError
+    )
+    board = _board(about)
+    extents: dict[str | int, int] = {"corners": len(board.corners()), 2: 2}
+    for name, (kind, axes) in _ARRAYS.items():
+        array = arrays.get(name)
+        if array is None:
+            raise CalibrationError(f"{path}: {name} is missing.")
+        expected = [extents.setdefault(axis, size) for axis, size in zip(axes, array.shape, strict=False)]
+        if array.dtype.kind != kind or list(array.shape) != expected or array.ndim != len(axes):
+            raise CalibrationError(f"{path}: {name}: found {array.dtype} with shape {array.shape}, expected {axes}.")
+        if kind == "f" and not np.isfinite(array).all():
+            raise CalibrationError(f"{path}: {name} is not finite everywhere.")
+    for name, count in (("stripes.view", extents["views"]), ("stripes.laser", len(about.laser_names))):
+        if ((arrays[name] < 0) | (arrays[name] >= count)).any():
+            raise CalibrationError(f"{path}: {name}: found an index outside 0 ... {count - 1}.")
+
+    def group(part: str) -> dict[str, np.ndarray]:
+        return {name.removeprefix(part): arrays[name] for name in _ARRAYS if name.startswith(part)}
+
+    return Observations(
+        board=board,
+        corners=BoardViews(**group("corners.")),
+        stripes=StripeViews(**group("stripes.")),
+        width=about.width,
+        height=about.height,
+        laser_names=about.laser_names,
+        up=about.up,
+        carries=about.carries,
+    )
+
+
+def _describe(board: AbstractBoard) -> dict[str, object]:
+    if isinstance(board, Charuco):
+        return {
+            "type": "charuco",
+            "columns": board.columns,
+            "rows": board.rows,
+            "square": board.square,
+            "marker": board.marker,
+            "dictionary": board.dictionary,
+        }
+    if isinstance(board, Chessboard):
+        return {"type": "chessboard", "columns": board.columns, "rows": board.rows, "square": board.square}
+    raise CalibrationError(f"A board of type {type(board).__name__} has no place in the file of observations yet.")
+
+
+def _board(about: _About) -> AbstractBoard:
+    table = about.board
+    if isinstance(table, _Charuco):
+        return Charuco(**table.model_dump(exclude={"type"}))
+    return Chessboard(**table.model_dump(exclude={"type"}))

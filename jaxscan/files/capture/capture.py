@@ -1,0 +1,233 @@
+"""A capture on disk, read lazily: a sweep for `reconstruct`, or the records of a calibration."""
+
+import dataclasses
+import functools
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture.decode import decode_ahead
+from jaxscan.files.capture.exposures import common_exposures, exposure_levels
+from jaxscan.files.capture.header import HEADER_NAME, board_of, parse_header
+from jaxscan.files.capture.header import CaptureHeader as CaptureHeader
+from jaxscan.files.capture.images import ImageReader, RecordFrames
+from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, read_journal
+from jaxscan.files.capture.journal import Record as Record
+from jaxscan.files.capture.references import ImageRef as ImageRef
+from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
+from jaxscan.files.recording.resume import resume_capture as resume_capture
+from jaxscan.files.recording.writer import CaptureWriter as CaptureWriter
+from jaxscan.files.recording.writer import create_capture as create_capture
+from jaxscan.geometry import AbstractBoard
+from jaxscan.reconstruction.sweep import FrameChunk
+from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """An opened capture; a sweep is a `SweepSource`. Images are read when they are asked for."""
+
+    path: Path
+    header: CaptureHeader
+    records: tuple[Record, ...]
+    """Sorted by their number, one per number."""
+    notes: tuple[str, ...]
+    """What a reader should know, a sentence each: a torn last line that was left out."""
+    _digest: str
+    _reader: ImageReader = dataclasses.field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    @property
+    def pixel_format(self) -> PixelFormat:
+        return self.header.camera.pixel_format
+
+    @property
+    def response(self) -> Response:
+        return self.header.camera.response
+
+    @property
+    def lines(self) -> tuple[LaserLine, ...]:
+        """The lasers, in the order that `laser` counts them."""
+        return self.header.lines
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+        return self.header.camera.width, self.header.camera.height
+
+    @property
+    def carries(self) -> str | None:
+        """What the table carries, where the header says so."""
+        return None if self.header.turntable is None else self.header.turntable.carries
+
+    @property
+    def board(self) -> AbstractBoard | None:
+        """The calibration board, where the header has one."""
+        return board_of(self.header)
+
+    @functools.cached_property
+    def angles(self) -> np.ndarray:
+        """The table's angle of each record, float64 [records], rad from home.
+
+        Raises:
+            CaptureError: If an angle is unknown, as it may be in a calibration capture.
+        """
+        return np.array([self._angle(record) for record in self.records], np.float64)
+
+    @property
+    def record(self) -> np.ndarray:
+        """Which record each profile comes from, int32 [profiles]: its position in `records`.
+
+        A record with two lasers lit has two profiles, one after the other.
+
+        Raises:
+            CaptureError: If a record has no laser-on image, as it may be in a calibration capture.
+        """
+        return self._profiles[0]
+
+    @property
+    def laser(self) -> np.ndarray:
+        """Which laser each profile shows, int32 [profiles]: its position in `lines`.
+
+        Raises:
+            CaptureError: If a record has no laser-on image, as it may be in a calibration capture.
+        """
+        return self._profiles[1]
+
+    @functools.cached_property
+    def _profiles(self) -> tuple[np.ndarray, np.ndarray]:
+        for record in self.records:
+            if not record.on:
+                raise CaptureError(f"{self.path}: record {record.i}: on is null; only a sweep can be reconstructed.")
+        pairs = [(index, laser) for index, record in enumerate(self.records) for laser in record.lasers]
+        columns = np.array(pairs, np.int32).reshape(-1, 2).T.copy()
+        return columns[0], columns[1]
+
+    @functools.cached_property
+    def exposures(self) -> tuple[float, ...]:
+        """The different exposures of a frame [s], ascending; `(1.0,)` where the records do not say.
+
+        More than one is a bracket, the same in every record of a sweep. Repetitions of one
+        exposure are averaged when they are read and do not count.
+        """
+        images = [image for record in self.records for image in (*record.on, *record.off)]
+        return exposure_levels(images) or (1.0,)
+
+    def _angle(self, record: Record) -> float:
+        if record.angle is None:
+            raise CaptureError(f"{self.path}: record {record.i}: angle_deg is null; only a sweep can be reconstructed.")
+        return record.angle
+
+    def digest(self) -> str:
+        """The sha256 of header and journal, as "sha256:<hex>"; the same for every `every(n)`."""
+        return self._digest
+
+    def every(self, n: int) -> "Capture":
+        """Only every `n`-th record, the first included."""
+        if n < 1:
+            raise ValueError(f"`n` must be at least 1, got {n}.")
+        return dataclasses.replace(self, records=self.records[::n])
+
+    def frames(self, index: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """The laser-on and the laser-off image of one record, each where there is one.
+
+        Args:
+            index: Position in `records`.
+
+        Returns:
+            on, off: uint8 [rows, columns], or RGB [rows, columns, 3] for rgb8; where a sweep has a
+                bracket, [exposures, rows, columns(, 3)].
+
+        Raises:
+            CaptureError: With the name of the file that is missing, damaged or of the wrong size;
+                and where a calibration capture has a bracket.
+        """
+        record = self.records[index]
+        if self.header.kind == "calibration":
+            levels = exposure_levels((*record.on, *record.off))
+            if len(levels) > 1:
+                raise CaptureError(
+                    f"{self.path}: record {record.i}: found a bracket of {len(levels)} exposures; a calibration reads "
+                    "images of one exposure."
+                )
+        return self._reader.frame(record.on), self._reader.frame(record.off)
+
+    def image(self, reference: ImageRef) -> np.ndarray:
+        """One image of a record as it is stored, uint8 [rows, columns(, 3)], perhaps read-only.
+
+        Raises:
+            CaptureError: With the name of the file that is missing, damaged or of the wrong size.
+        """
+        return self._reader.image(reference)
+
+    def chunks(self, size: int) -> Iterator[FrameChunk]:
+        """All frames in order, `size` records at a time, decoded ahead by all cores.
+
+        Frames that lie one after another in one shard are read-only views of the file; others are
+        decoded or copied. A chunk may be kept; if it is not, its memory is used again, so that
+        no more than three chunks exist beside those that are in use. Close the iterator to stop
+        early.
+
+        Yields:
+            uint8 [records, rows, columns(, 3)], or [records, exposures, rows, columns(, 3)] where
+            there are several `exposures`.
+
+        Raises:
+            ValueError: If `size` is not positive.
+            CaptureError: With the name of the file, where its chunk would have come.
+        """
+        if size < 1:
+            raise ValueError(f"`size` must be at least 1, got {size}.")
+        if self.header.kind != "sweep":
+            raise CaptureError(f"{self.path}: is a calibration capture; only a sweep can be reconstructed.")
+        levels = len(self.exposures)
+        shape = (levels, *self._reader.shape) if levels > 1 else self._reader.shape
+        on = RecordFrames(self._reader, [record.on for record in self.records])
+        with_off = bool(self.records) and all(record.off for record in self.records)
+        off = RecordFrames(self._reader, [record.off for record in self.records]) if with_off else None
+        return decode_ahead(len(self), min(size, max(1, len(self))), shape, on, off)
+
+
+def open_capture(path: str | Path) -> Capture:
+    """Open a capture and check all of it but the contents of its images.
+
+    Args:
+        path: The folder.
+
+    Returns:
+        The capture; its `notes` say what was left out.
+
+    Raises:
+        CaptureError: With the file, and the line or key, that is missing or wrong.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise CaptureError(
+            f"{path}: {'found a file' if path.exists() else 'no such folder'}, expected a capture's folder."
+        )
+    header_name, journal_name = str(path / HEADER_NAME), str(path / JOURNAL_NAME)
+    header_bytes = read_bounded(header_name, MEGABYTE, name=header_name, error=CaptureError)
+    header = parse_header(header_bytes, name=header_name)
+    journal_bytes = read_bounded(journal_name, MAX_JOURNAL_BYTES, name=journal_name, error=CaptureError)
+    names = tuple(laser.name for laser in header.laser)
+    records, notes = read_journal(journal_bytes, name=journal_name, kind=header.kind, laser_names=names)
+    if not records:
+        raise CaptureError(f"{journal_name}: holds no complete record.")
+    without_off = [record for record in records if not record.off]
+    if header.kind == "sweep" and 0 < len(without_off) < len(records):
+        raise CaptureError(
+            f"{journal_name}: record {without_off[0].i} has no laser-off image, but others have; "
+            f"a sweep needs them all, or none."
+        )
+    if header.kind == "sweep":
+        common_exposures(records, name=journal_name)
+    digest = "sha256:" + hashlib.sha256(header_bytes + journal_bytes).hexdigest()
+    reader = ImageReader(path, header)
+    reader.check(records)
+    return Capture(path, header, records, notes, digest, reader)

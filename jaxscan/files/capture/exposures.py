@@ -1,0 +1,73 @@
+"""Several images for one frame: repetitions of an exposure are averaged, different exposures are a bracket."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture.journal import Record
+from jaxscan.files.capture.references import ImageRef
+
+
+def exposure_levels(images: Sequence[ImageRef]) -> tuple[float, ...]:
+    """The different exposures of a frame [s], ascending; empty where the record does not say."""
+    return tuple(sorted({one.exposure_s for one in images if one.exposure_s is not None}))
+
+
+def common_exposures(records: Sequence[Record], *, name: str) -> tuple[float, ...]:
+    """The exposures that every frame of a sweep has [s], ascending.
+
+    Args:
+        records: Of the sweep.
+        name: What messages call the journal.
+
+    Returns:
+        `(1.0,)` where the records name single images and no exposures.
+
+    Raises:
+        CaptureError: With the first record that differs from the one before it, or in itself.
+    """
+    expected = exposure_levels(records[0].on) if records else ()
+    for record in records:
+        for side, images in (("on", record.on), ("off", record.off)):
+            if images and exposure_levels(images) != expected:
+                raise CaptureError(
+                    f"{name}: record {record.i}: {side}: found {_said(exposure_levels(images))}, but the sweep began "
+                    f"with {_said(expected)}; all frames of a sweep need the same exposures."
+                )
+    return expected or (1.0,)
+
+
+def load_levels(images: Sequence[ImageRef], target: np.ndarray, load: Callable[[ImageRef], np.ndarray]) -> None:
+    """Read a frame, its exposures ascending, and average where there are repetitions.
+
+    Args:
+        images: Of the frame.
+        target: uint8 [exposures, rows, columns(, 3)], filled.
+        load: Reads one image.
+    """
+    levels = exposure_levels(images)
+    for row, level in zip(target, levels, strict=True) if levels else [(target[0], None)]:
+        average([one for one in images if one.exposure_s == level], row, load)
+
+
+def average(images: Sequence[ImageRef], target: np.ndarray, load: Callable[[ImageRef], np.ndarray]) -> None:
+    """The mean of images, rounded to whole DN, halves to the even one so that no level is favoured.
+
+    Args:
+        images: One or more.
+        target: uint8 [rows, columns(, 3)], filled.
+        load: Reads one image.
+    """
+    if len(images) == 1:
+        target[...] = load(images[0])
+        return
+    # 16 images of 255 DN fit; their sum over their number is exact in single precision where it is a half.
+    total = np.zeros(target.shape, np.uint16)
+    for one in images:
+        total += load(one)
+    target[...] = np.rint(total / np.float32(len(images)))
+
+
+def _said(levels: Sequence[float]) -> str:
+    return "one image without exposure" if not levels else ", ".join(f"{1e3 * level:g}" for level in levels) + " ms"

@@ -1,0 +1,203 @@
+"""The header of a capture: `capture.toml`."""
+
+from typing import Annotated, Any, Literal
+
+import pydantic
+import tomli_w
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.disk.config import parse_toml
+from jaxscan.files.disk.validation import FileModel, Integer, Number, check
+from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
+from jaxscan.geometry.scanner import Up
+from jaxscan.geometry.turntable import Carries
+from jaxscan.stripes.frames.formats import (
+    PIXEL_FORMATS,
+    LaserColour,
+    LaserLine,
+    PixelFormat,
+    Response,
+    StripeAxis,
+    frame_rank,
+)
+
+
+CAPTURE_FORMAT: Literal["jaxscan-capture/1"] = "jaxscan-capture/1"
+HEADER_NAME = "capture.toml"
+MAX_PIXELS = 100_000_000
+"""Largest image that a header may announce."""
+RESERVED_FORMATS = ("mono16", "bayer_rggb16", "bayer_bggr16", "bayer_grbg16", "bayer_gbrg16")
+
+
+def _supported(pixel_format: Any) -> Any:
+    if pixel_format in RESERVED_FORMATS:
+        raise ValueError(
+            f'"{pixel_format}" is reserved: 16-bit images are not supported yet; convert to one of '
+            + ", ".join(PIXEL_FORMATS)
+        )
+    return pixel_format
+
+
+def _listed(tables: Any) -> Any:
+    return [tables] if isinstance(tables, dict | LaserTable) else tables
+
+
+class CameraTable(FileModel):
+    """What the images are."""
+
+    width: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
+    """Width of every image [px]."""
+    height: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
+    """Height of every image [px]."""
+    pixel_format: Annotated[PixelFormat, pydantic.BeforeValidator(_supported)]
+    """How an image is to be read."""
+    response: Response = "linear"
+    """"linear", or "srgb" (decoded before the fit)."""
+    up: Up = "-v"
+    """Which direction of the image is up."""
+
+    @pydantic.model_validator(mode="after")
+    def _bounded(self) -> "CameraTable":
+        if self.width * self.height > MAX_PIXELS:
+            raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
+        return self
+
+
+class TurntableTable(FileModel):
+    """What turns."""
+
+    carries: Carries = "scanner"
+    """"scanner", or "object" where the camera stands still."""
+
+
+class LaserTable(FileModel):
+    """One laser as the camera sees it."""
+
+    name: Annotated[str, pydantic.Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")] = "laser"
+    """What calibrations and messages call it."""
+    colour: LaserColour = "red"
+    """Which channel of a colour camera holds it; "auto": whichever shows it best."""
+    stripe_axis: StripeAxis = "rows"
+    """One stripe centre per image row ("rows"), or per image column ("columns")."""
+
+
+class CharucoTable(FileModel):
+    """A ChArUco board; columns and rows count squares."""
+
+    type: Literal["charuco"] = "charuco"
+    columns: Annotated[Integer, pydantic.Field(ge=2, le=1000)]
+    rows: Annotated[Integer, pydantic.Field(ge=2, le=1000)]
+    square_mm: Annotated[Number, pydantic.Field(gt=0)]
+    marker_mm: Annotated[Number, pydantic.Field(gt=0)]
+    dictionary: Annotated[str, pydantic.Field(pattern=r"^DICT_\w+$", max_length=64)] = "DICT_5X5_250"
+
+    @pydantic.model_validator(mode="after")
+    def _marker_fits(self) -> "CharucoTable":
+        if self.marker_mm >= self.square_mm:
+            raise ValueError(f"marker_mm = {self.marker_mm:g} must be smaller than square_mm = {self.square_mm:g}")
+        return self
+
+
+class ChessboardTable(FileModel):
+    """A plain chessboard; columns and rows count inner corners."""
+
+    type: Literal["chessboard"] = "chessboard"
+    columns: Annotated[Integer, pydantic.Field(ge=2, le=1000)]
+    rows: Annotated[Integer, pydantic.Field(ge=2, le=1000)]
+    square_mm: Annotated[Number, pydantic.Field(gt=0)]
+
+
+BoardTable = Annotated[CharucoTable | ChessboardTable, pydantic.Field(discriminator="type")]
+
+
+class PlanTable(FileModel):
+    """What the acquisition set out to do."""
+
+    steps: Annotated[Integer, pydantic.Field(ge=1)] | None = None
+    """Planned number of records."""
+
+
+class CaptureHeader(FileModel):
+    """All of `capture.toml`."""
+
+    format: Literal["jaxscan-capture/1"] = CAPTURE_FORMAT
+    kind: Literal["sweep", "calibration"]
+    camera: CameraTable
+    turntable: TurntableTable | None = None
+    laser: Annotated[tuple[LaserTable, ...], pydantic.BeforeValidator(_listed), pydantic.Field(max_length=16)] = ()
+    board: BoardTable | None = None
+    plan: PlanTable | None = None
+    acquisition: dict[str, Any] = pydantic.Field(default_factory=dict)
+    """Whatever the acquisition wants to remember."""
+
+    @pydantic.model_validator(mode="after")
+    def _complete(self) -> "CaptureHeader":
+        names = [laser.name for laser in self.laser]
+        if len(set(names)) < len(names):
+            raise ValueError(f"laser: found the names {', '.join(names)}, expected no name twice")
+        if self.kind == "sweep" and not self.laser:
+            raise ValueError("laser: missing, a sweep needs a [[laser]] table")
+        if self.kind == "sweep" and self.board is not None:
+            raise ValueError('board: found in a sweep, expected only where kind = "calibration"')
+        if self.kind == "calibration" and self.board is None:
+            raise ValueError("board: missing, a calibration capture needs a [board] table")
+        return self
+
+    @property
+    def lines(self) -> tuple[LaserLine, ...]:
+        """The lasers as the stripe extraction takes them."""
+        return tuple(LaserLine(one.name, one.colour, one.stripe_axis) for one in self.laser)
+
+
+def frame_shape(header: CaptureHeader) -> tuple[int, ...]:
+    """Shape of one image: (rows, columns), or (rows, columns, 3)."""
+    return (header.camera.height, header.camera.width, 3)[: frame_rank(header.camera.pixel_format)]
+
+
+def board_of(header: CaptureHeader) -> AbstractBoard | None:
+    """The calibration board of a header [m], where there is one."""
+    table = header.board
+    if table is None:
+        return None
+    square = table.square_mm / 1000
+    if isinstance(table, ChessboardTable):
+        return Chessboard(columns=table.columns, rows=table.rows, square=square)
+    return Charuco(
+        columns=table.columns,
+        rows=table.rows,
+        square=square,
+        marker=table.marker_mm / 1000,
+        dictionary=table.dictionary,
+    )
+
+
+def parse_header(data: bytes, *, name: str) -> CaptureHeader:
+    """A header from the bytes of its file.
+
+    Raises:
+        CaptureError: One line with the key, what was found and what may stand there.
+    """
+    tables = parse_toml(data, name=name, error=CaptureError)
+    for key in ("format", "kind"):
+        if key not in tables:
+            raise CaptureError(f'{name}: {key}: missing, so this is no capture ("{CAPTURE_FORMAT}").')
+    return check(CaptureHeader, tables, name=name, error=CaptureError)
+
+
+def header_toml(header: CaptureHeader) -> bytes:
+    """The bytes of the file of a header.
+
+    Raises:
+        CaptureError: If `acquisition` holds what TOML cannot.
+    """
+    tables = header.model_dump(exclude_none=True)
+    lasers = tables.pop("laser")
+    first: dict[str, Any] = {key: tables.pop(key) for key in ("format", "kind", "camera", "turntable") if key in tables}
+    try:
+        text = [tomli_w.dumps(first)]
+        # One [[laser]] table each, as people write them.
+        text += ["[[laser]]\n" + tomli_w.dumps(laser) for laser in lasers]
+        text += [tomli_w.dumps({key: table}) for key, table in tables.items() if table]
+    except (TypeError, ValueError) as problem:
+        raise CaptureError(f"acquisition: cannot be written as TOML: {problem}.") from problem
+    return "\n".join(text).encode()

@@ -1,0 +1,97 @@
+"""The frames of a capture, wherever its records say that they are."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture.exposures import exposure_levels, load_levels
+from jaxscan.files.capture.header import CaptureHeader, frame_shape
+from jaxscan.files.capture.journal import Record
+from jaxscan.files.capture.references import Folder, ImageRef
+from jaxscan.files.capture.shards import Shards
+from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
+from jaxscan.stripes.frames.formats import frame_rank
+
+
+class ImageReader:
+    """Reads images of one capture; used from several threads."""
+
+    def __init__(self, path: Path, header: CaptureHeader) -> None:
+        self._path, self._header = path, header
+        self.shape = frame_shape(header)
+        """Of one image: (rows, columns), or (rows, columns, 3)."""
+        self.shards = Shards(path, self.shape)
+
+    def check(self, records: Sequence[Record]) -> None:
+        """See that every image exists inside the folder, and that the shards reach far enough.
+
+        Raises:
+            CaptureError: With the record and the file.
+        """
+        folder, located = Folder(self._path), dict[str, Path]()
+        for record, reference in [(one, image) for one in records for image in (*one.on, *one.off)]:
+            try:
+                # Many images share a shard.
+                if reference.path not in located:
+                    located[reference.path] = folder.locate(reference)
+                if reference.index is not None:
+                    self.shards.check(reference, located[reference.path])
+            except CaptureError as problem:
+                raise CaptureError(f"{self._path}: record {record.i}: {problem}") from problem
+
+    def image(self, reference: ImageRef) -> np.ndarray:
+        """One image as it is stored, uint8 [rows, columns(, 3)]; a read-only view where it is in a shard.
+
+        Raises:
+            CaptureError: With the name of the file that is missing, damaged or of the wrong size.
+        """
+        if reference.index is not None:
+            return self.shards.image(reference)
+        # Here, so that opening a capture does not load OpenCV.
+        from jaxscan.vision.images import decode_image
+
+        camera = self._header.camera
+        name = str(self._path / reference.path)
+        # An uncompressed 32-bit image with a megabyte of metadata still fits.
+        limit = 4 * camera.width * camera.height + MEGABYTE
+        data = read_bounded(name, limit, name=name, error=CaptureError)
+        return decode_image(data, name=name, rank=frame_rank(camera.pixel_format), size=(camera.width, camera.height))
+
+    def frame(self, images: Sequence[ImageRef]) -> np.ndarray | None:
+        """One frame of a record, a copy: uint8 [rows, columns(, 3)], of a bracket [exposures, rows, columns(, 3)]."""
+        if not images:
+            return None
+        levels = max(1, len(exposure_levels(images)))
+        target = np.empty((levels, *self.shape), np.uint8)
+        load_levels(images, target, self.image)
+        return target[0] if levels == 1 else target
+
+
+class RecordFrames:
+    """The laser-on, or the laser-off, frames of the records of a sweep, as `decode_ahead` asks for them."""
+
+    def __init__(self, reader: ImageReader, images: Sequence[tuple[ImageRef, ...]]) -> None:
+        """`images` of each record; all have the same exposures."""
+        self._reader = reader
+        self._images = images
+        self._levels = max(1, len(exposure_levels(images[0]))) if images else 1
+
+    def mapped(self, start: int, stop: int) -> np.ndarray | None:
+        """The frames of records start ... stop - 1, a view, where they lie one after another in one shard."""
+        if any(len(one) != self._levels for one in self._images[start:stop]):
+            return None
+        flat = [image for one in self._images[start:stop] for image in _ascending(one)]
+        found = self._reader.shards.run(flat)
+        if found is None or self._levels == 1:
+            return found
+        return found.reshape(stop - start, self._levels, *self._reader.shape)
+
+    def load(self, record: int, target: np.ndarray) -> None:
+        """One record's frame into `target`."""
+        load_levels(self._images[record], target if self._levels > 1 else target[None], self._reader.image)
+
+
+def _ascending(images: tuple[ImageRef, ...]) -> Sequence[ImageRef]:
+    return images if len(images) == 1 else sorted(images, key=lambda one: one.exposure_s or 0.0)

@@ -1,0 +1,126 @@
+"""Shards: `.npy` files of many frames, mapped into memory when they are read."""
+
+import contextlib
+import math
+import mmap
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture.references import ImageRef
+from jaxscan.files.disk.arrays import NPY_DAMAGE, read_npy_header
+
+
+# Each keeps a file open, of which a process may have about a thousand.
+_MAPPED = 32
+
+
+class _Shard(NamedTuple):
+    frames: np.ndarray
+    """uint8 [n, rows, columns(, 3)], read-only."""
+    file: mmap.mmap
+    start: int
+    """Where in the file the first frame begins [bytes]."""
+
+
+class Shards:
+    """The shards of one capture: checked when it is opened, mapped while they are read."""
+
+    def __init__(self, folder: Path, shape: tuple[int, ...]) -> None:
+        """`shape` is that of one frame."""
+        self._folder, self._shape = folder, shape
+        self._length: dict[str, int] = {}
+        self._mapped: OrderedDict[str, _Shard] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def check(self, reference: ImageRef, located: Path) -> None:
+        """See that a shard has frames of the right size and reaches far enough.
+
+        Raises:
+            CaptureError: If it does not.
+        """
+        if reference.path not in self._length:
+            self._length[reference.path] = len(_open_shard(located, name=reference.path, shape=self._shape).frames)
+        self._reaches(reference, self._length[reference.path])
+
+    def image(self, reference: ImageRef) -> np.ndarray:
+        """One frame, uint8 [rows, columns(, 3)]: a read-only view of the file.
+
+        Raises:
+            CaptureError: If the file has changed and no longer holds it.
+        """
+        frames = self._open(reference.path).frames
+        self._reaches(reference, len(frames))
+        return frames[reference.index]
+
+    def run(self, references: Sequence[ImageRef]) -> np.ndarray | None:
+        """Frames that lie one after another in one shard, uint8 [frames, rows, columns(, 3)]; else None.
+
+        Nothing is copied: the result is a read-only view of the file, and is being read ahead.
+
+        Raises:
+            CaptureError: If the file has changed and no longer holds them.
+        """
+        first, last = references[0], references[-1]
+        if first.index is None or last.index != first.index + len(references) - 1:
+            return None
+        if any(one.path != first.path or one.index != k for k, one in enumerate(references, first.index)):
+            return None
+        shard = self._open(first.path)
+        self._reaches(last, len(shard.frames))
+        frames = shard.frames[first.index : first.index + len(references)]
+        if not frames.flags.c_contiguous:
+            return None
+        _read_ahead(shard.file, shard.start + first.index * frames[0].nbytes, frames.nbytes)
+        return frames
+
+    def _reaches(self, reference: ImageRef, length: int) -> None:
+        if reference.index is None or reference.index >= length:
+            raise CaptureError(f"{reference}: the shard has only {length} images.")
+
+    def _open(self, path: str) -> _Shard:
+        with self._lock:
+            shard = self._mapped.pop(path, None)
+            if shard is None:
+                name = str(self._folder / path)
+                shard = _open_shard(Path(name), name=name, shape=self._shape)
+            # What is left out here stays mapped for as long as a view of it is in use.
+            self._mapped[path] = shard
+            while len(self._mapped) > _MAPPED:
+                self._mapped.popitem(last=False)
+            return shard
+
+
+def _open_shard(path: Path, *, name: str, shape: tuple[int, ...]) -> _Shard:
+    """A shard, memory-mapped.
+
+    Raises:
+        CaptureError: If it is damaged, or its images are of another size or type.
+    """
+    try:
+        with open(path, "rb") as file:
+            found, column_major, dtype = read_npy_header(file)
+            start = file.tell()
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        if dtype != np.uint8 or found[1:] != shape or len(found) != 1 + len(shape):
+            expected = " x ".join(map(str, shape))
+            raise CaptureError(f"{name}: found {dtype} with shape {found}, expected uint8 with shape (n, {expected}).")
+        count = math.prod(found)
+        # NumPy maps nothing where there is nothing.
+        frames = np.frombuffer(mapped, np.uint8, count, start) if count else np.empty(0, np.uint8)
+        return _Shard(frames.reshape(found, order="F" if column_major else "C"), mapped, start)
+    except NPY_DAMAGE as problem:
+        raise CaptureError(f"{name}: not a readable .npy file: {problem}.") from problem
+
+
+def _read_ahead(file: mmap.mmap, begin: int, size: int) -> None:
+    """Ask for a part of a file before it is needed; where the system takes no advice it is read when it is."""
+    if hasattr(mmap, "MADV_WILLNEED"):
+        page = begin // mmap.PAGESIZE * mmap.PAGESIZE
+        with contextlib.suppress(OSError, ValueError):
+            file.madvise(mmap.MADV_WILLNEED, page, begin + size - page)

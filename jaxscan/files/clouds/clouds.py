@@ -1,0 +1,91 @@
+"""Point clouds on disk: the suffix chooses the format."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from jaxscan.errors import CloudError
+from jaxscan.files.clouds.e57 import write_e57
+from jaxscan.files.clouds.las import write_las
+from jaxscan.files.clouds.npz import read_npz, write_npz
+from jaxscan.files.clouds.pcd import write_pcd
+from jaxscan.files.clouds.ply import write_ply
+from jaxscan.files.clouds.ply_reader import read_ply
+from jaxscan.files.clouds.points import check_cloud
+from jaxscan.files.clouds.text import write_ptx, write_xyz
+from jaxscan.files.disk.atomic import check_writable, write_atomically
+from jaxscan.reconstruction.cloud import PointCloud
+
+
+Writer = Callable[[PointCloud, Path, str], None]
+
+# To add a format: one function (cloud, path, calibration digest), one line here.
+WRITERS: dict[str, Writer] = {
+    ".ply": write_ply,
+    ".npz": write_npz,
+    ".e57": write_e57,
+    ".las": write_las,
+    ".laz": write_las,
+    ".pcd": write_pcd,
+    ".xyz": write_xyz,
+    ".ptx": write_ptx,
+}
+READERS: dict[str, Callable[[Path], PointCloud]] = {".ply": read_ply, ".npz": read_npz}
+
+
+def check_cloud_path(path: Path) -> None:
+    """See that a cloud can be written under this name, before the work that makes it.
+
+    Raises:
+        CloudError: If the suffix is not one of `WRITERS`, or nothing can be written there.
+    """
+    if path.suffix.lower() not in WRITERS:
+        raise CloudError(f'{path}: cannot write "{path.suffix}", known are {", ".join(WRITERS)}.')
+    check_writable(path, error=CloudError)
+
+
+def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str = "") -> None:
+    """Write a cloud; PLY and NPZ can be loaded again.
+
+    Args:
+        cloud: Points [m], scanner frame.
+        path: Its suffix is one of `WRITERS`. An existing file is replaced when the new one is whole.
+        calibration_digest: Digest of the calibration file, kept where the format has room.
+
+    Raises:
+        CloudError: If the suffix is unknown, the cloud has no valid point, or the file cannot
+            be written. Then nothing has changed.
+        DependencyError: If the format needs a library that is not installed.
+    """
+    path = Path(path)
+    check_cloud_path(path)
+    writer = WRITERS[path.suffix.lower()]
+    if not calibration_digest.isascii() or not calibration_digest.isprintable():
+        raise ValueError(f"`calibration_digest` must be printable ASCII, got {calibration_digest!r}.")
+    host = jax.tree.map(np.asarray, cloud)
+    check_cloud(host, str(path))
+    write_atomically(path, lambda part: writer(host, part, calibration_digest), error=CloudError)
+
+
+def load_cloud(path: str | Path) -> PointCloud:
+    """Read a cloud: PLY (also of other programs) or NPZ.
+
+    Args:
+        path: Its suffix is one of `READERS`.
+
+    Returns:
+        The cloud on its grid, NumPy arrays. A PLY of another program has one profile, in the
+        unit and frame it came in; an unknown value is zero.
+
+    Raises:
+        CloudError: If the suffix is unknown, or the file is missing or damaged.
+    """
+    path = Path(path)
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise CloudError(f'{path}: cannot read "{path.suffix}", known are {", ".join(READERS)}.')
+    if not path.is_file():
+        raise CloudError(f"{path}: {'not a regular file' if path.exists() else 'no such file'}.")
+    return reader(path)

@@ -1,0 +1,49 @@
+"""PCD, the format of the Point Cloud Library and of ROS; binary."""
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxscan.files.clouds.points import blocks
+from jaxscan.reconstruction.cloud import PointCloud
+
+
+_FLOATS = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
+_POINT = np.dtype(
+    [(name, "<f4") for name in _FLOATS]
+    # The library packs a colour as 0x00rrggbb and calls the four bytes a float.
+    + [("rgb", "<u4")]
+    + [(name, "<f4") for name in ("intensity", "sigma", "sigma_random", "sigma_systematic")]
+)
+
+
+def write_pcd(cloud: PointCloud, path: Path, digest: str) -> None:
+    """Write the valid points, with normals, colours and uncertainties."""
+    names, count = _POINT.names or (), int(np.count_nonzero(cloud.valid))
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        f"# unit metre, frame scanner{', calibration ' + digest if digest else ''}",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(names)}",
+        f"SIZE {' '.join('4' for _ in names)}",
+        f"TYPE {' '.join('F' for _ in names)}",
+        f"COUNT {' '.join('1' for _ in names)}",
+        f"WIDTH {count}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {count}",
+        "DATA binary",
+        "",
+    ]
+    with open(path, "wb") as file:
+        file.write("\n".join(header).encode("ascii"))
+        for points in blocks(cloud):
+            table = np.empty(len(points.step), _POINT)
+            for axis in range(3):
+                table[_FLOATS[axis]] = points.xyz[:, axis]
+                table[_FLOATS[axis + 3]] = points.normals[:, axis]
+            red, green, blue = points.rgb.astype(np.uint32).T
+            table["rgb"] = red << np.uint32(16) | green << np.uint32(8) | blue
+            for field in ("intensity", "sigma", "sigma_random", "sigma_systematic"):
+                table[field] = getattr(points, field)
+            file.write(table.data)

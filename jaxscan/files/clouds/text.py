@@ -1,0 +1,55 @@
+"""Text formats: XYZ, which every program reads, and PTX, which keeps the grid."""
+
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from jaxscan.files.clouds.points import blocks
+from jaxscan.reconstruction.cloud import PointCloud
+
+
+# A micrometre is far below any scanner's noise, and a float32 holds little more.
+_XYZ_LINE = "%.6f %.6f %.6f %d %d %d\n"
+_PTX_LINE = "%.6f %.6f %.6f %.4f %d %d %d\n"
+_PTX_HOLE = "0 0 0 0.500000 0 0 0\n"
+
+
+def write_xyz(cloud: PointCloud, path: Path, digest: str) -> None:
+    """Write `x y z r g b` of the valid points, a line each; metres."""
+    with open(path, "w", encoding="ascii", newline="\n") as file:
+        for points in blocks(cloud):
+            _write_lines(file, _XYZ_LINE, points.xyz, points.rgb)
+
+
+def write_ptx(cloud: PointCloud, path: Path, digest: str) -> None:
+    """Write the whole grid, a block per laser: `x y z intensity r g b`, holes as zeros.
+
+    Columns are profiles; a column runs upwards, from the last line to the first, as scanners of
+    the makers of this format have it. The pose is the identity: scanner frame.
+    """
+    lines = cloud.valid.shape[1]
+    axes = "1 0 0\n0 1 0\n0 0 1\n"
+    pose = "0 0 0\n" + axes + "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+    with open(path, "w", encoding="ascii", newline="\n") as file:
+        for laser in np.unique(np.asarray(cloud.laser)):
+            profiles = np.flatnonzero(np.asarray(cloud.laser) == laser)
+            file.write(f"{len(profiles)}\n{lines}\n" + pose)
+            for profile in profiles:
+                _write_column(file, cloud, int(profile))
+
+
+def _write_column(file: TextIO, cloud: PointCloud, profile: int) -> None:
+    def column(field):
+        return np.asarray(field[profile])[::-1]
+
+    valid = column(cloud.valid)
+    # The format's intensity is between 0 and 1; an amplitude may exceed the range of a pixel.
+    intensity = np.clip(column(cloud.intensity) / 255, 0, 1)
+    rows = zip(valid, column(cloud.xyz).tolist(), intensity.tolist(), column(cloud.rgb).tolist(), strict=True)
+    file.writelines(_PTX_LINE % (*xyz, level, *rgb) if seen else _PTX_HOLE for seen, xyz, level, rgb in rows)
+
+
+def _write_lines(file: TextIO, line: str, xyz: np.ndarray, rgb: np.ndarray) -> None:
+    rows = zip(xyz.tolist(), rgb.tolist(), strict=True)
+    file.writelines(line % (*position, *colour) for position, colour in rows)

@@ -1,0 +1,1 @@
+"""What every file needs: bounded reading, whole writing, checked data."""

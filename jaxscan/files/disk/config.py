@@ -1,0 +1,45 @@
+"""Configuration: TOML into frozen pydantic models that reject what they do not know."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from jaxscan.errors import ConfigError, JaxscanError
+from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
+from jaxscan.files.disk.validation import Model, check
+
+
+MAX_CONFIG_BYTES = MEGABYTE
+
+
+def load_toml(path: str | Path, model: type[Model]) -> Model:
+    """A configuration file as a model.
+
+    Args:
+        path: A TOML file of at most 1 MiB.
+        model: A pydantic model; give it `extra="forbid"`, so that a misspelt key is an error.
+
+    Returns:
+        The validated model.
+
+    Raises:
+        ConfigError: One line: the file, the line or the key, what was found and what may stand
+            there; for an unknown key the closest known one.
+    """
+    data = read_bounded(path, MAX_CONFIG_BYTES, name=str(path), error=ConfigError)
+    return check(model, parse_toml(data, name=str(path), error=ConfigError), name=str(path), error=ConfigError)
+
+
+def parse_toml(data: bytes, *, name: str, error: type[JaxscanError]) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Raises:
+        JaxscanError: Of type `error`, with the line where the syntax breaks.
+    """
+    try:
+        return tomllib.loads(data.decode("utf-8"))
+    except UnicodeDecodeError as problem:
+        line = data[: problem.start].count(b"\n") + 1
+        raise error(f"{name}: line {line}: not UTF-8 text.") from problem
+    except (ValueError, RecursionError) as problem:
+        raise error(f"{name}: not valid TOML: {problem}.") from problem

@@ -1,0 +1,155 @@
+"""A capture with its images stored in another way: files that programs open, or shards that are read at once."""
+
+import hashlib
+import json
+import os
+import secrets
+import shutil
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture.capture import Capture, open_capture
+from jaxscan.files.capture.decode import cores
+from jaxscan.files.capture.header import HEADER_NAME
+from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record
+from jaxscan.files.capture.verify import SEAL
+from jaxscan.files.disk.atomic import sync_to_disk, write_atomically
+from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
+from jaxscan.files.recording.store import Storage
+from jaxscan.files.recording.writer import CaptureWriter, create_capture
+
+
+Progress = Callable[[int, int], None]
+
+
+def repack_capture(
+    source: str | Path, target: str | Path, *, storage: Storage, progress: Progress | None = None
+) -> Capture:
+    """Copy a capture, its images stored in another way.
+
+    The header stays as it is to the byte, and every record and event keeps all of its keys; only
+    the names of the images are new. Records come in the order of their numbers; takes that were
+    replaced by a later one, and a torn last line, are left out. Where records carry digests of
+    their images, those become the digests of the new ones; seals of the old journal are left out.
+
+    Args:
+        source: The capture.
+        target: Folder of the new one; it must not exist, and appears only when it is complete.
+        storage: How images are stored there; see `create_capture`.
+        progress: Called with (records done, records in all).
+
+    Returns:
+        The new capture.
+
+    Raises:
+        CaptureError: If the source is damaged, or the target exists or cannot be written. Then
+            nothing is left behind.
+    """
+    source, target = Path(source), Path(os.path.abspath(target))
+    check_new_folder(target)
+    capture = open_capture(source)
+    header, journal = _texts(capture)
+    part = target.with_name(f".part-{secrets.token_hex(6)}")
+    values = list(_ordered(journal, torn=bool(capture.notes)))
+    digests = any("sha256" in value for value in values if "i" in value)
+    try:
+        with create_capture(part, capture.header, storage=storage, durable=False, digests=digests) as writer:
+            _copy(capture, writer, values, progress)
+        write_atomically(part / HEADER_NAME, header, durable=False, error=CaptureError)
+        # Again, after all the work: a folder that has appeared meanwhile is somebody's.
+        check_new_folder(target)
+        try:
+            # All of it at once: whoever deletes the source next has lost nothing.
+            for place, _, names in os.walk(part):
+                for name in (*names, ""):
+                    sync_to_disk(Path(place, name))
+            os.rename(part, target)
+            sync_to_disk(target.parent)
+        except OSError as problem:
+            raise CaptureError(f"{target}: cannot be created: {problem.strerror or problem}.") from problem
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return open_capture(target)
+
+
+def check_new_folder(target: str | Path) -> None:
+    """See that a folder can be made under this name.
+
+    Raises:
+        CaptureError: If something exists there, or its own folder does not.
+    """
+    target = Path(os.path.abspath(target))
+    if os.path.lexists(target):
+        raise CaptureError(f"{target}: exists; choose another folder, a capture is never overwritten.")
+    if not target.parent.is_dir():
+        raise CaptureError(f"{target}: cannot be created, the folder {target.parent} does not exist; create it first.")
+
+
+def _texts(capture: Capture) -> tuple[bytes, bytes]:
+    """Header and journal, as they were when the capture was opened."""
+    parts = []
+    for name, limit in ((HEADER_NAME, MEGABYTE), (JOURNAL_NAME, MAX_JOURNAL_BYTES)):
+        path = str(capture.path / name)
+        parts.append(read_bounded(path, limit, name=path, error=CaptureError))
+    if "sha256:" + hashlib.sha256(b"".join(parts)).hexdigest() != capture.digest():
+        raise CaptureError(f"{capture.path}: has changed while it was read; end the capture first.")
+    return parts[0], parts[1]
+
+
+def _copy(capture: Capture, writer: CaptureWriter, values: Iterable[dict[str, Any]], progress: Progress | None) -> None:
+    """All records and events; images are read a few records ahead."""
+    records = {record.i: record for record in capture.records}
+    ahead: deque[tuple[dict[str, Any], Future[dict[str, list[np.ndarray]]]]] = deque()
+    done = 0
+    with ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-decode") as pool:
+
+        def advance() -> None:
+            nonlocal done
+            value, images = ahead.popleft()
+            writer.append_line(value, images.result())
+            done += 1
+            if progress is not None:
+                progress(done, len(records))
+
+        try:
+            for value in values:
+                if "i" not in value:
+                    while ahead:
+                        advance()
+                    writer.append_event({key: kept for key, kept in value.items() if key != SEAL})
+                    continue
+                ahead.append((value, pool.submit(_images, capture, records[value["i"]])))
+                if len(ahead) > 2 * cores():
+                    advance()
+            while ahead:
+                advance()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _images(capture: Capture, record: Record) -> dict[str, list[np.ndarray]]:
+    sides = {"on": record.on, "off": record.off}
+    return {side: [capture.image(one) for one in images] for side, images in sides.items()}
+
+
+def _ordered(journal: bytes, *, torn: bool) -> Iterator[dict[str, Any]]:
+    """Records by number, each followed by the events that followed it in the journal."""
+    lines = [line for line in journal.split(b"\n") if line.strip()]
+    if torn:
+        lines.pop()
+    values = [json.loads(line) for line in lines]
+    winner = {value["i"]: number for number, value in enumerate(values) if "i" in value}
+    after, keyed = -1, []
+    for number, value in enumerate(values):
+        if "i" in value:
+            after = value["i"]
+        if "i" not in value or winner[value["i"]] == number:
+            keyed.append((after, "i" not in value, number))
+    for _, _, number in sorted(keyed):
+        yield values[number]

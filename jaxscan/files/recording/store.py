@@ -1,0 +1,209 @@
+"""Where a capture's writer puts images: a PNG file each, or raw in shards of many."""
+
+import hashlib
+import io
+import os
+import re
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.disk.atomic import sync_to_disk, write_atomically
+
+
+Storage = Literal["png", "npy"]
+STORAGES: tuple[Storage, ...] = ("png", "npy")
+
+SHARD_BYTES = 64 << 20
+SHARD_RECORDS = 32
+# NumPy's own header of a few frames has this length, whatever their number.
+_HEADER_BYTES = 128
+
+
+@runtime_checkable
+class ImageStore(Protocol):
+    """Names images and writes them; `names` and `take` are called by one thread, `write` by many."""
+
+    def names(self, side: str, stem: str, count: int) -> list[str]:
+        """References for `count` images of one frame; `side` is "on" or "off". Changes nothing."""
+        ...
+
+    def take(self, side: str, count: int) -> None:
+        """Make those names taken."""
+        ...
+
+    def write(self, name: str, image: np.ndarray) -> str:
+        """Write an image under its name; when this returns, the journal may speak of it.
+
+        Returns:
+            The sha256 of what was written for this image, in hexadecimal digits; "" where the store
+            makes no digests.
+
+        Raises:
+            CaptureError: If it cannot be written.
+        """
+        ...
+
+    def close(self) -> None:
+        """End, when nothing is being written any more.
+
+        Raises:
+            CaptureError: If a file cannot be written.
+        """
+        ...
+
+
+def image_store(
+    storage: Storage, path: Path, shape: tuple[int, ...], *, durable: bool, digests: bool = False
+) -> ImageStore:
+    """The store of this kind, for images of `shape` in the capture at `path`.
+
+    With `digests`, writing an image also tells its sha256: of the file, or of the frame in a shard.
+
+    Raises:
+        ValueError: If the kind is unknown.
+    """
+    if storage not in STORAGES:
+        raise ValueError(f"Unknown storage {storage!r}; known: {', '.join(STORAGES)}.")
+    return PngStore(path, durable, digests) if storage == "png" else ShardStore(path, shape, durable, digests)
+
+
+class PngStore:
+    """One PNG file per image, named after the record."""
+
+    def __init__(self, path: Path, durable: bool, digests: bool) -> None:
+        self._path, self._durable, self._digests = path, durable, digests
+
+    def names(self, side: str, stem: str, count: int) -> list[str]:
+        return [f"{side}/{stem}.png"] if count == 1 else [f"{side}/{stem}_{k}.png" for k in range(count)]
+
+    def take(self, side: str, count: int) -> None:
+        pass
+
+    def write(self, name: str, image: np.ndarray) -> str:
+        # Here, so that reading a capture's header does not load OpenCV.
+        from jaxscan.vision.images import encode_png
+
+        data = encode_png(image)
+        write_atomically(self._path / name, data, durable=self._durable, error=CaptureError)
+        return hashlib.sha256(data).hexdigest() if self._digests else ""
+
+    def close(self) -> None:
+        pass
+
+
+class _Place(NamedTuple):
+    shard: int
+    used: int
+    """Images of the shard that have names."""
+    length: int
+    """Images that fit."""
+
+
+class ShardStore:
+    """Shards `on/000000.npy`, `off/000000.npy`, ... of raw frames, in the order in which they are appended.
+
+    A shard has its full length from the beginning, and images are written into it one by one; so
+    it is a readable file whatever happens, and what the journal names in it is complete. Shards
+    of an earlier session are never written to.
+    """
+
+    def __init__(self, path: Path, shape: tuple[int, ...], durable: bool, digests: bool) -> None:
+        self._path, self._shape, self._durable, self._digests = path, shape, durable, digests
+        self._bytes = int(np.prod(shape, dtype=np.int64))
+        self._place = {side: _Place(_last_shard(path / side), 0, 0) for side in ("on", "off")}
+        self._length: dict[str, int] = {}
+        self._made: set[str] = set()
+        self._lock = threading.Lock()
+
+    def names(self, side: str, stem: str, count: int) -> list[str]:
+        place = self._room(side, count)
+        return [f"{_shard_name(side, place.shard)}#{place.used + k}" for k in range(count)]
+
+    def take(self, side: str, count: int) -> None:
+        place = self._room(side, count)
+        self._place[side] = place._replace(used=place.used + count)
+        self._length[_shard_name(side, place.shard)] = place.length
+
+    def _room(self, side: str, count: int) -> _Place:
+        """Where the next frame begins: its images lie in one shard, so that chunks of frames can be mapped."""
+        place = self._place[side]
+        if place.used + count <= place.length:
+            return place
+        frames = min(SHARD_RECORDS, max(1, SHARD_BYTES // (count * self._bytes)))
+        # A power of two, so that chunks of another power of two never need parts of two shards.
+        return _Place(place.shard + 1, 0, count * (1 << (frames.bit_length() - 1)))
+
+    def write(self, name: str, image: np.ndarray) -> str:
+        shard, _, index = name.partition("#")
+        try:
+            with self._lock:
+                self._make(shard)
+            with open(self._path / shard, "r+b", buffering=0) as file:
+                file.seek(_HEADER_BYTES + int(index) * self._bytes)
+                data = np.ascontiguousarray(image).reshape(-1).data
+                digest = hashlib.sha256(data).hexdigest() if self._digests else ""
+                while data:
+                    data = data[file.write(data) :]
+                if self._durable:
+                    os.fsync(file.fileno())
+        except OSError as problem:
+            raise CaptureError(f"{self._path / shard}: cannot be written: {problem.strerror or problem}.") from problem
+        return digest
+
+    def _make(self, shard: str) -> None:
+        if shard in self._made:
+            return
+        file = self._path / shard
+        with open(file, "xb") as made:
+            made.write(_header(self._length[shard], self._shape))
+            made.truncate(_HEADER_BYTES + self._length[shard] * self._bytes)
+        if self._durable:
+            sync_to_disk(file)
+            sync_to_disk(file.parent)
+        self._made.add(shard)
+
+    def close(self) -> None:
+        for side, place in self._place.items():
+            shard = _shard_name(side, place.shard)
+            if shard in self._made and place.used < place.length:
+                self._trim(shard, place.used)
+
+    def _trim(self, shard: str, length: int) -> None:
+        try:
+            with open(self._path / shard, "r+b") as file:
+                # First what is promised, then what is there: between the two the file is readable.
+                file.write(_header(length, self._shape))
+                file.flush()
+                if self._durable:
+                    os.fsync(file.fileno())
+                file.truncate(_HEADER_BYTES + length * self._bytes)
+        except OSError as problem:
+            raise CaptureError(f"{self._path / shard}: cannot be written: {problem.strerror or problem}.") from problem
+
+
+def _shard_name(side: str, number: int) -> str:
+    return f"{side}/{number:06d}.npy"
+
+
+def _last_shard(folder: Path) -> int:
+    """The largest number that a shard has; -1 without any."""
+    names = os.listdir(folder) if folder.is_dir() else []
+    found = (re.fullmatch(r"([0-9]{6,9})\.npy", name) for name in names)
+    return max((int(match[1]) for match in found if match), default=-1)
+
+
+def _header(length: int, shape: Sequence[int]) -> bytes:
+    """The beginning of an `.npy` file of uint8 [length, *shape], of the same size for every length."""
+    text = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        text, {"descr": "|u1", "fortran_order": False, "shape": (length, *(int(n) for n in shape))}
+    )
+    found = text.getvalue()
+    if len(found) != _HEADER_BYTES:
+        raise CaptureError(f"NumPy's header has {len(found)} bytes, expected {_HEADER_BYTES}.")
+    return found

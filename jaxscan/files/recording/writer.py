@@ -1,0 +1,358 @@
+"""Writing a capture: images first, whole; then the line of the journal that says they are there."""
+
+import contextlib
+import json
+import math
+import os
+from collections import deque
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture.header import HEADER_NAME, CaptureHeader, frame_shape, header_toml
+from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_LINE_BYTES
+from jaxscan.files.disk.atomic import sync_to_disk, write_atomically
+from jaxscan.files.recording.given import copies, given_exposures, named, unnamed
+from jaxscan.files.recording.store import Storage, image_store
+
+
+LOCK_NAME = ".scan.lock"
+"""File that whoever captures into a folder keeps there meanwhile."""
+_NO_DIGEST = "0" * 64
+
+
+@dataclass(frozen=True)
+class _Pending:
+    fields: dict[str, Any]
+    images: dict[str, list[Future[str]]]
+
+
+class CaptureWriter:
+    """Appends records to a capture; a context manager.
+
+    Images are encoded and written in threads, a few records behind `append`; a record's line
+    enters the journal, in order, only when its images are in their files. What a crash leaves
+    behind is therefore a readable capture of the records before it.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        header: CaptureHeader,
+        *,
+        storage: Storage = "png",
+        durable: bool = True,
+        digests: bool = False,
+        taken: Mapping[int, int] | None = None,
+        levels: Sequence[float] | None = None,
+    ) -> None:
+        """Use `create_capture` or `resume_capture`.
+
+        `taken` counts the takes of each record so far, and `levels` are the exposures of a sweep's
+        frames [s], none where its records do not say.
+        """
+        self.path = path
+        self.header = header
+        self._durable, self._digests = durable, digests
+        self._taken = dict(taken or {})
+        self._next = max(self._taken, default=-1) + 1
+        self._levels = None if levels is None else list(levels)
+        self._pending: deque[_Pending] = deque()
+        self._failed: CaptureError | None = None
+        self._store = image_store(storage, path, frame_shape(header), durable=durable, digests=digests)
+        self._journal = open(path / JOURNAL_NAME, "ab", buffering=0)
+        self._pool = ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="jaxscan-encode")
+        self._ahead = 2 * (os.cpu_count() or 1)
+
+    def append(
+        self,
+        *,
+        angle_deg: float | int | None,
+        on: Any | None = None,
+        off: Any | None = None,
+        placement: int | None = None,
+        i: int | None = None,
+        **extra: Any,
+    ) -> int:
+        """Add one record.
+
+        Args:
+            angle_deg: The table's angle from home, as reached, unwrapped [deg]; None if unknown,
+                which only a calibration may hold.
+            on: Laser-on image, uint8 [rows, columns(, 3)], copied; None without one. Or a list of
+                (image, exposure [s]): repetitions of an exposure are averaged by readers,
+                different exposures are a bracket.
+            off: Laser-off image or images, likewise; with the exposures of `on`.
+            placement: Which pose of the board it saw.
+            i: The record's number; the next free one if not given. A number used before is a
+                retake, and replaces that record.
+            extra: Further keys, as JSON holds them: `lasers`, `time`, `microsteps`, ...
+
+        Returns:
+            The record's number.
+
+        Raises:
+            CaptureError: If the record does not fit the header, or this or an earlier record
+                cannot be written. After a failed write nothing can be appended any more.
+        """
+        self._check_alive()
+        number = self._next if i is None else i
+        if number < 0:
+            raise CaptureError(f"{self.path}: i = {number} is negative.")
+        if self.header.kind == "sweep" and (angle_deg is None or on is None):
+            raise CaptureError(f"{self.path}: record {number}: a sweep needs an angle and a laser-on image.")
+        if on is None and off is None:
+            raise CaptureError(f"{self.path}: record {number}: has no image.")
+        if angle_deg is not None and not math.isfinite(angle_deg):
+            raise CaptureError(f"{self.path}: record {number}: angle_deg = {angle_deg} is not finite.")
+        where = f"{self.path}: record {number}"
+        levels = [
+            given_exposures(given, f"{where}: {side}")
+            for side, given in (("on", on), ("off", off))
+            if given is not None
+        ]
+        expected = levels[0] if self._levels is None else self._levels
+        if self.header.kind == "sweep" and any(one != expected for one in levels):
+            raise CaptureError(
+                f"{where}: found images of the exposures {levels} s, expected {expected} s; "
+                "all frames of a sweep need the same."
+            )
+        shape = frame_shape(self.header)
+        images = {side: copies(given, shape, f"{where}: {side}") for side, given in (("on", on), ("off", off))}
+        fields: dict[str, Any] = {"i": number, "angle_deg": None if angle_deg is None else float(angle_deg)}
+        fields |= {"on": unnamed(on), "off": unnamed(off)} | extra
+        if placement is not None:
+            fields["placement"] = int(placement)
+        self.append_line(fields, images)
+        self._levels = expected
+        return number
+
+    def append_line(self, fields: Mapping[str, Any], images: Mapping[str, Sequence[np.ndarray]]) -> None:
+        """Add one record as another journal has it; `append` is what acquisition calls.
+
+        Args:
+            fields: All of the record, `i` included. The names of its images are replaced.
+            images: For "on" and "off" the images that the record names there, in its order; not
+                copied, so they must not change any more.
+
+        Raises:
+            CaptureError: As of `append`.
+        """
+        self._check_alive()
+        number = fields["i"]
+        retakes = self._taken.get(number, 0)
+        # A retake never touches what the journal already speaks of.
+        stem = f"{number:06d}" if retakes == 0 else f"{number:06d}-{retakes}"
+        names = {side: self._store.names(side, stem, len(given)) for side, given in images.items() if given}
+        record = {**fields, **{side: named(fields[side], given) for side, given in names.items()}}
+        # What the line cannot hold is to be known before anything is written.
+        self._line(record | self._sums({side: [_NO_DIGEST] * len(given) for side, given in names.items()}))
+        for side, given in names.items():
+            self._store.take(side, len(given))
+        jobs = {
+            side: [self._pool.submit(self._store.write, *one) for one in zip(given, images[side], strict=True)]
+            for side, given in names.items()
+        }
+        self._taken[number] = retakes + 1
+        self._next = max(self._next, number + 1)
+        self._pending.append(_Pending(record, jobs))
+        self._advance()
+
+    def event(self, name: str, **extra: Any) -> None:
+        """Add an event ("resume", "fault", ...), which readers skip, after all records so far."""
+        self.append_event({"event": name, **extra})
+
+    def append_event(self, fields: Mapping[str, Any]) -> None:
+        """Add an event as another journal has it."""
+        self._check_alive()
+        self._line(dict(fields))
+        self._pending.append(_Pending(dict(fields), {}))
+        self._advance()
+
+    def flush(self) -> None:
+        """Wait until all records so far are in the journal.
+
+        Raises:
+            CaptureError: If one cannot be written.
+        """
+        self._check_alive()
+        while self._pending:
+            self._complete_oldest()
+
+    def close(self) -> None:
+        """Write what is pending, and end.
+
+        Raises:
+            CaptureError: If a record cannot be written; those before it are in the journal.
+        """
+        if self._journal.closed:
+            return
+        try:
+            if self._failed is None:
+                self.flush()
+        finally:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._journal.close()
+            # After a failure, which has been raised, the next one is no news.
+            with contextlib.suppress(*(() if self._failed is None else (CaptureError,))):
+                self._store.close()
+
+    def __enter__(self) -> "CaptureWriter":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _check_alive(self) -> None:
+        if self._failed is not None:
+            raise self._failed
+        if self._journal.closed:
+            raise CaptureError(f"{self.path}: the capture is closed; nothing can be appended.")
+
+    def _sums(self, digests: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+        """The key of a record that holds the sha256 of its images: one text a side, or a list of them."""
+        if not self._digests:
+            return {}
+        return {"sha256": {side: sums[0] if len(sums) == 1 else list(sums) for side, sums in digests.items()}}
+
+    def _line(self, fields: dict[str, Any]) -> bytes:
+        try:
+            line = json.dumps(fields, allow_nan=False).encode() + b"\n"
+        except (TypeError, ValueError) as problem:
+            raise CaptureError(f"{self.path}: {problem}: a record holds only what JSON can.") from problem
+        if len(line) > MAX_LINE_BYTES:
+            raise CaptureError(f"{self.path}: a record of {len(line)} bytes, more than {MAX_LINE_BYTES}.")
+        return line
+
+    def _advance(self) -> None:
+        """Complete what is finished, and wait where too much is not."""
+        while len(self._pending) > self._ahead or (self._pending and _finished(self._pending[0])):
+            self._complete_oldest()
+
+    def _complete_oldest(self) -> None:
+        pending = self._pending.popleft()
+        try:
+            digests = {side: [image.result() for image in images] for side, images in pending.images.items()}
+            self._append(self._line(pending.fields | (self._sums(digests) if digests else {})))
+        except OSError as problem:
+            self._failed = CaptureError(
+                f"{self.path / JOURNAL_NAME}: cannot be written: {problem.strerror or problem}."
+            )
+            raise self._failed from problem
+        except CaptureError as problem:
+            self._failed = problem
+            raise
+
+    def _append(self, line: bytes) -> None:
+        handle = self._journal.fileno()
+        before = os.fstat(handle).st_size
+        try:
+            rest = memoryview(line)
+            while rest:
+                rest = rest[self._journal.write(rest) or 0 :]
+            if self._durable:
+                os.fsync(handle)
+        except BaseException:
+            # No part of a line stays, where the disk still lets it be taken back.
+            with contextlib.suppress(OSError):
+                os.ftruncate(handle, before)
+            raise
+
+
+def _finished(pending: _Pending) -> bool:
+    return all(image.done() for images in pending.images.values() for image in images)
+
+
+def create_capture(
+    path: str | Path,
+    header: CaptureHeader,
+    *,
+    storage: Storage = "png",
+    durable: bool = True,
+    digests: bool = False,
+) -> CaptureWriter:
+    """Begin a new capture.
+
+    Args:
+        path: The folder; made if it does not exist.
+        header: What becomes `capture.toml`.
+        storage: "png", a file per image that every program opens; or "npy", raw frames in shards
+            of at most 64 MiB and 32 frames, which take three times the space and are read
+            without decoding.
+        durable: Wait for the disk with every record, so that a loss of power costs only the last.
+            A simulation, which can be run again, saves the time.
+        digests: Note the sha256 of every image in its record, for `verify_capture`.
+
+    Returns:
+        The writer; use it in a `with` statement.
+
+    Raises:
+        CaptureError: If the folder exists and is not empty, or cannot be written.
+    """
+    path = Path(path)
+    toml = header_toml(header)
+    try:
+        make_folder(path, durable=durable)
+        require_no_links(path)
+        if not _is_unused(path):
+            raise CaptureError(
+                f"{path}: exists and is not empty; choose another folder, a capture is never overwritten."
+            )
+        (path / "on").mkdir(exist_ok=True)
+        (path / "off").mkdir(exist_ok=True)
+        (path / JOURNAL_NAME).touch()
+        # Last: a folder with a header is a capture.
+        write_atomically(path / HEADER_NAME, toml, durable=durable, error=CaptureError)
+        return CaptureWriter(path, header, storage=storage, durable=durable, digests=digests)
+    except OSError as problem:
+        raise CaptureError(f"{path}: cannot be created: {problem.strerror or problem}.") from problem
+
+
+def make_folder(path: Path, *, durable: bool) -> None:
+    """Make a folder, and those above it that are missing; none is lost with the power.
+
+    Raises:
+        OSError: If it cannot be made.
+    """
+    new = [path, *(above for above in path.parents if not above.exists())]
+    path.mkdir(parents=True, exist_ok=True)
+    if durable and os.name == "posix":
+        for folder in new:
+            # A folder that may be written but not listed cannot be waited for.
+            with contextlib.suppress(PermissionError):
+                sync_to_disk(folder.parent)
+
+
+def require_no_links(path: Path) -> None:
+    """See that what is written into a capture stays in its folder.
+
+    Raises:
+        CaptureError: If a folder of images or the journal is a link.
+    """
+    for name in ("on", "off", JOURNAL_NAME):
+        if (path / name).is_symlink():
+            raise CaptureError(
+                f"{path / name}: found a link, which may lead anywhere, expected the capture's own; "
+                "nothing is written there."
+            )
+
+
+def _is_unused(path: Path) -> bool:
+    """Whether nothing is lost with this folder: it is empty, or a capture was begun and has not even a header."""
+    empty = {"on": True, "off": True, JOURNAL_NAME: True, LOCK_NAME: True}
+    for entry in path.iterdir():
+        if entry.name.startswith(".part-") or entry.name == LOCK_NAME:
+            continue
+        if entry.name not in empty:
+            return False
+        if any(entry.iterdir()) if entry.is_dir() else entry.stat().st_size > 0:
+            return False
+    return True

@@ -1,0 +1,106 @@
+"""Stripe centres of a chunk of profiles to points in the room."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.geometry import AbstractCamera, Array, Scanner
+from jaxscan.reconstruction.points.triangulate import Limits, triangulate
+from jaxscan.reconstruction.points.uncertainty import RangeTable, range_table
+from jaxscan.stripes.frames.formats import StripeAxis
+
+
+class Rig(eqx.Module):
+    """What every chunk needs of the scanner, in float32."""
+
+    scanner: Scanner
+    table: RangeTable
+
+    @staticmethod
+    def of(scanner: Scanner, stripe_axis: StripeAxis) -> "Rig":
+        table = range_table(scanner, stripe_axis)
+        bare = Scanner(scanner.camera, scanner.lasers, scanner.turntable, None, scanner.laser_names, scanner.up)
+        # Host arrays: the same whether or not the caller enabled 64-bit JAX.
+        return jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), Rig(bare, table))
+
+
+class Points(NamedTuple):
+    """Fields of `PointCloud` for the profiles of a chunk, and what goes beside it."""
+
+    xyz: Float[Array, "profiles lines 3"]
+    sigma_random: Float[Array, "profiles lines"]
+    sigma_systematic: Float[Array, "profiles lines"]
+    valid: Bool[Array, "profiles lines"]
+    centre: Float[Array, "profiles 3"]
+    """Camera centre [m], scanner frame."""
+
+
+class Centres(NamedTuple):
+    """The fields of `Stripes` that a point is made of."""
+
+    u: Float[Array, "profiles lines"]
+    sigma: Float[Array, "profiles lines"]
+    valid: Bool[Array, "profiles lines"]
+
+
+def locate_points(
+    rig: Rig,
+    centres: Centres,
+    laser: Int[Array, " profiles"],
+    phi: Float[Array, " profiles"],
+    *,
+    stripe_axis: StripeAxis,
+    limits: Limits,
+) -> Points:
+    """Points and sigmas of a chunk; pure and traceable.
+
+    Args:
+        rig: Scanner and range table, float32.
+        centres: Stripe centres.
+        laser: Which sheet lit each profile.
+        phi: The table's angle of each profile [rad from home].
+        stripe_axis: What a line is.
+        limits: What is accepted.
+    """
+    lines = centres.u.shape[1]
+    line = jnp.arange(lines, dtype=jnp.float32)
+
+    def one(u, sigma, valid, number, laser):
+        u = jnp.where(valid, u, 0.0).astype(u.dtype)
+        found = triangulate(
+            u, number, rig.scanner.camera, rig.scanner.laser(laser), stripe_axis=stripe_axis, limits=limits
+        )
+        exists = valid & found.valid
+        systematic = rig.table.sigma(laser, number.astype(jnp.int32), u, found.incidence)
+        values = (found.p_cam, jnp.abs(found.slope) * sigma, systematic)
+        return *(jnp.where(exists, value, 0.0).astype(value.dtype) for value in values), exists
+
+    over_lines = jax.vmap(one, (0, 0, 0, 0, None))
+    over_profiles = jax.vmap(over_lines, (0, 0, 0, None, 0))
+    # GPUs may multiply float32 matrices with 10 bits otherwise.
+    with jax.default_matmul_precision("highest"):
+        p_cam, sigma_random, sigma_systematic, valid = over_profiles(
+            centres.u, centres.sigma, centres.valid, line, laser
+        )
+        pose = jax.vmap(rig.scanner.pose)(phi)
+    rotation, centre = pose[:, :3, :3], pose[:, :3, 3]
+    turned = sum(p_cam[:, :, None, j] * rotation[:, None, :, j] for j in range(3))
+    xyz = jnp.where(valid[:, :, None], turned + centre[:, None, :], 0.0).astype(p_cam.dtype)
+    return Points(xyz, sigma_random, sigma_systematic, valid, centre)
+
+
+def line_step(camera: AbstractCamera, stripe_axis: StripeAxis) -> float:
+    """Angle between neighbouring lines at the middle of the image [rad]."""
+    middle = np.array([camera.width, camera.height], np.float32) / 2
+    step = np.array([0, 1] if stripe_axis == "rows" else [1, 0], np.float32)
+    first, second = (np.asarray(_ray(camera, q)) for q in (middle, middle + step))
+    return float(np.linalg.norm(second - first))
+
+
+@jax.jit
+def _ray(camera: AbstractCamera, q: Float[Array, "2"]) -> Array:
+    return camera.unproject(q)

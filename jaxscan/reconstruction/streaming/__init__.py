@@ -1,0 +1,1 @@
+"""A sweep in chunks of one size, computed ahead, gathered on one grid."""

@@ -1,0 +1,76 @@
+"""A sweep in batches of frames that one compiled function takes."""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxscan.geometry import Array
+from jaxscan.reconstruction.settings import ReconstructSettings
+from jaxscan.reconstruction.streaming.ahead import workers
+from jaxscan.reconstruction.sweep import SweepSource
+
+
+_RECORDS = 32
+"""Records of a chunk: the path over the lines is one long loop for all of them."""
+_BYTES = 100e6
+"""Frames of a chunk at most."""
+
+
+class Batch(NamedTuple):
+    """Frames of one laser; what follows those of the profiles is padding."""
+
+    profiles: np.ndarray
+    """Which profiles of the sweep, int [n]."""
+    laser: int
+    on: Array
+    off: Array | None
+
+
+def chunk_records(sweep: SweepSource, settings: ReconstructSettings) -> int:
+    """Records that are computed at a time."""
+    devices = len(jax.local_devices())
+    if settings.chunk_records is not None:
+        return -(-min(settings.chunk_records, len(sweep)) // devices) * devices
+    width, height = sweep.image_size
+    pair = 2 * width * height * (3 if sweep.pixel_format == "rgb8" else 1) * len(sweep.exposures)
+    # A short sweep still has something to do for every core, and for every device.
+    share = -(-len(sweep) // max(workers(), 1))
+    # Powers of two, so that short sweeps of all lengths share a few compiled functions.
+    size = 1 << max(0, math.ceil(math.log2(min(_RECORDS, max(1, _BYTES / pair), share))))
+    return -(-size // devices) * devices
+
+
+def batches(sweep: SweepSource, size: int) -> Iterator[Batch]:
+    """The sweep in batches of exactly `size` frames each."""
+    record, laser = sweep.record, sweep.laser
+    lasers = np.unique(laser)
+    start = 0
+    for chunk in sweep.chunks(size):
+        count = len(chunk.on)
+        here = (record >= start) & (record < start + count)
+        for index in lasers:
+            profiles = np.flatnonzero(here & (laser == index))
+            for first in range(0, len(profiles), size):
+                some = profiles[first : first + size]
+                rows = record[some] - start
+                off = None if chunk.off is None else _frames(chunk.off, rows, size)
+                yield Batch(some, int(index), _frames(chunk.on, rows, size), off)
+        start += count
+
+
+def padded(array: np.ndarray, size: int) -> np.ndarray:
+    """The array, filled up with zeros to `size` entries."""
+    if len(array) == size:
+        return array
+    whole = np.zeros((size, *array.shape[1:]), array.dtype)
+    whole[: len(array)] = array
+    return whole
+
+
+def _frames(frames: Array, rows: np.ndarray, size: int) -> Array:
+    if len(rows) == len(frames) == size and bool(np.all(np.diff(rows) == 1)):
+        return frames
+    return padded(np.asarray(frames)[rows], size)

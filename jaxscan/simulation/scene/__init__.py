@@ -1,0 +1,1 @@
+"""What stands in the simulated room, and how it is lit."""

@@ -1,0 +1,200 @@
+"""A scene to look at: triangles for ray casting, and what light does at the points that are hit."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from jaxscan.simulation.rig import Motion, rodrigues
+from jaxscan.simulation.scene.meshes import Mesh
+from jaxscan.simulation.scene.open3d import load_open3d
+from jaxscan.simulation.scene.room import LAMP_HEIGHT_SHARE, furnish, set_table
+from jaxscan.simulation.spec import SimulationConfig
+
+
+NO_HIT = np.uint32(0xFFFFFFFF)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Triangles in the scanner frame."""
+
+    caster: Any
+    """Open3D's RaycastingScene."""
+    mesh: Mesh
+    surface: np.ndarray
+    """Surface of each triangle, int64 [triangles + 1]; the last entry is for rays that hit nothing."""
+    normal: np.ndarray
+    """Unit normal of each triangle, float32 [triangles + 1, 3]."""
+    lamp: np.ndarray
+    """Position of the lamp [m]."""
+    reach: float
+    """Distance at which the lamp's light is of mean strength [m]."""
+    shadows: bool
+
+    def cast(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nearest hits of rays from one point.
+
+        Args:
+            origin: [3], m.
+            directions: [rays, 3], of any length.
+
+        Returns:
+            t: float32 [rays]: hit = origin + t direction; inf where nothing is hit.
+            triangle: int64 [rays]; the last index of `normal` where nothing is hit.
+        """
+        tensor = load_open3d().core.Tensor
+        hits = self.caster.cast_rays(tensor.from_numpy(_pack(origin, directions)))
+        triangle = hits["primitive_ids"].numpy()
+        nothing = len(self.normal) - 1
+        return hits["t_hit"].numpy(), np.minimum(triangle, np.uint32(nothing)).astype(np.int64)
+
+    def blocked(self, origin: np.ndarray, points: np.ndarray, *, skin: float = 1e-3) -> np.ndarray:
+        """Whether something stands between `origin` [3] and each of `points` [n, 3], bool [n].
+
+        The last `skin` metres before the point are not looked at: they are its own surface.
+        """
+        legs = points - origin.astype(points.dtype)
+        distance = np.sqrt(np.einsum("ij,ij->i", legs, legs))
+        # The leg is scaled so that its skin begins at 1, one far limit for all rays.
+        legs = legs * np.maximum(1 - skin / np.maximum(distance, 1e-9), 0)[:, None]
+        tensor = load_open3d().core.Tensor
+        return self.caster.test_occlusions(tensor.from_numpy(_pack(origin, legs)), tnear=0.0, tfar=1.0).numpy()
+
+    def albedo(self, triangle: np.ndarray, points: np.ndarray, channels: np.ndarray) -> np.ndarray:
+        """Albedo float32 [channels, n] at hit points [n, 3]; `channels` [3, channels] weighs R, G, B."""
+        return self._evaluate(triangle, points, channels)[0]
+
+    def ambient(self, triangle: np.ndarray, points: np.ndarray, view: np.ndarray, channels: np.ndarray) -> np.ndarray:
+        """A picture in the room's own light, float32 [channels, rows, columns]; white in mean light is 1.
+
+        Args:
+            triangle: Hit triangles [rows, columns].
+            points: Hit points float32 [rows, columns, 3].
+            view: Where the camera is [3]; surfaces are seen from this side.
+            channels: [3, channels], weights of R, G, B.
+        """
+        colour, glow = self._evaluate(triangle.ravel(), points.reshape(-1, 3), channels)
+        colour *= self.light(points, self.normal[triangle], view).ravel()
+        colour += glow
+        return colour.reshape(-1, *triangle.shape)
+
+    def light(self, points: np.ndarray, normal: np.ndarray, view: np.ndarray) -> np.ndarray:
+        """Strength of the room's light at points [rows, columns, 3] with normals of either sense, float32."""
+        f = np.float32
+        (x, y, z), (a, b, c) = (np.moveaxis(part, -1, 0) for part in (points, normal))
+        plane = a * x + b * y + c * z
+        (vx, vy, vz), (lx, ly, lz) = view.astype(f), self.lamp.astype(f)
+        sense = np.where(vx * a + vy * b + vz * c < plane, f(-1), f(1))
+        r2 = np.square(lx - x) + np.square(ly - y) + np.square(lz - z)
+        cosine = np.maximum((lx * a + ly * b + lz * c - plane) * sense, 0) / np.sqrt(r2)
+        direct = cosine * f(0.95 * self.reach**2) / (r2 + f(0.6 * self.reach**2))
+        if self.shadows:
+            direct *= self._shadow(points)
+        # Light from all sides: a little more from above than from below.
+        return f(0.66) + f(0.05) * c * sense + direct
+
+    def _shadow(self, points: np.ndarray) -> np.ndarray:
+        """Share of the lamp's light at points [rows, columns, 3]: looked up at every other one."""
+        rows, columns = points.shape[:2]
+        every = points[::2, ::2]
+        dark = self.blocked(self.lamp, every.reshape(-1, 3), skin=5e-3).reshape(every.shape[:2])
+        share = np.where(dark, np.float32(0.25), np.float32(1))
+        return share.repeat(2, 0).repeat(2, 1)[:rows, :columns]
+
+    def _evaluate(
+        self, triangle: np.ndarray, points: np.ndarray, channels: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Albedo [channels, n] and glow [n]: points are sorted by surface, each evaluated at once."""
+        surface = self.surface[triangle]
+        order = np.argsort(surface.astype(np.uint16), kind="stable")
+        counts = np.bincount(surface, minlength=len(self.mesh.surfaces) + 1)
+        ends = np.cumsum(counts)
+        colour = np.zeros((channels.shape[1], len(points)), np.float32)
+        glow = np.zeros(len(points), np.float32)
+        for index in np.flatnonzero(counts[:-1]):
+            part = order[ends[index] - counts[index] : ends[index]]
+            material, origin, along_u, along_v = self.mesh.surfaces[index]
+            x, y, z = points.take(part, 0).T
+            u, v = (
+                x * np.float32(axis[0])
+                + y * np.float32(axis[1])
+                + (z * np.float32(axis[2]) - np.float32(axis @ origin))
+                for axis in (along_u, along_v)
+            )
+            colour[:, part] = material.albedo(u, v, channels)
+            if material.glow:
+                glow[part] = material.glow
+        return colour, glow
+
+
+def room_from_scanner(config: SimulationConfig) -> Motion:
+    """Scanner coordinates to the room's (origin in a corner on the floor); identity without a room."""
+    if config.room is None:
+        return Motion(np.eye(3), np.zeros(3))
+    yaw = np.deg2rad(config.room.yaw_deg)
+    return Motion(rodrigues(np.array([0.0, 0.0, 1.0]), yaw), np.array(config.room.rig_m))
+
+
+@lru_cache(maxsize=4)
+def make_scene(config: SimulationConfig, *, boards: bool = False) -> Scene:
+    """The scene of a configuration; the last few are kept.
+
+    Where the table carries an object, that is taken off to make place for `boards`.
+    """
+    if config.room is not None:
+        mesh = furnish(config.room)
+        size = np.array(config.room.size_m)
+        lamp, reach = size * (0.5, 0.5, LAMP_HEIGHT_SHARE), float(np.mean(size[:2]) / 2)
+    elif config.object is not None:
+        mesh = set_table(config.object, empty=boards)
+        lamp, reach = np.array([-0.6, 0.8, 1.0]), 1.4
+    else:
+        mesh, lamp, reach = Mesh(), np.zeros(3), 1.0
+    motion = room_from_scanner(config).inverse()
+    return build_scene(_carry(mesh, motion), motion.apply(lamp), reach, shadows=config.light.shadows)
+
+
+def build_scene(mesh: Mesh, lamp: np.ndarray, reach: float, *, shadows: bool) -> Scene:
+    """A scene of a mesh in the scanner frame."""
+    o3d = load_open3d()
+    corners = np.concatenate(mesh.triangles)
+    caster = o3d.t.geometry.RaycastingScene()
+    vertices = np.ascontiguousarray(corners.reshape(-1, 3), np.float32)
+    indices = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
+    caster.add_triangles(o3d.core.Tensor.from_numpy(vertices), o3d.core.Tensor.from_numpy(indices))
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    surface = np.repeat(np.arange(len(mesh.triangles)), [len(part) for part in mesh.triangles])
+    scene = Scene(
+        caster,
+        mesh,
+        np.append(surface, len(mesh.triangles)),
+        np.concatenate([normal, np.zeros((1, 3))]).astype(np.float32),
+        lamp,
+        reach,
+        shadows,
+    )
+    # The first cast builds the search tree; later ones may come from several threads.
+    scene.cast(np.zeros(3), np.array([[1.0, 0.0, 0.0]]))
+    return scene
+
+
+def _carry(mesh: Mesh, motion: Motion) -> Mesh:
+    surfaces = [
+        surface._replace(
+            origin=motion.apply(surface.origin),
+            along_u=motion.rotation @ surface.along_u,
+            along_v=motion.rotation @ surface.along_v,
+        )
+        for surface in mesh.surfaces
+    ]
+    return Mesh([motion.apply(part) for part in mesh.triangles], surfaces)
+
+
+def _pack(origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    rays = np.empty((len(directions), 6), np.float32)
+    rays[:, :3] = origin
+    rays[:, 3:] = directions
+    return rays

@@ -1,0 +1,1 @@
+"""The centre of each candidate, fitted and judged."""
