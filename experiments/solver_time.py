@@ -25,8 +25,8 @@ import optimistix as optx
 from worlds import calibration_trials as trials
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
-from jaxscan.calibration.calibrate import make_problem
 from jaxscan.calibration.seed.closed_form import average_placements
+from jaxscan.calibration.solve.assemble import make_problem
 from jaxscan.calibration.solve.levenberg_marquardt import solve
 from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.calibration.solve.problem import Problem, Step, move, zero_step

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings
-from jaxscan.calibration.calibrate import prior_weights, shared_names
 from jaxscan.calibration.parameters import parameter_scales
 from jaxscan.calibration.settings import BLOCKS
+from jaxscan.calibration.solve.assemble import prior_weights, shared_names
 from jaxscan.calibration.solve.covariance import linearise
 from jaxscan.calibration.solve.levenberg_marquardt import form_blocks, jacobian_columns, schur_step
 from jaxscan.calibration.solve.prepare import prepare
