@@ -20,4 +20,7 @@ from jaxscan.geometry.rigid import rigid as rigid
 from jaxscan.geometry.rigid import transform as transform
 from jaxscan.geometry.scanner import Scanner as Scanner
 from jaxscan.geometry.scanner import point_up as point_up
+from jaxscan.geometry.stripe_axis import StripeAxis as StripeAxis
+from jaxscan.geometry.stripe_axis import across_and_along as across_and_along
+from jaxscan.geometry.stripe_axis import stripe_pixel as stripe_pixel
 from jaxscan.geometry.turntable import Turntable as Turntable
