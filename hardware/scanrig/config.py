@@ -12,7 +12,7 @@ from jaxscan.files.capture.header import BoardTable, LaserTable
 from jaxscan.files.disk.config import load_toml
 from jaxscan.files.disk.validation import FileModel, Integer, Number
 from jaxscan.geometry.turntable import Carries
-from jaxscan.stripes.frames.formats import LaserLine
+from jaxscan.stripes import LaserLine
 from scanrig.cameras.settings import CameraSettings
 from scanrig.checks.proof import ProofLimits
 

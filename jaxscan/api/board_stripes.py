@@ -73,7 +73,7 @@ def check_single_lasers(capture: Capture) -> None:
     """
     for record in capture.records:
         if len(record.lasers) > 1:
-            names = ", ".join(capture.lines[laser].name for laser in record.lasers)
+            names = ", ".join(capture.lasers[laser].name for laser in record.lasers)
             raise CaptureError(
                 f"{capture.path}: record {record.i}: several lasers are lit at once ({names}), but a calibration needs "
                 'one per record; capture a record for each, and name it there: "lasers": ["..."].'
@@ -87,11 +87,11 @@ def lines_with_colours(capture: Capture) -> tuple[LaserLine, ...]:
     Raises:
         CaptureError: If a colour cannot be learned.
     """
-    return tuple(_with_colour(capture, laser) for laser in range(len(capture.lines)))
+    return tuple(_with_colour(capture, laser) for laser in range(len(capture.lasers)))
 
 
 def _with_colour(capture: Capture, laser: int) -> LaserLine:
-    line = capture.lines[laser]
+    line = capture.lasers[laser]
     lit = [i for i, record in enumerate(capture.records) if record.lasers == (laser,) and record.on]
     if line.colour != "auto" or not lit:
         return line
@@ -166,7 +166,7 @@ def _board_stripe(
 ) -> BoardStripe:
     from jaxscan.vision.grey import to_grey
 
-    corners, line = cast("FoundCorners", view.corners), capture.lines[view.laser]
+    corners, line = cast("FoundCorners", view.corners), capture.lasers[view.laser]
     fields = (stripes.u, stripes.sigma, stripes.valid, stripes.width)
     u, sigma, valid, width = (np.asarray(field)[row] for field in fields)
     board_xy = None

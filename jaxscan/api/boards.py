@@ -139,7 +139,7 @@ def to_observations(views: Sequence[View], captures: Sequence[Capture]) -> Obser
         stripes=stack_stripes(stripes),
         width=width,
         height=height,
-        laser_names=tuple(line.name for line in first.lines),
+        laser_names=tuple(line.name for line in first.lasers),
         up=first.header.camera.up,
         carries=cast(Carries, first.carries or "scanner"),
     )

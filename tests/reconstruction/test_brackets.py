@@ -43,7 +43,7 @@ def sweep(scanner):
 
 
 def alone(sweep, which):
-    return Sweep(sweep.on[:, which], sweep.off[:, which], sweep.angle)
+    return Sweep(sweep.on[:, which], sweep.off[:, which], sweep.angles)
 
 
 @pytest.fixture(scope="module")

@@ -23,8 +23,8 @@ from jaxscan.files.recording.resume import resume_capture as resume_capture
 from jaxscan.files.recording.writer import CaptureWriter as CaptureWriter
 from jaxscan.files.recording.writer import create_capture as create_capture
 from jaxscan.geometry import AbstractBoard
-from jaxscan.reconstruction.sweep import FrameChunk
-from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response
+from jaxscan.reconstruction import FrameChunk
+from jaxscan.stripes import LaserLine, PixelFormat, Response
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +52,9 @@ class Capture:
         return self.header.camera.response
 
     @property
-    def lines(self) -> tuple[LaserLine, ...]:
+    def lasers(self) -> tuple[LaserLine, ...]:
         """The lasers, in the order that `laser` counts them."""
-        return self.header.lines
+        return self.header.lasers
 
     @property
     def image_size(self) -> tuple[int, int]:

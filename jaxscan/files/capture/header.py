@@ -11,13 +11,13 @@ from jaxscan.files.disk.validation import FileModel, Integer, Number, check
 from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
-from jaxscan.stripes.frames.formats import (
+from jaxscan.geometry import StripeAxis
+from jaxscan.stripes import (
     PIXEL_FORMATS,
     LaserColour,
     LaserLine,
     PixelFormat,
     Response,
-    StripeAxis,
     frame_rank,
 )
 
@@ -144,7 +144,7 @@ class CaptureHeader(FileModel):
         return self
 
     @property
-    def lines(self) -> tuple[LaserLine, ...]:
+    def lasers(self) -> tuple[LaserLine, ...]:
         """The lasers as the stripe extraction takes them."""
         return tuple(LaserLine(one.name, one.colour, one.stripe_axis) for one in self.laser)
 
