@@ -7,11 +7,11 @@ import pytest
 
 from jaxscan.stripes.frames.formats import FrameFormat, LaserLine
 from jaxscan.stripes.frames.planes import Planes
-from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.search.candidates import NARROW, WIDE, thresholds
 from jaxscan.stripes.search.locate import locate
 from jaxscan.stripes.search.native import NativeLocator
 from jaxscan.stripes.search.search import prepare_search, whole_lines
+from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.stripes import NoiseModel, StripeSettings
 
 

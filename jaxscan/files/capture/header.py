@@ -8,10 +8,9 @@ import tomli_w
 from jaxscan.errors import CaptureError
 from jaxscan.files.disk.config import parse_toml
 from jaxscan.files.disk.validation import FileModel, Integer, Number, check
-from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
+from jaxscan.geometry import AbstractBoard, Charuco, Chessboard, StripeAxis
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
-from jaxscan.geometry import StripeAxis
 from jaxscan.stripes import (
     PIXEL_FORMATS,
     LaserColour,
