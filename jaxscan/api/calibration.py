@@ -8,7 +8,7 @@ from jaxscan.api.boards import Progress, find_boards, to_observations
 from jaxscan.api.redetect import choose, look_again
 from jaxscan.calibration import Calibration, CalibrationSettings, calibrate_camera, calibrate_observations
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.files.capture.capture import Capture
+from jaxscan.files.capture import Capture
 
 
 def calibrate(

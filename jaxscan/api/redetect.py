@@ -10,7 +10,7 @@ from jaxscan.api.board_stripes import View, with_stripes
 from jaxscan.api.boards import Progress, common_board, look_at_boards
 from jaxscan.calibration import Calibration
 from jaxscan.calibration.predict import PredictedCorners, board_poses, predict_corners
-from jaxscan.files.capture.capture import Capture
+from jaxscan.files.capture import Capture
 from jaxscan.geometry import AbstractBoard
 
 
