@@ -86,7 +86,9 @@ def warn(quality: Quality) -> tuple[str, ...]:
                 "views"
             )
         elif limits.is_odd_view(size, usual):
-            warnings.append(f"record {view.record}: its corners are {size:.2f} px off, those of other views {usual:.2f}")
+            warnings.append(
+                f"record {view.record}: its corners are {size:.2f} px off, those of other views {usual:.2f}"
+            )
     for direction in quality.unobserved:
         # The table's own angle errors are meant to be held by what is known of tables.
         if not set(direction) & set(ANGLE_PARAMETERS):
