@@ -228,8 +228,8 @@ def correlations(calibration: Calibration) -> Html | None:
     if not (np.diag(calibration.covariance) > 0).any():
         return None
     caption = (
-        "Of the estimated parameters; numbers where the correlation exceeds one half. Strong ones are no fault: they say "
-        "that only a combination is known, and the lengths above take that into account."
+        "Of the estimated parameters; numbers where the correlation exceeds one half. Strong ones are no fault: they "
+        "say that only a combination is known, and the lengths above take that into account."
     )
     figure = uncertainty_plots.correlations(calibration.order, calibration.covariance)
     drawn = _figure(figure, "correlations", "Correlation matrix of the shared parameters", caption, class_="wide")

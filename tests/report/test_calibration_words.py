@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from jaxscan.report.calibration_tables import Parameter, outcome_rows, parameters, quality_rows, view_rows
 
-from jaxscan.report import calibration as words
+from jaxscan.calibration import ModelTest, Quality, SecondLook, Verdict
+from jaxscan.calibration.verdict import Lengths, judge_views
+from jaxscan.report import Parameter, outcome_rows, parameters, quality_rows, words
+from jaxscan.report.tables import view_rows
 
 
 def having(calibration, **quality):
