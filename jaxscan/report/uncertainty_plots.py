@@ -76,7 +76,7 @@ def spectrum(directions: Sequence[Direction]) -> "Figure":
     value = np.array([max(row.sigma_over_prior, 1e-12) for row in directions])
     place = np.arange(len(directions))
     left = 10.0 ** (np.floor(np.log10(value.min())) - 0.15)
-    colours = [RED if is_held_by_priors(sigma) else BLUE for sigma in value]
+    colours = [RED if is_held_by_priors(row.sigma_over_prior) else BLUE for row in directions]
     axes.hlines(place, left, value, color=colours, linewidth=1.2)
     axes.scatter(value, place, color=colours, s=20, zorder=3)
     axes.set_xscale("log")

@@ -105,6 +105,8 @@ def _reason(failed: list[ModelTest], results: list[Result]) -> str:
 
 def lengths(calibration: Calibration) -> list[LengthLine]:
     """Standard deviations of typical lengths, in words."""
+    if calibration.quality.converged is False:
+        return []
     lines, lasers = [], calibration.quality.lasers()
     for laser in lasers:
         beside = f", laser {laser.name}" if len(lasers) > 1 else ""

@@ -218,7 +218,7 @@ def test_a_camera_alone(tmp_path, coefficients):
 
 def test_without_covariance(tmp_path):
     scanner = dataclasses.replace(make_scanner(), covariance=None)
-    bare = Calibration(scanner.camera, scanner, (), np.zeros((0, 0)), {})
+    bare = Calibration(scanner.camera, scanner, (), np.zeros((0, 0)))
     save_calibration(bare, tmp_path / "c.json")
     assert load_scanner(tmp_path / "c.json").covariance is None
     assert load_calibration(tmp_path / "c.json").covariance.shape == (0, 0)
