@@ -12,6 +12,8 @@ from jaxscan.calibration.settings import Priors as Priors
 from jaxscan.calibration.stripes_on_board import BoardStripe as BoardStripe
 from jaxscan.calibration.stripes_on_board import select_board_stripes as select_board_stripes
 from jaxscan.calibration.stripes_on_board import stack_stripes as stack_stripes
+from jaxscan.calibration.verdict.quality import ModelTest as ModelTest
 from jaxscan.calibration.verdict.quality import Quality as Quality
 from jaxscan.calibration.verdict.quality import SecondLook as SecondLook
 from jaxscan.calibration.verdict.quality import Verdict as Verdict
+from jaxscan.calibration.verdict.quality import ViewQuality as ViewQuality
