@@ -20,9 +20,10 @@ import jax
 import numpy as np
 from worlds import calibration_trials as trials
 
-from jaxscan.calibration import Calibration, Observations, calibrate_camera, calibrate_observations
+from jaxscan.calibration import Calibration, calibrate_camera, calibrate_observations
 from jaxscan.calibration.verdict.lengths import depth_sigma, stripe_depths, stripe_pixels
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.observation import Observations
 from jaxscan.simulation import SimulationConfig, true_scanner
 from jaxscan.simulation.ideal_boards import BoardPoses, add_noise, draw_poses, ideal_boards
 

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
-from jaxscan.calibration import BoardViews, CalibrationSettings, Observations, StripeViews
+from jaxscan.calibration import CalibrationSettings
 from jaxscan.geometry import Scanner
+from jaxscan.observation import BoardViews, Observations, StripeViews
 from jaxscan.simulation import SimulationConfig, true_scanner
 from jaxscan.simulation.ideal_boards import IdealBoards
 

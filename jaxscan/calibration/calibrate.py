@@ -8,7 +8,6 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_PARAMETERS
 from jaxscan.calibration.result import Calibration, Fit
 from jaxscan.calibration.seed.closed_form import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
@@ -25,6 +24,7 @@ from jaxscan.calibration.verdict.quality import describe_quality
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
 from jaxscan.geometry.scanner import UP_VECTORS
+from jaxscan.observation import Observations
 
 
 _RATIONAL = 3

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxscan.calibration.observations import Observations
 from jaxscan.geometry import AbstractCamera, Scanner
+from jaxscan.observation import Observations
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxscan.calibration import Calibration, Observations
+from jaxscan.calibration import Calibration
 from jaxscan.calibration.result import Fit
 from jaxscan.calibration.verdict.lengths import stripe_depths, stripe_pixels
 from jaxscan.geometry import Charuco, Scanner
+from jaxscan.observation import Observations
 from jaxscan.report import calibration as words
 from jaxscan.report import calibration_tables as tables
 from jaxscan.report import image_plots, residual_plots, uncertainty_plots

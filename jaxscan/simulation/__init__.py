@@ -16,6 +16,7 @@ from jaxscan.simulation.spec import TurntableSpec as TurntableSpec
 from jaxscan.simulation.stripe import RowTruth as RowTruth
 from jaxscan.simulation.sweep import ExpectedRecord as ExpectedRecord
 from jaxscan.simulation.sweep import RenderedRecord as RenderedRecord
+from jaxscan.simulation.sweep import board_pairs as board_pairs
 from jaxscan.simulation.sweep import develop as develop
 from jaxscan.simulation.sweep import expect_boards as expect_boards
 from jaxscan.simulation.sweep import expect_record as expect_record

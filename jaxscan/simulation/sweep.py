@@ -65,6 +65,12 @@ def sweep_angles(config: SimulationConfig, *, every: int = 1) -> np.ndarray:
     return np.deg2rad(plan.turn_deg) * np.arange(0, plan.steps, every) / plan.steps
 
 
+def board_pairs(config: SimulationConfig) -> int:
+    """How many pairs of frames a board capture has."""
+    spec = config.boards
+    return (spec.free_views + spec.placements * spec.angles) * len(config.laser)
+
+
 def expect_sweep(config: SimulationConfig, *, every: int = 1) -> Iterator[ExpectedRecord]:
     """The frames of a sweep without noise, in order; with several lasers, one after the other at each angle."""
     rig, scene = make_rig(config), make_scene(config)

@@ -9,7 +9,6 @@ import jax
 import numpy as np
 import pytest
 
-from jaxscan.calibration.observations import BoardViews, Observations, StripeViews
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration.calibration import calibration_digest, load_calibration, load_scanner, save_calibration
@@ -24,6 +23,7 @@ from jaxscan.geometry import (
     point_up,
     stack_lasers,
 )
+from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
 def make_scanner(*, coefficients=5, lasers=("red", "green")):

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxscan.calibration import BoardViews, Calibration, Observations, StripeViews
+from jaxscan.calibration import Calibration
 from jaxscan.calibration.result import Fit
 from jaxscan.geometry import Chessboard, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
 CORNER_SIGMA, STRIPE_SIGMA, LEVERAGE = 0.1, 0.15, 0.2

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS
 from jaxscan.calibration.solve.adjust import Adjustment
 from jaxscan.calibration.solve.covariance import Determination
 from jaxscan.calibration.solve.prepare import Prepared
+from jaxscan.observation import Observations
 
 
 # More than this is worth a word in the report: the priors should only hold what nothing else does.

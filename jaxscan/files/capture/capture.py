@@ -23,6 +23,8 @@ from jaxscan.files.recording.resume import resume_capture as resume_capture
 from jaxscan.files.recording.writer import CaptureWriter as CaptureWriter
 from jaxscan.files.recording.writer import create_capture as create_capture
 from jaxscan.geometry import AbstractBoard
+from jaxscan.geometry.scanner import Up
+from jaxscan.geometry.turntable import Carries
 from jaxscan.reconstruction.sweep import FrameChunk
 from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response
 
@@ -62,9 +64,14 @@ class Capture:
         return self.header.camera.width, self.header.camera.height
 
     @property
-    def carries(self) -> str | None:
+    def carries(self) -> Carries | None:
         """What the table carries, where the header says so."""
         return None if self.header.turntable is None else self.header.turntable.carries
+
+    @property
+    def up(self) -> Up:
+        """Which direction of the image is up."""
+        return self.header.camera.up
 
     @property
     def board(self) -> AbstractBoard | None:
