@@ -13,8 +13,7 @@ from jaxscan.calibration import (
     solved_rig,
 )
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.files.capture.board_captures import common_board
-from jaxscan.files.capture.capture import Capture
+from jaxscan.files.capture import Capture, common_board
 from jaxscan.observation import Eyes, Observations, Progress, look_again, look_at_boards, to_observations
 
 
@@ -58,7 +57,7 @@ def calibrate(
         settings: Of the solve.
         only_camera: Intrinsics alone; lasers and turntable are left out of the result.
         redetect: Look at the images a second time, where the first solve says that corners and
-            stripes are, and solve again; `quality["redetected"]` says what it brought.
+            stripes are, and solve again; `quality.redetected` says how much it gained.
         progress: Called with (records done, records in all), over both looks.
 
     Returns:
@@ -83,13 +82,14 @@ def calibrate(
     # The first of two looks is there to know where to look; only the last is judged.
     first = replace(settings, judge=settings.judge and not redetect)
     result = solve(to_observations(captures, seen), settings=first)
-    if redetect:
+    # A solve that did not converge cannot say where to look.
+    if redetect and result.quality.converged:
         progress = _part(progress, 1, looks)
         again = look_again(captures, seen, solved_rig(result), eyes.to_grey, progress=progress)
-        result, brought = choose(result, solve(to_observations(captures, again), settings=settings))
-        if not brought["kept"]:
+        result, gains = choose(result, solve(to_observations(captures, again), settings=settings))
+        if not gains.kept:
             result = solve(to_observations(captures, seen), settings=settings)
-        result = replace(result, quality={**result.quality, "redetected": brought})
+        result = replace(result, quality=replace(result.quality, redetected=gains))
     provenance = {
         **result.provenance,
         "captures": [{"name": capture.path.name, "digest": capture.digest()} for capture in captures],

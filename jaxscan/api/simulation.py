@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from jaxscan.files.disk.config import load_toml
+from jaxscan.files import load_toml
 from jaxscan.files.simulated import SimulatedCaptures, write_simulation
 from jaxscan.observation import Progress
 from jaxscan.simulation import SimulationConfig, render_boards, render_sweep

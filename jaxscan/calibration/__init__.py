@@ -2,8 +2,12 @@
 
 from jaxscan.calibration.calibrate import calibrate_camera as calibrate_camera
 from jaxscan.calibration.calibrate import calibrate_observations as calibrate_observations
+from jaxscan.calibration.fit import Fit as Fit
 from jaxscan.calibration.result import Calibration as Calibration
 from jaxscan.calibration.second_look import choose as choose
 from jaxscan.calibration.second_look import solved_rig as solved_rig
 from jaxscan.calibration.settings import CalibrationSettings as CalibrationSettings
 from jaxscan.calibration.settings import Priors as Priors
+from jaxscan.calibration.verdict.quality import Quality as Quality
+from jaxscan.calibration.verdict.quality import SecondLook as SecondLook
+from jaxscan.calibration.verdict.quality import Verdict as Verdict

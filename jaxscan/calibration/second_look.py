@@ -1,10 +1,9 @@
 """A first calibration as the second look needs it, and which of two calibrations to keep."""
 
-from typing import Any
-
 import numpy as np
 
 from jaxscan.calibration.result import Calibration
+from jaxscan.calibration.verdict import SecondLook
 from jaxscan.observation import SolvedRig
 
 
@@ -28,19 +27,19 @@ def solved_rig(calibration: Calibration) -> SolvedRig:
         shape=np.array([*fit.warp, fit.pitch]),
         poses=fit.pose,
         used=np.any(fit.corner_kept, axis=1),
-        corner_rms_px=float(calibration.quality["corner_rms_px"]),
+        corner_rms_px=calibration.quality.corner_rms_px or 0.0,
     )
 
 
-def choose(first: Calibration, second: Calibration) -> tuple[Calibration, dict[str, Any]]:
-    """The second calibration unless it explains its observations worse, and what the second look brought."""
+def choose(first: Calibration, second: Calibration) -> tuple[Calibration, SecondLook]:
+    """The second calibration unless it explains its observations worse, and the gains of the second look."""
     names = ("corner_rms_whitened", "stripe_rms_whitened", "views", "corners", "stripe_points")
-    before, after = ({name: calibration.quality[name] for name in names} for calibration in (first, second))
-    kept = all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
-    report = {
-        "kept": kept,
+    before, after = ({name: vars(calibration.quality)[name] for name in names} for calibration in (first, second))
+    kept = bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+    look = SecondLook(
+        kept,
         **{f"{name}_gained": after[name] - before[name] for name in names[2:]},
         **{f"{name}_before": before[name] for name in names[:2]},
         **{f"{name}_after": after[name] for name in names[:2]},
-    }
-    return second if kept else first, report
+    )
+    return second if kept else first, look

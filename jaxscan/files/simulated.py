@@ -12,9 +12,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture
-from jaxscan.files.clouds.clouds import save_cloud
-from jaxscan.files.disk.atomic import write_atomically
+from jaxscan.files.capture import CaptureHeader, open_capture
+from jaxscan.files.clouds import save_cloud
+from jaxscan.files.disk import write_atomically
+from jaxscan.files.recording import create_capture
 from jaxscan.reconstruction import PointCloud
 from jaxscan.simulation import RenderedRecord, SimulationConfig, board_pairs, sweep_angles
 from jaxscan.simulation import truth as simulation_truth

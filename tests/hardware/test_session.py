@@ -10,8 +10,7 @@ from scanrig.errors import FirmwareError, LinkLost, RigFault, SessionError
 from scanrig.session.session import run_sweep
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import open_capture
-from jaxscan.files.capture.verify import verify_capture
+from jaxscan.files.capture import open_capture, verify_capture
 
 from .desk import Desk
 

@@ -7,8 +7,7 @@ import pytest
 from scanrig.errors import CameraLost, CameraTimeout, LinkLost
 from scanrig.session.session import run_calibration
 
-from jaxscan.files.capture.capture import open_capture
-from jaxscan.files.capture.verify import verify_capture
+from jaxscan.files.capture import open_capture, verify_capture
 
 from .desk import Desk
 

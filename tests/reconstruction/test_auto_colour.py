@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture
+from jaxscan.files.capture import CaptureHeader, open_capture
+from jaxscan.files.recording import create_capture
 from jaxscan.observation.board_stripes import learn_colours
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.stripes.extract import extract_stripes

@@ -3,7 +3,7 @@
 from importlib.metadata import version
 from typing import Any, Literal
 
-from jaxscan.files.capture.header import CameraTable, CaptureHeader, PlanTable, TurntableTable
+from jaxscan.files.capture import CameraTable, CaptureHeader, PlanTable, TurntableTable
 from scanrig.cameras.frame import CameraIdentity, Features
 from scanrig.clock import Clock
 from scanrig.config import RigConfig
