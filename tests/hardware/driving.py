@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from bench.rig import CLOCK_HZ, SimulatedRig
+from bench import CLOCK_HZ, SimulatedRig
 from scanrig.controllers.connect import connect
 from scanrig.controllers.controller import Controller
 from scanrig.controllers.settings import Settings

@@ -9,8 +9,8 @@ import time
 import numpy as np
 import pytest
 import serial
+from bench.camera.rendered import loopback
 from bench.places import WORLD
-from bench.rendered import loopback
 from bench.sockets import ControlClient
 from scanrig.cameras import CameraSettings, open_camera
 from scanrig.controllers.connect import connect
