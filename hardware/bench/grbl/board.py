@@ -46,7 +46,7 @@ Mangle = Callable[[bytes], bytes]
 
 
 class GrblBoard:
-    """A board that is switched on from `start` to `close`, in a thread of its own. Everything in it may be looked at."""
+    """A board that is switched on from `start` to `close`, in a thread of its own. It may be looked into."""
 
     def __init__(self, folder: Path, **settings: float) -> None:
         """Args:
@@ -204,7 +204,7 @@ class GrblBoard:
             # Nothing is answered while home is looked for.
             if now < self._homing_ends:
                 return
-            self._homed(now)
+            self._homed()
         if self._asked:
             self._asked = False
             self._report(now)
@@ -265,9 +265,8 @@ class GrblBoard:
             for number, value in sorted(self.settings.items()):
                 self._say(f"${number}={value:.3f}" if number >= 24 and number != 32 else f"${number}={value:.0f}")
         elif text == "$G":
-            self._say(
-                f"[GC:{self._motion} G54 G17 G21 G90 G94 {self._spindle} M9 T0 F{self._feed:.0f} S{self._power:.0f}]"
-            )
+            modes = f"{self._motion} G54 G17 G21 G90 G94 {self._spindle} M9"
+            self._say(f"[GC:{modes} T0 F{self._feed:.0f} S{self._power:.0f}]")
         elif text == "$X":
             self._locked = False
             self._say("[MSG:Caution: Unlocked]")
@@ -291,7 +290,7 @@ class GrblBoard:
         way = min(abs(self.position), 1.5 * self.settings[130])
         self._homing_ends = now + 60 * way / self.settings[25] + 0.05
 
-    def _homed(self, now: float) -> None:
+    def _homed(self) -> None:
         found = self.switch and abs(self.position) <= 1.5 * self.settings[130]
         self._homing_ends = None
         if not found:
@@ -300,11 +299,8 @@ class GrblBoard:
             self._say("ALARM:9")
             return
         # Downwards the switch is at the far end of the travel, and the table stands the pull-off above it.
-        self._axis = Axis()
         place = -self.settings[130] + self.settings[27]
-        self._axis.go(place, 1e9, 1e12)
-        self._axis.run(now)
-        self._axis.run(now + 1.0)
+        self._axis = Axis(place)
         self._switch_at, self.slipped = place - self.settings[27], 0.0
         self._say("ok")
 

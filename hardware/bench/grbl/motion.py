@@ -43,11 +43,11 @@ class Ramp:
 class Axis:
     """An axis that obeys one motion after the other, may be held on the way, or stopped dead."""
 
-    def __init__(self) -> None:
+    def __init__(self, place: float = 0.0) -> None:
         self.held = False
         self._queue: deque[tuple[float, float, float]] = deque()
         self._ramp: Ramp | None = None
-        self._place = 0.0
+        self._place = place
 
     @property
     def queued(self) -> int:

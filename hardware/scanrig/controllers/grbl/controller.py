@@ -299,7 +299,7 @@ class GrblController:
         return self._await_rest(f"moving to {to}", timeout_s, at=to)
 
     def _await_rest(self, what: str, timeout_s: float, at: int | None = None) -> int:
-        """Wait until the table rests: at once where it is `at`, elsewhere when it has been seen at rest several times."""
+        """Wait until the table rests; elsewhere than `at`, until it has been seen at rest several times."""
         give_up = self._clock.now() + timeout_s
         still = 0
         while True:

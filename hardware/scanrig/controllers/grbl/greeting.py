@@ -49,8 +49,8 @@ def greet(lines: GrblLines) -> str:
             raise
         found = f"a device that says {lines.odd[-1][:60]!r}" if lines.odd else "silence"
         raise FirmwareError(
-            f"{lines.link.name}: found {found}, needed a board that begins with '{lines.expected_greeting}'; check port, "
-            "power, controller.baud and controller.grbl.greeting"
+            f"{lines.link.name}: found {found}, needed a board that begins with '{lines.expected_greeting}'; "
+            "check port, power, controller.baud and controller.grbl.greeting"
         ) from problem
     words = lines.greeting.split()
     return words[1] if len(words) > 1 else "unknown"
