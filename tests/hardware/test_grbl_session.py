@@ -1,6 +1,7 @@
 """Whole sweeps with a GRBL board: what a session promises holds with a foreign controller, and what cannot is said."""
 
 import json
+import signal
 import subprocess
 import sys
 import threading
@@ -9,10 +10,11 @@ from pathlib import Path
 
 import pytest
 from bench.grbl import GrblBoard
-from scanrig.errors import Fault, RigFault
+from scanrig.errors import Fault, LinkLost, RigFault
 from scanrig.session import Devices, Hooks, run_sweep
 
 from jaxscan.errors import ConfigError
+from jaxscan.files.capture.capture import open_capture
 
 from .grbl_rig import camera_of, open_board, rig_config
 
@@ -68,8 +70,6 @@ def events(folder, name):
 
 def require_whole(folder):
     """Every record is there, at its place, with the laser in the one image and not in the other."""
-    from jaxscan.files.capture.capture import open_capture
-
     found = records(folder)
     assert sorted(found) == list(range(STEPS))
     capture = open_capture(folder)
@@ -120,8 +120,6 @@ def test_a_pulled_cable_is_recovered_from(rig, tmp_path):
 
 
 def test_a_cable_that_stays_away_ends_the_session_loudly(rig, tmp_path):
-    from scanrig.errors import LinkLost
-
     rig.events[2] = rig.board.unplug
     with pytest.raises(LinkLost, match=r"did not come back.*switch its supply off by hand"):
         rig.sweep(tmp_path / "room")
@@ -207,8 +205,9 @@ with open_controller(table, 28800, port={port!r}) as controller:
 def host_that_lights(board):
     hardware = str(Path(__file__).resolve().parents[2] / "hardware")
     code = LIGHTS.format(hardware=hardware, port=board.port)
-    host = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert host.stdout.readline() == "lit\n"
+    host = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    with host.stdout:
+        assert host.stdout.readline() == "lit\n"
     return host
 
 
@@ -226,8 +225,6 @@ def test_a_killed_host_leaves_the_laser_on_as_is_said(board):
 
 
 def test_a_host_that_is_interrupted_switches_the_laser_off(board):
-    import signal
-
     host = host_that_lights(board)
     host.send_signal(signal.SIGINT)
     host.wait(timeout=20)

@@ -6,9 +6,9 @@ from collections import deque
 from collections.abc import Callable
 
 from scanrig.clock import Clock
-from scanrig.controllers.grbl.report import Report, read_report
+from scanrig.controllers.grbl.report import ALARMS, Report, read_report
 from scanrig.controllers.status import LinkCounts
-from scanrig.errors import ControllerReset, LinkLost, Reason, Refused
+from scanrig.errors import ControllerReset, Fault, LinkLost, Reason, Refused, RigFault
 from scanrig.wire import Link
 
 
@@ -72,6 +72,7 @@ class GrblLines:
 
         Raises:
             Refused: the board answered an error each time.
+            RigFault: it is in an alarm, and answers nothing.
             ControllerReset: it began anew meanwhile.
             LinkLost: no answer.
         """
@@ -84,7 +85,12 @@ class GrblLines:
             said, error = self._answer()
             if error == "ok":
                 return said
+            if not error and self.alarm is not None:
+                break
         number = int(match[1]) if (match := _ERROR.fullmatch(error)) else None
+        if number is None and self.alarm is not None:
+            # After a limit was hit, GRBL answers nothing until it is reset.
+            raise RigFault(ALARMS.get(self.alarm, Fault.UNKNOWN), None, f"ALARM:{self.alarm}")
         if number is None:
             raise LinkLost(f"no answer from {self.link.name} to '{command}', sent {TRIES} times; check cable and power")
         raise Refused(_REFUSALS.get(number, Reason.UNKNOWN), command, error)
