@@ -15,6 +15,7 @@ from jaxscan.geometry.turntable import Carries
 from jaxscan.stripes.frames.formats import LaserLine
 from scanrig.cameras.settings import CameraSettings
 from scanrig.checks.proof import ProofLimits
+from scanrig.controllers.table import ControllerTable
 
 
 MAX_MICROSTEPS = 10_000_000
@@ -33,18 +34,6 @@ _RATES = {
     "home_speed_deg_s": (2.5, 20, 10_000),
 }
 """Key: a moderate value, and what the controller takes in microsteps."""
-
-
-class ControllerTable(FileModel):
-    """The controller and the wire to it."""
-
-    port: Annotated[str, pydantic.Field(min_length=1, max_length=1024)] = "auto"
-    """Serial port; "auto": the only one that looks like a controller."""
-    baud: Annotated[Integer, pydantic.Field(ge=1200, le=4_000_000)] = 250_000
-    watchdog_ms: Annotated[Integer, pydantic.Field(ge=100, le=60_000)] = 500
-    """Time without a good line from the host after which laser and motor are switched off."""
-    reconnects: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 10
-    """Times that a lost controller is looked for, with growing pauses, before the scan ends."""
 
 
 class TurntableTable(FileModel):
@@ -241,6 +230,11 @@ class RigConfig(FileModel):
             raise ValueError(
                 f"camera.exposure_ms: found {self.camera.exposure_ms:g}, expected at most 5000 with a trigger pulse of "
                 "the exposure's length; give trigger.pulse_ms where the camera times its exposure itself"
+            )
+        if self.controller.type == "grbl" and self.camera.trigger == "hardware":
+            raise ValueError(
+                'camera.trigger: found "hardware", expected "software" or "free": a controller of type "grbl" has no '
+                "wire to the camera"
             )
         return self
 

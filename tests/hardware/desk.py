@@ -9,9 +9,11 @@ from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.cameras.synthetic import SyntheticScene, draw
 from scanrig.clock import ManualClock
 from scanrig.config import RigConfig
+from scanrig.controllers.controller import Guarantees
 from scanrig.controllers.settings import Settings
 from scanrig.controllers.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
-from scanrig.errors import CameraTimeout, ControllerReset, LinkLost, Refused, RigFault
+from scanrig.errors import CameraTimeout, ControllerReset, Fault, LinkLost, Reason, Refused, RigFault
+from scanrig.session import Devices, Hooks, SessionResult, run_calibration, run_sweep
 
 from .fake import ARMED_IDLE_S
 
@@ -49,7 +51,9 @@ class Table:
 
 
 class PaperController:
-    """As `Controller`, without a wire; `before_shot[n]` is called before the n-th shot."""
+    """A `Controller` without a wire; `before_shot[n]` is called before the n-th shot."""
+
+    guarantees = Guarantees(True, True, True, True)
 
     def __init__(self, table: Table, camera: SimulatedCamera, clock: ManualClock) -> None:
         self.table, self.camera, self.clock = table, camera, clock
@@ -59,7 +63,7 @@ class PaperController:
         self.log: list[str] = []
         self.boot = 7
         self.counter = 0
-        self.fault = 0
+        self.fault: Fault | None = None
         self.estop = False
         self.homed = self.enabled = self.armed = False
         self.settings: Settings | None = None
@@ -81,13 +85,13 @@ class PaperController:
         self.boot += 1
         self.table.laser = self.table.contactor = False
         self.homed = self.enabled = self.armed = False
-        self.counter, self.settings, self.fault = 0, None, 0
+        self.counter, self.settings, self.fault = 0, None, None
         raise ControllerReset(self.boot - 1, self.boot)
 
-    def fall_into(self, fault: int) -> None:
+    def fall_into(self, fault: Fault) -> None:
         self.fault = fault
         self.table.laser = self.table.contactor = self.armed = False
-        if fault == 1:
+        if fault is Fault.EMERGENCY_STOP:
             self.homed = self.enabled = False
         raise RigFault(fault, self.counter)
 
@@ -114,9 +118,9 @@ class PaperController:
     def _open_contactor(self) -> None:
         self.table.contactor = self.armed = False
 
-    def _require(self, held: bool, code: int, verb: str) -> None:
+    def _require(self, held: bool, reason: Reason, verb: str) -> None:
         if not held:
-            raise Refused(code, verb)
+            raise Refused(reason, verb)
 
     def hello(self) -> Firmware:
         self._alive("hello")
@@ -139,17 +143,17 @@ class PaperController:
 
     def enable(self, on: bool) -> None:
         self._alive("enable")
-        self._require(self.fault == 0, 6, "EN on=1")
+        self._require(self.fault is None, Reason.IN_FAULT, "EN on=1")
         self.enabled = on
 
     def arm(self, on: bool) -> None:
         self._alive(f"arm {on:d}")
-        self._require(not on or self.fault == 0, 6, "ARM on=1")
+        self._require(not on or self.fault is None, Reason.IN_FAULT, "ARM on=1")
         self.armed = self.table.contactor = on
 
     def home(self, max_steps: int, timeout_s: float = 120.0) -> int:
         self._alive("home")
-        self._require(self.enabled, 11, "HOME")
+        self._require(self.enabled, Reason.DRIVER_OFF, "HOME")
         assert self.settings is not None
         was = self.counter - self.table.position
         self.table.position = self.counter = 0
@@ -158,7 +162,7 @@ class PaperController:
 
     def move(self, to: int, timeout_s: float = 120.0) -> int:
         self._alive("move")
-        self._require(self.enabled, 11, f"MOVE to={to}")
+        self._require(self.enabled, Reason.DRIVER_OFF, f"MOVE to={to}")
         self._turn(to)
         return to
 
@@ -166,9 +170,9 @@ class PaperController:
         self.table.position += to - self.counter
         self.counter = to
 
-    def laser(self, on: bool, ms: int | None = None) -> None:
+    def laser(self, on: bool, ms: int | None = None, *, number: int = 1) -> None:
         self._alive(f"laser {on:d}")
-        self._require(not on or self.armed, 14, "LASER on=1")
+        self._require(not on or self.armed, Reason.NOT_ARMED, "LASER on=1")
         self.table.laser = on
         self.table.lit_cycles += on
 
@@ -177,8 +181,8 @@ class PaperController:
 
     def shot(self, to: int, id: int, *, lit: bool = True, dark: bool = True) -> None:
         self._alive("shot")
-        self._require(self.homed, 8, f"SHOT to={to}")
-        self._require(self.armed, 14, f"SHOT to={to}")
+        self._require(self.homed, Reason.NOT_HOMED, f"SHOT to={to}")
+        self._require(self.armed, Reason.NOT_ARMED, f"SHOT to={to}")
         assert self.settings is not None
         self.shots.append(to)
         act = self.before_shot.pop(len(self.shots), None)
@@ -207,12 +211,9 @@ class PaperController:
             armed=self.armed,
             enabled=self.enabled,
             laser=self.table.laser,
-            lease_ms=0,
             exposures=self.exposures,
             home_switch=self.table.position <= 0,
             estop=self.estop,
-            camera_ready=True,
-            events=0,
         )
 
     def poll(self) -> Status:
@@ -227,8 +228,8 @@ class PaperController:
 
     def clear(self) -> None:
         self._alive("clear")
-        self._require(not self.estop, 6, "CLEAR")
-        self.fault = 0
+        self._require(not self.estop, Reason.STILL_PRESSED, "CLEAR")
+        self.fault = None
 
     def stop(self) -> None:
         self._alive("stop")
@@ -237,7 +238,7 @@ class PaperController:
     def abort(self) -> None:
         self.log.append("abort")
         self.table.laser = self.table.contactor = self.armed = False
-        self.fault = 5
+        self.fault = Fault.ABORTED
 
     def make_safe(self) -> bool:
         self.log.append("make_safe")
@@ -284,11 +285,18 @@ class Desk:
         image = draw(self.scene, position, lit, width=WIDTH, height=HEIGHT, generator=self._generator)
         return np.ascontiguousarray(np.roll(image, self.table.moved_px, 1))
 
-    def rig(self) -> dict:
-        """Arguments of a session."""
-        return {
-            "controller": self.controller,
-            "camera": self.camera,
-            "clock": self.clock,
-            "notify": self.said.append,
-        }
+    @property
+    def devices(self) -> Devices:
+        return Devices(self.controller, self.camera, self.clock)
+
+    def sweep(self, folder, *, resume=False, calibration_digest=None, **hooks) -> SessionResult:
+        """A sweep; `hooks` are those of a session."""
+        called = Hooks(**{"notify": self.said.append, **hooks})
+        return run_sweep(
+            self.config, folder, self.devices, called, resume=resume, calibration_digest=calibration_digest
+        )
+
+    def calibrate(self, folder, operator, *, resume=False, **hooks) -> SessionResult:
+        """Views of the board; `hooks` are those of a session."""
+        called = Hooks(**{"notify": self.said.append, **hooks})
+        return run_calibration(self.config, folder, self.devices, operator, called, resume=resume)

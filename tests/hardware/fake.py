@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from scanrig.clock import ManualClock
+from scanrig.controllers.jxs.protocol import ABORT, crc, seal
 from scanrig.errors import LinkLost
-from scanrig.wire.protocol import ABORT, crc, seal
 
 
 ANSWER_S = 0.002

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.cameras.synthetic import SyntheticScene, draw
-from scanrig.controllers.connect import connect
-from scanrig.errors import FrameError, Refused, RigFault
-from scanrig.session.session import run_sweep
+from scanrig.controllers.jxs.connect import connect
+from scanrig.errors import Fault, FrameError, Refused, RigFault
+from scanrig.session import Devices, Hooks, run_sweep
 from scanrig.session.step import FrameNumbers, take_pair
 
 from .desk import HEIGHT, WIDTH, Desk, rig_config
@@ -102,7 +102,7 @@ def test_a_contactor_that_a_fault_opened_is_not_closed_by_a_step():
     desk = Desk()
     ready(desk)
     with pytest.raises(RigFault):
-        desk.controller.fall_into(1)
+        desk.controller.fall_into(Fault.EMERGENCY_STOP)
     desk.controller.log.clear()
     with pytest.raises(Refused):
         take(desk)
@@ -135,7 +135,7 @@ def test_a_session_that_was_silent_for_long_goes_on_with_real_firmware(rig, tmp_
     camera.trigger = expose
     wire = Wire(simulated.edges_path, camera) if trigger == "hardware" else None
     with connect(simulated.port) as controller:
-        result = run_sweep(config, tmp_path / "room", controller=controller, camera=camera, on_pair=pause)
+        result = run_sweep(config, tmp_path / "room", Devices(controller, camera), Hooks(pause))
     if wire is not None:
         wire.close()
     assert (result.status, result.records) == ("complete", 2)
@@ -169,7 +169,7 @@ def test_the_lease_is_renewed_on_real_firmware_while_a_slow_camera_exposes(rig, 
     timers = []
     camera.trigger = slow
     with connect(simulated.port) as controller:
-        result = run_sweep(config, tmp_path / "room", controller=controller, camera=camera)
+        result = run_sweep(config, tmp_path / "room", Devices(controller, camera))
     for timer in timers:
         timer.join()
     assert (result.status, result.records) == ("complete", 1)

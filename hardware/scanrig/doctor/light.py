@@ -6,7 +6,7 @@ from jaxscan.stripes.frames.formats import laser_plane
 from scanrig.cameras.frame import Camera, Frame
 from scanrig.clock import Clock
 from scanrig.config import RigConfig
-from scanrig.controllers.controller import Controller
+from scanrig.controllers import Controller
 from scanrig.doctor.findings import Finding, Tell, looked_at
 from scanrig.errors import CameraTimeout, FrameError
 from scanrig.session.plan import controller_settings

@@ -6,7 +6,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from scanrig.session.work import Session
+from scanrig.session.session import Session
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,7 @@ class Operator(Protocol):
         """Return when the board is placed; False: enough of this kind."""
 
 
-Advise = Callable[[], Sequence[str]]
-
-
-def take_placements(
-    session: Session, positions: Sequence[int], operator: Operator, advise: Advise | None = None
-) -> bool:
+def take_placements(session: Session, positions: Sequence[int], operator: Operator) -> bool:
     """Free views from home, then placements from all positions.
 
     Every placing of the board gets a number of its own: one that was half done when a session ended
@@ -47,7 +42,6 @@ def take_placements(
         session: Begun.
         positions: Where the table stops for each placement [microsteps].
         operator: Places the board.
-        advise: Asked for advice before each placing.
 
     Returns:
         False where the operator asked to stop, or had enough before there was anything.
@@ -67,7 +61,7 @@ def take_placements(
             if session.should_stop():
                 return False
             session.dark()
-            advice = list(advise()) if advise is not None else []
+            advice = [] if session.job.hooks.advise is None else list(session.job.hooks.advise())
             placed = operator.place(PlacementRequest(_kind(kind), number, len(asked), advice, session.rig.look))
             if session.should_stop():
                 return False

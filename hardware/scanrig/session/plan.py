@@ -7,7 +7,7 @@ from fractions import Fraction
 
 from jaxscan.errors import ConfigError
 from scanrig.config import RigConfig
-from scanrig.controllers.settings import Settings
+from scanrig.controllers import Settings
 
 
 RESERVE = 1.1

@@ -17,7 +17,7 @@ from jaxscan.files.capture.verify import Problem, verify_capture
 from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
 from scanrig.config import RigConfig
 from scanrig.errors import SessionError
-from scanrig.recording.record import Kind
+from scanrig.session.job import Kind
 
 
 T = TypeVar("T")

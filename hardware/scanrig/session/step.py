@@ -10,8 +10,7 @@ from scanrig.cameras.frame import Camera, Frame
 from scanrig.checks.proof import PairProof, prove_pair
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
-from scanrig.controllers.controller import Controller
-from scanrig.controllers.status import Status
+from scanrig.controllers import Controller, Status
 from scanrig.errors import CameraError, CameraTimeout, FrameError
 from scanrig.session.plan import longest_s, shot_s
 
@@ -188,7 +187,7 @@ def _by_hand(
 def _armed(controller: Controller) -> Status:
     """The state, with the contactor closed: after a long silence the controller has opened it, which is no fault."""
     status = controller.stat()
-    if not status.armed and status.fault == 0:
+    if not status.armed and status.fault is None:
         log.info("%s: the contactor was open, as it is after a long silence; it is closed again", controller.name)
         controller.arm(True)
     return status
