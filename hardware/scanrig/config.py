@@ -8,9 +8,8 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
-from jaxscan.files.capture.header import BoardTable, LaserTable
-from jaxscan.files.disk.config import load_toml
-from jaxscan.files.disk.validation import FileModel, Integer, Number
+from jaxscan.files.capture import BoardTable, LaserTable
+from jaxscan.files.disk import FileModel, Integer, Number, load_toml
 from jaxscan.geometry.turntable import Carries
 from jaxscan.stripes.frames.formats import LaserLine
 from scanrig.cameras.settings import CameraSettings

@@ -17,7 +17,7 @@ from scanrig.controllers.jxs.connect import connect
 from scanrig.controllers.settings import Settings
 from scanrig.errors import CameraLost, CameraTimeout
 
-from jaxscan.files.disk.config import load_toml
+from jaxscan.files.disk import load_toml
 from jaxscan.simulation import SimulationConfig, expect_record, make_rig, make_scene
 
 

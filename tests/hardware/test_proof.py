@@ -187,7 +187,7 @@ def test_real_pairs():
 
 
 def test_rendered_pairs(tiny):
-    from jaxscan.files.capture.capture import open_capture
+    from jaxscan.files.capture import open_capture
 
     capture = open_capture(tiny.sweep)
     settings = {"pixel_format": capture.pixel_format, "response": capture.response, "line": capture.lines[0]}

@@ -7,7 +7,7 @@ import numpy as np
 
 from bench.errors import BenchError
 from bench.places import WORLD
-from jaxscan.files.disk.config import load_toml
+from jaxscan.files.disk import load_toml
 from jaxscan.simulation import ExpectedRecord, SimulationConfig, expect_record, expose, make_rig, make_scene
 from jaxscan.simulation.boards import SeenBoard, make_print
 from jaxscan.simulation.planning import Placement, plan_boards

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import UInt8
 
-from jaxscan.files.disk.config import load_toml
+from jaxscan.files.disk import load_toml
 from scanrig.cameras.features import require, wanted
 from scanrig.cameras.frame import CameraIdentity, Features, Frame
 from scanrig.cameras.settings import CameraSettings, TriggerMode

@@ -6,7 +6,7 @@ import numpy as np
 import pydantic
 from jaxtyping import Float, UInt8
 
-from jaxscan.files.disk.validation import FileModel, Integer, Number
+from jaxscan.files.disk import FileModel, Integer, Number
 from jaxscan.stripes.frames.formats import Colour, PixelFormat, StripeAxis, frame_rank
 
 

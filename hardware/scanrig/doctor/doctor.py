@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.header import CameraTable, CaptureHeader, frame_shape
-from jaxscan.files.recording.writer import create_capture
+from jaxscan.files.capture import CameraTable, CaptureHeader, frame_shape
+from jaxscan.files.recording import create_capture
 from scanrig.cameras.frame import Camera
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
