@@ -69,6 +69,8 @@ def record_fields(pair: Pair, config: RigConfig, features: Features, clock: Cloc
             "unrest": round(proof.unrest, 3),
         },
     }
+    if len(config.laser) > 1:
+        fields["lasers"] = [config.laser[pair.laser].name]
     if pair.rejected:
         fields["rejected"] = list(pair.rejected)
     return fields
