@@ -95,6 +95,24 @@ def test_import_direction(path):
         assert there in MAY_IMPORT[here] | {here, "errors"}, f"line {line}: {here} must not import {there}"
 
 
+OUTSIDE_OF_FILES = [path for path in (*FILES, *RIG_FILES, *BENCH_FILES) if PACKAGE / "files" not in path.parents]
+
+
+@pytest.mark.parametrize("path", OUTSIDE_OF_FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_are_reached_through_the_facades_of_their_rooms(path):
+    for module, line in imports(path):
+        inside = module.split(".")[:2] == ["jaxscan", "files"]
+        assert not inside or len(module.split(".")) <= 3, f"line {line}: {module}"
+
+
+@pytest.mark.parametrize("path", [path for path in FILES if folder_of(path) == "files"], ids=str)
+def test_a_room_of_files_reaches_others_through_their_facades(path):
+    for module, line in imports(path):
+        parts = module.split(".")
+        if parts[:2] == ["jaxscan", "files"] and path.name != "__init__.py" and parts[2] != path.parent.name:
+            assert len(parts) == 3, f"line {line}: {module}"
+
+
 @pytest.mark.parametrize("path", FILES, ids=IDS)
 def test_libraries_stay_in_their_place(path):
     where = str(path.relative_to(PACKAGE))

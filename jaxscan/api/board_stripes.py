@@ -8,7 +8,7 @@ import numpy as np
 from jaxscan.calibration import BoardStripe, Calibration, select_board_stripes
 from jaxscan.calibration.predict import lift_to_board, predict_stripe
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import Capture, Record
+from jaxscan.files.capture import Capture, Record
 from jaxscan.geometry import AbstractBoard
 from jaxscan.stripes import LaserLine, NoiseModel, Stripes, StripeSettings, extract_stripes
 from jaxscan.stripes.frames.learn_colour import with_colour

@@ -11,7 +11,7 @@ import numpy as np
 from jaxscan.api.board_stripes import BATCH_RECORDS, View, check_single_lasers, with_stripes
 from jaxscan.calibration import BoardViews, Observations, stack_stripes
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.files.capture.capture import Capture
+from jaxscan.files.capture import Capture
 from jaxscan.geometry import AbstractBoard, Charuco
 from jaxscan.geometry.turntable import Carries
 

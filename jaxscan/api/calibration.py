@@ -8,7 +8,7 @@ from jaxscan.api.boards import Progress, find_boards, to_observations
 from jaxscan.api.redetect import choose, look_again
 from jaxscan.calibration import Calibration, CalibrationSettings, calibrate_camera, calibrate_observations
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.files.capture.capture import Capture
+from jaxscan.files.capture import Capture
 
 
 def calibrate(
@@ -26,7 +26,7 @@ def calibrate(
         settings: Of the solve.
         only_camera: Intrinsics alone; lasers and turntable are left out of the result.
         redetect: Look at the images a second time, where the first solve says that corners and
-            stripes are, and solve again; `quality["redetected"]` says what it brought.
+            stripes are, and solve again; `quality.redetected` says how much it gained.
         progress: Called with (records done, records in all), over both looks.
 
     Returns:
@@ -51,12 +51,13 @@ def calibrate(
     # The first of two looks is there to know where to look; only the last is judged.
     first = replace(settings, judge=settings.judge and not redetect)
     result = solve(to_observations(views, captures), settings=first)
-    if redetect:
+    # A solve that did not converge cannot say where to look.
+    if redetect and result.quality.converged:
         again = look_again(captures, views, result, stripes=stripes, progress=_part(progress, 1, looks))
-        result, brought = choose(result, solve(to_observations(again, captures), settings=settings))
-        if not brought["kept"]:
+        result, gains = choose(result, solve(to_observations(again, captures), settings=settings))
+        if not gains.kept:
             result = solve(to_observations(views, captures), settings=settings)
-        result = replace(result, quality={**result.quality, "redetected": brought})
+        result = replace(result, quality=replace(result.quality, redetected=gains))
     provenance = {
         **result.provenance,
         "captures": [{"name": capture.path.name, "digest": capture.digest()} for capture in captures],

@@ -2,15 +2,14 @@
 
 import functools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from jaxscan.api.board_stripes import View, with_stripes
 from jaxscan.api.boards import Progress, common_board, look_at_boards
-from jaxscan.calibration import Calibration
+from jaxscan.calibration import Calibration, SecondLook
 from jaxscan.calibration.predict import PredictedCorners, board_poses, predict_corners
-from jaxscan.files.capture.capture import Capture
+from jaxscan.files.capture import Capture
 from jaxscan.geometry import AbstractBoard
 
 
@@ -48,7 +47,7 @@ def look_again(
     poses = _poses(views, first)
     predicted = predict_corners(first, np.array([np.eye(4) if pose is None else pose for pose in poses]))
     at = {(view.capture, view.record.i): number for number, view in enumerate(views)}
-    spread = _REACH_SIGMA * float(first.quality["corner_rms_px"])
+    spread = _REACH_SIGMA * (first.quality.corner_rms_px or 0.0)
 
     def look(number: int, index: int) -> View:
         view = View.of(captures[number], number, index)
@@ -100,15 +99,15 @@ def _poses(views: Sequence[View], first: Calibration) -> list[np.ndarray | None]
     return poses
 
 
-def choose(first: Calibration, second: Calibration) -> tuple[Calibration, dict[str, Any]]:
-    """The second calibration unless it explains its observations worse, and what the second look brought."""
+def choose(first: Calibration, second: Calibration) -> tuple[Calibration, SecondLook]:
+    """The second calibration unless it explains its observations worse, and the gains of the second look."""
     names = ("corner_rms_whitened", "stripe_rms_whitened", "views", "corners", "stripe_points")
-    before, after = ({name: calibration.quality[name] for name in names} for calibration in (first, second))
-    kept = all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
-    report = {
-        "kept": kept,
+    before, after = ({name: vars(calibration.quality)[name] for name in names} for calibration in (first, second))
+    kept = bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+    look = SecondLook(
+        kept,
         **{f"{name}_gained": after[name] - before[name] for name in names[2:]},
         **{f"{name}_before": before[name] for name in names[:2]},
         **{f"{name}_after": after[name] for name in names[:2]},
-    }
-    return second if kept else first, report
+    )
+    return second if kept else first, look

@@ -13,10 +13,10 @@ import numpy as np
 
 from jaxscan.api.boards import Progress
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture
-from jaxscan.files.clouds.clouds import save_cloud
-from jaxscan.files.disk.atomic import write_atomically
-from jaxscan.files.disk.config import load_toml
+from jaxscan.files.capture import CaptureHeader, open_capture
+from jaxscan.files.clouds import save_cloud
+from jaxscan.files.disk import load_toml, write_atomically
+from jaxscan.files.recording import create_capture
 from jaxscan.reconstruction import PointCloud
 from jaxscan.simulation import RenderedRecord, RowTruth, SimulationConfig, render_boards, render_sweep, sweep_angles
 from jaxscan.simulation import truth as simulation_truth

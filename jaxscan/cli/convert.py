@@ -10,10 +10,9 @@ from jaxscan import api
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
-from jaxscan.files.calibration.exports import CameraFormat, check_camera_path, export_camera
-from jaxscan.files.clouds.clouds import check_cloud_path
-from jaxscan.files.recording.repack import check_new_folder, repack_capture
-from jaxscan.files.recording.store import Storage
+from jaxscan.files.calibration import CameraFormat, check_camera_path, export_camera
+from jaxscan.files.clouds import check_cloud_path
+from jaxscan.files.recording import Storage, check_new_folder, repack_capture
 
 
 def convert(

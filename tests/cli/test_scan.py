@@ -12,7 +12,7 @@ import pytest
 from scanrig.errors import CameraLost, PortError
 
 from jaxscan import api
-from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture import open_capture
 
 from ..hardware.desk import Desk
 

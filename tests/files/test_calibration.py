@@ -12,7 +12,7 @@ import pytest
 from jaxscan.calibration.observations import BoardViews, Observations, StripeViews
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.calibration import calibration_digest, load_calibration, load_scanner, save_calibration
+from jaxscan.files.calibration import calibration_digest, load_calibration, load_scanner, save_calibration
 from jaxscan.geometry import (
     Charuco,
     Chessboard,

@@ -6,7 +6,7 @@ import numpy as np
 from scanrig.cameras.frame import Frame
 from scanrig.cameras.settings import CameraSettings
 from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.cameras.synthetic import SyntheticScene, draw
+from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.clock import ManualClock
 from scanrig.config import RigConfig
 from scanrig.controllers.controller import Guarantees
@@ -35,19 +35,27 @@ class Table:
     def __init__(self) -> None:
         self.position = 500
         """Where the table stands, in microsteps from the home switch."""
-        self.laser = False
+        self.laser = 0
+        """Which laser is on, from 1."""
         self.contactor = False
         self.welded = False
         """The laser shines whatever it is told."""
         self.dead = False
         """The laser is dark whatever it is told."""
+        self.dead_lasers: set[int] = set()
+        """Those that are dark whatever they are told."""
         self.moved_px = 0
         """How far the camera was knocked."""
         self.lit_cycles = 0
 
     @property
-    def shines(self) -> bool:
-        return (self.laser or self.welded) and self.contactor and not self.dead
+    def shines(self) -> int:
+        """Which laser shines, from 1; 0: none."""
+        return (
+            int(self.laser or self.welded)
+            if self.contactor and not (self.dead or self.laser in self.dead_lasers)
+            else 0
+        )
 
 
 class PaperController:
@@ -173,13 +181,13 @@ class PaperController:
     def laser(self, on: bool, ms: int | None = None, *, number: int = 1) -> None:
         self._alive(f"laser {on:d}")
         self._require(not on or self.armed, Reason.NOT_ARMED, "LASER on=1")
-        self.table.laser = on
+        self.table.laser = number if on else 0
         self.table.lit_cycles += on
 
     def trigger(self, ms: int | None = None) -> None:
         self._alive("trigger")
 
-    def shot(self, to: int, id: int, *, lit: bool = True, dark: bool = True) -> None:
+    def shot(self, to: int, id: int, *, number: int = 1) -> None:
         self._alive("shot")
         self._require(self.homed, Reason.NOT_HOMED, f"SHOT to={to}")
         self._require(self.armed, Reason.NOT_ARMED, f"SHOT to={to}")
@@ -191,8 +199,8 @@ class PaperController:
         self._alive("shot answered")
         self._turn(to)
         self.clock.sleep(0.145)
-        for on in (True, False):
-            self.table.laser = on
+        for lit in (number, 0):
+            self.table.laser = lit
             self.exposures = (self.exposures + 1) % 65536
             self.camera.expose(self.table.position, self.table.shines)
         self.table.lit_cycles += 1
@@ -262,7 +270,7 @@ class Desk:
         self.said: list[str] = []
 
     def _camera(self, settings: CameraSettings) -> SimulatedCamera:
-        def world() -> tuple[float, bool]:
+        def world() -> tuple[float, int]:
             self.clock.sleep(0.03)
             return float(self.table.position), self.table.shines
 
@@ -281,8 +289,8 @@ class Desk:
         camera.next = waited  # type: ignore[method-assign]
         return camera
 
-    def see(self, position: float, lit: bool) -> np.ndarray:
-        image = draw(self.scene, position, lit, width=WIDTH, height=HEIGHT, generator=self._generator)
+    def see(self, position: float, lit: int) -> np.ndarray:
+        image = draw(self.scene, position, lit, FrameShape(WIDTH, HEIGHT), self._generator)
         return np.ascontiguousarray(np.roll(image, self.table.moved_px, 1))
 
     @property

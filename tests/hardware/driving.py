@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from bench.rig import CLOCK_HZ, SimulatedRig
+from bench import CLOCK_HZ, SimulatedRig
 from scanrig.controllers.jxs.connect import connect
 from scanrig.controllers.jxs.controller import JxsController
 from scanrig.controllers.settings import Settings

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.cameras.synthetic import SyntheticScene, draw
+from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.config import RigConfig
 from scanrig.controllers.jxs.connect import connect
 from scanrig.session import Devices, Hooks, Interrupts, run_sweep
@@ -40,7 +40,7 @@ def config(steps):
 
 
 def see(position, lit, generator):
-    return draw(SCENE, position, lit, width=WIDTH, height=HEIGHT, generator=generator)
+    return draw(SCENE, position, lit, FrameShape(WIDTH, HEIGHT), generator)
 
 
 class Wire:

@@ -14,8 +14,7 @@ from scanrig.recording import space
 from scanrig.recording.lock import LOCK_NAME, FolderLock
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import open_capture
-from jaxscan.files.capture.verify import verify_capture
+from jaxscan.files.capture import open_capture, verify_capture
 from jaxscan.files.recording import store
 
 from .desk import Desk

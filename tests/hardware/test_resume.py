@@ -11,8 +11,7 @@ from scanrig.cameras.synthetic import SyntheticScene
 from scanrig.errors import CameraError, SessionError
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import open_capture
-from jaxscan.files.capture.verify import verify_capture
+from jaxscan.files.capture import open_capture, verify_capture
 
 from .desk import Desk
 

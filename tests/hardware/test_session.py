@@ -9,8 +9,7 @@ import pytest
 from scanrig.errors import Fault, FirmwareError, LinkLost, RigFault, SessionError
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import open_capture
-from jaxscan.files.capture.verify import verify_capture
+from jaxscan.files.capture import open_capture, verify_capture
 
 from .desk import Desk
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scanrig.errors import CameraLost, CameraTimeout, Fault, LinkLost
 
-from jaxscan.files.capture.capture import open_capture
-from jaxscan.files.capture.verify import verify_capture
+from jaxscan.files.capture import open_capture, verify_capture
 
 from .desk import Desk
 

@@ -7,8 +7,7 @@ import pytest
 from scanrig.cameras.synthetic import SyntheticScene
 from scanrig.errors import CameraError, Fault, FrameError, LinkLost, RigFault
 
-from jaxscan.files.capture.capture import open_capture
-from jaxscan.files.capture.verify import verify_capture
+from jaxscan.files.capture import open_capture, verify_capture
 
 from .desk import Desk
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from scanrig.session.signals import Interrupts
 
-from jaxscan.files.capture.capture import open_capture
-from jaxscan.files.capture.verify import verify_capture
+from jaxscan.files.capture import open_capture, verify_capture
 
 from .desk import Desk
 
@@ -72,7 +71,7 @@ def test_10_an_abort_switches_off_before_anything_else(tmp_path, monkeypatch, at
             1
         ]
     elif at == "while the pair is stored":
-        from jaxscan.files.recording.writer import CaptureWriter
+        from jaxscan.files.recording import CaptureWriter
 
         flush, flushes = CaptureWriter.flush, []
 

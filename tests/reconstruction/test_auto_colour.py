@@ -5,7 +5,8 @@ import pytest
 
 from jaxscan.api.board_stripes import lines_with_colours
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture
+from jaxscan.files.capture import CaptureHeader, open_capture
+from jaxscan.files.recording import create_capture
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.stripes.extract import extract_stripes
 from jaxscan.stripes.frames.formats import LaserLine

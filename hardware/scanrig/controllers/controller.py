@@ -68,7 +68,7 @@ class Controller(Protocol):
         """Take over the settings, and see that they hold.
 
         Raises:
-            FirmwareError: the controller is not, and cannot be, set so.
+            FirmwareError: the controller is not, and cannot be, set so, or it switches fewer lasers.
         """
 
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
@@ -144,12 +144,13 @@ class Controller(Protocol):
     def trigger(self) -> None:
         """One exposure. Does not wait for its end."""
 
-    def shot(self, to: int, id: int) -> None:
+    def shot(self, to: int, id: int, *, number: int = 1) -> None:
         """Begin a shot: turn, settle, expose with the laser, expose without. `to` as it stands repeats it.
 
         Args:
             to: microsteps from home.
             id: a number to know it by.
+            number: which laser, from 1.
         """
 
     def wait_shot(self, id: int, timeout_s: float = 120.0) -> ShotDone:

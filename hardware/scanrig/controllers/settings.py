@@ -21,6 +21,8 @@ class Settings:
     """Microsteps by which a downward motion overshoots, so that every target is approached from below."""
     reverse: bool = False
     """Turns the sense of the direction pin round."""
+    lasers: int = 1
+    """How many lasers the controller has to switch."""
     settle_ms: int = 50
     """Rest before a shot."""
     laser_on_ms: int = 20

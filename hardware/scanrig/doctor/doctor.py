@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.header import CameraTable, CaptureHeader, frame_shape
-from jaxscan.files.recording.writer import create_capture
+from jaxscan.files.capture import CameraTable, CaptureHeader, frame_shape
+from jaxscan.files.recording import create_capture
 from scanrig.cameras.frame import Camera
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
@@ -93,7 +93,7 @@ def _storage(config: RigConfig, folder: Path, pair: Pair | None) -> Finding:
 def _seconds_a_pair(config: RigConfig, folder: Path, pair: Pair | None) -> float:
     camera = config.camera
     table = CameraTable(width=camera.width, height=camera.height, pixel_format=camera.pixel_format)
-    header = CaptureHeader(kind="sweep", camera=table, laser=(config.laser[0].table,))
+    header = CaptureHeader(kind="sweep", camera=table, laser=tuple(laser.table for laser in config.laser))
     noise = np.random.default_rng(0).integers(20, 30, frame_shape(header), np.uint8)
     on, off = (noise, noise) if pair is None else (pair.on.image, pair.off.image)
     try:

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import CaptureHeader, CaptureWriter, create_capture, resume_capture
-from jaxscan.files.capture.journal import JOURNAL_NAME
-from jaxscan.files.capture.verify import SEAL, seal
-from jaxscan.files.recording.writer import require_no_links
+from jaxscan.files.capture import JOURNAL_NAME, SEAL, CaptureHeader, seal
+from jaxscan.files.recording import CaptureWriter, create_capture, require_no_links, resume_capture
 from scanrig.clock import Clock
 
 

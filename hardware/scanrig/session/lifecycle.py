@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
-from jaxscan.files.recording.writer import make_folder
+from jaxscan.files.recording import make_folder
 from scanrig.controllers import require_allowed
 from scanrig.errors import SessionError
 from scanrig.recording import FolderLock

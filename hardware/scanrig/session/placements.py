@@ -6,6 +6,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from scanrig.session.plan import Target, placed_targets
 from scanrig.session.session import Session
 
 
@@ -46,17 +47,11 @@ def take_placements(session: Session, positions: Sequence[int], operator: Operat
     Returns:
         False where the operator asked to stop, or had enough before there was anything.
     """
-    plan = session.config.calibration
-    views = [((view,), (0,)) for view in range(plan.free_views)]
-    count = len(positions)
-    stands = [
-        (tuple(range(plan.free_views + p * count, plan.free_views + (p + 1) * count)), tuple(positions))
-        for p in range(plan.placements)
-    ]
+    views, stands = placed_targets(session.config, positions)
     session.start(compare=False)
     for kind, asked in (("free", views), ("placement", stands)):
-        for number, (records, places) in enumerate(asked):
-            if all(record in session.done for record in records):
+        for number, targets in enumerate(asked):
+            if all(target.record in session.done for target in targets):
                 continue
             if session.should_stop():
                 return False
@@ -68,23 +63,23 @@ def take_placements(session: Session, positions: Sequence[int], operator: Operat
             if not placed:
                 break
             session.light()
-            if not _take_placement(session, records, places):
+            if not _take_placement(session, targets):
                 return False
     if session.since_home:
         session.close_placement(in_place=False)
     return bool(session.done or session.suspect)
 
 
-def _take_placement(session: Session, records: Sequence[int], places: Sequence[int]) -> bool:
+def _take_placement(session: Session, targets: Sequence[Target]) -> bool:
     label = session.next_placement()
     # What is left of the last time was seen from another place.
-    for record in records:
-        session.done.discard(record)
-    for record, to in zip(records, places, strict=True):
+    for target in targets:
+        session.done.discard(target.record)
+    for target in targets:
         if session.should_stop():
             return False
-        session.take(record, to, placement=label)
-    if len(records) > 1:
+        session.take(target.record, target.position, placement=label)
+    if len({target.position for target in targets}) > 1:
         session.close_placement(in_place=True)
     return True
 

@@ -3,7 +3,7 @@
 from importlib.metadata import version
 from typing import Any
 
-from jaxscan.files.capture.header import CameraTable, CaptureHeader, PlanTable, TurntableTable
+from jaxscan.files.capture import CameraTable, CaptureHeader, PlanTable, TurntableTable
 from scanrig.cameras.frame import Features
 from scanrig.clock import Clock
 from scanrig.config import RigConfig
@@ -69,6 +69,8 @@ def record_fields(pair: Pair, config: RigConfig, features: Features, clock: Cloc
             "unrest": round(proof.unrest, 3),
         },
     }
+    if len(config.laser) > 1:
+        fields["lasers"] = [config.laser[pair.laser].name]
     if pair.rejected:
         fields["rejected"] = list(pair.rejected)
     return fields

@@ -24,7 +24,7 @@ from scanrig.errors import (
 )
 from scanrig.session.job import Devices
 from scanrig.session.plan import controller_settings, longest_s, nearest
-from scanrig.session.step import FrameNumbers, Pair, next_frame, take_pair
+from scanrig.session.step import FrameNumbers, Pair, Station, Step, next_frame, take_pair
 
 
 Note = Callable[..., None]
@@ -164,7 +164,8 @@ class RecoveringRig:
         return frame.image
 
     def take(self, to: int, number: int) -> Pair:
-        """Take one step; come back from a lost link, a reset, a lost camera and temporary faults.
+        """Take one record, of the laser that its number says; come back from a lost link, a reset, a lost camera and
+        temporary faults.
 
         Raises:
             FrameError: If the step could not be proven.
@@ -173,14 +174,9 @@ class RecoveringRig:
         """
         return self.doing(
             lambda: take_pair(
-                self.controller,
-                self.camera,
-                self.config,
-                to=to,
-                number=number,
-                numbers=self._numbers,
-                clock=self._clock,
-                rejected=lambda reason: self._rejected(number, reason),
+                Station(self.config, self.controller, self.camera, self._clock, self._numbers),
+                Step(to, number, self.config.laser_of(number)),
+                lambda reason: self._rejected(number, reason),
             ),
             f"step {number}",
         )

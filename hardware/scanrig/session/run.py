@@ -9,7 +9,7 @@ from scanrig.config import RigConfig
 from scanrig.session.job import Devices, Hooks, Job, SessionResult
 from scanrig.session.lifecycle import run_job
 from scanrig.session.placements import Operator, take_placements
-from scanrig.session.plan import Target, placement_positions, plan_sweep
+from scanrig.session.plan import Target, placed_targets, placement_positions, plan_sweep
 from scanrig.session.session import Session
 
 
@@ -90,7 +90,7 @@ def run_calibration(
     if config.board is None:
         raise ConfigError("[board]: missing, a calibration needs one; see configs/scan.toml.")
     positions = placement_positions(config)
-    plan = config.calibration
-    planned = plan.free_views + plan.placements * len(positions)
+    free, stands = placed_targets(config, positions)
+    planned = sum(len(targets) for targets in (*free, *stands))
     job = Job(config, Path(folder), "calibration", planned, devices, hooks or Hooks(), resume)
     return run_job(job, lambda session: take_placements(session, positions, operator))

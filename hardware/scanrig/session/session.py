@@ -42,7 +42,7 @@ class Session:
         self._positions = {} if found is None else {i: int(r["microsteps"]) for i, r in found.records.items()}
         self._placements = 0 if found is None else found.placements
         self._ambient: float | None = None
-        self._leaks = LeakWatch()
+        self._leaks = tuple(LeakWatch() for _ in self.config.laser)
 
     def should_stop(self) -> bool:
         """Whether the operator asked to stop."""
@@ -234,7 +234,7 @@ class Session:
             (pair.on.image, pair.off.image),
             pixel_format=camera.pixel_format,
             response=camera.response,
-            line=self.config.laser[0].line,
+            line=self.config.laser[pair.laser].line,
         )
 
     def _is_like(self, likeness: Likeness) -> bool:
@@ -242,7 +242,7 @@ class Session:
 
     def _watch_laser(self, record: int, pair: Pair, angle_deg: float | None) -> None:
         """Stop where the laser shines on in laser-off frames, here and there and everywhere."""
-        leak, allowed = self._leaks.add(angle_deg, pair.proof.leak), self.config.checks.proof.leak
+        leak, allowed = self._leaks[pair.laser].add(angle_deg, pair.proof.leak), self.config.checks.proof.leak
         if leak is None or leak <= allowed:
             return
         self.job.devices.controller.arm(False)

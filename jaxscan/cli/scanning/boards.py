@@ -13,7 +13,7 @@ from jaxscan.cli.scanning.display import ScanDisplay
 from jaxscan.cli.scanning.operator import CommandOperator, Lines, TerminalOperator, coverage_text
 from jaxscan.cli.scanning.plan import sweep_header
 from jaxscan.errors import OptionError
-from jaxscan.files.capture.header import board_of
+from jaxscan.files.capture import board_of
 
 
 if TYPE_CHECKING:

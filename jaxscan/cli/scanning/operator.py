@@ -158,7 +158,7 @@ class CommandOperator:
 
 def coverage_text(seen: "Coverage", *, laser: bool = True) -> str:
     """What the poses so far have covered, for a terminal: the image's cells with corners, and the rest beside them."""
-    from scanrig.checks.guide import MIN_IN_CELL, MIN_TILT_DEG
+    from jaxscan.geometry.coverage import MIN_IN_CELL, MIN_TILT_DEG
 
     cells = [" ".join("■" if count >= MIN_IN_CELL else "·" for count in row) for row in seen.corners]
     sides = f", towards {seen.tilt_sides} of 4 sides" if seen.tilted else ""

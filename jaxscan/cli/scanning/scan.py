@@ -19,9 +19,9 @@ from jaxscan.cli.scanning.display import ScanDisplay
 from jaxscan.cli.scanning.live import LiveCloud
 from jaxscan.cli.scanning.plan import ScanPlan, sweep_header
 from jaxscan.errors import CaptureError, JaxscanError, OptionError
-from jaxscan.files.calibration.calibration import calibration_digest
-from jaxscan.files.capture.header import HEADER_NAME
-from jaxscan.files.clouds.clouds import check_cloud_path
+from jaxscan.files.calibration import calibration_digest
+from jaxscan.files.capture import HEADER_NAME
+from jaxscan.files.clouds import check_cloud_path
 
 
 if TYPE_CHECKING:

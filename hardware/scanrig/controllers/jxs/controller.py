@@ -15,7 +15,7 @@ from scanrig.controllers.jxs.safety import make_safe
 from scanrig.controllers.jxs.wire_settings import wire_settings
 from scanrig.controllers.settings import Settings
 from scanrig.controllers.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
-from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, RigError
+from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused, RigError
 from scanrig.wire.link import Link
 
 
@@ -88,6 +88,12 @@ class JxsController:
             ) from problem
 
     def configure(self, settings: Settings) -> None:
+        if settings.lasers > (lasers := self.lasers() if settings.lasers > 1 else 1):
+            raise FirmwareError(
+                f"{self.name}: found a firmware that switches {lasers} laser, needed one that switches "
+                f"{settings.lasers}; load the firmware that belongs to this version, or leave one [[laser]] in the "
+                "configuration"
+            )
         groups = wire_settings(settings)
         for group in groups.values():
             self._talk.ask("SET", **group)
@@ -101,6 +107,15 @@ class JxsController:
         if differing:
             raise FirmwareError(f"{self.name}: settings read back as {', '.join(differing)}")
         self._settings = settings
+
+    def lasers(self) -> int:
+        """How many lasers it switches; an earlier firmware does not know the question."""
+        try:
+            return integer(self._talk.ask("HAS"), "las")
+        except Refused as problem:
+            if problem.reason is not Reason.UNKNOWN_COMMAND:
+                raise
+            return 1
 
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
         """Find the controller again, with longer and longer pauses.
@@ -174,8 +189,7 @@ class JxsController:
         """
         if on:
             lease = 1000 if self._talk.firmware is None else self._talk.firmware.lease_ms
-            which = {} if number == 1 else {"n": number}
-            self._talk.ask("LASER", on=1, ms=lease if ms is None else ms, **which)
+            self._talk.ask("LASER", on=1, ms=lease if ms is None else ms, **_named(number))
         else:
             self._talk.ask("LASER", on=0)
 
@@ -186,16 +200,17 @@ class JxsController:
         else:
             self._talk.ask("TRIG", ms=ms)
 
-    def shot(self, to: int, id: int, *, lit: bool = True, dark: bool = True) -> None:
+    def shot(self, to: int, id: int, *, number: int = 1, lit: bool = True, dark: bool = True) -> None:
         """Begin a shot: turn, settle, expose with the laser, expose without. `to` as it stands repeats it.
 
         Args:
             to: microsteps from home.
             id: a number to know it by.
+            number: which laser.
             lit: expose with the laser.
             dark: expose without.
         """
-        self._talk.begin("SHOT", to=to, id=id, m=lit + 2 * dark)
+        self._talk.begin("SHOT", to=to, id=id, m=lit + 2 * dark, **_named(number))
 
     def wait_shot(self, id: int, timeout_s: float = 120.0) -> ShotDone:
         def told(event: Event) -> ShotDone | None:
@@ -272,3 +287,8 @@ class JxsController:
             self._wire.link.close()
             self._wire.attach(self._reopen())
         self._talk.broken = False
+
+
+def _named(number: int) -> dict[str, int]:
+    """A laser's name on the wire. The first has none: an earlier firmware knows no other."""
+    return {} if number == 1 else {"n": number}

@@ -6,20 +6,26 @@
 volatile uint32_t laser_switched;
 volatile uint16_t laser_lease_ms;
 
-void laser_on(uint16_t lease_ms) {
+void laser_on(uint8_t number, uint16_t lease_ms) {
     if (!contactor_closed() || !lease_ms) return;
-    if (!laser_is_on()) laser_switched++;
+    if (laser_lit() != number) {
+        laser_off();
+        laser_switched++;
+    }
     laser_lease_ms = lease_ms;
-    PORTB |= LASER;
+    if (number == 1)
+        PORTB |= LASER_1;
+    else
+        PORTB |= LASER_2;
 }
 
 void laser_off(void) {
-    PORTB &= (uint8_t)~LASER;
+    PORTB &= (uint8_t)~LASERS_ALL;
     laser_lease_ms = 0;
 }
 
-bool laser_is_on(void) {
-    return (PORTB & LASER) != 0; /* The pin itself: nothing else remembers. */
+uint8_t laser_lit(void) { /* The pins themselves: nothing else remembers. */
+    return PORTB & LASER_1 ? 1 : PORTB & LASER_2 ? 2 : 0;
 }
 
 void laser_count_down(void) {
@@ -27,7 +33,7 @@ void laser_count_down(void) {
 }
 
 bool laser_expired(void) {
-    return laser_is_on() && !laser_lease_ms;
+    return laser_lit() && !laser_lease_ms;
 }
 
 void contactor_close(void) {

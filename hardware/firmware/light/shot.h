@@ -8,6 +8,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "machine.h"
+
 enum shot_kind { A_SHOT, AN_EXPOSURE, A_TEST };
 
 extern volatile uint16_t exposures; /* since boot */
@@ -15,7 +17,7 @@ extern volatile uint8_t shot_kind;
 extern volatile uint32_t shot_id;
 
 /* With interrupts off. */
-void shot_begin(uint32_t id, uint8_t modes);
+void shot_begin(const struct shot_order *order);
 void expose_begin(uint16_t ms);
 void test_begin(void);
 void shot_cancel(void);

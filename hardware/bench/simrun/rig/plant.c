@@ -1,9 +1,14 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What the pins drive and what drives the pins: table, home switch, laser with its contactor, e-stop, camera ready.
+#include "plant.h"
+
+#include <stddef.h>
 #include <string.h>
 
 #include "avr_ioport.h"
-#include "simrun.h"
+#include "clock.h"
+#include "edges.h"
+#include "noise.h"
+#include "processor.h"
 
 struct plant plant = {.position = 500, .microsteps_per_turn = 28800, .home_width = 40, .home_forced = -1};
 
@@ -19,9 +24,10 @@ struct output {
 static bool enable_n;
 static struct output outputs[] = {
     {"step", 'D', 2, 0, &plant.step, -1},    {"dir", 'D', 5, 0, &plant.dir, -1},
-    {"en_n", 'B', 0, 1, &enable_n, -1},      {"laser", 'B', 3, 0, &plant.laser, -1},
+    {"en_n", 'B', 0, 1, &enable_n, -1},      {"laser", 'B', 3, 0, &plant.laser[0].gate, -1},
     {"trig", 'B', 4, 0, &plant.trigger, -1}, {"led", 'B', 5, 0, &plant.led, -1},
     {"contactor", 'D', 4, 0, &plant.contactor, -1},
+    {"laser_2", 'B', 2, 0, &plant.laser[1].gate, -1},
 };
 enum { OUTPUTS = sizeof outputs / sizeof *outputs };
 
@@ -64,12 +70,16 @@ static void home_update(void) {
 }
 
 static void light_update(void) {
-    // A welded MOSFET conducts whatever its gate says; the contactor in series still cuts it.
-    bool gate = plant.laser_health == LASER_WELDED || plant.laser;
-    bool light = gate && plant.contactor && plant.laser_health != LASER_DEAD;
-    if (light == plant.light) return;
-    plant.light = light;
-    edge("light", light);
+    static const char *const names[LASERS] = {"light", "light_2"};
+    for (int i = 0; i < LASERS; i++) {
+        struct laser *laser = &plant.laser[i];
+        // A welded MOSFET conducts whatever its gate says; the contactor in series still cuts it.
+        bool gate = laser->health == LASER_WELDED || laser->gate;
+        bool light = gate && plant.contactor && laser->health != LASER_DEAD;
+        if (light == laser->light) continue;
+        laser->light = light;
+        edge(names[i], light);
+    }
 }
 
 void plant_update(void) {

@@ -12,7 +12,9 @@
 #include "text.h"
 
 #define PROTOCOL_NUMBER 1
-#define FIRMWARE_VERSION "1.0.0"
+#ifndef FIRMWARE_VERSION
+#define FIRMWARE_VERSION "1.0.0" /* of the pretended controller in the tests; the Makefile says which one an image has */
+#endif
 
 enum { HELLO_VERB, NO_VERB = 255 };
 

@@ -33,7 +33,7 @@ volatile uint16_t exposures;
 volatile uint8_t shot_kind;
 volatile uint32_t shot_id;
 static volatile uint8_t phase;
-static uint8_t modes;
+static uint8_t modes, laser;
 static uint16_t left_ms, single_ms;
 
 static void enter(uint8_t next, uint16_t ms) {
@@ -53,7 +53,7 @@ static uint16_t setting(enum setting which) {
 
 static void after_settling(void) {
     if (modes & LIT) {
-        laser_on(setting(LON) + setting(RDY_WAIT) + setting(EXP) + setting(GAP));
+        laser_on(laser, setting(LON) + setting(RDY_WAIT) + setting(EXP) + setting(GAP));
         enter(WARMING, setting(LON));
     } else
         enter(DARKENING, setting(LOFF));
@@ -153,11 +153,12 @@ void shot_tick(void) {
     while (passes());
 }
 
-void shot_begin(uint32_t id, uint8_t wanted) {
-    laser_off(); /* A lease of the host's must not light the dark exposure. */
+void shot_begin(const struct shot_order *order) {
+    laser_off(); /* A lease of the host's must light neither the dark exposure nor that of another laser. */
     shot_kind = A_SHOT;
-    shot_id = id;
-    modes = wanted;
+    shot_id = order->id;
+    modes = order->modes;
+    laser = order->laser;
     enter(TRAVEL, 0);
 }
 

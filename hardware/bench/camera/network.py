@@ -1,19 +1,13 @@
-"""The camera on the bench: a GigE Vision camera on loopback that sees what a simulated rig's plant shows.
-
-    python -m bench.camera --edges RIG/edges.jsonl --control SOCKET [--world world.toml] [--address 127.0.0.1]
+"""Between log, world and wire: the GigE Vision camera on loopback that sees what a simulated rig's plant shows.
 
 Every pulse of the rig's trigger wire gives one frame, in order, of the table's angle at its beginning and with the
 share of laser light that it had. Control socket, one line each: `board N`, `board none`, `poses`, `lose N`, `swap`,
 `flash DN`, `blur PX`, `cover 0|1`, `loss SHARE`, `disappear`, `appear`, `state`, `quit`.
 """
 
-import argparse
-import ctypes
 import json
 import math
 import queue
-import signal
-import sys
 import threading
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,19 +15,14 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from bench.aravis import EXPOSURE_US, GAIN, GvCamera
+from bench.camera.aravis import EXPOSURE_US, GAIN, GvCamera
+from bench.camera.follow import Exposure, LogReader, Plant
+from bench.camera.world import NOMINAL_EXPOSURE_S, View, World
 from bench.errors import BenchError
-from bench.follow import Exposure, LogReader, Plant
-from bench.places import WORLD
-from bench.sockets import ControlServer
-from bench.world import NOMINAL_EXPOSURE_S, View, World, load_world
 
 
 POLL_S = 0.002
 """How often the log is looked at."""
-
-PLACEMENT_REACH_DEG = 10.0
-"""Placements of the board are seen over at least this angle to both sides of home."""
 
 ADDRESS = "127.0.0.1"
 
@@ -103,8 +92,8 @@ class BenchCamera:
 
     def present(self) -> np.ndarray:
         """What the camera sees now: for a client that triggers it by software, or lets it run free."""
-        light = 1.0 if self._plant.light else 0.0
-        view = self._view(self._plant.from_home(), light)
+        lights = tuple(float(light.on) for light in self._plant.lights.values())
+        view = self._view(self._plant.from_home(), lights)
         number = self.counts.sent + self.counts.triggers + 1_000_000
         return self._picture(view, number)
 
@@ -184,7 +173,8 @@ class BenchCamera:
             "waiting": self._waiting.qsize() + (self._held is not None),
             "board": self.board,
             "position": self._plant.from_home(),
-            "light": self._plant.light,
+            "light": self._plant.lights["light"].on,
+            "light_2": self._plant.lights["light_2"].on,
             "there": self._wire is not None,
             "armed": self._wire is not None and self._wire.armed(),
         }
@@ -195,18 +185,18 @@ class BenchCamera:
             if wire is not None:
                 wire.close()
 
-    def _view(self, position: int, light: float) -> View:
+    def _view(self, position: int, lights: tuple[float, ...]) -> View:
         angle = 2 * math.pi * position / self.microsteps_per_turn
         exposure, wire = 1.0, self._wire
         if wire is not None:
             seconds, gain_db = wire.register(EXPOSURE_US) / 1e6, wire.register(GAIN)
             exposure = seconds / NOMINAL_EXPOSURE_S * 10 ** (gain_db / 20)
-        return View(angle, light, self.board, exposure)
+        return View(angle, lights, self.board, exposure)
 
     def _expose(self, exposure: Exposure, armed: bool) -> None:
         self.counts.triggers += 1
         if armed:
-            self._waiting.put((exposure, self._view(exposure.position, exposure.light)))
+            self._waiting.put((exposure, self._view(exposure.position, (exposure.light, exposure.light_2))))
         else:
             self.counts.not_armed += 1
 
@@ -248,36 +238,3 @@ class BenchCamera:
         said = {**exposure._asdict(), "angle": view.angle, "board": view.board, "exposure": view.exposure, "sent": sent}
         self.ledger.write(json.dumps(said) + "\n")
         self.ledger.flush()
-
-
-def main() -> int:
-    """The command line."""
-    parser = argparse.ArgumentParser(prog="bench.camera", description="A GigE Vision camera that sees a simulated rig.")
-    parser.add_argument("--edges", type=Path, required=True, help="the rig's log, edges.jsonl")
-    parser.add_argument("--control", type=Path, required=True, help="the socket to make")
-    parser.add_argument("--ledger", type=Path, required=True, help="what each frame truly shows, written as JSONL")
-    parser.add_argument("--world", type=Path, default=WORLD, help="a simulated rig, TOML")
-    parser.add_argument("--address", default=ADDRESS, help="of a local network interface")
-    parser.add_argument("--microsteps-per-turn", type=int, default=28800)
-    options = parser.parse_args()
-    ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG: never outlives who started it.
-    try:
-        world = load_world(options.world, reach_deg=PLACEMENT_REACH_DEG)
-        # Room and rays are made once, before anybody waits for a frame.
-        world.expect(0.0)
-        with open(options.ledger, "a") as ledger:
-            camera = BenchCamera(world, options.edges, options.microsteps_per_turn, ledger, options.address)
-            server = ControlServer(options.control, camera.answer)
-            signal.signal(signal.SIGTERM, lambda *_: camera.stop())
-            signal.signal(signal.SIGINT, lambda *_: camera.stop())
-            print("ready", flush=True)
-            camera.run()
-            server.close()
-    except BenchError as problem:
-        print(problem, file=sys.stderr)
-        return 1
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,20 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include "verbs.h"
 
+#include "arguments.h"
 #include "machine.h"
 #include "protocol.h"
 #include "settings.h"
-
-/* Keys: those of the settings by their own number, then these. */
-enum key { SES = SETTINGS, ON, MS, TO, MOST, ID, MODES, SHOT_PART, HANG_KIND, KEYS };
-static const char key_names[KEYS - SETTINGS][4] PROGMEM = {"ses", "on", "ms", "to", "max", "id", "m", "shot", "k"};
-#define BIT(key) ((uint32_t)1 << (key))
-#define ALL_SETTINGS (BIT(SETTINGS) - 1)
-
-struct arguments {
-    uint32_t present;
-    int32_t value[KEYS];
-};
 
 /* What must be so for a verb to be carried out; checked in this order. */
 enum need {
@@ -27,14 +17,6 @@ enum need {
     HOMED = 64,
     ARMED = 128
 };
-
-static bool given(const struct arguments *arguments, uint8_t key) {
-    return arguments->present & BIT(key);
-}
-
-static bool within(const struct arguments *arguments, uint8_t key, int32_t lowest, int32_t highest) {
-    return arguments->value[key] >= lowest && arguments->value[key] <= highest;
-}
 
 static uint8_t permitted(uint8_t needs) {
     struct machine_status status;
@@ -109,6 +91,13 @@ static uint8_t counts(const struct arguments *arguments, uint16_t seq) {
     return OK;
 }
 
+static uint8_t abilities(const struct arguments *arguments, uint16_t seq) {
+    (void)arguments;
+    (void)seq;
+    text_field(&session.reply, PSTR("las"), LASERS);
+    return OK;
+}
+
 static uint8_t configuration(const struct arguments *arguments, uint16_t seq) {
     (void)seq;
     bool of_shots = given(arguments, SHOT_PART) && arguments->value[SHOT_PART] != 0;
@@ -147,13 +136,20 @@ static uint8_t arm(const struct arguments *arguments, uint16_t seq) {
     return refusal ? refusal : machine_arm(true);
 }
 
+/* Which laser is meant: the first where none is named, 0 for one that is not there. */
+static uint8_t laser_number(const struct arguments *arguments) {
+    if (!given(arguments, NUMBER)) return 1;
+    return within(arguments, NUMBER, 1, LASERS) ? (uint8_t)arguments->value[NUMBER] : 0;
+}
+
 static uint8_t laser(const struct arguments *arguments, uint16_t seq) {
     (void)seq;
     if (!within(arguments, ON, 0, 1)) return E_ARGUMENT;
-    if (!arguments->value[ON]) return machine_laser(0);
-    if (!given(arguments, MS) || !within(arguments, MS, 1, LEASE_MS)) return E_ARGUMENT;
+    if (!arguments->value[ON]) return machine_laser_off();
+    uint8_t number = laser_number(arguments);
+    if (!number || !given(arguments, MS) || !within(arguments, MS, 1, LEASE_MS)) return E_ARGUMENT;
     uint8_t refusal = permitted(NO_FAULT_NOW | A_SESSION | AT_REST_OR_MOVING | ARMED);
-    return refusal ? refusal : machine_laser((uint16_t)arguments->value[MS]);
+    return refusal ? refusal : machine_laser(number, (uint16_t)arguments->value[MS]);
 }
 
 static uint8_t move(const struct arguments *arguments, uint16_t seq) {
@@ -173,12 +169,14 @@ static uint8_t shot(const struct arguments *arguments, uint16_t seq) {
         if (!within(arguments, MODES, LIT, LIT | DARK)) return E_ARGUMENT;
         modes = (uint8_t)arguments->value[MODES];
     }
-    if (arguments->value[ID] < 0) return E_ARGUMENT;
+    uint8_t number = laser_number(arguments);
+    if (!number || arguments->value[ID] < 0) return E_ARGUMENT;
     uint8_t needs = NO_FAULT_NOW | A_SESSION | AT_REST | ENABLED | HOMED;
     uint8_t refusal = permitted(modes & LIT ? needs | ARMED : needs);
     if (refusal) return refusal;
     if (beyond_limits(arguments->value[TO])) return E_LIMIT;
-    return machine_shot(seq, arguments->value[TO], (uint32_t)arguments->value[ID], modes);
+    struct shot_order order = {arguments->value[TO], (uint32_t)arguments->value[ID], modes, number};
+    return machine_shot(seq, &order);
 }
 
 static uint8_t expose(const struct arguments *arguments, uint16_t seq) {
@@ -228,15 +226,16 @@ static const struct verb verbs[] PROGMEM = {
     {"HELLO", 0, BIT(SES), BIT(SES), hello},
     {"STAT", 0, 0, 0, stat},
     {"CNT", 0, 0, 0, counts},
+    {"HAS", 0, 0, 0, abilities},
     {"CFG", 0, 0, BIT(SHOT_PART), configuration},
     {"SET", AT_REST_OR_FAULT, 0, ALL_SETTINGS, set},
     {"PING", 0, 0, 0, ping},
     {"EN", NO_FAULT_NOW | AT_REST, BIT(ON), BIT(ON), enable},
     {"ARM", 0, BIT(ON), BIT(ON), arm},
-    {"LASER", 0, BIT(ON), BIT(ON) | BIT(MS), laser},
+    {"LASER", 0, BIT(ON), BIT(ON) | BIT(MS) | BIT(NUMBER), laser},
     {"MOVE", NO_FAULT_NOW | A_SESSION | AT_REST | ENABLED, BIT(TO), BIT(TO), move},
     {"HOME", 0, BIT(MOST), BIT(MOST), home},
-    {"SHOT", 0, BIT(TO) | BIT(ID), BIT(TO) | BIT(ID) | BIT(MODES), shot},
+    {"SHOT", 0, BIT(TO) | BIT(ID), BIT(TO) | BIT(ID) | BIT(MODES) | BIT(NUMBER), shot},
     {"TRIG", 0, 0, BIT(MS), expose},
     {"STOP", 0, 0, 0, stop},
     {"CLEAR", 0, 0, 0, clear},
@@ -253,39 +252,11 @@ uint8_t verb_find(const struct word *name) {
     return NO_VERB;
 }
 
-static uint8_t find_key(const struct word *name) {
-    for (uint8_t i = 0; i < SETTINGS; i++)
-        if (same_word(name, setting_rows[i].name, sizeof setting_rows[i].name)) return i;
-    for (uint8_t i = SETTINGS; i < KEYS; i++)
-        if (same_word(name, key_names[i - SETTINGS], sizeof key_names[0])) return i;
-    return KEYS;
-}
-
-static uint8_t take_arguments(struct words *words, const struct verb *verb, struct arguments *arguments) {
-    struct word name;
-    enum taken taken;
-    uint8_t refusal = OK;
-    int32_t value = 0;
-    arguments->present = 0;
-    while ((taken = take_pair(words, &name, &value)) != TAKEN_ALL) {
-        if (taken == TAKEN_BROKEN) return E_SYNTAX;
-        uint8_t key = find_key(&name);
-        if (taken == TAKEN_OVERFLOW || key == KEYS || !(verb->allowed & BIT(key)) || given(arguments, key))
-            refusal = E_ARGUMENT; /* Read on: a line that is not of the form is refused as that. */
-        else {
-            arguments->present |= BIT(key);
-            arguments->value[key] = value;
-        }
-    }
-    if ((arguments->present & verb->required) != verb->required) refusal = E_ARGUMENT;
-    return refusal;
-}
-
 uint8_t verb_carry_out(uint8_t which, struct words *words, uint16_t seq) {
     struct verb verb;
     struct arguments arguments;
     memcpy_P(&verb, &verbs[which], sizeof verb);
-    uint8_t refusal = take_arguments(words, &verb, &arguments);
+    uint8_t refusal = take_arguments(words, verb.required, verb.allowed, &arguments);
     if (!refusal) refusal = permitted(verb.needs);
     return refusal ? refusal : verb.act(&arguments, seq);
 }

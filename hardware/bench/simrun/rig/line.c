@@ -2,16 +2,22 @@
 // The serial line: USART0 on a pseudo-terminal. Bytes arrive no faster than the baud rate lets them; a firmware that does not
 // fetch them in time loses them; nobody there is EIO on the master's side.
 #define _GNU_SOURCE
+#include "line.h"
+
 #include <asm/termbits.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
 #include <unistd.h>
 
 #include "avr_uart.h"
-#include "simrun.h"
+#include "edges.h"
+#include "noise.h"
+#include "orders.h"
+#include "processor.h"
 
 DEFINE_FIFO(uint16_t, uart_fifo);
 
@@ -128,7 +134,7 @@ static void take_from_host(void) {
         host_present = present;
         note("host", present ? "open" : "closed");
         // An Uno resets when DTR falls, which is when the port is opened.
-        if (present && autoreset) want_reset("dtr");
+        if (present && orders.autoreset) orders.reset_wanted = "dtr";
     }
     from_next = 0;
     from_end = got > 0 ? (size_t)got : 0;

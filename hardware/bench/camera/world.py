@@ -7,7 +7,7 @@ import numpy as np
 
 from bench.errors import BenchError
 from bench.places import WORLD
-from jaxscan.files.disk.config import load_toml
+from jaxscan.files.disk import load_toml
 from jaxscan.simulation import ExpectedRecord, SimulationConfig, expect_record, expose, make_rig, make_scene
 from jaxscan.simulation.boards import SeenBoard, make_print
 from jaxscan.simulation.planning import Placement, plan_boards
@@ -30,8 +30,8 @@ class View(NamedTuple):
 
     angle: float
     """The table's true count of its angle, before the world's gain and harmonics [rad]."""
-    light: float = 0.0
-    """Share of the exposure during which the laser shone."""
+    lights: tuple[float, ...] = (0.0,)
+    """Share of the exposure during which each laser shone, in the order of the world's file."""
     board: int | None = None
     """Number of the board's pose; None: no board."""
     exposure: float = 1.0
@@ -54,7 +54,7 @@ class World:
         self._boards = make_scene(config, boards=config.object is not None)
         self._print = make_print(config.boards, board_texture(config.boards.board(), TEXTURE_PX))
         self._poses: list[Placement] | None = None
-        self._last: tuple[float, int | None, ExpectedRecord] | None = None
+        self._last: tuple[tuple[float, int | None], dict[int, ExpectedRecord]] | None = None
 
     def poses(self) -> list[Placement]:
         """The board's poses, in order: free views at angle 0, then placements."""
@@ -86,16 +86,19 @@ class World:
         kind = "free" if pose.number is None else "placement"
         return {"board": board, "kind": kind, "placement": pose.number, "angles_deg": angles, "poses": len(poses)}
 
-    def expect(self, angle: float, board: int | None = None) -> ExpectedRecord:
-        """Room light and laser light at an angle [rad], without noise."""
-        if self._last is None or self._last[:2] != (angle, board):
+    def expect(self, angle: float, board: int | None = None, laser: int = 0) -> ExpectedRecord:
+        """Room light, and the light of one laser, at an angle [rad], without noise."""
+        if self._last is None or self._last[0] != (angle, board):
+            self._last = ((angle, board), {})
+        known = self._last[1]
+        if laser not in known:
             seen = None
             if board is not None:
                 pose = self.poses()[board]
                 seen = SeenBoard(self._print, pose.scanner_from_board.inverse() @ self._rig.pose(angle))
             scene = self._scene if board is None else self._boards
-            self._last = (angle, board, expect_record(self._rig, scene, angle, board=seen))
-        return self._last[2]
+            known[laser] = expect_record(self._rig, scene, angle, laser=laser, board=seen)
+        return known[laser]
 
     def frame(self, view: View, number: int, *, flash_dn: float = 0.0, blur_px: int = 0) -> np.ndarray:
         """One frame, uint8 [rows, columns].
@@ -106,14 +109,21 @@ class World:
             flash_dn: Light that is added everywhere, as a flash or a door that opens would.
             blur_px: How far the image moves during the exposure, along the rows.
         """
-        record, sensor, rng = self.expect(view.angle, view.board), self.config.sensor, self._generator(_NOISE, number)
-        light = record.off
-        if view.light > 0:
-            light = light + np.float32(view.light) * speckled(record.laser, sensor, rng)
+        sensor, rng = self.config.sensor, self._generator(_NOISE, number)
+        lit = [(laser, share) for laser, share in enumerate(view.lights[: len(self.config.laser)]) if share > 0]
+        # Without a laser's light any record will do, and there is one already.
+        light = self.expect(view.angle, view.board, lit[0][0] if lit else self._known_laser()).off
+        for laser, share in lit:
+            glow = self.expect(view.angle, view.board, laser).laser
+            light = light + np.float32(share) * speckled(glow, sensor, rng)
         light = light * np.float32(view.exposure) + np.float32(flash_dn)
         if blur_px:
             light = np.stack([np.roll(light, shift, axis=1) for shift in range(blur_px + 1)]).mean(0)
         return expose(light, sensor, rng)
+
+    def _known_laser(self) -> int:
+        """The laser whose record was made last; the room looks the same in all."""
+        return next(reversed(self._last[1]), 0) if self._last is not None else 0
 
     def _with_spare(self) -> Any:
         """The rig with more placements than are wanted, to choose the wide ones from."""

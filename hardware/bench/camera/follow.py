@@ -1,7 +1,7 @@
 """Follows a rig's log: what the plant did, and each exposure that its trigger wire asked for."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +14,9 @@ class Exposure(NamedTuple):
     position: int
     """Microsteps from where the home switch closed last, on the way down."""
     light: float
-    """Share of the pulse during which the laser shone."""
+    """Share of the pulse during which the first laser shone."""
+    light_2: float = 0.0
+    """Share of the pulse during which the second laser shone."""
 
 
 class LogReader:
@@ -37,6 +39,32 @@ class LogReader:
 
 
 @dataclass
+class Light:
+    """One laser's light, and for how much of a trigger pulse it shone."""
+
+    on: bool = False
+    cycles: int = 0
+    """Of this pulse, up to when it went off last."""
+    since: int | None = None
+
+    def switch(self, on: bool, cycle: int) -> None:
+        """It goes on or off."""
+        if self.on and not on and self.since is not None:
+            self.cycles += cycle - self.since
+        self.since = cycle if on else None
+        self.on = on
+
+    def begin(self, cycle: int) -> None:
+        """A pulse begins."""
+        self.cycles, self.since = 0, cycle if self.on else None
+
+    def share(self, began: int, cycle: int) -> float:
+        """The part of the pulse from `began` to `cycle` during which it shone."""
+        lit = self.cycles + (cycle - self.since if self.since is not None else 0)
+        return lit / max(cycle - began, 1)
+
+
+@dataclass
 class Plant:
     """The plant as far as the log was read."""
 
@@ -44,14 +72,13 @@ class Plant:
     position: int = 0
     home: int = 0
     """Position of the switch's edge when it closed last, on the way down."""
-    light: bool = False
+    lights: dict[str, Light] = field(default_factory=lambda: {"light": Light(), "light_2": Light()})
+    """By their names in the log."""
     down: bool = False
     trigger_since: int | None = None
     """Cycle at which the trigger rose; None while it is low."""
     began_at: int = 0
     """Position from home at that moment."""
-    lit_cycles: int = 0
-    lit_since: int | None = None
 
     def read(self, line: dict[str, Any]) -> tuple[bool, Exposure | None]:
         """Take one line in.
@@ -65,8 +92,8 @@ class Plant:
             self.down = bool(line["v"])
         elif pin == "home_n" and not line["v"] and self.down and self.position % self.microsteps_per_turn == 0:
             self.home = self.position
-        elif pin == "light":
-            self._switch(bool(line["v"]), cycle)
+        elif pin in self.lights:
+            self.lights[pin].switch(bool(line["v"]), cycle)
         elif pin == "trig":
             return self._trigger(bool(line["v"]), cycle)
         return False, None
@@ -75,20 +102,15 @@ class Plant:
         """Microsteps from home."""
         return self.position - self.home
 
-    def _switch(self, on: bool, cycle: int) -> None:
-        if self.light and not on and self.lit_since is not None:
-            self.lit_cycles += cycle - self.lit_since
-        self.lit_since = cycle if on else None
-        self.light = on
-
     def _trigger(self, on: bool, cycle: int) -> tuple[bool, Exposure | None]:
         if on:
-            self.trigger_since, self.began_at, self.lit_cycles = cycle, self.from_home(), 0
-            self.lit_since = cycle if self.light else None
+            self.trigger_since, self.began_at = cycle, self.from_home()
+            for light in self.lights.values():
+                light.begin(cycle)
             return True, None
         if self.trigger_since is None:
             return False, None
-        lit = self.lit_cycles + (cycle - self.lit_since if self.lit_since is not None else 0)
-        ended = Exposure(self.trigger_since, self.began_at, lit / max(cycle - self.trigger_since, 1))
+        shares = (light.share(self.trigger_since, cycle) for light in self.lights.values())
+        ended = Exposure(self.trigger_since, self.began_at, *shares)
         self.trigger_since = None
         return False, ended

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // A bad cable: bytes with a flipped bit, lost bytes, bytes twice. The same seed gives the same damage.
-#include "simrun.h"
+#include "noise.h"
+
+#include <stdbool.h>
 
 struct noise noise[2];
 static uint64_t state = 0x9E3779B97F4A7C15u;
