@@ -29,10 +29,9 @@ from jaxscan.reconstruction.plan import make_plan, make_searches
 from jaxscan.reconstruction.points.colour import stripe_colours
 from jaxscan.reconstruction.points.locate import Points, Rig
 from jaxscan.reconstruction.points.triangulate import Limits
-from jaxscan.stripes import NoiseModel
+from jaxscan.stripes import FrameStripes, NoiseModel
 from jaxscan.stripes.search.candidates import Located
 from jaxscan.stripes.search.search import Search, learn_search
-from jaxscan.stripes.stripes import FrameStripes
 
 
 class Chunk(NamedTuple):

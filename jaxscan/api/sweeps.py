@@ -3,8 +3,7 @@
 from typing import NamedTuple
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import Capture
-from jaxscan.files.capture.stripe_cache import cache_path, cached_stripes, code_digest, frames_key, save_stripes
+from jaxscan.files.capture import Capture, cache_path, cached_stripes, code_digest, frames_key, save_stripes
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import (
     DEFAULTS,

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.reconstruction.reconstruct import extract_sweep
-from jaxscan.stripes.stripes import NoiseModel
+from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
+from jaxscan.stripes import NoiseModel
 
 from .rendered import ELECTRONS_PER_DN, READ_DN, expose, stripe
 

@@ -5,7 +5,7 @@ import pytest
 
 from jaxscan.errors import CaptureError
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.stripes.frames.formats import LaserLine
+from jaxscan.stripes import LaserLine
 
 from .rendered import pairs, stripe
 

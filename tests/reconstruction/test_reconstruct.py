@@ -7,8 +7,7 @@ import pytest
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.stripes.frames.formats import LaserLine
-from jaxscan.stripes.stripes import NoiseModel
+from jaxscan.stripes import LaserLine, NoiseModel
 
 
 WIDTH, HEIGHT = 96, 64
