@@ -55,6 +55,7 @@ class CentreOfGravity:
     """One candidate a line: the brightest."""
 
     candidates = 1
+    native = False
     choices: tuple[Choice, ...] = ("path", "brightest")
 
     def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Peak:
@@ -83,9 +84,9 @@ class CentreOfGravity:
             saturated=jnp.sum(clipped, axis=2).astype(jnp.uint8),
         )
 
-    def locate_natively(self, planes: Planes, search: Search, setup: ExtractionSetup) -> None:
-        """There is no native search."""
-        return None
+    def locate_natively(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Peak:
+        """The same by XLA: there is no native search."""
+        return self.locate(planes, search, setup)
 
     def measure(
         self, located: Peak, lamp_ratio: Float[Array, " frames"], search: Search, setup: ExtractionSetup

@@ -20,11 +20,14 @@ class Estimator(Protocol):
     choices: tuple[Choice, ...]
     """Rules of choice that make sense of its candidates."""
 
+    native: bool
+    """Whether `locate_natively` searches faster on a CPU."""
+
     def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Any:
         """Where stripes may be, as `measure` takes it; pure and traceable."""
 
-    def locate_natively(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Any | None:
-        """The same natively, of NumPy planes with laser-off frames; None where there is no native search.
+    def locate_natively(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Any:
+        """The same natively, of NumPy planes with laser-off frames; called where `native`.
 
         A result is good until the next call in the same thread.
         """
