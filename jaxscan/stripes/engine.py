@@ -98,7 +98,7 @@ class StripeEngine(eqx.Module):
             NumPy arrays in memory of their own.
         """
         if len(self.setup.exposures) > 1:
-            on, off = (None if frames is None else frames.reshape(-1, *frames.shape[2:]) for frames in (on, off))
+            on, off = on.reshape(-1, *on.shape[2:]), None if off is None else off.reshape(-1, *off.shape[2:])
         with jax.enable_x64(False):
             return jax.tree.map(np.asarray, self._compute(on, off, then))
 
@@ -173,18 +173,18 @@ def compute_natively(engine: StripeEngine, planes: Planes, off: Array | None, th
 
 @functools.partial(jax.jit, static_argnames=("function", "needs_frames"))
 def _at_once(engine, on, off, operands, function, needs_frames) -> ChunkStripes:
-    return compute_at_once(engine, on, off, Continuation(function, *operands, needs_frames))
+    return compute_at_once(engine, on, off, Continuation(function, operands[0], operands[1], needs_frames))
 
 
 @functools.partial(jax.jit, static_argnames="function")
 def _from_located(engine, located, off, operands, function) -> ChunkStripes:
-    return _finish(engine, located, off, Continuation(function, *operands))
+    return _finish(engine, located, off, Continuation(function, operands[0], operands[1]))
 
 
 def _finish(engine: StripeEngine, located: tuple, off: Array | None, then: Continuation) -> ChunkStripes:
     """Measure, choose, merge exposures, continue."""
     setup, search = engine.setup, engine.search
-    measured = engine.estimator.measure(*located, search, setup)
+    measured = engine.estimator.measure(located[0], located[1], search, setup)
     stripes, chosen = choose_stripes(measured, search, setup)
     if len(setup.exposures) > 1:
         each = measured.slots.shape[2] if setup.several else 1
@@ -216,9 +216,9 @@ def choose_stripes(
     valid = exists & take(measured.valid, index)
     number = None
     if settings.choice != "all":
-        fields = (take(getattr(measured, name), index) for name in LineCandidates._fields[:-1])
-        number = choose(LineCandidates(*fields, valid), search.near_side, settings)
-    if setup.several:
+        fields = {name: take(getattr(measured, name), index) for name in LineCandidates._fields if name != "valid"}
+        number = choose(LineCandidates(**fields, valid=valid), search.near_side, settings)
+    if number is None or setup.several:
         taken = jnp.moveaxis(jnp.where(valid, index, -1), 2, 1).reshape(-1, lines)
     else:
         taken = jnp.full(number.shape, -1, index.dtype)

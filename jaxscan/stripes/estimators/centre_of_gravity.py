@@ -135,7 +135,7 @@ def _variance(located: Peak, ratio: Array, search: Search) -> Float[Array, "fram
 
 def _blurred(values: Float[Array, "frames lines n"]) -> Float[Array, "frames lines n-2"]:
     """The samples but for the first and the last one, blurred."""
-    return sum(h * values[:, :, k : values.shape[2] - 2 + k] for k, h in enumerate(_BLUR))
+    return _BLUR[0] * (values[:, :, :-2] + values[:, :, 2:]) + _BLUR[1] * values[:, :, 1:-1]
 
 
 def _around_the_middle(counts: Bool[Array, "frames lines n"]) -> Bool[Array, "frames lines n"]:

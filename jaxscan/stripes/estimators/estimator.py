@@ -1,6 +1,6 @@
 """The protocol of an estimator: from the planes of the laser's colour to measured candidates on every line."""
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from jaxscan.stripes.frames.planes import Planes
 from jaxscan.stripes.measured import MeasuredLines
@@ -9,6 +9,7 @@ from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.stripes import Choice
 
 
+@runtime_checkable
 class Estimator(Protocol):
     """Finds and measures stripes; the engine learns, chooses among candidates, and puts them on the image's lines.
 
