@@ -242,8 +242,8 @@ def test_points_are_the_valid_ones_in_the_order_of_the_grid(small_scanner):
     xyz = np.arange(27, dtype=np.float32).reshape(3, 3, 3)
     one, nothing = np.full((3, 3), 0.3, np.float32), np.zeros((3, 3, 3), np.float32)
     cloud = PointCloud(
-        xyz=xyz, rgb=nothing.astype(np.uint8), intensity=one, normals=nothing, sigma_random=one,
-        sigma_systematic=0.4 / 0.3 * one, valid=valid, record=np.arange(3), laser=np.array([0, 0, 1]), angle=np.zeros(3),
+        xyz=xyz, rgb=nothing.astype(np.uint8), intensity=one, normals=nothing, sigma_random=one, valid=valid,
+        sigma_systematic=0.4 / 0.3 * one, record=np.arange(3), laser=np.array([0, 0, 1]), angle=np.zeros(3),
     )  # fmt: skip
     points = cloud.points()
     np.testing.assert_array_equal(points.xyz, xyz[valid])
