@@ -119,7 +119,7 @@ class CentreOfGravity:
             nearest = jnp.round(centre).astype(jnp.int32) + _REACH + 1
             grey = jnp.take_along_axis(located.off, nearest, 2)[:, :, 0]
         nothing = jnp.zeros_like(snr)
-        u = pitch * (located.place + centre[:, :, 0])
+        u = pitch * (located.place.astype(jnp.float32) + centre[:, :, 0])
         fields = u, sigma, amplitude, width, nothing, nothing, snr, grey, located.saturated, valid
         slots = jnp.arange(u.size, dtype=jnp.int32).reshape(*u.shape, 1)
         return MeasuredLines(Measured(*(field.ravel() for field in fields)), slots)
