@@ -7,7 +7,6 @@ from jaxscan.calibration.observations import Observations as Observations
 from jaxscan.calibration.observations import StripeViews as StripeViews
 from jaxscan.calibration.result import Calibration as Calibration
 from jaxscan.calibration.settings import CalibrationSettings as CalibrationSettings
-from jaxscan.calibration.settings import Priors as Priors
 from jaxscan.calibration.stripes_on_board import BoardStripe as BoardStripe
 from jaxscan.calibration.stripes_on_board import select_board_stripes as select_board_stripes
 from jaxscan.calibration.stripes_on_board import stack_stripes as stack_stripes

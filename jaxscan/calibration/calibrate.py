@@ -9,13 +9,13 @@ import jax
 import numpy as np
 
 from jaxscan.calibration.observations import Observations
-from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_PARAMETERS
+from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_BLOCKS, CAMERA_BLOCKS
 from jaxscan.calibration.result import Calibration, Fit
-from jaxscan.calibration.seed.closed_form import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
-from jaxscan.calibration.seed.fisheye import seed_fisheye
-from jaxscan.calibration.settings import CAMERA_BLOCKS, CalibrationSettings
+from jaxscan.calibration.seed.camera import seed_camera
+from jaxscan.calibration.seed.closed_form import average_placements, lift_stripes, seed_axis, seed_plane
+from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjust import Adjustment, adjust
-from jaxscan.calibration.solve.assemble import carrying, make_problem, shared_names
+from jaxscan.calibration.solve.assemble import carrying, make_problem
 from jaxscan.calibration.solve.covariance import determine
 from jaxscan.calibration.solve.prepare import Prepared, prepare
 from jaxscan.calibration.verdict.advice import advise, cures
@@ -23,12 +23,8 @@ from jaxscan.calibration.verdict.judge import ACCEPTED_P, ModelTest, chance, jud
 from jaxscan.calibration.verdict.lengths import length_changes, length_sigma, predict_lengths, typical_lengths
 from jaxscan.calibration.verdict.quality import describe_quality
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractCamera, LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
+from jaxscan.geometry import AbstractCamera, LaserSheet, Scanner, Turntable, make_layout, point_up, stack_lasers
 from jaxscan.geometry.scanner import UP_VECTORS
-
-
-_RATIONAL = 3
-"""Coefficients k4, k5, k6 that the solver always knows and mostly holds at 0."""
 
 
 def calibrate_observations(observations: Observations, *, settings: CalibrationSettings | None = None) -> Calibration:
@@ -65,7 +61,7 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
         # Each view by itself, without stripes and table: what is not the camera is held and meets no
         # observation, so that both solves are one compiled function.
         apart = _apart(data)._replace(stripe_valid=np.zeros_like(data.stripe_valid))
-        seed, poses = _seed(apart, observations, settings)
+        seed, poses = seed_camera(apart, settings.camera)
         free = tuple(block for block in settings.free if block in CAMERA_BLOCKS)
         start = make_problem(seed, *_stand_ins(observations), poses, apart, replace(settings, free=free))
         first = adjust(start, apart, settings, rejection=False).problem
@@ -102,7 +98,7 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
     settings = replace(settings, free=free)
     with jax.enable_x64(True):
         data = _without_stripes(_apart(prepare(observations)))
-        camera, poses = _seed(data, observations, settings)
+        camera, poses = seed_camera(data, settings.camera)
         problem = make_problem(camera, None, None, poses, data, settings)
         return _calibration(adjust(problem, data, settings), observations, data, settings, started)
 
@@ -131,20 +127,11 @@ def _stand_ins(observations: Observations) -> tuple[LaserSheet, Turntable]:
     return stack_lasers([sheet] * len(observations.laser_names)), table
 
 
-def _seed(
-    data: Prepared, observations: Observations, settings: CalibrationSettings
-) -> tuple[AbstractCamera, np.ndarray]:
-    """A first camera and T_cam_board of every view."""
-    if settings.camera == "fisheye":
-        return seed_fisheye(data, observations.width, observations.height)
-    return seed_camera(data, observations.width, observations.height, 5 + _RATIONAL)
-
-
 def _named(camera: AbstractCamera, observations: Observations, settings: CalibrationSettings) -> AbstractCamera:
-    """The solver's camera with its size, and without coefficients that nobody asked for."""
-    if isinstance(camera, Pinhole) and "rational" not in settings.free:
-        camera = replace(camera, distortion=np.asarray(camera.distortion)[:-_RATIONAL])
-    return replace(camera, width=observations.width, height=observations.height)
+    """The solver's camera with its size, and without optional coefficients that nobody asked for."""
+    count = sum(len(block.parameters) for block in camera.lens if not block.optional or block.name in settings.free)
+    distortion = np.asarray(camera.distortion)[:count]
+    return replace(camera, distortion=distortion, width=observations.width, height=observations.height)
 
 
 def _pointed_up(
@@ -164,7 +151,7 @@ def _calibration(
     problem, table = result.problem, result.problem.turntable
     camera = _named(problem.camera, observations, settings)
     lasers = observations.laser_names if table is not None else ()
-    names = shared_names(problem.camera, lasers, table is not None)
+    names = make_layout(problem.camera, lasers, turns=table is not None, board=BOARD_BLOCKS).names
     scales = np.asarray(problem.scales)
     determination = determine(result.linearised, scales, names)
     if isinstance(determination, dict):
@@ -173,12 +160,12 @@ def _calibration(
             f"The observations say nothing about a combination of {', '.join(determination)}: capture {wanted}, or "
             "hold what is not needed (`free`)."
         )
-    every = shared_names(camera, lasers, table is not None)
+    layout = make_layout(camera, lasers, turns=table is not None, board=BOARD_BLOCKS)
+    every, count = layout.names, layout.board.start
     kept = np.array([names.index(name) for name in every])
     turned = -1.0 if observations.carries == "object" else 1.0
     sign = np.array([turned if name in ANGLE_PARAMETERS else 1.0 for name in every])
     covariance = determination.covariance[np.ix_(kept, kept)] * np.outer(sign, sign)
-    count = len(every) - len(BOARD_PARAMETERS)
     own = np.ascontiguousarray(covariance[:count, :count])
     scanner = None
     if table is not None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxscan.calibration.solve.adjust import Adjustment
 from jaxscan.calibration.solve.prepare import Prepared
+from jaxscan.geometry import CAMERAS
 
 
 # Cells of the image that should all have seen corners.
@@ -16,11 +17,13 @@ _MIN_TILT_DEG = 20.0
 _MIN_DEPTH_RATIO = 1.5
 _MIN_PLACEMENTS, _MIN_TURN_DEG = 3, 15.0
 
-# What makes known what a weak direction is mostly made of.
+_LENS = tuple({name for camera in CAMERAS.values() for block in camera.lens for name in block.parameters})
+
+# Captures that make known the parameter that a weak direction is mostly made of.
 _CURES = {
     ("fx", "fy"): "boards tilted by 20 to 45 degrees at several distances (focal length)",
     ("cx", "cy"): "the board turned in its plane by 90 degrees, and tilted both ways (principal point)",
-    ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"): "boards right into the corners of the image (lens)",
+    _LENS: "boards right into the corners of the image (lens)",
     ("n1", "n2", "d"): "the stripe on boards at clearly different distances (laser sheet)",
     ("b2", "b3"): "the stripe on boards at both ends of the lit field (bow of the sheet)",
     ("axis.d1", "axis.d2", "axis.p1", "axis.p2"): "placements at more and wider table angles (axis)",
