@@ -49,7 +49,7 @@ class CameraTable(FileModel):
 
     @pydantic.field_validator("skew")
     @classmethod
-    def _known(cls, skew: float, info: pydantic.ValidationInfo) -> float:
+    def _known(cls, skew: float, info: Any) -> float:
         if skew != 0.0 and not _has_skew(CAMERAS[info.data["model"]]):
             raise ValueError(f"found {skew}, a {info.data['model']} has no skew: expected 0")
         return skew

@@ -2,7 +2,6 @@
 
 import abc
 from dataclasses import replace
-from typing import Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -99,7 +98,7 @@ class AbstractCamera(eqx.Module):
         """The minimal coordinates as their priors speak of them: in place of fx the aspect fx / fy."""
         return jnp.asarray(self.parameters()).at[0].set(self.fx / self.fy)
 
-    def retract(self, step: Float[Array, " params"]) -> Self:
+    def retract(self, step: Float[Array, " params"]) -> "AbstractCamera":
         """This camera moved by `step` in its minimal coordinates [px; 1 for distortion]."""
         return replace(
             self,

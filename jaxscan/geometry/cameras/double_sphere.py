@@ -39,8 +39,7 @@ class DoubleSphere(AbstractCamera):
     def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
         """Pixel of a point [px].
 
-        Without meaning where $Z \\le -w d_1$, with $w = (w_1 + \\xi) / \\sqrt{2 w_1 \\xi + \\xi^2 + 1}$ and
-        $w_1 = \\min(\\alpha, 1 - \\alpha) / \\max(\\alpha, 1 - \\alpha)$.
+        Without meaning behind the camera, beyond the angle at which the image turns back or ends.
         """
         xi, alpha = self.distortion[0], self.distortion[1]
         aside = p[0] * p[0] + p[1] * p[1]
