@@ -17,7 +17,9 @@ from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjust import Adjustment, adjust
 from jaxscan.calibration.solve.assemble import carrying, make_problem
 from jaxscan.calibration.solve.covariance import determine
+from jaxscan.calibration.solve.noise import huber_weights
 from jaxscan.calibration.solve.prepare import Prepared, prepare
+from jaxscan.calibration.solve.problem import Problem
 from jaxscan.calibration.verdict.advice import advise, cures
 from jaxscan.calibration.verdict.judge import ACCEPTED_P, ModelTest, chance, judge
 from jaxscan.calibration.verdict.lengths import length_changes, length_sigma, predict_lengths, typical_lengths
@@ -61,10 +63,11 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
         # Each view by itself, without stripes and table: what is not the camera is held and meets no
         # observation, so that both solves are one compiled function.
         apart = _apart(data)._replace(stripe_valid=np.zeros_like(data.stripe_valid))
-        seed, poses = seed_camera(apart, settings.camera)
+        cameras, poses = seed_camera(apart, settings.camera)
         free = tuple(block for block in settings.free if block in CAMERA_BLOCKS)
-        start = make_problem(seed, *_stand_ins(observations), poses, apart, replace(settings, free=free))
-        first = adjust(start, apart, settings, rejection=False).problem
+        held, stand_ins = replace(settings, free=free), _stand_ins(observations)
+        starts = [make_problem(camera, *stand_ins, poses, apart, held) for camera in cameras]
+        first = _lowest(starts, apart, settings)
         camera, poses = _named(first.camera, observations, settings), np.asarray(first.poses)
         lasers = [
             seed_plane(lift_stripes(data, camera, poses, index), name)
@@ -98,9 +101,20 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
     settings = replace(settings, free=free)
     with jax.enable_x64(True):
         data = _without_stripes(_apart(prepare(observations)))
-        camera, poses = seed_camera(data, settings.camera)
-        problem = make_problem(camera, None, None, poses, data, settings)
+        cameras, poses = seed_camera(data, settings.camera)
+        starts = [make_problem(camera, None, None, poses, data, settings) for camera in cameras]
+        problem = starts[0] if len(starts) == 1 else _lowest(starts, data, settings)
         return _calibration(adjust(problem, data, settings), observations, data, settings, started)
+
+
+def _lowest(starts: list[Problem], data: Prepared, settings: CalibrationSettings) -> Problem:
+    """The end of a robust solve from each start, and of these the one that fits the corners best."""
+
+    def cost(found: Adjustment) -> float:
+        size = np.linalg.norm(found.corner_error, axis=-1)[data.corner_valid] / data.corner_sigma[data.corner_valid]
+        return float(np.sum(huber_weights(size, settings.huber) ** 2 * size**2))
+
+    return min((adjust(start, data, settings, rejection=False) for start in starts), key=cost).problem
 
 
 def _apart(data: Prepared) -> Prepared:

@@ -45,7 +45,7 @@ def test_lens_and_poses_are_near(world, lens, fov_deg):
     rig = rig_of(world, LENSES[lens], fov_deg)
     observed = seen(world, rig)
     data = prepare(observed)
-    camera, poses = seed_camera(data, "fisheye")
+    (camera,), poses = seed_camera(data, "fisheye")
     # A lens of one coefficient with its centre 10 px off stands for one of four: the focal length
     # and the distances come out to a tenth, far inside what the solve converges from.
     assert camera.fx == camera.fy == pytest.approx(rig.focal[0], rel=0.1)
@@ -64,8 +64,8 @@ def test_a_few_wrong_corners_do_no_harm(world):
     q = observed.corners.q.copy()
     wrong = random.random(q.shape[:2]) < 0.03
     q[wrong] = random.uniform(0, 1000, (wrong.sum(), 2))
-    right, _ = seed_camera(prepare(observed), "fisheye")
-    robust, _ = seed_camera(prepare(replace(observed, corners=replace(observed.corners, q=q))), "fisheye")
+    (right,), _ = seed_camera(prepare(observed), "fisheye")
+    (robust,), _ = seed_camera(prepare(replace(observed, corners=replace(observed.corners, q=q))), "fisheye")
     assert robust.fx == pytest.approx(float(right.fx), rel=0.05)
 
 

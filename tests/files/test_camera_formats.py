@@ -199,7 +199,7 @@ class TestRefused:
     @pytest.mark.parametrize(
         ("model", "camera_format", "said"),
         [
-            ("double_sphere", "opencv", "opencv has no double sphere camera.*export it for kalibr instead"),
+            ("double_sphere", "opencv", r"opencv has no double sphere camera.*export it for kalibr instead"),
             ("double_sphere", "ros", "ros has no double sphere camera"),
             ("double_sphere", "mrcal", "mrcal has no double sphere camera"),
             ("rational", "kalibr", "kalibr has no rational pinhole camera.*export it for opencv or ros or mrcal"),

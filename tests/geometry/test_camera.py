@@ -91,11 +91,11 @@ class CameraContract:
         theta = np.linspace(0.02, 1.6 if camera.wide else 0.6, 60)
         # Exactly what the seed assumes where nothing better is known.
         radius = 300.0 * (theta * (1.0 - 0.02 * theta**2) if camera.wide else np.tan(theta))
-        focal, *lens = camera.fit_curve(theta, radius)
-        first = type(camera)(focal, focal, 0.0, 0.0, np.array(lens), 1280, 1024)
         ray = np.stack([np.sin(theta), np.zeros(60), np.cos(theta)], -1)
-        # A few pixels of 450 are far inside the range from which the solve converges.
-        np.testing.assert_allclose(project(first, ray)[:, 0], radius, atol=5.0)
+        for focal, *lens in camera.fit_curve(theta, radius):
+            first = type(camera)(focal, focal, 0.0, 0.0, np.array(lens), 1280, 1024)
+            # A few pixels of 450 are far inside the range from which the solve converges.
+            np.testing.assert_allclose(project(first, ray)[:, 0], radius, atol=5.0)
 
     def test_round_trip_over_the_whole_image(self, camera):
         q = image_grid(camera)
@@ -263,8 +263,9 @@ class TestDoubleSphere(CameraContract):
         if alpha <= 0.5:
             pytest.skip("every pixel has a ray")
         w1 = (1 - alpha) / alpha
-        # Seen from the second sphere's centre at the angle b, the radius is sin b / (alpha + (1 - alpha) cos b), largest
-        # at cos b = -w1; this is where (xi + z)^2 = w1^2 (1 + 2 xi z + xi^2). The paper's bound lies a little inside.
+        # Seen from the second sphere's centre at the angle b, the radius is sin b / (alpha + (1 - alpha) cos b),
+        # largest at cos b = -w1; this is where (xi + z)^2 = w1^2 (1 + 2 xi z + xi^2). The paper's bound lies a
+        # little inside.
         limit = -xi * (1 - w1**2) - w1 * np.sqrt(1 - xi**2 + xi**2 * w1**2)
         radius = np.array([1.0001, 3.0, 40.0]) / np.sqrt(2 * alpha - 1)
         ray = np.asarray(unproject(camera, np.stack([camera.cx + camera.fx * radius, np.full(3, camera.cy)], -1)))

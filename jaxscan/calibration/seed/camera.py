@@ -1,4 +1,4 @@
-"""A first camera of any model."""
+"""First cameras of any model."""
 
 import numpy as np
 
@@ -8,18 +8,21 @@ from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.geometry import CAMERAS, AbstractCamera, CameraModel
 
 
-def seed_camera(data: Prepared, model: CameraModel) -> tuple[AbstractCamera, np.ndarray]:
-    """A first camera, square pixels and its principal point in the middle, and first board poses.
+def seed_camera(data: Prepared, model: CameraModel) -> tuple[list[AbstractCamera], np.ndarray]:
+    """First cameras, with square pixels and the principal point in the middle, and first board poses.
 
     Returns:
-        The camera, with all coefficients that its model knows, and T_cam_board of every view
-        [views, 4, 4] (identity where not usable).
+        One camera or several to try, with all coefficients that the model knows, and T_cam_board of
+        every view [views, 4, 4] (identity where not usable).
 
     Raises:
         CalibrationError: If the views do not determine a camera.
     """
     kind = CAMERAS[model]
     theta, radius, poses = seed_wide(data) if kind.wide else seed_narrow(data)
-    focal, *lens = kind.fit_curve(theta, radius)
     centre = (np.array(data.size) - 1) / 2
-    return kind(np.asarray(focal), np.asarray(focal), centre[0], centre[1], np.array(lens), *data.size), poses
+    cameras = [
+        kind(values[0], values[0], centre[0], centre[1], values[1:], *data.size)
+        for values in kind.fit_curve(theta, radius)
+    ]
+    return cameras, poses

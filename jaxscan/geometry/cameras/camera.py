@@ -68,15 +68,19 @@ class AbstractCamera(eqx.Module):
 
     @staticmethod
     @abc.abstractmethod
-    def fit_curve(theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]) -> Float[np.ndarray, " values"]:
+    def fit_curve(
+        theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "lenses values"]:
         """The lens that shows angles to the optical axis at given radii: first values for a solve.
+
+        Several where the model has several that are nearly the same: the solve tries each.
 
         Args:
             theta: Angles to the optical axis [rad].
             radius: Distances from the principal point at which they are seen [px].
 
         Returns:
-            Focal length [px], then all coefficients, optional ones too [1].
+            Of each lens the focal length [px], then all coefficients, optional ones too [1].
         """
 
     @classmethod

@@ -11,8 +11,10 @@ from jaxscan.geometry.cameras.camera import AbstractCamera
 from jaxscan.geometry.parameters import ParameterBlock
 
 
-# Trial values of xi for a first camera; real lenses lie between -0.4 and 0.7.
+# Trial values of xi for a first camera. Lenses of two values, one on either side of this, are the same to a
+# hundredth of a pixel; the solve tells them apart.
 _XI = np.linspace(-0.6, 0.95, 156)
+_BETWEEN = 0.05
 
 
 class DoubleSphere(AbstractCamera):
@@ -71,7 +73,9 @@ class DoubleSphere(AbstractCamera):
         return ray / jnp.linalg.norm(ray)
 
     @staticmethod
-    def fit_curve(theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]) -> Float[np.ndarray, " values"]:
+    def fit_curve(
+        theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "lenses values"]:
         # radius (alpha d2 + (1 - alpha)(xi + cos theta)) = f sin theta is linear in f and alpha.
         trials = []
         for xi in _XI:
@@ -82,7 +86,8 @@ class DoubleSphere(AbstractCamera):
             curve = np.sin(theta) / (alpha * rise + z)
             focal = radius @ curve / (curve @ curve)
             trials.append((np.sum((focal * curve - radius) ** 2), focal, xi, alpha))
-        return np.array(min(trials)[1:])
+        sides = [[trial for trial in trials if (trial[2] > _BETWEEN) == above] for above in (False, True)]
+        return np.array([min(side)[1:] for side in sides])
 
 
 def _root(square: Array) -> Array:

@@ -69,9 +69,11 @@ class Fisheye(AbstractCamera):
         return ray / jnp.linalg.norm(ray)
 
     @staticmethod
-    def fit_curve(theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]) -> Float[np.ndarray, " values"]:
+    def fit_curve(
+        theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "lenses values"]:
         focal, cubic = np.linalg.lstsq(np.column_stack([theta, theta**3]), radius, rcond=None)[0]
-        return np.array([focal, cubic / focal, 0.0, 0.0, 0.0])
+        return np.array([[focal, cubic / focal, 0.0, 0.0, 0.0]])
 
 
 def _angle(x: Array, y: Array, z: Array) -> tuple[Array, Array]:

@@ -59,9 +59,11 @@ class Pinhole(AbstractCamera):
         return ray / jnp.linalg.norm(ray)
 
     @staticmethod
-    def fit_curve(theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]) -> Float[np.ndarray, " values"]:
+    def fit_curve(
+        theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "lenses values"]:
         slope = np.tan(theta)
-        return np.append(radius @ slope / (slope @ slope), np.zeros(8))
+        return np.array([[radius @ slope / (slope @ slope), *np.zeros(8)]])
 
     def matrix(self) -> Float[Array, "3 3"]:
         """The paper's camera matrix A [px]. Source: PAPER.md equation (1)."""
