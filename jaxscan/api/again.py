@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.calibration import Calibration, calibrate_camera, calibrate_observations
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.settings import stored_settings
+from jaxscan.files.calibration import stored_settings
 from jaxscan.geometry import Scanner
 
 
@@ -19,7 +19,7 @@ _HELD = 1e-6
 
 
 class Again(NamedTuple):
-    """What a stored calibration comes to when it is solved again."""
+    """A stored calibration and a new solve of its observations."""
 
     calibration: Calibration
     """With `fit`; captures and versions are those of the stored one."""
@@ -29,9 +29,9 @@ class Again(NamedTuple):
     """Its name."""
 
     @property
-    def reproduced(self) -> bool:
-        """Whether the stored parameters came out again."""
-        return self.departure <= REPRODUCED
+    def reproduced(self) -> bool | None:
+        """Whether the stored parameters came out again; None where the new solve did not converge."""
+        return self.departure <= REPRODUCED if self.calibration.quality.converged else None
 
 
 def solve_again(stored: Calibration, *, name: str = "calibration") -> Again:
@@ -53,10 +53,9 @@ def solve_again(stored: Calibration, *, name: str = "calibration") -> Again:
     solve = calibrate_camera if stored.scanner is None else calibrate_observations
     again = solve(stored.observations, settings=settings)
     departure, parameter = _departure(stored, again)
-    # Only the images could tell again what the second look at them brought.
-    quality = {key: stored.quality[key] for key in ("redetected",) if key in stored.quality} | again.quality
-    merged = Calibration(**{**vars(again), "provenance": stored.provenance, "quality": quality})
-    return Again(merged, departure, parameter)
+    # Only the images could tell again how much their second look gained.
+    quality = replace(again.quality, redetected=stored.quality.redetected)
+    return Again(replace(again, provenance=stored.provenance, quality=quality), departure, parameter)
 
 
 def _departure(stored: Calibration, again: Calibration) -> tuple[float, str]:

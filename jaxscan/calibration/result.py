@@ -1,43 +1,14 @@
-"""What a calibration gives back."""
+"""The result of a calibration."""
 
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from jaxscan.calibration.observations import Observations
+from jaxscan.calibration.fit import Fit
+from jaxscan.calibration.verdict import Quality
 from jaxscan.geometry import AbstractCamera, Scanner
-
-
-@dataclass(frozen=True)
-class Fit:
-    """What became of every observation: for residual plots, predictions and tests of the model.
-
-    Arrays have the shapes of the observations; what is not valid there is 0 here.
-    """
-
-    pose: np.ndarray
-    """T_cam_board of every view at its table angle [views, 4, 4]."""
-    warp: np.ndarray
-    """Height kx, ky of the board's bow [m]."""
-    pitch: float
-    """Relative error of the board's squares [1]."""
-    corner_error: np.ndarray
-    """Projected minus observed corners [views, corners, 2], px."""
-    corner_sigma: np.ndarray
-    """Estimated standard deviation of each coordinate [views, corners], px."""
-    corner_leverage: np.ndarray
-    """Share of each whitened residual that the fit takes up [views, corners, 2]."""
-    corner_kept: np.ndarray
-    """bool [views, corners]."""
-    stripe_error: np.ndarray
-    """Sampson errors of the stripe points [stripes, points], px."""
-    stripe_sigma: np.ndarray
-    """Estimated standard deviation [stripes, points], px; correlation along the stripe not included."""
-    stripe_leverage: np.ndarray
-    stripe_kept: np.ndarray
-    covariance: np.ndarray
-    """Of the shared unknowns and of the board: `Calibration.order`, then warp.x, warp.y, pitch."""
+from jaxscan.observation import Observations
 
 
 @dataclass(frozen=True)
@@ -51,8 +22,8 @@ class Calibration:
     """Names of the minimal coordinates that `covariance` refers to."""
     covariance: np.ndarray
     """Covariance [params, params] in the units px, rad, m; zero for parameters held fixed."""
-    quality: dict[str, Any]
-    """Numbers by which to judge the result, ready for JSON: whitened RMS per group, counts, ..."""
+    quality: Quality = field(default_factory=Quality)
+    """Numbers by which to judge the result: whether it converged, residuals, counts, verdict, ..."""
     observations: Observations | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     """Inputs by digest, settings, versions."""

@@ -11,7 +11,7 @@ import pytest
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.exports import export_camera
+from jaxscan.files.calibration import export_camera
 from jaxscan.geometry import DoubleSphere, Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 
 
@@ -40,7 +40,7 @@ def calibration(model, *, name="red", **changes):
     table = Turntable.from_axis(np.array([0.01, -0.9999, 0.012]), np.array([0.02, 0.0, -0.15]), gain=-1.0002)
     seen = camera(model, **changes)
     scanner = Scanner(seen, stack_lasers([sheet]), table, laser_names=(name,))
-    return Calibration(seen, scanner, (), np.zeros((0, 0)), {})
+    return Calibration(seen, scanner, (), np.zeros((0, 0)))
 
 
 def points():

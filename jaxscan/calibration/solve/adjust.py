@@ -40,35 +40,6 @@ _SETTLED = 0.01
 _LONG_TAILS = 1.5
 
 
-@dataclass(frozen=True)
-class Adjustment:
-    """The minimum, and what was kept to get there; arrays padded as `Prepared` is."""
-
-    problem: Problem
-    """Seen from the minimum, with its final weights."""
-    linearised: Linearised
-    corner_error: np.ndarray
-    """Projected minus observed corners [views, corners, 2], px; rejected ones too."""
-    stripe_error: np.ndarray
-    """Sampson error of the stripe points [stripes, points], px; rejected ones too."""
-    corner_sigma: np.ndarray
-    """Given sigma times the estimated noise [px]."""
-    stripe_sigma: np.ndarray
-    corner_keep: np.ndarray
-    stripe_keep: np.ndarray
-    view_keep: np.ndarray
-    """Views [views] that were not dropped as a whole."""
-    corner_noise: float
-    """Estimated noise over the given sigma [1]."""
-    stripe_noise: float
-    stripe_correlation: float
-    """Neighbours along a stripe that share one error [1]."""
-    corner_rms: float
-    """Whitened by the given sigmas, kept ones, per degree of freedom [1]."""
-    stripe_rms: float
-    steps: int
-
-
 class _Errors(NamedTuple):
     """Residuals in units of the given sigmas, and |grad_q e|; 0 and 1 where there is nothing."""
 
@@ -78,15 +49,58 @@ class _Errors(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _State:
+class Adjustment:
+    """A solve between its rounds, and at last the minimum; arrays padded as `Prepared` is."""
+
     problem: Problem
-    corner_keep: np.ndarray
-    stripe_keep: np.ndarray
-    view_keep: np.ndarray
+    """Seen from where the solve ended, with its last weights."""
+    linearised: Linearised
+    errors: _Errors
+    """Of everything valid, rejected ones too."""
+    data: Prepared
+    corner_kept: np.ndarray
+    stripe_kept: np.ndarray
+    view_kept: np.ndarray
+    """Views [views] that were not dropped as a whole."""
     corner_noise: float = 1.0
+    """Estimated noise over the given sigma [1]."""
     stripe_noise: float = 1.0
     stripe_correlation: float = 1.0
+    """Neighbours along a stripe that share one error [1]."""
     steps: int = 0
+    """In all rounds."""
+    converged: bool = False
+    """Whether the last round ended at a minimum rather than after its last step."""
+
+    @property
+    def corner_error(self) -> np.ndarray:
+        """Projected minus observed corners [views, corners, 2], px; rejected ones too."""
+        return self.errors.corner * self.data.corner_sigma[..., None]
+
+    @property
+    def stripe_error(self) -> np.ndarray:
+        """Sampson error of the stripe points [stripes, points], px; rejected ones too."""
+        return self.errors.stripe * self.data.stripe_sigma
+
+    @property
+    def corner_sigma(self) -> np.ndarray:
+        """Given sigma times the estimated noise [px]."""
+        return self.data.corner_sigma * self.corner_noise
+
+    @property
+    def stripe_sigma(self) -> np.ndarray:
+        """Given sigma times the estimated noise [px]."""
+        return self.data.stripe_sigma * self.stripe_noise
+
+    def whitened_rms(self) -> tuple[float, float]:
+        """RMS of the kept corners and stripes in units of the given sigmas, per degree of freedom [1]."""
+        corner_kept = np.repeat(self.corner_kept[..., None], 2, -1)
+        corner_leverage = np.asarray(self.linearised.corner_leverage).reshape(self.errors.corner.shape)
+        stripe_leverage = np.asarray(self.linearised.stripe_leverage)[self.stripe_kept]
+        return (
+            noise_component(self.errors.corner[corner_kept], corner_leverage[corner_kept]),
+            noise_component(self.errors.stripe[self.stripe_kept], stripe_leverage, self.stripe_correlation),
+        )
 
 
 def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, rejection: bool = True) -> Adjustment:
@@ -98,88 +112,70 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
     Raises:
         CalibrationError: If the solve breaks down.
     """
-    state = _State(problem, data.corner_valid, data.stripe_valid, data.usable)
+    kept = data.corner_valid, data.stripe_valid, data.usable
+    state = Adjustment(problem, *_at(problem, data), data, *kept)
     if settings.stripe_correlation is not None:
         state = replace(state, stripe_correlation=settings.stripe_correlation)
-    linearised, errors = _at(problem, data)
     for _ in range(_ROBUST_ROUNDS):
-        state = replace(
-            state,
-            corner_noise=robust_noise(errors.corner[data.corner_valid]),
-            stripe_noise=robust_noise(errors.stripe[data.stripe_valid]),
+        corner, stripe = state.errors.corner, state.errors.stripe
+        noise = robust_noise(corner[data.corner_valid]), robust_noise(stripe[data.stripe_valid])
+        damp = (
+            huber_weights(np.abs(corner).max(-1) / noise[0], settings.huber),
+            huber_weights(np.abs(stripe) / noise[1], settings.huber),
         )
-        corner_damp = huber_weights(np.abs(errors.corner).max(-1) / state.corner_noise, settings.huber)
-        stripe_damp = huber_weights(np.abs(errors.stripe) / state.stripe_noise, settings.huber)
-        state, linearised, errors = _solved(state, data, errors, corner_damp, stripe_damp, _ROUGH, settings)
+        state = _solved(replace(state, corner_noise=noise[0], stripe_noise=noise[1]), settings, _ROUGH, damp)
         # Without outliers there is nothing to be robust against.
-        largest = max(_largest(errors.corner, data.corner_valid), _largest(errors.stripe, data.stripe_valid))
+        largest = max(
+            _largest(state.errors.corner, data.corner_valid), _largest(state.errors.stripe, data.stripe_valid)
+        )
         if largest < settings.reject_any:
             break
     if rejection:
-        state, linearised, errors = _reject(state, linearised, errors, data, settings)
-    corner_rms, stripe_rms = _noise(errors, linearised, state)
-    return Adjustment(
-        problem=jax.tree.map(np.asarray, state.problem),
-        linearised=linearised,
-        corner_error=errors.corner * data.corner_sigma[..., None],
-        stripe_error=errors.stripe * data.stripe_sigma,
-        corner_sigma=data.corner_sigma * state.corner_noise,
-        stripe_sigma=data.stripe_sigma * state.stripe_noise,
-        corner_keep=state.corner_keep,
-        stripe_keep=state.stripe_keep,
-        view_keep=state.view_keep,
-        corner_noise=state.corner_noise,
-        stripe_noise=state.stripe_noise,
-        stripe_correlation=state.stripe_correlation,
-        corner_rms=corner_rms,
-        stripe_rms=stripe_rms,
-        steps=state.steps,
-    )
+        state = _reject(state, settings)
+    return replace(state, problem=jax.tree.map(np.asarray, state.problem))
 
 
-def _reject(
-    state: _State, linearised: Linearised, errors: _Errors, data: Prepared, settings: CalibrationSettings
-) -> tuple[_State, Linearised, _Errors]:
+def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
+    data = state.data
     limits = {"reject_any": settings.reject_any, "reject_all": settings.reject_all}
     for round_number in range(_REJECTION_ROUNDS):
-        size = (1.0, 1.0)
+        errors, size = state.errors, (1.0, 1.0)
         if settings.estimate_noise:
             # Outliers that are still in must not make room for themselves; honest noise with long
             # tails may.
             robust = robust_noise(errors.corner[data.corner_valid]), robust_noise(errors.stripe[data.stripe_valid])
-            kept = _noise(errors, linearised, state)
+            kept = state.whitened_rms()
             size = min(kept[0], _LONG_TAILS * robust[0]), min(kept[1], _LONG_TAILS * robust[1])
-        corner_room = _room(np.asarray(linearised.corner_leverage)).reshape(errors.corner.shape)
+        corner_room = _room(np.asarray(state.linearised.corner_leverage)).reshape(errors.corner.shape)
         corner_size = (np.abs(errors.corner) / corner_room).max(-1) / size[0]
-        stripe_size = np.abs(errors.stripe) / _room(np.asarray(linearised.stripe_leverage)) / size[1]
-        corner_keep = keep_inliers(corner_size, data.corner_valid, state.corner_keep, **limits)
-        stripe_keep = keep_inliers(stripe_size, data.stripe_valid, state.stripe_keep, **limits)
-        lost = (data.corner_valid & ~corner_keep).sum(1) > _MAX_LOST * data.corner_valid.sum(1)
-        view_keep = state.view_keep & ~lost
-        _check_views(view_keep, state.view_keep)
-        corner_keep = corner_keep & view_keep[:, None]
-        stripe_keep = stripe_keep & view_keep[data.stripe_view][:, None]
-        cleaned = replace(state, corner_keep=corner_keep, stripe_keep=stripe_keep)
-        noise = _noise(errors, linearised, cleaned) if settings.estimate_noise else (1.0, 1.0)
+        stripe_size = np.abs(errors.stripe) / _room(np.asarray(state.linearised.stripe_leverage)) / size[1]
+        corner_kept = keep_inliers(corner_size, data.corner_valid, state.corner_kept, **limits)
+        stripe_kept = keep_inliers(stripe_size, data.stripe_valid, state.stripe_kept, **limits)
+        lost = (data.corner_valid & ~corner_kept).sum(1) > _MAX_LOST * data.corner_valid.sum(1)
+        view_kept = state.view_kept & ~lost
+        if view_kept.sum() < 3 <= state.view_kept.sum():
+            raise _too_few_views(int(view_kept.sum()), state, settings)
+        corner_kept = corner_kept & view_kept[:, None]
+        stripe_kept = stripe_kept & view_kept[data.stripe_view][:, None]
+        cleaned = replace(state, corner_kept=corner_kept, stripe_kept=stripe_kept)
+        noise = cleaned.whitened_rms() if settings.estimate_noise else (1.0, 1.0)
         correlation = state.stripe_correlation
         if settings.stripe_correlation is None:
-            correlation = correlation_along(errors.stripe, stripe_keep)
-        same = np.array_equal(corner_keep, state.corner_keep) and np.array_equal(stripe_keep, state.stripe_keep)
+            correlation = correlation_along(errors.stripe, stripe_kept)
+        same = np.array_equal(corner_kept, state.corner_kept) and np.array_equal(stripe_kept, state.stripe_kept)
         ratios = (noise[0] / state.corner_noise, noise[1] / state.stripe_noise, correlation / state.stripe_correlation)
         settled = same and max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED
         if settled and round_number > 0:
             break
-        state = replace(
-            state,
-            corner_keep=corner_keep,
-            stripe_keep=stripe_keep,
-            view_keep=view_keep,
+        cleaned = replace(
+            cleaned,
+            view_kept=view_kept,
             corner_noise=noise[0],
             stripe_noise=noise[1],
             stripe_correlation=correlation,
         )
-        state, linearised, errors = _solved(state, data, errors, 1.0, 1.0, _FINE, settings)
-    return state, linearised, errors
+        state = _solved(cleaned, settings, _FINE)
+    return state
 
 
 def solve_compiled(problem: Problem, settings: CalibrationSettings) -> Solution:
@@ -187,12 +183,22 @@ def solve_compiled(problem: Problem, settings: CalibrationSettings) -> Solution:
     return _solve(problem, np.asarray(_NEAR_DAMPING), np.asarray(_FINE), settings.max_steps)
 
 
-def _check_views(kept: np.ndarray, before: np.ndarray) -> None:
-    if kept.sum() < 3 <= before.sum():
-        raise CalibrationError(
-            f"Only {kept.sum()} of {before.sum()} views agree with each other, and a camera needs at least 3: check "
-            "that all views show the board that [board] in capture.toml describes, sharp and flat, and capture more."
-        )
+def not_converged(settings: CalibrationSettings) -> str:
+    """The one sentence about a solve that did not converge: from its numbers nothing follows."""
+    return (
+        f"The solve did not converge in {settings.max_steps} step{'s' if settings.max_steps > 1 else ''}, so its "
+        "numbers say nothing: allow more (`max_steps` in Python), or capture more boards, tilted and at several "
+        "distances."
+    )
+
+
+def _too_few_views(kept: int, state: Adjustment, settings: CalibrationSettings) -> CalibrationError:
+    if not state.converged:
+        return CalibrationError(not_converged(settings))
+    return CalibrationError(
+        f"Only {kept} of {state.view_kept.sum()} views agree with each other, and a camera needs at least 3: check "
+        "that all views show the board that [board] in capture.toml describes, sharp and flat, and capture more."
+    )
 
 
 def _room(leverage: np.ndarray) -> np.ndarray:
@@ -202,17 +208,6 @@ def _room(leverage: np.ndarray) -> np.ndarray:
 def _largest(residual: np.ndarray, valid: np.ndarray) -> float:
     values = np.abs(residual[valid])
     return float(values.max() / robust_noise(values)) if values.size else 0.0
-
-
-def _noise(errors: _Errors, linearised: Linearised, state: _State) -> tuple[float, float]:
-    """Root of each group's variance component."""
-    corner_keep = np.repeat(state.corner_keep[..., None], 2, -1)
-    corner_leverage = np.asarray(linearised.corner_leverage).reshape(errors.corner.shape)
-    stripe_leverage = np.asarray(linearised.stripe_leverage)
-    return (
-        noise_component(errors.corner[corner_keep], corner_leverage[corner_keep]),
-        noise_component(errors.stripe[state.stripe_keep], stripe_leverage[state.stripe_keep], state.stripe_correlation),
-    )
 
 
 def _whitened(corner: Array, offset: Array, slope: Array, data: Prepared) -> _Errors:
@@ -229,22 +224,28 @@ def _whitened(corner: Array, offset: Array, slope: Array, data: Prepared) -> _Er
 
 
 def _solved(
-    state: _State,
-    data: Prepared,
-    errors: _Errors,
-    corner_damp: np.ndarray | float,
-    stripe_damp: np.ndarray | float,
-    tolerance: float,
+    state: Adjustment,
     settings: CalibrationSettings,
-) -> tuple[_State, Linearised, _Errors]:
-    corner = state.corner_keep * corner_damp / (data.corner_sigma * state.corner_noise)
-    stripe = state.stripe_keep * stripe_damp / (data.stripe_sigma * state.stripe_noise * errors.slope)
+    tolerance: float,
+    damp: tuple[np.ndarray | float, np.ndarray | float] = (1.0, 1.0),
+) -> Adjustment:
+    """The state after one more solve, in which weights are damped by factors of the corners and the stripes."""
+    data = state.data
+    corner = state.corner_kept * damp[0] / state.corner_sigma
+    stripe = state.stripe_kept * damp[1] / (state.stripe_sigma * state.errors.slope)
     stripe = stripe / np.sqrt(state.stripe_correlation)
     weighted = eqx.tree_at(lambda p: (p.corner_weight, p.stripe_weight), state.problem, (corner, stripe))
     damping = np.asarray(_SEED_DAMPING if state.steps == 0 else _NEAR_DAMPING)
     solution = _solve(weighted, damping, np.asarray(tolerance), settings.max_steps)
-    state = replace(state, problem=solution.problem, steps=state.steps + int(solution.steps))
-    return state, *_at(state.problem, data)
+    linearised, errors = _at(solution.problem, data)
+    return replace(
+        state,
+        problem=solution.problem,
+        linearised=linearised,
+        errors=errors,
+        steps=state.steps + int(solution.steps),
+        converged=bool(solution.converged),
+    )
 
 
 @eqx.filter_jit

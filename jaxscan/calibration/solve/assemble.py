@@ -8,7 +8,7 @@ import numpy as np
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem, problem_layout
-from jaxscan.geometry import AbstractCamera, LaserSheet, Layout, Turntable, stack_lasers
+from jaxscan.geometry import AbstractCamera, LaserSheet, Layout, Turntable, corner_frame, stack_lasers
 from jaxscan.geometry.turntable import Carries
 
 
@@ -37,8 +37,6 @@ def make_problem(
         sheets = jax.tree.map(lambda leaf: leaf[:0], sheets)
     layout = problem_layout(camera, sheets, table)
     centre = {"cx": (data.size[0] - 1) / 2, "cy": (data.size[1] - 1) / 2}
-    xy = data.board[:, :2]
-    half = np.maximum(np.ptp(xy, axis=0) / 2, 1e-12)
     return Problem(
         camera=camera,
         lasers=sheets,
@@ -49,7 +47,7 @@ def make_problem(
         expected=np.array([centre.get(name, block.expected) for name, block in zip(*layout[:2], strict=True)]),
         prior_weight=prior_weights(layout, settings),
         board=data.board,
-        frame=np.concatenate([(xy.min(0) + xy.max(0)) / 2, half]),
+        frame=corner_frame(data.board),
         corner_q=data.corner_q,
         corner_weight=np.zeros(data.corner_valid.shape),
         angle=data.angle,

@@ -1,6 +1,6 @@
 """What the observations say at the minimum: information, covariance, leverages, weak directions."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -170,12 +170,9 @@ class Determination(NamedTuple):
     """[shared, shared], in px, rad, m; zero for held unknowns."""
     condition: float
     """Condition number of the information scaled to a unit diagonal."""
-    unobserved: list[dict[str, float]]
-    """Directions that the priors know better than the data: parameter -> component, in units of
-    its standard deviation."""
-    spectrum: list[dict[str, Any]]
-    """Independent directions that priors speak of: `sigma_over_prior`, the standard deviation along
-    each over that of its prior [1], and `direction`, its largest components as in `unobserved`."""
+    spectrum: tuple[tuple[float, dict[str, float]], ...]
+    """Independent directions that priors speak of: the standard deviation along each over that of
+    its prior [1], and its largest components by name, in units of their standard deviations."""
     prior_share: float
     """Largest share of the information in any one direction that is the priors' own."""
 
@@ -189,7 +186,7 @@ def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]
     free = np.flatnonzero(scales)
     covariance = np.zeros_like(reduced)
     if len(free) == 0:
-        return Determination(covariance, 1.0, [], [], 0.0)
+        return Determination(covariance, 1.0, (), 0.0)
     information = reduced[np.ix_(free, free)]
     # What is left of the information once the poses are eliminated is compared with what was there
     # before: of nothing, rounding error remains.
@@ -207,14 +204,13 @@ def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]
     root = np.linalg.cholesky(inverse)
     shares, vectors = np.linalg.eigh(root.T @ prior[np.ix_(free, free)] @ root)
     sigma = np.sqrt(np.diag(inverse))
-    spectrum: list[dict[str, Any]] = []
+    spectrum = []
     for share, vector in zip(shares[::-1], vectors.T[::-1], strict=True):
         if share > _LEAST_SHARE:
             parts = _components((root @ vector) / sigma, free, names)
-            spectrum.append({"sigma_over_prior": float(np.sqrt(min(share, 1.0))), "direction": parts})
-    unobserved = [row["direction"] for row in spectrum if row["sigma_over_prior"] ** 2 > 0.5]
+            spectrum.append((float(np.sqrt(min(share, 1.0))), parts))
     condition = float(eigenvalues[-1] / eigenvalues[0])
-    return Determination(covariance, condition, unobserved, spectrum, float(shares[-1]))
+    return Determination(covariance, condition, tuple(spectrum), float(shares[-1]))
 
 
 def _components(direction: np.ndarray, free: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxscan.calibration.solve.problem import Problem, Step, move, zero_step
 from jaxscan.calibration.solve.residuals import Residuals, residuals
@@ -41,6 +41,14 @@ class Columns(NamedTuple):
     local: Float[Array, "6 owners rows"]
 
 
+class Jacobian(NamedTuple):
+    """Derivatives of all residuals."""
+
+    corner: Columns
+    stripe: Columns
+    prior: Float[Array, "shared priors"]
+
+
 class BlockArrowDescent(optx.AbstractDescent):
     """Damped step (J'J + lambda diag(J'J))^-1 J'r by Schur's complement."""
 
@@ -60,8 +68,8 @@ class BlockArrowDescent(optx.AbstractDescent):
         )
 
     def query(self, y: Step, f_info: Any, state: Blocks) -> Blocks:
-        corner, stripe, prior = jacobian_columns(f_info.jac.mv, y)
-        return form_blocks(corner, stripe, prior, f_info.residual, self.view_owner, self.stripe_owner, len(y.local))
+        jacobian = jacobian_columns(f_info.jac.mv, y)
+        return form_blocks(jacobian, f_info.residual, self.view_owner, self.stripe_owner, len(y.local))
 
     def step(self, step_size: Any, state: Blocks) -> tuple[Step, Any]:
         shared, local = schur_step(state, self.damping / step_size)
@@ -100,14 +108,15 @@ class BlockArrowLM(optx.AbstractGaussNewton):
 
 
 class Solution(NamedTuple):
-    """Where a solve ended."""
+    """The end of a solve."""
 
     problem: Problem
     """The problem seen from the minimum."""
     step: Step
     """The step to there, from the problem that was given."""
     steps: Int[Array, ""]
-    converged: Any
+    converged: Bool[Array, ""]
+    """False where it stopped after its last step."""
 
 
 def solve(problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, ""], max_steps: int) -> Solution:
@@ -134,48 +143,41 @@ def solve(problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, "
         move(solution.value, problem),
         solution.value,
         solution.stats["num_steps"],
-        solution.result == optx.RESULTS.successful,
+        jnp.asarray(solution.result == optx.RESULTS.successful),
     )
 
 
-def jacobian_columns(
-    product: Callable[[Step], Residuals], y: Step
-) -> tuple[Columns, Columns, Float[Array, "shared priors"]]:
+def jacobian_columns(product: Callable[[Step], Residuals], y: Step) -> Jacobian:
     """Columns of the Jacobian by coloured forward mode.
 
     Args:
         product: Jacobian times a step.
         y: Any step, for its shapes.
-
-    Returns:
-        Columns of the corner and of the stripe residuals, and those of the priors.
     """
     count = y.shared.shape[0]
     unit = jnp.eye(count + 6, dtype=y.shared.dtype)
     # Poses of different placements meet different residuals, so all are moved at once.
     columns = jax.vmap(lambda e: product(Step(e[:count], jnp.broadcast_to(e[None, count:], y.local.shape))))(unit)
     split = lambda array: Columns(*jnp.split(array, [count]))
-    return split(columns.corner), split(columns.stripe), columns.prior[:count]
+    return Jacobian(split(columns.corner), split(columns.stripe), columns.prior[:count])
 
 
 def form_blocks(
-    corner: Columns,
-    stripe: Columns,
-    prior: Float[Array, "shared priors"],
+    jacobian: Jacobian,
     residual: Residuals,
     view_owner: Int[Array, " views"],
     stripe_owner: Int[Array, " stripes"],
     placements: int,
 ) -> Blocks:
     """J'J and J'r from the columns, summed over the rows of each placement."""
-    shared = prior @ prior.T
-    shared_gradient = prior @ residual.prior
+    shared = jacobian.prior @ jacobian.prior.T
+    shared_gradient = jacobian.prior @ residual.prior
     cross = jnp.zeros((placements, shared.shape[0], 6), shared.dtype)
     local = jnp.zeros((placements, 6, 6), shared.dtype)
     local_gradient = jnp.zeros((placements, 6), shared.dtype)
     for columns, values, owner in (
-        (corner, residual.corner, view_owner),
-        (stripe, residual.stripe, stripe_owner),
+        (jacobian.corner, residual.corner, view_owner),
+        (jacobian.stripe, residual.stripe, stripe_owner),
     ):
         flat = columns.shared.reshape(shared.shape[0], -1)
         shared = shared + flat @ flat.T

@@ -5,7 +5,6 @@ import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjust import Adjustment, linearise_compiled, solve_compiled
-from jaxscan.calibration.solve.prepare import Prepared
 
 
 # Directions of which one half of the records knows less than this share beyond the priors.
@@ -13,19 +12,19 @@ _PRIOR_HELD = 0.05
 
 
 def compare_halves(
-    result: Adjustment, data: Prepared, settings: CalibrationSettings, promise: tuple[float, float]
+    result: Adjustment, settings: CalibrationSettings, promise: tuple[float, float]
 ) -> tuple[float, int] | None:
     """Distance of two calibrations from half of the records each, chi-squared; None where they cannot be had.
 
     Records are dealt out in turn inside each placement, so that both halves keep several angles.
     """
-    half = deal_halves(np.asarray(data.placement), result.view_keep & data.usable)
+    half = deal_halves(np.asarray(result.data.placement), result.view_kept & result.data.usable)
     if min(np.count_nonzero(half == 0), np.count_nonzero(half == 1)) < 3:
         return None
     steps, sampling, total = [], [], []
     for side in (0, 1):
         views = half == side
-        stripes = views[data.stripe_view]
+        stripes = views[result.data.stripe_view]
         problem = eqx.tree_at(
             lambda p: (p.corner_weight, p.stripe_weight),
             result.problem,
@@ -38,7 +37,8 @@ def compare_halves(
         known = linearise_compiled(solution.problem)
         free = np.asarray(problem.scales) > 0
         reduced, prior = (np.asarray(part)[np.ix_(free, free)] for part in (known.reduced, known.prior))
-        size = np.sqrt(np.diag(reduced))
+        # Rounding may leave a little less than 0 for unknowns that half of the records do not show.
+        size = np.sqrt(np.maximum(np.diag(reduced), 0.0))
         if not np.all(size > 0) or not bool(solution.converged):
             return None
         correlation = reduced / np.outer(size, size)

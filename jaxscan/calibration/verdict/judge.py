@@ -1,4 +1,4 @@
-r"""Do the models of lens, board, table and sheet suffice? Tests of what is left in the residuals.
+r"""Do the models of lens, board, table and sheet suffice? Tests of the residuals.
 
 A score test (Rao) asks of every model whether terms that it does not have would be worth
 having: with residuals $r$ at the minimum, derivatives $J$ by the unknowns and $E$ by the extra
@@ -11,7 +11,7 @@ is solved again, and the failing model is named. A cross-validation, two halves 
 solved apart, asks the same of all models together.
 """
 
-from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -19,10 +19,10 @@ import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjust import Adjustment
-from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem
 from jaxscan.calibration.verdict.extra_terms import extents_of
 from jaxscan.calibration.verdict.halves import compare_halves
+from jaxscan.calibration.verdict.quality import ModelTest
 from jaxscan.calibration.verdict.score import Score, score_models
 
 
@@ -35,37 +35,20 @@ _ORDER = ("lens", "board", "table", "axis", "sheet")
 _REPEATED = 0.05
 
 
-class ModelTest(NamedTuple):
-    """Whether one model leaves structure in the residuals."""
+class Finding(NamedTuple):
+    """A test, and the remedy that it sees."""
 
-    name: str
-    statistic: float
-    """With the detector's sigmas."""
-    dof: int
-    p: float
-    """Probability of more by chance, if the detector's sigmas are right."""
-    p_structure: float
-    """The same, with the noise that was estimated: structure alone."""
+    test: ModelTest
     shift: np.ndarray | None = None
     """How far the shared unknowns would go [scaled units], to first order, if the model had the
     terms that it lacks; None where the test does not know."""
 
 
-ACCEPTED_P = 0.01
-"""Chance of refusing good data, all tests together."""
-
-
-def chance(p: Sequence[float]) -> float:
-    """Probability that chance alone gives one of several tests a p as small as the smallest (Bonferroni's bound)."""
-    return min(1.0, len(p) * min(p)) if p else 1.0
-
-
-def judge(result: Adjustment, data: Prepared, settings: CalibrationSettings) -> list[ModelTest]:
+def judge(result: Adjustment, settings: CalibrationSettings) -> list[Finding]:
     """Test the models of a finished solve; call in 64 bit.
 
     Args:
-        result: Of `adjust`.
-        data: What was solved from.
+        result: Of `adjust`, converged.
         settings: Of the solve.
 
     Returns:
@@ -74,10 +57,10 @@ def judge(result: Adjustment, data: Prepared, settings: CalibrationSettings) -> 
     """
     corner_noise, stripe_noise = result.corner_noise, result.stripe_noise
     problem = result.problem
-    scores = score_models(problem, result.linearised, extents_of(data))
+    scores = score_models(problem, result.linearised, extents_of(result.data))
     noise = {**dict.fromkeys(_ORDER, corner_noise), "sheet": stripe_noise}
-    tests = []
-    repeated = _repeated_views(problem, result.view_keep & data.usable)
+    findings = []
+    repeated = _repeated_views(problem, result.view_kept & result.data.usable)
     angle_statistic, angle_dof = 0.0, 0
     for name in (name for name in _ORDER if name in scores):
         score = scores[name]
@@ -87,7 +70,7 @@ def judge(result: Adjustment, data: Prepared, settings: CalibrationSettings) -> 
         if name == "lens":
             radial = _statistic(scores["radial"], _RADIAL_IMITATED)
             whole = _tested(name, statistic, dof, shift, noise)
-            tests.append(_likelier_failure(whole, _tested(name, *radial, noise)))
+            findings.append(_likelier_failure(whole, _tested(name, *radial, noise)))
             continue
         if name == "table":
             angle_statistic, angle_dof = statistic, dof
@@ -95,26 +78,27 @@ def judge(result: Adjustment, data: Prepared, settings: CalibrationSettings) -> 
             # Beyond what a wrong angle at every stop would explain.
             statistic, dof = max(statistic - angle_statistic, 0.0), dof - angle_dof
         if dof > 0:
-            tests.append(_tested(name, statistic, dof, shift, noise))
-    halves = compare_halves(result, data, settings, (1.0, 1.0))
+            findings.append(_tested(name, statistic, dof, shift, noise))
+    halves = compare_halves(result, settings, (1.0, 1.0))
     if halves is not None:
         given = halves
         if max(abs(corner_noise - 1.0), abs(stripe_noise - 1.0)) > _REPEATED:
             # Weights that promise what the detector promised.
-            given = compare_halves(result, data, settings, (corner_noise, stripe_noise)) or halves
-        tests.append(ModelTest("halves", given[0], given[1], _p_value(*given), _p_value(*halves)))
-    return tests
+            given = compare_halves(result, settings, (corner_noise, stripe_noise)) or halves
+        findings.append(Finding(ModelTest("halves", *given, _p_value(*given), _p_value(*halves))))
+    return findings
 
 
-def _tested(name: str, statistic: float, dof: int, shift: np.ndarray, noise: dict[str, float]) -> ModelTest:
+def _tested(name: str, statistic: float, dof: int, shift: np.ndarray, noise: dict[str, float]) -> Finding:
     given = statistic * noise[name] ** 2
-    return ModelTest(name, given, dof, _p_value(given, dof), _p_value(statistic, dof), shift)
+    return Finding(ModelTest(name, given, dof, _p_value(given, dof), _p_value(statistic, dof)), shift)
 
 
-def _likelier_failure(one: ModelTest, other: ModelTest) -> ModelTest:
+def _likelier_failure(one: Finding, other: Finding) -> Finding:
     """Of two tests of the same model the one that fails, if any; two chances of chance count."""
-    worse = one if one.p_structure <= other.p_structure else other
-    return worse._replace(p=min(1.0, 2.0 * worse.p), p_structure=min(1.0, 2.0 * worse.p_structure))
+    test, shift = one if one.test.p_structure <= other.test.p_structure else other
+    doubled = replace(test, p=min(1.0, 2.0 * test.p), p_structure=min(1.0, 2.0 * test.p_structure))
+    return Finding(doubled, shift)
 
 
 def _p_value(statistic: float, dof: int) -> float:

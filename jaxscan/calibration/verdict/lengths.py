@@ -1,22 +1,19 @@
-"""What a calibration's covariance means in millimetres: depths, points and lengths, free of any gauge.
+"""A calibration's covariance in millimetres: depths, points and lengths, free of any gauge.
 
-Standard deviations of parameters say little: they are strongly correlated, and where the frame
-lies is nobody's concern. So everything here is a length between points that were scanned, or a
+Standard deviations of parameters say little: they are strongly correlated, and the place of the
+frame does not matter. So everything here is a length between points that were scanned, or a
 distance from the camera, at fixed pixels and table angles.
-
-Nothing is differentiated: the same points are scanned again with the calibration moved one
-standard deviation either way along each of its independent directions.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from jaxscan.calibration.verdict.lit import Lit, bare, lit_lines
-from jaxscan.geometry import Array, Scanner
-from jaxscan.geometry.rigid import transform
+from jaxscan.calibration.verdict.lit import Lit, lit_lines
+from jaxscan.calibration.verdict.propagate import change, no_steps, scan_points, sigma_of, sigma_steps
+from jaxscan.calibration.verdict.quality import DepthSigma, LaserLengths, Lengths, LengthSigma
+from jaxscan.geometry import Scanner
 
 
 DEPTHS_M = (0.1, 0.15, 0.25, 0.4, 0.6, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 15.0, 25.0)
@@ -34,7 +31,6 @@ _OBJECT_SHARE = 0.15
 _LINES = 64
 _TURN_LINES = 8
 _TURN_STOPS = 24
-_BLOCK = 512
 
 
 class Length(NamedTuple):
@@ -51,8 +47,8 @@ class Length(NamedTuple):
     """Table angles of the two points [2], rad."""
 
 
-def predict_lengths(scanner: Scanner) -> dict[str, Any]:
-    r"""Standard deviations that the calibration causes in what people measure, ready for JSON.
+def predict_lengths(scanner: Scanner) -> Lengths:
+    r"""Standard deviations that the calibration causes in lengths that people measure.
 
     With the covariance $C = L L^T$ and $l_k$ the columns of $L$, the variance of a length $f$ is
     $\sum_k [(f(+l_k) - f(-l_k)) / 2]^2$, every point at its fixed pixel and angle: to first order
@@ -62,33 +58,26 @@ def predict_lengths(scanner: Scanner) -> dict[str, Any]:
         scanner: With its covariance.
 
     Returns:
-        `lasers`: for every laser its `name` and
-        `depths`: at each `depth_m` that the rig reaches, root mean squares over the `lines` of
-        the image (rows, or columns where the stripe runs along them) on which that depth is seen:
-        `sigma_depth_mm` of the depth z and `sigma_range_mm` of the distance from the camera
-        centre; and `sigma_point_mm`, the distance of points of one full turn at that depth from
-        where they should be, after the best rigid motion of them all;
-        `lengths`: `name`, `depth_m`, `length_m`, `sigma_mm` of each of `typical_lengths`.
-        Depths out of reach or out of the image are left out, so lists may be empty.
+        For every laser the depths that the rig reaches, and its `typical_lengths`; those out of
+        reach or out of the image are left out, so both may be empty.
 
     Raises:
         ValueError: If the scanner has no covariance.
 
     Source: mrcal's projection uncertainty, carried over to lengths; ASTM E3125 for the choice.
     """
-    steps = _steps(scanner)
+    steps = sigma_steps(scanner)
     lasers = []
     for index, name in enumerate(scanner.laser_names):
         reached = lit_in_reach(scanner, index)
         lengths = _typical(scanner, index, reached)
-        lasers.append(
-            {
-                "name": name,
-                "depths": _at_depths(scanner, index, reached, steps),
-                "lengths": _described(scanner, lengths, steps),
-            }
+        values = _lengths(scanner, lengths, steps)
+        described = tuple(
+            LengthSigma(length.name, length.depth, float(value), 1000.0 * float(sigma))
+            for length, value, sigma in zip(lengths, values[0], sigma_of(values), strict=True)
         )
-    return {"lasers": lasers}
+        lasers.append(LaserLengths(name, _at_depths(scanner, index, reached, steps), described))
+    return Lengths(tuple(lasers))
 
 
 def lit_in_reach(scanner: Scanner, laser: int) -> list[Lit]:
@@ -119,7 +108,7 @@ def stripe_pixels(scanner: Scanner, laser: int, depth: float) -> Float[np.ndarra
 
 def stripe_depths(scanner: Scanner, laser: int, q: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
     """Depth z in the camera frame of stripe points seen at pixels `q` [m]."""
-    return _scanned(scanner, _no_steps(scanner), q, laser)[0, :, 2]
+    return scan_points(scanner, no_steps(scanner), q, laser)[0, :, 2]
 
 
 def depth_sigma(scanner: Scanner, laser: int, q: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
@@ -128,7 +117,7 @@ def depth_sigma(scanner: Scanner, laser: int, q: Float[np.ndarray, "points 2"]) 
     Raises:
         ValueError: If the scanner has no covariance.
     """
-    return _sigma(_scanned(scanner, _steps(scanner), q, laser)[..., 2])
+    return sigma_of(scan_points(scanner, sigma_steps(scanner), q, laser)[..., 2])
 
 
 def typical_lengths(scanner: Scanner, laser: int) -> list[Length]:
@@ -143,7 +132,7 @@ def typical_lengths(scanner: Scanner, laser: int) -> list[Length]:
 
 def measure_lengths(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, " lengths"]:
     """The lengths as this scanner measures them at their pixels and angles [m]."""
-    return _lengths(scanner, lengths, _no_steps(scanner))[0]
+    return _lengths(scanner, lengths, no_steps(scanner))[0]
 
 
 def length_changes(
@@ -154,7 +143,7 @@ def length_changes(
     Raises:
         ValueError: If there are more than two steps a parameter.
     """
-    padded = _no_steps(scanner)
+    padded = no_steps(scanner)
     if len(steps) >= len(padded):
         raise ValueError(f"{len(steps)} steps are more than {len(padded) - 1}.")
     padded[1 : 1 + len(steps)] = steps
@@ -168,7 +157,7 @@ def length_sigma(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, "
     Raises:
         ValueError: If the scanner has no covariance.
     """
-    return _sigma(_lengths(scanner, lengths, _steps(scanner)))
+    return sigma_of(_lengths(scanner, lengths, sigma_steps(scanner)))
 
 
 def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
@@ -188,24 +177,16 @@ def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
     return [length for length in found if length is not None]
 
 
-def _described(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> list[dict[str, Any]]:
-    values = _lengths(scanner, lengths, steps)
-    return [
-        {"name": length.name, "depth_m": length.depth, "length_m": float(value), "sigma_mm": 1000.0 * float(sigma)}
-        for length, value, sigma in zip(lengths, values[0], _sigma(values), strict=True)
-    ]
-
-
 def _lengths(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> np.ndarray:
     """[steps, lengths], metres."""
     if not lengths:
         return np.zeros((len(steps), 0))
     q, angle = (np.concatenate([getattr(length, name) for length in lengths]) for name in ("q", "angle"))
-    p = _scanned(scanner, steps, q, np.repeat([length.laser for length in lengths], 2), angle)
+    p = scan_points(scanner, steps, q, np.repeat([length.laser for length in lengths], 2), angle)
     return np.linalg.norm(p[:, 1::2] - p[:, 0::2], axis=-1)
 
 
-def _at_depths(scanner: Scanner, laser: int, reached: list[Lit], steps: np.ndarray) -> list[dict[str, Any]]:
+def _at_depths(scanner: Scanner, laser: int, reached: list[Lit], steps: np.ndarray) -> tuple[DepthSigma, ...]:
     lines = [_some(lit.q, _LINES) for lit in reached]
     turned = [_some(lit.q, _TURN_LINES) for lit in reached]
     stops = 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
@@ -214,19 +195,19 @@ def _at_depths(scanner: Scanner, laser: int, reached: list[Lit], steps: np.ndarr
         part for one, other in zip(lines, turned, strict=True) for part in (0.0 * one[:, 0], stops.repeat(len(other)))
     ]
     if not q:
-        return []
-    p = _scanned(scanner, steps, np.concatenate(q), laser, np.concatenate(angle))
+        return ()
+    p = scan_points(scanner, steps, np.concatenate(q), laser, np.concatenate(angle))
     parts = np.split(p, np.cumsum([len(part) for part in q])[:-1], axis=1)
-    return [
-        {
-            "depth_m": lit.depth,
-            "lines": len(lit.q),
-            "sigma_depth_mm": 1000.0 * _rms(_sigma(still[..., 2])),
-            "sigma_range_mm": 1000.0 * _rms(_sigma(np.linalg.norm(still, axis=-1))),
-            "sigma_point_mm": 1000.0 * _shape_sigma(turning),
-        }
+    return tuple(
+        DepthSigma(
+            depth_m=lit.depth,
+            lines=len(lit.q),
+            sigma_depth_mm=1000.0 * _rms(sigma_of(still[..., 2])),
+            sigma_range_mm=1000.0 * _rms(sigma_of(np.linalg.norm(still, axis=-1))),
+            sigma_point_mm=1000.0 * _shape_sigma(turning),
+        )
         for lit, still, turning in zip(reached, parts[0::2], parts[1::2], strict=True)
-    ]
+    )
 
 
 def _shape_sigma(p: np.ndarray) -> float:
@@ -235,9 +216,9 @@ def _shape_sigma(p: np.ndarray) -> float:
     turns = np.stack([np.cross(axis, arm).ravel() for axis in np.eye(3)], axis=-1)
     shifts = np.tile(np.eye(3), (len(arm), 1))
     motions, _ = np.linalg.qr(np.concatenate([shifts, turns], axis=-1))
-    change = _change(p).reshape(len(p) // 2, -1)
-    change = change - (change @ motions) @ motions.T
-    return float(np.sqrt(np.sum(change**2) / len(arm)))
+    moved = change(p).reshape(len(p) // 2, -1)
+    moved = moved - (moved @ motions) @ motions.T
+    return float(np.sqrt(np.sum(moved**2) / len(arm)))
 
 
 def _along_stripe(laser: int, lit: Lit, length: float) -> Length | None:
@@ -254,7 +235,7 @@ def _along_stripe(laser: int, lit: Lit, length: float) -> Length | None:
 def _across_sweep(scanner: Scanner, laser: int, lit: Lit, length: float) -> Length | None:
     """The middle of the stripe, turned so far that the point moves by the length."""
     table = scanner.turntable
-    point = _scanned(scanner, _no_steps(scanner), lit.middle()[None], laser)[0, 0]
+    point = scan_points(scanner, no_steps(scanner), lit.middle()[None], laser)[0, 0]
     radius = float(np.linalg.norm(np.cross(np.asarray(table.direction), point - np.asarray(table.point))))
     if length > 2.0 * radius:
         return None
@@ -268,67 +249,9 @@ def _half_turn(laser: int, lit: Lit) -> Length | None:
     return Length("half a turn", lit.depth, laser, np.tile(lit.middle(), (2, 1)), np.array([0.0, np.pi]))
 
 
-def _steps(scanner: Scanner) -> np.ndarray:
-    """No step, then one standard deviation forth along each independent direction, then back."""
-    if scanner.covariance is None:
-        raise ValueError("The scanner has no covariance, so nothing can be said about its lengths.")
-    covariance = np.asarray(scanner.covariance, np.float64)
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    # Pixels and radians differ by a million: in units of sigma all directions are of one size.
-    unit = np.where(sigma > 0, sigma, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
-    forth = (unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))).T
-    return np.concatenate([np.zeros((1, len(sigma))), forth, -forth])
-
-
-def _no_steps(scanner: Scanner) -> np.ndarray:
-    # As many as `_steps` has: then both are one compilation.
-    return np.zeros((1 + 2 * len(scanner.parameter_names()), len(scanner.parameter_names())))
-
-
-def _change(values: np.ndarray) -> np.ndarray:
-    """Half of what a quantity [steps, ...] changes from back to forth, for each direction."""
-    count = len(values) // 2
-    return (values[1 : 1 + count] - values[1 + count :]) / 2.0
-
-
-def _sigma(values: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.sum(_change(values) ** 2, axis=0))
-
-
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _some(values: np.ndarray, count: int) -> np.ndarray:
     return values[np.unique(np.linspace(0, len(values) - 1, count).round().astype(int))]
-
-
-def _scanned(
-    scanner: Scanner, steps: np.ndarray, q: np.ndarray, laser: np.ndarray | int, angle: np.ndarray | float = 0.0
-) -> np.ndarray:
-    """Points in the camera frame at angle 0, with the scanner moved by each step [steps, points, 3]."""
-    laser = np.broadcast_to(np.asarray(laser, np.int32), len(q))
-    angle = np.broadcast_to(np.asarray(angle, np.float64), len(q))
-    # Padded, so that one compilation serves all.
-    index = np.resize(np.arange(len(q)), -(-len(q) // _BLOCK) * _BLOCK)
-    with jax.enable_x64(True):
-        parts = [_scan(bare(scanner), steps, q[i], laser[i], angle[i]) for i in index.reshape(-1, _BLOCK)]
-        return np.concatenate([np.asarray(part) for part in parts], axis=1)[:, : len(q)]
-
-
-@jax.jit
-def _scan(
-    scanner: Scanner,
-    steps: Float[Array, "steps params"],
-    q: Float[Array, "n 2"],
-    laser: Int[Array, " n"],
-    angle: Float[Array, " n"],
-) -> Float[Array, "steps n 3"]:
-    def one(scanner, q, laser, phi):
-        ray = scanner.camera.unproject(q)
-        range_m, _ = scanner.laser(laser).intersect(ray)
-        return transform(scanner.turntable.motion(phi), range_m * ray)
-
-    every = jax.vmap(one, in_axes=(None, 0, 0, 0))
-    return jax.lax.map(lambda step: every(scanner.retract(step), q, laser, angle), steps)

@@ -1,130 +1,206 @@
-"""Numbers by which to judge a calibration."""
+"""Numbers by which to judge a calibration, from the solve to the report and to JSON.
 
-from typing import Any
+Fields have the names of the keys in files. None means that a file does not say.
+"""
 
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from jaxscan.calibration.observations import Observations
-from jaxscan.calibration.parameters import ANGLE_PARAMETERS
-from jaxscan.calibration.solve.adjust import Adjustment
-from jaxscan.calibration.solve.covariance import Determination
-from jaxscan.calibration.solve.prepare import Prepared
+from jaxscan.calibration.verdict.limits import ACCEPTED_P, Result, chance, result_of_test
 
 
-# More than this is worth a word in the report: the priors should only hold what nothing else does.
-_PRIOR_COST_WARNING = 0.01
-_REJECTED_WARNING = 0.03
-# A view whose corners, rejected ones included, are this many times as far off as usual is named.
-_ODD_VIEW = 4.0
+@dataclass(frozen=True)
+class ModelTest:
+    """Whether one model leaves structure in the residuals."""
+
+    name: str
+    """"lens", "board", "table", "axis", "sheet" or "halves"."""
+    statistic: float
+    """With the sigmas that the detectors promise."""
+    dof: int
+    p: float
+    """Probability of more by chance, if the promised sigmas are right."""
+    p_structure: float
+    """The same with the noise that was estimated, so that structure alone counts."""
+    effect_mm: float | None = None
+    """How far the typical length that suffers most would go if the model had what it lacks [mm]."""
+    effect_sigma: float | None = None
+    """The same over the standard deviation that the calibration causes in that length [1]."""
 
 
-def describe_quality(
-    result: Adjustment,
-    determination: Determination,
-    observations: Observations,
-    data: Prepared,
-    names: tuple[str, ...],
-) -> dict[str, Any]:
-    """The `quality` of a calibration; see `calibrate_observations`."""
-    distance = np.linalg.norm(result.corner_error, axis=-1)
-    corners, stripes = int(data.corner_valid.sum()), int(data.stripe_valid.sum())
-    kept, kept_stripes = int(result.corner_keep.sum()), int(result.stripe_keep.sum())
-    dropped = np.asarray(observations.corners.record)[np.flatnonzero(data.usable & ~result.view_keep)]
-    prior = np.asarray(result.linearised.prior_residual)
-    corner_cost = np.sum(np.square(result.corner_error / result.corner_sigma[..., None])[result.corner_keep])
-    stripe_cost = np.sum(np.square(result.stripe_error / result.stripe_sigma)[result.stripe_keep])
-    cost = float(np.sum(prior**2) + corner_cost + stripe_cost / result.stripe_correlation)
-    prior_cost = float(np.sum(prior**2)) / max(cost, 1e-300)
-    sigma = np.sqrt(np.diag(determination.covariance))
-    quality: dict[str, Any] = {
-        "corner_rms_px": _rms(distance[result.corner_keep]),
-        "corner_rms_all_px": _rms(distance[data.corner_valid]),
-        "stripe_rms_px": _rms(result.stripe_error[result.stripe_keep]),
-        "corner_rms_whitened": result.corner_rms,
-        "stripe_rms_whitened": result.stripe_rms,
-        "corner_noise_over_sigma": result.corner_noise,
-        "stripe_noise_over_sigma": result.stripe_noise,
-        "stripe_correlation": result.stripe_correlation,
-        "views": int(data.usable.sum()),
-        "views_without_board": int(len(np.asarray(observations.corners.angle)) - data.usable.sum()),
-        "views_dropped": [int(record) for record in dropped],
-        "placements": len(np.unique(data.placement[data.usable])),
-        "corners": corners,
-        "corners_rejected": corners - kept,
-        "stripe_points": stripes,
-        "stripe_points_rejected": stripes - kept_stripes,
-        "per_view": _per_view(result, observations, data, distance),
-        "condition": determination.condition,
-        "unobserved": determination.unobserved,
-        "spectrum": determination.spectrum,
-        "prior_share": {"cost": prior_cost, "information": determination.prior_share},
-        "prior_residuals": _prior_residuals(prior, names),
-        "board_warp_m": [float(value) for value in result.problem.shape[:2]],
-        "board_warp_sigma_m": [float(value) for value in sigma[-3:-1]],
-        "board_pitch": float(result.problem.shape[2]),
-        "board_pitch_sigma": float(sigma[-1]),
-        "steps": result.steps,
-    }
-    quality["warnings"] = _warnings(quality)
-    return quality
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the models suffice for the data."""
+
+    accepted: bool
+    """True where no test finds structure; never of a solve that did not converge."""
+    p: float | None = None
+    """Probability that chance alone gives so small a p in one of the tests."""
+    p_structure: float | None = None
+    """The same of the tests' `p_structure`."""
+    tests: tuple[ModelTest, ...] = ()
+    advice: tuple[str, ...] = ()
+    """What to capture next, the most needed first."""
+
+    def result(self, test: ModelTest) -> Result:
+        """How one of the tests ended."""
+        return result_of_test(test.p, test.p_structure, len(self.tests))
 
 
-def _per_view(
-    result: Adjustment, observations: Observations, data: Prepared, distance: np.ndarray
-) -> list[dict[str, float | int]]:
-    records = np.asarray(observations.corners.record)
-    depth = np.asarray(result.linearised.view_poses)[:, 2, 3]
-    views = []
-    for view in np.flatnonzero(data.usable):
-        seen = data.corner_valid[view]
-        rows = data.stripe_view == view
-        points = result.stripe_keep & rows[:, None]
-        views.append(
-            {
-                "record": int(records[view]),
-                "corners": int(seen.sum()),
-                "dropped": not bool(result.view_keep[view]),
-                "corners_rejected": int((seen & ~result.corner_keep[view]).sum()),
-                "corner_rms_px": _rms(distance[view, seen]),
-                "stripe_points": int(points.sum()),
-                "stripe_rms_px": _rms(result.stripe_error[points]),
-                "board_z_m": float(depth[view]),
-            }
-        )
-    return views
+def reach_verdict(tests: Sequence[ModelTest], advice: Sequence[str]) -> Verdict:
+    """The verdict that follows from the tests of a solve that converged."""
+    structure = chance([test.p_structure for test in tests])
+    return Verdict(structure > ACCEPTED_P, chance([test.p for test in tests]), structure, tuple(tests), tuple(advice))
 
 
-def _prior_residuals(prior: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
+@dataclass(frozen=True)
+class ViewQuality:
+    """One view: a record in which a board was found."""
+
+    record: int
+    """The record's own number; those of several captures may be the same."""
+    corners: int = 0
+    dropped: bool = False
+    """Left out as a whole."""
+    corners_rejected: int = 0
+    corner_rms_px: float | None = None
+    """Of all corners, rejected ones too."""
+    stripe_points: int = 0
+    stripe_rms_px: float | None = None
+    board_z_m: float | None = None
+    """Depth of the board's origin in the camera frame [m]."""
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One independent direction of the unknowns that priors speak of."""
+
+    sigma_over_prior: float
+    """Standard deviation along it over that of its prior [1]."""
+    direction: dict[str, float]
+    """Its largest components by name, in units of the standard deviations."""
+
+
+@dataclass(frozen=True)
+class PriorShare:
+    """How much of the result is the priors' own."""
+
+    cost: float
+    """Share of the cost [1]."""
+    information: float
+    """Largest share of the information in any one direction [1]."""
+
+
+@dataclass(frozen=True)
+class DepthSigma:
+    """Standard deviations that the calibration causes at one depth, root mean square over lines."""
+
+    depth_m: float
+    lines: int
+    """Lines of the image (rows, or columns where the stripe runs along them) on which that depth is seen."""
+    sigma_depth_mm: float
+    """Of the depth z."""
+    sigma_range_mm: float
+    """Of the distance from the camera's centre."""
+    sigma_point_mm: float
+    """Distance of the points of one full turn from where they should be, after the best rigid motion of them all."""
+
+
+@dataclass(frozen=True)
+class LengthSigma:
+    """Standard deviation that the calibration causes in one length."""
+
+    name: str
+    """"along the stripe", "across the sweep" or "half a turn"."""
+    depth_m: float
+    length_m: float
+    sigma_mm: float
+
+
+@dataclass(frozen=True)
+class LaserLengths:
+    """Predictions for one laser; empty where nothing is in reach or in the image."""
+
+    name: str
+    depths: tuple[DepthSigma, ...] = ()
+    lengths: tuple[LengthSigma, ...] = ()
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """What the covariance means in lengths that people measure."""
+
+    lasers: tuple[LaserLengths, ...] = ()
+
+
+@dataclass(frozen=True)
+class SecondLook:
+    """Gains of a second look at the images, with the geometry known."""
+
+    kept: bool
+    """False where it explained the images worse than the first."""
+    views_gained: int | None = None
+    corners_gained: int | None = None
+    stripe_points_gained: int | None = None
+    corner_rms_whitened_before: float | None = None
+    stripe_rms_whitened_before: float | None = None
+    corner_rms_whitened_after: float | None = None
+    stripe_rms_whitened_after: float | None = None
+
+
+@dataclass(frozen=True)
+class Quality:
+    """All of it."""
+
+    converged: bool | None = None
+    """Whether the last solve reached its minimum; where it did not, no other number means anything."""
+    corner_rms_px: float | None = None
+    """Root mean square corner distance of the corners in the solve, as `cv2.calibrateCamera` counts it."""
+    corner_rms_all_px: float | None = None
+    """With the rejected ones."""
+    stripe_rms_px: float | None = None
+    corner_rms_whitened: float | None = None
+    """In units of the promised sigmas, per degree of freedom [1]."""
+    stripe_rms_whitened: float | None = None
+    corner_noise_over_sigma: float | None = None
+    """Estimated noise over the promised sigmas [1]."""
+    stripe_noise_over_sigma: float | None = None
+    stripe_correlation: float | None = None
+    """Neighbouring stripe points that share one error [1]."""
+    views: int | None = None
+    views_without_board: int | None = None
+    views_dropped: tuple[int, ...] = ()
+    """Records of the views that were left out as a whole."""
+    placements: int | None = None
+    corners: int | None = None
+    corners_rejected: int | None = None
+    stripe_points: int | None = None
+    stripe_points_rejected: int | None = None
+    per_view: tuple[ViewQuality, ...] = ()
+    condition: float | None = None
+    """Condition number of the information scaled to a unit diagonal."""
+    unobserved: tuple[dict[str, float], ...] = ()
+    """Directions that the priors know better than the data, as components by name."""
+    spectrum: tuple[Direction, ...] = ()
+    """The directions that priors speak of, those of which the data say least first."""
+    prior_share: PriorShare | None = None
+    prior_residuals: dict[str, float] | None = None
     """Departure of each prior's parameter in units of the prior's standard deviation."""
-    return {
-        "fx/fy" if name == "fx" else name: float(value) for name, value in zip(names, prior, strict=True) if value != 0
-    }
+    board_warp_m: tuple[float, float] | None = None
+    board_warp_sigma_m: tuple[float, float] | None = None
+    board_pitch: float | None = None
+    board_pitch_sigma: float | None = None
+    steps: int | None = None
+    """Of the solver, in all its rounds."""
+    warnings: tuple[str, ...] = ()
+    lengths: Lengths | None = None
+    """None where nobody has predicted them (`CalibrationSettings.judge`, a camera alone)."""
+    verdict: Verdict | None = None
+    """None where nobody has judged."""
+    seconds: float | None = None
+    """Time of the solve [s]."""
+    redetected: SecondLook | None = None
 
-
-def _warnings(quality: dict[str, Any]) -> list[str]:
-    warnings = []
-    if quality["prior_share"]["cost"] > _PRIOR_COST_WARNING:
-        warnings.append(f"priors carry {100 * quality['prior_share']['cost']:.1f} % of the cost")
-    for group in ("corners", "stripe_points"):
-        if quality[f"{group}_rejected"] > _REJECTED_WARNING * max(quality[group], 1):
-            share = 100 * quality[f"{group}_rejected"] / quality[group]
-            warnings.append(f"{share:.1f} % of the {group.replace('_', ' ')} were rejected")
-    # Records of several captures may have the same number, so views are gone through one by one.
-    others = float(np.median([view["corner_rms_px"] for view in quality["per_view"]])) if quality["per_view"] else 0.0
-    for view in quality["per_view"]:
-        record, value = view["record"], view["corner_rms_px"]
-        if view["dropped"]:
-            warnings.append(
-                f"record {record} was left out: its corners are {value:.2f} px off and disagree with all other views"
-            )
-        elif value > _ODD_VIEW * others:
-            warnings.append(f"record {record}: its corners are {value:.2f} px off, those of other views {others:.2f}")
-    for direction in quality["unobserved"]:
-        # The table's own angle errors are meant to be held by what is known of tables.
-        if not set(direction) & set(ANGLE_PARAMETERS):
-            warnings.append(f"held by priors rather than by data: {', '.join(direction)}")
-    return warnings
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0
+    def lasers(self) -> tuple[LaserLengths, ...]:
+        """Predicted lengths of each laser; empty where there are none."""
+        return () if self.lengths is None else self.lengths.lasers

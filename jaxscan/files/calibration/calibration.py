@@ -1,6 +1,5 @@
 """Calibrations on disk: JSON that suffices to reconstruct, the observations in an NPZ beside it."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,17 @@ from jaxscan.files.calibration.observations import (
     read_observations,
     write_observations,
 )
-from jaxscan.files.disk.atomic import check_writable, write_atomically
-from jaxscan.files.disk.bounded import MEGABYTE, file_digest, parse_json, read_bounded
-from jaxscan.files.disk.readable_json import readable_json
-from jaxscan.files.disk.validation import check
+from jaxscan.files.calibration.quality import finite, quality_table, read_quality
+from jaxscan.files.disk import (
+    MEGABYTE,
+    check,
+    check_writable,
+    file_digest,
+    parse_json,
+    read_bounded,
+    readable_json,
+    write_atomically,
+)
 from jaxscan.geometry import LaserSheet, Scanner, Turntable, stack_lasers
 
 
@@ -89,7 +95,7 @@ def load_calibration(path: str | Path) -> Calibration:
         scanner=scanner,
         order=() if table.covariance is None else table.covariance.order,
         covariance=np.zeros((0, 0)) if covariance is None else covariance,
-        quality=table.quality,
+        quality=read_quality(table.quality),
         observations=observations,
         provenance=table.provenance,
     )
@@ -115,6 +121,18 @@ def load_scanner(path: str | Path) -> Scanner:
             f"calibrate with a capture that has laser images at several table angles."
         )
     return _scanner(table)
+
+
+def calibration_notes(path: str | Path) -> list[str]:
+    """Remarks on a calibration file for those who use its scanner.
+
+    Raises:
+        CalibrationError: If the file is missing or wrong.
+    """
+    path = Path(path)
+    if read_quality(_read(path).quality).converged is False:
+        return [f"{path}: its solve did not converge, so points and their sigmas may be wrong; calibrate again."]
+    return []
 
 
 def calibration_digest(path: str | Path) -> str:
@@ -189,14 +207,12 @@ def _tables(calibration: Calibration) -> dict[str, Any]:
             "harmonics": _double(scanner.turntable.harmonics),
             "basis": _double(scanner.turntable.basis),
         }
-    tables["quality"] = _finite(calibration.quality)
-    tables["provenance"] = _finite(calibration.provenance)
+    tables["quality"] = quality_table(calibration.quality)
+    tables["provenance"] = finite(calibration.provenance)
     if len(calibration.order) > 0:
-        # The solver leaves its own scale among the qualities, where it applied one.
-        scale = calibration.quality.get("covariance_scale", 1.0)
         tables["covariance"] = {
             "order": calibration.order,
-            "scale": scale,
+            "scale": 1.0,
             "matrix": _double(calibration.covariance),
         }
     return tables
@@ -211,17 +227,6 @@ def _laser_table(scanner: Scanner, index: int) -> dict[str, Any]:
         "bow": _double(sheets.bow[index]),
         "basis": _double(sheets.basis[index]),
     }
-
-
-def _finite(value: Any) -> Any:
-    """The same with null for what is not a finite number, which JSON cannot hold (a prior switched off)."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _double(value: Any) -> Any:

@@ -1,0 +1,144 @@
+"""A finished solve made a calibration: covariance, fit, quality and verdict."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from jaxscan.calibration.fit import Fit
+from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_BLOCKS
+from jaxscan.calibration.result import Calibration
+from jaxscan.calibration.settings import CalibrationSettings
+from jaxscan.calibration.solve.adjust import Adjustment, not_converged
+from jaxscan.calibration.solve.assemble import carrying
+from jaxscan.calibration.solve.covariance import Determination, determine
+from jaxscan.calibration.verdict import (
+    ModelTest,
+    Verdict,
+    advise,
+    cures,
+    describe_quality,
+    judge,
+    length_changes,
+    length_sigma,
+    predict_lengths,
+    reach_verdict,
+    typical_lengths,
+    warn,
+)
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import AbstractCamera, Scanner, make_layout
+from jaxscan.observation import Observations
+
+
+def conclude(
+    result: Adjustment, camera: AbstractCamera, observations: Observations, settings: CalibrationSettings
+) -> Calibration:
+    """The calibration that a solve ended with; call in 64 bit.
+
+    Nothing is concluded from a solve that did not converge: no lengths, no tests, no weak directions.
+
+    Args:
+        result: The solve.
+        camera: Its camera, with its size and without coefficients that nobody asked for.
+        observations: As they were given.
+        settings: Of the solve.
+
+    Raises:
+        CalibrationError: If the observations do not determine the parameters; it says what to capture.
+    """
+    problem, table = result.problem, result.problem.turntable
+    lasers = observations.laser_names if table is not None else ()
+    names = make_layout(problem.camera, lasers, turns=table is not None, board=BOARD_BLOCKS).names
+    determination = _determined(result, names)
+    layout = make_layout(camera, lasers, turns=table is not None, board=BOARD_BLOCKS)
+    every, count = layout.names, layout.board.start
+    kept = np.array([names.index(name) for name in every])
+    turned = -1.0 if observations.carries == "object" else 1.0
+    sign = np.array([turned if name in ANGLE_PARAMETERS else 1.0 for name in every])
+    covariance = determination.covariance[np.ix_(kept, kept)] * np.outer(sign, sign)
+    own = np.ascontiguousarray(covariance[:count, :count])
+    scanner = None
+    if table is not None:
+        turntable = carrying(table, observations.carries)
+        scanner = Scanner(camera, problem.lasers, turntable, own, lasers, observations.up)
+    quality = describe_quality(result, determination, observations, names)
+    if not result.converged:
+        refused = Verdict(accepted=False, advice=(not_converged(settings),))
+        quality = replace(quality, unobserved=(), spectrum=(), verdict=refused)
+    else:
+        quality = replace(quality, warnings=warn(quality))
+        if settings.judge:
+            findings = judge(result, settings)
+            units = sign * np.asarray(problem.scales)[kept]
+            steps = [None if shift is None else (units * shift[kept])[:count] for _, shift in findings]
+            tests = _with_effects([test for test, _ in findings], steps, scanner)
+            quality = replace(
+                quality,
+                lengths=None if scanner is None else predict_lengths(scanner),
+                verdict=reach_verdict(tests, advise(result, quality.unobserved)),
+            )
+    return Calibration(
+        camera=camera,
+        scanner=scanner,
+        order=every[:count],
+        covariance=own,
+        quality=quality,
+        observations=observations,
+        provenance={"settings": asdict(settings)},
+        fit=_fit(result, observations, covariance),
+    )
+
+
+def _determined(result: Adjustment, names: tuple[str, ...]) -> Determination:
+    found = determine(result.linearised, np.asarray(result.problem.scales), names)
+    if isinstance(found, Determination):
+        return found
+    # This holds wherever a solve stopped; it is even why one does not converge.
+    wanted = "; ".join(cures([found])) or "boards tilted by 20 to 45 degrees all over the image"
+    raise CalibrationError(
+        f"The observations say nothing about a combination of {', '.join(found)}: capture {wanted}, or hold "
+        "parameters that are not needed (`free`)."
+    )
+
+
+def _with_effects(
+    tests: list[ModelTest], steps: list[np.ndarray | None], scanner: Scanner | None
+) -> tuple[ModelTest, ...]:
+    """The tests, each with the change of typical lengths if its model had the terms that it lacks."""
+    if scanner is None:
+        return tuple(tests)
+    lengths = [length for laser in range(len(scanner.laser_names)) for length in typical_lengths(scanner, laser)]
+    known = [index for index, step in enumerate(steps) if step is not None]
+    if lengths and known:
+        change = length_changes(scanner, lengths, np.array([steps[index] for index in known]))
+        sigma = length_sigma(scanner, lengths)
+        share = np.abs(change) / np.where(sigma > 0, sigma, np.inf)
+        for row, index in enumerate(known):
+            worst = int(np.argmax(share[row]))
+            effect_mm = 1e3 * float(abs(change[row, worst]))
+            tests[index] = replace(tests[index], effect_mm=effect_mm, effect_sigma=float(share[row, worst]))
+    return tuple(tests)
+
+
+def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray) -> Fit:
+    """Every observation after the solve, without padding."""
+    views, corners = np.shape(observations.corners.valid)
+    stripes, points = np.shape(observations.stripes.valid)
+    corner = lambda values: np.ascontiguousarray(values[:views, :corners])
+    stripe = lambda values: np.ascontiguousarray(values[:stripes, :points])
+    kx, ky, pitch = (float(value) for value in result.problem.shape)
+    leverage = np.asarray(result.linearised.corner_leverage).reshape(result.corner_error.shape)
+    return Fit(
+        pose=np.asarray(result.linearised.view_poses)[:views],
+        warp=np.array([kx, ky]),
+        pitch=pitch,
+        corner_error=corner(result.corner_error),
+        corner_sigma=corner(result.corner_sigma),
+        corner_leverage=corner(leverage),
+        corner_kept=corner(result.corner_kept),
+        stripe_error=stripe(result.stripe_error),
+        stripe_sigma=stripe(result.stripe_sigma),
+        stripe_leverage=stripe(np.asarray(result.linearised.stripe_leverage)),
+        stripe_kept=stripe(result.stripe_kept),
+        covariance=covariance,
+    )

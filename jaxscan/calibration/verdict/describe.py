@@ -1,0 +1,130 @@
+"""Residuals, counts and priors of a finished solve as the numbers by which it is judged."""
+
+import numpy as np
+
+from jaxscan.calibration.parameters import ANGLE_PARAMETERS
+from jaxscan.calibration.solve.adjust import Adjustment
+from jaxscan.calibration.solve.covariance import Determination
+from jaxscan.calibration.verdict import limits
+from jaxscan.calibration.verdict.quality import Direction, PriorShare, Quality, ViewQuality
+from jaxscan.observation import Observations
+
+
+def describe_quality(
+    result: Adjustment, determination: Determination, observations: Observations, names: tuple[str, ...]
+) -> Quality:
+    """The quality of a calibration as far as one solve says it; lengths, verdict and time come later.
+
+    Args:
+        result: The finished solve.
+        determination: How well the shared unknowns are known.
+        observations: As they were given.
+        names: Of the shared unknowns.
+    """
+    data, prior = result.data, np.asarray(result.linearised.prior_residual)
+    corner_rms, stripe_rms = result.whitened_rms()
+    corners, stripes = int(data.corner_valid.sum()), int(data.stripe_valid.sum())
+    distance = np.linalg.norm(result.corner_error, axis=-1)
+    sigma = np.sqrt(np.diag(determination.covariance)).tolist()
+    warp_x, warp_y, pitch = (float(value) for value in result.problem.shape)
+    spectrum = tuple(Direction(*row) for row in determination.spectrum)
+    per_view = _per_view(result, observations, distance)
+    return Quality(
+        converged=result.converged,
+        corner_rms_px=_rms(distance[result.corner_kept]),
+        corner_rms_all_px=_rms(distance[data.corner_valid]),
+        stripe_rms_px=_rms(result.stripe_error[result.stripe_kept]),
+        corner_rms_whitened=corner_rms,
+        stripe_rms_whitened=stripe_rms,
+        corner_noise_over_sigma=result.corner_noise,
+        stripe_noise_over_sigma=result.stripe_noise,
+        stripe_correlation=result.stripe_correlation,
+        views=len(per_view),
+        views_without_board=len(np.asarray(observations.corners.angle)) - len(per_view),
+        views_dropped=tuple(view.record for view in per_view if view.dropped),
+        placements=len(np.unique(data.placement[data.usable])),
+        corners=corners,
+        corners_rejected=corners - int(result.corner_kept.sum()),
+        stripe_points=stripes,
+        stripe_points_rejected=stripes - int(result.stripe_kept.sum()),
+        per_view=per_view,
+        condition=determination.condition,
+        unobserved=tuple(row.direction for row in spectrum if limits.is_held_by_priors(row.sigma_over_prior)),
+        spectrum=spectrum,
+        prior_share=PriorShare(_prior_cost(result, prior), determination.prior_share),
+        prior_residuals={
+            "fx/fy" if name == "fx" else name: float(value)
+            for name, value in zip(names, prior, strict=True)
+            if value != 0
+        },
+        board_warp_m=(warp_x, warp_y),
+        board_warp_sigma_m=(sigma[-3], sigma[-2]),
+        board_pitch=pitch,
+        board_pitch_sigma=sigma[-1],
+        steps=result.steps,
+    )
+
+
+def warn(quality: Quality) -> tuple[str, ...]:
+    """Warnings about the numbers of a solve that converged."""
+    warnings = []
+    if quality.prior_share is not None and limits.too_much_prior(quality.prior_share.cost):
+        warnings.append(f"priors carry {100 * quality.prior_share.cost:.1f} % of the cost")
+    for name, count, rejected in (
+        ("corners", quality.corners or 0, quality.corners_rejected or 0),
+        ("stripe points", quality.stripe_points or 0, quality.stripe_points_rejected or 0),
+    ):
+        if limits.many_rejected(rejected, count):
+            warnings.append(f"{100 * rejected / count:.1f} % of the {name} were rejected")
+    # Records of several captures may have the same number, so views are gone through one by one.
+    sizes = [view.corner_rms_px or 0.0 for view in quality.per_view]
+    usual = float(np.median(sizes)) if sizes else 0.0
+    for view, size in zip(quality.per_view, sizes, strict=True):
+        if view.dropped:
+            warnings.append(
+                f"record {view.record} was left out: its corners are {size:.2f} px off and disagree with all other "
+                "views"
+            )
+        elif limits.is_odd_view(size, usual):
+            warnings.append(
+                f"record {view.record}: its corners are {size:.2f} px off, those of other views {usual:.2f}"
+            )
+    for direction in quality.unobserved:
+        # The table's own angle errors are meant to be held by what is known of tables.
+        if not set(direction) & set(ANGLE_PARAMETERS):
+            warnings.append(f"held by priors rather than by data: {', '.join(direction)}")
+    return tuple(warnings)
+
+
+def _per_view(result: Adjustment, observations: Observations, distance: np.ndarray) -> tuple[ViewQuality, ...]:
+    data, records = result.data, np.asarray(observations.corners.record)
+    depth = np.asarray(result.linearised.view_poses)[:, 2, 3]
+    views = []
+    for view in np.flatnonzero(data.usable):
+        seen = data.corner_valid[view]
+        points = result.stripe_kept & (data.stripe_view == view)[:, None]
+        views.append(
+            ViewQuality(
+                record=int(records[view]),
+                corners=int(seen.sum()),
+                dropped=not bool(result.view_kept[view]),
+                corners_rejected=int((seen & ~result.corner_kept[view]).sum()),
+                corner_rms_px=_rms(distance[view, seen]),
+                stripe_points=int(points.sum()),
+                stripe_rms_px=_rms(result.stripe_error[points]),
+                board_z_m=float(depth[view]),
+            )
+        )
+    return tuple(views)
+
+
+def _prior_cost(result: Adjustment, prior: np.ndarray) -> float:
+    """Share of the priors in the cost."""
+    corner = np.sum(np.square(result.corner_error / result.corner_sigma[..., None])[result.corner_kept])
+    stripe = np.sum(np.square(result.stripe_error / result.stripe_sigma)[result.stripe_kept])
+    own = float(np.sum(prior**2))
+    return own / max(own + float(corner + stripe / result.stripe_correlation), 1e-300)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0
