@@ -60,7 +60,7 @@ def test_errors_are_as_the_covariance_says(world, perfect, calibrated):
     count = int(free.sum())
     assert count - 5 - 3 * np.sqrt(2 * count) < nees < count + 3 * np.sqrt(2 * count)
     # 1 / sqrt(2 n) of the 3000 corner coordinates is 1.3 %; four of them.
-    assert calibrated.quality["corner_rms_whitened"] == pytest.approx(1.0, abs=0.055)
+    assert calibrated.quality.corner_rms_whitened == pytest.approx(1.0, abs=0.055)
     # Corners were seen beside the camera and behind its plane: the radius of 90 degrees.
     xi, alpha = rig.lens
     radius = rig.focal[0] / (alpha * np.sqrt(1 + xi**2) + (1 - alpha) * xi)
@@ -74,6 +74,21 @@ def test_the_other_of_two_similar_lenses_is_told_apart(world):
     camera = calibrate_camera(observed, settings=SETTINGS).camera
     # Sigma of xi is 0.005; the other minimum lies at -0.2.
     assert float(camera.distortion[0]) == pytest.approx(0.29, abs=0.02)
+
+
+def test_points_are_where_ray_and_sheet_meet(world, calibrated):
+    rig, scanner = wide(world), calibrated.scanner
+    # A point of the sheet beside the camera and one behind its plane, at 1.5 m, seen by the plain forward model.
+    n = rig.normal()
+    ahead = np.array([0.0, 0.0, 1.0]) - n[2] * n
+    ahead = ahead / np.linalg.norm(ahead)
+    for tau in np.radians([-98.0, -60.0, 5.0, 70.0, 97.0]):
+        p = rig.distances[0] * n + 1.5 * (np.cos(tau) * ahead + np.sin(tau) * np.cross(n, ahead))
+        q = jnp.asarray(world.project(rig, p[None])[0])
+        range_m, incidence = scanner.laser(0).intersect(scanner.camera.unproject(q))
+        found = np.asarray(range_m * scanner.camera.unproject(q))
+        # 0.1 px of corner noise, well averaged, leave a few tenths of a millimetre per metre and baseline of 0.2 m.
+        assert incidence > 0 and np.linalg.norm(found - p) < 0.015
 
 
 def test_stored_loaded_and_exported(calibrated, tmp_path):
