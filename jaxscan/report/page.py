@@ -21,7 +21,7 @@ def calibration_page(calibration: Calibration, *, notes: tuple[str, ...] = ()) -
     observations, fit = calibration.observations, calibration.fit
     # From a solve that did not converge residuals show where it hangs, but nothing is concluded.
     concluded = calibration.quality.converged is not False
-    parts = [
+    parts: list[Html | None] = [
         _head(calibration),
         *(element("p", note, class_="note") for note in notes),
         _verdict(calibration),
