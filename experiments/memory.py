@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture import open_capture
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.reconstruction import ReconstructSettings, reconstruct
 from jaxscan.vision.images import encode_png

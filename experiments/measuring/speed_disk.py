@@ -20,8 +20,7 @@ from measuring.speed_peers import THREADS, read
 from measuring.speed_times import Watch, summary, take_turns
 from worlds.speed_scene import HEIGHT, WIDTH, Frames, make_scanner
 
-from jaxscan.files.capture.capture import Capture, open_capture
-from jaxscan.files.capture.stripe_cache import cache_path, cached_stripes, frames_key, save_stripes
+from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_key, open_capture, save_stripes
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud, reconstruct
 from jaxscan.reconstruction.reconstruct import extract_sweep

@@ -7,9 +7,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench.camera import RenderedCamera, loopback
 from bench.errors import BenchError
-from bench.rendered import RenderedCamera, loopback
-from bench.rig import SimulatedRig
+from bench.rig import RigOptions, SimulatedRig
 
 
 MICROSTEPS_PER_TURN = 28800
@@ -22,7 +22,7 @@ e, r           press the e-stop, release it
 noise on|off   a bad cable: damaged and lost bytes, both ways
 unplug, plug   pull the cable, plug it in again
 drop N         let the motor lose N steps
-laser good|welded|dead
+laser good|welded|dead, and laser_2 the same
 lose N         let the camera lose its next N frames
 rig …          any other command of simrun, camera … of the camera; see hardware/bench/README.md
 quit           or Ctrl-C"""
@@ -81,7 +81,8 @@ class Desk:
         plant, camera = self.rig.plant(), self.camera.control("state")
         words = [
             f"{360 * plant['pos'] / MICROSTEPS_PER_TURN:8.2f}°",
-            "LASER" if plant["light"] else "laser off",
+            " ".join(name for name, light in (("LASER", "light"), ("LASER 2", "light_2")) if plant[light])
+            or "laser off",
             "armed" if plant["contactor"] else "disarmed",
             *(["E-STOP"] if plant["estop"] else []),
             ("host" if plant["host"] else "no host") if plant["plugged"] else "UNPLUGGED",
@@ -121,7 +122,7 @@ def set_up(folder: Path, *, world: Path, speed: float = 1.0, wait_s: float = 1.0
         stack.enter_context(loopback(timeout_s=wait_s))
         for old in ("edges.jsonl", "frames.jsonl", "eeprom.bin"):
             (folder / old).unlink(missing_ok=True)
-        rig = SimulatedRig(folder, speed=speed, microsteps_per_turn=MICROSTEPS_PER_TURN, apart=True)
+        rig = SimulatedRig(folder, RigOptions(speed=speed, microsteps_per_turn=MICROSTEPS_PER_TURN, apart=True))
         stack.enter_context(rig)
         camera = RenderedCamera(folder, edges=rig.edges_path, world=world, apart=True)
         yield Desk(rig, stack.enter_context(camera))

@@ -5,8 +5,10 @@ from pathlib import Path
 
 
 HERE = Path(__file__).resolve().parent
-WORLD = HERE / "world.toml"
+WORLD = HERE / "camera" / "world.toml"
 """What there is to see."""
+TWO_LASERS = HERE / "camera" / "world_two_lasers.toml"
+"""The same with a second laser."""
 
 
 def runtime() -> Path:

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -22,6 +23,38 @@ READY_S = 10.0
 """How long the runner may take to start, on a busy machine."""
 
 
+@dataclass(frozen=True)
+class RigOptions:
+    """What rig it is."""
+
+    firmware: str | Path = "scan"
+    """"scan", "scan_hang", "echo" (some other device, which sends back what it gets), or the path of an image."""
+    speed: float = 1.0
+    """Simulated seconds per second; 0: as fast as it goes."""
+    microsteps_per_turn: int = 28800
+    """Of the plant: the angle is position / this."""
+    start: int = 500
+    """Where the table stands at the beginning [microsteps]; the home switch closes at 0, from above."""
+    home_width: int = 40
+    """Microsteps over which the switch is closed, below 0."""
+    bounce_us: int = 0
+    """How long the switch chatters at each change."""
+    autoreset: bool = False
+    """Whether opening the port resets the processor, as on an Uno."""
+    seed: int = 1
+    """Of the noise on the line."""
+    apart: bool = False
+    """Whether Ctrl-C at the terminal is kept from it."""
+
+    def plant(self) -> list[str]:
+        """The words by which the runner is told of the plant."""
+        words = ["--microsteps-per-turn", str(self.microsteps_per_turn), "--home-width", str(self.home_width)]
+        return [*words, "--bounce", str(self.bounce_us), *(["--autoreset"] if self.autoreset else [])]
+
+
+RIG_DEFAULTS = RigOptions()
+
+
 class SimulatedRig:
     """Firmware, turntable, switches and laser, in a folder of their own.
 
@@ -30,44 +63,18 @@ class SimulatedRig:
     Assertions belong on `edges()` and `plant()`: what the pins and the table did, not what the firmware says.
     """
 
-    def __init__(
-        self,
-        folder: str | Path,
-        *,
-        firmware: str | Path = "scan",
-        speed: float = 1.0,
-        microsteps_per_turn: int = 28800,
-        start: int = 500,
-        home_width: int = 40,
-        bounce_us: int = 0,
-        autoreset: bool = False,
-        seed: int = 1,
-        echo: bool = False,
-        apart: bool = False,
-    ) -> None:
+    def __init__(self, folder: str | Path, options: RigOptions = RIG_DEFAULTS) -> None:
         """A rig that `start` (or `with`) switches on.
 
         Args:
             folder: Holds port, log, sockets and the EEPROM's content; made if it is not there.
-            firmware: "scan", "scan_hang", "echo", or the path of an image.
-            speed: Simulated seconds per second; 0: as fast as it goes.
-            microsteps_per_turn: Of the plant: the angle is position / this.
-            start: Where the table stands at the beginning [microsteps]; the home switch closes at 0, from above.
-            home_width: Microsteps over which the switch is closed, below 0.
-            bounce_us: How long the switch chatters at each change.
-            autoreset: Whether opening the port resets the processor, as on an Uno.
-            seed: Of the noise on the line.
-            echo: Some other device on the port, which sends back what it gets.
-            apart: Whether Ctrl-C at the terminal is kept from it.
+            options: What rig it is.
         """
         self.folder = Path(folder)
         self.port = str(self.folder / "port")
         self.edges_path = self.folder / "edges.jsonl"
         self.control_path = self.folder / "control"
-        self._firmware = "echo" if echo else firmware
-        self._speed, self._start, self._seed, self._apart = speed, start, seed, apart
-        self._options = ["--microsteps-per-turn", str(microsteps_per_turn), "--home-width", str(home_width)]
-        self._options += ["--bounce", str(bounce_us), *(["--autoreset"] if autoreset else [])]
+        self._options = options
         self._process: subprocess.Popen[str] | None = None
         self._control: ControlClient | None = None
 
@@ -88,16 +95,17 @@ class SimulatedRig:
         """
         if self._process is not None:
             raise BenchError(f"{self.folder}: this rig is on already.")
-        image = build(self._firmware) if isinstance(self._firmware, str) else self._firmware
-        if isinstance(self._firmware, Path):
+        options = self._options
+        image = build(options.firmware) if isinstance(options.firmware, str) else options.firmware
+        if isinstance(options.firmware, Path):
             build("echo")
         self.folder.mkdir(parents=True, exist_ok=True)
         cycle, position = self._last()
         command = [str(SIMRUN), "--firmware", str(Path(image).resolve()), "--port", "port", "--edges", "edges.jsonl"]
-        command += ["--control", "control", "--eeprom", "eeprom.bin", "--speed", str(self._speed)]
-        command += ["--begin", str(cycle), "--start", str(position), "--seed", str(self._seed), *self._options]
+        command += ["--control", "control", "--eeprom", "eeprom.bin", "--speed", str(options.speed)]
+        command += ["--begin", str(cycle), "--start", str(position), "--seed", str(options.seed), *options.plant()]
         errors = self.folder / "simrun.err"
-        self._process = launch(command, folder=self.folder, errors=errors, within_s=READY_S, apart=self._apart)
+        self._process = launch(command, folder=self.folder, errors=errors, within_s=READY_S, apart=options.apart)
         self._control = ControlClient(self.control_path)
 
     def control(self, text: str) -> str:
@@ -175,12 +183,12 @@ class SimulatedRig:
     def _last(self) -> tuple[int, int]:
         """Cycle and position at the end of the log, where a rig that was on before goes on."""
         if not self.edges_path.exists():
-            return 0, self._start
+            return 0, self._options.start
         *lines, torn = self.edges_path.read_bytes().split(b"\n")
         if torn:
             # Killed within a line. Nothing may be written after half of one.
             os.truncate(self.edges_path, self.edges_path.stat().st_size - len(torn))
         if not lines:
-            return 0, self._start
+            return 0, self._options.start
         last = json.loads(lines[-1])
         return last["cycle"], last["pos"]

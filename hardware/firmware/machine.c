@@ -28,7 +28,7 @@ void machine_status(struct machine_status *status) {
         status->homed = homed;
         status->armed = contactor_closed();
         status->enabled = enabled;
-        status->laser = laser_is_on();
+        status->laser = laser_lit();
         status->inputs = (uint8_t)((home_active() ? INPUT_HOME : 0) | (estop_pressed() ? INPUT_ESTOP : 0) |
                                    (camera_ready() ? INPUT_READY : 0));
     }
@@ -71,7 +71,7 @@ uint8_t machine_enable(bool on) {
 uint8_t machine_arm(bool on) {
     uint8_t refusal = 0;
     if (!on) {
-        machine_laser(0);
+        machine_laser_off();
         ATOMIC_BLOCK(ATOMIC_RESTORESTATE) contactor_open();
         return 0;
     }
@@ -82,18 +82,23 @@ uint8_t machine_arm(bool on) {
     return refusal;
 }
 
-uint8_t machine_laser(uint16_t ms) {
+uint8_t machine_laser(uint8_t number, uint16_t ms) {
     uint8_t refusal = 0;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        if (!ms) {
-            laser_off();
-            if (state == SHOOTING && shot_kind == A_SHOT) machine_stop(); /* It would end with a dark lit exposure. */
-        } else if (state == FAULTED)
+        if (state == FAULTED)
             refusal = 6;
         else
-            laser_on(ms);
+            laser_on(number, ms);
     }
     return refusal;
+}
+
+uint8_t machine_laser_off(void) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        laser_off();
+        if (state == SHOOTING && shot_kind == A_SHOT) machine_stop(); /* It would end with a dark lit exposure. */
+    }
+    return 0;
 }
 
 uint8_t machine_move(uint16_t seq, int32_t to) {
@@ -123,15 +128,15 @@ uint8_t machine_home(uint16_t seq, uint32_t most) {
     return refusal;
 }
 
-uint8_t machine_shot(uint16_t seq, int32_t to, uint32_t id, uint8_t modes) {
+uint8_t machine_shot(uint16_t seq, const struct shot_order *order) {
     uint8_t refusal;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         refusal = still_idle();
         if (!refusal) {
             state = SHOOTING;
             current_seq = seq;
-            motion_begin_move(to);
-            shot_begin(id, modes);
+            motion_begin_move(order->to);
+            shot_begin(order);
         }
     }
     return refusal;

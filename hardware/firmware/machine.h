@@ -11,6 +11,7 @@
 #include <stdint.h>
 
 #define LEASE_MS 1000u
+#define LASERS 2 /* numbered from 1; one at most is lit */
 #define ARMED_IDLE_MS 10000u /* without a good line, after which the contactor opens while nothing runs */
 
 enum state { IDLE, MOVING, HOMING, SHOOTING, FAULTED };
@@ -21,8 +22,8 @@ enum { INPUT_HOME = 1, INPUT_ESTOP = 2, INPUT_READY = 4 };
 struct machine_status {
     int32_t position; /* microsteps */
     uint16_t lease_ms, exposures;
-    uint8_t state, fault, inputs;
-    bool homed, armed, enabled, laser;
+    uint8_t state, fault, inputs, laser; /* laser: the one that is lit, 0 for none */
+    bool homed, armed, enabled;
 };
 
 struct machine_counters {
@@ -38,10 +39,17 @@ uint16_t machine_boot(void);
 void machine_feed(void); /* a good line came: the link lives */
 uint8_t machine_enable(bool on);
 uint8_t machine_arm(bool on);
-uint8_t machine_laser(uint16_t ms); /* 0: off */
+uint8_t machine_laser(uint8_t number, uint16_t ms); /* lights this one alone */
+uint8_t machine_laser_off(void);                    /* all of them */
 uint8_t machine_move(uint16_t seq, int32_t to);
 uint8_t machine_home(uint16_t seq, uint32_t most);
-uint8_t machine_shot(uint16_t seq, int32_t to, uint32_t id, uint8_t modes);
+struct shot_order {
+    int32_t to;
+    uint32_t id;
+    uint8_t modes; /* LIT, DARK */
+    uint8_t laser; /* of the lit exposure */
+};
+uint8_t machine_shot(uint16_t seq, const struct shot_order *order);
 uint8_t machine_expose(uint16_t seq, uint16_t ms);
 uint8_t machine_selftest(uint16_t seq);
 uint8_t machine_set(const int32_t *candidate); /* all settings at once */

@@ -13,11 +13,13 @@
 
 /* outputs */
 #define EN_N _BV(PB0)      /* port B: driver, low = enabled */
-#define LASER _BV(PB3)     /* port B: gate of the laser's MOSFET */
+#define LASER_1 _BV(PB3)   /* port B: gate of the first laser's MOSFET */
+#define LASER_2 _BV(PB2)   /* port B: gate of the second laser's MOSFET */
 #define TRIG _BV(PB4)      /* port B: camera trigger, through an optocoupler */
 #define LED _BV(PB5)       /* port B: lit while armed, blinks in a fault */
+#define LASERS_ALL (LASER_1 | LASER_2) /* of one port: a single instruction puts them off */
 #define STEP _BV(PD2)      /* port D: a rising edge is a microstep */
-#define CONTACTOR _BV(PD4) /* port D: coil of the laser's safety contactor, high = closed */
+#define CONTACTOR _BV(PD4) /* port D: coil of the lasers' safety contactor, high = closed */
 #define DIR _BV(PD5)       /* port D: high = downwards, with dir=0 */
 
 /* inputs */

@@ -29,10 +29,10 @@ void reset_begin(void) {
 }
 
 uint8_t watch_begin(void) {
-    PORTB = EN_N | HOME_N; /* levels first, directions after: laser and trigger are never driven high on the way */
+    PORTB = EN_N | HOME_N; /* levels first, directions after: lasers and trigger are never driven high on the way */
     PORTD = ESTOP;
     PORTC = 0;
-    DDRB = EN_N | LASER | TRIG | LED;
+    DDRB = EN_N | LASERS_ALL | TRIG | LED;
     DDRD = STEP | DIR | CONTACTOR;
     DDRC = 0;
     EICRA = _BV(ISC11) | _BV(ISC10); /* e-stop: rising edge */
@@ -107,7 +107,7 @@ ISR(TIMER0_COMPA_vect) {
     if (estop_pressed() && fault != F_ESTOP) fault_enter(F_ESTOP);
     shot_tick();
     if (laser_expired()) fault_enter(F_LEASE);
-    if (!link_ms && (laser_is_on() || (state != IDLE && state != FAULTED))) fault_enter(F_LINK);
+    if (!link_ms && (laser_lit() || (state != IDLE && state != FAULTED))) fault_enter(F_LINK);
     if (!armed_ms && state == IDLE) contactor_open(); /* A MOSFET that has failed would shine for nobody. */
     show();
 }

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.calibration import Calibration, calibrate_camera, calibrate_observations
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.settings import stored_settings
+from jaxscan.files.calibration import stored_settings
 from jaxscan.geometry import Scanner
 
 

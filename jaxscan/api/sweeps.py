@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import Capture
-from jaxscan.files.capture.stripe_cache import cache_path, cached_stripes, frames_key, save_stripes
+from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_key, save_stripes
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud, ReconstructSettings, reconstruct
 from jaxscan.reconstruction.plan import Plan, make_plan, search_gates, with_colours

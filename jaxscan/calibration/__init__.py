@@ -3,15 +3,11 @@
 from jaxscan.calibration.calibrate import calibrate_camera as calibrate_camera
 from jaxscan.calibration.calibrate import calibrate_observations as calibrate_observations
 from jaxscan.calibration.fit import Fit as Fit
-from jaxscan.calibration.observations import BoardViews as BoardViews
-from jaxscan.calibration.observations import Observations as Observations
-from jaxscan.calibration.observations import StripeViews as StripeViews
 from jaxscan.calibration.result import Calibration as Calibration
+from jaxscan.calibration.second_look import choose as choose
+from jaxscan.calibration.second_look import solved_rig as solved_rig
 from jaxscan.calibration.settings import CalibrationSettings as CalibrationSettings
 from jaxscan.calibration.settings import Priors as Priors
-from jaxscan.calibration.stripes_on_board import BoardStripe as BoardStripe
-from jaxscan.calibration.stripes_on_board import select_board_stripes as select_board_stripes
-from jaxscan.calibration.stripes_on_board import stack_stripes as stack_stripes
 from jaxscan.calibration.verdict.quality import ModelTest as ModelTest
 from jaxscan.calibration.verdict.quality import Quality as Quality
 from jaxscan.calibration.verdict.quality import SecondLook as SecondLook

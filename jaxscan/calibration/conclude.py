@@ -5,7 +5,6 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_PARAMETERS
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.settings import CalibrationSettings
@@ -28,6 +27,7 @@ from jaxscan.calibration.verdict import (
 )
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Scanner
+from jaxscan.observation import Observations
 
 
 def conclude(

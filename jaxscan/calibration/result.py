@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.verdict import Quality
 from jaxscan.geometry import AbstractCamera, Scanner
+from jaxscan.observation import Observations
 
 
 @dataclass(frozen=True)

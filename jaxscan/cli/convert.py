@@ -10,10 +10,9 @@ from jaxscan import api
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
-from jaxscan.files.calibration.exports import CameraFormat, check_camera_path, export_camera
-from jaxscan.files.clouds.clouds import check_cloud_path
-from jaxscan.files.recording.repack import check_new_folder, repack_capture
-from jaxscan.files.recording.store import Storage
+from jaxscan.files.calibration import CameraFormat, check_camera_path, export_camera
+from jaxscan.files.clouds import check_cloud_path
+from jaxscan.files.recording import Storage, check_new_folder, repack_capture
 
 
 def convert(
@@ -25,8 +24,9 @@ def convert(
     storage: Storage | None = None,
     json: JsonTarget = None,
 ) -> None:
-    """Convert: `jaxscan convert room.ply room.e57`, `jaxscan convert calibration.json camera.yaml`, or
-    `jaxscan convert captures/room captures/fast --storage npy`.
+    """Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.
+
+    Or `jaxscan convert calibration.json camera.yaml`, `jaxscan convert captures/room captures/fast --storage npy`.
 
     Args:
         source: Cloud (.ply or .npz), calibration (.json) or capture (a folder) to read.

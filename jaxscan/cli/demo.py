@@ -13,9 +13,8 @@ from jaxscan import api
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import CaptureError, MeasurementError
-from jaxscan.files.calibration.calibration import calibration_digest
-from jaxscan.files.disk.atomic import write_atomically
-from jaxscan.files.disk.bounded import MEGABYTE, parse_json, read_bounded
+from jaxscan.files.calibration import calibration_digest
+from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomically
 from jaxscan.geometry import Array, Scanner
 from jaxscan.measurement import RoomBox
 from jaxscan.report.picture import draw_cloud

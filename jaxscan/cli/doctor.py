@@ -19,7 +19,7 @@ from jaxscan.errors import CaptureError, DependencyError, JaxscanError, OptionEr
 
 
 if TYPE_CHECKING:
-    from jaxscan.files.capture.verify import Problem
+    from jaxscan.files.capture import Problem
 
 
 class Check(NamedTuple):
@@ -109,7 +109,7 @@ def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out:
 
 
 def _verify(capture: Path, out: Console, json: str | None) -> None:
-    from jaxscan.files.capture.verify import verify_capture
+    from jaxscan.files.capture import verify_capture
 
     with progress_bar("Verifying") as progress:
         found = verify_capture(capture, progress=progress)
@@ -139,7 +139,7 @@ def _cure(found: Sequence["Problem"]) -> str:
 def _ports() -> list[str]:
     """Serial ports as a person would name them."""
     try:
-        from scanrig.wire.ports import describe, find_ports
+        from scanrig.wire import describe, find_ports
 
         return [describe(info) for info in find_ports()]
     except (ImportError, OSError, JaxscanError) as problem:

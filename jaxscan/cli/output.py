@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from jaxscan.files.disk.atomic import check_writable, write_atomically
+from jaxscan.files.disk import check_writable, write_atomically
 
 
 JsonTarget = Annotated[

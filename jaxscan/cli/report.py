@@ -11,7 +11,7 @@ from jaxscan.calibration import Calibration
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.summary import summary, write_page
-from jaxscan.files.disk.atomic import check_writable
+from jaxscan.files.disk import check_writable
 
 
 def report(

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from jaxscan.calibration import Calibration
 from jaxscan.cli.output import table
-from jaxscan.files.disk.atomic import write_atomically
+from jaxscan.files.disk import write_atomically
 from jaxscan.report import calibration_page, outcome_rows, parameters, words
 
 

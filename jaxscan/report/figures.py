@@ -4,8 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxscan.calibration import Calibration, Fit, Observations
+from jaxscan.calibration import Calibration, Fit
 from jaxscan.calibration.verdict import JudgedView, is_held_by_priors, judge_views, stripe_depths, stripe_pixels
+from jaxscan.observation import Observations
 from jaxscan.report import image_plots, residual_plots, uncertainty_plots, words
 from jaxscan.report.drawing import as_svg
 from jaxscan.report.html import Html, element, joined, section, table

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxscan.calibration import BoardViews, CalibrationSettings, Observations, Priors, StripeViews, calibrate_camera
+from jaxscan.calibration import CalibrationSettings, Priors, calibrate_camera
 from jaxscan.geometry import Chessboard, fit_axis, fit_plane, plane_sigma
+from jaxscan.observation import BoardViews, Observations, StripeViews
 from jaxscan.vision.boards import find_corners
 
 

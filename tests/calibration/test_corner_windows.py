@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxscan.calibration import BoardViews, CalibrationSettings, Observations, StripeViews, calibrate_camera
+from jaxscan.calibration import CalibrationSettings, calibrate_camera
 from jaxscan.geometry import Chessboard
+from jaxscan.observation import BoardViews, Observations, StripeViews
 from jaxscan.vision.boards import find_corners
 
 

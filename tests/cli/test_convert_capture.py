@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture
+from jaxscan.files.capture import CaptureHeader, open_capture
+from jaxscan.files.recording import create_capture
 
 
 FRAMES = np.random.default_rng(8).integers(0, 256, (8, 4, 6), np.uint8)

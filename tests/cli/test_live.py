@@ -16,7 +16,8 @@ import pytest
 from jaxscan import api
 from jaxscan.cli.scanning.live import LiveCloud
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.files.capture.capture import Capture, open_capture, resume_capture
+from jaxscan.files.capture import Capture, open_capture
+from jaxscan.files.recording import resume_capture
 from jaxscan.reconstruction.incoming import IncomingStripes
 
 

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from jaxscan.errors import CloudError, JaxscanError
-from jaxscan.files.disk.atomic import write_atomically
+from jaxscan.files.disk import write_atomically
 
 
 def test_bytes_and_callables(tmp_path):

@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import (
-    BoardViews,
     Calibration,
     ModelTest,
-    Observations,
     Quality,
     SecondLook,
-    StripeViews,
     Verdict,
     ViewQuality,
 )
@@ -41,6 +38,7 @@ from jaxscan.geometry import (
     point_up,
     stack_lasers,
 )
+from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
 QUALITY = Quality(

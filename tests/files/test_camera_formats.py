@@ -11,7 +11,7 @@ import pytest
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.exports import export_camera
+from jaxscan.files.calibration import export_camera
 from jaxscan.geometry import Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture import open_capture
 from jaxscan.geometry import Charuco, Chessboard
 from jaxscan.reconstruction.sweep import SweepSource
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture import open_capture
 from jaxscan.files.capture.decode import Buffers, decode_ahead
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.clouds import load_cloud, save_cloud
+from jaxscan.files.clouds import load_cloud, save_cloud
 
 from .clouds import LINES, PROFILES, make_cloud
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CloudError, DependencyError
+from jaxscan.files.clouds import READERS, WRITERS, load_cloud, save_cloud
 from jaxscan.files.clouds import clouds as clouds_module
-from jaxscan.files.clouds.clouds import READERS, WRITERS, load_cloud, save_cloud
 
 from .clouds import LINES, PROFILES, make_cloud
 

@@ -6,9 +6,8 @@ import pydantic
 import pytest
 
 from jaxscan.errors import ConfigError
-from jaxscan.files.disk.bounded import parse_json
-from jaxscan.files.disk.config import MAX_CONFIG_BYTES, load_toml
-from jaxscan.files.disk.validation import FileModel, Integer, Number
+from jaxscan.files.disk import FileModel, Integer, Number, load_toml, parse_json
+from jaxscan.files.disk.config import MAX_CONFIG_BYTES
 
 
 class Round(FileModel):

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture, resume_capture
+from jaxscan.files.capture import MAX_IMAGES, CaptureHeader, ImageRef, open_capture
 from jaxscan.files.capture.exposures import average
-from jaxscan.files.capture.references import MAX_IMAGES, ImageRef
+from jaxscan.files.recording import create_capture, resume_capture
 
 from .conftest import BOARD, LASER
 

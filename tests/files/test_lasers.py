@@ -2,9 +2,9 @@
 
 import pytest
 
-from jaxscan.api.boards import observe_boards
+from jaxscan.api import observe_boards
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture import open_capture
 
 from .conftest import BOARD, LASER
 

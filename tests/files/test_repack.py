@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import open_capture
-from jaxscan.files.recording import store
-from jaxscan.files.recording.repack import repack_capture
+from jaxscan.files.capture import open_capture
+from jaxscan.files.recording import repack_capture, store
 
 from .conftest import BOARD, LASER
 

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture, resume_capture
-from jaxscan.files.recording import store
+from jaxscan.files.capture import CaptureHeader, open_capture
+from jaxscan.files.recording import create_capture, resume_capture, store
 from jaxscan.files.recording.store import SHARD_BYTES, ShardStore
 
 
@@ -291,7 +291,8 @@ def test_a_killed_writer_leaves_a_capture_of_the_records_before(tmp_path, storag
     """Frame k is filled with k: what is read is complete, and resuming goes on after it."""
     code = f"""
 import numpy as np
-from jaxscan.files.capture.capture import CaptureHeader, create_capture
+from jaxscan.files.capture import CaptureHeader
+from jaxscan.files.recording import create_capture
 head = CaptureHeader(kind="sweep", camera={{"width": 640, "height": 480, "pixel_format": "mono8"}}, laser=[{{}}])
 with create_capture({str(tmp_path / "room")!r}, head, storage={storage!r}) as capture:
     for k in range(100_000):

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import open_capture
-from jaxscan.files.capture.stripe_cache import cache_path, cached_stripes, frames_key, load_stripes, save_stripes
+from jaxscan.files.capture import cache_path, cached_stripes, frames_key, open_capture, save_stripes
+from jaxscan.files.capture.stripe_cache import load_stripes
 
 
 RNG = np.random.default_rng(7)

@@ -6,9 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture, resume_capture
-from jaxscan.files.capture.verify import SEAL, seal, verify_capture
-from jaxscan.files.recording.repack import repack_capture
+from jaxscan.files.capture import SEAL, CaptureHeader, open_capture, seal, verify_capture
+from jaxscan.files.recording import create_capture, repack_capture, resume_capture
 
 
 RNG = np.random.default_rng(5)

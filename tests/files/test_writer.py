@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import CaptureHeader, create_capture, open_capture, resume_capture
-from jaxscan.files.capture.header import header_toml, parse_header
-from jaxscan.files.recording import store
+from jaxscan.files.capture import CaptureHeader, header_toml, open_capture, parse_header
+from jaxscan.files.recording import create_capture, resume_capture, store
 
 
 RNG = np.random.default_rng(3)

@@ -24,7 +24,7 @@ def missing_for_the_rig():
 
 def missing_for_the_loopback():
     """What a camera on loopback lacks, as one line; "" if nothing."""
-    from bench.aravis import aravis_is_there
+    from bench.camera import aravis_is_there
 
     return "" if aravis_is_there() else "a camera on loopback needs libaravis-0.8-0: type `make bench-deps`"
 
@@ -63,12 +63,12 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture
 def rig(tmp_path):
     """Makes simulated rigs, `rig(speed=…, …)`, each in a folder of its own; all are switched off at the end."""
-    from bench.rig import SimulatedRig
+    from bench import RigOptions, SimulatedRig
 
     made = []
 
     def make(**options):
-        simulated = SimulatedRig(tmp_path / f"rig{len(made)}", **options)
+        simulated = SimulatedRig(tmp_path / f"rig{len(made)}", RigOptions(**options))
         made.append(simulated)
         simulated.start()
         return simulated
@@ -81,7 +81,7 @@ def rig(tmp_path):
 @pytest.fixture
 def loopback():
     """The one address at which a GigE Vision camera can be, 127.0.0.1, to itself: tests run side by side."""
-    from bench.rendered import ADDRESS, loopback
+    from bench.camera import ADDRESS, loopback
 
     with loopback():
         yield ADDRESS
@@ -90,7 +90,7 @@ def loopback():
 @pytest.fixture
 def rendered_camera(tmp_path, loopback):
     """Makes the camera that sees what a rig's plant shows, `rendered_camera(rig, world=…)`; one at a time."""
-    from bench.rendered import RenderedCamera
+    from bench.camera import RenderedCamera
 
     made = []
 
@@ -108,7 +108,7 @@ def rendered_camera(tmp_path, loopback):
 @pytest.fixture
 def whole_bench(tmp_path):
     """Waits until `make bench` may take the address; the environment that puts it into a folder of its own."""
-    from bench.rendered import loopback
+    from bench.camera import loopback
 
     with loopback():
         pass

@@ -7,10 +7,10 @@ import time
 import numpy as np
 import pytest
 import serial
+from bench.camera.follow import Exposure, LogReader, Plant
 from bench.errors import BenchError
-from bench.follow import Exposure, LogReader, Plant
 from bench.rig import CLOCK_HZ
-from scanrig.controllers.connect import connect
+from scanrig.controllers.jxs.connect import connect
 from scanrig.controllers.settings import Settings
 
 
@@ -128,7 +128,7 @@ def test_noise_is_as_much_as_was_asked_for(rig):
     sent, share = bytes(range(256)) * 16, 0.05
     counts = {}
     for what in ("corrupt_rx", "corrupt_tx", "drop_rx", "drop_tx", "duplicate_rx", "duplicate_tx"):
-        simulated = rig(speed=0, echo=True)
+        simulated = rig(speed=0, firmware="echo")
         simulated.control(f"{what} {share}")
         back = echoed(simulated, sent)
         counts[what] = abs(len(back) - len(sent)) or sum(a != b for a, b in zip(back, sent, strict=True))
@@ -141,7 +141,7 @@ def test_noise_is_as_much_as_was_asked_for(rig):
 def test_the_same_seed_breaks_the_same_bytes(rig):
     sent, backs = bytes(range(256)) * 4, []
     for seed in (5, 5, 6):
-        simulated = rig(speed=0, echo=True, seed=seed)
+        simulated = rig(speed=0, firmware="echo", seed=seed)
         simulated.control("corrupt_rx 0.02")
         backs.append(echoed(simulated, sent))
         simulated.close()
@@ -149,7 +149,7 @@ def test_the_same_seed_breaks_the_same_bytes(rig):
 
 
 def test_at_another_baud_rate_nothing_sensible_arrives(rig):
-    simulated = rig(speed=0, echo=True)
+    simulated = rig(speed=0, firmware="echo")
     assert echoed(simulated, b"hello") == b"hello"
     garbage = echoed(simulated, b"hello", baud=115_200)
     assert len(garbage) == 5 and not set(garbage) & set(b"hello")
@@ -214,10 +214,10 @@ def test_commands_that_are_not_known_are_refused(rig):
 
 
 def test_a_firmware_that_there_is_not(tmp_path):
-    from bench.rig import SimulatedRig
+    from bench import RigOptions, SimulatedRig
 
     with pytest.raises(BenchError, match=r"no firmware 'tea'.*scan, scan_hang, echo"):
-        SimulatedRig(tmp_path, firmware="tea").start()
+        SimulatedRig(tmp_path, RigOptions(firmware="tea")).start()
 
 
 def log(*entries):

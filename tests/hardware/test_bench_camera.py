@@ -9,15 +9,15 @@ import time
 import numpy as np
 import pytest
 import serial
+from bench.camera.rendered import loopback
 from bench.places import WORLD
-from bench.rendered import loopback
 from bench.sockets import ControlClient
 from scanrig.cameras import CameraSettings, open_camera
-from scanrig.controllers.connect import connect
+from scanrig.controllers.jxs.connect import connect
 from scanrig.controllers.settings import Settings
 from scanrig.errors import CameraLost, CameraTimeout
 
-from jaxscan.files.disk.config import load_toml
+from jaxscan.files.disk import load_toml
 from jaxscan.simulation import SimulationConfig, expect_record, make_rig, make_scene
 
 

@@ -13,8 +13,8 @@ from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 from jaxscan.errors import ConfigError
-from jaxscan.files.capture.capture import create_capture
-from jaxscan.files.capture.header import CameraTable, CaptureHeader, LaserTable
+from jaxscan.files.capture import CameraTable, CaptureHeader, LaserTable
+from jaxscan.files.recording import create_capture
 from jaxscan.vision.images import encode_png
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scanrig.cameras.synthetic import SyntheticScene, draw
+from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.checks.compare import compare_pairs
 from scanrig.config import ChecksTable
 
@@ -15,7 +15,7 @@ RNG = np.random.default_rng(4)
 
 def pair(scene, position=1000.0, *, pixel_format="mono8", roll=0):
     def one(lit):
-        image = draw(scene, position, lit, width=256, height=192, pixel_format=pixel_format, generator=RNG)
+        image = draw(scene, position, lit, FrameShape(256, 192, pixel_format), RNG)
         return np.roll(image, roll, 0 if scene.stripe_axis == "columns" else 1)
 
     return one(True), one(False)
@@ -94,7 +94,7 @@ def test_a_room_that_shows_nothing_is_not_compared_by(scene):
 
 def test_a_rendered_room_is_known_again_and_told_from_its_neighbourhood():
     pytest.importorskip("open3d")
-    from bench.world import View, load_world
+    from bench.camera.world import View, load_world
 
     world = load_world()
     for number, base in enumerate((0.0, 150.0)):
@@ -102,7 +102,7 @@ def test_a_rendered_room_is_known_again_and_told_from_its_neighbourhood():
         def seen(degrees, exposure=1.0, base=base, number=number):
             angle = np.deg2rad(base + degrees)
             return tuple(
-                world.frame(View(angle, light, exposure=exposure), 2 * number + k + round(1000 * exposure))
+                world.frame(View(angle, (light,), exposure=exposure), 2 * number + k + round(1000 * exposure))
                 for k, light in enumerate((1.0, 0.0))
             )
 

@@ -71,7 +71,7 @@ def test_nothing_moves_while_the_emergency_stop_is_pressed(rig, tmp_path):
 
 @pytest.mark.slow
 def test_some_other_device(rig, tmp_path, capsys):
-    simulated = rig(echo=True)
+    simulated = rig(firmware="echo")
     assert main(["doctor", "--port", simulated.port]) == 1
     assert "wrong  firmware: " in capsys.readouterr().out
 

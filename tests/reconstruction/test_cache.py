@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxscan.api import reconstruct_capture
-from jaxscan.files.capture.capture import Capture, CaptureHeader, create_capture, open_capture
-from jaxscan.files.capture.stripe_cache import cache_path
+from jaxscan.files.capture import Capture, CaptureHeader, cache_path, open_capture
+from jaxscan.files.recording import create_capture
 from jaxscan.geometry import LaserSheet, Scanner, stack_lasers
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.reconstruction.reconstruct import extract_sweep

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction.points.uncertainty import range_sigma, range_table
+from jaxscan.reconstruction.points.uncertainty import range_table
+from tests.reconstruction.exact_sigma import range_sigma
 
 
 @jax.jit

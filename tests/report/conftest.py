@@ -6,18 +6,16 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import (
-    BoardViews,
     Calibration,
     Fit,
     ModelTest,
-    Observations,
     Quality,
-    StripeViews,
     Verdict,
     ViewQuality,
 )
 from jaxscan.calibration.verdict import DepthSigma, Direction, LaserLengths, Lengths, LengthSigma, PriorShare
 from jaxscan.geometry import Chessboard, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
 CORNER_SIGMA, STRIPE_SIGMA, LEVERAGE = 0.1, 0.15, 0.2

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Simulated time: cycles that never go back, and how fast they may pass.
 #define _GNU_SOURCE
+#include "clock.h"
+
 #include <poll.h>
 #include <time.h>
 
-#include "simrun.h"
+#include "processor.h"
 
 static uint64_t base, last;
 

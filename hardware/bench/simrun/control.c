@@ -1,14 +1,23 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The control socket: one line in, one line out. What a hand, a bad day or a test does to the rig.
 #define _GNU_SOURCE
+#include "control.h"
+
 #include <inttypes.h>
 #include <poll.h>
+#include <stdio.h>
 #include <string.h>
 #include <sys/socket.h>
 #include <sys/un.h>
 #include <unistd.h>
 
-#include "simrun.h"
+#include "clock.h"
+#include "edges.h"
+#include "orders.h"
+#include "processor.h"
+#include "rig/line.h"
+#include "rig/noise.h"
+#include "rig/plant.h"
 
 enum { CLIENTS = 8, LINE = 256 };
 
@@ -20,7 +29,6 @@ struct client {
 static struct client clients[CLIENTS];
 static int listener = -1;
 static const char *socket_path;
-extern const char *port_link;
 
 bool control_listen(const char *path) {
     struct sockaddr_un address = {.sun_family = AF_UNIX};
@@ -37,14 +45,16 @@ bool control_listen(const char *path) {
 static void state(char *out, size_t size) {
     static const char *const health[] = {"good", "welded", "dead"};
     snprintf(out, size,
-             "{\"cycle\":%" PRIu64 ",\"pos\":%ld,\"laser\":%d,\"contactor\":%d,\"light\":%d,\"trig\":%d,\"enabled\":%d,"
-             "\"dir\":%d,\"led\":%d,\"estop\":%d,\"ready\":%d,\"laser_health\":\"%s\",\"steps\":%" PRIu64
+             "{\"cycle\":%" PRIu64 ",\"pos\":%ld,\"laser\":%d,\"laser_2\":%d,\"contactor\":%d,\"light\":%d,\"light_2\":%d,\"trig\":%d,\"enabled\":%d,"
+             "\"dir\":%d,\"led\":%d,\"estop\":%d,\"ready\":%d,\"laser_health\":\"%s\",\"laser_2_health\":\"%s\",\"steps\":%" PRIu64
              ",\"lost_steps\":%" PRIu64 ",\"resets\":%" PRIu64 ",\"received\":%" PRIu64 ",\"sent\":%" PRIu64
              ",\"lost\":%" PRIu64 ",\"unheard\":%" PRIu64 ",\"plugged\":%d,\"host\":%d,\"speed\":%g,\"processor\":%d}\n",
-             clock_cycles(), plant.position, plant.laser, plant.contactor, plant.light, plant.trigger, plant.enabled,
-             plant.dir, plant.led, plant.estop, plant.ready, health[plant.laser_health], plant.steps, plant.lost_steps,
+             clock_cycles(), plant.position, plant.laser[0].gate, plant.laser[1].gate, plant.contactor, plant.laser[0].light,
+             plant.laser[1].light, plant.trigger, plant.enabled,
+             plant.dir, plant.led, plant.estop, plant.ready, health[plant.laser[0].health],
+             health[plant.laser[1].health], plant.steps, plant.lost_steps,
              resets, line_counts.received, line_counts.sent, line_counts.overrun, line_counts.unheard, line_plugged(),
-             line_host_present(), speed, avr->state);
+             line_host_present(), orders.speed, avr->state);
 }
 
 static bool set_probability(const char *name, double value) {
@@ -61,13 +71,15 @@ static bool set_probability(const char *name, double value) {
     return false;
 }
 
-static bool set_laser(const char *word) {
+static bool set_laser(const char *name, const char *word) {
+    struct laser *laser = !strcmp(name, "laser") ? &plant.laser[0] : !strcmp(name, "laser_2") ? &plant.laser[1] : NULL;
+    if (!laser) return false;
     if (!strcmp(word, "good"))
-        plant.laser_health = LASER_GOOD;
+        laser->health = LASER_GOOD;
     else if (!strcmp(word, "welded"))
-        plant.laser_health = LASER_WELDED;
+        laser->health = LASER_WELDED;
     else if (!strcmp(word, "dead"))
-        plant.laser_health = LASER_DEAD;
+        laser->health = LASER_DEAD;
     else
         return false;
     plant_update();
@@ -88,7 +100,7 @@ static bool command_number(const char *verb, double number) {
         edge("ready", plant.ready);
     } else if (!strcmp(verb, "speed")) {
         if (number < 0) return false;
-        speed = number;
+        orders.speed = number;
     } else if (!strcmp(verb, "home")) {
         plant.home_forced = whole < 0 ? -1 : whole != 0;
         plant_update();
@@ -113,13 +125,13 @@ static bool command_number(const char *verb, double number) {
 
 static bool command_word(const char *verb) {
     if (!strcmp(verb, "reset"))
-        want_reset("button");
+        orders.reset_wanted = "button";
     else if (!strcmp(verb, "unplug"))
         line_unplug();
     else if (!strcmp(verb, "plug"))
-        return line_plug(port_link);
+        return line_plug(orders.port_link);
     else if (!strcmp(verb, "quit"))
-        want_stop();
+        orders.stop = 1;
     else
         return false;
     return true;
@@ -134,7 +146,7 @@ static void carry_out(struct client *client) {
     else if (!strcmp(client->text, "state"))
         state(out, sizeof out);
     else if (sscanf(client->text, "%31s %lf", verb, &number) == 2 ? !command_number(verb, number)
-             : sscanf(client->text, "%31s %31s", verb, word) == 2 ? strcmp(verb, "laser") || !set_laser(word)
+             : sscanf(client->text, "%31s %31s", verb, word) == 2 ? !set_laser(verb, word)
                                                                   : !command_word(verb))
         snprintf(out, sizeof out, "unknown: %.200s\n", client->text);
     // Who has an answer finds everything before it in the log.

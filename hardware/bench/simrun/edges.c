@@ -1,13 +1,18 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The log: one JSON object per line, stamped with cycle and plant position.
-#include <inttypes.h>
+#include "edges.h"
 
-#include "simrun.h"
+#include <inttypes.h>
+#include <stdio.h>
+
+#include "clock.h"
 
 static FILE *file;
+static const long *table;
 static bool waiting;
 
-bool edges_open(const char *path) {
+bool edges_open(const char *path, const long *position) {
+    table = position;
     file = fopen(path, "a");
     return file != NULL;
 }
@@ -15,13 +20,13 @@ bool edges_open(const char *path) {
 void edge(const char *pin, int value) {
     if (!file) return;
     fprintf(file, "{\"cycle\":%" PRIu64 ",\"pin\":\"%s\",\"v\":%d,\"pos\":%ld}\n", clock_cycles(), pin, value,
-            plant.position);
+            *table);
     waiting = true;
 }
 
 void note(const char *key, const char *value) {
     if (!file) return;
-    fprintf(file, "{\"cycle\":%" PRIu64 ",\"%s\":\"%s\",\"pos\":%ld}\n", clock_cycles(), key, value, plant.position);
+    fprintf(file, "{\"cycle\":%" PRIu64 ",\"%s\":\"%s\",\"pos\":%ld}\n", clock_cycles(), key, value, *table);
     waiting = true;
 }
 

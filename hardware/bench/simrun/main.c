@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
+// simrun: the scanner's firmware in a simulated ATmega328P, with the rig around it.
+//
 // simrun --firmware scan.elf --port LINK [--edges FILE] [--control SOCKET] [--eeprom FILE] [--speed 1] [--autoreset]
 //        [--microsteps-per-turn 28800] [--start 500] [--home-width 40] [--bounce US] [--begin CYCLE] [--seed N]
 #define _GNU_SOURCE
@@ -6,6 +8,7 @@
 #include <inttypes.h>
 #include <signal.h>
 #include <stdarg.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/prctl.h>
@@ -14,31 +17,25 @@
 #include "avr_eeprom.h"
 #include "avr_extint.h"
 #include "sim_elf.h"
-#include "simrun.h"
+#include "clock.h"
+#include "control.h"
+#include "edges.h"
+#include "orders.h"
+#include "processor.h"
+#include "rig/line.h"
+#include "rig/noise.h"
+#include "rig/plant.h"
 
 enum { FREQUENCY = 16000000, TICK = 800 /* cycles: 50 us */, QUANTUM = FREQUENCY / 2000, EEPROM = 1024 };
 
 avr_t *avr;
-double speed = 1;
-bool autoreset;
-uint64_t resets;
-const char *port_link;
-static const char *reset_wanted, *firmware, *edges_path, *control_path, *eeprom_path;
-static volatile sig_atomic_t stop;
+static const char *firmware, *edges_path, *control_path, *eeprom_path;
 static void (*core_reset)(avr_t *);
 static bool was_reset;
 
-void want_reset(const char *why) {
-    reset_wanted = why;
-}
-
-void want_stop(void) {
-    stop = 1;
-}
-
 static void on_signal(int signal) {
     (void)signal;
-    stop = 1;
+    orders.stop = 1;
 }
 
 static void only_errors(avr_t *core, const int level, const char *format, va_list arguments) {
@@ -77,8 +74,8 @@ static void after_reset(void) {
     do_not_poll_pins();
     was_reset = false;
     resets++;
-    note("reset", reset_wanted ? reset_wanted : "watchdog");
-    reset_wanted = NULL;
+    note("reset", orders.reset_wanted ? orders.reset_wanted : "watchdog");
+    orders.reset_wanted = NULL;
     plant_after_reset();
     line_after_reset();
 }
@@ -118,12 +115,12 @@ static bool parse(int argc, char **argv) {
         {"seed", 1, 0, SEED},           {0, 0, 0, 0}};
     for (int option; (option = getopt_long(argc, argv, "", options, NULL)) != -1;) switch (option) {
         case FIRMWARE: firmware = optarg; break;
-        case PORT: port_link = optarg; break;
+        case PORT: orders.port_link = optarg; break;
         case EDGES: edges_path = optarg; break;
         case CONTROL: control_path = optarg; break;
         case EEPROM_FILE: eeprom_path = optarg; break;
-        case SPEED: speed = atof(optarg); break;
-        case AUTORESET: autoreset = true; break;
+        case SPEED: orders.speed = atof(optarg); break;
+        case AUTORESET: orders.autoreset = true; break;
         case TURN: plant.microsteps_per_turn = atol(optarg); break;
         case START: plant.position = atol(optarg); break;
         case WIDTH: plant.home_width = atol(optarg); break;
@@ -132,7 +129,7 @@ static bool parse(int argc, char **argv) {
         case SEED: noise_seed(strtoull(optarg, NULL, 10)); break;
         default: return false;
         }
-    return firmware && port_link && plant.microsteps_per_turn > 0;
+    return firmware && orders.port_link && plant.microsteps_per_turn > 0;
 }
 
 static bool make_processor(void) {
@@ -156,7 +153,7 @@ static bool make_processor(void) {
 static int run(void) {
     int state = cpu_Running;
     avr_cycle_count_t next = 0, keep = 0;
-    while (!stop && state != cpu_Done && state != cpu_Crashed) {
+    while (!orders.stop && state != cpu_Done && state != cpu_Crashed) {
         state = avr_run(avr);
         if (was_reset) {
             after_reset();
@@ -166,7 +163,7 @@ static int run(void) {
         // A reset drops all of simavr's timers, this one too.
         if (!avr_cycle_timer_status(avr, on_tick, NULL)) avr_cycle_timer_register(avr, TICK, on_tick, NULL);
         control_poll();
-        if (reset_wanted) {
+        if (orders.reset_wanted) {
             avr_reset(avr);
             after_reset();
             state = cpu_Running;
@@ -178,7 +175,7 @@ static int run(void) {
             keep = avr->cycle + FREQUENCY / 200;
         }
         edges_flush();
-        pace(speed, FREQUENCY, line_wake_fd());
+        pace(orders.speed, FREQUENCY, line_wake_fd());
         next = avr->cycle + QUANTUM;
     }
     return state;
@@ -194,11 +191,11 @@ int main(int argc, char **argv) {
         fprintf(stderr, "simrun: %s cannot be loaded\n", firmware);
         return 1;
     }
-    if (edges_path && !edges_open(edges_path)) return perror(edges_path), 1;
+    if (edges_path && !edges_open(edges_path, &plant.position)) return perror(edges_path), 1;
     eeprom_load();
     line_connect();
     plant_connect();
-    if (!line_plug(port_link)) return perror(port_link), 1;
+    if (!line_plug(orders.port_link)) return perror(orders.port_link), 1;
     if (control_path && !control_listen(control_path)) return perror(control_path), 1;
     struct sigaction action = {.sa_handler = on_signal};
     sigaction(SIGINT, &action, NULL);

@@ -10,7 +10,7 @@
 
 struct fake fake;
 static uint16_t seq;
-static uint32_t shot_id;
+static struct shot_order order;
 static enum { NO_WORK, MOVE_WORK, HOME_WORK, SHOT_WORK, EXPOSURE_WORK, TEST_WORK } work;
 
 void machine_status(struct machine_status *status) {
@@ -48,7 +48,7 @@ uint8_t machine_enable(bool on) {
 }
 
 static void laser_off(void) {
-    fake.status.laser = false;
+    fake.status.laser = 0;
     fake.status.lease_ms = 0;
 }
 
@@ -57,22 +57,23 @@ uint8_t machine_arm(bool on) {
         uint8_t refusal = still_idle();
         if (refusal) return refusal;
     } else
-        machine_laser(0);
+        machine_laser_off();
     fake.status.armed = on;
     return OK;
 }
 
-uint8_t machine_laser(uint16_t ms) {
-    if (!ms) {
-        laser_off();
-        if (work == SHOT_WORK) machine_stop();
-        return OK;
-    }
+uint8_t machine_laser_off(void) {
+    laser_off();
+    if (work == SHOT_WORK) machine_stop();
+    return OK;
+}
+
+uint8_t machine_laser(uint8_t number, uint16_t ms) {
     if (fake.status.state == FAULTED) return E_FAULT;
     fake.laser_asked++;
-    if (!fake.status.armed || ms > LEASE_MS) abort(); /* commands.c must have refused it */
-    if (!fake.status.laser) fake.counters.laser++;
-    fake.status.laser = true;
+    if (!fake.status.armed || !ms || ms > LEASE_MS || number < 1 || number > LASERS) abort(); /* commands.c must have refused it */
+    if (fake.status.laser != number) fake.counters.laser++;
+    fake.status.laser = number;
     fake.status.lease_ms = ms;
     return OK;
 }
@@ -104,14 +105,15 @@ uint8_t machine_home(uint16_t number, uint32_t most) {
     return OK;
 }
 
-uint8_t machine_shot(uint16_t number, int32_t to, uint32_t id, uint8_t modes) {
-    if (modes < LIT || modes > (LIT | DARK) || id > INT32_MAX) abort();
-    if ((modes & LIT) && !fake.status.armed) abort();
-    uint8_t refusal = begin(number, SHOOTING, to);
+uint8_t machine_shot(uint16_t number, const struct shot_order *wanted) {
+    if (wanted->modes < LIT || wanted->modes > (LIT | DARK) || wanted->id > INT32_MAX) abort();
+    if (wanted->laser < 1 || wanted->laser > LASERS) abort();
+    if ((wanted->modes & LIT) && !fake.status.armed) abort();
+    uint8_t refusal = begin(number, SHOOTING, wanted->to);
     if (refusal) return refusal;
     laser_off();
-    shot_id = id;
-    fake.shot_modes = modes;
+    order = *wanted;
+    fake.shot_modes = wanted->modes;
     work = SHOT_WORK;
     return OK;
 }
@@ -219,7 +221,7 @@ void fake_end(void) {
     if (ended == EXPOSURE_WORK) fake.status.exposures++;
     if (ended == TEST_WORK) say("TESTED", "seq", seq, NULL, 0, false);
     if (ended != SHOT_WORK) return;
-    if (fake.shot_modes & LIT) fake.counters.laser++;
+    if (fake.shot_modes & LIT) fake.counters.laser++, fake.lit_by_shots[order.laser - 1]++;
     fake.status.exposures = (uint16_t)(fake.status.exposures + (fake.shot_modes & LIT ? 1 : 0) + (fake.shot_modes & DARK ? 1 : 0));
-    say("SHOT", "id", shot_id, "pos", fake.target, true);
+    say("SHOT", "id", order.id, "pos", fake.target, true);
 }

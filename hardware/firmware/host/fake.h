@@ -20,6 +20,7 @@ struct fake {
     unsigned motions;      /* calls that started one */
     int32_t target;        /* of the last motion */
     uint8_t shot_modes;    /* of the last that was a shot, 0 for an exposure or a test */
+    unsigned lit_by_shots[LASERS]; /* lit exposures of each laser that ended */
     char sent[512];        /* what was written since fake_take */
     size_t sent_length;
     unsigned writes;

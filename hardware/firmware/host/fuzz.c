@@ -60,13 +60,14 @@ static long some_number(void) {
 
 static void build_words(char *words, size_t size) {
     static const char *const verbs[] = {"HELLO", "STAT", "CNT", "CFG", "SET", "PING", "EN", "ARM", "LASER", "MOVE",
-                                        "HOME", "SHOT", "TRIG", "STOP", "CLEAR", "SELFTEST", "HANG", "stat", "X", ""};
-    static const char *const keys[] = {"ses", "on", "ms", "to", "max", "id", "m", "shot", "k", "wd", "vmax", "vst", "acc", "hv",
+                                        "HOME", "SHOT", "TRIG", "STOP", "CLEAR", "SELFTEST", "HAS", "HANG", "stat", "X", ""};
+    static const char *const keys[] = {"ses", "on", "ms", "to", "max", "id", "m", "n", "shot", "k", "wd", "vmax", "vst", "acc", "hv",
                                        "back", "dir", "settl", "lon", "loff", "exp", "gap", "rdy", "smin", "smax", "zz", ""};
     static const char *const likely[] = {"EN on=1", "ARM on=1", "HOME max=30000", "SET wd=500 vmax=4000", "CLEAR", "STAT",
                                          "LASER on=1 ms=%u", "MOVE to=%u", "SHOT to=%u id=7", "HELLO ses=5", "ARM on=0",
                                          "CFG shot=1", "CLEAR", "ARM on=1", "LASER on=1 ms=%u", "LASER on=1 ms=%u",
-                                         "SET smin=-100 smax=1900", "SHOT to=%u id=2 m=3", "SET smin=-100 smax=1500", "LASER on=0", "SHOT to=%u id=1 m=2"};
+                                         "SET smin=-100 smax=1900", "SHOT to=%u id=2 m=3", "SET smin=-100 smax=1500", "LASER on=0", "SHOT to=%u id=1 m=2",
+                                         "LASER on=1 ms=%u n=2", "SHOT to=%u id=3 n=2", "LASER on=1 ms=%u n=3", "SHOT to=%u id=4 m=1 n=2"};
     if (any(3)) {
         snprintf(words, size, likely[any(sizeof likely / sizeof *likely)], (unsigned)any(2000));
         return;
@@ -177,6 +178,7 @@ static void check_machine(const struct fake *before, bool authorised, bool stric
         lit++;
         must(may && line_says("LASER on=1 "), "the laser was switched on and nobody asked for it");
         must(before->status.armed && before->status.state != FAULTED, "the laser was switched on and may not be");
+        must(now->laser == (line_says(" n=2") ? 2 : 1), "another laser than the one that was asked for");
         must(now->lease_ms >= 1 && now->lease_ms <= LEASE_MS, "the lease is out of range");
     }
     if (now->armed && !before->status.armed) must(may && line_says("ARM on=1"), "armed, and nobody asked for it");
@@ -188,6 +190,7 @@ static void check_machine(const struct fake *before, bool authorised, bool stric
         must(!bound || (fake.target >= settings[SMIN] && fake.target <= settings[SMAX]), "a motion beyond the limits");
         must(fake.status.state != SHOOTING || fake.shot_modes == 0 || before->status.homed, "a shot from an unknown place");
     }
+    must(now->laser <= LASERS, "a laser that is not there");
     must(!now->laser || now->armed, "the laser is on and not armed");
     must(!now->armed || fake.armed_ms, "armed, and nobody is there");
     must(now->state != FAULTED || (!now->laser && !now->armed && now->fault), "a fault that did not make safe");

@@ -21,7 +21,8 @@ static void flush(void) {
 
 static void extreme(void) {
     fake.status.position = INT32_MIN;
-    fake.status.homed = fake.status.armed = fake.status.enabled = fake.status.laser = true;
+    fake.status.homed = fake.status.armed = fake.status.enabled = true;
+    fake.status.laser = LASERS;
     fake.status.lease_ms = fake.status.exposures = UINT16_MAX;
     fake.status.inputs = 7;
     fake.counters.home_was = INT32_MIN;

@@ -8,10 +8,16 @@ from pathlib import Path
 from types import TracebackType
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import open_capture
-from jaxscan.files.capture.header import HEADER_NAME, CameraTable, CaptureHeader, LaserTable
-from jaxscan.files.capture.images import ImageReader
-from jaxscan.files.capture.references import Folder, ImageRef
+from jaxscan.files.capture import (
+    HEADER_NAME,
+    CameraTable,
+    CaptureHeader,
+    Folder,
+    ImageReader,
+    ImageRef,
+    LaserTable,
+    open_capture,
+)
 from scanrig.cameras.features import require, wanted
 from scanrig.cameras.frame import CameraIdentity, Features, Frame
 from scanrig.cameras.settings import CameraSettings, TriggerMode

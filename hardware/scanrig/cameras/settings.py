@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import pydantic
 
-from jaxscan.files.disk.validation import FileModel, Integer, Number
+from jaxscan.files.disk import FileModel, Integer, Number
 from jaxscan.geometry.scanner import Up
 from jaxscan.stripes.frames.formats import PixelFormat, Response
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry import AbstractBoard
+from jaxscan.geometry import AbstractBoard, apply_homography, direct_homography, fixes_plane
 
 
 _STRIPE_LINES = 20
@@ -26,7 +26,7 @@ class BoardView:
     q: Float[np.ndarray, "n 2"]
     """Corners that were found [px]."""
     homography: Float[np.ndarray, "3 3"]
-    """Board [m] to image [px], relative to the image's centre; of a scale that makes its columns about 1."""
+    """Board [m] to image [px], relative to the image's centre; see `direct_homography`."""
     stripe_lines: int
     """Lines of the image on which the laser crosses the board."""
     stripe_offset: float
@@ -78,12 +78,10 @@ def view_board(
         image_size: Width and height [px].
     """
     points = board.corners()[valid, :2]
-    if len(points) < 6:
-        return None
     seen = q[valid] - _centre(image_size)
-    homography = _homography(points, seen)
-    if homography is None:
+    if not (fixes_plane(points) and fixes_plane(seen)):
         return None
+    homography = direct_homography(points, seen)
     lines, offset = _crossing(board, homography, stripe, image_size)
     return BoardView(q[valid], homography, lines, offset)
 
@@ -132,36 +130,6 @@ def _centre(image_size: tuple[int, int]) -> np.ndarray:
     return 0.5 * (np.array(image_size, float) - 1.0)
 
 
-def _homography(points: np.ndarray, seen: np.ndarray) -> np.ndarray | None:
-    """Board points [n, 2] to image points [n, 2], by the direct linear transform on normalised points."""
-    to_unit, from_unit = _normaliser(points), np.linalg.inv(_normaliser(seen))
-    x, y = (_apply(to_unit, points)).T
-    u, v = (_apply(_normaliser(seen), seen)).T
-    one, none = np.ones_like(x), np.zeros_like(x)
-    rows = [
-        np.stack([x, y, one, none, none, none, -u * x, -u * y, -u], 1),
-        np.stack([none, none, none, x, y, one, -v * x, -v * y, -v], 1),
-    ]
-    _, values, directions = np.linalg.svd(np.concatenate(rows))
-    if values[-2] < 1e-6 * values[0]:
-        return None
-    homography = from_unit @ directions[-1].reshape(3, 3) @ to_unit
-    scale = 0.5 * (np.linalg.norm(homography[:, 0]) + np.linalg.norm(homography[:, 1]))
-    return homography / scale if scale > 0 else None
-
-
-def _normaliser(points: np.ndarray) -> np.ndarray:
-    middle = points.mean(0)
-    spread = float(np.sqrt(((points - middle) ** 2).sum(1).mean())) or 1.0
-    scale = np.sqrt(2.0) / spread
-    return np.array([[scale, 0.0, -scale * middle[0]], [0.0, scale, -scale * middle[1]], [0.0, 0.0, 1.0]])
-
-
-def _apply(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
-    mapped = np.column_stack([points, np.ones(len(points))]) @ homography.T
-    return mapped[:, :2] / mapped[:, 2:]
-
-
 def _crossing(
     board: AbstractBoard, homography: np.ndarray, stripe: np.ndarray | None, image_size: tuple[int, int]
 ) -> tuple[int, float]:
@@ -171,10 +139,10 @@ def _crossing(
     outline = board.outline()
     low, high = outline.min(0), outline.max(0)
     seen = stripe - _centre(image_size)
-    on_board = _apply(np.linalg.inv(homography), seen)
+    on_board = apply_homography(np.linalg.inv(homography), seen)
     inside = ((on_board > low) & (on_board < high)).all(1)
     if not inside.any():
         return 0, 0.0
-    corners = _apply(homography, outline)
+    corners = apply_homography(homography, outline)
     offset = (seen[inside, 0].mean() - corners[:, 0].mean()) / max(float(np.ptp(corners[:, 0])), 1.0)
     return int(inside.sum()), float(offset)

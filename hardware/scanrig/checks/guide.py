@@ -1,7 +1,7 @@
 """What the calibration board should do next, in words, from the pictures so far and without a calibration.
 
-Says what `jaxscan calibrate` would say afterwards (`jaxscan.calibration.verdict.advice`), while the board is
-still at hand. Corners and the laser's line are found by whoever calls, with what it has for that.
+It asks for the same coverage as `jaxscan calibrate` does afterwards, while the board is still at hand. The caller
+finds corners and the laser's line.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Int, UInt8
 
-from jaxscan.geometry import AbstractBoard
+from jaxscan.geometry import AbstractBoard, coverage
 from scanrig.checks.boardview import BoardView, Pose, guess_focal, pose_of, view_board
 
 
@@ -19,15 +19,6 @@ Detect = Callable[[np.ndarray], "tuple[np.ndarray, np.ndarray] | None"]
 """A frame to corners [corners, 2] [px], in the board's order, and which of them are valid [corners]; None: no board."""
 FindLine = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Laser-on and laser-off frame to centres of the laser's line [n, 2] [px]."""
-
-# As in `jaxscan.calibration.verdict.advice`.
-COLUMNS, ROWS = 4, 3
-MIN_IN_CELL = 8
-SIDES = (("upper", "middle", "lower"), ("left", "centre", "right"))
-MIN_TILT_DEG = 20.0
-MIN_DEPTH_RATIO = 1.5
-MIN_STRIPES = 4
-MIN_PLACEMENTS = 3
 
 _GOOD_SHARE = 0.5
 """Part of the views that should be tilted, and part that should be crossed by the laser."""
@@ -58,7 +49,7 @@ class Coverage:
     corners: Int[np.ndarray, "rows columns"]
     """Corners in every cell of the image."""
     tilted: int
-    """Views tilted by `MIN_TILT_DEG` or more."""
+    """Views tilted by `coverage.MIN_TILT_DEG` or more."""
     tilts_deg: tuple[float, ...]
     tilt_sides: int
     """Towards how many of the four sides the board was tilted."""
@@ -76,8 +67,7 @@ class Coverage:
     @property
     def empty_cells(self) -> tuple[str, ...]:
         """Parts of the image with too few corners, the emptiest first, in words."""
-        cells = sorted(zip(*np.nonzero(self.corners < MIN_IN_CELL), strict=True), key=lambda cell: self.corners[cell])
-        return tuple(dict.fromkeys(_name(int(row), int(column)) for row, column in cells))
+        return coverage.empty_parts(self.corners)
 
 
 @dataclass
@@ -133,7 +123,7 @@ class Guide:
         focal = guess_focal(self._views, self.image_size)
         posed = [(view, pose) for view in self._views if (pose := pose_of(view, focal)) is not None]
         poses = [pose for _, pose in posed]
-        tilted = [pose for pose in poses if pose.tilt_deg >= MIN_TILT_DEG]
+        tilted = [pose for pose in poses if pose.tilt_deg >= coverage.MIN_TILT_DEG]
         return Coverage(
             views=len(self._views),
             corners=self._cells(),
@@ -162,17 +152,8 @@ class Guide:
         return [sentence for _, sentence in needs[:most]]
 
     def _cells(self) -> np.ndarray:
-        width, height = self.image_size
         q = np.concatenate([view.q for view in self._views]) if self._views else np.zeros((0, 2))
-        counts, _, _ = np.histogram2d(
-            q[:, 1], q[:, 0], bins=(ROWS, COLUMNS), range=((-0.5, height - 0.5), (-0.5, width - 0.5))
-        )
-        return counts.astype(int)
-
-
-def _name(row: int, column: int) -> str:
-    side = SIDES[1][0 if column == 0 else 2 if column == COLUMNS - 1 else 1]
-    return f"{SIDES[0][row]} {side}"
+        return coverage.count_cells(q, self.image_size)
 
 
 # Each need: how much is missing, from 0 to 1, and the sentence.
@@ -182,21 +163,16 @@ def _about_image(seen: Coverage) -> list[tuple[float, str]]:
     empty = seen.empty_cells
     if not empty:
         return []
-    missing = float(np.mean(seen.corners < MIN_IN_CELL))
-    return [
-        (
-            0.4 + 0.5 * missing,
-            f"bring the board into the {', '.join(empty[:_NAMED_CELLS])} of the image: too few corners lie there",
-        )
-    ]
+    missing = float(np.mean(seen.corners < coverage.MIN_IN_CELL))
+    return [(0.4 + 0.5 * missing, coverage.ASK_FOR_PARTS.format(", ".join(empty[:_NAMED_CELLS])))]
 
 
 def _about_tilt(seen: Coverage) -> list[tuple[float, str]]:
     share = seen.tilted / seen.views
     if share < _GOOD_SHARE:
         most = max(seen.tilts_deg, default=0.0)
-        why = f"hardly one is tilted by more than {most:.0f} degrees" if most < MIN_TILT_DEG else "too few are"
-        return [(0.9 - share, f"tilt the board by 20 to 45 degrees: {why}")]
+        why = f"hardly one is tilted by more than {most:.0f} degrees" if most < coverage.MIN_TILT_DEG else "too few are"
+        return [(0.9 - share, coverage.ASK_FOR_TILT.format(why))]
     if seen.tilt_sides < _SIDES_OF_TILT:
         return [(0.35, "tilt the board both ways, to the left and right and up and down")]
     if seen.roll_deg < _GOOD_ROLL_DEG:
@@ -212,18 +188,12 @@ def _about_depth(seen: Coverage) -> list[tuple[float, str]]:
 
 
 def _about_stripe(seen: Coverage) -> list[tuple[float, str]]:
-    if seen.crossed < max(min(MIN_STRIPES, seen.views), _GOOD_SHARE * seen.views):
-        return [(0.95, f"capture the stripe on more boards: it was seen on {seen.crossed} of {seen.views}")]
-    if seen.stripe_depth_m is not None and seen.crossed >= MIN_STRIPES:
+    if seen.crossed < max(min(coverage.MIN_STRIPES, seen.views), _GOOD_SHARE * seen.views):
+        return [(0.95, coverage.ASK_FOR_STRIPES.format(f"{seen.crossed} of {seen.views}"))]
+    if seen.stripe_depth_m is not None and seen.crossed >= coverage.MIN_STRIPES:
         near, far = seen.stripe_depth_m
-        if far < MIN_DEPTH_RATIO * near:
-            return [
-                (
-                    0.7,
-                    f"capture the stripe nearer and farther: all boards with a stripe stand at about {near:.2f} to "
-                    f"{far:.2f} m",
-                )
-            ]
+        if far < coverage.MIN_DEPTH_RATIO * near:
+            return [(0.7, coverage.ASK_FOR_DEPTHS.format(f"about {near:.2f} to {far:.2f} m"))]
     return []
 
 
@@ -232,11 +202,8 @@ def _about_placing(seen: Coverage, *, laser: bool) -> list[str]:
     sentences = [f"stand the board where it will not move while the table turns, in the middle of the picture{line}"]
     if seen.placements:
         sentences = [f"stand it elsewhere than before, nearer or farther, tilted, {sentences[0].split(', ', 1)[1]}"]
-    if seen.placements < MIN_PLACEMENTS:
-        there = seen.placements
-        sentences.append(
-            f"leave the board standing in {MIN_PLACEMENTS} or more places while the table turns: there is {there}"
-        )
+    if seen.placements < coverage.MIN_PLACEMENTS:
+        sentences.append(coverage.ASK_FOR_PLACEMENTS.format(seen.placements))
     return sentences
 
 

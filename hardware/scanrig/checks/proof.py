@@ -7,7 +7,7 @@ import numpy as np
 import pydantic
 from jaxtyping import Float, UInt8
 
-from jaxscan.files.disk.validation import FileModel, Number
+from jaxscan.files.disk import FileModel, Number
 from jaxscan.stripes.frames.formats import (
     Colour,
     LaserLine,

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
-from jaxscan.files.recording.writer import LOCK_NAME
+from jaxscan.files.recording import LOCK_NAME
 from scanrig.errors import SessionError
 
 

@@ -10,14 +10,21 @@ import numpy as np
 import pydantic
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.header import HEADER_NAME, CaptureHeader, parse_header
-from jaxscan.files.capture.images import ImageReader
-from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, read_journal
-from jaxscan.files.capture.verify import Problem, verify_capture
-from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
+from jaxscan.files.capture import (
+    HEADER_NAME,
+    JOURNAL_NAME,
+    MAX_JOURNAL_BYTES,
+    CaptureHeader,
+    ImageReader,
+    Problem,
+    parse_header,
+    read_journal,
+    verify_capture,
+)
+from jaxscan.files.disk import MEGABYTE, read_bounded
 from scanrig.config import RigConfig
 from scanrig.errors import SessionError
-from scanrig.recording.record import Kind
+from scanrig.session.job import Kind
 
 
 T = TypeVar("T")

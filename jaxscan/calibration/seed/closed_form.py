@@ -7,7 +7,18 @@ from jaxtyping import Float
 
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractCamera, Array, LaserSheet, Pinhole, Turntable, fit_axis, fit_plane, point_up
+from jaxscan.geometry import (
+    AbstractCamera,
+    Array,
+    LaserSheet,
+    Pinhole,
+    Turntable,
+    apply_homography,
+    direct_homography,
+    fit_axis,
+    fit_plane,
+    point_up,
+)
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
 
@@ -183,9 +194,8 @@ def fit_homography(points: np.ndarray, q: np.ndarray) -> np.ndarray:
     """
     keep = np.ones(len(points), bool)
     for _ in range(3):
-        homography = _direct_homography(points[keep], q[keep])
-        image = np.column_stack([points, np.ones(len(points))]) @ homography.T
-        distance = np.hypot(*(image[:, :2] / image[:, 2:] - q).T)
+        homography = direct_homography(points[keep], q[keep])
+        distance = np.hypot(*(apply_homography(homography, points) - q).T)
         # Lens distortion is no error here, so only what is far beyond the usual misfit goes.
         trimmed = distance <= 6.0 * np.median(distance) + 1e-9
         if trimmed.sum() < max(6, len(points) // 2) or np.array_equal(trimmed, keep):
@@ -257,25 +267,6 @@ def _focal_length(homographies: list[np.ndarray]) -> float | None:
         b += [-x[2] * y[2] / size, (y[2] ** 2 - x[2] ** 2) / size]
     inverse_square = np.dot(a, b) / max(np.dot(a, a), 1e-300)
     return float(1.0 / np.sqrt(inverse_square)) if inverse_square > 0 else None
-
-
-def _direct_homography(points: np.ndarray, q: np.ndarray) -> np.ndarray:
-    to_points, to_q = _normalisation(points), _normalisation(q)
-    x = np.column_stack([points, np.ones(len(points))]) @ to_points.T
-    u = np.column_stack([q, np.ones(len(q))]) @ to_q.T
-    zero = np.zeros_like(x)
-    system = np.concatenate(
-        [np.hstack([x, zero, -u[:, :1] * x]), np.hstack([zero, x, -u[:, 1:2] * x])],
-    )
-    # Of the normalised system the square keeps digits enough for first values, and is ten times as fast.
-    homography = np.linalg.eigh(system.T @ system)[1][:, 0].reshape(3, 3)
-    homography = np.linalg.inv(to_q) @ homography @ to_points
-    return homography / np.linalg.norm(homography[:, :2])
-
-
-def _normalisation(points: np.ndarray) -> np.ndarray:
-    centre, size = points.mean(0), max(float(points.std()), 1e-12)
-    return np.array([[1 / size, 0, -centre[0] / size], [0, 1 / size, -centre[1] / size], [0, 0, 1.0]])
 
 
 def _signed_angles(rotations: np.ndarray, direction: np.ndarray) -> np.ndarray:

@@ -5,15 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxscan.calibration.solve.adjust import Adjustment
+from jaxscan.geometry import coverage
 
 
-# Cells of the image that should all have seen corners.
-_COLUMNS, _ROWS = 4, 3
-_MIN_IN_CELL = 8
-_SIDES = (("upper", "middle", "lower"), ("left", "centre", "right"))
-_MIN_TILT_DEG = 20.0
-_MIN_DEPTH_RATIO = 1.5
-_MIN_PLACEMENTS, _MIN_TURN_DEG = 3, 15.0
+_MIN_TURN_DEG = 15.0
 
 # Captures that make a weak direction known, by the names of its largest component.
 _CURES = {
@@ -44,13 +39,13 @@ def advise(result: Adjustment, unobserved: Sequence[dict[str, float]]) -> tuple[
     data = result.data
     lines = [f"capture {cure}" for cure in cures(unobserved)]
     seen = data.corner_q[result.corner_kept]
-    empty = _empty_cells(seen, data.size)
+    empty = coverage.empty_parts(coverage.count_cells(seen, data.size))
     if empty:
-        lines.append(f"bring the board into the {', '.join(empty)} of the image: too few corners lie there")
+        lines.append(coverage.ASK_FOR_PARTS.format(", ".join(empty)))
     poses = np.asarray(result.linearised.view_poses)[result.view_kept & data.usable]
     tilt = np.degrees(np.arccos(np.clip(np.abs(poses[:, 2, 2]), 0.0, 1.0)))
-    if len(tilt) and np.quantile(tilt, 0.9) < _MIN_TILT_DEG:
-        lines.append(f"tilt the board by 20 to 45 degrees: hardly one is tilted by more than {tilt.max():.0f} degrees")
+    if len(tilt) and np.quantile(tilt, 0.9) < coverage.MIN_TILT_DEG:
+        lines.append(coverage.ASK_FOR_TILT.format(f"hardly one is tilted by more than {tilt.max():.0f} degrees"))
     if result.problem.turntable is None:
         return tuple(lines)
     return (*lines, *_about_stripes(result), *_about_turning(result))
@@ -66,30 +61,17 @@ def cures(unobserved: Sequence[dict[str, float]]) -> list[str]:
     return wanted
 
 
-def _empty_cells(q: np.ndarray, size: tuple[int, int]) -> list[str]:
-    counts, _, _ = np.histogram2d(
-        q[:, 1], q[:, 0], bins=(_ROWS, _COLUMNS), range=((-0.5, size[1] - 0.5), (-0.5, size[0] - 0.5))
-    )
-    names = []
-    for row, column in zip(*np.nonzero(counts < _MIN_IN_CELL), strict=True):
-        side = _SIDES[1][0 if column == 0 else 2 if column == _COLUMNS - 1 else 1]
-        names.append(f"{_SIDES[0][row]} {side}")
-    return list(dict.fromkeys(names))
-
-
 def _about_stripes(result: Adjustment) -> list[str]:
     data, lines = result.data, []
     depth = np.asarray(result.linearised.view_poses)[:, 2, 3]
     for laser in range(len(result.problem.lasers.distance)):
         lit = (data.stripe_laser == laser) & result.stripe_kept.any(1)
         depths = depth[data.stripe_view[lit]]
-        if len(depths) < 4:
-            lines.append(f"capture the stripe on more boards: it was seen on {len(depths)}")
-        elif depths.min() > 0 and depths.max() < _MIN_DEPTH_RATIO * depths.min():
-            lines.append(
-                f"capture the stripe nearer and farther: all boards with a stripe stand at {depths.min():.2f} to "
-                f"{depths.max():.2f} m, and beyond that the sheet is a guess"
-            )
+        if len(depths) < coverage.MIN_STRIPES:
+            lines.append(coverage.ASK_FOR_STRIPES.format(len(depths)))
+        elif depths.min() > 0 and depths.max() < coverage.MIN_DEPTH_RATIO * depths.min():
+            between = f"{depths.min():.2f} to {depths.max():.2f} m, and beyond that the sheet is a guess"
+            lines.append(coverage.ASK_FOR_DEPTHS.format(between))
     return lines
 
 
@@ -99,11 +81,8 @@ def _about_turning(result: Adjustment) -> list[str]:
     angles = [data.angle[used & (data.placement == number)] for number in np.unique(data.placement[used])]
     turned = [np.degrees(np.ptp(stops)) for stops in angles if len(stops) > 1]
     lines = []
-    if len(turned) < _MIN_PLACEMENTS:
-        lines.append(
-            f"leave the board standing in {_MIN_PLACEMENTS} or more places while the table turns: there is "
-            f"{len(turned)}"
-        )
+    if len(turned) < coverage.MIN_PLACEMENTS:
+        lines.append(coverage.ASK_FOR_PLACEMENTS.format(len(turned)))
     if turned and max(turned) < _MIN_TURN_DEG:
         lines.append(
             f"turn the table farther while the board stands: the widest turn is {max(turned):.1f} degrees, and the "

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxscan import api
 from jaxscan.errors import CaptureError, JaxscanError
-from jaxscan.files.capture.capture import Capture, CaptureHeader, open_capture
+from jaxscan.files.capture import Capture, CaptureHeader, open_capture
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction.incoming import IncomingStripes, Pair, PlannedSweep
 from jaxscan.reconstruction.reconstruct import Progress

@@ -15,7 +15,7 @@ from jaxscan.errors import OptionError
 
 if TYPE_CHECKING:
     from scanrig.checks.guide import Coverage, Guide
-    from scanrig.session.session import PlacementRequest
+    from scanrig.session import PlacementRequest
 
 
 COMMAND_S = 600.0
@@ -65,7 +65,7 @@ class Lines:
 
 
 class TerminalOperator:
-    """An `Operator` of `scanrig.session.session`: a person at the terminal."""
+    """An `Operator` of `scanrig.session.run`: a person at the terminal."""
 
     def __init__(
         self,
@@ -158,7 +158,7 @@ class CommandOperator:
 
 def coverage_text(seen: "Coverage", *, laser: bool = True) -> str:
     """What the poses so far have covered, for a terminal: the image's cells with corners, and the rest beside them."""
-    from scanrig.checks.guide import MIN_IN_CELL, MIN_TILT_DEG
+    from jaxscan.geometry.coverage import MIN_IN_CELL, MIN_TILT_DEG
 
     cells = [" ".join("■" if count >= MIN_IN_CELL else "·" for count in row) for row in seen.corners]
     sides = f", towards {seen.tilt_sides} of 4 sides" if seen.tilted else ""

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from jaxscan.files.capture.capture import CaptureHeader
-from jaxscan.files.capture.header import CameraTable, TurntableTable
+from jaxscan.files.capture import CameraTable, CaptureHeader, TurntableTable
 
 
 if TYPE_CHECKING:

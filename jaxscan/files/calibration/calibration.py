@@ -15,10 +15,16 @@ from jaxscan.files.calibration.observations import (
     write_observations,
 )
 from jaxscan.files.calibration.quality import finite, quality_table, read_quality
-from jaxscan.files.disk.atomic import check_writable, write_atomically
-from jaxscan.files.disk.bounded import MEGABYTE, file_digest, parse_json, read_bounded
-from jaxscan.files.disk.readable_json import readable_json
-from jaxscan.files.disk.validation import check
+from jaxscan.files.disk import (
+    MEGABYTE,
+    check,
+    check_writable,
+    file_digest,
+    parse_json,
+    read_bounded,
+    readable_json,
+    write_atomically,
+)
 from jaxscan.geometry import AbstractCamera, Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 
 

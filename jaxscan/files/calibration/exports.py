@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
-from jaxscan.files.disk.atomic import check_writable, write_atomically
+from jaxscan.files.disk import check_writable, write_atomically
 from jaxscan.geometry import Fisheye, Pinhole, Scanner
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pydantic
 
 from jaxscan.files.capture.header import MAX_PIXELS
-from jaxscan.files.disk.validation import FileModel, Integer, Number
+from jaxscan.files.disk import FileModel, Integer, Number
 from jaxscan.geometry import Fisheye, Pinhole
 from jaxscan.geometry.scanner import UP_VECTORS, Up
 from jaxscan.geometry.turntable import Carries

@@ -6,16 +6,22 @@ from typing import Annotated, Literal
 import numpy as np
 import pydantic
 
-from jaxscan.calibration.observations import BoardViews, Observations, StripeViews
 from jaxscan.errors import CalibrationError
-from jaxscan.files.disk.arrays import read_arrays, write_arrays
-from jaxscan.files.disk.atomic import write_atomically
-from jaxscan.files.disk.bounded import parse_json
-from jaxscan.files.disk.readable_json import readable_json
-from jaxscan.files.disk.validation import FileModel, Integer, Number, check
+from jaxscan.files.disk import (
+    FileModel,
+    Integer,
+    Number,
+    check,
+    parse_json,
+    read_arrays,
+    readable_json,
+    write_arrays,
+    write_atomically,
+)
 from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
+from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
 OBSERVATIONS_FORMAT: Literal["jaxscan-observations/1"] = "jaxscan-observations/1"

@@ -12,17 +12,14 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.decode import decode_ahead
 from jaxscan.files.capture.exposures import common_exposures, exposure_levels
-from jaxscan.files.capture.header import HEADER_NAME, board_of, parse_header
-from jaxscan.files.capture.header import CaptureHeader as CaptureHeader
+from jaxscan.files.capture.header import HEADER_NAME, CaptureHeader, board_of, parse_header
 from jaxscan.files.capture.images import ImageReader, RecordFrames
-from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, read_journal
-from jaxscan.files.capture.journal import Record as Record
-from jaxscan.files.capture.references import ImageRef as ImageRef
-from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
-from jaxscan.files.recording.resume import resume_capture as resume_capture
-from jaxscan.files.recording.writer import CaptureWriter as CaptureWriter
-from jaxscan.files.recording.writer import create_capture as create_capture
+from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record, read_journal
+from jaxscan.files.capture.references import ImageRef
+from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.geometry import AbstractBoard
+from jaxscan.geometry.scanner import Up
+from jaxscan.geometry.turntable import Carries
 from jaxscan.reconstruction.sweep import FrameChunk
 from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response
 
@@ -62,9 +59,14 @@ class Capture:
         return self.header.camera.width, self.header.camera.height
 
     @property
-    def carries(self) -> str | None:
+    def carries(self) -> Carries | None:
         """What the table carries, where the header says so."""
         return None if self.header.turntable is None else self.header.turntable.carries
+
+    @property
+    def up(self) -> Up:
+        """Which direction of the image is up."""
+        return self.header.camera.up
 
     @property
     def board(self) -> AbstractBoard | None:

@@ -6,8 +6,7 @@ import pydantic
 import tomli_w
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.disk.config import parse_toml
-from jaxscan.files.disk.validation import FileModel, Integer, Number, check
+from jaxscan.files.disk import FileModel, Integer, Number, check, parse_toml
 from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries

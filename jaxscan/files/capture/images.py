@@ -11,7 +11,7 @@ from jaxscan.files.capture.header import CaptureHeader, frame_shape
 from jaxscan.files.capture.journal import Record
 from jaxscan.files.capture.references import Folder, ImageRef
 from jaxscan.files.capture.shards import Shards
-from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
+from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.stripes.frames.formats import frame_rank
 
 

@@ -10,7 +10,7 @@ import pydantic
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.references import ImageRef, parse_images
-from jaxscan.files.disk.validation import Integer, Number, check
+from jaxscan.files.disk import Integer, Number, check
 
 
 JOURNAL_NAME = "frames.jsonl"

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.references import ImageRef
-from jaxscan.files.disk.arrays import NPY_DAMAGE, read_npy_header
+from jaxscan.files.disk import NPY_DAMAGE, read_npy_header
 
 
 # Each keeps a file open, of which a process may have about a thousand.

@@ -12,9 +12,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.capture import Capture
-from jaxscan.files.disk.arrays import read_arrays, write_arrays
-from jaxscan.files.disk.atomic import write_atomically
-from jaxscan.files.disk.bounded import MEGABYTE, parse_json
+from jaxscan.files.disk import MEGABYTE, parse_json, read_arrays, write_arrays, write_atomically
 
 
 CACHE_FORMAT = "jaxscan-stripes/1"

@@ -16,7 +16,7 @@ from jaxscan.files.capture.header import HEADER_NAME, CaptureHeader, frame_shape
 from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record, read_journal
 from jaxscan.files.capture.references import Folder, ImageRef
 from jaxscan.files.capture.shards import Shards
-from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
+from jaxscan.files.disk import MEGABYTE, read_bounded
 
 
 SEAL = "journal_sha256"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.references import MAX_IMAGES
+from jaxscan.files.capture import MAX_IMAGES
 
 
 def given_exposures(given: Any, where: str) -> list[float]:

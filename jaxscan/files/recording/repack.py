@@ -14,13 +14,17 @@ from typing import Any
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.capture import Capture, open_capture
-from jaxscan.files.capture.decode import cores
-from jaxscan.files.capture.header import HEADER_NAME
-from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record
-from jaxscan.files.capture.verify import SEAL
-from jaxscan.files.disk.atomic import sync_to_disk, write_atomically
-from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
+from jaxscan.files.capture import (
+    HEADER_NAME,
+    JOURNAL_NAME,
+    MAX_JOURNAL_BYTES,
+    SEAL,
+    Capture,
+    Record,
+    cores,
+    open_capture,
+)
+from jaxscan.files.disk import MEGABYTE, read_bounded, sync_to_disk, write_atomically
 from jaxscan.files.recording.store import Storage
 from jaxscan.files.recording.writer import CaptureWriter, create_capture
 

@@ -6,11 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.exposures import exposure_levels
-from jaxscan.files.capture.header import HEADER_NAME, parse_header
-from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record, read_journal
-from jaxscan.files.disk.atomic import write_atomically
-from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
+from jaxscan.files.capture import (
+    HEADER_NAME,
+    JOURNAL_NAME,
+    MAX_JOURNAL_BYTES,
+    Record,
+    exposure_levels,
+    parse_header,
+    read_journal,
+)
+from jaxscan.files.disk import MEGABYTE, read_bounded, write_atomically
 from jaxscan.files.recording.store import Storage
 from jaxscan.files.recording.writer import CaptureWriter, require_no_links
 

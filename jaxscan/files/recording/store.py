@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.disk.atomic import sync_to_disk, write_atomically
+from jaxscan.files.disk import sync_to_disk, write_atomically
 
 
 Storage = Literal["png", "npy"]

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.header import HEADER_NAME, CaptureHeader, frame_shape, header_toml
-from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_LINE_BYTES
-from jaxscan.files.disk.atomic import sync_to_disk, write_atomically
+from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, MAX_LINE_BYTES, CaptureHeader, frame_shape, header_toml
+from jaxscan.files.disk import sync_to_disk, write_atomically
 from jaxscan.files.recording.given import copies, given_exposures, named, unnamed
 from jaxscan.files.recording.store import Storage, image_store
 

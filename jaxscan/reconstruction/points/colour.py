@@ -4,9 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, UInt8
 
-from jaxscan.geometry import Array
-from jaxscan.reconstruction.points.triangulate import stripe_pixel
-from jaxscan.stripes.frames.formats import PixelFormat, Response, StripeAxis
+from jaxscan.geometry import Array, StripeAxis, stripe_pixel
+from jaxscan.stripes.frames.formats import PixelFormat, Response
 from jaxscan.stripes.stripes import FrameStripes
 
 

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxscan.geometry import Scanner
-from jaxscan.stripes.frames.formats import StripeAxis
+from jaxscan.geometry import Scanner, StripeAxis, across_and_along, stripe_pixel
 
 
 _PITCH_PX = 8.0
@@ -67,7 +66,7 @@ def line_gate(
             f"got {min_range_m}, {max_range_m} and {margin_px}."
         )
     camera, sheet = scanner.camera, scanner.laser(laser)
-    lines, length = (camera.height, camera.width) if stripe_axis == "rows" else (camera.width, camera.height)
+    length, lines = across_and_along(camera.width, camera.height, stripe_axis)
     across, along = _nodes(-1.0, float(length)), _nodes(0.0, float(lines - 1))
     with jax.enable_x64(True):
         exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), (camera, sheet))
@@ -88,8 +87,7 @@ def _incidence(camera, sheet, along, across, stripe_axis):
     """m of `LaserSheet.intersect` on the lattice [along, across]."""
 
     def at(line, u):
-        ray = camera.unproject(jnp.stack([u, line] if stripe_axis == "rows" else [line, u]))
-        return sheet.intersect(ray)[1]
+        return sheet.intersect(camera.unproject(stripe_pixel(u, line, stripe_axis)))[1]
 
     return jax.vmap(jax.vmap(at, (None, 0)), (0, None))(along, across)
 

@@ -8,10 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.geometry import AbstractCamera, Array, Scanner
+from jaxscan.geometry import AbstractCamera, Array, Scanner, StripeAxis, stripe_pixel
 from jaxscan.reconstruction.points.triangulate import Limits, triangulate
 from jaxscan.reconstruction.points.uncertainty import RangeTable, range_table
-from jaxscan.stripes.frames.formats import StripeAxis
 
 
 class Rig(eqx.Module):
@@ -23,9 +22,8 @@ class Rig(eqx.Module):
     @staticmethod
     def of(scanner: Scanner, stripe_axis: StripeAxis) -> "Rig":
         table = range_table(scanner, stripe_axis)
-        bare = Scanner(scanner.camera, scanner.lasers, scanner.turntable, None, scanner.laser_names, scanner.up)
         # Host arrays: the same whether or not the caller enabled 64-bit JAX.
-        return jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), Rig(bare, table))
+        return jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), Rig(scanner.without_covariance(), table))
 
 
 class Points(NamedTuple):
@@ -96,7 +94,7 @@ def locate_points(
 def line_step(camera: AbstractCamera, stripe_axis: StripeAxis) -> float:
     """Angle between neighbouring lines at the middle of the image [rad]."""
     middle = np.array([camera.width, camera.height], np.float32) / 2
-    step = np.array([0, 1] if stripe_axis == "rows" else [1, 0], np.float32)
+    step = stripe_pixel(np.float32(0), np.float32(1), stripe_axis)
     first, second = (np.asarray(_ray(camera, q)) for q in (middle, middle + step))
     return float(np.linalg.norm(second - first))
 

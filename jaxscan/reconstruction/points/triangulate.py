@@ -7,9 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxscan.geometry import AbstractCamera, Array, LaserSheet
+from jaxscan.geometry import AbstractCamera, Array, LaserSheet, StripeAxis, stripe_pixel
 from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.stripes.frames.formats import StripeAxis
 
 
 class Triangulated(NamedTuple):
@@ -38,11 +37,6 @@ class Limits(NamedTuple):
         """Those of the settings, float32."""
         values = (settings.min_range_m, settings.max_range_m, settings.min_incidence)
         return Limits(*(np.asarray(value, np.float32) for value in values))
-
-
-def stripe_pixel(u: Float[Array, ""], line: Float[Array, ""], stripe_axis: StripeAxis) -> Float[Array, "2"]:
-    """Pixel q = (u, v) [px] of a centre `u` across the line number `line`."""
-    return jnp.stack([u, line] if stripe_axis == "rows" else [line, u])
 
 
 def triangulate(

@@ -15,8 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry import Array, Scanner
-from jaxscan.stripes.frames.formats import StripeAxis
+from jaxscan.geometry import Array, Scanner, StripeAxis, across_and_along, stripe_pixel
 
 
 SPACING_PX = 16.0
@@ -52,44 +51,21 @@ def range_table(scanner: Scanner, stripe_axis: StripeAxis = "rows") -> RangeTabl
 
     Zero everywhere where the scanner has no covariance.
     """
-    width, height = scanner.camera.width, scanner.camera.height
-    across, lines = (width, height) if stripe_axis == "rows" else (height, width)
+    across, lines = across_and_along(scanner.camera.width, scanner.camera.height, stripe_axis)
     knots = _knots(across)
     if scanner.covariance is None:
         return RangeTable(np.zeros((len(scanner.laser_names), lines, 2)), np.asarray(float(across - 1)))
     coarse = _knots(lines)
     with jax.enable_x64(True):
         u, line = jnp.meshgrid(jnp.asarray(knots), jnp.asarray(coarse))
-        q = jnp.stack([u, line] if stripe_axis == "rows" else [line, u], -1)
-        table = np.asarray(_numerators(_bare(scanner), jnp.asarray(scanner.covariance), q))
+        bare = scanner.without_covariance().as_dtype(jnp.float64)
+        table = np.asarray(_numerators(bare, jnp.asarray(scanner.covariance), stripe_pixel(u, line, stripe_axis)))
     # Between lattice lines: linear, once for every line, so that a look-up needs two knots only.
     position = np.arange(lines) / (coarse[1] - coarse[0])
     low = np.minimum(position.astype(int), len(coarse) - 2)
     weight = (position - low)[None, :, None]
     full = (1.0 - weight) * table[:, low] + weight * table[:, low + 1]
     return RangeTable(full, np.asarray(knots[1] - knots[0]))
-
-
-def range_sigma(scanner: Scanner, q: Float[Array, "2"], laser: int) -> Float[Array, ""]:
-    """Exact standard deviation [m] of the range at pixel `q` from `scanner.covariance`."""
-    with jax.enable_x64(True):
-        return _exact(_bare(scanner), jnp.asarray(scanner.covariance), jnp.asarray(q), laser)
-
-
-def _bare(scanner: Scanner) -> Scanner:
-    """Without its covariance, float64."""
-    bare = Scanner(scanner.camera, scanner.lasers, scanner.turntable, None, scanner.laser_names, scanner.up)
-    return bare.as_dtype(jnp.float64)
-
-
-@jax.jit
-def _exact(scanner: Scanner, covariance: Array, q: Array, laser: Array | int) -> Array:
-    def range_at(step):
-        moved = scanner.retract(step)
-        return moved.laser(laser).intersect(moved.camera.unproject(q))[0]
-
-    gradient = jax.jacfwd(range_at)(jnp.zeros(len(scanner.parameter_names()), covariance.dtype))
-    return jnp.sqrt(gradient @ covariance @ gradient)
 
 
 def _knots(count: int) -> np.ndarray:

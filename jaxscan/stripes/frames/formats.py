@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from jaxscan.geometry import Array
+from jaxscan.geometry import StripeAxis as StripeAxis
 
 
 PixelFormat = Literal["mono8", "rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_grbg8", "bayer_gbrg8"]
@@ -16,7 +17,6 @@ PIXEL_FORMATS: tuple[PixelFormat, ...] = ("mono8", "rgb8", "bayer_rggb8", "bayer
 Response = Literal["linear", "srgb"]
 Colour = Literal["red", "green", "blue"]
 LaserColour = Literal["auto", "red", "green", "blue"]
-StripeAxis = Literal["rows", "columns"]
 
 
 @dataclass(frozen=True)

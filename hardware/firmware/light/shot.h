@@ -1,0 +1,29 @@
+/* The shot sequencer: by the clock's tick, n ms are n ticks exactly.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef SHOT_H
+#define SHOT_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "machine.h"
+
+enum shot_kind { A_SHOT, AN_EXPOSURE, A_TEST };
+
+extern volatile uint16_t exposures; /* since boot */
+extern volatile uint8_t shot_kind;
+extern volatile uint32_t shot_id;
+
+/* With interrupts off. */
+void shot_begin(const struct shot_order *order);
+void expose_begin(uint16_t ms);
+void test_begin(void);
+void shot_cancel(void);
+void shot_tick(void);
+
+bool shot_running(void);
+bool shot_testing(void);
+
+#endif

@@ -1,0 +1,36 @@
+/* The verbs: which keys each has, what must be so for it to be carried out, and doing it.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef VERBS_H
+#define VERBS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "protocol.h"
+#include "text.h"
+
+#define PROTOCOL_NUMBER 1
+#ifndef FIRMWARE_VERSION
+#define FIRMWARE_VERSION "1.0.0" /* of the pretended controller in the tests; the Makefile says which one an image has */
+#endif
+
+enum { HELLO_VERB, NO_VERB = 255 };
+
+/* What there is of a conversation; commands.c has it. */
+struct session {
+    struct text reply; /* the answer or event that is being written */
+    uint16_t last_seq, event_number, damaged, repeated;
+    bool begun, strict;
+};
+extern struct session session;
+
+uint8_t verb_find(const struct word *name);
+
+/* All keys are checked, then all that must be so; then it is done. Returns an error, OK = 0; adds fields to the reply. */
+uint8_t verb_carry_out(uint8_t verb, struct words *words, uint16_t seq);
+
+void verb_status(void); /* STAT's fields */
+
+#endif
