@@ -2,10 +2,10 @@
 
 from jaxscan.geometry.arrays import Array as Array
 from jaxscan.geometry.board import AbstractBoard as AbstractBoard
+from jaxscan.geometry.board import BowedBoard as BowedBoard
 from jaxscan.geometry.board import Charuco as Charuco
 from jaxscan.geometry.board import Chessboard as Chessboard
-from jaxscan.geometry.bowed_board import BowedBoard as BowedBoard
-from jaxscan.geometry.bowed_board import corner_frame as corner_frame
+from jaxscan.geometry.board import corner_frame as corner_frame
 from jaxscan.geometry.camera import AbstractCamera as AbstractCamera
 from jaxscan.geometry.camera import Pinhole as Pinhole
 from jaxscan.geometry.fisheye import Fisheye as Fisheye
