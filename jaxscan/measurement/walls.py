@@ -62,7 +62,7 @@ def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> 
 
     Skirting, pictures and furniture stand in front of a wall and nothing behind it, so the width
     of the residuals is taken from the outer side, and both tails are cut at the same distance:
-    what lies in front does not pull the plane.
+    things in front do not pull the plane.
     """
     normal, distance = plane.normal, plane.distance
     residual = samples.p @ normal - distance
