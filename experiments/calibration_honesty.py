@@ -70,9 +70,9 @@ def run(config: SimulationConfig, poses: BoardPoses, lengths: list[Length], seed
         turned @ fit.covariance @ turned.T,
         measure_lengths(result.scanner, lengths) - measure_lengths(true_scanner(truth), lengths),
         length_sigma(result.scanner, lengths),
-        (quality["corner_rms_whitened"] ** 2, quality["stripe_rms_whitened"] ** 2),
-        (2 * quality["corners"], quality["stripe_points"]),
-        quality["corners_rejected"] + quality["stripe_points_rejected"],
+        (quality.corner_rms_whitened**2, quality.stripe_rms_whitened**2),
+        (2 * quality.corners, quality.stripe_points),
+        quality.corners_rejected + quality.stripe_points_rejected,
     )
 
 

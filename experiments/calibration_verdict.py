@@ -60,8 +60,8 @@ def chance(
     poses = covering_poses(config, 100 + seed, around)
     ideal = ideal_boards(config, poses, lens_px=lens_px)
     noisy = add_noise(ideal, np.random.default_rng([23, seed]), correlation=correlation)
-    verdict = calibrate_observations(trials.observations(noisy, config), settings=settings).quality["verdict"]
-    return verdict["p"], min(verdict["tests"], key=lambda test: test["p"])["name"]
+    verdict = calibrate_observations(trials.observations(noisy, config), settings=settings).quality.verdict
+    return verdict.p, min(verdict.tests, key=lambda test: test.p).name
 
 
 def cases() -> dict[str, tuple[bool, Callable[[int], tuple[float, str]]]]:

@@ -22,7 +22,7 @@ class Calibration:
     """Names of the minimal coordinates that `covariance` refers to."""
     covariance: np.ndarray
     """Covariance [params, params] in the units px, rad, m; zero for parameters held fixed."""
-    quality: Quality = Quality()
+    quality: Quality = field(default_factory=Quality)
     """Numbers by which to judge the result: whether it converged, residuals, counts, verdict, ..."""
     observations: Observations | None = None
     provenance: dict[str, Any] = field(default_factory=dict)

@@ -3,10 +3,11 @@
 import logging
 
 from scanrig.clock import Clock
-from scanrig.controllers.status import Firmware, read_firmware
+from scanrig.controllers.jxs.answers import read_firmware
+from scanrig.controllers.jxs.exchange import Exchange
+from scanrig.controllers.jxs.protocol import PROTOCOL
+from scanrig.controllers.status import Firmware
 from scanrig.errors import FirmwareError, LinkLost, Refused
-from scanrig.wire.exchange import Exchange
-from scanrig.wire.protocol import PROTOCOL
 
 
 log = logging.getLogger(__name__)

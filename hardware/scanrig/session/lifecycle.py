@@ -1,19 +1,20 @@
-"""How any session runs: the folder is locked, the rig made ready, work done, and everything left safe and sealed."""
+"""The life of any session: folder locked, rig made ready, records taken, laser off, journal sealed."""
 
 import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
 from jaxscan.files.recording import make_folder
+from scanrig.controllers import require_allowed
 from scanrig.errors import SessionError
-from scanrig.recording.lock import FolderLock
+from scanrig.recording import FolderLock
 from scanrig.session.ending import Ending, counted, ended_by, leave_safe
 from scanrig.session.job import Job, SessionResult
 from scanrig.session.resume import Found, find_capture, is_capture, require_same_plan
-from scanrig.session.work import Session
+from scanrig.session.session import Session
 
 
-def conduct(job: Job, work: Callable[[Session], bool]) -> SessionResult:
+def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
     """Run a session from the lock to the seal.
 
     Args:
@@ -23,6 +24,7 @@ def conduct(job: Job, work: Callable[[Session], bool]) -> SessionResult:
     Raises:
         JaxscanError: As `run_sweep` says. The laser is off, or the message says that this is not certain.
     """
+    require_allowed(job.devices.controller.guarantees, job.config.controller)
     made = _folder(job.folder)
     try:
         with FolderLock(job.folder) as lock:
@@ -30,10 +32,10 @@ def conduct(job: Job, work: Callable[[Session], bool]) -> SessionResult:
             if found is not None and found.status == "complete" and not found.damaged and not found.suspect:
                 return _complete_already(job, found)
             if job.resume and found is None:
-                job.notify(f"{job.folder}: nothing is there to go on with; the capture begins.")
+                job.hooks.notify(f"{job.folder}: nothing is there to go on with; the capture begins.")
             session = Session(job, found)
             if lock.note:
-                job.notify(f"{job.folder}: {lock.note}.")
+                job.hooks.notify(f"{job.folder}: {lock.note}.")
                 session.ledger.note("lock", message=lock.note)
             return _run(session, work)
     finally:
@@ -51,25 +53,25 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
         status = ("suspect" if session.suspect else "complete") if finished else "interrupted"
         ending = Ending(status, "")
     except BaseException as problem:
-        ending = ended_by(problem, job.controller)
-    unsafe = leave_safe(job.controller)
+        ending = ended_by(problem, job.devices.controller)
+    unsafe = leave_safe(job.devices.controller)
     unsealed = session.ledger.end(
         ending.status,
         records=len(session.done),
         taken=session.taken,
         problem=ending.message,
         laser_off=not unsafe,
-        **counted(job.controller, answers=not unsafe),
+        **counted(job.devices.controller, answers=not unsafe),
     )
     for sentence in (unsafe, unsealed):
         if sentence:
-            job.notify(sentence)
+            job.hooks.notify(sentence)
     if ending.error is not None:
         if unsafe and ending.error.args:
             # One line is all that many see of an error.
             ending.error.args = (f"{str(ending.error).rstrip('.')}. {unsafe}", *ending.error.args[1:])
         if session.ledger.events and session.done:
-            job.notify(
+            job.hooks.notify(
                 f"{job.folder}: {len(session.done)} of {job.planned} records are on the disk; go on with --resume."
             )
         raise ending.error
@@ -95,10 +97,10 @@ def _look(job: Job) -> Found | None:
         raise SessionError(
             f"{job.folder}: holds a capture already; go on with it by --resume, or choose another folder."
         )
-    job.notify(f"{job.folder}: verifying what is there.")
+    job.hooks.notify(f"{job.folder}: verifying what is there.")
     found = find_capture(job.folder)
     for problem in found.altered:
-        job.notify(str(problem))
+        job.hooks.notify(str(problem))
     require_same_plan(found, job.config, job.kind, folder=job.folder, calibration_digest=job.calibration_digest)
     return found
 

@@ -4,10 +4,11 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from scanrig.clock import Clock
-from scanrig.controllers.status import Firmware, Status, integer, read_status
-from scanrig.errors import ControllerReset, LinkLost, Refused, RigFault, RigTimeout
-from scanrig.wire.exchange import Exchange
-from scanrig.wire.protocol import Event
+from scanrig.controllers.jxs.answers import integer, read_fault, read_status
+from scanrig.controllers.jxs.exchange import Exchange
+from scanrig.controllers.jxs.protocol import Event
+from scanrig.controllers.status import Firmware, Status
+from scanrig.errors import ControllerReset, Fault, LinkLost, Reason, Refused, RigFault, RigTimeout
 
 
 POLL_S = 0.1
@@ -50,10 +51,10 @@ class Conversation:
             self.broken = problem.__cause__ is not None
             raise
         except Refused as refusal:
-            if refusal.code == 9 and self.firmware is not None:
+            if refusal.reason is Reason.NO_SESSION and self.firmware is not None:
                 self._note_reset()
                 self.raise_reset()
-            if refusal.code == 6 and verb != "CLEAR":
+            if refusal.reason is Reason.IN_FAULT:
                 self.poll()
             raise
 
@@ -63,8 +64,9 @@ class Conversation:
         Raises:
             ControllerReset: it has been reset since HELLO.
         """
-        status = read_status(self.ask("STAT"))
-        self.wire.note_last_event(status.events)
+        says = self.ask("STAT")
+        status = read_status(says)
+        self.wire.note_last_event(integer(says, "ev"))
         if self.enabled and not status.enabled:
             if status.state == "fault":
                 self.enabled = False
@@ -78,7 +80,7 @@ class Conversation:
         """Ask for the state, and raise the fault that it is in."""
         status = self.stat()
         if status.state == "fault":
-            raise RigFault(status.fault, status.position)
+            raise RigFault(status.fault or Fault.UNKNOWN, status.position)
         return status
 
     def clear(self) -> None:
@@ -168,7 +170,7 @@ class Conversation:
         while self.wire.events:
             event = self.wire.events.popleft()
             if event.name == "FAULT":
-                raise RigFault(integer(event.fields, "f"), integer(event.fields, "pos"))
+                raise RigFault(read_fault(integer(event.fields, "f")), integer(event.fields, "pos"))
             done = told(event)
             if done is not None:
                 return done

@@ -7,24 +7,33 @@ from typing import TypeVar
 import numpy as np
 
 from scanrig.cameras.features import differences
-from scanrig.cameras.frame import Camera, Features
-from scanrig.clock import Clock
+from scanrig.cameras.frame import Features
 from scanrig.config import RigConfig
-from scanrig.controllers.controller import Controller
-from scanrig.controllers.status import Firmware, Status
-from scanrig.errors import CameraError, CameraLost, CameraTimeout, LinkLost, Refused, RigFault, RigTimeout, SessionError
+from scanrig.controllers import Firmware, Status
+from scanrig.errors import (
+    CameraError,
+    CameraLost,
+    CameraTimeout,
+    Fault,
+    LinkLost,
+    Reason,
+    Refused,
+    RigFault,
+    RigTimeout,
+    SessionError,
+)
+from scanrig.session.job import Devices
 from scanrig.session.plan import controller_settings, longest_s, nearest
-from scanrig.session.step import FrameNumbers, Pair, next_frame, take_pair
+from scanrig.session.step import FrameNumbers, Pair, Station, Step, next_frame, take_pair
 
 
 Note = Callable[..., None]
 """Called with the name of an event and its fields."""
 
-ESTOP = 1
-_TEMPORARY = {2, 3, 6}
-"""Faults that need no person: link, lease, camera not ready."""
-_AFTER_RESET = {8, 9, 11, 14}
-"""Refusals that a controller gives which has forgotten: not homed, no session, driver off, not armed."""
+_TEMPORARY = {Fault.LINK_LOST, Fault.LEASE_RAN_OUT, Fault.CAMERA_NOT_READY}
+"""Faults that need no person."""
+_AFTER_RESET = {Reason.NOT_HOMED, Reason.NO_SESSION, Reason.DRIVER_OFF, Reason.NOT_ARMED}
+"""Refusals of a controller that has forgotten."""
 _ABOVE_HOME_DEG = 3.0
 _STILL_S = 10.0
 _RECOVERIES = 5
@@ -34,12 +43,12 @@ _LONGEST_PAUSE_S = 5.0
 T = TypeVar("T")
 
 
-class Rig:
-    """Controller and camera of a session."""
+class RecoveringRig:
+    """Controller and camera of a session, brought back after whatever can be recovered from."""
 
-    def __init__(self, controller: Controller, camera: Camera, config: RigConfig, clock: Clock, *, note: Note) -> None:
+    def __init__(self, config: RigConfig, devices: Devices, note: Note) -> None:
         """Nothing is sent yet; `note` is told of faults, retakes and homings."""
-        self.controller, self.camera, self.config = controller, camera, config
+        self.controller, self.camera, self.config = devices.controller, devices.camera, config
         self.features: Features = {}
         self.position_known = False
         """Whether the controller was homed when it was made ready, so that its counter says where home is missed."""
@@ -48,7 +57,7 @@ class Rig:
         """Takes that were dropped."""
         self.tolerance = config.checks.lost_steps_tolerance
         """Microsteps by which home may be missed."""
-        self._clock, self._note = clock, note
+        self._clock, self._note = devices.clock, note
         self._numbers = FrameNumbers()
         self._homing = False
         """Whether a homing was begun whose result was not heard: it may have set the counter to 0."""
@@ -67,7 +76,7 @@ class Rig:
         controller.stop()
         status = self._await_rest()
         if status.estop:
-            raise RigFault(ESTOP, status.position)
+            raise RigFault(Fault.EMERGENCY_STOP, status.position)
         if status.state == "fault":
             controller.clear()
             status = controller.stat()
@@ -93,7 +102,7 @@ class Rig:
         was = controller.home(nearest(self.config.turntable.home_within_deg, n), longest_s(self.config))
         self.position_known, self._homing = True, False
         self.homings += 1
-        missed = (was + n // 2) % n - n // 2 if known else None
+        missed = (was + n // 2) % n - n // 2 if known and was is not None else None
         good = {} if missed is None else {"missed": missed, "good": abs(missed) <= self.tolerance}
         self._note("home", why=why, was=was, **good)
         if not self._dark:
@@ -155,7 +164,8 @@ class Rig:
         return frame.image
 
     def take(self, to: int, number: int) -> Pair:
-        """Take one step; come back from a lost link, a reset, a lost camera and temporary faults.
+        """Take one record, of the laser that its number says; come back from a lost link, a reset, a lost camera and
+        temporary faults.
 
         Raises:
             FrameError: If the step could not be proven.
@@ -164,14 +174,9 @@ class Rig:
         """
         return self.doing(
             lambda: take_pair(
-                self.controller,
-                self.camera,
-                self.config,
-                to=to,
-                number=number,
-                numbers=self._numbers,
-                clock=self._clock,
-                rejected=lambda reason: self._rejected(number, reason),
+                Station(self.config, self.controller, self.camera, self._clock, self._numbers),
+                Step(to, number, self.config.laser_of(number)),
+                lambda reason: self._rejected(number, reason),
             ),
             f"step {number}",
         )
@@ -193,9 +198,9 @@ class Rig:
         """Make the rig as it was, or raise what cannot be helped."""
         self._numbers.next = None
         self._note("fault", at=what, problem=str(problem))
-        if isinstance(problem, RigFault) and problem.code not in _TEMPORARY:
+        if isinstance(problem, RigFault) and problem.fault not in _TEMPORARY:
             raise problem
-        if isinstance(problem, Refused) and problem.code not in _AFTER_RESET:
+        if isinstance(problem, Refused) and problem.reason not in _AFTER_RESET:
             raise problem
         try:
             if isinstance(problem, LinkLost):
@@ -206,7 +211,7 @@ class Rig:
             self._make_ready()
         except (LinkLost, RigFault) as again:
             # It went away once more, while it was brought back; the next try has the same cure.
-            if isinstance(again, RigFault) and again.code not in _TEMPORARY:
+            if isinstance(again, RigFault) and again.fault not in _TEMPORARY:
                 raise
             self._reconnect(again)
             self._make_ready()
@@ -223,7 +228,7 @@ class Rig:
         patience = 2.0 * (1 + self.config.controller.reconnects)
         found = self.controller.reconnect(patience)
         if found.status.estop:
-            raise RigFault(ESTOP, found.status.position) from problem
+            raise RigFault(Fault.EMERGENCY_STOP, found.status.position) from problem
         if not found.same_boot:
             self.position_known = False
             # Its settings are gone with the rest.
@@ -265,10 +270,10 @@ class Rig:
         """Out of a fault, enabled, homed if it has to be, armed."""
         status = self._await_rest()
         if status.estop:
-            raise RigFault(ESTOP, status.position)
+            raise RigFault(Fault.EMERGENCY_STOP, status.position)
         if status.state == "fault":
             if status.fault not in _TEMPORARY:
-                raise RigFault(status.fault, status.position)
+                raise RigFault(status.fault or Fault.UNKNOWN, status.position)
             self.controller.clear()
             status = self.controller.stat()
         if not (status.enabled and status.homed):

@@ -1,35 +1,24 @@
 """What a capture says of how it was taken: in its header, and with each record."""
 
 from importlib.metadata import version
-from typing import Any, Literal
+from typing import Any
 
 from jaxscan.files.capture import CameraTable, CaptureHeader, PlanTable, TurntableTable
-from scanrig.cameras.frame import CameraIdentity, Features
+from scanrig.cameras.frame import Features
 from scanrig.clock import Clock
 from scanrig.config import RigConfig
-from scanrig.controllers.status import Firmware
+from scanrig.controllers import Firmware
+from scanrig.session.job import Job
 from scanrig.session.plan import angle_deg
 from scanrig.session.step import Pair
 
 
-Kind = Literal["sweep", "calibration"]
-
-
-def capture_header(
-    config: RigConfig,
-    kind: Kind,
-    planned: int,
-    *,
-    firmware: Firmware,
-    identity: CameraIdentity,
-    features: Features,
-    calibration_digest: str | None,
-    clock: Clock,
-) -> CaptureHeader:
+def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureHeader:
     """The header of a new capture, with what a resumed one must be equal to."""
+    config, kind, identity = job.config, job.kind, job.devices.camera.identity
     acquisition: dict[str, Any] = {
         "software": f"jaxscan {version('jaxscan')}",
-        "started": clock.utc(),
+        "started": job.devices.clock.utc(),
         "config_sha256": config.digest(kind),
         "microsteps_per_turn": config.microsteps_per_turn,
         "firmware": firmware.version,
@@ -39,8 +28,8 @@ def capture_header(
         "features": dict(features),
         "config": config.frame_tables(kind),
     }
-    if calibration_digest is not None:
-        acquisition["calibration"] = calibration_digest
+    if job.calibration_digest is not None:
+        acquisition["calibration"] = job.calibration_digest
     camera = config.camera
     return CaptureHeader(
         kind=kind,
@@ -54,7 +43,7 @@ def capture_header(
         turntable=TurntableTable(carries=config.turntable.carries),
         laser=tuple(laser.table for laser in config.laser),
         board=config.board if kind == "calibration" else None,
-        plan=PlanTable(steps=planned),
+        plan=PlanTable(steps=job.planned),
         acquisition=acquisition,
     )
 
@@ -80,6 +69,8 @@ def record_fields(pair: Pair, config: RigConfig, features: Features, clock: Cloc
             "unrest": round(proof.unrest, 3),
         },
     }
+    if len(config.laser) > 1:
+        fields["lasers"] = [config.laser[pair.laser].name]
     if pair.rejected:
         fields["rejected"] = list(pair.rejected)
     return fields

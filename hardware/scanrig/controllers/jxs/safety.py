@@ -3,9 +3,9 @@
 import logging
 
 from scanrig.clock import Clock
-from scanrig.controllers.status import read_status
+from scanrig.controllers.jxs.answers import read_status
+from scanrig.controllers.jxs.exchange import Exchange
 from scanrig.errors import Refused, RigError
-from scanrig.wire.exchange import Exchange
 
 
 log = logging.getLogger(__name__)

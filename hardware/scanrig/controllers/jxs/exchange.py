@@ -3,10 +3,8 @@
 from collections import deque
 
 from scanrig.clock import Clock
-from scanrig.controllers.status import LinkCounts
-from scanrig.errors import ControllerReset, LinkLost, Refused
-from scanrig.wire.link import Link
-from scanrig.wire.protocol import (
+from scanrig.controllers.jxs.answers import read_refusal
+from scanrig.controllers.jxs.protocol import (
     ABORT,
     LAST_SEQUENCE,
     Damaged,
@@ -20,6 +18,9 @@ from scanrig.wire.protocol import (
     encode,
     next_sequence,
 )
+from scanrig.controllers.status import LinkCounts
+from scanrig.errors import ControllerReset, LinkLost, Refused
+from scanrig.wire.link import Link
 
 
 FIRST_WAIT = 0.25
@@ -108,7 +109,7 @@ class Exchange:
             answer = self._answer(seq, wait)
             wait = min(2 * wait, self.timeout_s)
             if isinstance(answer, Refusal):
-                raise Refused(answer.code, command_text(verb, **args))
+                raise Refused(read_refusal(answer.code, verb), command_text(verb, **args), f"error {answer.code}")
             if isinstance(answer, Reply):
                 return answer.fields
         raise LinkLost(

@@ -1,13 +1,12 @@
 """From a port's name to a controller that can be found again."""
 
 from scanrig.clock import Clock
-from scanrig.controllers.controller import Controller
-from scanrig.wire.link import Link, open_serial
-from scanrig.wire.ports import choose_port, find_again, identify
+from scanrig.controllers.jxs.controller import JxsController
+from scanrig.wire import Link, choose_port, find_again, identify, open_serial
 
 
-def connect(port: str = "auto", baud: int = 250_000, clock: Clock | None = None) -> Controller:
-    """Open the controller's port. Nothing is said to it before `Controller.hello`.
+def connect(port: str = "auto", baud: int = 250_000, clock: Clock | None = None) -> JxsController:
+    """Open the controller's port. Nothing is said to it before `hello`.
 
     Args:
         port: a path, a USB serial number, or "auto" for the only board there is.
@@ -28,4 +27,4 @@ def connect(port: str = "auto", baud: int = 250_000, clock: Clock | None = None)
     def reopen() -> Link:
         return open_serial(find_again(known), baud, clock)
 
-    return Controller(link, clock, reopen=reopen)
+    return JxsController(link, clock, reopen=reopen)
