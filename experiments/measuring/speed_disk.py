@@ -25,7 +25,7 @@ from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud, reconstruct
 from jaxscan.reconstruction.reconstruct import extract_sweep
 from jaxscan.stripes import Stripes
-from jaxscan.vision.images import decode_image, encode_png
+from jaxscan.vision import decode_image, encode_png
 
 
 HEADER = f"""format = "jaxscan-capture/1"

@@ -11,7 +11,7 @@ import pytest
 from jaxscan.calibration import CalibrationSettings, Priors, calibrate_camera
 from jaxscan.geometry import Chessboard, fit_axis, fit_plane, plane_sigma
 from jaxscan.observation import BoardViews, Observations, StripeViews
-from jaxscan.vision.boards import find_corners
+from jaxscan.vision import find_corners
 
 
 DATA = Path(__file__).parents[1] / "data"

@@ -12,7 +12,7 @@ from jaxscan.geometry import LaserSheet, Scanner, stack_lasers
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.reconstruction.reconstruct import extract_sweep
 from jaxscan.stripes.stripes import NoiseModel, StripeSettings
-from jaxscan.vision.images import encode_png
+from jaxscan.vision import encode_png
 
 from .rendered import pairs, stripe
 
