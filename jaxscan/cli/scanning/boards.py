@@ -75,8 +75,7 @@ def make_guide(rig: "RigConfig") -> "Guide":
     """The guide, with OpenCV for corners and the stripe extraction for the laser's line."""
     from scanrig.checks.guide import Guide
 
-    from jaxscan.vision.boards import find_corners
-    from jaxscan.vision.grey import to_grey
+    from jaxscan.vision import find_corners, to_grey
 
     camera, line = rig.camera, rig.laser[0].line
     header = sweep_header(rig).model_copy(update={"kind": "calibration", "board": rig.board})
