@@ -16,17 +16,18 @@ RIG_FILES = sorted(RIG.rglob("*.py"))
 BENCH = ROOT / "hardware" / "bench"
 BENCH_FILES = sorted(BENCH.rglob("*.py"))
 
-CORE = {"geometry", "stripes", "reconstruction", "calibration", "measurement"}
+CORE = {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement"}
 ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api"}
 MAY_IMPORT = {
     "geometry": set(),
     "stripes": {"geometry"},
     "reconstruction": {"geometry", "stripes"},
-    "calibration": {"geometry", "stripes"},
+    "observation": {"geometry", "stripes"},
+    "calibration": {"geometry", "observation"},
     "measurement": {"geometry"},
     "simulation": {"geometry", "vision"},
     "vision": CORE,
-    "files": CORE | {"vision"},
+    "files": CORE | {"vision", "simulation"},
     "report": CORE | {"vision"},
     "api": ANY - {"api", "cli"},
     "cli": ANY,

@@ -14,10 +14,13 @@ from jaxscan.geometry.turntable import Carries
 from jaxscan.stripes.frames.formats import LaserLine
 from scanrig.cameras.settings import CameraSettings
 from scanrig.checks.proof import ProofLimits
+from scanrig.controllers.table import ControllerTable
 
 
 MAX_MICROSTEPS = 10_000_000
 """Largest number of microsteps of a turn: an hour at the fastest a controller steps is half of this."""
+MAX_LASERS = 2
+"""Lasers that a controller can switch."""
 
 _Milliseconds = Annotated[Integer, pydantic.Field(ge=0, le=10_000)]
 _Angle = Annotated[Number, pydantic.Field(ge=-360, le=360)]
@@ -32,18 +35,6 @@ _RATES = {
     "home_speed_deg_s": (2.5, 20, 10_000),
 }
 """Key: a moderate value, and what the controller takes in microsteps."""
-
-
-class ControllerTable(FileModel):
-    """The controller and the wire to it."""
-
-    port: Annotated[str, pydantic.Field(min_length=1, max_length=1024)] = "auto"
-    """Serial port; "auto": the only one that looks like a controller."""
-    baud: Annotated[Integer, pydantic.Field(ge=1200, le=4_000_000)] = 250_000
-    watchdog_ms: Annotated[Integer, pydantic.Field(ge=100, le=60_000)] = 500
-    """Time without a good line from the host after which laser and motor are switched off."""
-    reconnects: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 10
-    """Times that a lost controller is looked for, with growing pauses, before the scan ends."""
 
 
 class TurntableTable(FileModel):
@@ -214,7 +205,8 @@ class RigConfig(FileModel):
 
     controller: ControllerTable = ControllerTable()
     turntable: TurntableTable = TurntableTable()
-    laser: Annotated[tuple[RigLaser, ...], pydantic.Field(min_length=1, max_length=1)] = (RigLaser(),)
+    laser: Annotated[tuple[RigLaser, ...], pydantic.Field(min_length=1, max_length=MAX_LASERS)] = (RigLaser(),)
+    """In the order in which the controller numbers them; each step of a sweep is taken with one after the other."""
     camera: CameraSettings
     trigger: TriggerTable = TriggerTable()
     board: BoardTable | None = None
@@ -236,10 +228,18 @@ class RigConfig(FileModel):
                 f"camera: found {self.camera.width} x {self.camera.height} px, expected 64 px at least: "
                 "a line needs sides"
             )
+        names = [laser.name for laser in self.laser]
+        if len(set(names)) < len(names):
+            raise ValueError(f"laser: found {' and '.join(names)}, expected a different name for each")
         if self.trigger.pulse_ms is None and self.camera.exposure_ms > 5000 and self.camera.trigger == "hardware":
             raise ValueError(
                 f"camera.exposure_ms: found {self.camera.exposure_ms:g}, expected at most 5000 with a trigger pulse of "
                 "the exposure's length; give trigger.pulse_ms where the camera times its exposure itself"
+            )
+        if self.controller.type == "grbl" and self.camera.trigger == "hardware":
+            raise ValueError(
+                'camera.trigger: found "hardware", expected "software" or "free": a controller of type "grbl" has no '
+                "wire to the camera"
             )
         return self
 
@@ -247,6 +247,10 @@ class RigConfig(FileModel):
     def microsteps_per_turn(self) -> int:
         """Microsteps in a turn of the table, N."""
         return self.turntable.microsteps_per_turn
+
+    def laser_of(self, record: int) -> int:
+        """Which laser a record shows, counted from 0: they take turns."""
+        return record % len(self.laser)
 
     def frame_tables(self, kind: Literal["sweep", "calibration"]) -> dict[str, Any]:
         """All that makes the frames of such a capture what they are, as TOML holds it.

@@ -1,35 +1,55 @@
 """What can go wrong between host and rig: what was found, what was expected, and what to do about it."""
 
 from collections.abc import Sequence
+from enum import StrEnum
 
 from jaxscan.errors import JaxscanError
 
 
-REFUSALS = {
-    1: "the line was not understood",
-    2: "the line came damaged",
-    3: "the command is not known",
-    4: "an argument is missing, unknown or out of range",
-    5: "the controller is busy",
-    6: "the controller is in a fault",
-    8: "the table is not homed",
-    9: "there is no session",
-    10: "the line was too long",
-    11: "the motor driver is off",
-    13: "the target is beyond a soft limit",
-    14: "the laser is not armed",
-}
-"""What the controller means by the code of a refusal (PROTOCOL.md, section 4)."""
+class Fault(StrEnum):
+    """Why a controller stopped by itself, whatever number its firmware gives it."""
 
-FAULTS = {
-    1: ("emergency stop", "release it, clear the fault, home again"),
-    2: ("the controller lost the host's line", "reconnect and clear the fault"),
-    3: ("the laser's lease ran out", "clear the fault"),
-    4: ("home switch not found, or stuck", "look at the switch and its wiring, then clear the fault and home"),
-    5: ("aborted", "clear the fault, and home again if the table was moving"),
-    6: ("the camera was not ready in time", "look at the camera and its ready line, then clear the fault"),
+    EMERGENCY_STOP = "emergency stop"
+    LINK_LOST = "the controller lost the host's line"
+    LEASE_RAN_OUT = "the laser's lease ran out"
+    HOME_NOT_FOUND = "home switch not found, or stuck"
+    ABORTED = "aborted"
+    CAMERA_NOT_READY = "the camera was not ready in time"
+    LIMIT = "a limit switch was hit, or a motion would leave the limits"
+    UNKNOWN = "a fault that this host does not know"
+
+
+CURES = {
+    Fault.EMERGENCY_STOP: "release it, clear the fault, home again",
+    Fault.LINK_LOST: "reconnect and clear the fault",
+    Fault.LEASE_RAN_OUT: "clear the fault",
+    Fault.HOME_NOT_FOUND: "look at the switch and its wiring, then clear the fault and home",
+    Fault.ABORTED: "clear the fault, and home again if the table was moving",
+    Fault.CAMERA_NOT_READY: "look at the camera and its ready line, then clear the fault",
+    Fault.LIMIT: "see what the table ran into and what limits are set, then clear the fault and home",
+    Fault.UNKNOWN: "look at the controller",
 }
-"""Code of a fault: what happened, and what to do."""
+"""What to do about a fault."""
+
+
+class Reason(StrEnum):
+    """Why a controller does not carry out a command that it understood."""
+
+    NOT_UNDERSTOOD = "the line was not understood"
+    DAMAGED = "the line came damaged"
+    UNKNOWN_COMMAND = "the command is not known"
+    BAD_ARGUMENT = "an argument is missing, unknown or out of range"
+    BUSY = "the controller is busy"
+    IN_FAULT = "the controller is in a fault"
+    STILL_PRESSED = "the emergency stop is still pressed; release it first"
+    NOT_HOMED = "the table is not homed"
+    NO_SESSION = "there is no session"
+    TOO_LONG = "the line was too long"
+    DRIVER_OFF = "the motor driver is off"
+    BEYOND_LIMIT = "the target is beyond a soft limit"
+    NOT_ARMED = "the laser is not armed"
+    NO_SUCH_PART = "it has no such part"
+    UNKNOWN = "for a reason that this host does not know"
 
 
 class RigError(JaxscanError):
@@ -72,32 +92,29 @@ class Refused(RigError):
     """The controller understood a command and did not carry it out.
 
     Attributes:
-        code: the error number of PROTOCOL.md.
-        command: the line that was refused, without number and CRC.
+        reason: why.
+        command: the command, as it went over the wire.
     """
 
-    def __init__(self, code: int, command: str):
-        why = REFUSALS.get(code, "for a reason that this host does not know")
-        if code == 6 and command == "CLEAR":
-            why = "the emergency stop is still pressed; release it first"
-        super().__init__(f"the controller refused '{command}': {why} (error {code})")
-        self.code = code
+    def __init__(self, reason: Reason, command: str, said: str = ""):
+        super().__init__(f"the controller refused '{command}': {reason}" + (f" ({said})" if said else ""))
+        self.reason = reason
         self.command = command
 
 
 class RigFault(RigError):
-    """The controller stopped by itself: laser off, contactor open, motor stopped.
+    """The controller stopped by itself: laser off, motor stopped.
 
     Attributes:
-        code: the fault number of PROTOCOL.md.
+        fault: which.
         position: microsteps from home where it stopped; None where it is not known.
     """
 
-    def __init__(self, code: int, position: int | None = None):
-        what, cure = FAULTS.get(code, ("a fault that this host does not know", "look at the controller"))
+    def __init__(self, fault: Fault, position: int | None = None, said: str = ""):
         where = "" if position is None else f" at microstep {position}"
-        super().__init__(f"fault {code}{where}: {what}; {cure}")
-        self.code = code
+        words = f" ({said})" if said else ""
+        super().__init__(f"fault{where}: {fault}{words}; {CURES[fault]}")
+        self.fault = fault
         self.position = position
 
 

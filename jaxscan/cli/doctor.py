@@ -139,7 +139,7 @@ def _cure(found: Sequence["Problem"]) -> str:
 def _ports() -> list[str]:
     """Serial ports as a person would name them."""
     try:
-        from scanrig.wire.ports import describe, find_ports
+        from scanrig.wire import describe, find_ports
 
         return [describe(info) for info in find_ports()]
     except (ImportError, OSError, JaxscanError) as problem:

@@ -3,8 +3,6 @@
 import json
 import sys
 
-from scanrig.session.session import run_sweep
-
 from ..hardware.desk import Desk
 
 
@@ -51,7 +49,7 @@ def test_a_capture_is_verified(run, sweep):
 
 
 def test_a_broken_seal_is_not_cured_by_taking_records_again(run, tmp_path):
-    assert run_sweep(Desk().config, tmp_path / "room", **Desk().rig()).status == "complete"
+    assert Desk().sweep(tmp_path / "room").status == "complete"
     journal = tmp_path / "room" / "frames.jsonl"
     journal.write_text(journal.read_text().replace('"angle_deg": 3.6', '"angle_deg": 3.7'))
     ran = run("doctor", "--capture", tmp_path / "room")

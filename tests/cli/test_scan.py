@@ -52,13 +52,13 @@ class Paper:
 
         controller.__class__ = Opened
 
-        def connect(port, baud):
+        def connect(port, baud, clock):
             self.opened.append(port)
             if port == "nowhere":
                 raise PortError("there is no port nowhere; no serial port was found at all")
             return controller
 
-        monkeypatch.setattr("scanrig.controllers.connect.connect", connect)
+        monkeypatch.setattr("scanrig.controllers.jxs.connect", connect)
         monkeypatch.setattr("scanrig.cameras.open_camera", lambda settings: kept(camera))
 
 

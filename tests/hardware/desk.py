@@ -6,12 +6,14 @@ import numpy as np
 from scanrig.cameras.frame import Frame
 from scanrig.cameras.settings import CameraSettings
 from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.cameras.synthetic import SyntheticScene, draw
+from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.clock import ManualClock
 from scanrig.config import RigConfig
+from scanrig.controllers.controller import Guarantees
 from scanrig.controllers.settings import Settings
 from scanrig.controllers.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
-from scanrig.errors import CameraTimeout, ControllerReset, LinkLost, Refused, RigFault
+from scanrig.errors import CameraTimeout, ControllerReset, Fault, LinkLost, Reason, Refused, RigFault
+from scanrig.session import Devices, Hooks, SessionResult, run_calibration, run_sweep
 
 from .fake import ARMED_IDLE_S
 
@@ -33,23 +35,33 @@ class Table:
     def __init__(self) -> None:
         self.position = 500
         """Where the table stands, in microsteps from the home switch."""
-        self.laser = False
+        self.laser = 0
+        """Which laser is on, from 1."""
         self.contactor = False
         self.welded = False
         """The laser shines whatever it is told."""
         self.dead = False
         """The laser is dark whatever it is told."""
+        self.dead_lasers: set[int] = set()
+        """Those that are dark whatever they are told."""
         self.moved_px = 0
         """How far the camera was knocked."""
         self.lit_cycles = 0
 
     @property
-    def shines(self) -> bool:
-        return (self.laser or self.welded) and self.contactor and not self.dead
+    def shines(self) -> int:
+        """Which laser shines, from 1; 0: none."""
+        return (
+            int(self.laser or self.welded)
+            if self.contactor and not (self.dead or self.laser in self.dead_lasers)
+            else 0
+        )
 
 
 class PaperController:
-    """As `Controller`, without a wire; `before_shot[n]` is called before the n-th shot."""
+    """A `Controller` without a wire; `before_shot[n]` is called before the n-th shot."""
+
+    guarantees = Guarantees(True, True, True, True)
 
     def __init__(self, table: Table, camera: SimulatedCamera, clock: ManualClock) -> None:
         self.table, self.camera, self.clock = table, camera, clock
@@ -59,7 +71,7 @@ class PaperController:
         self.log: list[str] = []
         self.boot = 7
         self.counter = 0
-        self.fault = 0
+        self.fault: Fault | None = None
         self.estop = False
         self.homed = self.enabled = self.armed = False
         self.settings: Settings | None = None
@@ -81,13 +93,13 @@ class PaperController:
         self.boot += 1
         self.table.laser = self.table.contactor = False
         self.homed = self.enabled = self.armed = False
-        self.counter, self.settings, self.fault = 0, None, 0
+        self.counter, self.settings, self.fault = 0, None, None
         raise ControllerReset(self.boot - 1, self.boot)
 
-    def fall_into(self, fault: int) -> None:
+    def fall_into(self, fault: Fault) -> None:
         self.fault = fault
         self.table.laser = self.table.contactor = self.armed = False
-        if fault == 1:
+        if fault is Fault.EMERGENCY_STOP:
             self.homed = self.enabled = False
         raise RigFault(fault, self.counter)
 
@@ -114,9 +126,9 @@ class PaperController:
     def _open_contactor(self) -> None:
         self.table.contactor = self.armed = False
 
-    def _require(self, held: bool, code: int, verb: str) -> None:
+    def _require(self, held: bool, reason: Reason, verb: str) -> None:
         if not held:
-            raise Refused(code, verb)
+            raise Refused(reason, verb)
 
     def hello(self) -> Firmware:
         self._alive("hello")
@@ -139,17 +151,17 @@ class PaperController:
 
     def enable(self, on: bool) -> None:
         self._alive("enable")
-        self._require(self.fault == 0, 6, "EN on=1")
+        self._require(self.fault is None, Reason.IN_FAULT, "EN on=1")
         self.enabled = on
 
     def arm(self, on: bool) -> None:
         self._alive(f"arm {on:d}")
-        self._require(not on or self.fault == 0, 6, "ARM on=1")
+        self._require(not on or self.fault is None, Reason.IN_FAULT, "ARM on=1")
         self.armed = self.table.contactor = on
 
     def home(self, max_steps: int, timeout_s: float = 120.0) -> int:
         self._alive("home")
-        self._require(self.enabled, 11, "HOME")
+        self._require(self.enabled, Reason.DRIVER_OFF, "HOME")
         assert self.settings is not None
         was = self.counter - self.table.position
         self.table.position = self.counter = 0
@@ -158,7 +170,7 @@ class PaperController:
 
     def move(self, to: int, timeout_s: float = 120.0) -> int:
         self._alive("move")
-        self._require(self.enabled, 11, f"MOVE to={to}")
+        self._require(self.enabled, Reason.DRIVER_OFF, f"MOVE to={to}")
         self._turn(to)
         return to
 
@@ -166,19 +178,19 @@ class PaperController:
         self.table.position += to - self.counter
         self.counter = to
 
-    def laser(self, on: bool, ms: int | None = None) -> None:
+    def laser(self, on: bool, ms: int | None = None, *, number: int = 1) -> None:
         self._alive(f"laser {on:d}")
-        self._require(not on or self.armed, 14, "LASER on=1")
-        self.table.laser = on
+        self._require(not on or self.armed, Reason.NOT_ARMED, "LASER on=1")
+        self.table.laser = number if on else 0
         self.table.lit_cycles += on
 
     def trigger(self, ms: int | None = None) -> None:
         self._alive("trigger")
 
-    def shot(self, to: int, id: int, *, lit: bool = True, dark: bool = True) -> None:
+    def shot(self, to: int, id: int, *, number: int = 1) -> None:
         self._alive("shot")
-        self._require(self.homed, 8, f"SHOT to={to}")
-        self._require(self.armed, 14, f"SHOT to={to}")
+        self._require(self.homed, Reason.NOT_HOMED, f"SHOT to={to}")
+        self._require(self.armed, Reason.NOT_ARMED, f"SHOT to={to}")
         assert self.settings is not None
         self.shots.append(to)
         act = self.before_shot.pop(len(self.shots), None)
@@ -187,8 +199,8 @@ class PaperController:
         self._alive("shot answered")
         self._turn(to)
         self.clock.sleep(0.145)
-        for on in (True, False):
-            self.table.laser = on
+        for lit in (number, 0):
+            self.table.laser = lit
             self.exposures = (self.exposures + 1) % 65536
             self.camera.expose(self.table.position, self.table.shines)
         self.table.lit_cycles += 1
@@ -207,12 +219,9 @@ class PaperController:
             armed=self.armed,
             enabled=self.enabled,
             laser=self.table.laser,
-            lease_ms=0,
             exposures=self.exposures,
             home_switch=self.table.position <= 0,
             estop=self.estop,
-            camera_ready=True,
-            events=0,
         )
 
     def poll(self) -> Status:
@@ -227,8 +236,8 @@ class PaperController:
 
     def clear(self) -> None:
         self._alive("clear")
-        self._require(not self.estop, 6, "CLEAR")
-        self.fault = 0
+        self._require(not self.estop, Reason.STILL_PRESSED, "CLEAR")
+        self.fault = None
 
     def stop(self) -> None:
         self._alive("stop")
@@ -237,7 +246,7 @@ class PaperController:
     def abort(self) -> None:
         self.log.append("abort")
         self.table.laser = self.table.contactor = self.armed = False
-        self.fault = 5
+        self.fault = Fault.ABORTED
 
     def make_safe(self) -> bool:
         self.log.append("make_safe")
@@ -261,7 +270,7 @@ class Desk:
         self.said: list[str] = []
 
     def _camera(self, settings: CameraSettings) -> SimulatedCamera:
-        def world() -> tuple[float, bool]:
+        def world() -> tuple[float, int]:
             self.clock.sleep(0.03)
             return float(self.table.position), self.table.shines
 
@@ -280,15 +289,22 @@ class Desk:
         camera.next = waited  # type: ignore[method-assign]
         return camera
 
-    def see(self, position: float, lit: bool) -> np.ndarray:
-        image = draw(self.scene, position, lit, width=WIDTH, height=HEIGHT, generator=self._generator)
+    def see(self, position: float, lit: int) -> np.ndarray:
+        image = draw(self.scene, position, lit, FrameShape(WIDTH, HEIGHT), self._generator)
         return np.ascontiguousarray(np.roll(image, self.table.moved_px, 1))
 
-    def rig(self) -> dict:
-        """Arguments of a session."""
-        return {
-            "controller": self.controller,
-            "camera": self.camera,
-            "clock": self.clock,
-            "notify": self.said.append,
-        }
+    @property
+    def devices(self) -> Devices:
+        return Devices(self.controller, self.camera, self.clock)
+
+    def sweep(self, folder, *, resume=False, calibration_digest=None, **hooks) -> SessionResult:
+        """A sweep; `hooks` are those of a session."""
+        called = Hooks(**{"notify": self.said.append, **hooks})
+        return run_sweep(
+            self.config, folder, self.devices, called, resume=resume, calibration_digest=calibration_digest
+        )
+
+    def calibrate(self, folder, operator, *, resume=False, **hooks) -> SessionResult:
+        """Views of the board; `hooks` are those of a session."""
+        called = Hooks(**{"notify": self.said.append, **hooks})
+        return run_calibration(self.config, folder, self.devices, operator, called, resume=resume)

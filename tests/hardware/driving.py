@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from bench import CLOCK_HZ, SimulatedRig
-from scanrig.controllers.connect import connect
-from scanrig.controllers.controller import Controller
+from scanrig.controllers.jxs.connect import connect
+from scanrig.controllers.jxs.controller import JxsController
 from scanrig.controllers.settings import Settings
 
 
@@ -13,7 +13,7 @@ PATIENT = 60_000
 """A link watchdog for simulated time that runs faster than the host's."""
 
 
-def ready(rig: SimulatedRig, *, speed: float = 0.0, armed: bool = True, **settings: Any) -> Controller:
+def ready(rig: SimulatedRig, *, speed: float = 0.0, armed: bool = True, **settings: Any) -> JxsController:
     """A controller of the rig: greeted, configured, driver on, armed, homed.
 
     Args:

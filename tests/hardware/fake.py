@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from scanrig.clock import ManualClock
+from scanrig.controllers.jxs.protocol import ABORT, crc, seal
 from scanrig.errors import LinkLost
-from scanrig.wire.protocol import ABORT, crc, seal
 
 
 ANSWER_S = 0.002
@@ -42,6 +42,9 @@ class FakeController:
     """Whether there is a home switch."""
     position: int = 500
     """Of the table, from the switch."""
+
+    lasers: int | None = 2
+    """That it switches; None: of a firmware that does not know the question."""
 
     def __post_init__(self) -> None:
         self.carried_out: list[str] = []
@@ -180,6 +183,10 @@ class FakeController:
             case "CNT":
                 up = int(self.clock.now() * 1000)
                 return f" crc=0 over=0 dup=0 las={self.pulses} up={up} wdr=0 was={self.was}"
+            case "HAS" if self.lasers is not None:
+                return f" las={self.lasers}"
+            case "HAS":
+                return 3
             case "CFG":
                 part = self.settings["shot" if args.get("shot") else "motion"]
                 return "".join(f" {key}={value}" for key, value in part.items())

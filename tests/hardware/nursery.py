@@ -15,11 +15,10 @@ from pathlib import Path
 
 import numpy as np
 from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.cameras.synthetic import SyntheticScene, draw
+from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.config import RigConfig
-from scanrig.controllers.connect import connect
-from scanrig.session.session import run_sweep
-from scanrig.session.signals import Interrupts
+from scanrig.controllers.jxs.connect import connect
+from scanrig.session import Devices, Hooks, Interrupts, run_sweep
 
 from jaxscan.vision import images
 
@@ -41,7 +40,7 @@ def config(steps):
 
 
 def see(position, lit, generator):
-    return draw(SCENE, position, lit, width=WIDTH, height=HEIGHT, generator=generator)
+    return draw(SCENE, position, lit, FrameShape(WIDTH, HEIGHT), generator)
 
 
 class Wire:
@@ -88,12 +87,13 @@ def session(order):
             result = run_sweep(
                 rig,
                 order["folder"],
-                controller=controller,
-                camera=camera,
+                Devices(controller, camera),
+                Hooks(
+                    on_pair=lambda number, *_: print(number, file=said),
+                    notify=lambda sentence: print("#", sentence, file=said),
+                    should_stop=interrupts,
+                ),
                 resume=True,
-                on_pair=lambda number, *_: print(number, file=said),
-                notify=lambda sentence: print("#", sentence, file=said),
-                should_stop=interrupts,
             )
             print(result.status, file=said)
             return {"complete": 0, "interrupted": 130}.get(result.status, 1)

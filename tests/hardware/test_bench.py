@@ -10,7 +10,7 @@ import serial
 from bench.camera.follow import Exposure, LogReader, Plant
 from bench.errors import BenchError
 from bench.rig import CLOCK_HZ
-from scanrig.controllers.connect import connect
+from scanrig.controllers.jxs.connect import connect
 from scanrig.controllers.settings import Settings
 
 

@@ -13,7 +13,7 @@ from bench.camera.rendered import loopback
 from bench.places import WORLD
 from bench.sockets import ControlClient
 from scanrig.cameras import CameraSettings, open_camera
-from scanrig.controllers.connect import connect
+from scanrig.controllers.jxs.connect import connect
 from scanrig.controllers.settings import Settings
 from scanrig.errors import CameraLost, CameraTimeout
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scanrig.cameras.synthetic import SyntheticScene, draw
+from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.checks.compare import compare_pairs
 from scanrig.config import ChecksTable
 
@@ -15,7 +15,7 @@ RNG = np.random.default_rng(4)
 
 def pair(scene, position=1000.0, *, pixel_format="mono8", roll=0):
     def one(lit):
-        image = draw(scene, position, lit, width=256, height=192, pixel_format=pixel_format, generator=RNG)
+        image = draw(scene, position, lit, FrameShape(256, 192, pixel_format), RNG)
         return np.roll(image, roll, 0 if scene.stripe_axis == "columns" else 1)
 
     return one(True), one(False)

@@ -12,7 +12,6 @@ import pytest
 from scanrig.errors import SessionError
 from scanrig.recording import space
 from scanrig.recording.lock import LOCK_NAME, FolderLock
-from scanrig.session.session import run_sweep
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import open_capture, verify_capture
@@ -26,7 +25,7 @@ def journal(path):
 
 
 def sweep(desk, folder, **options):
-    return run_sweep(desk.config, folder, **desk.rig(), **options)
+    return desk.sweep(folder, **options)
 
 
 def require_safe_and_whole(folder, desk, records):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from scanrig.cameras.synthetic import SyntheticScene
-from scanrig.controllers.gearing import fitting_gear, measure_turn
-from scanrig.doctor.doctor import examine
+from scanrig.doctor import Patient, examine
+from scanrig.doctor.gearing import fitting_gear, measure_turn
 from scanrig.doctor.light import stripe_level
-from scanrig.errors import FirmwareError, LinkLost, RigError, RigFault
+from scanrig.errors import Fault, FirmwareError, LinkLost, RigError, RigFault
 
 from .desk import Desk, PaperController
 
@@ -24,7 +24,7 @@ class Turning(PaperController):
         self._alive("home")
         below = self.table.position % self.turn
         if not self.switch or below > max_steps:
-            self.fall_into(4)
+            self.fall_into(Fault.HOME_NOT_FOUND)
         was = self.counter - below
         # Physically the table stands at the edge of some turn; the counter begins there.
         self.table.position -= below - self.slips
@@ -53,12 +53,14 @@ def examined(desk, tmp_path, **parts):
     found = {}
     try:
         examine(
-            parts.get("controller", desk.controller),
-            parts.get("camera", desk.camera),
-            parts.get("config", desk.config),
+            Patient(
+                parts.get("controller", desk.controller),
+                parts.get("camera", desk.camera),
+                parts.get("config", desk.config),
+                desk.clock,
+            ),
             folder=tmp_path,
             tell=lambda finding: found.update({finding.name: finding}),
-            clock=desk.clock,
         )
     finally:
         if parts.get("controller", desk.controller) is not None:
@@ -163,7 +165,7 @@ def test_within_limits_that_allow_a_turn_it_is_measured(tmp_path, true, verdict)
 
 
 def test_estop_pressed(desk, tmp_path):
-    desk.controller.estop, desk.controller.fault = True, 1
+    desk.controller.estop, desk.controller.fault = True, Fault.EMERGENCY_STOP
     found = examined(desk, tmp_path)
     assert (found["inputs"].verdict, found["inputs"].found) == ("wrong", "the emergency stop is pressed")
     assert "home" not in found and desk.controller.shots == []
@@ -214,7 +216,7 @@ class Watched(Turning):
     def _alive(self, verb):
         now = self.clock.now()
         if min(now, self.pulse_ends_s) > self.heard_s + 0.5:
-            self.fault = 2
+            self.fault = Fault.LINK_LOST
         self.heard_s = now
         super()._alive(verb)
 
@@ -288,7 +290,9 @@ def test_a_folder_that_cannot_be_written(desk, tmp_path):
     assert found["storage"].verdict == "wrong" and "cannot be written" in found["storage"].found
 
 
-@pytest.mark.parametrize("problem", [KeyboardInterrupt(), RigFault(1, 0), LinkLost("gone"), ValueError("a mistake")])
+@pytest.mark.parametrize(
+    "problem", [KeyboardInterrupt(), RigFault(Fault.EMERGENCY_STOP, 0), LinkLost("gone"), ValueError("a mistake")]
+)
 @pytest.mark.parametrize("when", ["home", "laser", "trigger"])
 def test_the_laser_is_off_on_every_way_out(desk, tmp_path, problem, when):
     controller = desk.controller
@@ -311,7 +315,11 @@ def test_the_laser_is_off_on_every_way_out(desk, tmp_path, problem, when):
 def test_a_laser_that_is_not_confirmed_off_is_said(desk, tmp_path):
     found = {}
     desk.controller.never_safe = True
-    examine(desk.controller, None, None, folder=tmp_path, tell=lambda f: found.update({f.name: f}), clock=desk.clock)
+    examine(
+        Patient(desk.controller, None, None, desk.clock),
+        folder=tmp_path,
+        tell=lambda f: found.update({f.name: f}),
+    )
     assert found["laser off"].verdict == "wrong" and "by hand" in found["laser off"].do
 
 
@@ -333,5 +341,9 @@ def test_what_keeps_the_laser_from_being_confirmed_off_is_a_finding(desk, tmp_pa
         raise problem
 
     desk.controller.make_safe = fails
-    examine(desk.controller, None, None, folder=tmp_path, tell=lambda f: found.update({f.name: f}), clock=desk.clock)
+    examine(
+        Patient(desk.controller, None, None, desk.clock),
+        folder=tmp_path,
+        tell=lambda f: found.update({f.name: f}),
+    )
     assert found["laser off"].verdict == "wrong" and "by hand" in found["laser off"].do

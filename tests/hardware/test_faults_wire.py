@@ -5,12 +5,12 @@ import time
 from dataclasses import replace
 
 import pytest
-from scanrig.controllers.connect import connect
-from scanrig.controllers.controller import Controller
+from scanrig.controllers.jxs.connect import connect
+from scanrig.controllers.jxs.controller import JxsController
+from scanrig.controllers.jxs.protocol import encode, seal
 from scanrig.controllers.settings import Settings
 from scanrig.errors import ControllerReset, FirmwareError, LinkLost, PortError, Refused, RigFault
-from scanrig.wire.link import open_serial
-from scanrig.wire.protocol import encode, seal
+from scanrig.wire import open_serial
 
 from .driving import PATIENT, falls, make_ready, milliseconds, ready, rises
 
@@ -497,7 +497,7 @@ def wait_for_light(simulated):
 @pytest.mark.slow
 def test_controllers_without_reopening_say_so(rig):
     simulated = rig(speed=1)
-    controller = Controller(open_serial(simulated.port))
+    controller = JxsController(open_serial(simulated.port))
     controller.hello()
     simulated.unplug()
     with pytest.raises(LinkLost):

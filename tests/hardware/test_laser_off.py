@@ -10,9 +10,10 @@ import sys
 import time
 
 import pytest
-from scanrig.controllers.connect import connect
+from scanrig.controllers.jxs.connect import connect
+from scanrig.controllers.jxs.protocol import ABORT, encode
 from scanrig.controllers.settings import Settings
-from scanrig.wire.protocol import ABORT, encode
+from scanrig.errors import Fault
 
 from .driving import falls, milliseconds, ready, rises
 
@@ -20,7 +21,7 @@ from .driving import falls, milliseconds, ready, rises
 HOST = """
 import sys
 import time
-from scanrig.controllers.connect import connect
+from scanrig.controllers.jxs.connect import connect
 from scanrig.controllers.settings import Settings
 from scanrig.session.signals import Interrupts
 
@@ -99,7 +100,7 @@ def test_within_600_ms_of_the_hosts_death(rig, doing):
     assert simulated.plant()["contactor"] == 0
     with connect(simulated.port) as controller:
         controller.hello()
-        assert controller.stat().fault == 2
+        assert controller.stat().fault is Fault.LINK_LOST
 
 
 def test_a_failed_mosfet_shines_no_longer_than_ten_seconds_for_a_host_that_died_between_shots(rig):
@@ -122,7 +123,7 @@ def test_a_failed_mosfet_shines_no_longer_than_ten_seconds_for_a_host_that_died_
     with connect(simulated.port) as controller:
         controller.hello()
         status = controller.stat()
-        assert (status.state, status.fault, status.armed, status.homed) == ("idle", 0, False, True)
+        assert (status.state, status.fault, status.armed, status.homed) == ("idle", None, False, True)
 
 
 def test_the_contactor_opens_ten_seconds_after_the_last_line_and_is_no_fault(rig):
@@ -138,7 +139,7 @@ def test_the_contactor_opens_ten_seconds_after_the_last_line_and_is_no_fault(rig
         opened = falls(simulated.edges(), "contactor")[-1]
         assert milliseconds(answered, opened) <= 10000.0 <= milliseconds(asked, opened) + 1.0
         status = controller.stat()
-        assert (status.state, status.fault, status.armed) == ("idle", 0, False)
+        assert (status.state, status.fault, status.armed) == ("idle", None, False)
         controller.arm(True)
         for _ in range(3):
             simulated.run_for(0.3)
@@ -156,7 +157,7 @@ def test_a_greeting_opens_the_contactor(rig):
         opened = falls(simulated.edges(), "contactor")[-1]
         assert opened["cycle"] > asked
         status = controller.stat()
-        assert (status.state, status.fault, status.armed, status.homed) == ("idle", 0, False, True)
+        assert (status.state, status.fault, status.armed, status.homed) == ("idle", None, False, True)
 
 
 @pytest.mark.slow
@@ -200,7 +201,7 @@ def assert_ended_in_order(simulated):
     with connect(simulated.port) as controller:
         controller.hello()
         status = controller.stat()
-        assert (status.state, status.fault, status.homed) == ("idle", 0, True)
+        assert (status.state, status.fault, status.homed) == ("idle", None, True)
 
 
 @pytest.mark.parametrize("kind", [0, 1], ids=["interrupts on", "interrupts off"])
@@ -247,7 +248,7 @@ def test_at_once_on_an_abort(rig, before):
         assert took <= wire + 2.0
         assert simulated.plant()["contactor"] == 0
         simulated.control("speed 0")
-        assert controller.stat().fault == 5
+        assert controller.stat().fault is Fault.ABORTED
 
 
 def test_when_the_lease_runs_out(rig):
@@ -256,7 +257,7 @@ def test_when_the_lease_runs_out(rig):
         for lease in (50, 300):
             controller.laser(True, lease)
             end = time.monotonic() + 10.0
-            while controller.stat().fault != 3:
+            while controller.stat().fault is not Fault.LEASE_RAN_OUT:
                 assert time.monotonic() < end
             on = rises(simulated.edges(), "laser")[-1]
             took = off_after(simulated, on["cycle"], f"on with a lease of {lease} ms")

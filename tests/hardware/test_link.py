@@ -8,12 +8,13 @@ from dataclasses import replace
 import pytest
 import serial
 from scanrig.clock import ManualClock, SystemClock, rfc3339
-from scanrig.controllers.connect import connect
-from scanrig.controllers.controller import Controller
+from scanrig.controllers.jxs.connect import connect
+from scanrig.controllers.jxs.controller import JxsController
 from scanrig.controllers.settings import Settings
 from scanrig.errors import FirmwareError, LinkLost, PortError, TranscriptDifference
-from scanrig.wire.link import RecordingLink, TranscriptLink, open_serial, port_error
+from scanrig.wire import RecordingLink, TranscriptLink, open_serial
 from scanrig.wire.ports import PortInfo, by_id_names, choose_port, describe, find_again, find_ports, identify
+from scanrig.wire.serial import port_error
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
@@ -223,21 +224,21 @@ def session(controller):
 def test_a_transcript_plays_again(tmp_path):
     fake = FakeController()
     record = RecordingLink(fake, tmp_path / "session.jsonl", fake.clock)
-    recorded = session(Controller(record, fake.clock, session=5))
+    recorded = session(JxsController(record, fake.clock, session=5))
     clock = ManualClock()
     played = TranscriptLink(tmp_path / "session.jsonl", clock)
-    assert session(Controller(played, clock, session=5)) == recorded
+    assert session(JxsController(played, clock, session=5)) == recorded
     played.finish()
 
 
 def test_a_transcript_insists_on_every_byte(tmp_path):
     fake = FakeController()
-    session(Controller(RecordingLink(fake, tmp_path / "session.jsonl", fake.clock), fake.clock, session=5))
+    session(JxsController(RecordingLink(fake, tmp_path / "session.jsonl", fake.clock), fake.clock, session=5))
     clock = ManualClock()
     with pytest.raises(TranscriptDifference, match=r"wrote .*ses=6.*expected write .*ses=5"):
-        Controller(TranscriptLink(tmp_path / "session.jsonl", clock), clock, session=6).hello()
+        JxsController(TranscriptLink(tmp_path / "session.jsonl", clock), clock, session=6).hello()
     short = TranscriptLink(tmp_path / "session.jsonl", clock)
-    Controller(short, clock, session=5).hello()
+    JxsController(short, clock, session=5).hello()
     with pytest.raises(TranscriptDifference, match="it never came"):
         short.finish()
 

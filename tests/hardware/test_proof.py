@@ -5,7 +5,7 @@ import time
 import cv2
 import numpy as np
 import pytest
-from scanrig.cameras.synthetic import SyntheticScene, draw
+from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.checks.proof import ProofLimits, prove_pair
 
 from jaxscan.stripes.frames.formats import LaserLine
@@ -28,8 +28,8 @@ def prove(on, off, pixel_format="mono8", response="linear", line=RED, **limits):
 
 def frames(scene=None, *, position=100, width=640, height=512, seed=0, lit=(True, False), **options):
     generator = np.random.default_rng(seed)
-    size = {"width": width, "height": height, **options}
-    return [draw(scene or SyntheticScene(), position, one, generator=generator, **size) for one in lit]
+    shape = FrameShape(width, height, **options)
+    return [draw(scene or SyntheticScene(), position, one, shape, generator) for one in lit]
 
 
 def noise(image, sigma=1.2, seed=1):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scanrig.wire.protocol import (
+from scanrig.controllers.jxs.protocol import (
     ABORT,
     LONGEST_COMMAND,
     Damaged,

@@ -9,7 +9,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scanrig.cameras.synthetic import SyntheticScene
 from scanrig.errors import CameraError, SessionError
-from scanrig.session.session import run_sweep
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import open_capture, verify_capture
@@ -26,7 +25,7 @@ def events(path, name):
 
 
 def sweep(desk, folder, **options):
-    return run_sweep(desk.config, folder, **desk.rig(), **options)
+    return desk.sweep(folder, **options)
 
 
 class After:

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scanrig.errors import FirmwareError, LinkLost, RigFault, SessionError
-from scanrig.session.session import run_sweep
+from scanrig.errors import Fault, FirmwareError, LinkLost, RigFault, SessionError
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import open_capture, verify_capture
@@ -24,7 +23,7 @@ def events(path, name):
 
 
 def sweep(desk, folder, **options):
-    return run_sweep(desk.config, folder, **desk.rig(), **options)
+    return desk.sweep(folder, **options)
 
 
 def test_a_sweep_is_a_capture_of_proven_pairs_at_the_planned_angles(tmp_path):
@@ -102,7 +101,7 @@ def test_the_end_says_what_was_counted(tmp_path):
     assert desk.controller.log[-2:] == ["make_safe", "counters"]
 
 
-@pytest.mark.parametrize("problem", [LinkLost("gone"), FirmwareError("lacks 'las'"), RigFault(1, 0)])
+@pytest.mark.parametrize("problem", [LinkLost("gone"), FirmwareError("lacks 'las'"), RigFault(Fault.EMERGENCY_STOP, 0)])
 def test_counters_that_cannot_be_asked_for_are_left_out(tmp_path, problem):
     desk = Desk()
 

@@ -4,8 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from scanrig.errors import CameraLost, CameraTimeout, LinkLost
-from scanrig.session.session import run_calibration
+from scanrig.errors import CameraLost, CameraTimeout, Fault, LinkLost
 
 from jaxscan.files.capture import open_capture, verify_capture
 
@@ -35,7 +34,7 @@ def make(**tables):
 
 
 def calibration(desk, folder, operator, **options):
-    return run_calibration(desk.config, folder, operator=operator, **desk.rig(), **options)
+    return desk.calibrate(folder, operator, **options)
 
 
 def journal(path):
@@ -179,7 +178,7 @@ def lost_camera(controller):
         lambda controller: "no frame",
         lambda controller: controller.lose_link(2),
         lambda controller: controller.reset(),
-        lambda controller: controller.fall_into(2),
+        lambda controller: controller.fall_into(Fault.LINK_LOST),
         lost_camera,
     ],
     ids=["lost frame", "lost link", "reset", "fault", "lost camera"],

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 from scanrig.cameras.synthetic import SyntheticScene
-from scanrig.errors import CameraError, FrameError, LinkLost, RigFault
-from scanrig.session.session import run_sweep
+from scanrig.errors import CameraError, Fault, FrameError, LinkLost, RigFault
 
 from jaxscan.files.capture import open_capture, verify_capture
 
@@ -22,7 +21,7 @@ def events(path, name):
 
 
 def sweep(desk, folder, **options):
-    return run_sweep(desk.config, folder, **desk.rig(), **options)
+    return desk.sweep(folder, **options)
 
 
 def require_whole(folder, desk, count=10):
@@ -114,7 +113,7 @@ def test_07_steps_lost_before_a_reset_are_found_by_the_last_record(tmp_path):
 # 9 the host stalls
 
 
-@pytest.mark.parametrize("fault", [2, 3])
+@pytest.mark.parametrize("fault", [Fault.LINK_LOST, Fault.LEASE_RAN_OUT])
 def test_09_host_stalled_so_that_the_controller_switched_off(tmp_path, fault):
     """A suspended host finds the link watchdog's or the lease's fault; the same position is still good."""
     desk = Desk()
@@ -132,7 +131,7 @@ def test_11_estop_ends_the_session_and_is_never_resumed_by_itself(tmp_path):
 
     def press(controller):
         controller.estop = True
-        controller.fall_into(1)
+        controller.fall_into(Fault.EMERGENCY_STOP)
 
     desk.controller.before_shot[5] = press
     result = sweep(desk, tmp_path / "room")
@@ -148,7 +147,7 @@ def test_11_estop_ends_the_session_and_is_never_resumed_by_itself(tmp_path):
 
 def test_12_home_not_found_ends_the_session(tmp_path):
     desk = Desk()
-    desk.controller.home = lambda *a: desk.controller.fall_into(4)
+    desk.controller.home = lambda *a: desk.controller.fall_into(Fault.HOME_NOT_FOUND)
     with pytest.raises(RigFault, match="home switch"):
         sweep(desk, tmp_path / "room")
     assert not desk.table.contactor
@@ -402,7 +401,7 @@ def test_17_a_frame_that_came_between_two_steps(tmp_path):
 
 def test_17_camera_that_was_not_ready(tmp_path):
     desk = Desk()
-    desk.controller.before_shot[4] = lambda controller: controller.fall_into(6)
+    desk.controller.before_shot[4] = lambda controller: controller.fall_into(Fault.CAMERA_NOT_READY)
     assert sweep(desk, tmp_path / "room").status == "complete"
     require_whole(tmp_path / "room", desk)
 

@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from scanrig.session.session import run_sweep
 from scanrig.session.signals import Interrupts
 
 from jaxscan.files.capture import open_capture, verify_capture
@@ -25,7 +24,7 @@ def journal(path):
 
 
 def sweep(desk, folder, **options):
-    return run_sweep(desk.config, folder, **desk.rig(), **options)
+    return desk.sweep(folder, **options)
 
 
 def interrupt(controller=None):
@@ -119,7 +118,6 @@ def test_10_an_interrupt_while_the_laser_is_switched_off(tmp_path):
 HUNG_UP = """
 import sys, time
 from pathlib import Path
-from scanrig.session.session import run_sweep
 from scanrig.session.signals import Interrupts
 from tests.hardware.desk import Desk
 import fcntl, termios
@@ -135,7 +133,7 @@ with Interrupts() as interrupts:
         print("record", number, flush=True)
         print("record", number, file=sys.stderr, flush=True)
     desk.controller.before_shot[4] = wait
-    result = run_sweep(desk.config, Path(sys.argv[1]), **desk.rig(), on_pair=told, should_stop=interrupts)
+    result = desk.sweep(Path(sys.argv[1]), on_pair=told, should_stop=interrupts)
 print(result.message, flush=True)
 sys.exit(0 if interrupts.received == ["SIGHUP"] else 3)
 """

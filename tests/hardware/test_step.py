@@ -5,11 +5,11 @@ import threading
 import numpy as np
 import pytest
 from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.cameras.synthetic import SyntheticScene, draw
-from scanrig.controllers.connect import connect
-from scanrig.errors import FrameError, Refused, RigFault
-from scanrig.session.session import run_sweep
-from scanrig.session.step import FrameNumbers, take_pair
+from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
+from scanrig.controllers.jxs.connect import connect
+from scanrig.errors import Fault, FrameError, Refused, RigFault
+from scanrig.session import Devices, Hooks, run_sweep
+from scanrig.session.step import FrameNumbers, Station, Step, take_pair
 
 from .desk import HEIGHT, WIDTH, Desk, rig_config
 from .nursery import Wire
@@ -27,8 +27,9 @@ def ready(desk):
     desk.camera.start()
 
 
-def take(desk, to=80, **keys):
-    return take_pair(desk.controller, desk.camera, desk.config, to=to, number=1, clock=desk.clock, **keys)
+def take(desk, to=80, laser=0, rejected=None, **keys):
+    station = Station(desk.config, desk.controller, desk.camera, desk.clock, **keys)
+    return take_pair(station, Step(to, 1, laser), rejected)
 
 
 def test_frames_are_matched_over_the_counters_wrap():
@@ -102,7 +103,7 @@ def test_a_contactor_that_a_fault_opened_is_not_closed_by_a_step():
     desk = Desk()
     ready(desk)
     with pytest.raises(RigFault):
-        desk.controller.fall_into(1)
+        desk.controller.fall_into(Fault.EMERGENCY_STOP)
     desk.controller.log.clear()
     with pytest.raises(Refused):
         take(desk)
@@ -117,7 +118,7 @@ def test_a_session_that_was_silent_for_long_goes_on_with_real_firmware(rig, tmp_
     generator = np.random.default_rng(0)
 
     def see(position, lit):
-        return draw(SyntheticScene(), position, lit, width=WIDTH, height=HEIGHT, generator=generator)
+        return draw(SyntheticScene(), position, lit, FrameShape(WIDTH, HEIGHT), generator)
 
     camera = SimulatedCamera(config.camera, see)
 
@@ -135,7 +136,7 @@ def test_a_session_that_was_silent_for_long_goes_on_with_real_firmware(rig, tmp_
     camera.trigger = expose
     wire = Wire(simulated.edges_path, camera) if trigger == "hardware" else None
     with connect(simulated.port) as controller:
-        result = run_sweep(config, tmp_path / "room", controller=controller, camera=camera, on_pair=pause)
+        result = run_sweep(config, tmp_path / "room", Devices(controller, camera), Hooks(pause))
     if wire is not None:
         wire.close()
     assert (result.status, result.records) == ("complete", 2)
@@ -153,7 +154,7 @@ def test_the_lease_is_renewed_on_real_firmware_while_a_slow_camera_exposes(rig, 
     generator = np.random.default_rng(0)
 
     def see(position, lit):
-        return draw(SyntheticScene(), position, lit, width=WIDTH, height=HEIGHT, generator=generator)
+        return draw(SyntheticScene(), position, lit, FrameShape(WIDTH, HEIGHT), generator)
 
     camera = SimulatedCamera(config.camera, see)
 
@@ -169,7 +170,7 @@ def test_the_lease_is_renewed_on_real_firmware_while_a_slow_camera_exposes(rig, 
     timers = []
     camera.trigger = slow
     with connect(simulated.port) as controller:
-        result = run_sweep(config, tmp_path / "room", controller=controller, camera=camera)
+        result = run_sweep(config, tmp_path / "room", Devices(controller, camera))
     for timer in timers:
         timer.join()
     assert (result.status, result.records) == ("complete", 1)

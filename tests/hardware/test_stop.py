@@ -5,8 +5,8 @@ import time
 
 import pytest
 from scanrig.clock import SystemClock
-from scanrig.wire.exchange import Exchange
-from scanrig.wire.link import open_serial
+from scanrig.controllers.jxs.exchange import Exchange
+from scanrig.wire import open_serial
 
 
 @pytest.mark.parametrize("begun", [("TRIG", {"ms": 5000}), ("SELFTEST", {}), ("MOVE", {"to": 20_000})])

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import UInt8
@@ -15,7 +15,7 @@ from jaxscan.files.disk import load_toml
 from scanrig.cameras.features import require, wanted
 from scanrig.cameras.frame import CameraIdentity, Features, Frame
 from scanrig.cameras.settings import CameraSettings, TriggerMode
-from scanrig.cameras.synthetic import SyntheticScene, draw
+from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.clock import Clock, SystemClock
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
@@ -23,8 +23,8 @@ from scanrig.errors import CameraError, CameraLost, CameraTimeout
 Fault = Literal["missing", "duplicate", "incomplete", "stale", "swapped", "late", "lost"]
 """What can befall an exposure: its frame is not delivered; twice; in half; the one before in its place; changed
 for the one after; only with the one after; and: the camera is gone from here on."""
-Scene = Callable[[float, bool], UInt8[np.ndarray, "rows columns *three"]]
-"""What the camera sees at a position of the table [microsteps] with the laser on or off."""
+Scene = Callable[[float, int], UInt8[np.ndarray, "rows columns *three"]]
+"""What the camera sees at a position of the table [microsteps], and with which laser on, from 1; 0: none."""
 
 
 class SimulatedCamera:
@@ -38,11 +38,10 @@ class SimulatedCamera:
         settings: CameraSettings,
         scene: Scene | SyntheticScene | None = None,
         *,
-        world: Callable[[], tuple[float, bool]] | None = None,
+        world: Callable[[], tuple[float, int]] | None = None,
         faults: dict[int, Fault] | None = None,
         clock: Clock | None = None,
         patience_s: float = float("inf"),
-        serial: str = "SIM1",
     ) -> None:
         """A camera that is open.
 
@@ -54,10 +53,9 @@ class SimulatedCamera:
             clock: For time stamps.
             patience_s: Longest that `next` really waits, whatever its timeout: 0 where the test exposes
                 before it asks.
-            serial: Serial number.
         """
         self.settings, self.faults = settings, dict(faults or {})
-        self.identity = CameraIdentity("simulated", "synthetic", serial)
+        self.identity = CameraIdentity("simulated", "synthetic", "SIM1")
         self.trigger_mode: TriggerMode = settings.trigger
         self.device: Features = wanted(settings)
         """What the camera holds; a test may spoil it."""
@@ -120,7 +118,7 @@ class SimulatedCamera:
             raise CameraError(f'{self.identity}: trigger is "{self.trigger_mode}", software triggers need "software".')
         self.expose(*self._world())
 
-    def expose(self, position: float, lit: bool) -> None:
+    def expose(self, position: float, lit: int) -> None:
         """An edge on the trigger's wire: one exposure, and what befalls it. From any thread."""
         with self._changed:
             if not self._running or self._lost:
@@ -211,10 +209,10 @@ def open_simulated(settings: CameraSettings) -> SimulatedCamera:
 
 def _drawn(scene: SyntheticScene, settings: CameraSettings) -> Scene:
     generator = np.random.default_rng(scene.seed)
-    size: Any = {"width": settings.width, "height": settings.height, "pixel_format": settings.pixel_format}
-    return lambda position, lit: draw(scene, position, lit, generator=generator, **size)
+    shape = FrameShape(settings.width, settings.height, settings.pixel_format)
+    return lambda position, lit: draw(scene, position, lit, shape, generator)
 
 
-def _alternation() -> Iterator[tuple[float, bool]]:
+def _alternation() -> Iterator[tuple[float, int]]:
     """The laser on, then off, at one position after the other."""
-    return ((float(8 * (k // 2)), k % 2 == 0) for k in count())
+    return ((float(8 * (k // 2)), 1 - k % 2) for k in count())

@@ -1,6 +1,6 @@
 """Frames without a renderer: a Gaussian laser line on a textured wall, with noise."""
 
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pydantic
@@ -32,6 +32,8 @@ class SyntheticScene(FileModel):
     """Amplitude of the wall's texture over its mean [1]."""
     turn_px: Annotated[Number, pydantic.Field(ge=0)] = 6000.0
     """How far the wall moves through the image in one turn [px]."""
+    apart_px: Number = 40.0
+    """How far beside the first laser's line the second's lies [px]."""
     read_dn: Annotated[Number, pydantic.Field(ge=0)] = 1.0
     """Read noise [DN]."""
     electrons_per_dn: Annotated[Number, pydantic.Field(gt=0)] = 40.0
@@ -42,8 +44,18 @@ class SyntheticScene(FileModel):
     """Of the noise."""
 
 
+class FrameShape(NamedTuple):
+    """What a frame is."""
+
+    width: int
+    """[px]"""
+    height: int
+    """[px]"""
+    pixel_format: PixelFormat = "mono8"
+
+
 def stripe_centre(scene: SyntheticScene, position: float, lines: int, samples: int) -> Float[np.ndarray, " lines"]:
-    """Where the laser's line lies on each line of the image [px]: a bowed wall at the middle of the image."""
+    """Where the first laser's line lies on each line of the image [px]: a bowed wall at the middle of the image."""
     k = np.linspace(-1.0, 1.0, lines)
     phase = 2.0 * np.pi * position / scene.microsteps_per_turn
     return samples * (0.5 + 0.06 * np.sin(3.0 * phase) + 0.05 * k + 0.03 * k**2 * np.cos(5.0 * phase))
@@ -58,9 +70,11 @@ def wall(scene: SyntheticScene, position: float, lines: int, samples: int) -> Fl
     return np.maximum(scene.ambient_dn * (1.0 + scene.contrast * (0.4 * waves + 0.4 * blocks)), 0.0)
 
 
-def line_light(scene: SyntheticScene, position: float, lines: int, samples: int) -> Float[np.ndarray, "lines samples"]:
-    """Light of the laser [DN] on the first `share` of the lines."""
-    centre = stripe_centre(scene, position, lines, samples).astype(np.float32)
+def line_light(
+    scene: SyntheticScene, position: float, lines: int, samples: int, laser: int = 1
+) -> Float[np.ndarray, "lines samples"]:
+    """Light of a laser (from 1) [DN] on the first `share` of the lines."""
+    centre = (stripe_centre(scene, position, lines, samples) + (laser - 1) * scene.apart_px).astype(np.float32)
     offset = np.arange(samples, dtype=np.float32)[None, :] - centre[:, None]
     met = np.arange(lines)[:, None] < scene.share * lines
     return np.float32(scene.peak_dn) * np.exp(np.float32(-0.5) * (offset / np.float32(scene.width_px)) ** 2) * met
@@ -69,11 +83,8 @@ def line_light(scene: SyntheticScene, position: float, lines: int, samples: int)
 def draw(
     scene: SyntheticScene,
     position: float,
-    lit: bool,
-    *,
-    width: int,
-    height: int,
-    pixel_format: PixelFormat = "mono8",
+    lit: int,
+    shape: FrameShape,
     generator: np.random.Generator,
 ) -> UInt8[np.ndarray, "rows columns *three"]:
     """One frame.
@@ -81,15 +92,15 @@ def draw(
     Args:
         scene: What is seen.
         position: Of the table [microsteps].
-        lit: Whether the laser is on.
-        width: Of the image [px].
-        height: Of the image [px].
-        pixel_format: How the frame is to be read.
+        lit: Which laser is on, from 1; 0: none.
+        shape: Of the frame.
         generator: Of the noise; goes on.
     """
+    width, height, pixel_format = shape
     across = scene.stripe_axis == "columns"
     lines, samples = (width, height) if across else (height, width)
-    room, laser = wall(scene, position, lines, samples), line_light(scene, position, lines, samples) * lit
+    room = wall(scene, position, lines, samples)
+    laser = line_light(scene, position, lines, samples, lit) if lit else np.zeros_like(room)
     if across:
         room, laser = room.T, laser.T
     if pixel_format == "mono8":

@@ -1,201 +1,110 @@
-"""The controller's verbs: what a session asks of turntable, laser and trigger, and how it gets all of it made safe."""
+"""What a controller is to the rest of the rig: it turns the table, switches the laser, and may trigger the camera."""
 
 import logging
-import secrets
-from collections.abc import Callable
+from dataclasses import dataclass
 from types import TracebackType
+from typing import Protocol
 
-from scanrig.clock import Clock, SystemClock
-from scanrig.controllers.conversation import Conversation
-from scanrig.controllers.greeting import Silence, greet, what_is_there
-from scanrig.controllers.safety import UNCONFIRMED, make_safe
 from scanrig.controllers.settings import Settings
-from scanrig.controllers.status import (
-    Counters,
-    Firmware,
-    LinkCounts,
-    Reconnection,
-    ShotDone,
-    Status,
-    integer,
-    read_counters,
-)
-from scanrig.errors import FirmwareError, LinkLost, PortError, RigError
-from scanrig.wire.exchange import Exchange
-from scanrig.wire.link import Link
-from scanrig.wire.protocol import PROTOCOL, Event
+from scanrig.controllers.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
+from scanrig.errors import RigError
 
 
 log = logging.getLogger(__name__)
 
-
-REST_S = 5.0
-"""How long a table may take to slow down."""
+UNCONFIRMED = "could not confirm that the laser is off: switch its supply off by hand"
 
 
-class Controller:
-    """A session with the rig's controller over a link.
+@dataclass(frozen=True)
+class Guarantees:
+    """What a controller does by itself, whatever becomes of the host. What it cannot do is said to people."""
 
-    As a context manager it makes everything safe on the way out, whatever the way is.
+    laser_off_without_host: bool
+    """The laser goes off within a second or so of the host's death, or of a cable that was pulled."""
+    knows_missed_steps: bool
+    """`Controller.home` says by how many microsteps home was missed."""
+    hardware_trigger: bool
+    """It triggers the camera by a wire: `Controller.trigger`, `shot` and `wait_shot`."""
+    checked_lines: bool
+    """A line that was damaged on its way is noticed, not carried out."""
+
+
+class Controller(Protocol):
+    """A controller whose port is open. As a context manager it makes everything safe on the way out.
+
+    Positions are microsteps of the table from home, whatever the controller counts in. Used from one thread. Every
+    method that asks the controller may raise:
+
+        LinkLost: no answer any more; `reconnect` is the way back. ControllerReset, a kind of it: it has started anew.
+        RigFault: it stopped by itself, and is in a fault until `clear`.
+        Refused: it will not do that now.
     """
-
-    def __init__(
-        self,
-        link: Link,
-        clock: Clock | None = None,
-        *,
-        timeout_s: float = 0.25,
-        tries: int = 8,
-        reopen: Callable[[], Link] | None = None,
-        session: int | None = None,
-    ):
-        """Nothing is sent yet.
-
-        Args:
-            link: to the controller.
-            clock: for every wait.
-            timeout_s: the longest wait for one answer.
-            tries: the link is lost after this many times timeout_s without an answer.
-            reopen: opens the port again for `reconnect`, wherever it is now.
-            session: the number of this session, 1 … 2³¹−1; by default a random one.
-        """
-        self._clock = clock or SystemClock()
-        self._wire = Exchange(link, self._clock, timeout_s=timeout_s, tries=tries)
-        self._talk = Conversation(self._wire, self._clock)
-        self._reopen = reopen
-        self._session = session or secrets.randbelow(2**31 - 1) + 1
-        self._settings: Settings | None = None
-        self._closed = False
-
-    # Session
-
-    @property
-    def link_counts(self) -> LinkCounts:
-        """What the line did so far."""
-        return self._wire.counts
-
-    @property
-    def link(self) -> Link:
-        """What is below, at present."""
-        return self._wire.link
-
-    @property
-    def settings(self) -> Settings | None:
-        """What was configured last."""
-        return self._settings
 
     @property
     def name(self) -> str:
         """The port, as a person calls it."""
-        return self._wire.link.name
+
+    @property
+    def guarantees(self) -> Guarantees:
+        """What it does without the host."""
+
+    @property
+    def link_counts(self) -> LinkCounts:
+        """What the line did so far."""
+
+    # Session
 
     def hello(self) -> Firmware:
-        """Begin a session. An Uno that has just been reset by opening its port is given the time it needs.
+        """Begin a session: laser off, contactor open.
 
         Returns:
-            What firmware it is; a changed `boot` means that position and settings are gone.
+            Who answered; a changed `boot` means that position and settings are gone.
 
         Raises:
-            FirmwareError: silence, another device, or another protocol; with what was found and what is needed.
-            LinkLost: the port went away.
+            FirmwareError: silence, another device, or one that this host does not fit.
         """
-        try:
-            return self._greet()
-        except Silence as problem:
-            raise FirmwareError(
-                f"{self.name}: found {what_is_there(self._wire)}, needed a scanner controller that speaks "
-                f"JXS/{PROTOCOL} at 250000 baud; check the port, its power and its firmware"
-            ) from problem
 
     def configure(self, settings: Settings) -> None:
-        """Set all settings and read them back.
+        """Take over the settings, and see that they hold.
 
         Raises:
-            FirmwareError: the controller did not take what it was given.
+            FirmwareError: the controller is not, and cannot be, set so, or it switches fewer lasers.
         """
-        groups = settings.wire()
-        for group in groups.values():
-            self._talk.ask("SET", **group)
-        says = self._talk.ask("CFG") | self._talk.ask("CFG", shot=1)
-        wanted = {key: value for group in groups.values() for key, value in group.items()}
-        differing = [
-            f"{key}={says.get(key, 'nothing')} instead of {value}"
-            for key, value in wanted.items()
-            if says.get(key) != str(value)
-        ]
-        if differing:
-            raise FirmwareError(f"{self.name}: settings read back as {', '.join(differing)}")
-        self._settings = settings
 
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
-        """Find the controller again after LinkLost or ControllerReset, with longer and longer pauses.
-
-        Motion is stopped, a link fault cleared, and the settings are sent again. If it is still the same boot, its
-        position is good; otherwise it must be enabled and homed anew. The contactor is open in either
-        case. What is left to do is in its state.
+        """Find the controller again after LinkLost or ControllerReset. Motion is stopped, the laser off.
 
         Args:
             timeout_s: when to give up.
 
         Returns:
-            Whether it is the same boot, whether it must be homed, and its state.
+            Whether it kept its position, whether it must be homed, and its state.
 
         Raises:
             LinkLost: it did not come back in time.
             FirmwareError: something else is there now.
         """
-        before = self._talk.firmware
-        give_up = self._clock.now() + timeout_s
-        pause = 0.1
-        while True:
-            try:
-                if self._talk.broken:
-                    self._open_again()
-                firmware = self._greet()
-                if self._come_to_rest().fault == 2:
-                    self.clear()
-                if self._settings is not None:
-                    self.configure(self._settings)
-                status = self.stat()
-                break
-            except (Silence, LinkLost, PortError) as problem:
-                self._talk.broken = True
-                if self._clock.now() + pause > give_up:
-                    raise LinkLost(f"{self.name} did not come back within {timeout_s:.0f} s: {problem}") from problem
-            self._clock.sleep(pause)
-            pause = min(2 * pause, 2.0)
-        self._talk.enabled = status.enabled
-        same = before is not None and before.boot == firmware.boot
-        return Reconnection(same, not status.homed, status)
 
     # Motion
 
     def enable(self, on: bool) -> None:
         """Switch the motor driver on or off; off forgets home."""
-        self._talk.ask("EN", on=on)
-        self._talk.enabled = on
 
-    def home(self, max_steps: int, timeout_s: float = 120.0) -> int:
-        """Look for the home switch and call its edge 0.
+    def home(self, max_steps: int, timeout_s: float = 120.0) -> int | None:
+        """Look for the home switch and call its place 0.
 
         Args:
             max_steps: how many microsteps to look for it.
             timeout_s: how long.
 
         Returns:
-            What the counter said at the edge: 0 where the table was homed before and lost no step.
+            The position at which it was found by what was known before: 0 where no step was lost. None where the
+            controller cannot say (`Guarantees.knows_missed_steps`).
 
         Raises:
-            RigFault: the switch was not found, is stuck, or something stopped the motion.
+            RigFault: it was not found, or something stopped the motion.
             RigTimeout: it did not arrive.
         """
-        self._talk.begin("HOME", max=max_steps)
-        return self._talk.wait(
-            "homing",
-            timeout_s,
-            lambda event: integer(event.fields, "was") if self._talk.is_end(event, "HOMED") else None,
-            lambda status: integer(self._talk.ask("CNT"), "was"),
-        )
 
     def move(self, to: int, timeout_s: float = 120.0) -> int:
         """Turn to a position and wait for it.
@@ -208,176 +117,100 @@ class Controller:
             The position reached.
 
         Raises:
-            Refused: driver off, or beyond a soft limit.
-            RigFault: something stopped the motion.
             RigTimeout: it did not arrive.
         """
-        self._talk.begin("MOVE", to=to)
-        return self._talk.wait(
-            f"moving to {to}",
-            timeout_s,
-            lambda event: integer(event.fields, "pos") if self._talk.is_end(event, "DONE") else None,
-            lambda status: status.position,
-        )
 
     def stop(self) -> None:
         """Laser off, motor slowed down; the table stays homed."""
-        self._talk.ask("STOP")
 
     # Light
 
     def arm(self, on: bool) -> None:
-        """Close or open the contactor in the laser's supply."""
-        self._talk.ask("ARM", on=on)
+        """Allow the laser to be lit, or forbid it: close or open the contactor in its supply, where there is one."""
 
-    def laser(self, on: bool, ms: int | None = None) -> None:
-        """Switch the laser on for a while, renew that, or switch it off.
+    def laser(self, on: bool, *, number: int = 1) -> None:
+        """Switch a laser on, renew that, or switch all lasers off.
 
         Args:
             on: on or off.
-            ms: how long it may stay on, at most the lease of `hello`; by default all of that.
+            number: which one, from 1.
+
+        Raises:
+            Refused: not armed.
         """
-        if on:
-            lease = 1000 if self._talk.firmware is None else self._talk.firmware.lease_ms
-            self._talk.ask("LASER", on=1, ms=lease if ms is None else ms)
-        else:
-            self._talk.ask("LASER", on=0)
 
-    def trigger(self, ms: int | None = None) -> None:
-        """One exposure of `ms` milliseconds, by default as long as configured. Does not wait for its end."""
-        if ms is None:
-            self._talk.ask("TRIG")
-        else:
-            self._talk.ask("TRIG", ms=ms)
+    # The camera's wire; without `Guarantees.hardware_trigger` these are refused
 
-    def shot(self, to: int, id: int, *, lit: bool = True, dark: bool = True) -> None:
+    def trigger(self) -> None:
+        """One exposure. Does not wait for its end."""
+
+    def shot(self, to: int, id: int, *, number: int = 1) -> None:
         """Begin a shot: turn, settle, expose with the laser, expose without. `to` as it stands repeats it.
 
         Args:
             to: microsteps from home.
             id: a number to know it by.
-            lit: expose with the laser.
-            dark: expose without.
+            number: which laser, from 1.
         """
-        self._talk.begin("SHOT", to=to, id=id, m=lit + 2 * dark)
 
     def wait_shot(self, id: int, timeout_s: float = 120.0) -> ShotDone:
         """Wait for the end of a shot that `shot` has begun.
 
         Raises:
-            RigFault: something stopped it.
             RigTimeout: it did not end in time; it was stopped.
         """
-
-        def told(event: Event) -> ShotDone | None:
-            if event.name != "SHOT" or event.fields.get("id") != str(id):
-                return None
-            return ShotDone(integer(event.fields, "pos"), integer(event.fields, "trg"))
-
-        return self._talk.wait(
-            f"shot {id}", timeout_s, told, lambda status: ShotDone(status.position, status.exposures)
-        )
 
     # State
 
     def stat(self) -> Status:
-        """Ask for the state.
-
-        Raises:
-            ControllerReset: it has been reset since `hello`.
-        """
-        return self._talk.stat()
+        """Ask for the state; a fault is only told."""
 
     def poll(self) -> Status:
-        """Ask for the state to keep the link alive.
+        """Ask for the state: a sign of life, too. A fault is raised."""
 
-        Raises:
-            RigFault: the controller is in a fault.
-            ControllerReset: it has been reset.
-        """
-        return self._talk.poll()
-
-    def counters(self) -> Counters:
-        """The controller's counters of errors and wear."""
-        return read_counters(self._talk.ask("CNT"))
+    def counters(self) -> Counters | None:
+        """The controller's own counters of errors and wear; None where it has none."""
 
     def clear(self) -> None:
-        """Leave a fault; the contactor stays open until `arm`.
+        """Leave a fault; the laser is not armed then.
 
         Raises:
-            Refused: the emergency stop is still pressed.
-            RigFault: another fault came at the same moment, of which nobody has been told yet.
+            Refused: what caused it is still there.
         """
-        self._talk.clear()
 
     # The way out
 
     def abort(self) -> None:
-        """Everything off at once, without waiting for an answer; fault 5."""
-        self._wire.abort()
+        """Everything off at once, without waiting for an answer. Raises LinkLost alone."""
 
     def make_safe(self) -> bool:
-        """Stop, laser off, contactor open; if that is not answered, abort.
+        """Stop, laser off, contactor open; if that is not answered, abort. Raises nothing for the rig's sake.
 
         Returns:
-            True if the controller confirmed that the laser is off and nothing runs that could switch it on. False:
-            a person must look. After a lost link the controller's own watchdog does the same.
+            True if the controller confirmed that the laser is off, and nothing runs that could switch it on. False:
+            a person must look.
         """
-        return make_safe(self._wire, self._clock)
 
     def close(self) -> None:
-        """Make safe and give the port back.
+        """Make safe and give the port back; may be called twice.
 
         Raises:
             RigError: it could not be confirmed that the laser is off.
         """
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            safe = self.make_safe()
-        finally:
-            self._wire.link.close()
-        if not safe:
-            raise RigError(f"{self.name}: {UNCONFIRMED}")
 
-    def __enter__(self) -> "Controller":
-        """The controller itself."""
-        return self
+    def __enter__(self) -> "Controller": ...
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Make safe and close; where that fails on the way out of an error, the error says so as well."""
-        try:
-            self.close()
-        except RigError as problem:
-            if error is None:
-                raise
-            log.critical("%s", problem)
-            error.add_note(str(problem))
+    ) -> None: ...
 
-    # Within
 
-    def _greet(self) -> Firmware:
-        firmware = greet(self._wire, self._clock, self._session)
-        before, self._talk.firmware = self._talk.firmware, firmware
-        if before is None or firmware.boot != before.boot:
-            self._talk.enabled = False
-        return firmware
-
-    def _come_to_rest(self) -> Status:
-        """A cable that was pulled for less than the link watchdog's time has stopped nothing."""
-        give_up = self._clock.now() + REST_S
-        self.stop()
-        while (status := self.stat()).state not in ("idle", "fault"):
-            if self._clock.now() >= give_up:
-                raise LinkLost(f"{self.name}: the table did not come to rest")
-            self._clock.sleep(0.02)
-        return status
-
-    def _open_again(self) -> None:
-        if self._reopen is not None:
-            self._wire.link.close()
-            self._wire.attach(self._reopen())
-        self._talk.broken = False
+def close_after(controller: Controller, error: BaseException | None) -> None:
+    """Close on the way out of `with`; where that fails on the way out of an error, the error says so as well."""
+    try:
+        controller.close()
+    except RigError as problem:
+        if error is None:
+            raise
+        log.critical("%s", problem)
+        error.add_note(str(problem))

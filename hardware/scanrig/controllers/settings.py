@@ -1,15 +1,11 @@
-"""The controller's settings, by their full names, and what the wire calls them."""
+"""What a controller is set to for a session."""
 
 from dataclasses import dataclass
 
 
-UNLIMITED = (-(2**31), 2**31 - 1)
-"""Soft limits that limit nothing."""
-
-
 @dataclass(frozen=True)
 class Settings:
-    """What the host sets after each HELLO (PROTOCOL.md, section 4, has ranges and defaults)."""
+    """Motion, waits and limits, in microsteps and milliseconds; a controller takes what it knows."""
 
     watchdog_ms: int = 500
     """Milliseconds without a good line after which the controller takes the link for lost."""
@@ -25,6 +21,8 @@ class Settings:
     """Microsteps by which a downward motion overshoots, so that every target is approached from below."""
     reverse: bool = False
     """Turns the sense of the direction pin round."""
+    lasers: int = 1
+    """How many lasers the controller has to switch."""
     settle_ms: int = 50
     """Rest before a shot."""
     laser_on_ms: int = 20
@@ -39,27 +37,3 @@ class Settings:
     """How long to wait for the camera's ready line before each trigger; 0: not at all."""
     limits: tuple[int, int] | None = None
     """Soft limits, microsteps from home; None: none."""
-
-    def wire(self) -> dict[str, dict[str, int]]:
-        """The settings as the wire has them, in groups that fit one line each and are checked together there."""
-        low, high = UNLIMITED if self.limits is None else self.limits
-        return {
-            "motion": {
-                "wd": self.watchdog_ms,
-                "vmax": self.speed,
-                "vst": self.start_speed,
-                "acc": self.acceleration,
-                "hv": self.home_speed,
-                "back": self.backlash,
-                "dir": int(self.reverse),
-            },
-            "shot": {
-                "settl": self.settle_ms,
-                "lon": self.laser_on_ms,
-                "loff": self.laser_off_ms,
-                "exp": self.exposure_ms,
-                "gap": self.gap_ms,
-                "rdy": self.ready_ms,
-            },
-            "limits": {"smin": low, "smax": high},
-        }

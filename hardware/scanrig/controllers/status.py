@@ -1,51 +1,53 @@
-"""What the controller says of itself: firmware, state, counters."""
+"""What any controller says of itself: firmware, state, counters."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
-from scanrig.errors import FirmwareError
+from scanrig.errors import Fault
+
+
+State = Literal["idle", "move", "home", "shot", "fault"]
 
 
 @dataclass(frozen=True)
 class Firmware:
-    """The answer to HELLO."""
+    """Who answered."""
 
-    proto: int
-    """The number of the protocol it speaks."""
+    proto: int | str
+    """The protocol that it speaks: its number, or its name."""
     version: str
     boot: int
     """Counts resets: where it changed, position and settings are gone."""
-    lease_ms: int
-    """The longest time for which the laser can be switched on by hand."""
+    lease_ms: int = 0
+    """The longest time for which the laser stays on without a word from the host; 0: for ever."""
 
 
 @dataclass(frozen=True)
 class Status:
-    """The answer to STAT."""
+    """The state at this moment."""
 
-    state: str
-    """idle, move, home, shot or fault."""
-    fault: int
-    """0: none."""
+    state: State
+    fault: Fault | None
+    """Which fault it is in."""
     position: int
     """Microsteps from home."""
     homed: bool
     armed: bool
+    """Whether the laser may be switched on: the contactor in its supply is closed, where there is one."""
     enabled: bool
+    """Whether the motor driver is on."""
     laser: bool
-    lease_ms: int
-    exposures: int
-    """Since boot, modulo 65536."""
-    home_switch: bool
-    estop: bool
-    camera_ready: bool
-    events: int
-    """Number of the last event that the controller sent."""
+    exposures: int = 0
+    """Trigger pulses since boot, modulo 65536."""
+    home_switch: bool = False
+    """Whether the home switch is active."""
+    estop: bool = False
+    """Whether the emergency stop is pressed."""
 
 
 @dataclass(frozen=True)
 class Counters:
-    """The answer to CNT."""
+    """What a controller counts: errors and wear."""
 
     damaged: int
     """Lines that came to the controller damaged."""
@@ -95,54 +97,3 @@ class LinkCounts:
     events: int = 0
     events_missed: int = 0
     events_by_name: dict[str, int] = field(default_factory=dict)
-
-
-def read_firmware(fields: Mapping[str, str]) -> Firmware:
-    """Firmware from the fields of HELLO's answer."""
-    version = fields.get("fw", "unknown")
-    return Firmware(integer(fields, "proto"), version, integer(fields, "boot"), integer(fields, "lease"))
-
-
-def read_status(fields: Mapping[str, str]) -> Status:
-    """Status from the fields of STAT's answer."""
-    inputs = integer(fields, "in")
-    return Status(
-        state=word(fields, "st"),
-        fault=integer(fields, "f"),
-        position=integer(fields, "pos"),
-        homed=bool(integer(fields, "hm")),
-        armed=bool(integer(fields, "arm")),
-        enabled=bool(integer(fields, "en")),
-        laser=bool(integer(fields, "las")),
-        lease_ms=integer(fields, "le"),
-        exposures=integer(fields, "trg"),
-        home_switch=bool(inputs & 1),
-        estop=bool(inputs & 2),
-        camera_ready=bool(inputs & 4),
-        events=integer(fields, "ev"),
-    )
-
-
-def read_counters(fields: Mapping[str, str]) -> Counters:
-    """Counters from the fields of CNT's answer."""
-    return Counters(*(integer(fields, key) for key in ("crc", "over", "dup", "las", "up", "wdr")))
-
-
-def word(fields: Mapping[str, str], key: str) -> str:
-    """A field that must be there."""
-    if key not in fields:
-        raise FirmwareError(
-            f"the controller's answer {dict(fields)} lacks '{key}'; its firmware does not fit this host"
-        )
-    return fields[key]
-
-
-def integer(fields: Mapping[str, str], key: str) -> int:
-    """A field that must be there and be an integer."""
-    text = word(fields, key)
-    try:
-        return int(text)
-    except ValueError as problem:
-        raise FirmwareError(
-            f"the controller says {key}={text}, expected an integer; its firmware does not fit this host"
-        ) from problem

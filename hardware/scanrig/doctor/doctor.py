@@ -3,6 +3,7 @@
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,13 @@ from jaxscan.files.recording import create_capture
 from scanrig.cameras.frame import Camera
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
-from scanrig.controllers.controller import Controller
+from scanrig.controllers import Controller
 from scanrig.doctor.findings import Finding as Finding
 from scanrig.doctor.findings import Tell, looked_at
 from scanrig.doctor.light import examine_camera, examine_light
 from scanrig.doctor.table import examine_table
 from scanrig.errors import RigError
-from scanrig.recording.space import free_bytes, readable
+from scanrig.recording import free_bytes, readable
 from scanrig.session.plan import estimate, plan_sweep
 from scanrig.session.step import Pair
 
@@ -31,35 +32,36 @@ def _silent(text: str) -> None:
     del text
 
 
-def examine(
-    controller: Controller | None,
-    camera: Camera | None,
-    config: RigConfig | None,
-    *,
-    folder: Path,
-    tell: Tell,
-    say: Callable[[str], None] = _silent,
-    clock: Clock | None = None,
-) -> None:
+@dataclass(frozen=True)
+class Patient:
+    """The parts of a rig that there are. Nothing of it is closed by the examination."""
+
+    controller: Controller | None
+    """Open; is left safe."""
+    camera: Camera | None
+    """Open; is started."""
+    config: RigConfig | None
+    """Without it the controller is looked at with usual settings, and no camera."""
+    clock: Clock = field(default_factory=SystemClock)
+
+
+def examine(patient: Patient, *, folder: Path, tell: Tell, say: Callable[[str], None] = _silent) -> None:
     """Look at all parts of a rig that are there; the table turns and the laser shines.
 
     Args:
-        controller: Open; is left safe, not closed.
-        camera: Open; is started, not closed.
-        config: The rig; without it the controller is looked at with usual settings, and no camera.
+        patient: What there is.
         folder: Where captures would be written.
         tell: Called with each finding.
         say: Called with what is going on where it takes long.
-        clock: For waiting.
     """
-    clock = clock or SystemClock()
+    controller, camera, config = patient.controller, patient.camera, patient.config
     pair: Pair | None = None
     try:
         homed = False if controller is None else examine_table(controller, config, tell, say)
         if camera is not None and config is not None:
-            examine_camera(controller, camera, config, tell, clock)
+            examine_camera(controller, camera, config, tell, patient.clock)
             if controller is not None and homed:
-                pair = examine_light(controller, camera, config, tell, clock)
+                pair = examine_light(controller, camera, config, tell, patient.clock)
     finally:
         if controller is not None:
             tell(_laser_off(controller))
@@ -91,7 +93,7 @@ def _storage(config: RigConfig, folder: Path, pair: Pair | None) -> Finding:
 def _seconds_a_pair(config: RigConfig, folder: Path, pair: Pair | None) -> float:
     camera = config.camera
     table = CameraTable(width=camera.width, height=camera.height, pixel_format=camera.pixel_format)
-    header = CaptureHeader(kind="sweep", camera=table, laser=(config.laser[0].table,))
+    header = CaptureHeader(kind="sweep", camera=table, laser=tuple(laser.table for laser in config.laser))
     noise = np.random.default_rng(0).integers(20, 30, frame_shape(header), np.uint8)
     on, off = (noise, noise) if pair is None else (pair.on.image, pair.off.image)
     try:
@@ -112,5 +114,10 @@ def _laser_off(controller: Controller) -> Finding:
     except RigError as problem:
         return Finding("laser off", "wrong", str(problem), "switch the laser's supply off by hand")
     if safe:
-        return Finding("laser off", "works", "confirmed by the controller, contactor open")
+        return Finding(
+            "laser off",
+            "works",
+            "confirmed by the controller"
+            + (", contactor open" if controller.guarantees.laser_off_without_host else ""),
+        )
     return Finding("laser off", "wrong", "could not be confirmed", "switch the laser's supply off by hand")

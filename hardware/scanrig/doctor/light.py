@@ -1,16 +1,18 @@
 """The examination of camera, trigger and laser: as many frames as pulses, a proven pair, levels that suit."""
 
+from functools import partial
+
 import numpy as np
 
 from jaxscan.stripes.frames.formats import laser_plane
 from scanrig.cameras.frame import Camera, Frame
 from scanrig.clock import Clock
 from scanrig.config import RigConfig
-from scanrig.controllers.controller import Controller
+from scanrig.controllers import Controller
 from scanrig.doctor.findings import Finding, Tell, looked_at
 from scanrig.errors import CameraTimeout, FrameError
 from scanrig.session.plan import controller_settings
-from scanrig.session.step import Pair, next_frame, rest, take_pair
+from scanrig.session.step import Pair, Station, Step, next_frame, rest, take_pair
 
 
 PULSES = 6
@@ -28,7 +30,7 @@ def examine_camera(controller: Controller | None, camera: Camera, config: RigCon
 
 
 def examine_light(controller: Controller, camera: Camera, config: RigConfig, tell: Tell, clock: Clock) -> Pair | None:
-    """Look at the laser, and at how bright its line is; a proven pair, where there is one.
+    """Look at each laser, and at how bright its line is; a proven pair, where there is one.
 
     Args:
         controller: Homed; its contactor is closed for the pair, and opened again.
@@ -38,10 +40,18 @@ def examine_light(controller: Controller, camera: Camera, config: RigConfig, tel
         clock: For waiting.
     """
     pairs: list[Pair] = []
-    looked_at("laser", lambda: _laser(controller, camera, config, clock, pairs), tell)
-    if pairs:
-        looked_at("exposure", lambda: _exposure(pairs[0], config), tell)
+    station = Station(_with_one_retake(config), controller, camera, clock)
+    for number in range(len(config.laser)):
+        known = len(pairs)
+        looked_at(_named("laser", config, number), partial(_laser, station, number, pairs), tell)
+        for pair in pairs[known:]:
+            looked_at(_named("exposure", config, number), partial(_exposure, pair, config), tell)
     return pairs[0] if pairs else None
+
+
+def _named(what: str, config: RigConfig, number: int) -> str:
+    """What a finding is about; where there are several lasers, with the laser's name."""
+    return what if len(config.laser) == 1 else f"{what} {config.laser[number].name}"
 
 
 def _camera(camera: Camera) -> Finding:
@@ -66,7 +76,7 @@ def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, c
     for _ in range(PULSES):
         if mode == "hardware" and controller is not None:
             controller.trigger()
-            rest(pulse_s + controller_settings(config).gap_ms / 1000, controller, clock, lit=False)
+            rest(pulse_s + controller_settings(config).gap_ms / 1000, controller, clock)
         elif mode == "software":
             camera.trigger()
         try:
@@ -97,23 +107,24 @@ def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, c
     return Finding("trigger", "works", found, values=values)
 
 
-def _laser(controller: Controller, camera: Camera, config: RigConfig, clock: Clock, pairs: list[Pair]) -> Finding:
-    controller.arm(True)
+def _laser(station: Station, number: int, pairs: list[Pair]) -> Finding:
+    name = _named("laser", station.config, number)
+    station.controller.arm(True)
     try:
-        pair = take_pair(controller, camera, _with_one_retake(config), to=0, number=0, clock=clock)
+        pair = take_pair(station, Step(0, number, number))
     except FrameError as problem:
         # It says itself what is wrong: dark, swapped, on all the time, covered, flooded.
-        return Finding("laser", "wrong", " ".join(str(problem).split()))
+        return Finding(name, "wrong", " ".join(str(problem).split()))
     finally:
-        controller.arm(False)
+        station.controller.arm(False)
     pairs.append(pair)
     proof = pair.proof
     values = {"lit_lines": proof.lit_lines, "peak_dn": proof.peak_dn, "leak": proof.leak, "unrest": proof.unrest}
     lit = f"{100 * proof.lit_lines:.0f} % of the lines, {proof.peak_dn:.0f} DN high"
     found = f"in the lit frame on {lit}; not in the dark one"
     if pair.rejected:
-        return Finding("laser", "note", f"{found}; the first take was dropped: {pair.rejected[0]}", "", values)
-    return Finding("laser", "works", found, values=values)
+        return Finding(name, "note", f"{found}; the first take was dropped: {pair.rejected[0]}", "", values)
+    return Finding(name, "works", found, values=values)
 
 
 def _with_one_retake(config: RigConfig) -> RigConfig:
@@ -123,7 +134,8 @@ def _with_one_retake(config: RigConfig) -> RigConfig:
 
 def _exposure(pair: Pair, config: RigConfig) -> Finding:
     """Where the brightest of the line lies between noise and clipping."""
-    peak, clipped = stripe_level(pair.on.image, pair.off.image, config)
+    name = _named("exposure", config, pair.laser)
+    peak, clipped = stripe_level(pair.on.image, pair.off.image, config, pair.laser)
     ambient = pair.proof.ambient_dn
     factor = 0.5 if clipped > _CLIPPED else _BEST_DN / max(peak, 1.0)
     values = {"peak_dn": peak, "clipped": clipped, "ambient_dn": ambient, "factor": factor}
@@ -133,27 +145,28 @@ def _exposure(pair: Pair, config: RigConfig) -> Finding:
     now = config.camera.exposure_ms
     if clipped > _CLIPPED:
         do = f"expose shorter, about {factor:g} times: camera.exposure_ms = {now * factor:.3g} instead of {now:g}"
-        return Finding("exposure", "note", found, do, values)
+        return Finding(name, "note", found, do, values)
     if peak < _WANTED_DN[0]:
         do = f"expose longer, {factor:.1f} times: camera.exposure_ms = {now * factor:.3g} instead of {now:g}"
         if ambient * factor > _BRIGHT_ROOM_DN:
             do += "; the room becomes bright then: darken it, or put a filter of the laser's colour on the lens"
-        return Finding("exposure", "note", found, do, values)
+        return Finding(name, "note", found, do, values)
     if ambient > _BRIGHT_ROOM_DN:
         do = "darken the room, or put a filter of the laser's colour on the lens"
-        return Finding("exposure", "note", found, do, values)
-    return Finding("exposure", "works", found, values=values)
+        return Finding(name, "note", found, do, values)
+    return Finding(name, "works", found, values=values)
 
 
-def stripe_level(on: np.ndarray, off: np.ndarray, config: RigConfig) -> tuple[float, float]:
+def stripe_level(on: np.ndarray, off: np.ndarray, config: RigConfig, laser: int = 0) -> tuple[float, float]:
     """The level that the brighter tenth of the lit lines reaches [DN], and the part of lit lines that is clipped.
 
     Args:
         on: Laser-on frame.
         off: Laser-off frame.
-        config: What camera and laser are.
+        config: What camera and lasers are.
+        laser: Which laser the pair shows, counted from 0.
     """
-    line = config.laser[0].line
+    line = config.laser[laser].line
     planes = (laser_plane(frame[None], pixel_format=config.camera.pixel_format, line=line) for frame in (on, off))
     lit, dark = (np.asarray(plane)[0].astype(np.int16) for plane in planes)
     rows = np.arange(len(lit))

@@ -4,11 +4,10 @@ import dataclasses
 from collections.abc import Callable
 
 from scanrig.config import RigConfig
-from scanrig.controllers.controller import Controller
-from scanrig.controllers.gearing import TOLERANCE, fitting_gear, measure_turn, needed
-from scanrig.controllers.settings import Settings
+from scanrig.controllers import Controller, Settings, shortcomings
 from scanrig.doctor.findings import Finding, Tell, looked_at
-from scanrig.errors import RigFault
+from scanrig.doctor.gearing import TOLERANCE, fitting_gear, measure_turn, needed
+from scanrig.errors import Fault, RigFault
 from scanrig.session.plan import controller_settings, nearest
 
 
@@ -33,6 +32,8 @@ def examine_table(controller: Controller, config: RigConfig | None, tell: Tell, 
     """
     if looked_at("firmware", lambda: _firmware(controller), tell).verdict == "wrong":
         return False
+    if lacking := shortcomings(controller.guarantees):
+        tell(Finding("safety", "note", lacking[0], " ".join(lacking[1:])))
     inputs = looked_at("inputs", lambda: _inputs(controller), tell)
     settings = Settings() if config is None else controller_settings(config)
     taken = looked_at("settings", lambda: _settings(controller, settings), tell)
@@ -48,6 +49,8 @@ def examine_table(controller: Controller, config: RigConfig | None, tell: Tell, 
 def _firmware(controller: Controller) -> Finding:
     firmware = controller.hello()
     counters = controller.counters()
+    if counters is None:
+        return Finding("firmware", "works", f"{firmware.proto}, version {firmware.version}; it counts no errors")
     values = {
         "version": firmware.version,
         "protocol": firmware.proto,
@@ -75,14 +78,13 @@ def _inputs(controller: Controller) -> Finding:
     if status.state == "fault":
         controller.clear()
     switch = "active" if status.home_switch else "not active"
-    left = f"; a fault {status.fault} of earlier was cleared" if status.fault else ""
+    left = f"; a fault of earlier was cleared: {status.fault}" if status.fault else ""
     return Finding("inputs", "works", f"emergency stop released, home switch {switch}{left}")
 
 
 def _settings(controller: Controller, settings: Settings) -> Finding:
     controller.configure(settings)
-    taken = sum(len(group) for group in settings.wire().values())
-    return Finding("settings", "works", f"{taken} sent and read back alike")
+    return Finding("settings", "works", "the controller is set as the configuration says")
 
 
 def _within(config: RigConfig | None) -> int:
@@ -98,7 +100,7 @@ def _home(controller: Controller, config: RigConfig | None) -> Finding:
     try:
         controller.home(within)
     except RigFault as problem:
-        if problem.code != 4:
+        if problem.fault is not Fault.HOME_NOT_FOUND:
             raise
         controller.clear()
         return Finding(
@@ -108,12 +110,14 @@ def _home(controller: Controller, config: RigConfig | None) -> Finding:
             "see that the table turns, in the right sense (turntable.reverse), and that the switch closes by hand: "
             "then the inputs above say active",
         )
+    if not controller.guarantees.knows_missed_steps:
+        return Finding("home", "works", "found; the controller does not say whether at the same place again")
     turn = _UNKNOWN_TURN if config is None else config.microsteps_per_turn
-    missed = []
+    missed: list[int] = []
     for _ in range(_REPEATS):
         # Away from the switch, by less than limits would forbid.
         controller.move(_some_way(turn, config))
-        missed.append(controller.home(within))
+        missed.append(controller.home(within) or 0)
     values = {"missed_microsteps": max(missed, key=abs)}
     found = f"found, and found again {' and '.join(f'{was:+d}' for was in missed)} microsteps beside it"
     if max(map(abs, missed)) > _REPEATABLE:
@@ -129,6 +133,13 @@ def _some_way(turn: int, config: RigConfig | None) -> int:
 
 
 def _turn(controller: Controller, config: RigConfig | None, settings: Settings, say: Callable[[str], None]) -> Finding:
+    if not controller.guarantees.knows_missed_steps:
+        return Finding(
+            "steps per turn",
+            "not checked",
+            "the controller does not say where it found the home switch",
+            "measure an angle by hand: 90 degrees by the configuration must be 90 degrees of the table",
+        )
     expected = None if config is None else config.microsteps_per_turn
     guess = expected or _UNKNOWN_TURN
     highest = None if settings.limits is None else settings.limits[1]

@@ -6,11 +6,12 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import JOURNAL_NAME, SEAL, CaptureHeader, seal
 from jaxscan.files.recording import CaptureWriter, create_capture, require_no_links, resume_capture
 from scanrig.clock import Clock
-from scanrig.session.step import Pair
 
 
 class Ledger:
@@ -64,15 +65,21 @@ class Ledger:
             self._writer.append_event(event)
             self._writer.flush()
 
-    def add(self, number: int, pair: Pair, fields: dict[str, Any]) -> None:
+    def add(self, number: int, on: np.ndarray, off: np.ndarray, fields: dict[str, Any]) -> None:
         """A record, on the disk when this returns.
+
+        Args:
+            number: The record's.
+            on: Laser-on image, uint8.
+            off: Laser-off image, uint8.
+            fields: What else the record says.
 
         Raises:
             CaptureError: If it cannot be written; the capture ends with the record before it.
         """
         if self._writer is None:
             raise CaptureError(f"{self.folder}: nothing was begun that a record could be added to.")
-        self._writer.append(i=number, on=pair.on.image, off=pair.off.image, **fields)
+        self._writer.append(i=number, on=on, off=off, **fields)
         self._writer.flush()
 
     def end(self, status: str, **fields: Any) -> str:

@@ -5,11 +5,9 @@ import logging
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from scanrig.controllers.controller import Controller
-from scanrig.controllers.safety import UNCONFIRMED
-from scanrig.errors import LinkLost, RigError, RigFault
-from scanrig.recording.space import is_full
-from scanrig.session.rig import ESTOP
+from scanrig.controllers import UNCONFIRMED, Controller
+from scanrig.errors import Fault, LinkLost, RigError, RigFault
+from scanrig.recording import is_full
 
 
 log = logging.getLogger(__name__)
@@ -37,7 +35,7 @@ def ended_by(problem: BaseException, controller: Controller) -> Ending:
         return Ending("aborted", "aborted", problem)
     if is_full(problem):
         return Ending("disk full", str(problem))
-    if isinstance(problem, RigFault) and problem.code == ESTOP:
+    if isinstance(problem, RigFault) and problem.fault is Fault.EMERGENCY_STOP:
         return Ending("e-stop", str(problem))
     return Ending("failed", f"{type(problem).__name__}: {problem}", problem)
 
@@ -56,7 +54,8 @@ def counted(controller: Controller, *, answers: bool) -> dict[str, Any]:
     if not answers:
         return link
     try:
-        return {"controller": asdict(controller.counters()), **link}
+        counters = controller.counters()
+        return link if counters is None else {"controller": asdict(counters), **link}
     except RigError as problem:
         log.info("the controller's counters could not be asked for: %s", problem)
         return link

@@ -6,7 +6,8 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from scanrig.session.work import Session
+from scanrig.session.plan import Target, placed_targets
+from scanrig.session.session import Session
 
 
 @dataclass(frozen=True)
@@ -32,12 +33,7 @@ class Operator(Protocol):
         """Return when the board is placed; False: enough of this kind."""
 
 
-Advise = Callable[[], Sequence[str]]
-
-
-def take_placements(
-    session: Session, positions: Sequence[int], operator: Operator, advise: Advise | None = None
-) -> bool:
+def take_placements(session: Session, positions: Sequence[int], operator: Operator) -> bool:
     """Free views from home, then placements from all positions.
 
     Every placing of the board gets a number of its own: one that was half done when a session ended
@@ -47,50 +43,43 @@ def take_placements(
         session: Begun.
         positions: Where the table stops for each placement [microsteps].
         operator: Places the board.
-        advise: Asked for advice before each placing.
 
     Returns:
         False where the operator asked to stop, or had enough before there was anything.
     """
-    plan = session.config.calibration
-    views = [((view,), (0,)) for view in range(plan.free_views)]
-    count = len(positions)
-    stands = [
-        (tuple(range(plan.free_views + p * count, plan.free_views + (p + 1) * count)), tuple(positions))
-        for p in range(plan.placements)
-    ]
+    views, stands = placed_targets(session.config, positions)
     session.start(compare=False)
     for kind, asked in (("free", views), ("placement", stands)):
-        for number, (records, places) in enumerate(asked):
-            if all(record in session.done for record in records):
+        for number, targets in enumerate(asked):
+            if all(target.record in session.done for target in targets):
                 continue
             if session.should_stop():
                 return False
             session.dark()
-            advice = list(advise()) if advise is not None else []
+            advice = [] if session.job.hooks.advise is None else list(session.job.hooks.advise())
             placed = operator.place(PlacementRequest(_kind(kind), number, len(asked), advice, session.rig.look))
             if session.should_stop():
                 return False
             if not placed:
                 break
             session.light()
-            if not _take_placement(session, records, places):
+            if not _take_placement(session, targets):
                 return False
     if session.since_home:
         session.close_placement(in_place=False)
     return bool(session.done or session.suspect)
 
 
-def _take_placement(session: Session, records: Sequence[int], places: Sequence[int]) -> bool:
+def _take_placement(session: Session, targets: Sequence[Target]) -> bool:
     label = session.next_placement()
     # What is left of the last time was seen from another place.
-    for record in records:
-        session.done.discard(record)
-    for record, to in zip(records, places, strict=True):
+    for target in targets:
+        session.done.discard(target.record)
+    for target in targets:
         if session.should_stop():
             return False
-        session.take(record, to, placement=label)
-    if len(records) > 1:
+        session.take(target.record, target.position, placement=label)
+    if len({target.position for target in targets}) > 1:
         session.close_placement(in_place=True)
     return True
 

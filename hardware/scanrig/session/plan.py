@@ -4,10 +4,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import count
 
 from jaxscan.errors import ConfigError
 from scanrig.config import RigConfig
-from scanrig.controllers.settings import Settings
+from scanrig.controllers import Settings
 
 
 RESERVE = 1.1
@@ -21,6 +22,7 @@ class Target:
     """One record that is to be taken."""
 
     record: int
+    """Its number; with several lasers `RigConfig.laser_of` says which it shows."""
     position: int
     """Microsteps from home."""
     turn: int
@@ -53,7 +55,7 @@ def angle_deg(position: int, microsteps_per_turn: int) -> float:
 
 
 def plan_sweep(config: RigConfig) -> tuple[tuple[Target, ...], tuple[str, ...]]:
-    """The records of a sweep in the order in which they are taken.
+    """The records of a sweep in the order in which they are taken: at each step one for each laser.
 
     Step k of K of a full turn of N microsteps stands at (2 k N + K) div (2 K): every target is
     computed anew, so rounding never adds up.
@@ -81,8 +83,8 @@ def plan_sweep(config: RigConfig) -> tuple[tuple[Target, ...], tuple[str, ...]]:
             f"A step of {float(abs(step)):g} deg is {float(in_microsteps):.4f} microsteps: steps are taken up to "
             f"{180 / n:.4f} deg beside the plan, and recorded where they are taken."
         )
-    targets = (Target(turn * sweep.steps + k, to, turn) for turn in range(sweep.turns) for k, to in enumerate(pass_))
-    return tuple(targets), tuple(notes)
+    each = [(turn, to) for turn in range(sweep.turns) for to in pass_ for _ in config.laser]
+    return tuple(Target(record, to, turn) for record, (turn, to) in enumerate(each)), tuple(notes)
 
 
 def placement_positions(config: RigConfig) -> tuple[int, ...]:
@@ -97,6 +99,28 @@ def placement_positions(config: RigConfig) -> tuple[int, ...]:
         raise ConfigError("calibration.angles_deg: found two that are the same microstep, expected different ones.")
     _within_limits(config, positions, "calibration")
     return positions
+
+
+def placed_targets(
+    config: RigConfig, positions: Sequence[int]
+) -> tuple[tuple[tuple[Target, ...], ...], tuple[tuple[Target, ...], ...]]:
+    """The records of a calibration, placing after placing of the board; at each position one for each laser.
+
+    Args:
+        config: The rig.
+        positions: Of `placement_positions`.
+
+    Returns:
+        free: Those of each free view.
+        stands: Those of each place where the board stands while the table turns.
+    """
+    plan, record = config.calibration, count()
+    places = [(0,)] * plan.free_views + [tuple(positions)] * plan.placements
+    targets = tuple(
+        tuple(Target(next(record), to, number) for to in stops for _ in config.laser)
+        for number, stops in enumerate(places)
+    )
+    return targets[: plan.free_views], targets[plan.free_views :]
 
 
 def _within_limits(config: RigConfig, positions: Sequence[int], what: str) -> None:
@@ -115,7 +139,7 @@ def _within_limits(config: RigConfig, positions: Sequence[int], what: str) -> No
 def controller_settings(config: RigConfig) -> Settings:
     """What the controller is set to, in its own units."""
     table, n = config.turntable, config.microsteps_per_turn
-    laser, trigger = config.laser[0], config.trigger
+    trigger = config.trigger
     limits = None
     if table.limits_deg is not None:
         low, high = (exactly(limit) * n / 360 for limit in table.limits_deg)
@@ -129,12 +153,13 @@ def controller_settings(config: RigConfig) -> Settings:
         backlash=nearest(table.backlash_deg, n),
         reverse=table.reverse,
         settle_ms=table.settle_ms,
-        laser_on_ms=laser.on_ms,
-        laser_off_ms=laser.off_ms,
+        laser_on_ms=max(laser.on_ms for laser in config.laser),
+        laser_off_ms=max(laser.off_ms for laser in config.laser),
         exposure_ms=min(trigger.pulse_ms or math.ceil(config.camera.exposure_ms), 5000),
         gap_ms=trigger.gap_ms,
         ready_ms=trigger.ready_ms,
         limits=limits,
+        lasers=len(config.laser),
     )
 
 

@@ -24,7 +24,7 @@ from jaxscan.files.capture import (
 from jaxscan.files.disk import MEGABYTE, read_bounded
 from scanrig.config import RigConfig
 from scanrig.errors import SessionError
-from scanrig.recording.record import Kind
+from scanrig.session.job import Kind
 
 
 T = TypeVar("T")

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from jaxscan.stripes.frames.formats import frame_rank
@@ -10,8 +10,7 @@ from scanrig.cameras.frame import Camera, Frame
 from scanrig.checks.proof import PairProof, prove_pair
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
-from scanrig.controllers.controller import Controller
-from scanrig.controllers.status import Status
+from scanrig.controllers import Controller, Status
 from scanrig.errors import CameraError, CameraTimeout, FrameError
 from scanrig.session.plan import longest_s, shot_s
 
@@ -38,6 +37,8 @@ class Pair:
     """Where the controller says it was taken [microsteps from home]."""
     rejected: tuple[str, ...]
     """Why earlier takes were not believed."""
+    laser: int = 0
+    """Which laser it shows, counted from 0."""
 
 
 @dataclass
@@ -57,17 +58,32 @@ class _Unbelievable(Exception):
     """A take that is dropped; why."""
 
 
-def take_pair(
-    controller: Controller,
-    camera: Camera,
-    config: RigConfig,
-    *,
-    to: int,
-    number: int,
-    numbers: FrameNumbers | None = None,
-    clock: Clock | None = None,
-    rejected: Callable[[str], None] | None = None,
-) -> Pair:
+@dataclass(frozen=True)
+class Station:
+    """With what steps are taken."""
+
+    config: RigConfig
+    controller: Controller
+    """Configured, enabled, homed and armed."""
+    camera: Camera
+    """Started."""
+    clock: Clock = field(default_factory=SystemClock)
+    numbers: FrameNumbers = field(default_factory=FrameNumbers)
+    """Kept from step to step: a gap between two pairs is noticed, too."""
+
+
+class Step(NamedTuple):
+    """Which pair is to be taken."""
+
+    to: int
+    """Where [microsteps from home]."""
+    number: int
+    """What to call the shot."""
+    laser: int = 0
+    """Which laser, counted from 0."""
+
+
+def take_pair(station: Station, step: Step, rejected: Callable[[str], None] | None = None) -> Pair:
     """Take one step, again and again at the same place until it is proven.
 
     With a camera that is triggered by a wire the controller runs the whole shot; of its two exposures
@@ -75,13 +91,8 @@ def take_pair(
     from here, its lease renewed while the frame is awaited.
 
     Args:
-        controller: Configured, enabled, homed and armed.
-        camera: Started.
-        config: The rig.
-        to: Where [microsteps from home].
-        number: What to call the shot.
-        numbers: Kept from step to step: a gap between two pairs is noticed, too.
-        clock: For waiting.
+        station: With what.
+        step: Which.
         rejected: Called with the reason each time a take is dropped.
 
     Raises:
@@ -90,28 +101,27 @@ def take_pair(
         CameraError: If frames have the wrong size.
         CameraLost, LinkLost, RigFault, RigError: As camera and controller have it.
     """
-    clock = clock or SystemClock()
-    numbers = numbers or FrameNumbers()
+    camera, number = station.camera, step.number
     take = _by_wire if camera.trigger_mode == "hardware" else _by_hand
     reasons: list[str] = []
     verdict = ""
-    for _ in range(1 + config.checks.retakes):
+    for _ in range(1 + station.config.checks.retakes):
         try:
-            taken = take(controller, camera, config, to, number, numbers, clock)
-            proof = _prove(taken, config)
+            taken = take(station, step)
+            proof = _prove(taken, station.config, step.laser)
             if proof.ok:
-                return Pair(taken.on, taken.off, proof, taken.position, tuple(reasons))
+                return Pair(taken.on, taken.off, proof, taken.position, tuple(reasons), step.laser)
             verdict = proof.verdict
             reasons.append(proof.reason)
         except _Unbelievable as problem:
             verdict = ""
             reasons.append(str(problem))
-        numbers.next = None
+        station.numbers.next = None
         if rejected is not None:
             rejected(reasons[-1])
         _let_late_frames_come(camera)
     if verdict == "stays on":
-        controller.arm(False)
+        station.controller.arm(False)
         raise FrameError(
             f"step {number}: {reasons[-1]}. The contactor has been opened; do not look into the beam, "
             "and cut the laser's supply before working on it."
@@ -119,15 +129,15 @@ def take_pair(
     raise FrameError(f"step {number}: not believed in {len(reasons)} takes, the last time because: {reasons[-1]}.")
 
 
-def _by_wire(
-    controller: Controller, camera: Camera, config: RigConfig, to: int, number: int, numbers: FrameNumbers, clock: Clock
-) -> _Take:
+def _by_wire(station: Station, step: Step) -> _Take:
     """The controller runs the shot; frames are matched by their count."""
+    controller, camera, config = station.controller, station.camera, station.config
+    clock, numbers = station.clock, station.numbers
     waiting = camera.drop()
     if numbers.next is not None:
         numbers.next += waiting
     before = _armed(controller).exposures
-    controller.shot(to, number)
+    controller.shot(step.to, step.number, number=1 + step.laser)
     give_up = clock.now() + longest_s(config) + shot_s(config)
     frames: list[Frame] = []
     running = True
@@ -137,12 +147,12 @@ def _by_wire(
         except CameraTimeout:
             if running and controller.poll().state != "shot":
                 running, give_up = False, clock.now() + config.checks.late_s
-    done = controller.wait_shot(number, longest_s(config) + shot_s(config))
+    done = controller.wait_shot(step.number, longest_s(config) + shot_s(config))
     exposures = (done.exposures - before) % _COUNT
     if exposures != 2:
         raise _Unbelievable(f"the controller counted {exposures} exposures, expected 2")
-    if done.position != to:
-        raise _Unbelievable(f"the table stopped at {done.position}, expected {to}")
+    if done.position != step.to:
+        raise _Unbelievable(f"the table stopped at {done.position}, expected {step.to}")
     if len(frames) < 2:
         raise _Unbelievable(f"{len(frames)} of 2 frames came")
     if more := camera.drop():
@@ -159,28 +169,27 @@ def _by_wire(
     return _Take(on, off, done.position)
 
 
-def _by_hand(
-    controller: Controller, camera: Camera, config: RigConfig, to: int, number: int, numbers: FrameNumbers, clock: Clock
-) -> _Take:
+def _by_hand(station: Station, step: Step) -> _Take:
     """Laser and exposures are commanded from here, for cameras that no wire triggers."""
-    del number, numbers
+    controller, clock, laser = station.controller, station.clock, station.config.laser[step.laser]
+    lit = 1 + step.laser
     controller.laser(False)
     _armed(controller)
-    position = controller.move(to, longest_s(config))
-    if position != to:
-        raise _Unbelievable(f"the table stopped at {position}, expected {to}")
-    rest(config.turntable.settle_ms / 1000, controller, clock, lit=False)
-    controller.laser(True)
+    position = controller.move(step.to, longest_s(station.config))
+    if position != step.to:
+        raise _Unbelievable(f"the table stopped at {position}, expected {step.to}")
+    rest(station.config.turntable.settle_ms / 1000, controller, clock)
+    controller.laser(True, number=lit)
     try:
-        rest(config.laser[0].on_ms / 1000, controller, clock, lit=True)
-        on = _fresh_frame(controller, camera, config, clock, lit=True)
+        rest(laser.on_ms / 1000, controller, clock, lit=lit)
+        on = _fresh_frame(station, lit=lit)
     except (_Unbelievable, CameraError):
         # After anything else the controller is not there, or is to be aborted at once.
         controller.laser(False)
         raise
     controller.laser(False)
-    rest(config.laser[0].off_ms / 1000, controller, clock, lit=False)
-    off = _fresh_frame(controller, camera, config, clock, lit=False)
+    rest(laser.off_ms / 1000, controller, clock)
+    off = _fresh_frame(station)
     _require_whole(on, off)
     return _Take(on, off, position)
 
@@ -188,14 +197,15 @@ def _by_hand(
 def _armed(controller: Controller) -> Status:
     """The state, with the contactor closed: after a long silence the controller has opened it, which is no fault."""
     status = controller.stat()
-    if not status.armed and status.fault == 0:
+    if not status.armed and status.fault is None:
         log.info("%s: the contactor was open, as it is after a long silence; it is closed again", controller.name)
         controller.arm(True)
     return status
 
 
-def _fresh_frame(controller: Controller, camera: Camera, config: RigConfig, clock: Clock, *, lit: bool) -> Frame:
-    """A frame that was exposed after this call began."""
+def _fresh_frame(station: Station, *, lit: int | None = None) -> Frame:
+    """A frame that was exposed after this call began; `lit`: the number of the laser that shines."""
+    controller, camera, config, clock = station.controller, station.camera, station.config, station.clock
     camera.drop()
     if camera.trigger_mode == "software":
         camera.trigger()
@@ -228,19 +238,19 @@ def next_frame(camera: Camera, controller: Controller | None, timeout_s: float, 
             controller.poll()
 
 
-def rest(seconds: float, controller: Controller, clock: Clock, *, lit: bool) -> None:
-    """Wait with signs of life to the controller, and with a renewed lease while the laser is on."""
+def rest(seconds: float, controller: Controller, clock: Clock, *, lit: int | None = None) -> None:
+    """Wait with signs of life to the controller, and with a renewed lease for the laser that is lit (from 1)."""
     end = clock.now() + seconds
     while (left := end - clock.now()) > 0:
         clock.sleep(min(left, LOOK_S))
         _keep_alive(controller, lit=lit)
 
 
-def _keep_alive(controller: Controller, *, lit: bool) -> None:
-    """A sign of life; while the laser is on, for its lease too."""
+def _keep_alive(controller: Controller, *, lit: int | None) -> None:
+    """A sign of life; while a laser is on, for its lease too."""
     controller.poll()
-    if lit:
-        controller.laser(True)
+    if lit is not None:
+        controller.laser(True, number=lit)
 
 
 def _look(camera: Camera, config: RigConfig) -> Frame:
@@ -258,13 +268,13 @@ def _require_whole(*frames: Frame) -> None:
             raise _Unbelievable(f"frame {frame.number} is not complete" + (f": {frame.note}" if frame.note else ""))
 
 
-def _prove(taken: _Take, config: RigConfig) -> PairProof:
+def _prove(taken: _Take, config: RigConfig, laser: int) -> PairProof:
     return prove_pair(
         taken.on.image,
         taken.off.image,
         pixel_format=config.camera.pixel_format,
         response=config.camera.response,
-        line=config.laser[0].line,
+        line=config.laser[laser].line,
         limits=config.checks.proof,
     )
 

@@ -2,14 +2,11 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TextIO
 
 from scanrig.clock import Clock, ManualClock, SystemClock
 from scanrig.errors import TranscriptDifference
-
-
-if TYPE_CHECKING:
-    from scanrig.wire.link import Link
+from scanrig.wire.link import Link
 
 
 class RecordingLink:
@@ -18,7 +15,7 @@ class RecordingLink:
     Bytes stand as the characters of the same number, so that the file reads as what was said.
     """
 
-    def __init__(self, link: "Link", path: Path | str, clock: Clock | None = None):
+    def __init__(self, link: Link, path: Path | str, clock: Clock | None = None):
         self._link = link
         self._clock = clock or SystemClock()
         self._start = self._clock.now()

@@ -17,25 +17,22 @@ from jaxscan.files.capture import board_of
 
 
 if TYPE_CHECKING:
-    from scanrig.cameras.frame import Camera
     from scanrig.checks.guide import Guide
     from scanrig.config import RigConfig
-    from scanrig.controllers.controller import Controller
-    from scanrig.session.session import SessionResult
+    from scanrig.session import Devices, SessionResult
 
 
 def scan_boards(
     rig: "RigConfig",
     folder: Path,
-    controller: "Controller",
-    camera: "Camera",
+    devices: "Devices",
     interrupted: Callable[[], bool],
     resume: bool,
     place_command: str | None,
     out: Console,
 ) -> "SessionResult":
     """Capture a calibration, the board placed by a person or by a command."""
-    from scanrig.session.session import run_calibration
+    from scanrig.session import Hooks, run_calibration
 
     guide, lines = make_guide(rig), None
     operator: TerminalOperator | CommandOperator
@@ -64,13 +61,12 @@ def scan_boards(
         return run_calibration(
             rig,
             folder,
-            controller=controller,
-            camera=camera,
-            operator=operator,
+            devices,
+            operator,
+            Hooks(
+                on_pair, notify=display.say, should_stop=lambda: interrupted() or (lines is not None and lines.ended)
+            ),
             resume=resume,
-            on_pair=on_pair,
-            notify=display.say,
-            should_stop=lambda: interrupted() or (lines is not None and lines.ended),
         )
 
 

@@ -36,9 +36,8 @@ def examine_rig(
     """
     from scanrig.cameras import open_camera
     from scanrig.config import load_rig
-    from scanrig.controllers.connect import connect
-    from scanrig.doctor.doctor import examine
-    from scanrig.doctor.findings import Finding
+    from scanrig.controllers import ControllerTable, open_controller
+    from scanrig.doctor import Finding, Patient, examine
 
     rig = None if config is None else _with_camera(load_rig(config), camera)
 
@@ -50,15 +49,15 @@ def examine_rig(
             return None
 
     with contextlib.ExitStack() as stack:
-        wanted = port or ("auto" if rig is None else rig.controller.port)
-        controller = opened("port", lambda: connect(wanted, 250_000 if rig is None else rig.controller.baud))
+        table, turn = (ControllerTable(), 0) if rig is None else (rig.controller, rig.microsteps_per_turn)
+        controller = opened("port", lambda: open_controller(table, turn, port=port))
         if controller is not None:
             stack.enter_context(controller)
             tell(Finding("port", "works", controller.name))
         device = None if rig is None else opened("camera", lambda: open_camera(rig.camera))
         if device is not None:
             stack.enter_context(device)
-        examine(controller, device, rig, folder=Path.cwd(), tell=tell, say=say)
+        examine(Patient(controller, device, rig), folder=Path.cwd(), tell=tell, say=say)
 
 
 def _with_camera(rig: "RigConfig", camera: str | None) -> "RigConfig":

@@ -15,7 +15,7 @@ from jaxscan.errors import OptionError
 
 if TYPE_CHECKING:
     from scanrig.checks.guide import Coverage, Guide
-    from scanrig.session.session import PlacementRequest
+    from scanrig.session import PlacementRequest
 
 
 COMMAND_S = 600.0
@@ -65,7 +65,7 @@ class Lines:
 
 
 class TerminalOperator:
-    """An `Operator` of `scanrig.session.session`: a person at the terminal."""
+    """An `Operator` of `scanrig.session.run`: a person at the terminal."""
 
     def __init__(
         self,

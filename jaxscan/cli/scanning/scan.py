@@ -25,10 +25,8 @@ from jaxscan.files.clouds import check_cloud_path
 
 
 if TYPE_CHECKING:
-    from scanrig.cameras.frame import Camera
     from scanrig.config import RigConfig
-    from scanrig.controllers.controller import Controller
-    from scanrig.session.session import SessionResult
+    from scanrig.session import Devices, SessionResult
 
 
 ConfigPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")]
@@ -69,8 +67,8 @@ def scan(
     # Here, so that no other verb loads what drives hardware.
     from scanrig.cameras import open_camera
     from scanrig.config import load_rig
-    from scanrig.controllers.connect import connect
-    from scanrig.session.signals import Interrupts
+    from scanrig.controllers import open_controller
+    from scanrig.session import Devices, Interrupts
 
     _check_options(boards=boards, calibration=calibration, cloud=cloud, place_command=place_command)
     check_json(json)
@@ -88,12 +86,16 @@ def scan(
             if resume and (output / HEADER_NAME).exists():
                 _take_along(live)
         # Signals ask for an end only while the rig is in use.
-        with Interrupts() as interrupts, connect(port or rig.controller.port, rig.controller.baud) as controller:
-            with open_camera(rig.camera) as camera:
-                if boards:
-                    result = scan_boards(rig, output, controller, camera, interrupts, resume, place_command, out)
-                else:
-                    result = _scan_sweep(rig, output, controller, camera, interrupts, resume, calibration, live)
+        with (
+            Interrupts() as interrupts,
+            open_controller(rig.controller, rig.microsteps_per_turn, port=port) as controller,
+            open_camera(rig.camera) as camera,
+        ):
+            devices = Devices(controller, camera)
+            if boards:
+                result = scan_boards(rig, output, devices, interrupts, resume, place_command, out)
+            else:
+                result = _scan_sweep(rig, output, devices, interrupts, resume, calibration, live)
         out.print(result.message)
         done = _finish_cloud(live, result, cloud, calibration, out)
     if result.status == "complete":
@@ -131,16 +133,15 @@ def _take_along(live: LiveCloud) -> None:
 def _scan_sweep(
     rig: "RigConfig",
     folder: Path,
-    controller: "Controller",
-    camera: "Camera",
+    devices: "Devices",
     should_stop: Callable[[], bool],
     resume: bool,
     calibration: Path | None,
     live: LiveCloud | None,
 ) -> "SessionResult":
-    from scanrig.doctor.light import stripe_level
+    from scanrig.doctor import stripe_level
+    from scanrig.session import Hooks, run_sweep
     from scanrig.session.plan import plan_sweep
-    from scanrig.session.session import run_sweep
 
     with ScanDisplay(None if live is None else live.status, total=len(plan_sweep(rig)[0])) as display:
 
@@ -152,14 +153,10 @@ def _scan_sweep(
         return run_sweep(
             rig,
             folder,
-            controller=controller,
-            camera=camera,
+            devices,
+            Hooks(on_pair, display.progress, display.say, should_stop),
             resume=resume,
             calibration_digest=None if calibration is None else calibration_digest(calibration),
-            on_pair=on_pair,
-            progress=display.progress,
-            notify=display.say,
-            should_stop=should_stop,
         )
 
 

@@ -1,0 +1,67 @@
+"""From a configuration to an open controller; only the type that is asked for is loaded."""
+
+from jaxscan.errors import ConfigError
+from scanrig.clock import Clock
+from scanrig.controllers.controller import Controller, Guarantees
+from scanrig.controllers.table import ControllerTable
+
+
+def open_controller(
+    table: ControllerTable, microsteps_per_turn: int, *, port: str | None = None, clock: Clock | None = None
+) -> Controller:
+    """Open the controller's port. Nothing is said to it before `Controller.hello`.
+
+    Args:
+        table: Which controller, and where.
+        microsteps_per_turn: Of the table.
+        port: Instead of the table's: a path, a USB serial number, or "auto" for the only board there is.
+        clock: For every wait.
+
+    Returns:
+        A controller whose `reconnect` finds the same board again, even where it comes back under another port number.
+
+    Raises:
+        ConfigError: If it may leave the laser on, and that is not allowed.
+        PortError: None, several, missing, taken, or no right to use it.
+    """
+    wanted = port or table.port
+    match table.type:
+        case "jaxscan":
+            from scanrig.controllers.jxs import JxsController, connect
+
+            require_allowed(JxsController.guarantees, table)
+            return connect(wanted, table.baud or 250_000, clock)
+        case "grbl":
+            from scanrig.controllers.grbl import GrblController, connect_grbl
+
+            require_allowed(GrblController.guarantees, table)
+            return connect_grbl(table, microsteps_per_turn, port=wanted, clock=clock)
+
+
+def require_allowed(guarantees: Guarantees, table: ControllerTable) -> None:
+    """See that a laser that stays on without the host is allowed where the controller cannot prevent it.
+
+    Raises:
+        ConfigError: With what to write into the configuration.
+    """
+    if not guarantees.laser_off_without_host and not table.allow_laser_without_watchdog:
+        raise ConfigError(
+            "controller.allow_laser_without_watchdog: found false, expected true with this controller, which leaves "
+            "the laser on when the program, the computer or the cable fails, until somebody cuts its supply. To scan "
+            "with it all the same, write allow_laser_without_watchdog = true under [controller]."
+        )
+
+
+def shortcomings(guarantees: Guarantees) -> tuple[str, ...]:
+    """What a controller does not guarantee, a sentence each; the first is that on the laser, where it is missing."""
+    says = []
+    if not guarantees.laser_off_without_host:
+        says.append(
+            "The controller has no watchdog: if this program, the computer or the cable fails, the laser stays on. "
+            "Do not leave the rig alone, and keep the switch of the laser's supply at hand."
+        )
+    if not guarantees.checked_lines:
+        says.append("Its lines have no checksum: what was damaged on the way may be carried out.")
+    if not guarantees.knows_missed_steps:
+        says.append("It does not say at home whether steps were lost: that shows in the pictures alone.")
+    return tuple(says)

@@ -1,0 +1,106 @@
+"""How many microsteps a turn really has, measured from home switch to home switch."""
+
+from collections.abc import Callable
+from fractions import Fraction
+
+from scanrig.controllers.controller import Controller
+from scanrig.errors import RigError
+
+
+TOLERANCE = 8
+"""Microsteps by which a switch may be found at another place in another turn."""
+_PART = 36
+"""Motions begin this part of a turn above the switch, which is wide."""
+_DOUBLINGS = 6
+_LARGEST_DENOMINATOR = 200
+_MOST_EDGES = 64
+_LEAST_S = 60.0
+
+
+def measure_turn(
+    controller: Controller,
+    guess: int,
+    *,
+    speed: float,
+    highest: int | None = None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> int:
+    """Turn until the home switch comes again, and come back the same way, so that no cable winds up.
+
+    The switch is looked for downwards, so a motion that ends a little above one turn finds the
+    edge of that turn, and what the counter says there is a turn, or several: on the way back it is
+    looked for in between.
+
+    Args:
+        controller: Enabled and homed.
+        guess: What a turn should have [microsteps].
+        speed: Of motions [microsteps/s], to know how long to wait.
+        highest: How far up the table may turn, at least `needed(guess)`; None: as far as it takes.
+        tell: Called with what is done now.
+
+    Returns:
+        Microsteps of a turn.
+
+    Raises:
+        RigError: If the switch does not come again within `2**_DOUBLINGS` times what it should.
+        RigFault, LinkLost: As the controller has it.
+    """
+    above = needed(guess) - guess
+
+    def to_switch_from(position: int, reach: int) -> int:
+        controller.move(position, _LEAST_S + 2.0 * (abs(position) + reach) / speed)
+        was = controller.home(reach, _LEAST_S + 4.0 * reach / speed)
+        if was is None:
+            raise RigError("the controller does not say where it found the home switch: no turn can be measured by it")
+        return was
+
+    top = guess + above
+    for _ in range(_DOUBLINGS):
+        tell(f"turning up to microstep {top}, then home")
+        turns = to_switch_from(top, top + guess)
+        if abs(turns) > TOLERANCE:
+            break
+        reached, top = top, 2 * top
+        if highest is not None and top > highest:
+            raise RigError(
+                f"the home switch did not come again within {reached} microsteps, and the limits forbid more: a turn "
+                f"has more than {guess} microsteps, or the table does not turn"
+            )
+    else:
+        raise RigError(
+            f"the home switch did not come again within {reached} microsteps, {2 ** (_DOUBLINGS - 1)} times a turn; "
+            "see whether the table turns at all"
+        )
+    rest = turns
+    for _ in range(_MOST_EDGES):
+        tell(f"back by {rest} microsteps, home on the way")
+        edge = -to_switch_from(-(rest // 2) + above, 2 * rest + guess)
+        if abs(edge - rest) <= TOLERANCE:
+            return rest
+        if not TOLERANCE < edge < rest:
+            break
+        rest -= edge
+    raise RigError(
+        f"the home switch was found at {edge} microsteps on the way back, expected at {rest} or before: steps are "
+        "lost, or the switch is not where it was; see belt, motor current and speed"
+    )
+
+
+def needed(guess: int) -> int:
+    """How far above home the table turns at least to measure a turn of so many microsteps."""
+    return guess + max(guess // _PART, 8)
+
+
+def fitting_gear(turn: int, motor_turn: int) -> tuple[int, int] | None:
+    """The simplest ratio of two integers that gives a turn within `TOLERANCE`; None where none does.
+
+    Args:
+        turn: Microsteps of a turn of the table, as measured.
+        motor_turn: Microsteps of a turn of the motor.
+    """
+    for denominator in range(1, _LARGEST_DENOMINATOR + 1):
+        numerator = round(turn * denominator / motor_turn)
+        whole = (motor_turn * numerator) % denominator == 0
+        if numerator and whole and abs(Fraction(motor_turn * numerator, denominator) - turn) <= TOLERANCE:
+            return numerator, denominator
+    return None

@@ -1,0 +1,111 @@
+"""The life of any session: folder locked, rig made ready, records taken, laser off, journal sealed."""
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+
+from jaxscan.files.recording import make_folder
+from scanrig.controllers import require_allowed
+from scanrig.errors import SessionError
+from scanrig.recording import FolderLock
+from scanrig.session.ending import Ending, counted, ended_by, leave_safe
+from scanrig.session.job import Job, SessionResult
+from scanrig.session.resume import Found, find_capture, is_capture, require_same_plan
+from scanrig.session.session import Session
+
+
+def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
+    """Run a session from the lock to the seal.
+
+    Args:
+        job: What is asked.
+        work: Takes what is missing; returns False where the operator asked to stop.
+
+    Raises:
+        JaxscanError: As `run_sweep` says. The laser is off, or the message says that this is not certain.
+    """
+    require_allowed(job.devices.controller.guarantees, job.config.controller)
+    made = _folder(job.folder)
+    try:
+        with FolderLock(job.folder) as lock:
+            found = _look(job)
+            if found is not None and found.status == "complete" and not found.damaged and not found.suspect:
+                return _complete_already(job, found)
+            if job.resume and found is None:
+                job.hooks.notify(f"{job.folder}: nothing is there to go on with; the capture begins.")
+            session = Session(job, found)
+            if lock.note:
+                job.hooks.notify(f"{job.folder}: {lock.note}.")
+                session.ledger.note("lock", message=lock.note)
+            return _run(session, work)
+    finally:
+        if made:
+            # Only if nothing came of it: a folder that holds something is not removed by this.
+            with contextlib.suppress(OSError):
+                job.folder.rmdir()
+
+
+def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
+    job = session.job
+    try:
+        session.begin()
+        finished = work(session)
+        status = ("suspect" if session.suspect else "complete") if finished else "interrupted"
+        ending = Ending(status, "")
+    except BaseException as problem:
+        ending = ended_by(problem, job.devices.controller)
+    unsafe = leave_safe(job.devices.controller)
+    unsealed = session.ledger.end(
+        ending.status,
+        records=len(session.done),
+        taken=session.taken,
+        problem=ending.message,
+        laser_off=not unsafe,
+        **counted(job.devices.controller, answers=not unsafe),
+    )
+    for sentence in (unsafe, unsealed):
+        if sentence:
+            job.hooks.notify(sentence)
+    if ending.error is not None:
+        if unsafe and ending.error.args:
+            # One line is all that many see of an error.
+            ending.error.args = (f"{str(ending.error).rstrip('.')}. {unsafe}", *ending.error.args[1:])
+        if session.ledger.events and session.done:
+            job.hooks.notify(
+                f"{job.folder}: {len(session.done)} of {job.planned} records are on the disk; go on with --resume."
+            )
+        raise ending.error
+    return session.result(ending, unsafe)
+
+
+def _folder(folder: Path) -> bool:
+    """Make the folder; True where it was not there."""
+    try:
+        if folder.is_dir():
+            return False
+        make_folder(folder, durable=True)
+    except OSError as problem:
+        raise SessionError(f"{folder}: cannot be created: {problem.strerror or problem}.") from problem
+    return True
+
+
+def _look(job: Job) -> Found | None:
+    """What is there, if it may be gone on with."""
+    if not is_capture(job.folder):
+        return None
+    if not job.resume:
+        raise SessionError(
+            f"{job.folder}: holds a capture already; go on with it by --resume, or choose another folder."
+        )
+    job.hooks.notify(f"{job.folder}: verifying what is there.")
+    found = find_capture(job.folder)
+    for problem in found.altered:
+        job.hooks.notify(str(problem))
+    require_same_plan(found, job.config, job.kind, folder=job.folder, calibration_digest=job.calibration_digest)
+    return found
+
+
+def _complete_already(job: Job, found: Found) -> SessionResult:
+    count = len(found.records)
+    message = f"{job.folder}: is complete already, {count} records; nothing was done."
+    return SessionResult("complete", message, count, job.planned, 0, 0, (), (), True)

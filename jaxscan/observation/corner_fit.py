@@ -1,0 +1,289 @@
+"""Corners of a chessboard to thousandths of a pixel: a picture of two crossing edges, fitted."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+# The fit works on so many pixels to either side at the least and at the most: fewer do not hold
+# the nine unknowns, and farther out lens and board bend the edges.
+_MIN_HALF, _MAX_HALF = 4, 10
+_UNKNOWNS = 9
+_STEPS = 15
+# A corner has arrived when a step moves it by less than this [px].
+_SETTLED = 1e-3
+# Residuals of more than this share of the step from ink to paper are no chessboard corner, ...
+_MAX_MISFIT = 0.25
+# ... nor are those so many times as large as is usual in the picture; and a step of fewer DN is none.
+_ODD = 3.0
+_MIN_CONTRAST_DN = 2.0
+# The edges must cross at this angle at least, and be where they were said to be to this angle [rad].
+_MIN_CROSSING = 0.25
+_MAX_TURN = 0.35
+_MIN_SEEN = 0.6
+# No picture of whole numbers has less noise [DN].
+_QUANTISED_DN = 0.3
+# Blocks of so many pixels squared show whether neighbours err together, in so many corners of a
+# picture; the variance is raised by no more than this.
+_BLOCK = 3
+_SAMPLE = 16
+_MOST_SHARED = 1.5
+# What the model errs where nothing else does [px]: bent edges, quantised pictures.
+_FLOOR_PX = 2e-3
+
+
+class FittedCorners(NamedTuple):
+    """Corners after the fit."""
+
+    q: np.ndarray
+    """float64 [corners, 2]: (u, v) [px]; where the fit began if not `valid`."""
+    sigma: np.ndarray
+    """float64 [corners]: standard deviation of each coordinate [px]; 1 where not `valid`."""
+    valid: np.ndarray
+    """bool [corners]: the model fits there."""
+
+
+def fit_corners(
+    image: np.ndarray, start: np.ndarray, edges: np.ndarray, half: np.ndarray, *, clear: np.ndarray | None = None
+) -> FittedCorners:
+    r"""Place of chessboard corners, by a least-squares fit of what a blurred crossing looks like.
+
+    $$I(q) = \Bigl[l + c\, \mathrm{erf}\frac{d_1(q)}{\sqrt2 w}\, \mathrm{erf}\frac{d_2(q)}{\sqrt2 w}\Bigr]
+      \,\bigl(1 + g \cdot (q - q_0)\bigr)$$
+
+    with $d_k$ the distance from edge $k$: nine unknowns a corner (centre, two directions, level,
+    contrast, blur, gradient of the light), all corners at once by damped Gauss-Newton. What the
+    model leaves out (swollen ink, a bent grey scale, unequal blur, the rounded crossing) is the
+    same on opposite sides of a corner and does not move it.
+
+    Args:
+        image: uint8 or float [rows, columns].
+        start: Where to begin [corners, 2], px.
+        edges: Unit vectors along the two edges [corners, 2 (edge), 2 (u, v)].
+        half: Half the window's side [corners], px; taken as 4 ... 10. The window must not reach
+            the next corner.
+        clear: Pixels farther than this from both edges are not looked at [corners], px: where
+            there are markers. None: all count.
+
+    Returns:
+        The corners. Not valid where the model does not fit, or the fit went astray.
+
+    Source: Geiger et al., Automatic camera and range sensor calibration using a single shot
+    (2012), for edges of a chessboard as a model; Newey and West (1987) for covariance when
+    neighbours share their errors.
+    """
+    count = len(start)
+    if count == 0:
+        return FittedCorners(np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool))
+    half = np.clip(np.floor(half), _MIN_HALF, _MAX_HALF)
+    angle = np.arctan2(edges[..., 1], edges[..., 0])
+    window = _cut(image, np.asarray(start, np.float64), half, angle, clear)
+    fit = _fit(window, _start(window, angle))
+    return _judged(window, fit, np.asarray(start, np.float64), angle, half)
+
+
+class _Window(NamedTuple):
+    """Pixels round the corners, each window made flat: float32 [corners, pixels], which is twice as fast."""
+
+    level: np.ndarray
+    u: np.ndarray
+    """From where the fit begins [px]."""
+    v: np.ndarray
+    weight: np.ndarray
+    """1 where the pixel counts, else 0."""
+    seen: np.ndarray
+    """Share of the window that lies inside the image [corners]."""
+    side: int
+
+
+class _Fit(NamedTuple):
+    """The state of all fits; unknowns are x, y, two angles, level, contrast, blur, gradient (2)."""
+
+    unknowns: np.ndarray
+    residual: np.ndarray
+    """[corners, pixels]."""
+    jacobian: np.ndarray
+    """[corners, 9, pixels]."""
+
+
+def _cut(
+    image: np.ndarray, start: np.ndarray, half: np.ndarray, angle: np.ndarray, clear: np.ndarray | None
+) -> _Window:
+    reach = int(half.max())
+    offset = np.arange(-reach, reach + 1)
+    first = np.rint(start).astype(int)
+    columns, rows = first[:, :1] + offset, first[:, 1:] + offset
+    height, width = image.shape
+    wanted = np.abs(offset) <= half[:, None]
+    inside = [wanted & (at >= 0) & (at < size) for at, size in ((columns, width), (rows, height))]
+    seen = np.prod([part.sum(1) / wanted.sum(1) for part in inside], axis=0)
+    level = image[np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, width - 1)[:, None, :]]
+    flat = (len(start), -1)
+    u = np.broadcast_to((columns - start[:, :1])[:, None, :], level.shape).reshape(flat)
+    v = np.broadcast_to((rows - start[:, 1:])[:, :, None], level.shape).reshape(flat)
+    weight = (inside[1][:, :, None] & inside[0][:, None, :]).reshape(flat)
+    if clear is not None:
+        weight = weight & (np.abs(_across(angle, u, v)).min(0) <= np.asarray(clear)[:, None])
+    level, u, v, weight = (part.reshape(flat).astype(np.float32) for part in (level, u, v, weight))
+    return _Window(level, u, v, weight, seen, len(offset))
+
+
+def _across(angle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Signed distance from both edges through the origin [2, corners, pixels]."""
+    sine, cosine = np.sin(angle).T[..., None], np.cos(angle).T[..., None]
+    return cosine * v - sine * u
+
+
+def _start(window: _Window, angle: np.ndarray) -> np.ndarray:
+    """Level and contrast by a straight line from the pattern that is expected to what is seen."""
+    unknowns = np.zeros((len(angle), _UNKNOWNS))
+    unknowns[:, 2:4], unknowns[:, 6] = angle, 1.0
+    pattern = np.prod(_edge(_across(angle, window.u, window.v))[0], axis=0)
+    total = np.maximum(window.weight.sum(1), 1.0)
+    mean = lambda values: (window.weight * values).sum(1) / total
+    middle, level = mean(pattern), mean(window.level)
+    spread = np.maximum(mean(pattern**2) - middle**2, 1e-9)
+    unknowns[:, 5] = (mean(pattern * window.level) - middle * level) / spread
+    unknowns[:, 4] = level - unknowns[:, 5] * middle
+    return unknowns
+
+
+def _fit(window: _Window, unknowns: np.ndarray) -> _Fit:
+    """Levenberg-Marquardt on all corners; those that have arrived drop out."""
+    fit = _Fit(unknowns, *_linearised(window, unknowns))
+    damping = np.full(len(unknowns), 1e-3)
+    active = np.arange(len(unknowns))
+    for _ in range(_STEPS):
+        jacobian, residual = fit.jacobian[active], fit.residual[active]
+        normal = (jacobian @ jacobian.transpose(0, 2, 1)).astype(np.float64)
+        slope = jacobian @ residual[..., None]
+        damped = normal + np.eye(_UNKNOWNS) * (damping[active, None] * np.einsum("cii->ci", normal) + 1e-9)[:, None]
+        step = -np.linalg.solve(damped, slope)[..., 0]
+        # From far away a full step may leave the basin.
+        moved = np.hypot(step[:, 0], step[:, 1])
+        step /= np.maximum(np.maximum(moved / 1.5, np.abs(step[:, 2:4]).max(1) / 0.3), 1.0)[:, None]
+        trial = fit.unknowns[active] + step
+        trial[:, 6] = np.clip(trial[:, 6], 0.15, 6.0)
+        part = window._replace(**{name: getattr(window, name)[active] for name in ("level", "u", "v", "weight")})
+        seen = _Fit(trial, *_linearised(part, trial))
+        better = (seen.residual**2).sum(1) <= (residual**2).sum(1)
+        chosen = active[better]
+        for old, new in zip(fit, seen, strict=True):
+            old[chosen] = new[better]
+        damping[active] *= np.where(better, 0.1, 10.0)
+        active = active[(moved > _SETTLED) & (damping[active] < 1e3)]
+        if len(active) == 0:
+            break
+    return fit
+
+
+def _linearised(window: _Window, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals [corners, pixels] and their Jacobian [corners, 9, pixels]."""
+    unknowns = unknowns.astype(np.float32)
+    x, y, first, second, level, contrast, width, slope_u, slope_v = (unknowns[:, k, None] for k in range(_UNKNOWNS))
+    du, dv = window.u - x, window.v - y
+    across = _across(unknowns[:, 2:4], du, dv)
+    pattern, by_edge = _crossing(across / width, np.cos(first - second))
+    light = window.weight * (1.0 + slope_u * window.u + slope_v * window.v)
+    seen = level + contrast * pattern
+    by = contrast * light / width * by_edge
+    sine, cosine = np.sin((first, second)), np.cos((first, second))
+    jacobian = np.empty((len(unknowns), _UNKNOWNS, window.u.shape[1]), np.float32)
+    jacobian[:, 0] = sine[0] * by[0] + sine[1] * by[1]
+    jacobian[:, 1] = -cosine[0] * by[0] - cosine[1] * by[1]
+    for k in (0, 1):
+        jacobian[:, 2 + k] = -(cosine[k] * du + sine[k] * dv) * by[k]
+    jacobian[:, 4], jacobian[:, 5] = light, pattern * light
+    jacobian[:, 6] = -(across[0] * by[0] + across[1] * by[1]) / width
+    bright = window.weight * seen
+    jacobian[:, 7], jacobian[:, 8] = bright * window.u, bright * window.v
+    return seen * light - window.weight * window.level, jacobian
+
+
+def _crossing(t: np.ndarray, overlap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    r"""Two crossing edges under a Gaussian blur, -1 ... 1, and the derivatives by their distances.
+
+    The mean of two signs of correlated normal variables: edges at a slant share part of the
+    blur, $\rho$ = `overlap`, the cosine of their angle,
+
+    $$\mathrm{erf}\,\mathrm{erf} + 4 \varphi(t_1) \varphi(t_2)
+      \sum_{n \ge 1} \tfrac{\rho^n}{n!} He_{n-1}(t_1) He_{n-1}(t_2)$$
+
+    of which three terms are taken. Source: Kendall, the tetrachoric series.
+    """
+    (e1, e2), (g1, g2) = _edge(t)
+    a, b = t
+    second, third = 0.5 * overlap**2, overlap**3 / 6.0
+    a2, b2 = a * a - 1.0, b * b - 1.0
+    both = g1 * g2
+    series = overlap + second * a * b + third * a2 * b2
+    by_a = g1 * e2 + both * (second * b + 2.0 * third * a * b2 - a * series)
+    by_b = g2 * e1 + both * (second * a + 2.0 * third * b * a2 - b * series)
+    return e1 * e2 + both * series, np.stack([by_a, by_b])
+
+
+def _edge(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """erf(t / sqrt 2) to 2e-7, and its derivative. Source: Abramowitz and Stegun, 7.1.26."""
+    bell = np.exp(-0.5 * t * t)
+    z = 1.0 / (1.0 + 0.23164189 * np.abs(t))
+    series = z * (0.254829592 + z * (-0.284496736 + z * (1.421413741 + z * (-1.453152027 + z * 1.061405429))))
+    return np.copysign(1.0 - series * bell, t), 0.79788456 * bell
+
+
+def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, half: np.ndarray) -> FittedCorners:
+    unknowns, jacobian = fit.unknowns, fit.jacobian
+    count = window.weight.sum(1)
+    normal = (jacobian @ jacobian.transpose(0, 2, 1)).astype(np.float64)
+    # Scaled to be well conditioned, with a hair of damping so that what sees nothing (outside the
+    # image) can be inverted too; it is dropped below.
+    scale = np.sqrt(np.maximum(np.einsum("cii->ci", normal), 1e-12))
+    both = scale[:, :, None] * scale[:, None, :]
+    inverse = np.linalg.inv(normal / both + 1e-6 * np.eye(_UNKNOWNS)) / both
+    noise = np.sqrt((fit.residual**2).sum(1) / np.maximum(count - _UNKNOWNS, 1.0))
+    contrast, blur = np.abs(unknowns[:, 5]), unknowns[:, 6]
+    turned = np.abs((unknowns[:, 2:4] - angle + np.pi / 2) % np.pi - np.pi / 2).max(1)
+    crossing = np.abs((unknowns[:, 2] - unknowns[:, 3] + np.pi / 2) % np.pi - np.pi / 2)
+    moved = np.hypot(unknowns[:, 0], unknowns[:, 1])
+    valid = (window.seen >= _MIN_SEEN) & (count > 3 * _UNKNOWNS) & np.isfinite(unknowns).all(1)
+    valid &= (contrast >= _MIN_CONTRAST_DN) & (noise <= _MAX_MISFIT * contrast)
+    valid &= (turned <= _MAX_TURN) & (crossing >= _MIN_CROSSING) & (blur <= half / 2.5)
+    valid &= moved <= np.maximum(half / 3.0, 1.0)
+    if valid.any():
+        valid &= noise <= _ODD * np.median(np.maximum(noise[valid], _QUANTISED_DN))
+    plain = noise**2 * np.einsum("cii->ci", inverse)[:, :2].mean(1)
+    sigma = np.sqrt(plain * _shared_noise(window, fit, inverse, valid) + _FLOOR_PX**2)
+    return FittedCorners(np.where(valid[:, None], start + unknowns[:, :2], start), np.where(valid, sigma, 1.0), valid)
+
+
+def _shared_noise(window: _Window, fit: _Fit, inverse: np.ndarray, valid: np.ndarray) -> float:
+    """Variance of the corners over what white noise of the size of the residuals would give.
+
+    Pixels that lie together err together (demosaicing, JPEG). So the squares of what blocks of
+    pixels move the corners are compared with what they would be if the noise were white. One
+    number for the picture, as that of one corner is itself uncertain; and a bounded one, as
+    pictures weighted by a rough number are worse off than pictures that are not.
+    """
+    some = np.flatnonzero(valid)
+    if len(some) == 0:
+        return 1.0
+    some = some[:: -(-len(some) // _SAMPLE)]
+    jacobian, residual, part = fit.jacobian[some], fit.residual[some], inverse[some]
+    influence = part[:, :2] @ jacobian
+    moved = _blocks(influence * residual[:, None], window.side)
+    alone = _blocks(influence**2, window.side).sum(-1)
+    # Part of every block's noise has gone into the nine unknowns.
+    taken = _blocks((influence[:, :, None] * jacobian[:, None]).reshape(len(some), 2 * _UNKNOWNS, -1), window.side)
+    taken = taken.reshape(len(some), 2, _UNKNOWNS, -1)
+    lost = np.einsum("ckib,cij,ckjb->ck", taken, part, taken, optimize=True)
+    noise = (residual**2).sum(1) / np.maximum(window.weight[some].sum(1) - _UNKNOWNS, 1.0)
+    ratio = ((moved**2).sum(-1) / np.maximum(alone - lost, 0.1 * alone)).mean(1) / np.maximum(noise, 1e-12)
+    return float(np.clip(np.minimum(ratio, 3.0 * np.median(ratio)).mean(), 1.0, _MOST_SHARED))
+
+
+def _blocks(images: np.ndarray, side: int) -> np.ndarray:
+    """Sums over blocks of 3 x 3 pixels [corners, images, blocks]."""
+    count, depth = images.shape[:2]
+    short = -side % _BLOCK
+    images = np.pad(images.reshape(count, depth, side, side), ((0, 0), (0, 0), (0, short), (0, short)))
+    blocks = images.shape[-1] // _BLOCK
+    return images.reshape(count, depth, blocks, _BLOCK, blocks, _BLOCK).sum((3, 5)).reshape(count, depth, -1)

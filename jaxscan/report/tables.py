@@ -1,0 +1,210 @@
+"""A calibration in rows of numbers: parameters, tests, views."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxscan.calibration import Calibration, ModelTest, Quality
+from jaxscan.calibration.verdict import judge_views
+from jaxscan.geometry import Scanner
+from jaxscan.report.words import TESTS
+
+
+class Parameter(NamedTuple):
+    """One row: an estimate in the units that are read."""
+
+    name: str
+    value: tuple[float, ...]
+    sigma: float
+    """Standard deviation; 0 where it was held."""
+    unit: str
+    """Of the value; that of sigma too, but for directions, whose sigma is an angle in mrad."""
+
+    def row(self) -> tuple[str, str, str]:
+        """Name, value and standard deviation as text, with as many digits as mean something."""
+        label = f"{self.name}, {self.unit}" if self.unit else self.name
+        if self.unit == "direction":
+            # A milliradian is a thousandth of a unit vector.
+            shown, label = _digits(self.value, 1e-3 * self.sigma), self.name
+            return label, shown, f"{_significant(self.sigma)} mrad" if self.sigma > 0 else "held"
+        return label, _digits(self.value, self.sigma), _significant(self.sigma) if self.sigma > 0 else "held"
+
+    def as_json(self) -> dict[str, Any]:
+        """For machines: units in the names of the keys; of a direction, sigma is the angle."""
+        value = self.value[0] if len(self.value) == 1 else list(self.value)
+        if self.unit == "direction":
+            return {"name": self.name, "direction": value, "sigma_mrad": self.sigma}
+        unit = f"_{self.unit}" if self.unit else ""
+        return {"name": self.name, f"value{unit}": value, f"sigma{unit}": self.sigma}
+
+
+def parameters(calibration: Calibration) -> list[Parameter]:
+    """All estimates: camera, lasers, axis, angle model, board."""
+    diagonal = np.sqrt(np.maximum(np.diag(calibration.covariance), 0.0))
+    # A calibration of unknown uncertainty has none to show.
+    sigma = dict(zip(calibration.order, diagonal.tolist(), strict=True))
+    camera = calibration.camera
+    with jax.enable_x64(True):
+        values = np.asarray(camera.parameters()).tolist()
+    rows = [
+        Parameter(name, (value,), sigma.get(name, 0.0), "px" if name in ("fx", "fy", "cx", "cy") else "")
+        for name, value in zip(camera.parameter_names(), values, strict=True)
+    ]
+    if calibration.scanner is not None:
+        rows += _lasers(calibration.scanner, sigma) + _table(calibration.scanner, sigma)
+    return rows + _board(calibration.quality)
+
+
+def _lasers(scanner: Scanner, sigma: dict[str, float]) -> list[Parameter]:
+    rows = []
+    for index, name in enumerate(scanner.laser_names):
+        sheet, of = scanner.laser(index), lambda part, name=name: sigma.get(f"laser.{name}.{part}", 0.0)
+        rows += [
+            Parameter(f"laser {name}: normal", _tuple(sheet.normal), 1e3 * math.hypot(of("n1"), of("n2")), "direction"),
+            Parameter(f"laser {name}: distance", (1e3 * float(sheet.distance),), 1e3 * of("d"), "mm"),
+        ]
+        if of("b2") > 0 or of("b3") > 0:
+            bow = _tuple(1e3 * np.asarray(sheet.bow))
+            rows += [
+                Parameter(f"laser {name}: bow b{k + 2}", (bow[k],), 1e3 * of(f"b{k + 2}"), "mrad") for k in range(2)
+            ]
+    return rows
+
+
+def _table(scanner: Scanner, sigma: dict[str, float]) -> list[Parameter]:
+    table = scanner.turntable
+    of = lambda name: sigma.get(name, 0.0)
+    tilt, shift = (1e3 * math.hypot(of(f"axis.{part}1"), of(f"axis.{part}2")) for part in "dp")
+    rows = [
+        Parameter("axis: direction", _tuple(table.direction), tilt, "direction"),
+        Parameter("axis: nearest point", _tuple(1e3 * np.asarray(table.point)), shift, "mm"),
+        Parameter("gain of the angle", (float(table.gain),), of("gain"), ""),
+    ]
+    harmonics = zip(("c1", "s1", "c2", "s2"), 1e3 * np.asarray(table.harmonics), strict=True)
+    return rows + [
+        Parameter(f"angle error {name}", (float(value),), 1e3 * of(name), "mrad")
+        for name, value in harmonics
+        if of(name) > 0
+    ]
+
+
+def _board(quality: Quality) -> list[Parameter]:
+    rows = []
+    for axis, height, sigma in zip("xy", quality.board_warp_m or (), quality.board_warp_sigma_m or (), strict=False):
+        if sigma > 0:
+            rows.append(Parameter(f"board bow along {axis}", (1e3 * height,), 1e3 * sigma, "mm"))
+    if quality.board_pitch is not None and quality.board_pitch_sigma:
+        pitch, sigma = 1e6 * quality.board_pitch, 1e6 * quality.board_pitch_sigma
+        rows.append(Parameter("board squares, relative error", (pitch,), sigma, "ppm"))
+    return rows
+
+
+OUTCOME_COLUMNS = (
+    "test",
+    "statistic",
+    "degrees of freedom",
+    "p",
+    "p of structure",
+    "moves a length by",
+    "result",
+    "question",
+)
+
+
+def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
+    """The tests of the verdict, one each, as `OUTCOME_COLUMNS`."""
+    verdict = calibration.quality.verdict
+    if verdict is None:
+        return []
+    return [
+        (
+            test.name,
+            f"{test.statistic:.1f}",
+            str(test.dof),
+            _probability(test.p),
+            _probability(test.p_structure),
+            _moved(test) if verdict.result(test) == "fails" else "",
+            verdict.result(test),
+            TESTS.get(test.name, ("", ""))[0],
+        )
+        for test in verdict.tests
+    ]
+
+
+def _moved(test: ModelTest) -> str:
+    if test.effect_mm is None or test.effect_sigma is None:
+        return ""
+    return f"{test.effect_mm:.2g} mm, {test.effect_sigma:.1f} sigma"
+
+
+def view_columns(calibration: Calibration) -> tuple[str, ...]:
+    """Titles of the table of views; without stripes where no view has any."""
+    stripes = ("stripe points", "stripe RMS, px") if _striped(calibration) else ()
+    return ("record", "corners", "rejected", "RMS of kept corners, px", "of all corners, px", *stripes, "distance, m")
+
+
+def view_rows(calibration: Calibration) -> list[tuple[str, ...]]:
+    """The views, worst first, as `view_columns`."""
+    rows, striped = [], _striped(calibration)
+    for view in judge_views(calibration.quality, calibration.fit, calibration.observations):
+        of = view.quality
+        counts = str(of.record), str(of.corners), str(of.corners_rejected)
+        corners = _optional(view.kept_rms_px, ".3f"), _optional(of.corner_rms_px, ".3f")
+        # Of no points there is no root mean square.
+        stripes = str(of.stripe_points), _optional(of.stripe_rms_px if of.stripe_points else None, ".3f")
+        rows.append((*counts, *corners, *(stripes if striped else ()), _optional(of.board_z_m, ".2f")))
+    return rows
+
+
+def _striped(calibration: Calibration) -> bool:
+    return any(view.stripe_points for view in calibration.quality.per_view)
+
+
+def quality_rows(calibration: Calibration) -> list[tuple[str, str]]:
+    """Numbers about the whole solve, as far as they are known."""
+    quality = calibration.quality
+    share = quality.prior_share
+    values = [
+        ("views", quality.views, "d"),
+        ("records without a usable board", quality.views_without_board, "d"),
+        ("board placements", quality.placements, "d"),
+        ("corner RMS, px", quality.corner_rms_px, ".4f"),
+        ("corner RMS with rejected ones, px", quality.corner_rms_all_px, ".4f"),
+        ("stripe RMS, px", quality.stripe_rms_px, ".4f"),
+        ("corner noise over what was promised", quality.corner_noise_over_sigma, ".3f"),
+        ("stripe noise over what was promised", quality.stripe_noise_over_sigma, ".3f"),
+        ("stripe points that share one error", quality.stripe_correlation, ".2f"),
+        ("share of priors in the cost", share and share.cost, ".2%"),
+        ("largest share of priors in any direction", share and share.information, ".2%"),
+        ("condition of the normal equations", quality.condition, ".2g"),
+        ("steps of the solver", quality.steps, "d"),
+        ("seconds", quality.seconds, ".2f"),
+    ]
+    return [(name, f"{value:{form}}".replace("%", " %")) for name, value, form in values if value is not None]
+
+
+def _digits(values: Sequence[float], sigma: float) -> str:
+    decimals = 6 if sigma <= 0 else min(max(1 - math.floor(math.log10(sigma)), 0), 9)
+    return " ".join(f"{value:.{decimals}f}" for value in values)
+
+
+def _significant(sigma: float) -> str:
+    decimals = min(max(1 - math.floor(math.log10(sigma)), 0), 9)
+    return f"{sigma:.{decimals}f}" if sigma >= 1e-9 else f"{sigma:.1e}"
+
+
+def _optional(value: float | None, form: str) -> str:
+    return "–" if value is None else f"{value:{form}}"
+
+
+def _probability(value: float) -> str:
+    if value < 1e-99:
+        return "< 1e-99"
+    return f"{value:.3f}" if value >= 1e-3 else f"{value:.0e}"
+
+
+def _tuple(values: object) -> tuple[float, ...]:
+    return tuple(float(value) for value in np.asarray(values))
