@@ -1,5 +1,6 @@
 """Unit vectors in minimal coordinates: a direction, and two tangent vectors that steps refer to."""
 
+import math
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -33,8 +34,8 @@ def unit_vector(vector: ArrayLike | Sequence[float], name: str) -> tuple[np.ndar
         ValueError: If there are not three finite numbers, or all are 0.
     """
     found = np.asarray(vector, np.float64)
-    length = float(np.linalg.norm(found))
-    if found.shape != (3,) or not 0 < length < np.inf:
+    length = math.hypot(*found.ravel())
+    if found.shape != (3,) or not 0 < length < math.inf:
         raise ValueError(f"{name}: found {found.tolist()}, expected three finite numbers, not all 0")
     return found / length, length
 
