@@ -44,7 +44,7 @@ def by_hand(tmp_path):
 
 
 def points_of(scanner):
-    seen = [([700.0, 300.0], 0.0), ([660.0, 800.0], 1.3), ([655.0, 40.0], -2.0)]
+    seen = [([1200.0, 800.0], 0.0), ([1150.0, 1600.0], 1.3), ([1300.0, 40.0], -2.0)]
     found = [scanner.point(np.array(q), 0, np.asarray(phi)) for q, phi in seen]
     assert all(incidence > 0 for _, incidence in found)
     return np.array([point for point, _ in found])
@@ -52,11 +52,13 @@ def points_of(scanner):
 
 def test_the_file_of_the_readme(by_hand, tmp_path):
     scanner = load_scanner(by_hand())
-    # The paper's pixel, on its plane: 7.606 X + 1.685 Y - Z = -1.296203 in the camera frame.
+    # The paper's plane: -7.606 X - 1.685 Y + Z = 1.296203 in the camera frame.
     n, d = np.array([7.606, 1.685, -1.0]), -1.296203
     sheet = scanner.laser(0)
     np.testing.assert_allclose(sheet.normal, -n / np.linalg.norm(n), rtol=1e-15)
     np.testing.assert_allclose(sheet.distance, -d / np.linalg.norm(n), rtol=1e-15)
+    # The design's point of the paper's rig; the axis is written with six digits, and the point is 2.7 m away from it.
+    np.testing.assert_allclose(points_of(scanner)[0], [2.663958, -0.165195, 0.009750], atol=3e-6)
     assert scanner.covariance is None and scanner.laser_names == ("laser",)
     save_calibration(load_calibration(by_hand()), tmp_path / "canonical.json")
     canonical = json.loads((tmp_path / "canonical.json").read_text())
