@@ -32,7 +32,7 @@ def test_a_perfect_sweep_is_reconstructed():
     sweep = jaxscan.Sweep(on=on, off=np.full_like(on, 20), angle=np.deg2rad([0.0, 90.0, 180.0, 270.0]))
     cloud = jaxscan.reconstruct(sweep, scanner)
     line = 127
-    expected = [scanner.point(np.array([200.5, line]), 0, phi)[0] for phi in np.asarray(sweep.angles)]
+    expected = [scanner.point(np.array([200.5, line]), 0, np.asarray(phi))[0] for phi in sweep.angles]
     assert np.asarray(cloud.valid)[:, line].all()
     # A hundredth of a pixel on a sheet met at about 14 degrees, about 1 m away.
     np.testing.assert_allclose(np.asarray(cloud.xyz)[:, line], expected, atol=1e-4)
