@@ -47,7 +47,6 @@ HOME_OF = {
     "numba": {"stripes/search/native_loops.py"},
     "scipy": {"measurement"},
     "matplotlib": {"report"},
-    "viser": {"report"},
     "rich": {"cli"},
     "tyro": {"cli"},
     "pydantic": {"files", "simulation"},

@@ -18,10 +18,9 @@ from jaxscan.files.capture.header import header_toml as header_toml
 from jaxscan.files.capture.header import parse_header as parse_header
 from jaxscan.files.capture.images import ImageReader as ImageReader
 from jaxscan.files.capture.journal import JOURNAL_NAME as JOURNAL_NAME
-from jaxscan.files.capture.journal import MAX_JOURNAL_BYTES as MAX_JOURNAL_BYTES
 from jaxscan.files.capture.journal import MAX_LINE_BYTES as MAX_LINE_BYTES
 from jaxscan.files.capture.journal import Record as Record
-from jaxscan.files.capture.journal import read_journal as read_journal
+from jaxscan.files.capture.journal import journal_objects as journal_objects
 from jaxscan.files.capture.references import MAX_IMAGES as MAX_IMAGES
 from jaxscan.files.capture.references import Folder as Folder
 from jaxscan.files.capture.references import ImageRef as ImageRef
@@ -30,6 +29,7 @@ from jaxscan.files.capture.stripe_cache import cached_stripes as cached_stripes
 from jaxscan.files.capture.stripe_cache import code_digest as code_digest
 from jaxscan.files.capture.stripe_cache import frames_key as frames_key
 from jaxscan.files.capture.stripe_cache import save_stripes as save_stripes
+from jaxscan.files.capture.texts import read_texts as read_texts
 from jaxscan.files.capture.verify import SEAL as SEAL
 from jaxscan.files.capture.verify import Problem as Problem
 from jaxscan.files.capture.verify import seal as seal
