@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 from worlds import calibration_trials as trials
+from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import calibrate_observations
 from jaxscan.calibration.verdict.lengths import Length, length_sigma, measure_lengths, typical_lengths
 from jaxscan.simulation import SimulationConfig, true_scanner
-from jaxscan.simulation.ideal_boards import BoardPoses, add_noise, draw_poses, ideal_boards
 
 
 WALLS_MM = {1.91: 1.1, 3.075: 1.7}
@@ -70,9 +70,9 @@ def run(config: SimulationConfig, poses: BoardPoses, lengths: list[Length], seed
         turned @ fit.covariance @ turned.T,
         measure_lengths(result.scanner, lengths) - measure_lengths(true_scanner(truth), lengths),
         length_sigma(result.scanner, lengths),
-        (quality["corner_rms_whitened"] ** 2, quality["stripe_rms_whitened"] ** 2),
-        (2 * quality["corners"], quality["stripe_points"]),
-        quality["corners_rejected"] + quality["stripe_points_rejected"],
+        (quality.corner_rms_whitened**2, quality.stripe_rms_whitened**2),
+        (2 * quality.corners, quality.stripe_points),
+        quality.corners_rejected + quality.stripe_points_rejected,
     )
 
 
@@ -139,7 +139,7 @@ def main() -> int:
     arguments = parser.parse_args()
     runs = 12 if arguments.quick else arguments.runs
     config = trials.reference()
-    poses = draw_poses(config, POSE_SEED, free_views=30, placements=4, angles=9)
+    poses = draw_poses(config, POSE_SEED, PosePlan(free_views=30, placements=4, angles=9))
     scanner = true_scanner(config)
     lengths = typical_lengths(scanner, 0)
     names = (*scanner.parameter_names(), "warp.x", "warp.y", "pitch")

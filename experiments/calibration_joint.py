@@ -19,12 +19,13 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from worlds import calibration_trials as trials
+from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
-from jaxscan.calibration import Calibration, Observations, calibrate_camera, calibrate_observations
+from jaxscan.calibration import Calibration, calibrate_camera, calibrate_observations
 from jaxscan.calibration.verdict.lengths import depth_sigma, stripe_depths, stripe_pixels
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.observation import Observations
 from jaxscan.simulation import SimulationConfig, true_scanner
-from jaxscan.simulation.ideal_boards import BoardPoses, add_noise, draw_poses, ideal_boards
 
 
 DEPTH_M = 2.5
@@ -46,7 +47,9 @@ class Errors(NamedTuple):
 def poses_of(config: SimulationConfig, views: int, stripes: int, seed: int) -> BoardPoses:
     """So many views, the last two of them one board that was turned."""
     free = views - 2
-    poses = draw_poses(config, seed, free_views=free, placements=1, angles=2, span_deg=10.0, lit=min(stripes, free))
+    poses = draw_poses(
+        config, seed, PosePlan(free_views=free, placements=1, angles=2, span_deg=10.0, lit=min(stripes, free))
+    )
     return poses if stripes > free else poses._replace(lit=poses.lit & (poses.placement < free))
 
 

@@ -12,10 +12,10 @@ import time
 
 import numpy as np
 from worlds import calibration_trials as trials
+from worlds.ideal_boards import IdealBoards, PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import calibrate_observations
 from jaxscan.simulation import true_scanner
-from jaxscan.simulation.ideal_boards import IdealBoards, add_noise, draw_poses, ideal_boards
 
 
 CORNERS, STRIPES = 0.03, 0.10
@@ -45,7 +45,7 @@ def main() -> int:
     arguments = parser.parse_args()
     draws = 6 if arguments.quick else arguments.draws
     config = trials.reference()
-    ideal = ideal_boards(config, draw_poses(config, POSE_SEED, free_views=30, placements=4, angles=9))
+    ideal = ideal_boards(config, draw_poses(config, POSE_SEED, PosePlan(free_views=30, placements=4, angles=9)))
     names = true_scanner(config).parameter_names()
     found: dict[str, list] = {"clean": [], "both sides": [], "one side": []}
     started = time.perf_counter()

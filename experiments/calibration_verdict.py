@@ -11,10 +11,10 @@ from collections.abc import Callable
 
 import numpy as np
 from worlds import calibration_trials as trials
+from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.simulation import SimulationConfig
-from jaxscan.simulation.ideal_boards import BoardPoses, add_noise, draw_poses, ideal_boards
 
 
 ECCENTRICITY_RAD = 5e-4
@@ -32,8 +32,8 @@ def covering_poses(config: SimulationConfig, seed: int, around_deg: tuple[float,
     As people are told to: the board goes into every corner. From many random poses those are
     taken, one after the other, that show most corners where there were the fewest.
     """
-    poses = draw_poses(config, seed, free_views=LIT_VIEWS, placements=4, angles=9, around_deg=around_deg)
-    pool = draw_poses(config, seed + 1000, free_views=POOL, placements=0, angles=1, lit=0)
+    poses = draw_poses(config, seed, PosePlan(free_views=LIT_VIEWS, placements=4, angles=9, around_deg=around_deg))
+    pool = draw_poses(config, seed + 1000, PosePlan(free_views=POOL, placements=0, angles=1, lit=0))
     size = np.array([config.camera.width, config.camera.height])
     cell = np.clip((ideal_boards(config, pool).corner_q / size * CELLS).astype(int), 0, CELLS - 1)
     seen = np.stack([np.bincount(row, minlength=CELLS**2) for row in cell[..., 1] * CELLS + cell[..., 0]])
@@ -60,8 +60,8 @@ def chance(
     poses = covering_poses(config, 100 + seed, around)
     ideal = ideal_boards(config, poses, lens_px=lens_px)
     noisy = add_noise(ideal, np.random.default_rng([23, seed]), correlation=correlation)
-    verdict = calibrate_observations(trials.observations(noisy, config), settings=settings).quality["verdict"]
-    return verdict["p"], min(verdict["tests"], key=lambda test: test["p"])["name"]
+    verdict = calibrate_observations(trials.observations(noisy, config), settings=settings).quality.verdict
+    return verdict.p, min(verdict.tests, key=lambda test: test.p).name
 
 
 def cases() -> dict[str, tuple[bool, Callable[[int], tuple[float, str]]]]:

@@ -38,8 +38,8 @@ def calibrated(config: SimulationConfig, seed: int, folder: Path) -> Scanner:
     jaxscan.save_calibration(result, folder / "calibration.json")
     quality = result.quality
     print(
-        f"seed {seed}: {quality['views']} boards, corners {quality['corner_rms_px']:.4f} px, "
-        f"{quality['stripe_points']} stripe points, whitened {quality['stripe_rms_whitened']:.3f}",
+        f"seed {seed}: {quality.views} boards, corners {quality.corner_rms_px:.4f} px, "
+        f"{quality.stripe_points} stripe points, whitened {quality.stripe_rms_whitened:.3f}",
         file=sys.stderr,
     )
     return jaxscan.load_scanner(folder / "calibration.json")

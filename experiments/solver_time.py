@@ -23,6 +23,7 @@ import lineax as lx
 import numpy as np
 import optimistix as optx
 from worlds import calibration_trials as trials
+from worlds.ideal_boards import PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
 from jaxscan.calibration.seed.closed_form import average_placements
@@ -31,7 +32,6 @@ from jaxscan.calibration.solve.levenberg_marquardt import solve
 from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.calibration.solve.problem import Problem, Step, move, zero_step
 from jaxscan.calibration.solve.residuals import residuals
-from jaxscan.simulation.ideal_boards import add_noise, draw_poses, ideal_boards
 
 
 TOLERANCE, MAX_STEPS, DAMPING = 1e-8, 60, 1e-4
@@ -46,7 +46,7 @@ OURS, DEFAULT, NORMAL = "ours", "optimistix LM, default", "optimistix LM, Normal
 def joint_problem() -> Problem:
     """The problem with its weights, without padding, at a start that is off."""
     config = trials.reference()
-    poses = draw_poses(config, 3, free_views=VIEWS - 9, placements=3, angles=3)
+    poses = draw_poses(config, 3, PosePlan(free_views=VIEWS - 9, placements=3, angles=3))
     noisy = add_noise(ideal_boards(config, poses, points=POINTS), np.random.default_rng(0))
     observed = trials.observations(noisy, config)
     settings = CalibrationSettings(judge=False)
@@ -137,7 +137,7 @@ def joint(solver: str, file: str, repeats: int) -> dict[str, Any]:
 def camera(repeats: int) -> dict[str, Any]:
     """Whole camera calibrations, seed and covariance and rejection included, beside OpenCV's."""
     config = trials.reference()
-    poses = draw_poses(config, 5, free_views=CAMERA_VIEWS, placements=0, angles=1, lit=0)
+    poses = draw_poses(config, 5, PosePlan(free_views=CAMERA_VIEWS, placements=0, angles=1, lit=0))
     observed = trials.observations(add_noise(ideal_boards(config, poses), np.random.default_rng(0)), config)
     points = [observed.board.corners().astype(np.float32)] * CAMERA_VIEWS
     pixels = [q.astype(np.float32) for q in observed.corners.q]

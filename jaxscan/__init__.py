@@ -1,35 +1,33 @@
-"""A camera, a line laser and a turntable as a precise 3D scanner for rooms."""
+"""A camera, a line laser and a turntable as a precise 3D scanner for rooms.
 
-from jaxscan.api import Calibration as Calibration
-from jaxscan.api import CalibrationSettings as CalibrationSettings
-from jaxscan.api import Capture as Capture
-from jaxscan.api import LaserLine as LaserLine
-from jaxscan.api import NoiseModel as NoiseModel
-from jaxscan.api import PointCloud as PointCloud
-from jaxscan.api import Reconstruction as Reconstruction
-from jaxscan.api import ReconstructSettings as ReconstructSettings
-from jaxscan.api import Scanner as Scanner
-from jaxscan.api import Stripes as Stripes
-from jaxscan.api import StripeSettings as StripeSettings
-from jaxscan.api import Sweep as Sweep
-from jaxscan.api import calibrate as calibrate
-from jaxscan.api import compare_clouds as compare_clouds
-from jaxscan.api import extract_stripes as extract_stripes
-from jaxscan.api import extract_sweep as extract_sweep
-from jaxscan.api import fit_axis as fit_axis
-from jaxscan.api import fit_plane as fit_plane
-from jaxscan.api import load_calibration as load_calibration
-from jaxscan.api import load_cloud as load_cloud
-from jaxscan.api import load_scanner as load_scanner
-from jaxscan.api import load_simulation as load_simulation
-from jaxscan.api import measure_distance as measure_distance
-from jaxscan.api import measure_plane as measure_plane
-from jaxscan.api import measure_room as measure_room
-from jaxscan.api import observe_boards as observe_boards
-from jaxscan.api import open_capture as open_capture
-from jaxscan.api import plane_sigma as plane_sigma
-from jaxscan.api import reconstruct as reconstruct
-from jaxscan.api import reconstruct_capture as reconstruct_capture
-from jaxscan.api import save_calibration as save_calibration
-from jaxscan.api import save_cloud as save_cloud
-from jaxscan.api import simulate as simulate
+The public names stand in `__init__.pyi`, with their homes. A name is loaded when it is first asked for, so that
+`import jaxscan` itself takes no time.
+"""
+
+import importlib
+import re
+from pathlib import Path
+from typing import Any
+
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    name: module
+    for module, name in re.findall(
+        r"^from (\S+) import (\w+) as \2$", Path(__file__).with_suffix(".pyi").read_text(), re.MULTILINE
+    )
+}
+__all__ = sorted(["__version__", *_HOMES])
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'jaxscan' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,5 +1,6 @@
 """The public face: what the README promises, in-memory sweeps, and the form of every public function."""
 
+import ast
 import inspect
 import json
 import os
@@ -19,9 +20,7 @@ from jaxscan.errors import CaptureError
 
 
 ROOT = Path(__file__).resolve().parent.parent
-PUBLIC = sorted(
-    name for name, value in vars(jaxscan).items() if not name.startswith("_") and not inspect.ismodule(value)
-)
+PUBLIC = sorted(name for name in jaxscan.__all__ if not name.startswith("_"))
 FUNCTIONS = [name for name in PUBLIC if inspect.isfunction(getattr(jaxscan, name))]
 VERBS = {
     *("calibrate", "reconstruct", "reconstruct_capture", "extract_stripes", "extract_sweep"),
@@ -44,8 +43,33 @@ SUBJECTS = {
 def test_public_names():
     assert set(FUNCTIONS) >= VERBS
     assert {"Sweep", "Scanner", "Stripes", "PointCloud", "Capture", "Calibration"} <= set(PUBLIC)
-    source = (ROOT / "jaxscan" / "__init__.py").read_text()
-    assert sorted(re.findall(r"^from jaxscan\.api import (\w+) as \1$", source, re.MULTILINE)) == PUBLIC
+    assert {"JaxscanError", "Pinhole", "Fisheye", "LaserSheet", "Turntable", "SimulationConfig"} <= set(PUBLIC)
+    assert {"Observations", "BoardViews", "StripeViews", "calibrate_observations", "create_capture"} <= set(PUBLIC)
+
+
+def test_what_an_interactive_session_offers():
+    assert dir(jaxscan) == sorted(jaxscan.__all__)
+    assert not [name for name in dir(jaxscan) if inspect.ismodule(getattr(jaxscan, name))]
+    assert re.fullmatch(r"\d+\.\d+\.\d+", jaxscan.__version__)
+    with pytest.raises(AttributeError, match="no attribute 'Scaner'"):
+        jaxscan.Scaner  # noqa: B018
+
+
+def test_a_star_gives_every_public_name():
+    names = {}
+    exec("from jaxscan import *", names)
+    assert set(jaxscan.__all__) <= set(names)
+
+
+def test_the_list_of_names_is_one_that_type_checkers_read():
+    (root,) = jaxscan.__path__
+    tree = ast.parse((Path(root) / "__init__.pyi").read_text())
+    listed = {
+        alias.asname: node.module for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
+    assert sorted(listed) == PUBLIC
+    # A home is a facade: a folder, or the file of the errors.
+    assert all(module.count(".") == 1 for module in listed.values())
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

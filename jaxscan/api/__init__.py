@@ -1,11 +1,9 @@
 """The public verbs: what joins the core and the edges."""
 
-from jaxscan.api.boards import observe_boards as observe_boards
 from jaxscan.api.calibration import calibrate as calibrate
-from jaxscan.api.simulation import SimulatedCaptures as SimulatedCaptures
+from jaxscan.api.calibration import observe_boards as observe_boards
 from jaxscan.api.simulation import load_simulation as load_simulation
 from jaxscan.api.simulation import simulate as simulate
-from jaxscan.api.simulation import simulation_digest as simulation_digest
 from jaxscan.api.sweeps import Reconstruction as Reconstruction
 from jaxscan.api.sweeps import reconstruct_capture as reconstruct_capture
 from jaxscan.calibration import Calibration as Calibration
@@ -18,6 +16,8 @@ from jaxscan.files import load_toml as load_toml
 from jaxscan.files import open_capture as open_capture
 from jaxscan.files import save_calibration as save_calibration
 from jaxscan.files import save_cloud as save_cloud
+from jaxscan.files.simulated import SimulatedCaptures as SimulatedCaptures
+from jaxscan.files.simulated import simulation_digest as simulation_digest
 from jaxscan.geometry import Scanner as Scanner
 from jaxscan.geometry import fit_axis as fit_axis
 from jaxscan.geometry import fit_plane as fit_plane

@@ -1,14 +1,45 @@
-"""Captures to a calibration: look at the boards, solve, say where it came from."""
+"""Captures of a board to observations, and to a calibration."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import metadata
 
-from jaxscan.api.boards import Progress, find_boards, to_observations
-from jaxscan.api.redetect import choose, look_again
-from jaxscan.calibration import Calibration, CalibrationSettings, calibrate_camera, calibrate_observations
+from jaxscan.calibration import (
+    Calibration,
+    CalibrationSettings,
+    calibrate_camera,
+    calibrate_observations,
+    choose,
+    solved_rig,
+)
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.files.capture import Capture
+from jaxscan.files.capture import Capture, common_board
+from jaxscan.observation import Eyes, Observations, Progress, look_again, look_at_boards, to_observations
+
+
+def observe_boards(
+    captures: Sequence[Capture], *, with_stripes: bool = True, progress: Progress | None = None
+) -> Observations:
+    """Find the board's corners, and the stripes on it, in calibration captures.
+
+    Corners are looked for in the laser-off image where there is one. Views with the same
+    placement share a board pose; a view of unknown table angle is a placement of its own.
+
+    Args:
+        captures: Calibration captures of the same board, camera and rig.
+        with_stripes: Look for stripes too; they are not needed for a camera alone.
+        progress: Called with (records done, records in all).
+
+    Returns:
+        The observations that `calibrate` solves from.
+
+    Raises:
+        CaptureError: If a capture is not a calibration capture, or they do not belong together.
+        CalibrationError: If the board is found in no image.
+    """
+    board = common_board(captures, single_lasers=with_stripes)
+    seen = look_at_boards(captures, board, _eyes(), with_stripes=with_stripes, progress=progress)
+    return to_observations(captures, seen)
 
 
 def calibrate(
@@ -46,17 +77,18 @@ def calibrate(
         )
     settings = settings or CalibrationSettings()
     solve = calibrate_camera if only_camera else calibrate_observations
-    looks, stripes = 2 if redetect else 1, not only_camera
-    views = find_boards(captures, with_stripes=stripes, progress=_part(progress, 0, looks))
+    board, eyes, looks = common_board(captures, single_lasers=not only_camera), _eyes(), 2 if redetect else 1
+    seen = look_at_boards(captures, board, eyes, with_stripes=not only_camera, progress=_part(progress, 0, looks))
     # The first of two looks is there to know where to look; only the last is judged.
     first = replace(settings, judge=settings.judge and not redetect)
-    result = solve(to_observations(views, captures), settings=first)
+    result = solve(to_observations(captures, seen), settings=first)
     # A solve that did not converge cannot say where to look.
     if redetect and result.quality.converged:
-        again = look_again(captures, views, result, stripes=stripes, progress=_part(progress, 1, looks))
-        result, gains = choose(result, solve(to_observations(again, captures), settings=settings))
+        progress = _part(progress, 1, looks)
+        again = look_again(captures, seen, solved_rig(result), eyes.to_grey, progress=progress)
+        result, gains = choose(result, solve(to_observations(captures, again), settings=settings))
         if not gains.kept:
-            result = solve(to_observations(views, captures), settings=settings)
+            result = solve(to_observations(captures, seen), settings=settings)
         result = replace(result, quality=replace(result.quality, redetected=gains))
     provenance = {
         **result.provenance,
@@ -69,3 +101,11 @@ def calibrate(
 def _part(progress: Progress | None, look: int, looks: int) -> Progress | None:
     """Progress of one of several looks at the same records."""
     return None if progress is None else lambda done, total: progress(look * total + done, looks * total)
+
+
+def _eyes() -> Eyes:
+    # Imported here, so that `import jaxscan` does not load OpenCV.
+    from jaxscan.vision.boards import find_corners
+    from jaxscan.vision.grey import to_grey
+
+    return Eyes(to_grey, find_corners)

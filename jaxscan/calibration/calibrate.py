@@ -8,7 +8,6 @@ import jax
 import numpy as np
 
 from jaxscan.calibration.conclude import conclude
-from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.seed.closed_form import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
 from jaxscan.calibration.seed.fisheye import seed_fisheye
@@ -19,6 +18,7 @@ from jaxscan.calibration.solve.prepare import Prepared, prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, LaserSheet, Pinhole, Turntable, point_up, stack_lasers
 from jaxscan.geometry.scanner import UP_VECTORS
+from jaxscan.observation import Observations
 
 
 _RATIONAL = 3

@@ -5,7 +5,6 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_PARAMETERS
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.settings import CalibrationSettings
@@ -28,6 +27,7 @@ from jaxscan.calibration.verdict import (
 )
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Scanner
+from jaxscan.observation import Observations
 
 
 def conclude(
@@ -49,7 +49,7 @@ def conclude(
     problem, table = result.problem, result.problem.turntable
     lasers = observations.laser_names if table is not None else ()
     names = shared_names(problem.camera, lasers, table is not None)
-    determination = _determined(result, names, settings)
+    determination = _determined(result, names)
     every = shared_names(camera, lasers, table is not None)
     kept = np.array([names.index(name) for name in every])
     turned = -1.0 if observations.carries == "object" else 1.0
@@ -89,12 +89,11 @@ def conclude(
     )
 
 
-def _determined(result: Adjustment, names: tuple[str, ...], settings: CalibrationSettings) -> Determination:
+def _determined(result: Adjustment, names: tuple[str, ...]) -> Determination:
     found = determine(result.linearised, np.asarray(result.problem.scales), names)
     if isinstance(found, Determination):
         return found
-    if not result.converged:
-        raise CalibrationError(not_converged(settings))
+    # This holds wherever a solve stopped; it is even why one does not converge.
     wanted = "; ".join(cures([found])) or "boards tilted by 20 to 45 degrees all over the image"
     raise CalibrationError(
         f"The observations say nothing about a combination of {', '.join(found)}: capture {wanted}, or hold "

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.verdict import Quality
 from jaxscan.geometry import AbstractCamera, Scanner
+from jaxscan.observation import Observations
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Calibration:
     """Names of the minimal coordinates that `covariance` refers to."""
     covariance: np.ndarray
     """Covariance [params, params] in the units px, rad, m; zero for parameters held fixed."""
-    quality: Quality = Quality()
+    quality: Quality = field(default_factory=Quality)
     """Numbers by which to judge the result: whether it converged, residuals, counts, verdict, ..."""
     observations: Observations | None = None
     provenance: dict[str, Any] = field(default_factory=dict)

@@ -14,8 +14,9 @@ from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.summary import print_summary, summary, write_page
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import check_calibration_path
+from jaxscan.files.calibration.quality import quality_table
 from jaxscan.files.disk import check_writable
-from jaxscan.report.calibration import verdict
+from jaxscan.report.words import headline
 
 
 def calibrate(
@@ -33,7 +34,7 @@ def calibrate(
 ) -> None:
     """Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.
 
-    Exit code 1 where the calibration is not accepted; its file is written all the same.
+    Exit code 1 where the calibration is not accepted or its solve did not converge; its file is written all the same.
 
     Args:
         captures: One or more calibration captures of the same board and rig.
@@ -69,10 +70,10 @@ def calibrate(
     print_summary(out, result)
     out.print(f"written: {', '.join(written)}")
     files = {"calibration": str(output)} | ({"report": str(report)} if report is not None else {})
-    emit_json(json, "calibrate", files | summary(result) | {"quality": result.quality})
-    judged = verdict(result)
-    if judged.kind == "bad":
-        raise CalibrationError(f"{output}: written, but not accepted. {judged.explanation}")
+    emit_json(json, "calibrate", files | summary(result) | {"quality": quality_table(result.quality)})
+    first = headline(result)
+    if first.kind == "bad":
+        raise CalibrationError(f"{output}: written, but {first.headline.lower()}. {first.explanation}")
 
 
 def calibration_settings(

@@ -24,8 +24,9 @@ def convert(
     storage: Storage | None = None,
     json: JsonTarget = None,
 ) -> None:
-    """Convert: `jaxscan convert room.ply room.e57`, `jaxscan convert calibration.json camera.yaml`, or
-    `jaxscan convert captures/room captures/fast --storage npy`.
+    """Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.
+
+    Or `jaxscan convert calibration.json camera.yaml`, `jaxscan convert captures/room captures/fast --storage npy`.
 
     Args:
         source: Cloud (.ply or .npz), calibration (.json) or capture (a folder) to read.

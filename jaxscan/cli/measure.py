@@ -1,7 +1,6 @@
 """`jaxscan measure`: a cloud to numbers."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -120,10 +119,6 @@ def compare(cloud: CloudPath, truth: CloudPath, /, *, calibration: Calibration =
     out.print(f"{found.points} points compared; {100 * found.completeness:.1f} % of the true ones have a point")
     out.print(f"{found.false_points} points where the truth has none")
     emit_json(json, "measure-compare", _plain(dataclasses.asdict(found)))
-
-
-MEASURES: dict[str, Callable[..., Any]] = {"room": room, "distance": distance, "plane": plane, "compare": compare}
-"""What `jaxscan measure` can measure, by name."""
 
 
 def _room_row(name: str, side: Dimension) -> tuple[str, ...]:

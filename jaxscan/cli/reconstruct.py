@@ -9,7 +9,7 @@ from jaxscan.cli.options import CalibrationPath, CapturePath, OutputPath, at_lea
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
-from jaxscan.files.calibration import calibration_digest
+from jaxscan.files.calibration.calibration import calibration_digest, calibration_notes
 from jaxscan.files.clouds import check_cloud_path
 from jaxscan.stripes.stripes import Choice
 
@@ -61,13 +61,14 @@ def reconstruct(
     sweep = api.open_capture(capture).every(every)
     scanner = api.load_scanner(calibration)
     out = console(json)
-    for note in sweep.notes:
+    before = [*calibration_notes(calibration), *sweep.notes]
+    for note in before:
         out.print(f"note: {note}")
     start = time.perf_counter()
     with progress_bar("Reconstructing") as progress:
         done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=progress, cache=cache)
     seconds = time.perf_counter() - start
-    cloud, notes = done.cloud, [*sweep.notes, *done.notes]
+    cloud, notes = done.cloud, [*before, *done.notes]
     for note in done.notes:
         out.print(f"note: {note}")
     if done.kept:

@@ -46,11 +46,13 @@ def report(
 
 
 def _drawn(path: Path) -> tuple[Calibration, str, bool | None]:
-    """What to draw, a remark on it, and whether the stored parameters came out; None if nobody can know."""
+    """The calibration to draw, a remark on it, and whether the stored parameters came out; None if nobody can know."""
     stored = api.load_calibration(path)
     if stored.observations is None:
         return stored, "The observations are not beside the calibration file, so residuals are not shown.", None
     again = solve_again(stored, name=str(path))
+    if again.reproduced is None:
+        return again.calibration, "Solved again from the stored observations: the solve did not converge.", None
     if again.reproduced:
         return again.calibration, "Solved again from the stored observations: the stored parameters came out.", True
     return (

@@ -1,4 +1,4 @@
-"""What the command line says of a calibration: for people, for machines, and as a page."""
+"""A calibration on the command line: for people, for machines, and as a page."""
 
 from pathlib import Path
 from typing import Any
@@ -8,8 +8,7 @@ from rich.console import Console
 from jaxscan.calibration import Calibration
 from jaxscan.cli.output import table
 from jaxscan.files.disk import write_atomically
-from jaxscan.report import calibration as words
-from jaxscan.report.calibration_tables import outcome_rows, parameters
+from jaxscan.report import calibration_page, outcome_rows, parameters, words
 
 
 _STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
@@ -17,11 +16,11 @@ _STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
 
 def print_summary(out: Console, calibration: Calibration) -> None:
     """The verdict first, then lengths, noise, what is wrong, what to do, and the parameters."""
-    verdict = words.verdict(calibration)
-    out.print(f"{verdict.headline}. {verdict.explanation}", style=_STYLE[verdict.kind])
+    first = words.headline(calibration)
+    out.print(f"{first.headline}. {first.explanation}", style=_STYLE[first.kind])
     lengths = words.lengths(calibration)
     if lengths:
-        out.print("What the calibration alone leaves uncertain (one standard deviation):")
+        out.print("Uncertainty that the calibration alone causes (one standard deviation):")
     for line in lengths:
         out.print(f"  {words.millimetres(line.sigma_mm):>9}  {line.what}")
     for text in (*words.noise_lines(calibration), *words.second_look(calibration)):
@@ -36,15 +35,16 @@ def print_summary(out: Console, calibration: Calibration) -> None:
     if outcomes:
         rows = [row[:7] for row in outcomes]
         out.print(table("Tests", ("", "statistic", "dof", "p", "p of structure", "moves a length by", "result"), rows))
+    if calibration.quality.converged is False:
+        return
     rows = [parameter.row() for parameter in parameters(calibration)]
     out.print(table("Parameters", ("parameter", "value", "standard deviation"), rows))
 
 
 def summary(calibration: Calibration) -> dict[str, Any]:
     """The same as JSON."""
-    verdict = words.verdict(calibration)
     return {
-        "verdict": {"kind": verdict.kind, "headline": verdict.headline, "explanation": verdict.explanation},
+        "verdict": words.headline(calibration)._asdict(),
         "lengths": [line._asdict() for line in words.lengths(calibration)],
         "noise": words.noise_lines(calibration),
         "second_look": words.second_look(calibration),
@@ -61,7 +61,4 @@ def write_page(calibration: Calibration, path: Path, *, notes: tuple[str, ...] =
     Raises:
         JaxscanError: If the file cannot be written.
     """
-    # Here, because only a report needs the library that draws.
-    from jaxscan.report.calibration_page import calibration_page
-
     write_atomically(path, calibration_page(calibration, notes=notes).encode())

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxscan.calibration.observations import Observations
-from jaxscan.calibration.result import Fit
+from jaxscan.calibration import Fit
+from jaxscan.observation import Observations
 from jaxscan.report.drawing import BLUE, INK, LINE, RED, SERIES, SOFT, arrows, new_axes, new_figure
 from jaxscan.report.residual_plots import has_stripes
 

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxscan.calibration.observations import Observations
-from jaxscan.calibration.result import Fit
+from jaxscan.calibration import Fit
+from jaxscan.observation import Observations
 from jaxscan.report.drawing import BLUE, INK, RED, SERIES, SOFT, add_legend, new_axes, new_figure, plain
 
 

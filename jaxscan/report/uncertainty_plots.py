@@ -1,10 +1,11 @@
-"""What is not known: depth against distance, correlations, weak directions."""
+"""Uncertainty: of the depth against distance, correlations, weak directions."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxscan.calibration.verdict import Direction, is_held_by_priors
 from jaxscan.report.drawing import BLUE, INK, LINE, RED, SERIES, SOFT, add_legend, new_axes, new_figure, plain
 
 
@@ -13,8 +14,6 @@ if TYPE_CHECKING:
 
 
 _SHOWN_CORRELATION = 0.5
-WEAK = 0.5
-"""Directions known less than twice as well as beforehand are held by that rather than by the data."""
 
 
 def depth_against_distance(lasers: Sequence[tuple[str, np.ndarray, np.ndarray]], noise_mm: np.ndarray) -> "Figure":
@@ -42,7 +41,7 @@ def depth_against_distance(lasers: Sequence[tuple[str, np.ndarray, np.ndarray]],
 
 
 def correlations(names: Sequence[str], covariance: np.ndarray) -> "Figure":
-    """Correlation of what was estimated; what was held is left out."""
+    """Correlation of the estimated parameters; those that were held are left out."""
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     free = np.flatnonzero(sigma > 0)
     correlation = covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
@@ -66,24 +65,24 @@ def correlations(names: Sequence[str], covariance: np.ndarray) -> "Figure":
     return figure
 
 
-def spectrum(directions: Sequence[tuple[float, dict[str, float]]]) -> "Figure":
-    """How much the data add to what was known before, for each independent combination of parameters.
+def spectrum(directions: Sequence[Direction]) -> "Figure":
+    """Standard deviation over that of the prior, for each independent combination of parameters.
 
     Args:
-        directions: Standard deviation over that of the prior [1] and the combination, worst first.
+        directions: The combinations, worst first.
     """
     figure = new_figure(5.4, min(0.9 + 0.27 * len(directions), 8.0))
-    axes = new_axes(figure, xlabel="standard deviation, in units of what is known beforehand")
-    value = np.array([max(sigma, 1e-12) for sigma, _ in directions])
+    axes = new_axes(figure, xlabel="standard deviation over that of the prior")
+    value = np.array([max(row.sigma_over_prior, 1e-12) for row in directions])
     place = np.arange(len(directions))
     left = 10.0 ** (np.floor(np.log10(value.min())) - 0.15)
-    colours = [RED if sigma > WEAK else BLUE for sigma in value]
+    colours = [RED if is_held_by_priors(row.sigma_over_prior) else BLUE for row in directions]
     axes.hlines(place, left, value, color=colours, linewidth=1.2)
     axes.scatter(value, place, color=colours, s=20, zorder=3)
     axes.set_xscale("log")
     axes.set_xlim(left, max(1.6, 1.4 * value.max()))
     axes.axvline(1.0, color=SOFT, linewidth=0.9)
-    axes.set_yticks(place, [combination(direction) for _, direction in directions], parse_math=False)
+    axes.set_yticks(place, [combination(row.direction) for row in directions], parse_math=False)
     axes.tick_params(axis="y", length=0, labelsize=8)
     axes.set_ylim(len(directions) - 0.4, -0.6)
     axes.grid(False)

@@ -1,8 +1,19 @@
 """A known world to frames."""
 
+from jaxscan.simulation.boards import SeenBoard as SeenBoard
+from jaxscan.simulation.boards import make_print as make_print
+from jaxscan.simulation.planning import Placement as Placement
+from jaxscan.simulation.planning import plan_boards as plan_boards
+from jaxscan.simulation.rays import distort as distort
+from jaxscan.simulation.rays import undistort as undistort
+from jaxscan.simulation.rig import Motion as Motion
+from jaxscan.simulation.rig import TrueRig as TrueRig
 from jaxscan.simulation.rig import make_rig as make_rig
+from jaxscan.simulation.rig import rodrigues as rodrigues
+from jaxscan.simulation.rig import turning_axis as turning_axis
 from jaxscan.simulation.scene.scene import make_scene as make_scene
 from jaxscan.simulation.sensor import expose as expose
+from jaxscan.simulation.sensor import speckled as speckled
 from jaxscan.simulation.spec import BoardsSpec as BoardsSpec
 from jaxscan.simulation.spec import CameraSpec as CameraSpec
 from jaxscan.simulation.spec import LaserSpec as LaserSpec
@@ -16,6 +27,7 @@ from jaxscan.simulation.spec import TurntableSpec as TurntableSpec
 from jaxscan.simulation.stripe import RowTruth as RowTruth
 from jaxscan.simulation.sweep import ExpectedRecord as ExpectedRecord
 from jaxscan.simulation.sweep import RenderedRecord as RenderedRecord
+from jaxscan.simulation.sweep import board_pairs as board_pairs
 from jaxscan.simulation.sweep import develop as develop
 from jaxscan.simulation.sweep import expect_boards as expect_boards
 from jaxscan.simulation.sweep import expect_record as expect_record

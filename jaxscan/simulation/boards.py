@@ -7,7 +7,7 @@ import numpy as np
 from jaxscan.errors import ConfigError
 from jaxscan.simulation.optics import integrate, psf_weights
 from jaxscan.simulation.rays import Numbers
-from jaxscan.simulation.rig import Motion, Rig
+from jaxscan.simulation.rig import Motion, TrueRig
 from jaxscan.simulation.spec import BoardsSpec
 
 
@@ -173,7 +173,7 @@ def _spline(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def cover(
-    rig: Rig, board: SeenBoard, depth: np.ndarray
+    rig: TrueRig, board: SeenBoard, depth: np.ndarray
 ) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray, SeenBoard]:
     """The board through the lens, in the part of the image that it touches.
 
@@ -205,7 +205,7 @@ def cover(
     return (slice(top, bottom), slice(left, right)), fills, albedo, fine
 
 
-def _strip(rig: Rig, board: SeenBoard, rows: slice, columns: slice, radius: int) -> tuple[np.ndarray, np.ndarray]:
+def _strip(rig: TrueRig, board: SeenBoard, rows: slice, columns: slice, radius: int) -> tuple[np.ndarray, np.ndarray]:
     t = rig.rays
     height, width = t.shape
     # Pixels beyond the border repeat those on it: light from outside the image is unknown.

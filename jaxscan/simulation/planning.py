@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxscan.errors import ConfigError
 from jaxscan.simulation.rays import project
-from jaxscan.simulation.rig import Motion, Rig, Sheet, rodrigues
+from jaxscan.simulation.rig import Motion, Sheet, TrueRig, rodrigues
 from jaxscan.simulation.scene.scene import Scene
 from jaxscan.simulation.spec import CameraSpec
 
@@ -31,7 +31,7 @@ _CHOICES = 6
 _TRIES = 2000
 
 
-def plan_boards(rig: Rig, scene: Scene, rng: np.random.Generator) -> list[Placement]:
+def plan_boards(rig: TrueRig, scene: Scene, rng: np.random.Generator) -> list[Placement]:
     """Free views at angle 0, then placements seen from several angles.
 
     Raises:
@@ -61,7 +61,13 @@ def _share(number: int, count: int) -> tuple[float, float]:
 
 
 def _pose(
-    rig: Rig, scene: Scene, rng: np.random.Generator, share: tuple[float, float], *, turns: int, crossed: bool = True
+    rig: TrueRig,
+    scene: Scene,
+    rng: np.random.Generator,
+    share: tuple[float, float],
+    *,
+    turns: int,
+    crossed: bool = True,
 ) -> tuple[Motion, tuple[float, ...]]:
     """A sound pose T_cam_board at angle 0 with its range in a share of the wanted one."""
     spec = rig.config.boards
@@ -83,7 +89,7 @@ def _pose(
     )
 
 
-def _draw(rig: Rig, rng: np.random.Generator, distance: float, *, crossed: bool) -> Motion:
+def _draw(rig: TrueRig, rng: np.random.Generator, distance: float, *, crossed: bool) -> Motion:
     """A random pose with its middle at the given depth: beside a sheet, or anywhere in the image."""
     camera, spec = rig.config.camera, rig.config.boards
     sheet = rig.sheets[int(rng.integers(len(rig.sheets)))]
@@ -130,12 +136,12 @@ def _facing(place: np.ndarray) -> np.ndarray:
     return np.eye(3) if length == 0 else rodrigues(axis / length, float(np.arctan2(length, place[2])))
 
 
-def _extent(rig: Rig) -> np.ndarray:
+def _extent(rig: TrueRig) -> np.ndarray:
     outline = rig.config.boards.board().outline()
     return outline.max(0) - outline.min(0)
 
 
-def _pixels(rig: Rig, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _pixels(rig: TrueRig, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of points [n, 3] in the camera frame, and which are in the image."""
     camera = rig.config.camera
     if camera.model == "pinhole":
@@ -153,7 +159,7 @@ def _pixels(rig: Rig, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([u, v], -1), inside & (v < camera.height - 1 - _MARGIN_PX) & straight
 
 
-def _sees(rig: Rig, pose: Motion) -> bool:
+def _sees(rig: TrueRig, pose: Motion) -> bool:
     """Whether the corners that the board's kind needs are in the image."""
     spec = rig.config.boards
     share = _pixels(rig, pose.apply(spec.board().corners()))[1].mean()
@@ -165,7 +171,7 @@ def _faces(pose: Motion) -> bool:
     return bool(pose.rotation[:, 2] @ pose.translation > 0.35 * np.linalg.norm(pose.translation))
 
 
-def _crossed(rig: Rig, pose: Motion) -> bool:
+def _crossed(rig: TrueRig, pose: Motion) -> bool:
     """Whether a stripe runs over most of the board, in the image, and does not graze it."""
     low, high = rig.config.boards.board().outline()[[0, 2]]
     share = np.linspace(0.05, 0.95, 10)
@@ -188,7 +194,7 @@ def _crossed(rig: Rig, pose: Motion) -> bool:
     return False
 
 
-def _turns(rig: Rig, pose: Motion, count: int) -> tuple[float, ...]:
+def _turns(rig: TrueRig, pose: Motion, count: int) -> tuple[float, ...]:
     """Angles over which the board stays in the image, evenly spread; fewer than two if it hardly does."""
     scanner_from_board = rig.pose(0.0) @ pose
     ends = []
@@ -206,7 +212,7 @@ def _turns(rig: Rig, pose: Motion, count: int) -> tuple[float, ...]:
     return tuple(float(np.deg2rad(round(np.rad2deg(phi), 2))) for phi in np.linspace(ends[0], ends[1], count))
 
 
-def _clear(rig: Rig, scene: Scene, pose: Motion, phi: float) -> bool:
+def _clear(rig: TrueRig, scene: Scene, pose: Motion, phi: float) -> bool:
     """Whether nothing stands before or in the board, for camera and laser, at angle `phi`."""
     spec = rig.config.boards
     low, high = spec.board().outline()[[0, 2]] + np.array([[-1.0], [1.0]]) * spec.border_mm / 1000
@@ -218,7 +224,7 @@ def _clear(rig: Rig, scene: Scene, pose: Motion, phi: float) -> bool:
     return not any(scene.blocked(eye, world).any() for eye in eyes)
 
 
-def _cells(rig: Rig, pose: Motion) -> np.ndarray:
+def _cells(rig: TrueRig, pose: Motion) -> np.ndarray:
     """Which cells of a 6 x 8 grid over the image hold corners of the board."""
     camera = rig.config.camera
     pixels, inside = _pixels(rig, pose.apply(rig.config.boards.board().corners()))
@@ -228,5 +234,5 @@ def _cells(rig: Rig, pose: Motion) -> np.ndarray:
     return seen
 
 
-def _novelty(rig: Rig, pose: Motion, seen: np.ndarray) -> float:
+def _novelty(rig: TrueRig, pose: Motion, seen: np.ndarray) -> float:
     return float((_cells(rig, pose) / (1 + seen) ** 2).sum())

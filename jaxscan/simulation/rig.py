@@ -89,7 +89,7 @@ class Sheet:
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
+class TrueRig:
     """Camera, sheets and axis, ready for rendering."""
 
     config: SimulationConfig
@@ -119,7 +119,7 @@ UP = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u"
 
 
 @lru_cache(maxsize=4)
-def make_rig(config: SimulationConfig) -> Rig:
+def make_rig(config: SimulationConfig) -> TrueRig:
     """The rig of a configuration; the last few are kept."""
     rays = ray_table(config.camera)
     direction, point = turning_axis(config.turntable)
@@ -133,7 +133,7 @@ def make_rig(config: SimulationConfig) -> Rig:
     rotation = np.stack([x, np.cross(direction, x), direction])
     base = Motion(rotation, -rotation @ point)
     sheets = tuple(_sheet(laser, config, rays) for laser in config.laser)
-    return Rig(config, rays, sheets, direction, point, base)
+    return TrueRig(config, rays, sheets, direction, point, base)
 
 
 def turning_axis(spec: TurntableSpec) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ import numpy as np
 from jaxscan.simulation.boards import SeenBoard
 from jaxscan.simulation.optics import psf_weights, splat
 from jaxscan.simulation.rays import Numbers
-from jaxscan.simulation.rig import Motion, Rig, Sheet
+from jaxscan.simulation.rig import Motion, Sheet, TrueRig
 from jaxscan.simulation.scene.scene import Scene
 
 
@@ -43,8 +43,21 @@ class RowTruth(NamedTuple):
     valid: np.ndarray
 
 
+class LitScene(NamedTuple):
+    """A scene at one angle of the table, lit by one laser."""
+
+    rig: TrueRig
+    sheet: Sheet
+    """The laser that is lit."""
+    scene: Scene
+    pose: Motion
+    """T_scanner_cam."""
+    board: SeenBoard | None
+    """A board in front of the scene."""
+
+
 class Hits(NamedTuple):
-    """What rays (x, y, z) meet, n of them, camera frame."""
+    """Where rays (x, y, z) end, n of them, camera frame."""
 
     depth: np.ndarray
     points: np.ndarray
@@ -56,19 +69,14 @@ class Hits(NamedTuple):
     """Board coordinates [m]; without meaning beside the board."""
 
 
-def laser_image(
-    rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, depth: np.ndarray, board: SeenBoard | None
-) -> np.ndarray:
+def laser_image(shot: LitScene, depth: np.ndarray) -> np.ndarray:
     """The laser's light on every pixel, without noise, float32 [height, width], DN.
 
     Args:
-        rig: The rig.
-        sheet: Which laser is lit.
-        scene: What it falls on.
-        pose: T_scanner_cam.
+        shot: The scene and its laser.
         depth: Depth along the ray of every pixel's centre, float32 [height, width]; inf where nothing is.
-        board: A board in front of the scene.
     """
+    rig, sheet = shot.rig, shot.sheet
     height, width = rig.rays.shape
     samples_v, samples_u = SAMPLES_ALONG, samples_across(rig, sheet)
     if sheet.spec.stripe_axis == "columns":
@@ -81,11 +89,11 @@ def laser_image(
     dv = ((np.arange(samples_v) + 0.5) / samples_v - 0.5).repeat(samples_u).astype(np.float32)
     du = np.tile((np.arange(samples_u) + 0.5) / samples_u - 0.5, samples_v).astype(np.float32)
     x, y, z = rig.rays.at(rows, columns, None).moved(du, dv)
-    light = illuminate(rig, sheet, scene, pose, (x.ravel(), y.ravel(), z if isinstance(z, float) else z.ravel()), board)
+    light = illuminate(shot, (x.ravel(), y.ravel(), z if isinstance(z, float) else z.ravel()))
     return splat(light.reshape(x.shape), rows, columns, *weights, (height, width))
 
 
-def samples_across(rig: Rig, sheet: Sheet) -> int:
+def samples_across(rig: TrueRig, sheet: Sheet) -> int:
     """Samples per pixel across the stripe: 8, or more where the sheet is far thinner than a pixel.
 
     A Gaussian sampled at steps h is integrated to 2 exp(-2 (pi w / h)^2); w >= 0.6 h keeps that
@@ -97,9 +105,9 @@ def samples_across(rig: Rig, sheet: Sheet) -> int:
     return int(np.clip(math.ceil(0.6 / thinnest), 8, 32))
 
 
-def illuminate(rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, rays: Rays, board: SeenBoard | None) -> np.ndarray:
+def illuminate(shot: LitScene, rays: Rays) -> np.ndarray:
     """Light of the laser seen along rays (x, y, z), float32 [n], DN on a pixel filled with it."""
-    hits = cast(scene, pose, rays, board)
+    sheet, hits = shot.sheet, cast(shot, rays)
     f = np.float32
     beside = hits.depth * sheet.slope_at(*rays).astype(f) - f(sheet.distance)
     legs = hits.points - sheet.origin.astype(f)
@@ -109,18 +117,16 @@ def illuminate(rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, rays: Rays, b
     fan = _fan(sheet, legs)
     lit = np.flatnonzero((np.abs(beside) < f(_BAND) * thickness) & (cosine > 0) & (fan > 0) & np.isfinite(hits.depth))
     light = np.zeros(len(beside), f)
-    lit = lit[~_shaded(sheet, scene, pose, hits.points[lit], hits.on_board[lit], board)]
+    lit = lit[~_shaded(shot, hits.points[lit], hits.on_board[lit])]
     s = beside[lit] / thickness[lit]
     energy = f(sheet.power / math.sqrt(2 * math.pi)) / (r[lit] * thickness[lit])
-    light[lit] = (
-        energy * cosine[lit] * fan[lit] * np.exp(f(-0.5) * s * s) * _albedo(sheet, scene, pose, hits, lit, board)
-    )
+    light[lit] = energy * cosine[lit] * fan[lit] * np.exp(f(-0.5) * s * s) * _albedo(shot, hits, lit)
     return light
 
 
-def cast(scene: Scene, pose: Motion, rays: Rays, board: SeenBoard | None) -> Hits:
-    """What the rays (x, y, z) of the camera meet."""
-    x, y, z = rays
+def cast(shot: LitScene, rays: Rays) -> Hits:
+    """Where the rays (x, y, z) of the camera end."""
+    (x, y, z), scene, pose, board = rays, shot.scene, shot.pose, shot.board
     directions = np.stack([x, y, np.ones_like(x) if isinstance(z, float) else z], -1)
     depth, triangle = scene.cast(pose.translation, pose.turn(directions))
     normal = pose.inverse().turn(scene.normal)[triangle]
@@ -137,13 +143,17 @@ def cast(scene: Scene, pose: Motion, rays: Rays, board: SeenBoard | None) -> Hit
     return Hits(safe, points, np.where(away[:, None], -normal, normal), triangle, on_board, place)
 
 
-def row_truth(
-    rig: Rig, sheet: Sheet, scene: Scene, pose: Motion, depth: np.ndarray, light: np.ndarray, board: SeenBoard | None
-) -> RowTruth:
+def row_truth(shot: LitScene, depth: np.ndarray, light: np.ndarray) -> RowTruth:
     """Centre of the stripe in every line, by following the sheet's zero crossing along it.
 
     Where a line has several, the brightest counts.
+
+    Args:
+        shot: The scene and its laser.
+        depth: As for `laser_image`.
+        light: The laser's light on every pixel, of `laser_image` [height, width].
     """
+    sheet = shot.sheet
     offset = depth * sheet.slope - np.float32(sheet.distance)
     columns_axis = sheet.spec.stripe_axis == "columns"
     if columns_axis:
@@ -151,7 +161,7 @@ def row_truth(
     lines = offset.shape[0]
     found = np.isfinite(offset[:, :-1]) & np.isfinite(offset[:, 1:])
     line, at = np.nonzero(found & ((offset[:, :-1] < 0) != (offset[:, 1:] < 0)))
-    t = rig.rays
+    t = shot.rig.rays
 
     def ray(u: np.ndarray) -> Rays:
         fraction = u - at
@@ -165,7 +175,7 @@ def row_truth(
 
     def beside(u: np.ndarray) -> np.ndarray:
         rays = ray(u)
-        return cast(scene, pose, rays, board).depth * sheet.slope_at(*rays) - sheet.distance
+        return cast(shot, rays).depth * sheet.slope_at(*rays) - sheet.distance
 
     low, high = at.astype(np.float64), at + 1.0
     f_low, f_high = offset[line, at].astype(np.float64), offset[line, at + 1].astype(np.float64)
@@ -178,7 +188,7 @@ def row_truth(
         high, f_high = np.where(left, high, u), np.where(left, f_high, value)
     rays = ray(u)
     # At a jump of depth the sheet is crossed nowhere; a lit centre has light of its own.
-    real = (np.abs(beside(u)) < 2e-5) & (illuminate(rig, sheet, scene, pose, rays, board) > 0)
+    real = (np.abs(beside(u)) < 2e-5) & (illuminate(shot, rays) > 0)
     peak = np.zeros(len(u), np.float32)
     for step in (-1, 0, 1, 2):
         peak = np.maximum(peak, light[line, np.clip(at + step, 0, light.shape[1] - 1)])
@@ -190,13 +200,13 @@ def row_truth(
     chosen = best[valid]
     x, y, z = rays
     kept = x[chosen], y[chosen], z if isinstance(z, float) else z[chosen]
-    points = pose.apply(cast(scene, pose, kept, board).points)
+    points = shot.pose.apply(cast(shot, kept).points)
     truth = RowTruth(np.zeros(lines), np.zeros(lines, np.float32), np.zeros((lines, 3)), valid)
     truth.u[valid], truth.amplitude[valid], truth.xyz[valid] = u[chosen], peak[chosen], points
     return truth
 
 
-def _band(sheet: Sheet, rig: Rig, depth: np.ndarray) -> np.ndarray:
+def _band(sheet: Sheet, rig: TrueRig, depth: np.ndarray) -> np.ndarray:
     """Pixels in which the sheet may light something, bool [height, width]."""
     f = np.float32
     z = np.where(np.isfinite(depth), depth, f(1e6))
@@ -225,23 +235,20 @@ def _fan(sheet: Sheet, legs: np.ndarray) -> np.ndarray:
     return np.clip((half - np.abs(angle)) / f(math.radians(2.0)), 0, 1)
 
 
-def _shaded(
-    sheet: Sheet, scene: Scene, pose: Motion, points: np.ndarray, on_board: np.ndarray, board: SeenBoard | None
-) -> np.ndarray:
-    shaded = scene.blocked(pose.apply(sheet.origin), pose.apply(points))
-    if board is not None:
-        shaded |= ~on_board & board.blocks(sheet.origin, points)
+def _shaded(shot: LitScene, points: np.ndarray, on_board: np.ndarray) -> np.ndarray:
+    origin = shot.sheet.origin
+    shaded = shot.scene.blocked(shot.pose.apply(origin), shot.pose.apply(points))
+    if shot.board is not None:
+        shaded |= ~on_board & shot.board.blocks(origin, points)
     return shaded
 
 
-def _albedo(
-    sheet: Sheet, scene: Scene, pose: Motion, hits: Hits, lit: np.ndarray, board: SeenBoard | None
-) -> np.ndarray:
+def _albedo(shot: LitScene, hits: Hits, lit: np.ndarray) -> np.ndarray:
     channel = np.zeros((3, 1), np.float32)
-    channel[("red", "green", "blue").index(sheet.spec.colour)] = 1
-    albedo = scene.albedo(hits.triangle[lit], pose.apply(hits.points[lit]), channel)[0]
-    if board is not None:
+    channel[("red", "green", "blue").index(shot.sheet.spec.colour)] = 1
+    albedo = shot.scene.albedo(hits.triangle[lit], shot.pose.apply(hits.points[lit]), channel)[0]
+    if shot.board is not None:
         on_board = hits.on_board[lit]
         bx, by = hits.place
-        albedo[on_board] = board.albedo(bx[lit][on_board], by[lit][on_board])
+        albedo[on_board] = shot.board.albedo(bx[lit][on_board], by[lit][on_board])
     return albedo

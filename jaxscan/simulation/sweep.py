@@ -11,11 +11,11 @@ import numpy as np
 from jaxscan.simulation.boards import SeenBoard, cover, make_print
 from jaxscan.simulation.optics import blur
 from jaxscan.simulation.planning import plan_boards
-from jaxscan.simulation.rig import WALL_ALBEDO, Motion, Rig, Sheet, make_rig
+from jaxscan.simulation.rig import WALL_ALBEDO, Motion, Sheet, TrueRig, make_rig
 from jaxscan.simulation.scene.scene import Scene, make_scene
 from jaxscan.simulation.sensor import channels, expose, laser_response, mosaic, speckled
 from jaxscan.simulation.spec import SimulationConfig
-from jaxscan.simulation.stripe import RowTruth, laser_image, row_truth
+from jaxscan.simulation.stripe import LitScene, RowTruth, laser_image, row_truth
 
 
 class ExpectedRecord(NamedTuple):
@@ -63,6 +63,12 @@ def sweep_angles(config: SimulationConfig, *, every: int = 1) -> np.ndarray:
         raise ValueError(f"`every` must be at least 1, got {every}.")
     plan = config.plan
     return np.deg2rad(plan.turn_deg) * np.arange(0, plan.steps, every) / plan.steps
+
+
+def board_pairs(config: SimulationConfig) -> int:
+    """How many pairs of frames a board capture has."""
+    spec = config.boards
+    return (spec.free_views + spec.placements * spec.angles) * len(config.laser)
 
 
 def expect_sweep(config: SimulationConfig, *, every: int = 1) -> Iterator[ExpectedRecord]:
@@ -148,7 +154,7 @@ def develop(record: ExpectedRecord, config: SimulationConfig, rng: np.random.Gen
 
 
 def expect_record(
-    rig: Rig,
+    rig: TrueRig,
     scene: Scene,
     phi: float,
     *,
@@ -178,11 +184,12 @@ def expect_record(
         off[:, *where] = off[:, *where] * (1 - fills) + albedo * light
         depth = np.minimum(depth, in_front)
         scale = _board_power(rig, sheet, in_front)
-    glow = laser_image(rig, sheet, scene, pose, depth, board) * np.float32(scale)
+    shot = LitScene(rig, sheet, scene, pose, board)
+    glow = laser_image(shot, depth) * np.float32(scale)
     if sees is not None:
         # Nothing comes through the lens from beyond its field of view.
         off, glow = off * sees, glow * sees
-    truth = row_truth(rig, sheet, scene, pose, depth, glow, board)
+    truth = row_truth(shot, depth, glow)
     lit = glow * laser_response(sensor, sheet.spec.colour)[:, None, None]
     pixel_format = sensor.pixel_format
     return ExpectedRecord(phi, placement, mosaic(off, pixel_format), mosaic(lit, pixel_format), truth, laser)
@@ -204,7 +211,7 @@ def true_cloud(records: Iterable[ExpectedRecord | RenderedRecord]) -> tuple[np.n
 
 
 def _ambient(
-    rig: Rig, scene: Scene, pose: Motion, rays: np.ndarray, depth: np.ndarray, triangle: np.ndarray
+    rig: TrueRig, scene: Scene, pose: Motion, rays: np.ndarray, depth: np.ndarray, triangle: np.ndarray
 ) -> np.ndarray:
     """The scene in its own light through the lens, float32 [channels, height, width]; 1 is white."""
     weights = channels(rig.config.sensor)
@@ -217,7 +224,7 @@ def _ambient(
     return blur(image, rig.config.sensor.psf_px)
 
 
-def _board_light(rig: Rig, scene: Scene, pose: Motion, board: SeenBoard, where: tuple[slice, slice]) -> np.ndarray:
+def _board_light(rig: TrueRig, scene: Scene, pose: Motion, board: SeenBoard, where: tuple[slice, slice]) -> np.ndarray:
     """The room's light on the board's plane at pixel centres, float32 [rows, columns]."""
     rays = rig.rays.at(*where)
     r2 = board.board_from_camera.rotation[2].astype(np.float32)
@@ -227,7 +234,7 @@ def _board_light(rig: Rig, scene: Scene, pose: Motion, board: SeenBoard, where: 
     return scene.light(points, normal, pose.translation)
 
 
-def _board_power(rig: Rig, sheet: Sheet, depth: np.ndarray) -> float:
+def _board_power(rig: TrueRig, sheet: Sheet, depth: np.ndarray) -> float:
     """Factor on the laser's power that makes its stripe on the board as bright as wanted."""
     spec, laser = rig.config.boards, sheet.spec
     seen = np.isfinite(depth)

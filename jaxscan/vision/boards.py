@@ -1,12 +1,19 @@
 """Board corners in images, by OpenCV, and pictures of boards for the simulator."""
 
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import cv2
 import numpy as np
 
 from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
-from jaxscan.vision.refine import refine_corners
+from jaxscan.observation.corners import (
+    SMALL_SQUARE_PX,
+    FoundCorners,
+    fit_found_corners,
+    is_enough,
+    marker_gap,
+    square_sizes,
+)
 
 
 Detector = Literal["auto", "sb", "classic"]
@@ -14,24 +21,7 @@ Detector = Literal["auto", "sb", "classic"]
 # What each way of finding corners leaves as noise on a sharp, well exposed board: a prior for
 # corners to which the model of a blurred crossing was not fitted, which measures its own.
 _SIGMA_PX = {"auto": 0.035, "sb": 0.10, "classic": 0.035, "charuco": 0.06}
-# Squares that are projected smaller than this [px] hold fewer edge pixels than a corner needs.
-_SMALL_SQUARE_PX = 12.0
 _MIN_CORNERS = 6
-WINDOW_SHARE = 0.3
-"""A window of this share of a square to either side stays clear of the next corner."""
-# The blur of a marker's edge reaches so far [px].
-_MARKER_BLUR_PX = 1.5
-
-
-class FoundCorners(NamedTuple):
-    """Corners of one board in one image, in the order of `board.corners()`."""
-
-    q: np.ndarray
-    """float64 [corners, 2]: (u, v) [px]; 0 where not valid."""
-    sigma: np.ndarray
-    """float64 [corners]: standard deviation of each coordinate [px]; 1 where not valid."""
-    valid: np.ndarray
-    """bool [corners]."""
 
 
 def find_corners(
@@ -50,7 +40,7 @@ def find_corners(
         image: uint8 [rows, columns].
         board: What to look for.
         detector: "auto": chessboards by sectors, or by the classic way where that finds nothing,
-            and each corner placed by `refine_corners` (where its model does not fit, by
+            and each corner placed by `fit_corners` (where its model does not fit, by
             `cornerSubPix`). "classic": OpenCV's first detector and `cornerSubPix` (of a ChArUco
             board, the latter alone). "sb": the sector based detector as it is.
         half_window: Half the side of the window in which corners are refined [px], instead of
@@ -72,7 +62,7 @@ def find_corners(
         found = _find_chessboard(image, board, detector, half_window)
     else:
         raise ValueError(f"No corner detector for a board of type {type(board).__name__}.")
-    return _fitted(image, found, board, half_window) if found is not None and detector == "auto" else found
+    return fit_found_corners(image, found, board, half_window) if found is not None and detector == "auto" else found
 
 
 def board_texture(board: AbstractBoard, pixels_per_square: int) -> np.ndarray:
@@ -107,7 +97,7 @@ def _find_chessboard(
         # The sector detector finds the most boards; its corners are biased by some hundredths of
         # a pixel per view, which the gradient-based refinement is not. A window that reaches the
         # neighbouring corners would move the corner towards them.
-        smallest = _square_sizes(q, np.ones(len(q), bool), board).min()
+        smallest = square_sizes(q, np.ones(len(q), bool), board).min()
         q = _refine(image, q, half_window or int(np.clip(np.floor(smallest / 3), 2, 11)))
     q = _canonical_order(image, q, board)
     return _with_sigma(q, np.ones(len(q), bool), board, _SIGMA_PX[used])
@@ -172,10 +162,10 @@ def _find_charuco(image: np.ndarray, board: Charuco, half_window: int | None) ->
     q[index], valid[index] = _points(corners), True
     if not is_enough(board, valid):
         return None
-    sizes = _square_sizes(q, valid, board)
+    sizes = square_sizes(q, valid, board)
     # The markers begin (1 - marker / square) / 2 of a square away; a window that reaches them
     # spoils the corner, and without refinement it is off by some tenths of a pixel.
-    half = int(np.clip(np.floor(min(0.25, 1.3 * _marker_gap(board)) * sizes[valid].min()), 2, 11))
+    half = int(np.clip(np.floor(min(0.25, 1.3 * marker_gap(board)) * sizes[valid].min()), 2, 11))
     refined = _refine(image, q[valid], half_window or half)
     moved = np.hypot(*(refined - q[valid]).T)
     q[valid] = refined
@@ -184,54 +174,6 @@ def _find_charuco(image: np.ndarray, board: Charuco, half_window: int | None) ->
     if not is_enough(board, valid):
         return None
     return _with_sigma(np.where(valid[:, None], q, 0.0), valid, board, _SIGMA_PX["charuco"])
-
-
-def _marker_gap(board: Charuco) -> float:
-    """Distance of the markers from the edges of their squares, in squares."""
-    return 0.5 * (1.0 - board.marker / board.square)
-
-
-def _fitted(image: np.ndarray, found: FoundCorners, board: AbstractBoard, half_window: int | None) -> FoundCorners:
-    """The corners placed by the model of a blurred crossing, as far as it fits."""
-    edges, known = edge_directions(found.q, found.valid, board)
-    use = np.flatnonzero(found.valid & known)
-    sizes = _square_sizes(found.q, found.valid, board)[use]
-    half = WINDOW_SHARE * sizes if half_window is None else np.full(len(use), float(half_window))
-    fit = refine_corners(image, found.q[use], edges[use], half, clear=clear_of_markers(board, sizes))
-    q, sigma = found.q.copy(), found.sigma.copy()
-    q[use[fit.valid]], sigma[use[fit.valid]] = fit.q[fit.valid], fit.sigma[fit.valid]
-    return FoundCorners(q, sigma, found.valid)
-
-
-def clear_of_markers(board: AbstractBoard, sizes: np.ndarray) -> np.ndarray | None:
-    """How far [px] from both edges pixels may lie and show no marker, for squares of `sizes` [px]; None: anywhere."""
-    return np.maximum(_marker_gap(board) * sizes - _MARKER_BLUR_PX, 2.0) if isinstance(board, Charuco) else None
-
-
-def edge_directions(q: np.ndarray, valid: np.ndarray, board: AbstractBoard) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors [corners, 2 (along x, along y), 2] of the edges at every corner, by its neighbours.
-
-    Returns:
-        edges: As above; zero where not known.
-        known: bool [corners]: there is a neighbour along either edge.
-    """
-    columns, rows = board.grid()
-    grid, seen = q.reshape(rows, columns, 2), valid.reshape(rows, columns)
-    edges = np.zeros((rows, columns, 2, 2))
-    for k, axis in enumerate((1, 0)):
-        before, after = _neighbours(axis)
-        step = np.where((seen[before] & seen[after])[..., None], grid[after] - grid[before], 0.0)
-        edges[(*before, k)] += step
-        edges[(*after, k)] += step
-    length = np.linalg.norm(edges, axis=-1, keepdims=True)
-    edges = edges / np.where(length > 0, length, 1.0)
-    return edges.reshape(-1, 2, 2), ((length > 0).all((2, 3)) & seen).ravel()
-
-
-def _neighbours(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Every corner that has a next one along an axis of the grid, and that next one."""
-    whole, first, second = slice(None), slice(None, -1), slice(1, None)
-    return ((first, whole), (second, whole)) if axis == 0 else ((whole, first), (whole, second))
 
 
 def _points(corners: np.ndarray) -> np.ndarray:
@@ -245,30 +187,6 @@ def _refine(image: np.ndarray, q: np.ndarray, half: int) -> np.ndarray:
     return _points(cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria))
 
 
-def _square_sizes(q: np.ndarray, valid: np.ndarray, board: AbstractBoard) -> np.ndarray:
-    """Shortest side of the projected squares at every corner [px], [corners]."""
-    columns, rows = board.grid()
-    grid, seen = q.reshape(rows, columns, 2), valid.reshape(rows, columns)
-    size = np.full((rows, columns), np.inf)
-    for axis in (0, 1):
-        a, b = _neighbours(axis)
-        side = np.where(seen[a] & seen[b], np.linalg.norm(grid[a] - grid[b], axis=-1), np.inf)
-        size[a], size[b] = np.minimum(size[a], side), np.minimum(size[b], side)
-    known = np.isfinite(size)
-    size[~known] = size[known].min() if known.any() else _SMALL_SQUARE_PX
-    return size.ravel()
-
-
 def _with_sigma(q: np.ndarray, valid: np.ndarray, board: AbstractBoard, sigma_px: float) -> FoundCorners:
-    sigma = sigma_px * np.hypot(1.0, _SMALL_SQUARE_PX / _square_sizes(q, valid, board))
+    sigma = sigma_px * np.hypot(1.0, SMALL_SQUARE_PX / square_sizes(q, valid, board))
     return FoundCorners(q, np.where(valid, sigma, 1.0), valid)
-
-
-def is_enough(board: AbstractBoard, valid: np.ndarray) -> bool:
-    """Whether the corners that are valid [corners] fix a pose: 6 or more that are not on one line."""
-    points = board.corners()[valid, :2]
-    if len(points) < _MIN_CORNERS:
-        return False
-    # On a grid the narrowest spread that is not a line is large.
-    spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
-    return bool(spread[1] > 0.05 * spread[0])

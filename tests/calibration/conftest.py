@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration import BoardViews, Observations, StripeViews
 from jaxscan.geometry import Chessboard
+from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
 @dataclass(frozen=True)

@@ -37,13 +37,13 @@ def test_perfect_data_recover_the_truth(world, perfect):
     # Rounding of float64 pixels only; what the priors pull is scaled down with the noise.
     assert np.abs(error).max() < 1e-6
     assert calibration.order == calibration.scanner.parameter_names()
-    assert calibration.quality["corner_rms_px"] < 1e-7
-    assert calibration.quality["corners_rejected"] == 0
+    assert calibration.quality.corner_rms_px < 1e-7
+    assert calibration.quality.corners_rejected == 0
 
 
 def test_residuals_are_one_standard_deviation(noisy):
     for group in ("corner", "stripe"):
-        rms = np.array([c.quality[f"{group}_rms_whitened"] for c in noisy])
+        rms = np.array([getattr(c.quality, f"{group}_rms_whitened") for c in noisy])
         # Eight times about 2500 corner coordinates, or 1000 stripe points: 1 / sqrt(2 n) = 0.8 %
         # at most; 3 standard deviations of the mean and 4 of one.
         assert abs(rms.mean() - 1.0) < 0.01
@@ -91,7 +91,7 @@ def test_poison_in_entries_that_are_not_valid_changes_nothing(world, perfect):
     a, b = calibrate_observations(clean), calibrate_observations(poisoned)
     np.testing.assert_array_equal(a.covariance, b.covariance)
     np.testing.assert_array_equal(a.camera.distortion, b.camera.distortion)
-    assert a.quality["views"] == 19
+    assert a.quality.views == 19
 
 
 def test_gross_errors_are_rejected(world, perfect, noisy):
@@ -117,14 +117,14 @@ def test_gross_errors_are_rejected(world, perfect, noisy):
     ratio = np.sqrt(np.diag(calibration.covariance)[free] / np.diag(noisy[0].covariance)[free])
     assert ratio.max() < 1.3
     # A tenth of the 8 px errors lies within one px in both coordinates and may stay.
-    assert calibration.quality["corners_rejected"] > 0.8 * wrong_corners.sum()
+    assert calibration.quality.corners_rejected > 0.8 * wrong_corners.sum()
 
 
 def test_the_noise_is_estimated(world, perfect):
     calibration = calibrate_observations(world.with_noise(perfect, 3, corner=2.0, stripe=0.5))
     quality = calibration.quality
-    assert quality["corner_noise_over_sigma"] == pytest.approx(2.0, rel=0.08)
-    assert quality["stripe_noise_over_sigma"] == pytest.approx(0.5, rel=0.10)
+    assert quality.corner_noise_over_sigma == pytest.approx(2.0, rel=0.08)
+    assert quality.stripe_noise_over_sigma == pytest.approx(0.5, rel=0.10)
     value, size = normalised_error(calibration, world.errors(calibration.scanner, world.Rig()))
     assert value < size + 4 * np.sqrt(2 * size)
 
@@ -132,12 +132,12 @@ def test_the_noise_is_estimated(world, perfect):
 def test_a_bowed_board_is_found_out(world):
     rig = world.Rig(warp=(5e-4, -3e-4))
     calibration = calibrate_observations(world.observe(rig))
-    np.testing.assert_allclose(calibration.quality["board_warp_m"], rig.warp, atol=1e-9)
+    np.testing.assert_allclose(calibration.quality.board_warp_m, rig.warp, atol=1e-9)
     assert np.abs(world.errors(calibration.scanner, rig)).max() < 1e-6
     free = tuple(block for block in CalibrationSettings().free if block != "warp")
     flat = calibrate_observations(world.observe(rig), settings=CalibrationSettings(free=free, judge=False))
-    assert flat.quality["board_warp_m"] == [0.0, 0.0]
-    assert flat.quality["corner_rms_px"] > 0.02
+    assert flat.quality.board_warp_m == (0.0, 0.0)
+    assert flat.quality.corner_rms_px > 0.02
 
 
 def test_a_table_with_angle_errors_does_not_make_the_covariance_lie(world):
@@ -212,7 +212,7 @@ def test_monte_carlo(world, perfect):
     values = np.array([normalised_error(c, e)[0] for c, e in zip(runs, error, strict=True)])
     assert values.mean() < free.sum() + 3 * np.sqrt(2 * free.sum() / len(runs))
     for group in ("corner", "stripe"):
-        rms = np.array([c.quality[f"{group}_rms_whitened"] for c in runs])
+        rms = np.array([getattr(c.quality, f"{group}_rms_whitened") for c in runs])
         assert np.mean(rms**2) == pytest.approx(1.0, abs=0.01)
 
 

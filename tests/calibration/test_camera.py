@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxscan.calibration import BoardViews, CalibrationSettings, Observations, Priors, StripeViews, calibrate_camera
+from jaxscan.calibration import CalibrationSettings, Priors, calibrate_camera
 from jaxscan.geometry import Chessboard, fit_axis, fit_plane, plane_sigma
+from jaxscan.observation import BoardViews, Observations, StripeViews
 from jaxscan.vision.boards import find_corners
 
 
@@ -76,7 +77,7 @@ def test_same_minimum_as_opencv(world):
         [camera.fx, camera.fy, camera.cx, camera.cy], [k[0, 0], k[1, 1], k[0, 2], k[1, 2]], atol=1e-3
     )
     np.testing.assert_allclose(camera.distortion, d.ravel(), atol=1e-5)
-    assert calibration.quality["corner_rms_px"] == pytest.approx(rms, rel=1e-4)
+    assert calibration.quality.corner_rms_px == pytest.approx(rms, rel=1e-4)
     assert calibration.scanner is None
     assert calibration.order == camera.parameter_names()
     assert calibration.covariance.shape == (9, 9)
@@ -112,7 +113,7 @@ def test_ciclop(detector, most):
     reference = json.loads((DATA / "ciclop/reference.json").read_text())["measured"]["intrinsics"]
     calibration = calibrate_camera(observed, settings=QUICK)
     camera = calibration.camera
-    assert len(calibration.quality["per_view"]) == 16
+    assert len(calibration.quality.per_view) == 16
     # The reference is a plain solve by OpenCV; rejecting 2 % of the corners moves it by less than
     # one of its standard deviations, 0.6 px.
     np.testing.assert_allclose(
@@ -120,8 +121,8 @@ def test_ciclop(detector, most):
     )
     # With all corners OpenCV's minimum is 0.2415 px (classic) and 0.2225 px (SB); ours minimises
     # the kept ones, so it is a little above.
-    assert calibration.quality["corner_rms_all_px"] <= most
-    assert calibration.quality["corner_rms_px"] <= calibration.quality["corner_rms_all_px"]
+    assert calibration.quality.corner_rms_all_px <= most
+    assert calibration.quality.corner_rms_px <= calibration.quality.corner_rms_all_px
 
 
 @pytest.mark.parametrize(
@@ -138,17 +139,17 @@ def test_ciclop(detector, most):
 def test_opencv_chessboards(side, detector):
     observed = pictures(f"opencv_stereo_chess/{side}*.jpg", Chessboard(9, 6, 0.025), detector)
     calibration = calibrate_camera(observed, settings=QUICK)
-    assert calibration.quality["corner_rms_px"] <= 0.26
-    assert calibration.quality["corner_rms_all_px"] <= 0.26
+    assert calibration.quality.corner_rms_px <= 0.26
+    assert calibration.quality.corner_rms_all_px <= 0.26
     if side == "left":
         assert 531 <= float(calibration.camera.fx) <= 537
         assert 531 <= float(calibration.camera.fy) <= 537
         # left02 has the smallest squares; a window that reaches the next corner makes it 1.2 px.
-        assert max(view["corner_rms_px"] for view in calibration.quality["per_view"]) < (
+        assert max(view.corner_rms_px for view in calibration.quality.per_view) < (
             0.4 if detector == "classic" else 0.8
         )
     # The same board in both cameras: bowed by -0.17 mm along its short side, to 0.02 mm.
-    assert calibration.quality["board_warp_m"][1] == pytest.approx(-1.7e-4, abs=4e-5)
+    assert calibration.quality.board_warp_m[1] == pytest.approx(-1.7e-4, abs=4e-5)
 
 
 def test_ciclop_laser_plane():

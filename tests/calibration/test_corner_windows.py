@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxscan.calibration import BoardViews, CalibrationSettings, Observations, StripeViews, calibrate_camera
+from jaxscan.calibration import CalibrationSettings, calibrate_camera
 from jaxscan.geometry import Chessboard
+from jaxscan.observation import BoardViews, Observations, StripeViews
 from jaxscan.vision.boards import find_corners
 
 
@@ -53,17 +54,17 @@ def solve(pattern, board, **options):
 )
 def test_fitted_corners_agree_better_than_gradient_ones(pattern, board, most):
     quality, names = solve(pattern, board)
-    assert quality["corner_rms_all_px"] < most
-    assert len(quality["per_view"]) == len(names)
+    assert quality.corner_rms_all_px < most
+    assert len(quality.per_view) == len(names)
 
 
 def test_a_window_that_reaches_the_next_corner_is_told_by_its_view():
     """Half a window of 11 px is more than left02's smallest squares leave."""
     quality, names = solve("opencv_stereo_chess/left*.jpg", Chessboard(9, 6, 0.025), detector="classic", half_window=11)
-    rms = np.array([view["corner_rms_px"] for view in quality["per_view"]])
+    rms = np.array([view.corner_rms_px for view in quality.per_view])
     worst = int(np.argmax(rms))
     assert names[worst] == "left02"
     assert rms[worst] > 1.0 and rms[worst] > 5 * np.median(rms)
     # And it alone is named.
-    named = [name for index, name in enumerate(names) if any(f"record {index}" in w for w in quality["warnings"])]
+    named = [name for index, name in enumerate(names) if any(f"record {index}" in w for w in quality.warnings)]
     assert named == ["left02"]

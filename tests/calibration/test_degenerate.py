@@ -104,3 +104,40 @@ def test_what_is_not_determined_is_named(world):
     message = refusal(seen, lambda data: calibrate_observations(data, settings=CalibrationSettings(priors=free)))
     assert "gain" in message or "s1" in message
     assert "capture placements" in message
+
+
+class TestConvergence:
+    """Nothing is diagnosed from a solve that did not end at a minimum."""
+
+    def test_too_few_steps_for_a_first_camera(self, observed):
+        few = CalibrationSettings(max_steps=1)
+        message = refusal(observed, lambda data: calibrate_observations(data, settings=few))
+        assert message.startswith("The solve did not converge in 1 step") and "max_steps" in message
+        assert "steps per turn" not in message
+
+    def test_too_few_steps_for_a_camera_alone(self, observed):
+        quality = calibrate_camera(observed, settings=CalibrationSettings(max_steps=1)).quality
+        assert quality.converged is False
+        assert quality.verdict.accepted is False and quality.verdict.tests == ()
+        (advice,) = quality.verdict.advice
+        assert advice.startswith("The solve did not converge in 1 step")
+        assert quality.unobserved == quality.spectrum == quality.warnings == () and quality.lengths is None
+        # The residuals are told: there they show where it hangs.
+        assert quality.corner_rms_px > 0.2 and len(quality.per_view) == quality.views
+
+    def test_enough_steps(self, observed):
+        assert calibrate_camera(observed).quality.converged is True
+        quality = calibrate_observations(observed, settings=CalibrationSettings(judge=False)).quality
+        assert quality.converged is True and quality.verdict is None
+
+    def test_only_the_last_solve_counts(self, observed):
+        """The rough rounds may stop early: one step each is too few for some, and enough for the last ones."""
+        steps = [calibrate_camera(observed, settings=CalibrationSettings(max_steps=n)).quality for n in (2, 3, 6)]
+        assert [quality.converged for quality in steps][-1] is True
+
+    def test_a_weak_capture_may_converge(self, world):
+        """Two angles say nothing of the table's harmonics; their priors hold them, and the advice says so."""
+        seen = world.with_noise(world.observe(world.Rig(), angles=2), 0)
+        quality = calibrate_observations(seen).quality
+        assert quality.converged is True
+        assert quality.unobserved and any("angle errors" in line for line in quality.verdict.advice)

@@ -39,7 +39,7 @@ def test_perfect_data_recover_the_truth(world, perfect):
     # Rounding of float64 pixels only; what the priors pull is scaled down with the noise.
     assert np.abs(world.errors(calibration.scanner, wide(world))).max() < 1e-6
     assert calibration.order[:8] == ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
-    assert calibration.quality["corners_rejected"] == 0
+    assert calibration.quality.corners_rejected == 0
     # Corners were seen beside the camera and behind its plane: pi / 2 lies at this radius.
     t, (k1, k2, k3, k4) = np.pi / 2, wide(world).lens
     radius = 305.0 * (t + k1 * t**3 + k2 * t**5 + k3 * t**7 + k4 * t**9)
@@ -56,8 +56,8 @@ def test_errors_are_as_the_covariance_says(world, perfect):
         assert np.abs(single).max() < 4.5
         total, count = total + nees, count + len(single)
         # 1 / sqrt(2 n) of the 3000 corner coordinates is 1.3 %, of the 800 stripe points 2.5 %; four of them.
-        assert calibration.quality["corner_rms_whitened"] == pytest.approx(1.0, abs=0.055)
-        assert calibration.quality["stripe_rms_whitened"] == pytest.approx(1.0, abs=0.10)
+        assert calibration.quality.corner_rms_whitened == pytest.approx(1.0, abs=0.055)
+        assert calibration.quality.stripe_rms_whitened == pytest.approx(1.0, abs=0.10)
     # Chi-squared; four to five numbers per solve are known from priors that are the truth here.
     assert count - 5 * 4 - 4 * np.sqrt(2 * count) < total < count + 4 * np.sqrt(2 * count)
 
@@ -93,7 +93,7 @@ def test_same_minimum_as_opencv(world):
         [camera.fx, camera.fy, camera.cx, camera.cy], [k[0, 0], k[1, 1], k[0, 2], k[1, 2]], atol=1e-3
     )
     np.testing.assert_allclose(camera.distortion, d.ravel(), atol=1e-5)
-    assert calibration.quality["corner_rms_px"] == pytest.approx(rms, rel=1e-6)
+    assert calibration.quality.corner_rms_px == pytest.approx(rms, rel=1e-6)
     assert calibration.order == camera.parameter_names()
     sigma = np.sqrt(np.diag(calibration.covariance))
     assert abs(camera.fx - rig.focal[0]) < 4 * sigma[0]

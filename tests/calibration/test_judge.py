@@ -10,7 +10,7 @@ import pytest
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.calibration.verdict.extra_terms import turning_twist
 from jaxscan.calibration.verdict.halves import deal_halves
-from jaxscan.calibration.verdict.judge import chance
+from jaxscan.calibration.verdict.limits import chance
 from jaxscan.geometry import exponential, invert
 
 
@@ -23,7 +23,7 @@ def without(*blocks):
 
 def verdict(observed, settings=None):
     quality = calibrate_observations(observed, settings=settings or CalibrationSettings()).quality
-    return quality["verdict"], {test["name"]: test for test in quality["verdict"]["tests"]}
+    return quality.verdict, {test.name: test for test in quality.verdict.tests}
 
 
 @pytest.fixture(scope="module")
@@ -33,12 +33,12 @@ def clean(world):
 
 def test_clean_data_are_accepted(clean):
     judged, tests = verdict(clean)
-    assert judged["accepted"] and judged["p"] > 0.01
+    assert judged.accepted and judged.p > 0.01
     assert set(tests) == {"lens", "board", "table", "axis", "sheet", "halves"}
     # The statistics are chi-squared: their degrees of freedom, within five standard deviations.
     for test in tests.values():
-        assert abs(test["statistic"] - test["dof"]) < 5.0 * np.sqrt(2.0 * test["dof"]) or test["dof"] <= 2
-    assert isinstance(judged["advice"], list)
+        assert abs(test.statistic - test.dof) < 5.0 * np.sqrt(2.0 * test.dof) or test.dof <= 2
+    assert isinstance(judged.advice, tuple)
 
 
 @pytest.mark.parametrize(
@@ -52,8 +52,8 @@ def test_clean_data_are_accepted(clean):
 def test_what_is_wrong_is_named(world, rig, held, name):
     # The clean data's poses and noise: fixed shapes, one compilation.
     judged, tests = verdict(world.with_noise(world.observe(world.Rig(**rig)), 1), without(held))
-    assert not judged["accepted"]
-    assert tests[name]["p_structure"] < 1e-3
+    assert not judged.accepted
+    assert tests[name].p_structure < 1e-3
 
 
 def test_a_bowed_sheet_is_named(world, clean):
@@ -63,17 +63,17 @@ def test_a_bowed_sheet_is_named(world, clean):
     bend = 0.15 * ((v - 512) / 300) ** 2
     moved = stripes.q + np.where(stripes.valid, bend, 0.0)[..., None] * np.array([1.0, 0.0])
     _, tests = verdict(replace(clean, stripes=replace(stripes, q=moved)))
-    assert tests["sheet"]["p_structure"] < 1e-3
+    assert tests["sheet"].p_structure < 1e-3
     # The corners suffer a little from the compromise, the sheet far more.
-    assert tests["sheet"]["p_structure"] == min(test["p_structure"] for test in tests.values())
+    assert tests["sheet"].p_structure == min(test.p_structure for test in tests.values())
 
 
 def test_noise_that_was_promised_smaller_is_no_structure(world, clean):
     sigma = clean.corners.sigma / 3.0
     judged, tests = verdict(replace(clean, corners=replace(clean.corners, sigma=sigma)))
-    assert judged["accepted"] and tests["lens"]["p_structure"] > 1e-3
+    assert judged.accepted and tests["lens"].p_structure > 1e-3
     # With the detector at its word, nine times the expected squares are no chance.
-    assert judged["p"] < 1e-6
+    assert judged.p < 1e-6
 
 
 def test_turning_is_the_derivative_of_the_board_pose_by_the_angle(clean):
@@ -108,7 +108,7 @@ def test_many_tests_have_many_chances():
 def test_terms_are_finite_without_stripes_and_turning(world):
     from jaxscan.calibration import calibrate_camera
 
-    judged = calibrate_camera(world.with_noise(world.observe(world.Rig(), free=12, placements=0), 0)).quality["verdict"]
-    assert {test["name"] for test in judged["tests"]} == {"lens", "board", "halves"}
-    assert judged["accepted"]
-    assert jnp.isfinite(jnp.array([test["p"] for test in judged["tests"]])).all()
+    judged = calibrate_camera(world.with_noise(world.observe(world.Rig(), free=12, placements=0), 0)).quality.verdict
+    assert {test.name for test in judged.tests} == {"lens", "board", "halves"}
+    assert judged.accepted
+    assert jnp.isfinite(jnp.array([test.p for test in judged.tests])).all()

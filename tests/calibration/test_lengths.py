@@ -1,6 +1,5 @@
 """What a covariance means in millimetres, against closed forms and against draws."""
 
-import json
 from dataclasses import replace
 
 import jax
@@ -71,11 +70,11 @@ def test_depth_goes_with_the_distance_of_the_sheet():
     distance = float(scanner.lasers.distance[0])
     q = stripe_pixels(scanner, 0, 4.0)
     np.testing.assert_allclose(depth_sigma(scanner, 0, q), 4.0 / distance * 1e-4, rtol=1e-9)
-    for entry in predict_lengths(scanner)["lasers"][0]["depths"]:
-        expected = 1000.0 * entry["depth_m"] / distance * 1e-4
-        assert entry["sigma_depth_mm"] == pytest.approx(expected, rel=1e-9)
+    for entry in predict_lengths(scanner).lasers[0].depths:
+        expected = 1000.0 * entry.depth_m / distance * 1e-4
+        assert entry.sigma_depth_mm == pytest.approx(expected, rel=1e-9)
         # At the nearest depth, 0.6 m, ranges are up to hypot(1, 0.53, 0.46) = 1.22 times the depth.
-        assert expected < entry["sigma_range_mm"] < 1.22 * expected
+        assert expected < entry.sigma_range_mm < 1.22 * expected
     within = typical_lengths(scanner, 0)[0]
     assert within.name == "along the stripe"
     np.testing.assert_allclose(length_sigma(scanner, [within]), 0.3 / distance * 1e-4, rtol=1e-6)
@@ -89,7 +88,7 @@ def test_a_fisheye_is_judged_alike():
     assert len(q) == 1200
     np.testing.assert_allclose(stripe_depths(scanner, 0, q), 2.5, atol=1e-9)
     np.testing.assert_allclose(depth_sigma(scanner, 0, q), 2.5 / float(scanner.lasers.distance[0]) * 1e-4, rtol=1e-9)
-    names = [length["name"] for length in predict_lengths(scanner)["lasers"][0]["lengths"]]
+    names = [length.name for length in predict_lengths(scanner).lasers[0].lengths]
     assert names == ["along the stripe", "across the sweep", "half a turn", "half a turn"]
 
 
@@ -122,16 +121,16 @@ def test_scale_stretches_every_length_alike():
     # Wall to wall, through the axis 0.05 m behind and 0.2 m beside the camera.
     np.testing.assert_allclose(value[2:], [3.92, 6.26], atol=0.01)
     np.testing.assert_allclose(length_sigma(scanner, lengths), share * value, rtol=1e-6)
-    entry = next(e for e in predict_lengths(scanner)["lasers"][0]["depths"] if e["depth_m"] == 2.5)
-    assert entry["sigma_depth_mm"] == pytest.approx(2.5e3 * share, rel=1e-6)
+    entry = next(e for e in predict_lengths(scanner).lasers[0].depths if e.depth_m == 2.5)
+    assert entry.sigma_depth_mm == pytest.approx(2.5e3 * share, rel=1e-6)
     # A full turn is stretched about its middle, which no rigid motion undoes: 2.55 m is the radius.
-    assert entry["sigma_point_mm"] == pytest.approx(np.hypot(2.56, 0.68) * 1e3 * share, rel=0.03)
+    assert entry.sigma_point_mm == pytest.approx(np.hypot(2.56, 0.68) * 1e3 * share, rel=0.03)
 
 
 def test_where_the_cloud_lies_is_no_error():
     # c1 (cos phi - 1) turns all points alike by its constant, and shifts them by half of its wave.
     scanner = uncertain(room_rig(), c1=1e-4)
-    entry = next(e for e in predict_lengths(scanner)["lasers"][0]["depths"] if e["depth_m"] == 2.5)
+    entry = next(e for e in predict_lengths(scanner).lasers[0].depths if e.depth_m == 2.5)
     rows = stripe_pixels(scanner, 0, 2.5)[np.linspace(0, 1199, 8).round().astype(int)]
     q, angle = np.tile(rows, (24, 1)), np.repeat(2 * np.pi * np.arange(24) / 24, 8)
     step = np.zeros(len(scanner.parameter_names()))
@@ -143,8 +142,8 @@ def test_where_the_cloud_lies_is_no_error():
     u, _, vt = np.linalg.svd(a.T @ b)
     left = np.sqrt(np.mean(np.sum((b - a @ u @ vt) ** 2, axis=-1)))
     # The linear form is off by the square of 0.1 mrad.
-    assert entry["sigma_point_mm"] == pytest.approx(1e3 * left, rel=1e-3)
-    assert 1e3 * np.sqrt(np.mean(np.sum((true - moved) ** 2, axis=-1))) > 2 * entry["sigma_point_mm"]
+    assert entry.sigma_point_mm == pytest.approx(1e3 * left, rel=1e-3)
+    assert 1e3 * np.sqrt(np.mean(np.sum((true - moved) ** 2, axis=-1))) > 2 * entry.sigma_point_mm
 
 
 def test_prediction_is_what_draws_show(realistic):
@@ -182,19 +181,18 @@ def test_small_rig_with_two_lasers_and_a_stripe_along_the_rows():
     scanner = Scanner(camera, stack_lasers([upright, level]), table, laser_names=("upright", "level"))
     scanner = replace(scanner, covariance=np.eye(len(scanner.parameter_names())) * 1e-10)
     prediction = predict_lengths(scanner)
-    assert json.loads(json.dumps(prediction)) == prediction
-    first, second = prediction["lasers"]
-    assert (first["name"], second["name"]) == ("upright", "level")
+    first, second = prediction.lasers
+    assert (first.name, second.name) == ("upright", "level")
     # Up to twice the distance of the table; nearer than 0.2 m the sheets leave the image.
-    assert [entry["depth_m"] for entry in first["depths"]] == [0.25, 0.4, 0.6]
-    assert {entry["lines"] for entry in first["depths"]} == {960}
-    assert {entry["lines"] for entry in second["depths"]} == {1280}
+    assert [entry.depth_m for entry in first.depths] == [0.25, 0.4, 0.6]
+    assert {entry.lines for entry in first.depths} == {960}
+    assert {entry.lines for entry in second.depths} == {1280}
     # The middle depth is 0.4 m: lengths are 12 % of it. Two sides of an object are under 0.2 m apart.
-    lengths = {entry["name"]: entry for entry in first["lengths"]}
-    assert lengths["along the stripe"]["length_m"] == pytest.approx(0.048, abs=1e-6)
-    assert lengths["across the sweep"]["length_m"] == pytest.approx(0.048, abs=1e-6)
-    assert 0.05 < lengths["half a turn"]["length_m"] < 0.2
-    assert all(entry["sigma_mm"] > 0 for entry in lengths.values())
+    lengths = {entry.name: entry for entry in first.lengths}
+    assert lengths["along the stripe"].length_m == pytest.approx(0.048, abs=1e-6)
+    assert lengths["across the sweep"].length_m == pytest.approx(0.048, abs=1e-6)
+    assert 0.05 < lengths["half a turn"].length_m < 0.2
+    assert all(entry.sigma_mm > 0 for entry in lengths.values())
 
 
 def test_a_scanner_without_covariance_is_refused():

@@ -78,7 +78,7 @@ def linearised(problem):
     start = zero_step(problem)
     residual, product = jax.linearize(lambda step: residuals(step, problem), start)
     owner = problem.placement[problem.stripe_view]
-    return form_blocks(*jacobian_columns(product, start), residual, problem.placement, owner, 4)
+    return form_blocks(jacobian_columns(product, start), residual, problem.placement, owner, 4)
 
 
 def test_derivatives_are_those_of_finite_differences(dense):

@@ -29,24 +29,24 @@ def spoilt(tiny, tmp_path_factory):
 def test_a_board_that_was_missed_is_found_by_what_is_known_of_it(spoilt):
     seen = []
     result = jaxscan.calibrate(spoilt, progress=lambda done, total: seen.append((done, total)))
-    brought = result.quality["redetected"]
-    assert brought["kept"]
-    assert brought["views_gained"] == 1 and result.quality["views"] == 21
+    brought = result.quality.redetected
+    assert brought.kept
+    assert brought.views_gained == 1 and result.quality.views == 21
     # Half of the 35 corners are hidden.
-    assert 6 <= brought["corners_gained"] < 30
+    assert 6 <= brought.corners_gained < 30
     # What is gained agrees with the rest.
-    assert brought["corner_rms_whitened_after"] < 1.05 * brought["corner_rms_whitened_before"]
+    assert brought.corner_rms_whitened_after < 1.05 * brought.corner_rms_whitened_before
     assert seen[-1] == (42, 42) and seen == sorted(seen)
 
 
 def test_the_second_look_can_be_left_out(spoilt):
     result = jaxscan.calibrate(spoilt, redetect=False)
-    assert "redetected" not in result.quality
-    assert result.quality["views"] == 20
+    assert result.quality.redetected is None
+    assert result.quality.views == 20
 
 
 @pytest.mark.slow
 def test_the_camera_alone_is_looked_at_twice_too(tiny):
     result = jaxscan.calibrate(jaxscan.open_capture(tiny.boards), only_camera=True)
-    brought = result.quality["redetected"]
-    assert brought["views_gained"] == 0 and brought["stripe_points_gained"] == 0
+    brought = result.quality.redetected
+    assert brought.views_gained == 0 and brought.stripe_points_gained == 0

@@ -10,10 +10,18 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.calibration import CalibrationSettings
+from jaxscan.calibration import CalibrationSettings, ModelTest, Verdict
+from jaxscan.calibration.verdict import LaserLengths, Lengths, LengthSigma
 from jaxscan.cli.calibrate import calibration_settings
 from jaxscan.cli.output import console
 from jaxscan.cli.summary import print_summary
+
+
+REFUSED = Verdict(
+    accepted=False,
+    tests=(ModelTest("sheet", statistic=90.0, dof=20, p=1e-9, p_structure=1e-9),),
+    advice=("Look at the sheet.",),
+)
 
 
 @pytest.fixture(scope="module")
@@ -59,14 +67,12 @@ class TestCalibrate:
 
     def test_prints_the_verdict_first(self, tiny, capsys):
         stored = jaxscan.load_calibration(tiny.calibration)
-        lines = [{"name": "along the stripe", "depth_m": 2.5, "length_m": 0.3, "sigma_mm": 0.0534}]
-        tests = [{"name": "sheet", "statistic": 90.0, "dof": 20, "p": 1e-9, "p_structure": 1e-9}]
-        quality = {
-            **stored.quality,
-            "lengths": {"lasers": [{"name": "red", "depths": [], "lengths": lines}]},
-            "verdict": {"accepted": False, "tests": tests, "advice": ["Look at the sheet."]},
-            "warnings": ["[bold]not markup[/bold]"],
-        }
+        quality = dataclasses.replace(
+            stored.quality,
+            lengths=Lengths((LaserLengths("red", lengths=(LengthSigma("along the stripe", 2.5, 0.3, 0.0534),)),)),
+            verdict=REFUSED,
+            warnings=("[bold]not markup[/bold]",),
+        )
         print_summary(console(), dataclasses.replace(stored, quality=quality))
         lines = capsys.readouterr().out.splitlines()
         assert lines[0].startswith("Not accepted. The solve ended, but the light sheet is not of the shape")
@@ -80,12 +86,10 @@ class TestCalibrate:
     @pytest.mark.parametrize("words", [(), ("--json", "-")])
     def test_what_is_not_accepted_is_written_and_exits_with_1(self, tiny, run, tmp_path, monkeypatch, words):
         stored = jaxscan.load_calibration(tiny.calibration)
-        tests = [{"name": "sheet", "statistic": 90.0, "dof": 20, "p": 1e-9, "p_structure": 1e-9}]
-        quality = {**stored.quality, "verdict": {"accepted": False, "tests": tests, "advice": ["Look at the sheet."]}}
-        judged = dataclasses.replace(stored, quality=quality)
+        judged = dataclasses.replace(stored, quality=dataclasses.replace(stored.quality, verdict=REFUSED))
         monkeypatch.setattr("jaxscan.api.calibrate", lambda captures, **options: judged)
         # The figures are those of the page above; drawing them is most of the time.
-        monkeypatch.setattr("jaxscan.report.calibration_page.as_svg", lambda figure, name, description: "")
+        monkeypatch.setattr("jaxscan.report.figures.as_svg", lambda figure, name, description: "")
         target, page = tmp_path / "a.json", tmp_path / "a.html"
         ran = run("calibrate", tiny.boards, "-o", target, "--report", page, *words)
         assert ran.code == 1
@@ -127,7 +131,7 @@ class TestReport:
 
     def test_changed_parameters_are_called_out(self, calibrated, run, tmp_path, monkeypatch):
         # The figures are those of the page above; drawing them is most of the time.
-        monkeypatch.setattr("jaxscan.report.calibration_page.as_svg", lambda figure, name, description: "")
+        monkeypatch.setattr("jaxscan.report.figures.as_svg", lambda figure, name, description: "")
         path = edited(calibrated, tmp_path, lambda content: content["camera"].update(fx=content["camera"]["fx"] + 1))
         ran = run("report", path, "-o", tmp_path / "a.html", "--json", "-")
         assert ran.code == 0, ran.err

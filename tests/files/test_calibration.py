@@ -9,10 +9,24 @@ import jax
 import numpy as np
 import pytest
 
-from jaxscan.calibration.observations import BoardViews, Observations, StripeViews
-from jaxscan.calibration.result import Calibration
+from jaxscan.calibration import (
+    Calibration,
+    ModelTest,
+    Quality,
+    SecondLook,
+    Verdict,
+    ViewQuality,
+)
+from jaxscan.calibration.verdict import DepthSigma, Direction, LaserLengths, Lengths, LengthSigma, PriorShare
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration import calibration_digest, load_calibration, load_scanner, save_calibration
+from jaxscan.files.calibration.calibration import (
+    calibration_digest,
+    calibration_notes,
+    load_calibration,
+    load_scanner,
+    save_calibration,
+)
+from jaxscan.files.calibration.quality import quality_table, read_quality
 from jaxscan.geometry import (
     Charuco,
     Chessboard,
@@ -24,6 +38,28 @@ from jaxscan.geometry import (
     point_up,
     stack_lasers,
 )
+from jaxscan.observation import BoardViews, Observations, StripeViews
+
+
+QUALITY = Quality(
+    converged=True,
+    corner_rms_px=float(np.float64(1.01) / 3),
+    views=2,
+    views_dropped=(7,),
+    per_view=(ViewQuality(record=4, corners=12, corner_rms_px=0.1), ViewQuality(record=7, dropped=True)),
+    unobserved=({"c1": 0.9, "s1": -0.4},),
+    spectrum=(Direction(0.9, {"c1": 0.9, "s1": -0.4}),),
+    prior_share=PriorShare(cost=0.01, information=0.8),
+    prior_residuals={"fx/fy": -0.3},
+    board_warp_m=(1e-4, -2e-4),
+    warnings=("the lamp was on",),
+    lengths=Lengths(
+        (LaserLengths("red", (DepthSigma(1.0, 900, 0.1, 0.2, 0.3),), (LengthSigma("a", 2.5, 0.3, 0.05),)),)
+    ),
+    verdict=Verdict(False, 0.5, 0.001, (ModelTest("lens", 90.0, 20, 0.1, 1e-9, 0.3, 2.0),), ("Look at the lens.",)),
+    redetected=SecondLook(True, views_gained=1, corner_rms_whitened_before=1.1),
+)
+"""Something of every kind that a file can hold."""
 
 
 def make_scanner(*, coefficients=5, lasers=("red", "green")):
@@ -84,7 +120,7 @@ def make_calibration(scanner=None, **keys):
         scanner=scanner,
         order=scanner.parameter_names(),
         covariance=scanner.covariance,
-        quality={"corner_rms": np.float64(1.01), "views": [1, 2], "nested": {"a": None}},
+        quality=QUALITY,
         provenance={"inputs": ["sha256:00"]},
         **keys,
     )
@@ -94,7 +130,7 @@ def camera_alone(coefficients=5):
     scanner = make_scanner(coefficients=coefficients)
     names = scanner.camera.parameter_names()
     covariance = np.diag(np.arange(1.0, 1 + len(names)))
-    return Calibration(camera=scanner.camera, scanner=None, order=names, covariance=covariance, quality={})
+    return Calibration(camera=scanner.camera, scanner=None, order=names, covariance=covariance)
 
 
 def same_bits(a, b):
@@ -120,7 +156,7 @@ def test_exact_to_the_last_bit(tmp_path, coefficients, lasers):
     same_bits(back.camera, calibration.camera)
     assert back.covariance.tobytes() == calibration.covariance.tobytes()
     assert back.order == calibration.order and back.observations is None
-    assert back.quality == {"corner_rms": 1.01, "views": [1, 2], "nested": {"a": None}}
+    assert back.quality == QUALITY
     assert back.provenance == calibration.provenance
 
 
@@ -180,7 +216,7 @@ def test_a_camera_alone(tmp_path, coefficients):
 
 def test_without_covariance(tmp_path):
     scanner = dataclasses.replace(make_scanner(), covariance=None)
-    bare = Calibration(scanner.camera, scanner, (), np.zeros((0, 0)), {})
+    bare = Calibration(scanner.camera, scanner, (), np.zeros((0, 0)))
     save_calibration(bare, tmp_path / "c.json")
     assert load_scanner(tmp_path / "c.json").covariance is None
     assert load_calibration(tmp_path / "c.json").covariance.shape == (0, 0)
@@ -367,3 +403,79 @@ def test_wrong_observations(tmp_path, name, value, message):
     assert message in str(caught.value) and "c.npz" in str(caught.value)
     # The scanner itself is not touched by it.
     same_bits(load_scanner(tmp_path / "c.json"), make_scanner())
+
+
+class TestQuality:
+    def test_keys_are_those_of_the_fields(self):
+        table = json.loads(json.dumps(quality_table(QUALITY)))
+        assert table["per_view"][0]["corner_rms_px"] == 0.1 and table["views_dropped"] == [7]
+        assert table["lengths"] == {
+            "lasers": [
+                {
+                    "name": "red",
+                    "depths": [
+                        {"depth_m": 1.0, "lines": 900, "sigma_depth_mm": 0.1, "sigma_range_mm": 0.2}
+                        | {"sigma_point_mm": 0.3}
+                    ],
+                    "lengths": [{"name": "a", "depth_m": 2.5, "length_m": 0.3, "sigma_mm": 0.05}],
+                }
+            ]
+        }
+        (test,) = table["verdict"]["tests"]
+        assert list(test) == ["name", "statistic", "dof", "p", "p_structure", "effect_mm", "effect_sigma"]
+        # Nobody knows, so nothing is written; and of nothing at all an empty table.
+        assert "seconds" not in table and "stripe_points_gained" not in table["redetected"]
+        assert quality_table(Quality()) == {} and read_quality({}) == Quality()
+        assert read_quality(table) == QUALITY
+
+    def test_a_number_that_is_not_finite_is_null(self):
+        table = quality_table(Quality(condition=math.inf))
+        assert table["condition"] is None and read_quality(table).condition is None
+
+    @pytest.mark.parametrize(
+        ("key", "value"),
+        [
+            ("converged", 1),
+            ("views", True),
+            ("views", 2.5),
+            ("views", 10**400),
+            ("corner_rms_px", "0.1"),
+            ("corner_rms_px", float("1e400")),
+            ("corner_rms_px", 10**400),
+            ("warnings", "one"),
+            ("warnings", ["one", 2]),
+            ("per_view", {"a": 1}),
+            ("per_view", [{"record": "x"}]),
+            ("per_view", [{"corners": 3}]),
+            ("per_view", [[[[[[[]]]]]]]),
+            ("spectrum", [{"sigma_over_prior": 1.0, "direction": {"a": "b"}}]),
+            ("spectrum", [{"sigma_over_prior": None, "direction": {}}]),
+            ("prior_share", []),
+            ("board_warp_m", [1.0]),
+            ("board_warp_m", ["a", "b"]),
+            ("lengths", 7),
+            ("lengths", {"lasers": [{"name": 5}]}),
+            ("lengths", {"lasers": [{"name": "red", "depths": [{"depth_m": "far"}]}]}),
+            ("verdict", {"accepted": "yes"}),
+            ("verdict", {"accepted": True, "tests": [1]}),
+            ("verdict", {"accepted": True, "tests": [{"name": "lens", "p": 0.5}]}),
+            ("verdict", {"accepted": True, "advice": [4]}),
+            ("redetected", {"kept": 1}),
+            ("redetected", None),
+        ],
+    )
+    def test_what_is_of_another_kind_counts_as_missing(self, key, value):
+        """With its key alone: the rest is read."""
+        assert read_quality({"placements": 3, key: value, "of a stranger": [1]}) == Quality(placements=3)
+
+    def test_a_deep_value_does_no_harm(self):
+        deep = json.loads("[" * 900 + "]" * 900)
+        assert read_quality({"per_view": deep, "nested": deep}) == Quality()
+
+    def test_a_solve_that_did_not_converge_is_noted(self, tmp_path):
+        path, found = tmp_path / "c.json", []
+        for converged in (False, True, None):
+            quality = dataclasses.replace(QUALITY, converged=converged)
+            save_calibration(dataclasses.replace(make_calibration(), quality=quality), path)
+            found.append(calibration_notes(path))
+        assert "did not converge" in found[0][0] and found[1:] == [[], []]

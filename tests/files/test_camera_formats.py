@@ -38,7 +38,7 @@ def calibration(model, *, name="red", **changes):
     table = Turntable.from_axis(np.array([0.01, -0.9999, 0.012]), np.array([0.02, 0.0, -0.15]), gain=-1.0002)
     seen = camera(model, **changes)
     scanner = Scanner(seen, stack_lasers([sheet]), table, laser_names=(name,))
-    return Calibration(seen, scanner, (), np.zeros((0, 0)), {})
+    return Calibration(seen, scanner, (), np.zeros((0, 0)))
 
 
 def points():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxscan.api.boards import observe_boards
+from jaxscan.api import observe_boards
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.capture import open_capture
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from jaxscan.api.board_stripes import lines_with_colours
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CaptureHeader, open_capture
 from jaxscan.files.recording import create_capture
+from jaxscan.observation.board_stripes import learn_colours
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.stripes.extract import extract_stripes
 from jaxscan.stripes.frames.formats import LaserLine
@@ -136,4 +136,4 @@ def test_a_capture_of_a_board(centres, tmp_path):
     capture = open_capture(tmp_path / "boards")
     assert capture.lines[0].colour == "auto", "what the header says is kept"
     # What is lit nowhere stays open.
-    assert [line.colour for line in lines_with_colours(capture)] == ["green", "auto", "red"]
+    assert [line.colour for line in learn_colours(capture)] == ["green", "auto", "red"]

@@ -5,9 +5,17 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxscan.calibration import BoardViews, Calibration, Observations, StripeViews
-from jaxscan.calibration.result import Fit
+from jaxscan.calibration import (
+    Calibration,
+    Fit,
+    ModelTest,
+    Quality,
+    Verdict,
+    ViewQuality,
+)
+from jaxscan.calibration.verdict import DepthSigma, Direction, LaserLengths, Lengths, LengthSigma, PriorShare
 from jaxscan.geometry import Chessboard, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
 CORNER_SIGMA, STRIPE_SIGMA, LEVERAGE = 0.1, 0.15, 0.2
@@ -68,54 +76,49 @@ def make_fit(observations, random, unknowns):
 def make_quality(observations, fit, laser_names):
     rms = np.sqrt(np.mean(np.sum(fit.corner_error**2, -1), axis=1))
     views, corners = fit.corner_kept.shape
-    depths = [
-        {"depth_m": d, "lines": 900, "sigma_depth_mm": d, "sigma_range_mm": 0.9 * d, "sigma_point_mm": 2 * d}
-        for d in (1.0, 2.5, 4.0)
-    ]
-    lengths = [
-        {"name": "along the stripe", "depth_m": 2.5, "length_m": 0.3, "sigma_mm": 0.0534},
-        {"name": "half a turn", "depth_m": 3.075, "length_m": 6.1534, "sigma_mm": 1.62},
-    ]
-    tests = [
-        {"name": name, "statistic": 100.0, "dof": 98, "p": 0.4, "p_structure": 0.3}
+    depths = tuple(DepthSigma(d, 900, d, 0.9 * d, 2 * d) for d in (1.0, 2.5, 4.0))
+    lengths = (
+        LengthSigma("along the stripe", depth_m=2.5, length_m=0.3, sigma_mm=0.0534),
+        LengthSigma("half a turn", depth_m=3.075, length_m=6.1534, sigma_mm=1.62),
+    )
+    tests = tuple(
+        ModelTest(name, statistic=100.0, dof=98, p=0.4, p_structure=0.3)
         for name in ("lens", "board", "table", "axis", "sheet", "halves")
-    ]
-    return {
-        "corner_rms_px": 0.14,
-        "corner_rms_all_px": 0.15,
-        "stripe_rms_px": 0.15,
-        "corner_rms_whitened": 1.01,
-        "stripe_rms_whitened": 1.6,
-        "views": views,
-        "corners": views * corners,
-        "corners_rejected": 1,
-        "stripe_points": int(fit.stripe_kept.size),
-        "stripe_points_rejected": 0,
-        "placements": views // 2 + 1,
-        "per_view": [
-            {
-                "record": 100 + view,
-                "corners": corners,
-                "corners_rejected": int((~fit.corner_kept[view]).sum()),
-                "corner_rms_px": float(rms[view]),
-                "stripe_points": 10,
-                "stripe_rms_px": 0.15,
-                "board_z_m": 1.2,
-            }
+    )
+    return Quality(
+        converged=True,
+        corner_rms_px=0.14,
+        corner_rms_all_px=0.15,
+        stripe_rms_px=0.15,
+        corner_rms_whitened=1.01,
+        stripe_rms_whitened=1.6,
+        views=views,
+        corners=views * corners,
+        corners_rejected=1,
+        stripe_points=int(fit.stripe_kept.size),
+        stripe_points_rejected=0,
+        placements=views // 2 + 1,
+        per_view=tuple(
+            ViewQuality(
+                record=100 + view,
+                corners=corners,
+                corners_rejected=int((~fit.corner_kept[view]).sum()),
+                corner_rms_px=float(rms[view]),
+                stripe_points=10,
+                stripe_rms_px=0.15,
+                board_z_m=1.2,
+            )
             for view in range(views)
-        ],
-        "condition": 1e5,
-        "prior_share": {"cost": 0.001, "information": 0.9},
-        "board_warp_m": [1e-4, -2e-4],
-        "board_warp_sigma_m": [1e-5, 2e-5],
-        "warnings": ["the lamp was on"],
-        "verdict": {"accepted": True, "tests": tests, "advice": ["Capture the board in the corners of the image."]},
-        "spectrum": [
-            {"sigma_over_prior": 0.97, "direction": {"c2": 0.9, "s1": -0.4}},
-            {"sigma_over_prior": 0.01, "direction": {"fx": 0.7, "fy": 0.7}},
-        ],
-        "lengths": {"lasers": [{"name": name, "depths": depths, "lengths": lengths} for name in laser_names]},
-    }
+        ),
+        condition=1e5,
+        prior_share=PriorShare(cost=0.001, information=0.9),
+        board_warp_m=(1e-4, -2e-4),
+        board_warp_sigma_m=(1e-5, 2e-5),
+        warnings=("the lamp was on",),
+        verdict=Verdict(True, tests=tests, advice=("Capture the board in the corners of the image.",)),
+        spectrum=(Direction(0.97, {"c2": 0.9, "s1": -0.4}), Direction(0.01, {"fx": 0.7, "fy": 0.7})),
+        lengths=Lengths(tuple(LaserLengths(name, depths, lengths) for name in laser_names)),
+    )
 
 
 def make_calibration(*, views=6, points=40, laser_names=("red", "green"), board=None):

@@ -6,8 +6,10 @@ from html.parser import HTMLParser
 
 import pytest
 
+from jaxscan.calibration import Quality, Verdict
+from jaxscan.calibration.verdict import Direction
 from jaxscan.geometry import Chessboard
-from jaxscan.report.calibration_page import calibration_page
+from jaxscan.report import calibration_page
 
 
 VOID = {"meta", "br", "img", "hr", "link", "input"}
@@ -21,7 +23,7 @@ SECTIONS = [
     "Are the residuals noise?",
     "Views, worst first",
     "Correlations",
-    "What the data say nothing about",
+    "Combinations that the data do not determine",
     "Numbers of the solve",
 ]
 
@@ -116,14 +118,32 @@ def test_figures_have_text_and_every_view_its_panel(document):
         assert label in document.words["text"] + document.words.get("tspan", []), label
 
 
+def having(calibration, **quality):
+    return dataclasses.replace(calibration, quality=dataclasses.replace(calibration.quality, **quality))
+
+
 def test_refused_calibrations_say_why(made):
-    refused = dataclasses.replace(made(), fit=None)
-    verdict = refused.quality["verdict"]
-    verdict["accepted"], verdict["tests"][4]["p_structure"] = False, 1e-9
-    page = Document(calibration_page(refused))
+    good = made()
+    tests = list(good.quality.verdict.tests)
+    tests[4] = dataclasses.replace(tests[4], p_structure=1e-9)
+    refused = having(good, verdict=dataclasses.replace(good.quality.verdict, accepted=False, tests=tuple(tests)))
+    page = Document(calibration_page(dataclasses.replace(refused, fit=None)))
     assert page.words["strong"] == ["Not accepted"]
     assert "the light sheet is not of the shape of its model" in page.all_words()
     assert ("tr", "class", "worse") in page.attributes
+
+
+def test_nothing_is_concluded_from_a_solve_that_did_not_converge(calibration):
+    """Whatever else stands in the file."""
+    verdict = Verdict(accepted=False, advice=("The solve did not converge in 1 step.",))
+    page = Document(calibration_page(having(calibration, converged=False, verdict=verdict)))
+    assert page.words["strong"] == ["Not converged"]
+    shown = ["In words", "Residuals over the image", "Stripe and table", "Views, worst first", "Numbers of the solve"]
+    assert page.words["h2"] == shown
+    words = page.all_words()
+    assert words.count("The solve did not converge in 1 step.") == 1
+    for diagnosis in ("What to capture next", "promises too much", "Records that stand out", "±"):
+        assert diagnosis not in words
 
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)> $\\frac{x}$ &amp; \x00 \u202e 💥'
@@ -131,10 +151,14 @@ HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)> $\\frac{x}$ &
 
 def test_names_and_texts_of_strangers_stay_text(made):
     hostile = made(laser_names=(HOSTILE[:64], "</text></svg><script>"))
-    hostile.quality["warnings"] = [HOSTILE]
-    hostile.quality["verdict"]["advice"] = [HOSTILE]
-    hostile.quality["verdict"]["tests"][0]["name"] = HOSTILE
-    hostile.quality["spectrum"][0]["direction"] = {HOSTILE: 1.0}
+    good = hostile.quality.verdict
+    tests = (dataclasses.replace(good.tests[0], name=HOSTILE), *good.tests[1:])
+    hostile = having(
+        hostile,
+        warnings=(HOSTILE,),
+        verdict=dataclasses.replace(good, tests=tests, advice=(HOSTILE,)),
+        spectrum=(Direction(0.97, {HOSTILE: 1.0}),),
+    )
     hostile.provenance["captures"] = [{"name": HOSTILE, "digest": HOSTILE}]
     hostile.provenance["versions"] = {HOSTILE: HOSTILE}
     text = calibration_page(hostile, notes=(HOSTILE,))
@@ -145,25 +169,11 @@ def test_names_and_texts_of_strangers_stay_text(made):
     assert "<script>alert(1)</script><img src=x onerror=alert(2)>" in page.all_words()
 
 
-@pytest.mark.parametrize(
-    "quality",
-    [
-        {},
-        {"verdict": [], "lengths": 7, "per_view": {"a": 1}, "spectrum": "x", "warnings": None, "prior_share": []},
-        {
-            "verdict": {"accepted": "yes", "tests": [1, {"name": 3}], "advice": [4]},
-            "lengths": {"lasers": [{"name": 5, "depths": [{"depth_m": "far"}], "lengths": [{"sigma_mm": None}]}]},
-            "per_view": [{"record": "x"}, {"record": 100, "corner_rms_px": float("nan")}],
-            "spectrum": [{"sigma_over_prior": None}, {"sigma_over_prior": 1.0, "direction": {"a": "b"}}],
-            "board_warp_m": ["a", "b"],
-            "corners": True,
-        },
-    ],
-)
-def test_what_is_missing_or_of_another_kind_is_left_out(calibration, quality):
+@pytest.mark.parametrize("known", [{}, {"corners": 1}])
+def test_what_is_missing_is_left_out(calibration, known):
     # Drawn once, where there is most to draw; figures take time.
-    fit = calibration.fit if "corners" in quality else None
-    page = Document(calibration_page(dataclasses.replace(calibration, quality=quality, fit=fit)))
+    fit = calibration.fit if known else None
+    page = Document(calibration_page(dataclasses.replace(calibration, quality=Quality(**known), fit=fit)))
     assert page.words["strong"] == ["Not judged"]
     assert ("Residuals over the image" in page.words["h2"]) == (fit is not None)
     for title in ("Tests of the models", "Uncertainty against distance"):
@@ -191,7 +201,9 @@ def test_a_camera_alone(calibration):
 
 def test_a_camera_of_which_nothing_is_known(calibration):
     """No covariance at all: written by hand, or from elsewhere."""
-    bare = dataclasses.replace(calibration, order=(), covariance=calibration.covariance[:0, :0], quality={}, fit=None)
+    bare = dataclasses.replace(
+        calibration, order=(), covariance=calibration.covariance[:0, :0], quality=Quality(), fit=None
+    )
     page = Document(calibration_page(bare))
     assert "Correlations" not in page.words["h2"]
     assert "held" in page.words["td"]

@@ -1,54 +1,69 @@
 """Words and rows about a calibration."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from jaxscan.report import calibration as words
-from jaxscan.report.calibration_tables import Parameter, outcome_rows, parameters, quality_rows, view_rows
+from jaxscan.calibration import ModelTest, Quality, SecondLook, Verdict
+from jaxscan.calibration.verdict import Lengths, judge_views
+from jaxscan.report import Parameter, outcome_rows, parameters, quality_rows, words
+from jaxscan.report.tables import view_rows
 
 
 def having(calibration, **quality):
-    return dataclasses.replace(calibration, quality={**calibration.quality, **quality})
+    return replace(calibration, quality=replace(calibration.quality, **quality))
 
 
-class TestVerdict:
+def judged(calibration, accepted, tests):
+    return having(calibration, verdict=Verdict(accepted, tests=tuple(tests)))
+
+
+class TestHeadline:
     def test_accepted(self, calibration):
-        found = words.verdict(calibration)
+        found = words.headline(calibration)
         assert (found.kind, found.headline) == ("good", "Accepted")
         assert "all 6 tests" in found.explanation
 
     @pytest.mark.parametrize(("index", "name"), list(enumerate(words.TESTS)))
     def test_not_accepted_says_which_model(self, calibration, index, name):
-        tests = [dict(test) for test in calibration.quality["verdict"]["tests"]]
-        tests[index]["p_structure"] = 1e-5
-        refused = having(calibration, verdict={"accepted": False, "tests": tests})
-        found = words.verdict(refused)
+        tests = list(calibration.quality.verdict.tests)
+        tests[index] = replace(tests[index], p_structure=1e-5)
+        refused = judged(calibration, False, tests)
+        found = words.headline(refused)
         assert found.kind == "bad"
         for other, (_, meaning) in words.TESTS.items():
             assert (meaning in found.explanation) == (other == name)
         assert [row[6] for row in outcome_rows(refused)].count("fails") == 1
 
     def test_noise_without_structure_is_told_from_a_wrong_model(self, calibration):
-        tests = [{**test, "p": 1e-9} for test in calibration.quality["verdict"]["tests"]]
-        noisy = having(calibration, verdict={"accepted": False, "tests": tests})
-        assert "larger than the noise that the detectors promise" in words.verdict(noisy).explanation
+        tests = [replace(test, p=1e-9) for test in calibration.quality.verdict.tests]
+        noisy = judged(calibration, False, tests)
+        assert "larger than the noise that the detectors promise" in words.headline(noisy).explanation
         assert {row[6] for row in outcome_rows(noisy)} == {"noisy"}
-        accepted = words.verdict(having(calibration, verdict={"accepted": True, "tests": tests}))
+        accepted = words.headline(judged(calibration, True, tests))
         assert accepted.kind == "good" and "more of it than the detectors promise" in accepted.explanation
 
     def test_one_of_many_tests_may_be_a_little_unlikely(self, calibration):
         """Of six tests, each may be as unlikely as one in 600 before all together are one in a hundred."""
-        tests = [dict(test) for test in calibration.quality["verdict"]["tests"]]
+        first, *others = calibration.quality.verdict.tests
         for p, result in ((0.002, "passes"), (0.0015, "fails")):
-            tests[0]["p_structure"] = p
-            assert outcome_rows(having(calibration, verdict={"accepted": True, "tests": tests}))[0][6] == result
+            tests = [replace(first, p_structure=p), *others]
+            assert outcome_rows(judged(calibration, True, tests))[0][6] == result
 
     def test_a_solve_that_ended_is_never_called_right(self, calibration):
-        for judged in (None, {}, {"accepted": None}, "good"):
-            found = words.verdict(having(calibration, verdict=judged))
-            assert found.kind == "open" and "ccepted" not in found.headline
+        found = words.headline(having(calibration, verdict=None))
+        assert found.kind == "open" and "ccepted" not in found.headline
+
+    def test_a_solve_that_did_not_converge_is_not_judged_by_its_numbers(self, calibration):
+        """Neither by its tests nor by its residuals; and the advice is said once, as the explanation."""
+        verdict = Verdict(False, tests=calibration.quality.verdict.tests, advice=("It did not converge.",))
+        ended = having(calibration, converged=False, verdict=verdict, corner_rms_whitened=9.0)
+        assert words.headline(ended) == words.Headline("bad", "Not converged", "It did not converge.")
+        assert words.advice(ended) == () and words.bad_views(ended) == []
+        assert words.noise_lines(ended)[0] == "Corners: 120, 0.8 % rejected; RMS 0.140 px."
+        unsaid = words.headline(having(calibration, converged=False, verdict=None))
+        assert unsaid.kind == "bad" and "did not converge" in unsaid.explanation
 
 
 def test_lengths(calibration):
@@ -56,8 +71,9 @@ def test_lengths(calibration):
     assert along == words.LengthLine("300 mm along the stripe at 2.5 m, laser red", 0.0534)
     assert half.what == "6.15 m between points half a turn apart, laser red"
     assert [line.what.rsplit(" ", 1)[1] for line in others] == ["green", "green"]
-    alone = having(calibration, lengths={"lasers": calibration.quality["lengths"]["lasers"][:1]})
+    alone = having(calibration, lengths=Lengths(calibration.quality.lasers()[:1]))
     assert words.lengths(alone)[0].what == "300 mm along the stripe at 2.5 m"
+    assert words.lengths(having(calibration, lengths=None)) == []
 
 
 @pytest.mark.parametrize(
@@ -72,58 +88,59 @@ def test_whitened_residuals_in_words(calibration, ratio, said):
 
 
 def test_second_look(calibration):
-    gained = {"kept": True, "views_gained": 2, "corners_gained": 31, "stripe_points_gained": -4}
+    gained = SecondLook(True, views_gained=2, corners_gained=31, stripe_points_gained=-4)
     (line,) = words.second_look(having(calibration, redetected=gained))
     assert line.endswith(": +2 views, +31 corners, -4 stripe points.")
-    (line,) = words.second_look(having(calibration, redetected={"kept": True, "views_gained": 0}))
+    (line,) = words.second_look(having(calibration, redetected=SecondLook(True, views_gained=0)))
     assert line.endswith(": nothing more.")
-    (line,) = words.second_look(having(calibration, redetected={**gained, "kept": False}))
+    (line,) = words.second_look(having(calibration, redetected=replace(gained, kept=False)))
     assert "was not kept" in line
-    for broken in (None, {}, {"kept": 1}):
-        assert words.second_look(having(calibration, redetected=broken)) == []
+    assert words.second_look(having(calibration, redetected=None)) == []
 
 
 class TestBadViews:
     def test_one_whose_kept_corners_are_far_off(self, calibration):
-        fit = dataclasses.replace(calibration.fit, corner_error=calibration.fit.corner_error.copy())
+        fit = replace(calibration.fit, corner_error=calibration.fit.corner_error.copy())
         fit.corner_error[4] *= 5
-        (found,) = words.bad_views(dataclasses.replace(calibration, fit=fit))
+        (found,) = words.bad_views(replace(calibration, fit=fit))
         assert found.record == 104 and "px are usual" in found.why
-        assert view_rows(dataclasses.replace(calibration, fit=fit))[0][0] == "104"
+        assert view_rows(replace(calibration, fit=fit))[0][0] == "104"
 
     def test_one_outlier_makes_no_bad_view(self, calibration):
-        fit = dataclasses.replace(calibration.fit, corner_error=calibration.fit.corner_error.copy())
+        fit = replace(calibration.fit, corner_error=calibration.fit.corner_error.copy())
         # The corner that was rejected.
         fit.corner_error[1, 3] = 40.0
-        assert words.bad_views(dataclasses.replace(calibration, fit=fit)) == []
+        assert words.bad_views(replace(calibration, fit=fit)) == []
 
     def test_one_with_many_corners_rejected(self, calibration):
-        views = [dict(view) for view in calibration.quality["per_view"]]
-        views[2]["corners_rejected"] = 9
-        (found,) = words.bad_views(having(calibration, per_view=views))
+        views = list(calibration.quality.per_view)
+        views[2] = replace(views[2], corners_rejected=9)
+        (found,) = words.bad_views(having(calibration, per_view=tuple(views)))
         assert found == words.BadView(102, "9 of 20 corners rejected")
 
     def test_one_left_out_is_named_once(self, calibration):
-        fit = dataclasses.replace(calibration.fit, corner_kept=calibration.fit.corner_kept.copy())
+        fit = replace(calibration.fit, corner_kept=calibration.fit.corner_kept.copy())
         fit.corner_kept[3] = False
-        warnings = ["record 103 was left out: far off", "record 1030: something else", "the lamp was on"]
-        dropped = having(calibration, views_dropped=[103], warnings=warnings)
-        dropped = dataclasses.replace(dropped, fit=fit)
+        warnings = ("record 103 was left out: far off", "record 1030: something else", "the lamp was on")
+        views = list(calibration.quality.per_view)
+        views[3] = replace(views[3], dropped=True)
+        dropped = having(calibration, per_view=tuple(views), views_dropped=(103,), warnings=warnings)
+        dropped = replace(dropped, fit=fit)
         (found,) = words.bad_views(dropped)
         assert found.record == 103 and found.why.startswith("left out")
-        assert words.warnings(dropped) == warnings[1:]
+        assert tuple(words.warnings(dropped)) == warnings[1:]
 
     def test_records_of_two_captures_may_have_the_same_number(self, calibration):
         """Each row of the table then belongs to the view at its own place."""
         numbers = np.array([0, 1, 2, 0, 1, 2], np.int32)
-        corners = dataclasses.replace(calibration.observations.corners, record=numbers)
-        observations = dataclasses.replace(calibration.observations, corners=corners)
-        per_view = calibration.quality["per_view"]
-        views = [view | {"record": int(number)} for view, number in zip(per_view, numbers, strict=True)]
+        corners = replace(calibration.observations.corners, record=numbers)
+        observations = replace(calibration.observations, corners=corners)
+        per_view = calibration.quality.per_view
+        views = [replace(view, record=int(number)) for view, number in zip(per_view, numbers, strict=True)]
         # The third has no usable board, so it is not listed.
-        listed = having(calibration, per_view=views[:2] + views[3:])
-        found = words.views(dataclasses.replace(listed, observations=observations))
-        assert sorted((view["view"], view["record"]) for view in found) == [(0, 0), (1, 1), (3, 0), (4, 1), (5, 2)]
+        listed = having(calibration, per_view=tuple(views[:2] + views[3:]))
+        found = judge_views(listed.quality, listed.fit, observations)
+        assert sorted((view.row, view.quality.record) for view in found) == [(0, 0), (1, 1), (3, 0), (4, 1), (5, 2)]
 
 
 @pytest.mark.parametrize(
@@ -163,24 +180,15 @@ class TestParameters:
 
 def test_numbers_of_the_solve_that_are_not_there_are_left_out(calibration):
     assert ("corner RMS, px", "0.1400") in quality_rows(calibration)
-    assert quality_rows(dataclasses.replace(calibration, quality={})) == []
+    assert quality_rows(replace(calibration, quality=Quality())) == []
 
 
 def test_what_a_failing_model_would_move_is_told_in_millimetres(calibration):
-    tests = [
-        {"name": "lens", "statistic": 400.0, "dof": 24, "p": 0.0, "p_structure": 0.0}
-        | {"effect_mm": 0.37, "effect_sigma": 2.1},
-        {
-            "name": "sheet",
-            "statistic": 6.0,
-            "dof": 6,
-            "p": 0.4,
-            "p_structure": 0.4,
-            "effect_mm": 9.0,
-            "effect_sigma": 9.0,
-        },
-    ]
-    refused = having(calibration, verdict={"accepted": False, "tests": tests})
-    assert "0.37 mm, 2.1 of its standard deviations" in words.verdict(refused).explanation
+    tests = (
+        ModelTest("lens", 400.0, 24, p=0.0, p_structure=0.0, effect_mm=0.37, effect_sigma=2.1),
+        ModelTest("sheet", 6.0, 6, p=0.4, p_structure=0.4, effect_mm=9.0, effect_sigma=9.0),
+    )
+    refused = judged(calibration, False, tests)
+    assert "0.37 mm, 2.1 of its standard deviations" in words.headline(refused).explanation
     rows = outcome_rows(refused)
     assert rows[0][5] == "0.37 mm, 2.1 sigma" and rows[1][5] == ""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.report.picture import View, draw_cloud, panorama
+from jaxscan.report.picture import View, draw_cloud
 
 
 RED, GREEN, BLUE = (np.array(c, np.uint8) for c in ((220, 30, 30), (30, 200, 30), (30, 30, 220)))
@@ -103,17 +103,6 @@ def test_sparse_profiles_are_joined():
     assert seen[int(joined)] and not seen[int(broken)]
 
 
-def test_panorama_unrolls():
-    azimuth, height = np.meshgrid(np.radians(np.arange(0, 360, 0.5)), np.linspace(-0.5, 0.5, 200), indexing="ij")
-    xyz = np.stack([2 * np.cos(azimuth), 2 * np.sin(azimuth), 2 * height], -1)
-    rgb = np.where((np.degrees(azimuth) < 90)[..., None], RED, np.where((height > 0)[..., None], GREEN, BLUE))
-    picture = panorama(xyz, rgb.astype(np.uint8), size=(720, 400))
-    # Azimuth 0 is in the middle and grows to the left; up is up.
-    assert like(picture[:, 360 - 150 : 360 - 30], RED).all()
-    assert like(picture[10, 400:700], GREEN).all() and like(picture[-10, 400:700], BLUE).all()
-
-
 def test_empty_cloud():
-    for draw in (draw_cloud, panorama):
-        picture = draw(np.zeros((5, 7, 3)), np.zeros((5, 7, 3), np.uint8), size=SIZE)
-        assert picture.shape == (180, 320, 3) and (picture > 230).all()
+    picture = draw_cloud(np.zeros((5, 7, 3)), np.zeros((5, 7, 3), np.uint8), size=SIZE)
+    assert picture.shape == (180, 320, 3) and (picture > 230).all()

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxscan.calibration.ink import ink_shift
-from jaxscan.calibration.stripes_on_board import select_board_stripes
+from jaxscan.observation import FoundCorners, FoundStripe, select_board_stripe
+from jaxscan.observation.ink import ink_shift
 from jaxscan.simulation import (
     BoardsSpec,
     CameraSpec,
@@ -72,14 +72,15 @@ def stripes():
     kept = 0
     for row, (_, off, truth, corners) in enumerate(views):
         u, sigma, valid, width = (np.asarray(getattr(found, name))[row] for name in ("u", "sigma", "valid", "width"))
-        how = {"corners": corners, "corners_valid": np.ones(len(corners), bool), "board": board, "points": 512}
-        all_points = select_board_stripes(u, sigma, valid, **how)
+        seen = FoundCorners(corners, np.ones(len(corners)), np.ones(len(corners), bool))
+        stripe = FoundStripe(u, sigma, width, valid)
+        all_points = select_board_stripe(stripe, seen, board)
         line = all_points.q[all_points.valid, 1].astype(int)
         error = u[line].astype(float) - truth[line]
         # What is off by pixels is another thing than ink, for the solve to reject.
         line = line[np.abs(error) < 3.0]
         ink = ink_shift(off, line, u[line].astype(float), width[line].astype(float), CONFIG.sensor.psf_px)
-        chosen = select_board_stripes(u, sigma, valid, **how, off=off, width=np.where(valid, width, 1.0))
+        chosen = select_board_stripe(stripe, seen, board, off=off)
         kept += chosen.valid.sum()
         for part, values in zip(
             parts,

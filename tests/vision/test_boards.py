@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from jaxscan.geometry import Charuco, Chessboard
-from jaxscan.vision.boards import board_texture, edge_directions, find_corners
-from jaxscan.vision.redetect import redetect_corners
+from jaxscan.observation.corners import edge_directions
+from jaxscan.observation.prediction import PredictedCorners
+from jaxscan.observation.redetect import redetect_corners
+from jaxscan.vision.boards import board_texture, find_corners
 
 
 CHESS = Chessboard(8, 5, 0.03)
@@ -159,7 +161,8 @@ def look(picture, board, homography, *, off=(0.3, -0.2), reach=1.0, first=None):
     edges, _ = edge_directions(truth, np.ones(len(truth), bool), board)
     limit = np.array(picture.shape[::-1]) - 1.0
     visible = ((truth >= 0) & (truth <= limit)).all(1)
-    return truth, visible, redetect_corners(picture, board, truth + off, edges, size, visible, reach=reach, first=first)
+    predicted = PredictedCorners(truth + off, edges, size, visible)
+    return truth, visible, redetect_corners(picture, board, predicted, reach=reach, first=first)
 
 
 @pytest.mark.parametrize("board", [CHESS, CHARUCO])

@@ -8,10 +8,19 @@ import numpy as np
 from bench.errors import BenchError
 from bench.places import WORLD
 from jaxscan.files.disk import load_toml
-from jaxscan.simulation import ExpectedRecord, SimulationConfig, expect_record, expose, make_rig, make_scene
-from jaxscan.simulation.boards import SeenBoard, make_print
-from jaxscan.simulation.planning import Placement, plan_boards
-from jaxscan.simulation.sensor import speckled
+from jaxscan.simulation import (
+    ExpectedRecord,
+    Placement,
+    SeenBoard,
+    SimulationConfig,
+    expect_record,
+    expose,
+    make_print,
+    make_rig,
+    make_scene,
+    plan_boards,
+    speckled,
+)
 from jaxscan.vision.boards import board_texture
 
 

@@ -55,7 +55,7 @@ class ControllerTable(FileModel):
     """The controller and the wire to it."""
 
     type: Literal["jaxscan", "grbl"] = "jaxscan"
-    """"jaxscan": the firmware of hardware/firmware. "grbl": a board that speaks GRBL's G-code; see [controller.grbl]."""
+    """"jaxscan": the firmware of hardware/firmware. "grbl": a board that speaks GRBL's G-code."""
     port: Annotated[str, pydantic.Field(min_length=1, max_length=1024)] = "auto"
     """Serial port; "auto": the only one that looks like a controller."""
     baud: Annotated[Integer, pydantic.Field(ge=1200, le=4_000_000)] | None = None

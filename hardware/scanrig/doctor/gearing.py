@@ -49,7 +49,10 @@ def measure_turn(
 
     def to_switch_from(position: int, reach: int) -> int:
         controller.move(position, _LEAST_S + 2.0 * (abs(position) + reach) / speed)
-        return controller.home(reach, _LEAST_S + 4.0 * reach / speed)
+        was = controller.home(reach, _LEAST_S + 4.0 * reach / speed)
+        if was is None:
+            raise RigError("the controller does not say where it found the home switch: no turn can be measured by it")
+        return was
 
     top = guess + above
     for _ in range(_DOUBLINGS):

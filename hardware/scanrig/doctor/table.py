@@ -110,12 +110,14 @@ def _home(controller: Controller, config: RigConfig | None) -> Finding:
             "see that the table turns, in the right sense (turntable.reverse), and that the switch closes by hand: "
             "then the inputs above say active",
         )
+    if not controller.guarantees.knows_missed_steps:
+        return Finding("home", "works", "found; the controller does not say whether at the same place again")
     turn = _UNKNOWN_TURN if config is None else config.microsteps_per_turn
-    missed = []
+    missed: list[int] = []
     for _ in range(_REPEATS):
         # Away from the switch, by less than limits would forbid.
         controller.move(_some_way(turn, config))
-        missed.append(controller.home(within))
+        missed.append(controller.home(within) or 0)
     values = {"missed_microsteps": max(missed, key=abs)}
     found = f"found, and found again {' and '.join(f'{was:+d}' for was in missed)} microsteps beside it"
     if max(map(abs, missed)) > _REPEATABLE:
@@ -131,6 +133,13 @@ def _some_way(turn: int, config: RigConfig | None) -> int:
 
 
 def _turn(controller: Controller, config: RigConfig | None, settings: Settings, say: Callable[[str], None]) -> Finding:
+    if not controller.guarantees.knows_missed_steps:
+        return Finding(
+            "steps per turn",
+            "not checked",
+            "the controller does not say where it found the home switch",
+            "measure an angle by hand: 90 degrees by the configuration must be 90 degrees of the table",
+        )
     expected = None if config is None else config.microsteps_per_turn
     guess = expected or _UNKNOWN_TURN
     highest = None if settings.limits is None else settings.limits[1]

@@ -6,6 +6,7 @@ from typing import Any
 
 from scanrig.checks.compare import Likeness, compare_pairs
 from scanrig.checks.leaks import PLACES, LeakWatch
+from scanrig.controllers import shortcomings
 from scanrig.errors import FrameError, SessionError
 from scanrig.recording import KEPT_PAIRS, Ledger, require_space
 from scanrig.session.ending import Ending
@@ -51,6 +52,9 @@ class Session:
         """Make the rig ready and the capture open."""
         job, rig = self.job, self.rig
         firmware = rig.prepare()
+        if lacking := shortcomings(job.devices.controller.guarantees):
+            self._note("guarantees", lacking=list(lacking))
+            job.hooks.notify(lacking[0])
         missing = job.planned - len(self.done)
         needed = math.ceil(2 * missing * frame_bytes(self.config) * RESERVE)
         require_space(job.folder, needed, what=f"the capture of {missing} more pairs")

@@ -9,7 +9,7 @@ from jaxscan.calibration.parameters import BOARD_PARAMETERS, block_of, parameter
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem
-from jaxscan.geometry import AbstractCamera, LaserSheet, Turntable, stack_lasers
+from jaxscan.geometry import AbstractCamera, LaserSheet, Turntable, corner_frame, stack_lasers
 from jaxscan.geometry.laser import LASER_PARAMETERS
 from jaxscan.geometry.turntable import AXIS_PARAMETERS, Carries
 
@@ -40,8 +40,6 @@ def make_problem(
         sheets = jax.tree.map(lambda leaf: leaf[:0], sheets)
     names = shared_names(camera, tuple(str(i) for i in range(len(sheets.distance))), table is not None)
     expected = {"cx": centre[0], "cy": centre[1], "fx": 1.0, "gain": 1.0}
-    xy = data.board[:, :2]
-    half = np.maximum(np.ptp(xy, axis=0) / 2, 1e-12)
     return Problem(
         camera=camera,
         lasers=sheets,
@@ -52,7 +50,7 @@ def make_problem(
         expected=np.array([expected.get(name, 0.0) for name in names]),
         prior_weight=prior_weights(names, settings),
         board=data.board,
-        frame=np.concatenate([(xy.min(0) + xy.max(0)) / 2, half]),
+        frame=corner_frame(data.board),
         corner_q=data.corner_q,
         corner_weight=np.zeros(data.corner_valid.shape),
         angle=data.angle,

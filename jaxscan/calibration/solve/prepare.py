@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.calibration.observations import Observations
-from jaxscan.geometry import Array
+from jaxscan.geometry import Array, fixes_plane
+from jaxscan.observation import Observations
 
 
 # Shapes are rounded up to these, so that captures of about the same size share a compilation;
@@ -13,7 +13,6 @@ from jaxscan.geometry import Array
 _VIEWS = (24, 48, 72, 96, 144, 192, 288, 384, 576, 768, 1152, 1536, 2304)
 _POINTS = (64, 128, 256, 512, 1024, 2048, 4096)
 _CORNERS = (96, 192, 384, 768, 1536)
-_MIN_CORNERS = 6
 
 
 class Prepared(NamedTuple):
@@ -44,7 +43,7 @@ def prepare(observations: Observations) -> Prepared:
     board = np.asarray(observations.board.corners(), np.float64)
     centre = np.array([(observations.width - 1) / 2, (observations.height - 1) / 2])
     q, sigma, valid = _clean(corners.q, corners.sigma, corners.valid, centre)
-    usable = np.array([_fixes_pose(board[seen, :2]) for seen in valid], bool)
+    usable = np.array([fixes_plane(board[seen, :2]) for seen in valid], bool)
     valid &= usable[:, None]
     stripe_q, stripe_sigma, stripe_valid = _clean(stripes.q, stripes.sigma, stripes.valid, centre)
     view = np.asarray(stripes.view, np.int32)
@@ -77,13 +76,6 @@ def _clean(q: Array, sigma: Array, valid: Array, centre: np.ndarray) -> tuple[np
     good = np.asarray(valid, bool) & np.isfinite(pixel).all(-1) & np.isfinite(noise) & (noise > 0)
     # Whatever stands in an entry that is not valid must not reach any arithmetic: 0 x NaN is NaN.
     return np.where(good[..., None], pixel, centre), np.where(good, noise, 1.0), good
-
-
-def _fixes_pose(points: np.ndarray) -> bool:
-    if len(points) < _MIN_CORNERS:
-        return False
-    spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
-    return bool(spread[1] > 0.05 * spread[0])
 
 
 def _bucket(count: int, sizes: tuple[int, ...]) -> int:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from jaxscan.calibration.parameters import BOARD_PARAMETERS, move_pose
-from jaxscan.geometry import AbstractCamera, Array, LaserSheet, Turntable, invert
+from jaxscan.geometry import AbstractCamera, Array, BowedBoard, LaserSheet, Turntable, invert
 
 
 class Problem(eqx.Module):
@@ -92,21 +92,8 @@ def camera_from_board(problem: Problem) -> Float[Array, "views 4 4"]:
 
 def board_points(problem: Problem) -> Float[Array, "corners 3"]:
     """Corners of the board as it is: of its true pitch, and bowed [m]."""
-    height = jax.vmap(lambda x: warp_height(problem.frame, problem.shape, x[0], x[1]))(problem.board)
-    upright = jnp.array([[0.0, 0.0, 1.0]], problem.board.dtype)
-    return problem.board * (1.0 + problem.shape[2]) + height[:, None] * upright
-
-
-def warp_height(
-    frame: Float[Array, "4"], shape: Float[Array, "3"], x: Float[Array, ""], y: Float[Array, ""]
-) -> Float[Array, ""]:
-    """z of the bowed board at (x, y): kx (1 - x'^2) + ky (1 - y'^2), with x' = +-1 at the outer corners.
-
-    Source: mrcal's `calobject_warp`.
-    """
-    centre_x, centre_y, half_x, half_y = (frame[i] for i in range(4))
-    a, b = (x - centre_x) / half_x, (y - centre_y) / half_y
-    return shape[0] * (1.0 - a * a) + shape[1] * (1.0 - b * b)
+    surface = BowedBoard(problem.frame, problem.shape)
+    return jax.vmap(surface.point)(jnp.asarray(problem.board)[:, :2])
 
 
 def shared_values(problem: Problem) -> Float[Array, " shared"]:

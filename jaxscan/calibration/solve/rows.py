@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jaxscan.calibration.solve.problem import Problem, Step, board_points, camera_from_board, move, warp_height
-from jaxscan.geometry import AbstractCamera, Array, LaserSheet, invert, transform
+from jaxscan.calibration.solve.problem import Problem, Step, board_points, camera_from_board, move
+from jaxscan.geometry import AbstractCamera, Array, BowedBoard, LaserSheet, invert, transform
 
 
 class Rows(NamedTuple):
@@ -62,14 +62,12 @@ def corner_rows(problem: Problem) -> Rows:
 
     Source: PAPER.md equations (1), (2), (4).
     """
-    camera, frame, shape = problem.camera, problem.frame, problem.shape
+    camera, surface = problem.camera, BowedBoard(problem.frame, problem.shape)
     points = board_points(problem)
     count = len(camera.parameter_names())
 
     def by_shape(flat):
-        a, b = (flat[0] - frame[0]) / frame[2], (flat[1] - frame[1]) / frame[3]
-        rise = jnp.stack([1.0 - a * a, 1.0 - b * b])
-        lift = jnp.concatenate([jnp.zeros((2, 2), flat.dtype), rise[None]])
+        lift = jnp.concatenate([jnp.zeros((2, 2), flat.dtype), surface.rise(flat[:2])[None]])
         return jnp.concatenate([lift, flat[:, None]], axis=1)
 
     by_shape_points = jax.vmap(by_shape)(jnp.asarray(problem.board))
@@ -77,7 +75,7 @@ def corner_rows(problem: Problem) -> Rows:
     def corner(pose, point, by_shape_point):
         p = transform(pose, point)
         project = lambda s, p: camera.retract(s).project(p)
-        zero = jnp.zeros(count, shape.dtype)
+        zero = jnp.zeros(count, point.dtype)
         by_camera, by_p = jax.jacfwd(project, argnums=(0, 1))(zero, p)
         turned = by_p @ pose[:3, :3]
         return camera.project(p), jnp.concatenate(
@@ -120,7 +118,10 @@ def _stripe_row(
     # Sums are written out: products of 3 x 3 matrices by the ten thousand are slow.
     camera = problem.camera
     ray = camera.unproject(q)
-    range_m, point, normal = _meet_board(problem, pose, ray)
+    # Stripes say nothing of the pitch, which moves the bow by less than a thousandth of its height.
+    board = BowedBoard(problem.frame, jnp.asarray(problem.shape).at[2].set(0.0))
+    range_m, point = board.meet(pose, ray)
+    normal = board.normal(point[:2])
     value, (by_sheet, by_point) = jax.value_and_grad(LaserSheet.offset, argnums=(0, 1))(sheet, range_m * ray)
     surface = pose[:3, 0] * normal[0] + pose[:3, 1] * normal[1] + pose[:3, 2] * normal[2]
     upright = _dot(surface, ray)
@@ -128,43 +129,17 @@ def _stripe_row(
     by_ray = range_m * (by_point - along * surface)
     by_q = _by_pixel(camera, ray, by_ray)
     by_u, by_v = jax.jacfwd(lambda s: camera.retract(s).project(ray))(jnp.zeros(count, q.dtype))
-    rise = _bow_shape(problem, point)
     slopes = [
         # Implicit function theorem: where the pixel of a ray moves one way, the ray of a pixel moves back.
         -(by_q[0] * by_u + by_q[1] * by_v),
         along * normal,
         along * _cross(point, normal),
-        along * rise,
+        along * board.rise(point[:2]),
         by_sheet.normal,
         by_sheet.distance[None],
         by_sheet.bow,
     ]
     return value, jnp.concatenate(slopes), by_q
-
-
-def _meet_board(
-    problem: Problem, pose: Float[Array, "4 4"], ray: Float[Array, "3"]
-) -> tuple[Float[Array, ""], Float[Array, "3"], Float[Array, "3"]]:
-    """Where a ray meets the bowed board: range [m], point and surface normal in the board frame."""
-    origin = -jnp.stack([_dot(pose[:3, i], pose[:3, 3]) for i in range(3)])
-    direction = jnp.stack([_dot(pose[:3, i], ray) for i in range(3)])
-    # A harmless 1 where the ray runs along the board; such a point has no meaning anyway.
-    along_z = jnp.where(direction[2] == 0, 1.0, direction[2]).astype(ray.dtype)
-    range_m = jnp.asarray(-origin[2] / along_z)
-    # Every round leaves the slope of the bow, less than a hundredth, of the error before.
-    for _ in range(4):
-        point = origin + range_m * direction
-        range_m = jnp.asarray((warp_height(problem.frame, problem.shape, point[0], point[1]) - origin[2]) / along_z)
-    point = origin + range_m * direction
-    centre, half = problem.frame[:2], problem.frame[2:]
-    slope = 2.0 * problem.shape[:2] * (point[:2] - centre) / (half * half)
-    return range_m, point, jnp.stack([slope[0], slope[1], jnp.ones_like(slope[0])])
-
-
-def _bow_shape(problem: Problem, point: Float[Array, "3"]) -> Float[Array, "2"]:
-    """How the surface rises with kx and ky."""
-    a = (point[:2] - problem.frame[:2]) / problem.frame[2:]
-    return 1.0 - a * a
 
 
 def _by_pixel(camera: AbstractCamera, ray: Float[Array, "3"], by_ray: Float[Array, "3"]) -> Float[Array, "2"]:

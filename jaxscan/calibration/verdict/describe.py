@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS
 from jaxscan.calibration.solve.adjust import Adjustment
 from jaxscan.calibration.solve.covariance import Determination
 from jaxscan.calibration.verdict import limits
 from jaxscan.calibration.verdict.quality import Direction, PriorShare, Quality, ViewQuality
+from jaxscan.observation import Observations
 
 
 def describe_quality(

@@ -37,7 +37,8 @@ def compare_halves(
         known = linearise_compiled(solution.problem)
         free = np.asarray(problem.scales) > 0
         reduced, prior = (np.asarray(part)[np.ix_(free, free)] for part in (known.reduced, known.prior))
-        size = np.sqrt(np.diag(reduced))
+        # Rounding may leave a little less than 0 for unknowns that half of the records do not show.
+        size = np.sqrt(np.maximum(np.diag(reduced), 0.0))
         if not np.all(size > 0) or not bool(solution.converged):
             return None
         correlation = reduced / np.outer(size, size)

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.observations import Observations
 from jaxscan.calibration.verdict import limits
 from jaxscan.calibration.verdict.quality import Quality, ViewQuality
+from jaxscan.observation import Observations
 
 
 class JudgedView(NamedTuple):

@@ -15,7 +15,7 @@ from jaxscan.errors import OptionError
 
 if TYPE_CHECKING:
     from scanrig.checks.guide import Coverage, Guide
-    from scanrig.session.run import PlacementRequest
+    from scanrig.session import PlacementRequest
 
 
 COMMAND_S = 600.0

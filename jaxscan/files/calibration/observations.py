@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 import numpy as np
 import pydantic
 
-from jaxscan.calibration.observations import BoardViews, Observations, StripeViews
 from jaxscan.errors import CalibrationError
 from jaxscan.files.disk import (
     FileModel,
@@ -22,6 +21,7 @@ from jaxscan.files.disk import (
 from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
+from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
 OBSERVATIONS_FORMAT: Literal["jaxscan-observations/1"] = "jaxscan-observations/1"

@@ -58,7 +58,7 @@ def _read(kind: Any, value: Any) -> Any:
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if origin is types.UnionType:
         return None if value is None else _read(parts[0], value)
-    if dataclasses.is_dataclass(kind) and isinstance(value, dict):
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind) and isinstance(value, dict):
         kinds = typing.get_type_hints(kind)
         given = {key: _read(kinds[key], value[key]) for key in kinds.keys() & value.keys()}
         if all(field.name in given or field.default is not dataclasses.MISSING for field in dataclasses.fields(kind)):

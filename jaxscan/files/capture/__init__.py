@@ -1,5 +1,6 @@
 """Captures on disk, read."""
 
+from jaxscan.files.capture.board_captures import common_board as common_board
 from jaxscan.files.capture.capture import Capture as Capture
 from jaxscan.files.capture.capture import open_capture as open_capture
 from jaxscan.files.capture.decode import cores as cores

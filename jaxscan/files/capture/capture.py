@@ -18,6 +18,8 @@ from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Recor
 from jaxscan.files.capture.references import ImageRef
 from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.geometry import AbstractBoard
+from jaxscan.geometry.scanner import Up
+from jaxscan.geometry.turntable import Carries
 from jaxscan.reconstruction.sweep import FrameChunk
 from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response
 
@@ -57,9 +59,14 @@ class Capture:
         return self.header.camera.width, self.header.camera.height
 
     @property
-    def carries(self) -> str | None:
+    def carries(self) -> Carries | None:
         """What the table carries, where the header says so."""
         return None if self.header.turntable is None else self.header.turntable.carries
+
+    @property
+    def up(self) -> Up:
+        """Which direction of the image is up."""
+        return self.header.camera.up
 
     @property
     def board(self) -> AbstractBoard | None:

@@ -1,4 +1,4 @@
-"""What a rig sees of calibration boards, without rendering: corners and stripe points, to the last digit.
+"""Corners and stripe points of calibration boards as a rig sees them, without rendering, to the last digit.
 
 Nothing is noisy but by `add_noise`, and nothing here is known to `geometry`: see `ideal_rig`.
 """
@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from worlds.ideal_rig import NEAREST_M, IdealRig
 
 from jaxscan.errors import ConfigError
-from jaxscan.simulation.ideal_rig import NEAREST_M, IdealRig
-from jaxscan.simulation.rig import Motion, rodrigues
-from jaxscan.simulation.spec import LaserSpec, SimulationConfig
+from jaxscan.simulation import LaserSpec, Motion, SimulationConfig, rodrigues
 
 
 _MARGIN_PX = 8.0
@@ -50,45 +49,44 @@ class IdealBoards(NamedTuple):
     stripe_laser: np.ndarray
 
 
-def draw_poses(
-    config: SimulationConfig,
-    seed: int,
-    *,
-    free_views: int | None = None,
-    placements: int | None = None,
-    angles: int | None = None,
-    span_deg: float = 24.0,
-    around_deg: Sequence[float | int] = (0.0,),
-    lit: int | None = None,
-) -> BoardPoses:
+class PosePlan(NamedTuple):
+    """How many poses to draw, and at which angles of the table."""
+
+    free_views: int
+    """Boards seen once."""
+    placements: int = 0
+    """Boards seen at several angles."""
+    angles: int = 1
+    """How many, evenly spread."""
+    span_deg: float = 24.0
+    """Range of the angles."""
+    around_deg: Sequence[float | int] = (0.0,)
+    """Middles of that range, for one placement after the other."""
+    lit: int | None = None
+    """How many of the free views show a stripe, the last ones; None: all. The others stand anywhere
+    in the image. Placements stand across the stripe, which leaves the board where the table has
+    turned far."""
+
+
+def draw_poses(config: SimulationConfig, seed: int, plan: PosePlan) -> BoardPoses:
     """Random poses that show all corners: free views at angle 0, then placements seen while turning.
 
     Args:
-        config: The true rig; `boards` holds range, tilt, and the numbers where not given here.
+        config: The true rig; `boards` holds range and tilt.
         seed: Of the poses.
-        free_views: Boards seen once.
-        placements: Boards seen at several angles.
-        angles: How many, evenly spread over
-        span_deg: this range, about
-        around_deg: these table angles, one placement after the other.
-        lit: How many of the free views show a stripe, the last ones; all where not given. The
-            others stand anywhere in the image. Placements stand across the stripe, which leaves
-            the board where the table has turned far.
+        plan: How many poses.
 
     Raises:
         ConfigError: If there is no such pose.
     """
-    spec = config.boards
-    free_views = spec.free_views if free_views is None else free_views
-    placements = spec.placements if placements is None else placements
-    angles = spec.angles if angles is None else angles
-    dark = free_views - (free_views if lit is None else lit)
-    turns = np.deg2rad(np.linspace(-span_deg / 2, span_deg / 2, angles)) if angles > 1 else np.zeros(1)
+    half = plan.span_deg / 2
+    turns = np.deg2rad(np.linspace(-half, half, plan.angles)) if plan.angles > 1 else np.zeros(1)
+    dark = 0 if plan.lit is None else plan.free_views - plan.lit
     random = np.random.default_rng(seed)
     boards, placement, angle = [], [], []
-    for number in range(free_views + placements):
-        free = number < free_views
-        home = 0.0 if free else np.deg2rad(around_deg[(number - free_views) % len(around_deg)])
+    for number in range(plan.free_views + plan.placements):
+        free = number < plan.free_views
+        home = 0.0 if free else np.deg2rad(plan.around_deg[(number - plan.free_views) % len(plan.around_deg)])
         stops = np.zeros(1) if free else home + turns
         boards.append(_draw(config, random, stops, home, crossed=number >= dark))
         placement += [number] * len(stops)
@@ -100,7 +98,7 @@ def draw_poses(
 def ideal_boards(
     config: SimulationConfig, poses: BoardPoses, *, points: int = 300, lens_px: float = 0.0
 ) -> IdealBoards:
-    """What the rig sees of boards in the given poses.
+    """Corners and stripes of boards in the given poses.
 
     Bow of board and sheets and errors of the table are those of `config`: an estimator is not to
     know them.

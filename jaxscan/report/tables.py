@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxscan.calibration import Calibration
+from jaxscan.calibration import Calibration, ModelTest, Quality
+from jaxscan.calibration.verdict import judge_views
 from jaxscan.geometry import Scanner
-from jaxscan.report.calibration import TESTS, Outcome, number, outcomes, views
+from jaxscan.report.words import TESTS
 
 
 class Parameter(NamedTuple):
-    """One row: what was estimated, in the units that are read."""
+    """One row: an estimate in the units that are read."""
 
     name: str
     value: tuple[float, ...]
@@ -41,7 +42,7 @@ class Parameter(NamedTuple):
 
 
 def parameters(calibration: Calibration) -> list[Parameter]:
-    """What was estimated: camera, lasers, axis, angle model, board."""
+    """All estimates: camera, lasers, axis, angle model, board."""
     diagonal = np.sqrt(np.maximum(np.diag(calibration.covariance), 0.0))
     # A calibration of unknown uncertainty has none to show.
     sigma = dict(zip(calibration.order, diagonal.tolist(), strict=True))
@@ -90,15 +91,14 @@ def _table(scanner: Scanner, sigma: dict[str, float]) -> list[Parameter]:
     ]
 
 
-def _board(quality: dict[str, Any]) -> list[Parameter]:
+def _board(quality: Quality) -> list[Parameter]:
     rows = []
-    warp, sigma = (_pair(quality.get(key)) for key in ("board_warp_m", "board_warp_sigma_m"))
-    for axis, height, uncertain in zip("xy", warp, sigma, strict=False):
-        if uncertain > 0:
-            rows.append(Parameter(f"board bow along {axis}", (1e3 * height,), 1e3 * uncertain, "mm"))
-    pitch, uncertain_pitch = (number(quality, key) for key in ("board_pitch", "board_pitch_sigma"))
-    if pitch is not None and uncertain_pitch:
-        rows.append(Parameter("board squares, relative error", (1e6 * pitch,), 1e6 * uncertain_pitch, "ppm"))
+    for axis, height, sigma in zip("xy", quality.board_warp_m or (), quality.board_warp_sigma_m or (), strict=False):
+        if sigma > 0:
+            rows.append(Parameter(f"board bow along {axis}", (1e3 * height,), 1e3 * sigma, "mm"))
+    if quality.board_pitch is not None and quality.board_pitch_sigma:
+        pitch, sigma = 1e6 * quality.board_pitch, 1e6 * quality.board_pitch_sigma
+        rows.append(Parameter("board squares, relative error", (pitch,), sigma, "ppm"))
     return rows
 
 
@@ -116,80 +116,74 @@ OUTCOME_COLUMNS = (
 
 def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
     """The tests of the verdict, one each, as `OUTCOME_COLUMNS`."""
+    verdict = calibration.quality.verdict
+    if verdict is None:
+        return []
     return [
         (
             test.name,
-            _optional(test.statistic, ".1f"),
-            _optional(test.dof, ".0f"),
+            f"{test.statistic:.1f}",
+            str(test.dof),
             _probability(test.p),
             _probability(test.p_structure),
-            _moved(test),
-            test.result,
+            _moved(test) if verdict.result(test) == "fails" else "",
+            verdict.result(test),
             TESTS.get(test.name, ("", ""))[0],
         )
-        for test in outcomes(calibration)
+        for test in verdict.tests
     ]
 
 
-def _moved(test: Outcome) -> str:
-    # What passes has nothing to move but by chance.
-    if test.result != "fails" or test.effect_mm is None or test.effect_sigma is None:
+def _moved(test: ModelTest) -> str:
+    if test.effect_mm is None or test.effect_sigma is None:
         return ""
     return f"{test.effect_mm:.2g} mm, {test.effect_sigma:.1f} sigma"
 
 
-VIEW_COLUMNS = {
-    "record": ("record", ".0f"),
-    "corners": ("corners", ".0f"),
-    "corners_rejected": ("rejected", ".0f"),
-    "kept_rms_px": ("RMS of kept corners, px", ".3f"),
-    "corner_rms_px": ("of all corners, px", ".3f"),
-    "stripe_points": ("stripe points", ".0f"),
-    "stripe_rms_px": ("stripe RMS, px", ".3f"),
-    "board_z_m": ("distance, m", ".2f"),
-}
-"""What is shown of a view: its key in `quality["per_view"]`, the title and the form of a number."""
-
-
-def view_columns(calibration: Calibration) -> dict[str, tuple[str, str]]:
-    """Those of `VIEW_COLUMNS` that this calibration has anything to say in."""
-    striped = any(number(view, "stripe_points") for view in views(calibration))
-    return {key: column for key, column in VIEW_COLUMNS.items() if striped or not key.startswith("stripe")}
+def view_columns(calibration: Calibration) -> tuple[str, ...]:
+    """Titles of the table of views; without stripes where no view has any."""
+    stripes = ("stripe points", "stripe RMS, px") if _striped(calibration) else ()
+    return ("record", "corners", "rejected", "RMS of kept corners, px", "of all corners, px", *stripes, "distance, m")
 
 
 def view_rows(calibration: Calibration) -> list[tuple[str, ...]]:
     """The views, worst first, as `view_columns`."""
-    columns = view_columns(calibration)
-
-    def cell(view: dict[str, Any], key: str, form: str) -> str:
+    rows, striped = [], _striped(calibration)
+    for view in judge_views(calibration.quality, calibration.fit, calibration.observations):
+        of = view.quality
+        counts = str(of.record), str(of.corners), str(of.corners_rejected)
+        corners = _optional(view.kept_rms_px, ".3f"), _optional(of.corner_rms_px, ".3f")
         # Of no points there is no root mean square.
-        empty = key == "stripe_rms_px" and not number(view, "stripe_points")
-        return _optional(None if empty else number(view, key), form)
+        stripes = str(of.stripe_points), _optional(of.stripe_rms_px if of.stripe_points else None, ".3f")
+        rows.append((*counts, *corners, *(stripes if striped else ()), _optional(of.board_z_m, ".2f")))
+    return rows
 
-    return [tuple(cell(view, key, form) for key, (_, form) in columns.items()) for view in views(calibration)]
+
+def _striped(calibration: Calibration) -> bool:
+    return any(view.stripe_points for view in calibration.quality.per_view)
 
 
 def quality_rows(calibration: Calibration) -> list[tuple[str, str]]:
-    """Numbers about the whole solve."""
+    """Numbers about the whole solve, as far as they are known."""
     quality = calibration.quality
-    share = quality.get("prior_share")
+    share = quality.prior_share
     values = [
-        ("views", _optional(number(quality, "views"), ".0f")),
-        ("records without a usable board", _optional(number(quality, "views_without_board"), ".0f")),
-        ("board placements", _optional(number(quality, "placements"), ".0f")),
-        ("corner RMS, px", _optional(number(quality, "corner_rms_px"), ".4f")),
-        ("corner RMS with rejected ones, px", _optional(number(quality, "corner_rms_all_px"), ".4f")),
-        ("stripe RMS, px", _optional(number(quality, "stripe_rms_px"), ".4f")),
-        ("corner noise over what was promised", _optional(number(quality, "corner_noise_over_sigma"), ".3f")),
-        ("stripe noise over what was promised", _optional(number(quality, "stripe_noise_over_sigma"), ".3f")),
-        ("stripe points that share one error", _optional(number(quality, "stripe_correlation"), ".2f")),
-        ("share of priors in the cost", _percent(number(share, "cost"))),
-        ("largest share of priors in any direction", _percent(number(share, "information"))),
-        ("condition of the normal equations", _optional(number(quality, "condition"), ".2g")),
-        ("steps of the solver", _optional(number(quality, "steps"), ".0f")),
-        ("seconds", _optional(number(quality, "seconds"), ".2f")),
+        ("views", quality.views, "d"),
+        ("records without a usable board", quality.views_without_board, "d"),
+        ("board placements", quality.placements, "d"),
+        ("corner RMS, px", quality.corner_rms_px, ".4f"),
+        ("corner RMS with rejected ones, px", quality.corner_rms_all_px, ".4f"),
+        ("stripe RMS, px", quality.stripe_rms_px, ".4f"),
+        ("corner noise over what was promised", quality.corner_noise_over_sigma, ".3f"),
+        ("stripe noise over what was promised", quality.stripe_noise_over_sigma, ".3f"),
+        ("stripe points that share one error", quality.stripe_correlation, ".2f"),
+        ("share of priors in the cost", share and share.cost, ".2%"),
+        ("largest share of priors in any direction", share and share.information, ".2%"),
+        ("condition of the normal equations", quality.condition, ".2g"),
+        ("steps of the solver", quality.steps, "d"),
+        ("seconds", quality.seconds, ".2f"),
     ]
-    return [(name, value) for name, value in values if value != "–"]
+    return [(name, f"{value:{form}}".replace("%", " %")) for name, value, form in values if value is not None]
 
 
 def _digits(values: Sequence[float], sigma: float) -> str:
@@ -206,22 +200,10 @@ def _optional(value: float | None, form: str) -> str:
     return "–" if value is None else f"{value:{form}}"
 
 
-def _percent(value: float | None) -> str:
-    return "–" if value is None else f"{100 * value:.2f} %"
-
-
-def _probability(value: float | None) -> str:
-    if value is None:
-        return "–"
+def _probability(value: float) -> str:
     if value < 1e-99:
         return "< 1e-99"
     return f"{value:.3f}" if value >= 1e-3 else f"{value:.0e}"
-
-
-def _pair(value: object) -> tuple[float, ...]:
-    """Two numbers of a file, or none."""
-    usable = isinstance(value, list | tuple) and len(value) == 2 and all(isinstance(item, float) for item in value)
-    return tuple(value) if isinstance(value, list | tuple) and usable else ()
 
 
 def _tuple(values: object) -> tuple[float, ...]:

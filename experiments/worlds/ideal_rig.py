@@ -8,9 +8,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxscan.simulation.rays import distort, undistort
-from jaxscan.simulation.rig import UP, Motion, rodrigues, turning_axis
-from jaxscan.simulation.spec import CameraSpec, LaserSpec, SimulationConfig
+from jaxscan.simulation import (
+    CameraSpec,
+    LaserSpec,
+    Motion,
+    SimulationConfig,
+    distort,
+    rodrigues,
+    turning_axis,
+    undistort,
+)
+from jaxscan.simulation.rig import UP
 
 
 NEAREST_M = 0.05

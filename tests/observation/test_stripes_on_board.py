@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxscan.calibration import select_board_stripes, stack_stripes
 from jaxscan.geometry import Chessboard
+from jaxscan.observation import FoundCorners, FoundStripe, select_board_stripe, stack_stripes
 
 
 @pytest.fixture(scope="module")
@@ -25,11 +25,14 @@ def seen(world):
     return rig, view, u, along, inside
 
 
-def select(seen, **changes):
+def select(seen, *, corners=None, valid=None, board=None, stripe_axis="rows", **options):
     rig, view, u, _, inside = seen
-    corners = view(rig.board.corners())
-    arguments = {"corners": corners, "corners_valid": np.ones(len(corners), bool), "board": rig.board, "points": 1024}
-    return select_board_stripes(u, np.full(1024, 0.1), inside, **(arguments | changes))
+    board = board or rig.board
+    corners = view(board.corners()) if corners is None else corners
+    valid = np.ones(len(corners), bool) if valid is None else valid
+    found = FoundCorners(corners, np.ones(len(corners)), valid)
+    stripe = FoundStripe(u, np.full(1024, 0.1), np.full(1024, 1.5), inside, stripe_axis)
+    return select_board_stripe(stripe, found, board, **({"points": 1024} | options))
 
 
 def test_points_on_the_print_and_no_others(seen):
@@ -53,7 +56,7 @@ def test_sigma_is_across_the_stripe(seen):
 def test_far_from_any_corner_found_nothing_is_believed(seen):
     rig = seen[0]
     valid = rig.board.corners()[:, 1] < 0.08
-    stripe = select(seen, corners_valid=valid)
+    stripe = select(seen, valid=valid)
     full = select(seen)
     assert 0 < stripe.valid.sum() < 0.75 * full.valid.sum()
 
@@ -105,15 +108,10 @@ def test_thinning_and_stacking(seen):
     full = select(seen)
     assert stripe.valid.all() and stripe.q.shape == (64, 2)
     assert stripe.q[0, 1] == full.q[0, 1] and stripe.q[-1, 1] == full.q[full.valid][-1, 1]
-    nothing = select_board_stripes(
-        np.zeros(10),
-        np.ones(10),
-        np.zeros(10, bool),
-        corners=seen[1](seen[0].board.corners()),
-        corners_valid=np.ones(63, bool),
-        board=seen[0].board,
-        points=64,
-    )
+    corners = seen[1](seen[0].board.corners())
+    found = FoundCorners(corners, np.ones(63), np.ones(63, bool))
+    empty = FoundStripe(np.zeros(10), np.ones(10), np.full(10, 1.5), np.zeros(10, bool))
+    nothing = select_board_stripe(empty, found, seen[0].board, points=64)
     stack = stack_stripes([(nothing, 0, 0), (stripe, 3, 1)], points=64)
     assert stack.q.shape == (1, 64, 2) and stack.view.tolist() == [3] and stack.laser.tolist() == [1]
     assert stack_stripes([], points=64).q.shape == (0, 64, 2)
@@ -122,5 +120,5 @@ def test_thinning_and_stacking(seen):
 def test_a_board_of_few_corners(seen):
     board = Chessboard(3, 3, 0.105)
     view = seen[1]
-    stripe = select(seen, corners=view(board.corners()), corners_valid=np.ones(9, bool), board=board)
+    stripe = select(seen, corners=view(board.corners()), board=board)
     assert stripe.valid.sum() > 100

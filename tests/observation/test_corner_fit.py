@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxscan.vision.refine import refine_corners
+from jaxscan.observation.corner_fit import fit_corners
 
 
 TILE, TILES, FINE = 36, 6, 15
@@ -19,7 +19,7 @@ class Picture(NamedTuple):
     start: np.ndarray
 
     def refine(self, half=10.0, **options):
-        return refine_corners(self.image, self.start, self.edges, np.full(len(self.start), half), **options)
+        return fit_corners(self.image, self.start, self.edges, np.full(len(self.start), half), **options)
 
     def error(self, found):
         return (found.q - self.truth)[found.valid]
@@ -155,7 +155,7 @@ def test_what_is_no_corner_is_refused(clean):
     # Edges in another direction than expected belong to something else.
     turned = np.stack([clean.edges[:, 0] + clean.edges[:, 1], clean.edges[:, 0] - clean.edges[:, 1]], 1)
     assert not clean._replace(edges=turned).refine().valid.any()
-    nothing = refine_corners(image, np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
+    nothing = fit_corners(image, np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
     assert nothing.q.shape == (0, 2)
 
 

@@ -32,7 +32,7 @@ _MOST_SHARED = 1.5
 _FLOOR_PX = 2e-3
 
 
-class RefinedCorners(NamedTuple):
+class FittedCorners(NamedTuple):
     """Corners after the fit."""
 
     q: np.ndarray
@@ -43,9 +43,9 @@ class RefinedCorners(NamedTuple):
     """bool [corners]: the model fits there."""
 
 
-def refine_corners(
+def fit_corners(
     image: np.ndarray, start: np.ndarray, edges: np.ndarray, half: np.ndarray, *, clear: np.ndarray | None = None
-) -> RefinedCorners:
+) -> FittedCorners:
     r"""Place of chessboard corners, by a least-squares fit of what a blurred crossing looks like.
 
     $$I(q) = \Bigl[l + c\, \mathrm{erf}\frac{d_1(q)}{\sqrt2 w}\, \mathrm{erf}\frac{d_2(q)}{\sqrt2 w}\Bigr]
@@ -74,7 +74,7 @@ def refine_corners(
     """
     count = len(start)
     if count == 0:
-        return RefinedCorners(np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool))
+        return FittedCorners(np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool))
     half = np.clip(np.floor(half), _MIN_HALF, _MAX_HALF)
     angle = np.arctan2(edges[..., 1], edges[..., 0])
     window = _cut(image, np.asarray(start, np.float64), half, angle, clear)
@@ -230,7 +230,7 @@ def _edge(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.copysign(1.0 - series * bell, t), 0.79788456 * bell
 
 
-def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, half: np.ndarray) -> RefinedCorners:
+def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, half: np.ndarray) -> FittedCorners:
     unknowns, jacobian = fit.unknowns, fit.jacobian
     count = window.weight.sum(1)
     normal = (jacobian @ jacobian.transpose(0, 2, 1)).astype(np.float64)
@@ -252,7 +252,7 @@ def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, ha
         valid &= noise <= _ODD * np.median(np.maximum(noise[valid], _QUANTISED_DN))
     plain = noise**2 * np.einsum("cii->ci", inverse)[:, :2].mean(1)
     sigma = np.sqrt(plain * _shared_noise(window, fit, inverse, valid) + _FLOOR_PX**2)
-    return RefinedCorners(np.where(valid[:, None], start + unknowns[:, :2], start), np.where(valid, sigma, 1.0), valid)
+    return FittedCorners(np.where(valid[:, None], start + unknowns[:, :2], start), np.where(valid, sigma, 1.0), valid)
 
 
 def _shared_noise(window: _Window, fit: _Fit, inverse: np.ndarray, valid: np.ndarray) -> float:

@@ -5,12 +5,12 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from worlds.ideal_boards import PosePlan, add_noise, draw_poses, ideal_boards
+from worlds.ideal_rig import lens_flaw
 
 import jaxscan
 from jaxscan.geometry import invert, transform
 from jaxscan.simulation import SimulationConfig, true_scanner
-from jaxscan.simulation.ideal_boards import add_noise, draw_poses, ideal_boards
-from jaxscan.simulation.ideal_rig import lens_flaw
 
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -33,7 +33,7 @@ def crooked() -> SimulationConfig:
 @pytest.fixture(scope="module", params=["reference", "crooked", "desk"])
 def world(request):
     config = crooked() if request.param == "crooked" else load(request.param)
-    poses = draw_poses(config, 3, free_views=3, placements=2, angles=3, span_deg=10.0)
+    poses = draw_poses(config, 3, PosePlan(free_views=3, placements=2, angles=3, span_deg=10.0))
     return config, poses, ideal_boards(config, poses, points=60)
 
 
@@ -88,7 +88,9 @@ def test_stripe_points_lie_on_sheet_and_board(world):
 
 def test_placements_stand_round_the_table():
     config = load("reference")
-    poses = draw_poses(config, 0, free_views=0, placements=4, angles=3, span_deg=20.0, around_deg=(0, 90, 180, 270))
+    poses = draw_poses(
+        config, 0, PosePlan(free_views=0, placements=4, angles=3, span_deg=20.0, around_deg=(0, 90, 180, 270))
+    )
     angle = np.rad2deg(poses.angle).reshape(4, 3)
     np.testing.assert_allclose(angle, np.array([[0], [90], [180], [270]]) + [-10, 0, 10], atol=1e-12)
     # Seen from the axis they stand in four directions.
@@ -99,7 +101,9 @@ def test_placements_stand_round_the_table():
 
 def test_poses_are_drawn_from_the_seed_and_lit_as_told():
     config = load("reference")
-    one, two, other = (draw_poses(config, seed, free_views=5, placements=1, angles=2, lit=2) for seed in (1, 1, 2))
+    one, two, other = (
+        draw_poses(config, seed, PosePlan(free_views=5, placements=1, angles=2, lit=2)) for seed in (1, 1, 2)
+    )
     np.testing.assert_array_equal(one.boards[3].rotation, two.boards[3].rotation)
     assert not np.allclose(one.boards[3].rotation, other.boards[3].rotation)
     np.testing.assert_array_equal(one.lit, [False] * 3 + [True] * 4)
@@ -123,7 +127,7 @@ def test_the_flaw_of_a_lens_is_what_the_model_cannot_hold():
     # The grid of the generator is half as fine: 5 % either way.
     assert np.std(left) > 0.95 * np.std(shift)
     # Boards see it.
-    poses = draw_poses(config, 0, free_views=10, placements=0)
+    poses = draw_poses(config, 0, PosePlan(free_views=10, placements=0))
     plain, flawed = (ideal_boards(config, poses, lens_px=px).corner_q for px in (0.0, 0.3))
     assert 0.05 < np.abs(flawed - plain).max() < 0.3
 
@@ -131,7 +135,7 @@ def test_the_flaw_of_a_lens_is_what_the_model_cannot_hold():
 @pytest.mark.parametrize("correlation", [0.0, 0.6])
 def test_noise_is_as_stated(correlation):
     config = load("reference")
-    ideal = ideal_boards(config, draw_poses(config, 0, free_views=40, placements=0), points=100)
+    ideal = ideal_boards(config, draw_poses(config, 0, PosePlan(free_views=40, placements=0)), points=100)
     noisy = add_noise(ideal, np.random.default_rng(0), correlation=correlation)
     # 7040 corner coordinates: 0.8 % of a standard deviation, times four.
     assert (noisy.corner_q - ideal.corner_q).std() == pytest.approx(0.1, rel=0.035)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.predict import board_poses, lift_to_board, predict_corners, predict_stripe
+from jaxscan.calibration import CalibrationSettings, calibrate_observations, solved_rig
+from jaxscan.observation.prediction import lift_to_board, predict_corners, predict_stripe, turn_boards
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +18,7 @@ def solved(world):
 
 def test_corners_are_where_they_were_seen(solved):
     _, observed, calibration = solved
-    predicted = predict_corners(calibration, calibration.fit.pose)
+    predicted = predict_corners(solved_rig(calibration), calibration.fit.pose)
     # Perfect observations, so the fit is one.
     np.testing.assert_allclose(predicted.q, observed.corners.q, atol=1e-5)
     assert predicted.visible.all()
@@ -38,7 +38,7 @@ def test_corners_beside_and_behind_the_image_are_not_visible(solved):
     calibration = solved[2]
     pose = np.tile(np.eye(4), (3, 1, 1))
     pose[:, :3, 3] = [(0.3, 0.0, 0.8), (0.0, 0.0, -0.8), (3.0, 0.0, 0.5)]
-    visible = predict_corners(calibration, pose).visible
+    visible = predict_corners(solved_rig(calibration), pose).visible
     assert 0 < visible[0].sum() < visible.shape[1]
     assert not visible[1].any() and not visible[2].any()
 
@@ -48,7 +48,8 @@ def test_a_board_seen_from_one_angle_is_known_from_all(solved):
     angle, placement = np.asarray(observed.corners.angle), np.asarray(observed.corners.placement)
     together = np.flatnonzero(placement == placement[-1])
     assert len(together) == 5
-    poses = board_poses(calibration, angle[together], np.full(5, together[0]))
+    seen = np.full(5, together[0])
+    poses = turn_boards(calibration.scanner.turntable, calibration.fit.pose[seen], angle[seen], angle[together])
     np.testing.assert_allclose(poses, calibration.fit.pose[together], atol=1e-9)
 
 
@@ -57,7 +58,7 @@ def test_the_stripe_runs_where_it_was_seen(solved):
     checked = 0
     for row, view in enumerate(observed.stripes.view):
         q = observed.stripes.q[row][observed.stripes.valid[row]]
-        stripe = predict_stripe(calibration, calibration.fit.pose[view], 0, observed.height)
+        stripe = predict_stripe(solved_rig(calibration), calibration.fit.pose[view], 0)
         inside = (q[:, 1] > 1) & (q[:, 1] < observed.height - 2)
         below = np.floor(q[inside, 1]).astype(int)
         both = stripe.on_board[below] & stripe.on_board[below + 1]
@@ -73,8 +74,8 @@ def test_the_stripe_runs_where_it_was_seen(solved):
 def test_columns_are_rows_turned(solved):
     _, observed, calibration = solved
     view = int(observed.stripes.view[0])
-    rows = predict_stripe(calibration, calibration.fit.pose[view], 0, observed.height)
-    columns = predict_stripe(calibration, calibration.fit.pose[view], 0, observed.width, "columns")
+    rows = predict_stripe(solved_rig(calibration), calibration.fit.pose[view], 0)
+    columns = predict_stripe(solved_rig(calibration), calibration.fit.pose[view], 0, "columns")
     at = np.flatnonzero(columns.on_board)
     back = np.interp(columns.u[at], np.flatnonzero(rows.on_board), rows.u[rows.on_board])
     assert len(at) > 3
@@ -85,14 +86,13 @@ def test_columns_are_rows_turned(solved):
 def test_points_of_the_image_on_the_board(solved):
     _, observed, calibration = solved
     for view in (0, len(observed.corners.angle) - 1):
-        xy = lift_to_board(calibration, calibration.fit.pose[view], observed.corners.q[view])
+        xy = lift_to_board(solved_rig(calibration), calibration.fit.pose[view], observed.corners.q[view])
         np.testing.assert_allclose(xy, observed.board.corners()[:, :2], atol=1e-7)
 
 
 def test_without_views_nothing_is_predicted(solved):
     calibration = solved[2]
-    bare = replace(calibration, fit=None)
     with pytest.raises(ValueError, match="holds no views"):
-        predict_corners(bare, np.eye(4)[None])
+        solved_rig(replace(calibration, fit=None))
     with pytest.raises(ValueError, match="no stripe"):
-        predict_stripe(replace(calibration, scanner=None), np.eye(4), 0, 100)
+        predict_stripe(solved_rig(replace(calibration, scanner=None)), np.eye(4), 0)

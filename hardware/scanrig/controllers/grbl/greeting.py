@@ -1,0 +1,85 @@
+"""Who is on the port, and whether the board is set as the configuration says."""
+
+from scanrig.controllers.grbl.lines import BOOT_S, QUERY, GrblLines
+from scanrig.controllers.grbl.report import read_report, read_settings
+from scanrig.controllers.grbl.units import TableUnits
+from scanrig.controllers.settings import Settings
+from scanrig.controllers.table import GrblTable
+from scanrig.errors import FirmwareError, LinkLost
+
+
+AWAKE_S = 0.5
+_TOLERANCE = 1e-4
+"""Part by which a setting may differ: the board prints three decimals."""
+
+
+def wake(lines: GrblLines) -> None:
+    """Wait until the board listens: at once if it is awake, after its boot loader if it was reset by opening the port.
+
+    Raises:
+        LinkLost: nobody answers.
+    """
+    lines.write(b"\n" + QUERY)
+    give_up = lines.clock.now() + AWAKE_S
+    while (left := give_up - lines.clock.now()) > 0:
+        texts = lines.read(left, tell_reset=False)
+        if any(read_report(text) for text in texts):
+            return
+        if lines.greeting and any(text == lines.greeting for text in texts):
+            return
+    if not lines.await_greeting(BOOT_S):
+        lines.reset()
+
+
+def greet(lines: GrblLines) -> str:
+    """Wait until the board listens, and see who it is.
+
+    Returns:
+        Its version.
+
+    Raises:
+        FirmwareError: silence, or another device; with what was found.
+        LinkLost: the port went away.
+    """
+    try:
+        wake(lines)
+        lines.reset()
+    except LinkLost as problem:
+        if lines.broken:
+            raise
+        found = f"a device that says {lines.odd[-1][:60]!r}" if lines.odd else "silence"
+        raise FirmwareError(
+            f"{lines.link.name}: found {found}, needed a board that begins with '{lines.expected_greeting}'; "
+            "check port, power, controller.baud and controller.grbl.greeting"
+        ) from problem
+    words = lines.greeting.split()
+    return words[1] if len(words) > 1 else "unknown"
+
+
+def require_fit(lines: GrblLines, table: GrblTable, units: TableUnits, settings: Settings) -> None:
+    """See that the board's own settings fit the configuration; they are its owner's, and are not changed from here.
+
+    Raises:
+        FirmwareError: with what to type.
+    """
+    says = read_settings(lines.ask("$$"))
+    axis = "XYZABC".index(table.axis)
+    wanted = {1: 255.0, 13: 0.0, 32: 0.0, 100 + axis: units.steps_per_unit}
+    if table.home:
+        wanted[22] = 1.0
+    wrong = {
+        number: value
+        for number, value in wanted.items()
+        if number not in says or abs(says[number] - value) > _TOLERANCE * max(1.0, abs(value))
+    }
+    if not int(says.get(10, 1)) & 1:
+        wrong[10] = 1.0
+    feed = 60 * settings.speed / units.steps_per_unit
+    if says.get(110 + axis, feed) < feed * (1 - _TOLERANCE):
+        wrong[110 + axis] = feed
+    if wrong:
+        found = ", ".join(f"${number}={says.get(number, 'nothing')}" for number in wrong)
+        do = ", ".join(f"${number}={value:.10g}" for number, value in wrong.items())
+        raise FirmwareError(
+            f"{lines.link.name}: found {found}; expected {do}: type that on the board, or change the configuration"
+        )

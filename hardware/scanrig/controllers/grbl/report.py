@@ -1,0 +1,76 @@
+"""What a GRBL board says, line by line: reports of its state, alarms, settings."""
+
+import re
+from dataclasses import dataclass
+
+from scanrig.controllers.status import State
+from scanrig.errors import Fault
+
+
+STATES: dict[str, State] = {
+    "Idle": "idle",
+    "Check": "idle",
+    "Run": "move",
+    "Jog": "move",
+    "Hold": "move",
+    "Home": "home",
+    "Alarm": "fault",
+    "Door": "fault",
+    "Sleep": "fault",
+}
+"""What GRBL's states are to a session. "Alarm" alone, as after power on, means no more than that home is not known."""
+
+ALARMS = {
+    1: Fault.LIMIT,
+    2: Fault.LIMIT,
+    3: Fault.ABORTED,
+    6: Fault.HOME_NOT_FOUND,
+    7: Fault.HOME_NOT_FOUND,
+    8: Fault.HOME_NOT_FOUND,
+    9: Fault.HOME_NOT_FOUND,
+}
+"""What GRBL means by the number of an alarm."""
+
+_REPORT = re.compile(r"<([A-Z][a-z]+)(?::(\d))?((?:\|[A-Za-z]+:[^|<>]*)*)>")
+_SETTING = re.compile(r"\$(\d+)=(-?[\d.]+)")
+_AXES = "XYZABC"
+
+
+@dataclass(frozen=True)
+class Report:
+    """The answer to `?`."""
+
+    state: str
+    """Idle, Run, Hold, Jog, Home, Alarm, Door, Check or Sleep."""
+    part: int
+    """What stands after the state: Hold:0 is at rest, Hold:1 slows down; 0 where nothing does."""
+    positions: tuple[float, ...] | None
+    """Of the machine's axes; None where the board reports other ones ($10)."""
+
+    @property
+    def moving(self) -> bool:
+        """Whether the table turns."""
+        return self.state in ("Run", "Jog", "Home") or (self.state == "Hold" and self.part != 0)
+
+    def position(self, axis: str) -> float | None:
+        """Of one axis; None where it is not reported."""
+        at = _AXES.index(axis)
+        return None if self.positions is None or at >= len(self.positions) else self.positions[at]
+
+
+def read_report(line: str) -> Report | None:
+    """A report of the state; None where the line is none, or is damaged."""
+    match = _REPORT.fullmatch(line)
+    if match is None or match[1] not in STATES:
+        return None
+    fields = dict(field.split(":", 1) for field in match[3].split("|")[1:])
+    try:
+        positions = tuple(float(word) for word in fields["MPos"].split(",")) if "MPos" in fields else None
+    except ValueError:
+        return None
+    return Report(match[1], int(match[2] or 0), positions)
+
+
+def read_settings(lines: list[str]) -> dict[int, float]:
+    """The settings among the lines that `$$` was answered with."""
+    return {int(match[1]): float(match[2]) for line in lines if (match := _SETTING.fullmatch(line))}

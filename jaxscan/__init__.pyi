@@ -1,0 +1,59 @@
+"""The public names and their homes. `jaxscan/__init__.py` reads this list, so a name stands here and nowhere else."""
+
+from jaxscan.api import Reconstruction as Reconstruction
+from jaxscan.api import calibrate as calibrate
+from jaxscan.api import load_simulation as load_simulation
+from jaxscan.api import observe_boards as observe_boards
+from jaxscan.api import reconstruct_capture as reconstruct_capture
+from jaxscan.api import simulate as simulate
+from jaxscan.calibration import BoardViews as BoardViews
+from jaxscan.calibration import Calibration as Calibration
+from jaxscan.calibration import CalibrationSettings as CalibrationSettings
+from jaxscan.calibration import Observations as Observations
+from jaxscan.calibration import StripeViews as StripeViews
+from jaxscan.calibration import calibrate_observations as calibrate_observations
+from jaxscan.errors import CalibrationError as CalibrationError
+from jaxscan.errors import CaptureError as CaptureError
+from jaxscan.errors import CloudError as CloudError
+from jaxscan.errors import ConfigError as ConfigError
+from jaxscan.errors import DependencyError as DependencyError
+from jaxscan.errors import JaxscanError as JaxscanError
+from jaxscan.errors import MeasurementError as MeasurementError
+from jaxscan.errors import OptionError as OptionError
+from jaxscan.files import Capture as Capture
+from jaxscan.files import CaptureHeader as CaptureHeader
+from jaxscan.files import create_capture as create_capture
+from jaxscan.files import load_calibration as load_calibration
+from jaxscan.files import load_cloud as load_cloud
+from jaxscan.files import load_scanner as load_scanner
+from jaxscan.files import open_capture as open_capture
+from jaxscan.files import save_calibration as save_calibration
+from jaxscan.files import save_cloud as save_cloud
+from jaxscan.geometry import Charuco as Charuco
+from jaxscan.geometry import Chessboard as Chessboard
+from jaxscan.geometry import Fisheye as Fisheye
+from jaxscan.geometry import LaserSheet as LaserSheet
+from jaxscan.geometry import Pinhole as Pinhole
+from jaxscan.geometry import Scanner as Scanner
+from jaxscan.geometry import Turntable as Turntable
+from jaxscan.geometry import fit_axis as fit_axis
+from jaxscan.geometry import fit_plane as fit_plane
+from jaxscan.geometry import plane_sigma as plane_sigma
+from jaxscan.measurement import compare_clouds as compare_clouds
+from jaxscan.measurement import measure_distance as measure_distance
+from jaxscan.measurement import measure_plane as measure_plane
+from jaxscan.measurement import measure_room as measure_room
+from jaxscan.reconstruction import PointCloud as PointCloud
+from jaxscan.reconstruction import ReconstructSettings as ReconstructSettings
+from jaxscan.reconstruction import Sweep as Sweep
+from jaxscan.reconstruction import extract_sweep as extract_sweep
+from jaxscan.reconstruction import reconstruct as reconstruct
+from jaxscan.simulation import SimulationConfig as SimulationConfig
+from jaxscan.stripes import LaserLine as LaserLine
+from jaxscan.stripes import NoiseModel as NoiseModel
+from jaxscan.stripes import Stripes as Stripes
+from jaxscan.stripes import StripeSettings as StripeSettings
+from jaxscan.stripes import extract_stripes as extract_stripes
+
+__version__: str
+__all__: list[str]

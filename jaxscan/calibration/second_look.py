@@ -1,0 +1,45 @@
+"""A first calibration as the second look needs it, and which of two calibrations to keep."""
+
+import numpy as np
+
+from jaxscan.calibration.result import Calibration
+from jaxscan.calibration.verdict import SecondLook
+from jaxscan.observation import SolvedRig
+
+
+# The second solve may whiten worse by this factor: corners at the rim of the image are harder to explain.
+_NOT_WORSE = 1.05
+
+
+def solved_rig(calibration: Calibration) -> SolvedRig:
+    """The rig and its boards, from which new places of corners and stripes are predicted.
+
+    Raises:
+        ValueError: If the calibration holds no views.
+    """
+    fit, observations = calibration.fit, calibration.observations
+    if fit is None or observations is None:
+        raise ValueError("The calibration holds no views.")
+    return SolvedRig(
+        camera=calibration.camera,
+        scanner=calibration.scanner,
+        board=observations.board,
+        shape=np.array([*fit.warp, fit.pitch]),
+        poses=fit.pose,
+        used=np.any(fit.corner_kept, axis=1),
+        corner_rms_px=calibration.quality.corner_rms_px or 0.0,
+    )
+
+
+def choose(first: Calibration, second: Calibration) -> tuple[Calibration, SecondLook]:
+    """The second calibration unless it explains its observations worse, and the gains of the second look."""
+    names = ("corner_rms_whitened", "stripe_rms_whitened", "views", "corners", "stripe_points")
+    before, after = ({name: vars(calibration.quality)[name] for name in names} for calibration in (first, second))
+    kept = bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+    look = SecondLook(
+        kept,
+        **{f"{name}_gained": after[name] - before[name] for name in names[2:]},
+        **{f"{name}_before": before[name] for name in names[:2]},
+        **{f"{name}_after": after[name] for name in names[:2]},
+    )
+    return second if kept else first, look

@@ -1,0 +1,170 @@
+"""A simulated rig's captures in one folder, with the truth beside them."""
+
+import hashlib
+import itertools
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture import CaptureHeader, open_capture
+from jaxscan.files.clouds import save_cloud
+from jaxscan.files.disk import write_atomically
+from jaxscan.files.recording import create_capture
+from jaxscan.reconstruction import PointCloud
+from jaxscan.simulation import RenderedRecord, SimulationConfig, board_pairs, sweep_angles
+from jaxscan.simulation import truth as simulation_truth
+
+
+class SimulatedCaptures(NamedTuple):
+    """What `simulate` wrote."""
+
+    folder: Path
+    board_pairs: int
+    sweep_pairs: int
+
+    @staticmethod
+    def of(folder: Path) -> "SimulatedCaptures":
+        """Those in a folder that `simulate` made."""
+        pairs = [len(open_capture(folder / name)) if (folder / name).is_dir() else 0 for name in ("boards", "sweep")]
+        return SimulatedCaptures(folder, *pairs)
+
+    @property
+    def boards(self) -> Path:
+        """The calibration capture."""
+        return self.folder / "boards"
+
+    @property
+    def sweep(self) -> Path:
+        """The captured sweep."""
+        return self.folder / "sweep"
+
+    @property
+    def truth(self) -> Path:
+        """What is true of the rig and its room, as JSON."""
+        return self.folder / "truth.json"
+
+    @property
+    def true_cloud(self) -> Path:
+        """The cloud that a perfect scanner would find."""
+        return self.folder / "truth.npz"
+
+
+def write_simulation(
+    config: SimulationConfig,
+    folder: Path,
+    boards: Iterator[RenderedRecord],
+    sweep: Iterator[RenderedRecord],
+    *,
+    every: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> SimulatedCaptures:
+    """Write rendered records as captures, and the truth beside them.
+
+    The folder appears when everything in it is whole.
+
+    Args:
+        config: The rig, its surroundings, its boards and its plan.
+        folder: Must not exist, or be empty.
+        boards: The records of the boards, rendered as they are asked for.
+        sweep: The records of the sweep.
+        every: Of which every n-th step is there.
+        progress: Called with (pairs done, pairs in all).
+
+    Raises:
+        CaptureError: If the folder exists and is not empty, or cannot be written.
+    """
+    target = Path(os.path.abspath(folder))
+    if target == Path.cwd():
+        raise CaptureError(f"{folder}: is the folder you are in; name one that is to be made.")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise CaptureError(f"{folder}: exists and is not empty; choose another folder, a capture is never overwritten.")
+    pairs, steps = board_pairs(config), len(sweep_angles(config, every=every)) * len(config.laser)
+    partial = target.with_name(f".{target.name}.partial-{os.getpid()}")
+    made = SimulatedCaptures(partial, pairs, steps)
+    done = itertools.count(1)
+
+    def count(records: Iterator[RenderedRecord]) -> Iterator[RenderedRecord]:
+        for record in records:
+            yield record
+            if progress is not None:
+                progress(next(done), pairs + steps)
+
+    try:
+        partial.mkdir(parents=True)
+        if pairs:
+            _write_capture(config, "calibration", made.boards, count(boards))
+        truths = _write_capture(config, "sweep", made.sweep, count(sweep))
+        true = {**simulation_truth(config), "configuration": simulation_digest(config)}
+        write_atomically(made.truth, json.dumps(true, indent=2).encode(), error=CaptureError)
+        save_cloud(_cloud_of_truth(truths), made.true_cloud)
+        if folder.exists():
+            target.rmdir()
+        partial.rename(target)
+    except OSError as problem:
+        raise CaptureError(f"{folder}: cannot be written: {problem.strerror or problem}.") from problem
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return made._replace(folder=folder)
+
+
+def simulation_digest(config: SimulationConfig) -> str:
+    """Digest of a configuration, by which its captures are known again: "sha256:<hex>"."""
+    return "sha256:" + hashlib.sha256(config.model_dump_json().encode()).hexdigest()
+
+
+def _write_capture(
+    config: SimulationConfig, kind: Literal["calibration", "sweep"], folder: Path, records: Iterator[RenderedRecord]
+) -> list[RenderedRecord]:
+    """Write records as a capture; what is returned has no frames."""
+    camera = {**config.camera.model_dump(include={"width", "height", "up"})}
+    camera |= {"pixel_format": config.sensor.pixel_format, "response": config.sensor.response}
+    board = config.boards.model_dump(include={"type", "columns", "rows", "square_mm"})
+    if config.boards.type == "charuco":
+        board |= config.boards.model_dump(include={"marker_mm", "dictionary"})
+    header = CaptureHeader.model_validate(
+        {
+            "kind": kind,
+            "camera": camera,
+            "turntable": {"carries": config.turntable.carries},
+            "laser": [laser.model_dump(include={"name", "colour", "stripe_axis"}) for laser in config.laser],
+            "board": board if kind == "calibration" else None,
+            "acquisition": {"software": "jaxscan simulate"},
+        }
+    )
+    bare = []
+    # A rendering can be made again, so it does not wait for the disk.
+    with create_capture(folder, header, durable=False) as writer:
+        for record in records:
+            writer.append(
+                angle_deg=float(np.rad2deg(record.angle)),
+                on=record.on,
+                off=record.off,
+                placement=record.placement,
+                lasers=[config.laser[record.laser_index].name],
+            )
+            bare.append(record._replace(on=np.empty(0, np.uint8), off=np.empty(0, np.uint8)))
+    return bare
+
+
+def _cloud_of_truth(records: Sequence[RenderedRecord]) -> PointCloud:
+    """The cloud of a perfect scanner; `intensity` is the stripe's true peak [DN]."""
+    truths = [record.truth for record in records]
+    grid = (len(truths), len(truths[0].u))
+    return PointCloud(
+        xyz=np.stack([t.xyz for t in truths]).astype(np.float32),
+        rgb=np.zeros((*grid, 3), np.uint8),
+        intensity=np.stack([t.amplitude for t in truths]).astype(np.float32),
+        normals=np.zeros((*grid, 3), np.float32),
+        sigma_random=np.zeros(grid, np.float32),
+        sigma_systematic=np.zeros(grid, np.float32),
+        valid=np.stack([t.valid for t in truths]),
+        record=np.arange(len(truths), dtype=np.int32),
+        laser=np.array([record.laser_index for record in records], np.int32),
+        angle=np.array([record.angle for record in records]),
+    )

@@ -1,0 +1,103 @@
+"""Corners of one board in one image, and where the model of a blurred crossing puts them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.geometry import AbstractBoard, Charuco, fixes_plane
+from jaxscan.observation.corner_fit import fit_corners
+
+
+SMALL_SQUARE_PX = 12.0
+"""Squares that are projected smaller than this [px] hold fewer edge pixels than a corner needs."""
+WINDOW_SHARE = 0.3
+"""A window of this share of a square to either side stays clear of the next corner."""
+# The blur of a marker's edge reaches so far [px].
+_MARKER_BLUR_PX = 1.5
+
+
+class FoundCorners(NamedTuple):
+    """Corners of one board in one image, in the order of `board.corners()`."""
+
+    q: np.ndarray
+    """float64 [corners, 2]: (u, v) [px]; 0 where not valid."""
+    sigma: np.ndarray
+    """float64 [corners]: standard deviation of each coordinate [px]; 1 where not valid."""
+    valid: np.ndarray
+    """bool [corners]."""
+
+
+def fit_found_corners(
+    image: np.ndarray, found: FoundCorners, board: AbstractBoard, half_window: int | None = None
+) -> FoundCorners:
+    """Corners placed anew by the model of a blurred crossing, where it fits; the others as they were.
+
+    Args:
+        image: uint8 [rows, columns].
+        found: Corners to within a pixel or so.
+        board: What is seen.
+        half_window: Half the side of the window [px], instead of a share of the squares.
+    """
+    edges, known = edge_directions(found.q, found.valid, board)
+    use = np.flatnonzero(found.valid & known)
+    sizes = square_sizes(found.q, found.valid, board)[use]
+    half = WINDOW_SHARE * sizes if half_window is None else np.full(len(use), float(half_window))
+    fit = fit_corners(image, found.q[use], edges[use], half, clear=clear_of_markers(board, sizes))
+    q, sigma = found.q.copy(), found.sigma.copy()
+    q[use[fit.valid]], sigma[use[fit.valid]] = fit.q[fit.valid], fit.sigma[fit.valid]
+    return FoundCorners(q, sigma, found.valid)
+
+
+def clear_of_markers(board: AbstractBoard, sizes: np.ndarray) -> np.ndarray | None:
+    """How far [px] from both edges pixels may lie and show no marker, for squares of `sizes` [px]; None: anywhere."""
+    return np.maximum(marker_gap(board) * sizes - _MARKER_BLUR_PX, 2.0) if isinstance(board, Charuco) else None
+
+
+def marker_gap(board: Charuco) -> float:
+    """Distance of the markers from the edges of their squares, in squares."""
+    return 0.5 * (1.0 - board.marker / board.square)
+
+
+def edge_directions(q: np.ndarray, valid: np.ndarray, board: AbstractBoard) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors [corners, 2 (along x, along y), 2] of the edges at every corner, by its neighbours.
+
+    Returns:
+        edges: As above; zero where not known.
+        known: bool [corners]: there is a neighbour along either edge.
+    """
+    columns, rows = board.grid()
+    grid, seen = q.reshape(rows, columns, 2), valid.reshape(rows, columns)
+    edges = np.zeros((rows, columns, 2, 2))
+    for k, axis in enumerate((1, 0)):
+        before, after = _neighbours(axis)
+        step = np.where((seen[before] & seen[after])[..., None], grid[after] - grid[before], 0.0)
+        edges[(*before, k)] += step
+        edges[(*after, k)] += step
+    length = np.linalg.norm(edges, axis=-1, keepdims=True)
+    edges = edges / np.where(length > 0, length, 1.0)
+    return edges.reshape(-1, 2, 2), ((length > 0).all((2, 3)) & seen).ravel()
+
+
+def square_sizes(q: np.ndarray, valid: np.ndarray, board: AbstractBoard) -> np.ndarray:
+    """Shortest side of the projected squares at every corner [px], [corners]."""
+    columns, rows = board.grid()
+    grid, seen = q.reshape(rows, columns, 2), valid.reshape(rows, columns)
+    size = np.full((rows, columns), np.inf)
+    for axis in (0, 1):
+        a, b = _neighbours(axis)
+        side = np.where(seen[a] & seen[b], np.linalg.norm(grid[a] - grid[b], axis=-1), np.inf)
+        size[a], size[b] = np.minimum(size[a], side), np.minimum(size[b], side)
+    known = np.isfinite(size)
+    size[~known] = size[known].min() if known.any() else SMALL_SQUARE_PX
+    return size.ravel()
+
+
+def _neighbours(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Every corner that has a next one along an axis of the grid, and that next one."""
+    whole, first, second = slice(None), slice(None, -1), slice(1, None)
+    return ((first, whole), (second, whole)) if axis == 0 else ((whole, first), (whole, second))
+
+
+def is_enough(board: AbstractBoard, valid: np.ndarray) -> bool:
+    """Whether the corners that are valid [corners] fix a pose."""
+    return fixes_plane(board.corners()[valid, :2])

@@ -1,0 +1,107 @@
+"""The first look at captures of a board: its corners, and the stripe on it, in every record."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import AbstractBoard, Charuco
+from jaxscan.observation.board_stripes import BATCH_RECORDS, find_stripes, learn_colours
+from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
+from jaxscan.stripes import LaserLine
+
+
+Progress = Callable[[int, int], None]
+FindCorners = Callable[[np.ndarray, AbstractBoard], FoundCorners | None]
+"""A grey image to the corners of a board in it; None where it is not found."""
+
+
+class Eyes(NamedTuple):
+    """How images are read; made for OpenCV in `vision`."""
+
+    to_grey: ToGrey
+    find_corners: FindCorners
+
+
+class Look(NamedTuple):
+    """All records of some captures, in order, with the board and the stripes that were seen in them."""
+
+    board: AbstractBoard
+    records: list[SeenRecord]
+    lines: tuple[tuple[LaserLine, ...], ...] | None
+    """The lasers of each capture, their colours learned; None where stripes were not looked for."""
+
+
+def look_at_boards(
+    captures: Sequence[BoardSource],
+    board: AbstractBoard,
+    eyes: Eyes,
+    *,
+    with_stripes: bool = True,
+    progress: Progress | None = None,
+) -> Look:
+    """Find the board in every record, and the stripe on it.
+
+    Args:
+        captures: Captures of the same board by the same rig, with one laser lit in a record.
+        board: That board.
+        eyes: How images are read.
+        with_stripes: Look for stripes too; they are not needed for a camera alone.
+        progress: Called with (records done, records in all).
+
+    Returns:
+        Every record; those without the board have no corners.
+
+    Raises:
+        CaptureError: If the colour of a laser cannot be learned, or a frame cannot be read.
+        CalibrationError: If the board is found in no record.
+    """
+    lines = tuple(learn_colours(capture) for capture in captures) if with_stripes else None
+
+    def look(number: int, index: int) -> SeenRecord:
+        view = SeenRecord.read(captures, number, index, eyes.to_grey)
+        return view if view.grey is None else view._replace(corners=eyes.find_corners(view.grey, board))
+
+    def stripes(views: list[SeenRecord], number: int) -> list[SeenRecord]:
+        return views if lines is None else find_stripes(views, captures[number], lines[number], board)
+
+    views = go_through(captures, look, stripes, progress)
+    if all(view.corners is None for view in views):
+        raise CalibrationError(
+            f"The board ({_describe(board)}) was found in none of {len(views)} records: check the [board] table of "
+            "capture.toml (columns and rows count inner corners for a chessboard, squares for ChArUco), and that the "
+            "board is sharp, well lit and wholly in the image."
+        )
+    return Look(board, views, lines)
+
+
+def go_through(
+    captures: Sequence[BoardSource],
+    look: Callable[[int, int], SeenRecord],
+    stripes: Callable[[list[SeenRecord], int], list[SeenRecord]],
+    progress: Progress | None = None,
+) -> list[SeenRecord]:
+    """All records: `look` at each (capture, index) in threads, then `stripes` of a batch of one capture together."""
+    total = sum(len(capture.records) for capture in captures)
+    views: list[SeenRecord] = []
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for number, capture in enumerate(captures):
+            count = len(capture.records)
+            for start in range(0, count, BATCH_RECORDS):
+                batch = range(start, min(start + BATCH_RECORDS, count))
+                seen = stripes(list(pool.map(look, [number] * len(batch), batch)), number)
+                # Frames go as soon as they were looked at: a capture may be larger than the memory.
+                views += [view._replace(on=None, off=None, grey=None) for view in seen]
+                if progress is not None:
+                    progress(len(views), total)
+    return views
+
+
+def _describe(board: AbstractBoard) -> str:
+    columns, rows = board.grid()
+    kind = "ChArUco" if isinstance(board, Charuco) else "chessboard"
+    return f"{kind}, {columns} x {rows} inner corners, {1e3 * board.square:g} mm"

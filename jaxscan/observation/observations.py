@@ -1,0 +1,105 @@
+"""Observations: board corners and stripe points on padded grids of views, as a calibration reads them."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.geometry import AbstractBoard, Array
+from jaxscan.geometry.scanner import Up
+from jaxscan.geometry.turntable import Carries
+from jaxscan.observation.first_look import Look
+from jaxscan.observation.records import BoardSource
+from jaxscan.observation.stripes_on_board import BoardStripe
+
+
+class BoardViews(eqx.Module):
+    """Corners of the board, one view per record in which it was found.
+
+    The corner axis is the board's own (`board.corners()`); corners not seen are not valid.
+    """
+
+    q: Float[Array, "views corners 2"]
+    """Corner (u, v) [px]."""
+    sigma: Float[Array, "views corners"]
+    """Standard deviation of each coordinate of `q` [px]."""
+    valid: Bool[Array, "views corners"]
+    angle: Float[Array, " views"]
+    """The table's angle [rad from home]; 0 where unknown."""
+    placement: Int[Array, " views"]
+    """Views with the same number saw the same unmoved board, 0 ... placements - 1."""
+    record: Int[Array, " views"]
+    """The record's own number `i`, for messages and reports."""
+
+
+class StripeViews(eqx.Module):
+    """Stripe points on the board, padded; one row per (view, laser) with a stripe."""
+
+    q: Float[Array, "stripes points 2"]
+    """Stripe centre (u, v) [px]."""
+    sigma: Float[Array, "stripes points"]
+    """Standard deviation of `q` across the stripe [px]."""
+    valid: Bool[Array, "stripes points"]
+    view: Int[Array, " stripes"]
+    """Row of `BoardViews` whose board the stripe lies on."""
+    laser: Int[Array, " stripes"]
+
+
+class Observations(eqx.Module):
+    """Corners and stripes of boards, and the rig that saw them: all that the joint solve reads."""
+
+    board: AbstractBoard
+    corners: BoardViews
+    stripes: StripeViews
+    width: int = eqx.field(static=True)
+    height: int = eqx.field(static=True)
+    laser_names: tuple[str, ...] = eqx.field(static=True)
+    up: Up = eqx.field(static=True, default="-v")
+    carries: Carries = eqx.field(static=True, default="scanner")
+
+
+def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations:
+    """The padded grids that the solve reads, of the views with a board."""
+    first = captures[0]
+    views = [view for view in look.records if view.corners is not None]
+    corners = [view.corners for view in views if view.corners is not None]
+    # A view that shares its placement with no other, or whose angle is unknown, stands alone.
+    keys = [
+        (view.capture, "alone", view.record.i)
+        if view.record.placement is None or view.record.angle is None
+        else (view.capture, "placement", view.record.placement)
+        for view in views
+    ]
+    number = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+    stripes = [(view.stripe, index, view.laser) for index, view in enumerate(views) if view.stripe is not None]
+    width, height = first.image_size
+    return Observations(
+        board=look.board,
+        corners=BoardViews(
+            q=np.stack([found.q for found in corners]),
+            sigma=np.stack([found.sigma for found in corners]),
+            valid=np.stack([found.valid for found in corners]),
+            angle=np.array([view.record.angle or 0.0 for view in views]),
+            placement=np.array([number[key] for key in keys], np.int32),
+            record=np.array([view.record.i for view in views], np.int32),
+        ),
+        stripes=stack_stripes(stripes),
+        width=width,
+        height=height,
+        laser_names=tuple(line.name for line in first.lines),
+        up=first.up,
+        carries=first.carries or "scanner",
+    )
+
+
+def stack_stripes(stripes: Sequence[tuple[BoardStripe, int, int]], points: int = 512) -> StripeViews:
+    """All stripes of a capture, given as (stripe, row of `BoardViews`, laser); empty ones are left out."""
+    kept = [(stripe, view, laser) for stripe, view, laser in stripes if stripe.valid.any()]
+    return StripeViews(
+        q=np.stack([s.q for s, _, _ in kept]) if kept else np.zeros((0, points, 2)),
+        sigma=np.stack([s.sigma for s, _, _ in kept]) if kept else np.zeros((0, points)),
+        valid=np.stack([s.valid for s, _, _ in kept]) if kept else np.zeros((0, points), bool),
+        view=np.array([view for _, view, _ in kept], np.int32),
+        laser=np.array([laser for _, _, laser in kept], np.int32),
+    )

@@ -1,0 +1,202 @@
+"""Where a rig that was solved once will see a board: its corners, and the stripe on it."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.geometry import (
+    AbstractBoard,
+    AbstractCamera,
+    Array,
+    BowedBoard,
+    LaserSheet,
+    Scanner,
+    StripeAxis,
+    Turntable,
+    across_and_along,
+    corner_frame,
+    invert,
+    transform,
+)
+
+
+# Points along the stripe on a board; between them it is straight to far less than its noise.
+_SAMPLES = 128
+# A ray that comes back within this angle [rad] was projected, not folded over or from behind.
+_SAME_RAY = 1e-3
+
+
+class SolvedRig(NamedTuple):
+    """A rig and its boards as a first solve has them."""
+
+    camera: AbstractCamera
+    scanner: Scanner | None
+    """None where the camera alone was solved."""
+    board: AbstractBoard
+    shape: np.ndarray
+    """Bow kx, ky [m] and relative error of the pitch [1]; see `BowedBoard`."""
+    poses: np.ndarray
+    """T_cam_board of every view that was solved from [views, 4, 4]."""
+    used: np.ndarray
+    """bool [views]: the solve kept corners of that view."""
+    corner_rms_px: float
+    """Root mean square distance of the corners from where the solve has them."""
+
+    def surface(self) -> BowedBoard:
+        """The board as it is; call in 64 bit."""
+        return BowedBoard(jnp.asarray(corner_frame(self.board.corners())), jnp.asarray(self.shape))
+
+
+class PredictedCorners(NamedTuple):
+    """Corners of the board in one view, or (with a leading axis) in several."""
+
+    q: np.ndarray
+    """float64 [..., corners, 2]: (u, v) [px]."""
+    edges: np.ndarray
+    """float64 [..., corners, 2, 2]: unit vectors in the image along the board's x and y."""
+    size: np.ndarray
+    """float64 [..., corners]: shorter side of a square [px]."""
+    visible: np.ndarray
+    """bool [..., corners]: in front of the lens and inside the image."""
+
+
+class PredictedStripe(NamedTuple):
+    """The stripe on the board, per line of the image."""
+
+    u: np.ndarray
+    """float64 [lines]: across the line [px]; 0 where not `on_board`."""
+    on_board: np.ndarray
+    """bool [lines]: the sheet meets the printed area there."""
+
+
+def turn_boards(table: Turntable, poses: np.ndarray, at: np.ndarray, to: np.ndarray) -> np.ndarray:
+    """T_cam_board of unmoved boards at other angles of the table.
+
+    Args:
+        table: The turntable.
+        poses: T_cam_board as seen [n, 4, 4].
+        at: Angle of the table at which each was seen [n], rad from home.
+        to: Angle at which it is wanted [n], rad from home.
+
+    Returns:
+        Poses [n, 4, 4].
+    """
+    with jax.enable_x64(True):
+        table = jax.tree.map(jnp.asarray, table)
+        turn = jax.vmap(lambda pose, at, to: invert(table.motion(to)) @ table.motion(at) @ pose)
+        return np.asarray(turn(jnp.asarray(poses), jnp.asarray(at), jnp.asarray(to)))
+
+
+def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
+    """Where the corners of the board are seen.
+
+    Args:
+        rig: The rig and its board.
+        poses: T_cam_board [views, 4, 4].
+
+    Returns:
+        Corners of all views.
+    """
+    with jax.enable_x64(True):
+        camera, corners = jax.tree.map(jnp.asarray, (rig.camera, rig.board.corners()[:, :2]))
+        found = _corners(camera, jnp.asarray(poses), corners, rig.surface())
+        q, by_x, by_y, same = (np.asarray(part) for part in found)
+    length = np.stack([np.linalg.norm(by, axis=-1) for by in (by_x, by_y)], -1)
+    edges = np.stack([by_x, by_y], -2) / np.maximum(length, 1e-12)[..., None]
+    limit = np.array([rig.camera.width, rig.camera.height]) - 1.0
+    visible = same & np.isfinite(q).all(-1) & ((q >= 0.0) & (q <= limit)).all(-1)
+    return PredictedCorners(q, edges, length.min(-1) * rig.board.square, visible)
+
+
+def predict_stripe(rig: SolvedRig, pose: np.ndarray, laser: int, stripe_axis: StripeAxis = "rows") -> PredictedStripe:
+    """Where the stripe of a laser lies on a board, for every line of the image.
+
+    Args:
+        rig: The rig, with a scanner, and its board.
+        pose: T_cam_board [4, 4].
+        laser: Which of its sheets.
+        stripe_axis: Whether a line is an image row or an image column.
+
+    Returns:
+        The stripe; lines that it passes beside the printed area are not `on_board`.
+    """
+    if rig.scanner is None:
+        raise ValueError("A camera alone predicts no stripe.")
+    outline = rig.board.outline()
+    with jax.enable_x64(True):
+        camera, sheet = jax.tree.map(jnp.asarray, (rig.camera, rig.scanner.laser(laser)))
+        middle, reach = jnp.asarray(outline.mean(0)), float(np.linalg.norm(np.ptp(outline, axis=0)) / 2)
+        curve = _curve(camera, sheet, rig.surface(), jnp.asarray(pose), middle, jnp.asarray(reach))
+        q, xy, same = (np.asarray(part) for part in curve)
+    lines = across_and_along(rig.camera.width, rig.camera.height, stripe_axis)[1]
+    inside = same & np.isfinite(q).all(-1) & ((xy > outline.min(0)) & (xy < outline.max(0))).all(-1)
+    if inside.sum() < 2:
+        return PredictedStripe(np.zeros(lines), np.zeros(lines, bool))
+    across, along = q[inside].T if stripe_axis == "rows" else q[inside, ::-1].T
+    order = np.argsort(along)
+    at = np.arange(lines, dtype=np.float64)
+    on_board = (at >= along[order[0]]) & (at <= along[order[-1]])
+    return PredictedStripe(np.where(on_board, np.interp(at, along[order], across[order]), 0.0), on_board)
+
+
+def lift_to_board(rig: SolvedRig, pose: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Coordinates (x, y) [n, 2], m, on the board as drawn, of its points that pixels `q` [n, 2] see."""
+    with jax.enable_x64(True):
+        camera = jax.tree.map(jnp.asarray, rig.camera)
+        return np.asarray(_lift(camera, rig.surface(), jnp.asarray(pose), jnp.asarray(q)))
+
+
+def _seen(camera: AbstractCamera, p: Float[Array, "3"]) -> tuple[Float[Array, "2"], Array]:
+    """Pixel of a point, and whether that pixel looks at the point."""
+    q = camera.project(p)
+    return q, jnp.linalg.norm(camera.unproject(q) - p / jnp.linalg.norm(p)) < _SAME_RAY
+
+
+@jax.jit
+def _corners(
+    camera: AbstractCamera, poses: Float[Array, "views 4 4"], corners: Float[Array, "corners 2"], surface: BowedBoard
+) -> tuple[Array, Array, Array, Array]:
+    def one(pose, corner):
+        place = lambda xy: transform(pose, surface.point(xy))
+        slopes = jax.jacfwd(lambda xy: camera.project(place(xy)))(corner)
+        q, same = _seen(camera, place(corner))
+        return q, slopes[:, 0], slopes[:, 1], same
+
+    return jax.vmap(lambda pose: jax.vmap(lambda corner: one(pose, corner))(corners))(poses)
+
+
+@jax.jit
+def _curve(
+    camera: AbstractCamera,
+    sheet: LaserSheet,
+    surface: BowedBoard,
+    pose: Float[Array, "4 4"],
+    middle: Float[Array, "2"],
+    reach: Float[Array, ""],
+) -> tuple[Array, Array, Array]:
+    """Points of the sheet on the board: pixels, board coordinates, and whether they are seen."""
+    place = lambda xy: transform(pose, surface.point(xy))
+    # On the flat board the sheet is the straight line across . xy = level.
+    across = (pose[:3, :2].T @ sheet.normal) * (1.0 + surface.shape[2])
+    length = jnp.maximum(jnp.linalg.norm(across), 1e-9)
+    across = across / length
+    along = jnp.stack([-across[1], across[0]])
+
+    def point(s):
+        xy = middle + s * reach * along
+        # Bows of sheet and board change the slope by less than a hundredth, so each round gains two digits.
+        for _ in range(4):
+            xy = xy - across * sheet.offset(place(xy)) / length
+        q, same = _seen(camera, place(xy))
+        return q, xy, same
+
+    return jax.vmap(point)(jnp.linspace(-1.0, 1.0, _SAMPLES))
+
+
+@jax.jit
+def _lift(camera: AbstractCamera, surface: BowedBoard, pose: Float[Array, "4 4"], q: Float[Array, "n 2"]) -> Array:
+    points = jax.vmap(lambda pixel: surface.meet(pose, camera.unproject(pixel))[1])(q)
+    return points[:, :2] / (1.0 + surface.shape[2])

@@ -1,0 +1,113 @@
+"""Records of a board: where they come from, and what was seen in them."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from jaxscan.geometry.scanner import Up
+from jaxscan.geometry.turntable import Carries
+from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.stripes_on_board import BoardStripe
+from jaxscan.stripes import LaserLine, NoiseModel, PixelFormat, Response
+
+
+ToGrey = Callable[[np.ndarray, PixelFormat], np.ndarray]
+"""A frame as it is captured to uint8 [rows, columns], every pixel where it was."""
+
+
+@runtime_checkable
+class BoardRecord(Protocol):
+    """One record of a capture of a board."""
+
+    @property
+    def i(self) -> int:
+        """Its own number."""
+
+    @property
+    def angle(self) -> float | None:
+        """The table's angle [rad from home]; None where unknown."""
+
+    @property
+    def placement(self) -> int | None:
+        """Records with the same number saw the same unmoved board; None: it stands alone."""
+
+    @property
+    def lasers(self) -> tuple[int, ...]:
+        """The laser that is lit in the laser-on frame; no more than one. Empty without such a frame."""
+
+    @property
+    def on(self) -> Sequence[object]:
+        """Images of the laser-on frame; empty without one."""
+
+    @property
+    def off(self) -> Sequence[object]:
+        """Images of the laser-off frame; empty without one."""
+
+
+@runtime_checkable
+class BoardSource(Protocol):
+    """A capture of a board by one rig; `files.Capture` is one."""
+
+    @property
+    def path(self) -> object:
+        """The capture's name in messages."""
+
+    @property
+    def records(self) -> Sequence[BoardRecord]: ...
+    @property
+    def pixel_format(self) -> PixelFormat: ...
+    @property
+    def response(self) -> Response: ...
+    @property
+    def lines(self) -> tuple[LaserLine, ...]:
+        """The lasers, in the order that `lasers` of a record counts them."""
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+
+    @property
+    def up(self) -> Up: ...
+    @property
+    def carries(self) -> Carries | None:
+        """Whether the table carries the scanner or the object, where known."""
+
+    def frames(self, index: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """The laser-on and the laser-off frame of one of the records, each where there is one."""
+        ...
+
+
+class SeenRecord(NamedTuple):
+    """One record on its way to an observation."""
+
+    capture: int
+    """Which of the captures it is from."""
+    record: BoardRecord
+    on: np.ndarray | None = None
+    """Laser-on frame; frames go as soon as they were looked at, for a capture may be larger than the memory."""
+    off: np.ndarray | None = None
+    """Laser-off frame."""
+    grey: np.ndarray | None = None
+    """The laser-off frame in grey; the laser-on frame where there is no other."""
+    corners: FoundCorners | None = None
+    stripe: BoardStripe | None = None
+    noise: NoiseModel | None = None
+    """Of its frames, once the stripes were looked for."""
+    pose: np.ndarray | None = None
+    """T_cam_board [4, 4], where a first solve knows it."""
+
+    @staticmethod
+    def read(captures: Sequence[BoardSource], number: int, index: int, to_grey: ToGrey) -> "SeenRecord":
+        """Record `index` of capture `number` with its frames."""
+        capture = captures[number]
+        on, off = capture.frames(index)
+        shown = on if off is None else off
+        grey = None if shown is None else to_grey(shown, capture.pixel_format)
+        return SeenRecord(number, capture.records[index], on, off, grey)
+
+    @property
+    def laser(self) -> int:
+        """The one laser that is lit in the laser-on frame."""
+        (laser,) = self.record.lasers
+        return laser

@@ -1,0 +1,48 @@
+"""Corners of a board whose place is nearly known: found where they should be, or not at all."""
+
+import numpy as np
+
+from jaxscan.geometry import AbstractBoard
+from jaxscan.observation.corner_fit import fit_corners
+from jaxscan.observation.corners import WINDOW_SHARE, FoundCorners, clear_of_markers, is_enough
+from jaxscan.observation.prediction import PredictedCorners
+
+
+# A square must be projected at least this large [px] for its corners to be looked for again.
+_SMALLEST_PX = 8.0
+
+
+def redetect_corners(
+    image: np.ndarray,
+    board: AbstractBoard,
+    predicted: PredictedCorners,
+    *,
+    reach: float,
+    first: FoundCorners | None = None,
+) -> FoundCorners | None:
+    """Fit every corner that should be visible, beginning where it should be.
+
+    Args:
+        image: uint8 [rows, columns].
+        board: The board in it.
+        predicted: Where its corners should be, in this one view.
+        reach: A corner found farther than this from where it should be is not believed [px].
+        first: Corners found without knowing where to look. They stand where nothing better is
+            found: a corner that disagrees with the prediction is for the solve to judge.
+
+    Returns:
+        The corners, or None where too few are found.
+
+    Source: Duisterhof et al., TartanCalib (2022).
+    """
+    count = len(predicted.q)
+    look = np.flatnonzero(predicted.visible & (predicted.size >= _SMALLEST_PX))
+    start, size = predicted.q[look], predicted.size[look]
+    fit = fit_corners(image, start, predicted.edges[look], WINDOW_SHARE * size, clear=clear_of_markers(board, size))
+    near = fit.valid & (np.hypot(*(fit.q - start).T) <= reach)
+    q, sigma, valid = np.zeros((count, 2)), np.ones(count), np.zeros(count, bool)
+    if first is not None:
+        q, sigma, valid = first.q.copy(), first.sigma.copy(), first.valid.copy()
+    found = look[near]
+    q[found], sigma[found], valid[found] = fit.q[near], fit.sigma[near], True
+    return FoundCorners(q, sigma, valid) if is_enough(board, valid) else None

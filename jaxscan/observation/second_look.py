@@ -1,0 +1,86 @@
+"""The second look at a capture: boards and stripes where a first solve says that they are."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxscan.observation.board_stripes import find_stripes
+from jaxscan.observation.first_look import Look, Progress, go_through
+from jaxscan.observation.prediction import PredictedCorners, SolvedRig, predict_corners, turn_boards
+from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
+from jaxscan.observation.redetect import redetect_corners
+
+
+# A corner is believed within so many standard deviations of the first solve's residuals, ...
+_REACH_SIGMA = 5.0
+# ... and this much more [px]: in a view that helped to predict itself, and in one that did not.
+_REACH_PX = 0.3
+_REACH_UNSEEN_PX = 1.5
+
+
+def look_again(
+    captures: Sequence[BoardSource],
+    first: Look,
+    rig: SolvedRig,
+    to_grey: ToGrey,
+    *,
+    progress: Progress | None = None,
+) -> Look:
+    """Every record once more, with the geometry of a first solve.
+
+    Corners are fitted from where they should be, those that were missed are looked for, and so
+    are boards that were not found but were seen from other angles. Stripes are extracted from a
+    band round where the sheet meets the board, if they were looked for before.
+
+    Args:
+        captures: As of the first look.
+        first: The first look.
+        rig: Solved from it.
+        to_grey: How images are read.
+        progress: Called with (records done, records in all).
+    """
+    poses = _poses(first.records, rig)
+    predicted = predict_corners(rig, np.array([np.eye(4) if pose is None else pose for pose in poses]))
+    starts = np.cumsum([0, *(len(capture.records) for capture in captures)])
+
+    def look(number: int, index: int) -> SeenRecord:
+        at = starts[number] + index
+        before, pose = first.records[at], poses[at]
+        view = SeenRecord.read(captures, number, index, to_grey)
+        view = view._replace(corners=before.corners, noise=before.noise, pose=pose)
+        if pose is None or view.grey is None:
+            return view
+        reach = _REACH_SIGMA * rig.corner_rms_px + (_REACH_UNSEEN_PX if before.corners is None else _REACH_PX)
+        expected = PredictedCorners(*(part[at] for part in predicted))
+        found = redetect_corners(view.grey, first.board, expected, reach=reach, first=before.corners)
+        return view._replace(corners=found)
+
+    def stripes(views: list[SeenRecord], number: int) -> list[SeenRecord]:
+        if first.lines is None:
+            return views
+        return find_stripes(views, captures[number], first.lines[number], first.board, rig)
+
+    return Look(first.board, go_through(captures, look, stripes, progress), first.lines)
+
+
+def _poses(views: Sequence[SeenRecord], rig: SolvedRig) -> list[np.ndarray | None]:
+    """T_cam_board of every record as far as the first solve knows it."""
+    poses: list[np.ndarray | None] = [None] * len(views)
+    seen: dict[tuple[int, int], tuple[np.ndarray, float]] = {}
+    found = [number for number, view in enumerate(views) if view.corners is not None]
+    for row, number in enumerate(found):
+        view = views[number]
+        if rig.used[row]:
+            poses[number] = rig.poses[row]
+            if view.record.placement is not None and view.record.angle is not None:
+                seen[view.capture, view.record.placement] = rig.poses[row], view.record.angle
+    if rig.scanner is None:
+        return poses
+    for number, view in enumerate(views):
+        if poses[number] is None and view.record.placement is not None and view.record.angle is not None:
+            there = seen.get((view.capture, view.record.placement))
+            if there is not None:
+                pose, angle = there
+                angles = np.array([angle]), np.array([view.record.angle])
+                poses[number] = turn_boards(rig.scanner.turntable, pose[None], *angles)[0]
+    return poses

@@ -1,0 +1,275 @@
+"""The sections of a calibration report that have figures; each is None where there is nothing to draw."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxscan.calibration import Calibration, Fit
+from jaxscan.calibration.verdict import JudgedView, is_held_by_priors, judge_views, stripe_depths, stripe_pixels
+from jaxscan.observation import Observations
+from jaxscan.report import image_plots, residual_plots, uncertainty_plots, words
+from jaxscan.report.drawing import as_svg
+from jaxscan.report.html import Html, element, joined, section, table
+from jaxscan.report.tables import view_columns, view_rows
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+OPEN_PANELS = 11
+"""Views that are drawn for all to see ..."""
+MAX_PANELS = 59
+"""... and with those that unfold; the table lists all."""
+
+
+def uncertainty(calibration: Calibration) -> Html | None:
+    """Depth uncertainty against depth, drawn and in numbers."""
+    lasers = calibration.quality.lasers()
+    curves = []
+    for laser in lasers:
+        # On logarithmic axes.
+        pairs = [(at.depth_m, at.sigma_depth_mm) for at in laser.depths if min(at.depth_m, at.sigma_depth_mm) > 0]
+        if pairs:
+            depth, sigma = np.array(pairs, np.float64).T
+            curves.append((laser.name, depth, sigma))
+    if not curves or calibration.scanner is None:
+        return None
+    noise = _stripe_noise_mm(calibration, curves[0][0], curves[0][1])
+    figure = uncertainty_plots.depth_against_distance(curves, noise)
+    caption = (
+        "The part of the uncertainty of a depth that the calibration causes, as root mean square over the lit lines of "
+        "the image. It is shared by neighbouring points and does not average out; the noise of a point's own stripe "
+        "does."
+    )
+    rows = [
+        (
+            laser.name,
+            f"{at.depth_m:g}",
+            *(words.millimetres(sigma) for sigma in (at.sigma_depth_mm, at.sigma_range_mm, at.sigma_point_mm)),
+        )
+        for laser in lasers
+        for at in laser.depths
+    ]
+    columns = ("laser", "depth, m", "depth", "distance from the camera", "points of a full turn")
+    drawn = _figure(figure, "depth", "Depth uncertainty against depth", caption)
+    return section(
+        "Uncertainty against distance", element("div", drawn, element("div", table(columns, rows)), class_="figures")
+    )
+
+
+def _stripe_noise_mm(calibration: Calibration, name: str, depths: np.ndarray) -> np.ndarray:
+    """Standard deviation of a point's depth from the noise of its own stripe, mid-stripe [mm]; 0 where unknown."""
+    scanner, fit, observations = calibration.scanner, calibration.fit, calibration.observations
+    noise = np.zeros(len(depths))
+    if fit is None or observations is None or scanner is None or name not in scanner.laser_names:
+        return noise
+    if not residual_plots.has_stripes(observations, fit):
+        return noise
+    laser = scanner.laser_names.index(name)
+    sigma = fit.stripe_sigma[fit.stripe_kept & (np.asarray(observations.stripes.laser) == laser)[:, None]]
+    if not sigma.size:
+        return noise
+    across = 1 - residual_plots.stripe_direction(observations)
+    half = 0.5 * np.eye(2)[across]
+    for index, depth in enumerate(depths):
+        q = stripe_pixels(scanner, laser, float(depth))
+        if len(q):
+            middle = q[len(q) // 2]
+            near, far = stripe_depths(scanner, laser, np.stack([middle - half, middle + half]))
+            noise[index] = 1e3 * abs(far - near) * float(np.median(sigma))
+    return noise
+
+
+def residuals_over_image(calibration: Calibration) -> Html | None:
+    """Where in the image corners and stripes lie, and the directions of the residuals."""
+    observations, fit = calibration.observations, calibration.fit
+    if observations is None or fit is None or not fit.corner_kept.any():
+        return None
+    striped = residual_plots.has_stripes(observations, fit)
+    seen = "Corners (blue) and stripes (other colours)" if striped else "Corners"
+    figures = [
+        _figure(
+            image_plots.coverage_map(observations, fit),
+            "coverage",
+            "Corners and stripes over the image",
+            f"<b>Coverage.</b> {seen} that were used. The lens is known only where there are corners: the edges and "
+            "corners of the image should be full too.",
+        ),
+        _figure(
+            image_plots.direction_map(observations, fit),
+            "directions",
+            "Direction of the corner residuals over the image",
+            "<b>Directions.</b> Each corner has the colour of its residual's direction. Colours should be mixed "
+            "everywhere: patches of one colour are errors of a model. Arrows: the mean of a cell, where it is more "
+            "than noise (of a hundred cells, one by chance).",
+        ),
+    ]
+    return section("Residuals over the image", element("div", *figures, class_="figures"))
+
+
+def stripes(calibration: Calibration) -> Html | None:
+    """Residuals along the stripe and against the table's angle."""
+    observations, fit = calibration.observations, calibration.fit
+    if observations is None or fit is None:
+        return None
+    figures = []
+    striped = residual_plots.has_stripes(observations, fit)
+    if striped:
+        figures.append(
+            _figure(
+                residual_plots.along_stripe(observations, fit),
+                "along",
+                "Stripe residuals along the image",
+                "<b>Along the stripe.</b> Every point, and the mean of pieces with two standard deviations. "
+                "A curve means a sheet that is not flat, or a lens model that is too simple.",
+            )
+        )
+    if residual_plots.turned_views(observations).any() and calibration.scanner is not None:
+        if striped:
+            figures.append(
+                _figure(
+                    residual_plots.stripes_against_angle(observations, fit),
+                    "angle-stripes",
+                    "Stripe residuals against the table's angle",
+                    "<b>Stripes against the table's angle.</b> Mean of every stripe.",
+                )
+            )
+        figures.append(
+            _figure(
+                residual_plots.corners_against_angle(observations, fit),
+                "angle-corners",
+                "Corner residuals against the table's angle",
+                "<b>Corners against the table's angle.</b> Mean of every view of a board that stood still while the "
+                "table turned. A curve means a table that turns unevenly or wobbles.",
+            )
+        )
+    return section("Stripe and table", element("div", *figures, class_="figures")) if figures else None
+
+
+def distributions(calibration: Calibration) -> Html | None:
+    """Residuals over their standard deviations, beside the Gaussian."""
+    if calibration.fit is None:
+        return None
+    figures = []
+    for name, whitened in residual_plots.whitened_residuals(calibration.fit).items():
+        far = float(np.mean(np.abs(whitened) > 3))
+        caption = (
+            f"<b>{name.capitalize()}.</b> {len(whitened)} residuals, standard deviation {np.std(whitened):.3f}; "
+            f"{100 * far:.2f} % beyond 3 (Gaussian: 0.27 %)."
+        )
+        figures += [
+            _figure(residual_plots.histogram(whitened), f"histogram-{name}", f"Histogram of {name}", caption),
+            _figure(
+                residual_plots.quantiles(whitened),
+                f"quantiles-{name}",
+                f"Quantiles of {name}",
+                f"<b>{name.capitalize()}, quantiles.</b> On the line where they are Gaussian; ends that bend away are "
+                "outliers that were kept.",
+            ),
+        ]
+    if not figures:
+        return None
+    text = (
+        "Residuals divided by the standard deviation that each should have: its own noise, as estimated from all of "
+        "its group, less what the fit takes up."
+    )
+    return section("Are the residuals noise?", element("p", text), element("div", *figures, class_="figures"))
+
+
+def views(calibration: Calibration) -> Html | None:
+    """All views, worst first: a table, and the residual vectors of each."""
+    rows = view_rows(calibration)
+    if not rows:
+        return None
+    bad = {str(view.record) for view in words.bad_views(calibration)}
+    parts = [table(view_columns(calibration), rows, kind="tall", worse=[row[0] in bad for row in rows])]
+    observations, fit = calibration.observations, calibration.fit
+    if observations is not None and fit is not None:
+        parts.append(_panels(judge_views(calibration.quality, fit, observations), observations, fit))
+    return section("Views, worst first", *parts)
+
+
+def _panels(judged: list[JudgedView], observations: Observations, fit: Fit) -> Html:
+    every = [(view.row, view) for view in judged if view.row is not None]
+    scale = image_plots.residual_scale(fit)
+
+    def panel(row: int, view: JudgedView) -> Html:
+        record, rejected = view.quality.record, view.quality.corners_rejected
+        drawn = image_plots.view_residuals(observations, fit, row, scale)
+        return element(
+            "figure",
+            as_svg(drawn, f"view-{row}", f"Corner residuals of record {record}"),
+            element(
+                "figcaption",
+                element("b", f"record {record}"),
+                f" {view.rms_px:.3f} px" + (f", {rejected} rejected" if rejected else ""),
+            ),
+        )
+
+    bar = as_svg(image_plots.scale_bar(scale, observations.width), "scale", f"An arrow of {scale:g} px")
+    first = [panel(*view) for view in every[:OPEN_PANELS]]
+    more = [panel(*view) for view in every[OPEN_PANELS:MAX_PANELS]]
+    parts = [
+        element(
+            "p",
+            "Arrows lead from the corner that was found to where the calibration expects it; crosses were rejected.",
+        ),
+        element("div", element("figure", bar, element("figcaption", "scale of all arrows")), *first, class_="panels"),
+    ]
+    if more:
+        left = len(every) - MAX_PANELS
+        title = f"{len(more)} more views" + (f"; {left} better ones are not drawn" if left > 0 else "")
+        parts.append(element("details", element("summary", title), element("div", *more, class_="panels")))
+    return joined(parts)
+
+
+def correlations(calibration: Calibration) -> Html | None:
+    """Correlations of the parameters."""
+    if not (np.diag(calibration.covariance) > 0).any():
+        return None
+    caption = (
+        "Of the estimated parameters; numbers where the correlation exceeds one half. Strong ones are no fault: they "
+        "say that only a combination is known, and the lengths above take that into account."
+    )
+    figure = uncertainty_plots.correlations(calibration.order, calibration.covariance)
+    drawn = _figure(figure, "correlations", "Correlation matrix of the shared parameters", caption, class_="wide")
+    return section("Correlations", drawn)
+
+
+def spectrum(calibration: Calibration) -> Html | None:
+    """Combinations of parameters that the data hardly determine."""
+    directions = sorted(calibration.quality.spectrum, key=lambda row: -row.sigma_over_prior)
+    if not directions:
+        return None
+    weak = [
+        f"{uncertainty_plots.combination(row.direction)} ({100 * row.sigma_over_prior:.0f} % of the prior's standard "
+        "deviation)"
+        for row in directions
+        if is_held_by_priors(row.sigma_over_prior)
+    ]
+    text = (
+        f"Held by what was known beforehand rather than by these data: {'; '.join(weak)}."
+        if weak
+        else "Every combination of parameters is held by the data."
+    )
+    return section(
+        "Combinations that the data do not determine",
+        element("p", text),
+        element(
+            "div",
+            _figure(
+                uncertainty_plots.spectrum(directions),
+                "spectrum",
+                "Standard deviation of every combination of parameters over its prior",
+                "Independent combinations of parameters, named by their largest parts. At 1 the data add nothing.",
+            ),
+            class_="figures",
+        ),
+    )
+
+
+def _figure(figure: "Figure", name: str, description: str, caption: str, **attributes: str) -> Html:
+    """A figure with its caption, which is markup of this module's own."""
+    drawn = as_svg(figure, name, description)
+    return element("figure", drawn, element("figcaption", Html(caption)), **attributes)

@@ -1,0 +1,146 @@
+"""The calibration report: one page that stands alone, drawn from a `Calibration`."""
+
+from typing import Any
+
+from jaxscan.calibration import Calibration
+from jaxscan.geometry import Charuco
+from jaxscan.report import figures, tables, words
+from jaxscan.report.html import Html, bullets, element, joined, page, section, table
+
+
+def calibration_page(calibration: Calibration, *, notes: tuple[str, ...] = ()) -> str:
+    """A calibration as an HTML page.
+
+    Args:
+        calibration: With `fit` and `observations`, where residuals are to be drawn; what is not there is left out.
+        notes: Remarks to put first, in plain text.
+
+    Returns:
+        The document: nothing in it is fetched from anywhere, and nothing runs.
+    """
+    words_first = [
+        _head(calibration),
+        *(element("p", note, class_="note") for note in notes),
+        _verdict(calibration),
+        _remarks(calibration),
+    ]
+    residuals = [figures.residuals_over_image(calibration), figures.stripes(calibration), figures.views(calibration)]
+    numbers = [_quality(calibration), _provenance(calibration)]
+    if calibration.quality.converged is False:
+        # Residuals show where it hangs; estimates and their uncertainty are not to be read.
+        parts = [*words_first, *residuals, *numbers]
+    else:
+        over_image, along, views = residuals
+        parts = [
+            *words_first,
+            _tests(calibration),
+            _parameters(calibration),
+            figures.uncertainty(calibration),
+            over_image,
+            along,
+            figures.distributions(calibration),
+            views,
+            figures.correlations(calibration),
+            figures.spectrum(calibration),
+            *numbers,
+        ]
+    return page("Calibration report", *(part for part in parts if part))
+
+
+def _head(calibration: Calibration) -> Html:
+    camera, observations = calibration.camera, calibration.observations
+    lines = [f"{type(camera).__name__} camera, {camera.width} × {camera.height} px"]
+    if observations is not None:
+        columns, rows = observations.board.grid()
+        kind = "ChArUco board" if isinstance(observations.board, Charuco) else "chessboard"
+        lines.append(f"{kind}, {columns} × {rows} inner corners of {1e3 * observations.board.square:g} mm")
+    quality = calibration.quality
+    if quality.views is not None and quality.corners is not None:
+        lines.append(f"{quality.views} views, {quality.corners} corners")
+    if calibration.scanner is None:
+        lines.append("camera alone, without laser and table")
+    elif quality.stripe_points is not None:
+        lines.append(f"{quality.stripe_points} stripe points")
+    names = [str(capture.get("name")) for capture in _captures(calibration)]
+    title = f"Calibration report: {', '.join(names)}" if names else "Calibration report"
+    return element("header", element("h1", title), element("p", " · ".join(lines)))
+
+
+def _verdict(calibration: Calibration) -> Html:
+    first = words.headline(calibration)
+    tiles = [
+        element("div", element("b", f"± {words.millimetres(line.sigma_mm)}"), element("span", line.what), class_="tile")
+        for line in words.lengths(calibration)
+    ]
+    card = element(
+        "div", element("strong", first.headline), element("p", first.explanation), class_=f"verdict {first.kind}"
+    )
+    if not tiles:
+        return card
+    scale = (
+        "The uncertainty of the board's size is in them."
+        if calibration.quality.board_pitch_sigma
+        else "So does any error of the board's size, which is taken as exact: its scale is the scale of everything."
+    )
+    note = (
+        "Standard deviations that the calibration alone causes in lengths measured with this rig. The noise of the "
+        f"stripe itself comes on top. {scale}"
+    )
+    return joined([card, element("div", *tiles, class_="tiles"), element("p", note, class_="note")])
+
+
+def _remarks(calibration: Calibration) -> Html:
+    parts = [bullets([*words.noise_lines(calibration), *words.second_look(calibration)])]
+    bad = [f"Record {view.record}: {view.why}" for view in words.bad_views(calibration)]
+    for title, lines in (
+        ("Warnings", words.warnings(calibration)),
+        ("Records that stand out", bad),
+        ("What to capture next", words.advice(calibration)),
+    ):
+        if lines:
+            parts += [element("h3", title), bullets(map(_sentence, lines))]
+    return section("In words", *parts)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
+
+
+def _tests(calibration: Calibration) -> Html | None:
+    rows = tables.outcome_rows(calibration)
+    if not rows:
+        return None
+    return section(
+        "Tests of the models",
+        element(
+            "p",
+            "Each statistic is about as large as its degrees of freedom where the model suffices. p says how often "
+            "chance alone gives a larger one, with the noise that the detectors promise; p of structure takes the "
+            "noise that is there. Where only p is small, the residuals are noisy but have no structure.",
+        ),
+        table(tables.OUTCOME_COLUMNS, rows, kind="words", worse=[row[6] != "passes" for row in rows]),
+    )
+
+
+def _parameters(calibration: Calibration) -> Html:
+    rows = [parameter.row() for parameter in tables.parameters(calibration)]
+    return section("Parameters", table(("parameter", "value", "standard deviation"), rows, kind="wrap"))
+
+
+def _quality(calibration: Calibration) -> Html | None:
+    rows = tables.quality_rows(calibration)
+    return section("Numbers of the solve", table(("", ""), rows)) if rows else None
+
+
+def _provenance(calibration: Calibration) -> Html:
+    lines = [f"{capture.get('name')}: {capture.get('digest')}" for capture in _captures(calibration)]
+    versions = calibration.provenance.get("versions")
+    if isinstance(versions, dict):
+        lines.append(", ".join(f"{name} {version}" for name, version in versions.items()))
+    return element("footer", *(element("p", line) for line in lines))
+
+
+def _captures(calibration: Calibration) -> list[dict[str, Any]]:
+    """Name and digest of the captures; a file may hold anything in their place."""
+    captures = calibration.provenance.get("captures")
+    return [capture for capture in captures if isinstance(capture, dict)] if isinstance(captures, list) else []

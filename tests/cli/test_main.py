@@ -1,0 +1,78 @@
+"""The command line itself: which verbs there are, that only the called one is loaded, and how mistakes are answered."""
+
+import importlib
+import inspect
+import subprocess
+import sys
+
+import pytest
+
+from jaxscan.cli.main import MEASURES, VERBS, main
+from jaxscan.errors import CloudError
+
+
+EVERY = [((name,), entry) for name, entry in VERBS.items()] + [
+    (("measure", name), entry) for name, entry in MEASURES.items()
+]
+
+
+def answer(capsys, *words):
+    with pytest.raises(SystemExit) as exit:
+        main(words)
+    return exit.value.code, capsys.readouterr()
+
+
+@pytest.mark.parametrize(("words", "entry"), EVERY, ids=lambda one: " ".join(one) if isinstance(one, tuple) else "")
+def test_the_table_says_what_the_verb_says(words, entry):
+    module, line = entry
+    function = getattr(importlib.import_module(module), words[-1])
+    assert " ".join(inspect.getdoc(function).split()).startswith(line)
+
+
+def test_help_lists_all_verbs_and_loads_none():
+    code = (
+        "import sys; from jaxscan.cli.main import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit as exit: print(exit.code, [m for m in ('jax', 'numpy', 'pydantic') if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines()[-1] == "0 []"
+    assert all(f"• {verb} " in run.stdout for verb in VERBS)
+
+
+@pytest.mark.parametrize("words", [words for words, _ in EVERY], ids=" ".join)
+def test_help_of_a_verb(words, capsys):
+    code, said = answer(capsys, *words, "--help")
+    assert code == 0
+    assert said.out.startswith(f"usage: jaxscan {' '.join(words)} [-h]")
+    options = ["-h, --help"] if words == ("measure",) else ["-h, --help", "--json FILE"]
+    assert all(option in said.out for option in options)
+
+
+@pytest.mark.parametrize(
+    ("words", "suggested"),
+    [
+        (["calibrat"], "calibrate"),
+        (["measure", "rom"], "room"),
+        (["measure", "room", "a.ply", "--calib", "b"], "--calibration"),
+    ],
+)
+def test_the_closest_name_is_suggested(words, suggested, capsys):
+    code, said = answer(capsys, *words)
+    assert code == 2
+    assert suggested in said.err
+
+
+@pytest.mark.parametrize("words", [[], ["measure"], ["calibrate"], ["--nonsense"], ["measure", "room", "a.ply", "--x"]])
+def test_usage_errors_are_code_2(words, capsys):
+    code, said = answer(capsys, *words)
+    assert code == 2
+    assert said.out == "" and said.err
+
+
+def test_debug_shows_the_traceback(tmp_path, capsys):
+    words = ["measure", "room", str(tmp_path / "none.ply")]
+    assert main(words) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    with pytest.raises(CloudError, match=r"none\.ply"):
+        main([*words, "--debug"])

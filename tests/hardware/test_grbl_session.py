@@ -1,0 +1,231 @@
+"""Whole sweeps with a GRBL board: what a session promises holds with a foreign controller, and what cannot is said."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from bench.grbl import GrblBoard
+from scanrig.errors import Fault, LinkLost, RigFault
+from scanrig.session import Devices, Hooks, run_sweep
+
+from jaxscan.errors import ConfigError
+from jaxscan.files.capture.capture import open_capture
+
+from .grbl_rig import camera_of, open_board, rig_config
+
+
+STEPS = 6
+
+
+class GrblRig:
+    """A board, and sessions with it."""
+
+    def __init__(self, board, **config):
+        self.board, self.said = board, []
+        self.config = rig_config(steps=STEPS, **config)
+        self.events = {}
+
+    def sweep(self, folder, *, resume=False, **hooks):
+        """A sweep; `self.events[n]()` befalls the rig after n pairs."""
+        pairs = []
+
+        def on_pair(*pair):
+            pairs.append(pair)
+            if act := self.events.pop(len(pairs), None):
+                act()
+
+        with open_board(self.board, self.config) as controller:
+            camera = camera_of(self.board, self.config)
+            called = Hooks(**{"on_pair": on_pair, "notify": self.said.append, **hooks})
+            return run_sweep(self.config, folder, Devices(controller, camera), called, resume=resume)
+
+
+@pytest.fixture
+def board(tmp_path):
+    simulated = GrblBoard(tmp_path)
+    simulated.start()
+    yield simulated
+    simulated.close()
+
+
+@pytest.fixture
+def rig(board):
+    return GrblRig(board)
+
+
+def records(folder):
+    lines = map(json.loads, (folder / "frames.jsonl").read_text().splitlines())
+    return {line["i"]: line for line in lines if "i" in line}
+
+
+def events(folder, name):
+    lines = map(json.loads, (folder / "frames.jsonl").read_text().splitlines())
+    return [line for line in lines if line.get("event") == name]
+
+
+def require_whole(folder):
+    """Every record is there, at its place, with the laser in the one image and not in the other."""
+    found = records(folder)
+    assert sorted(found) == list(range(STEPS))
+    capture = open_capture(folder)
+    for chunk in capture.chunks(STEPS):
+        for number, (on, off) in enumerate(zip(chunk.on, chunk.off, strict=True)):
+            assert found[number]["microsteps"] == 80 * number
+            contrast = on.astype(int) - off
+            assert contrast.max() > 50 and (contrast.max(1) > 20).mean() > 0.5
+
+
+def test_a_sweep_is_whole_and_ends_dark(rig, tmp_path):
+    result = rig.sweep(tmp_path / "room")
+    assert (result.status, result.retakes, result.laser_off) == ("complete", 0, True)
+    require_whole(tmp_path / "room")
+    assert not rig.board.lit
+    # A pair each, the last record or the first compared again, and each time off again.
+    lights = [value for _, what, value in rig.board.ledger if what == "light"]
+    assert lights.count(1.0) == lights.count(0.0) >= STEPS + 1
+    assert any("laser stays on" in sentence for sentence in rig.said)
+    header = (tmp_path / "room" / "capture.toml").read_text()
+    assert 'protocol = "Grbl"' in header and 'firmware = "1.1h"' in header
+
+
+def test_it_is_refused_where_it_is_not_allowed(board, tmp_path):
+    rig = GrblRig(board, allow_laser_without_watchdog=False)
+    with pytest.raises(ConfigError, match="write allow_laser_without_watchdog = true under") as refused:
+        rig.sweep(tmp_path / "room")
+    assert "\n" not in str(refused.value) and board.heard == [] and not (tmp_path / "room").exists()
+
+
+def test_a_session_refuses_a_controller_that_was_opened_elsewhere(board, tmp_path):
+    config = rig_config(steps=STEPS, allow_laser_without_watchdog=False)
+    with open_board(board, rig_config()) as controller, pytest.raises(ConfigError, match="allow_laser"):
+        run_sweep(config, tmp_path / "room", Devices(controller, camera_of(board, config)))
+    assert not (tmp_path / "room").exists()
+
+
+def test_a_pulled_cable_is_recovered_from(rig, tmp_path):
+    def pull():
+        rig.board.unplug()
+        threading.Timer(0.5, rig.board.plug).start()
+
+    rig.events[2] = pull
+    assert rig.sweep(tmp_path / "room").status == "complete"
+    require_whole(tmp_path / "room")
+    assert [event["same_boot"] for event in events(tmp_path / "room", "reconnected")] == [True]
+    assert not rig.board.lit
+
+
+def test_a_cable_that_stays_away_ends_the_session_loudly(rig, tmp_path):
+    rig.events[2] = rig.board.unplug
+    with pytest.raises(LinkLost, match=r"did not come back.*switch its supply off by hand"):
+        rig.sweep(tmp_path / "room")
+    assert len(records(tmp_path / "room")) == 2
+
+
+def test_a_reset_is_recovered_from(rig, tmp_path):
+    rig.events[3] = rig.board.power_cycle
+    assert rig.sweep(tmp_path / "room").status == "complete"
+    require_whole(tmp_path / "room")
+    assert [event["same_boot"] for event in events(tmp_path / "room", "reconnected")] == [False]
+    assert rig.board.heard.count("$H") >= 3 and not rig.board.lit
+
+
+def test_a_reset_while_the_table_turns_is_recovered_from(rig, tmp_path):
+    rig.events[3] = lambda: threading.Timer(0.03, rig.board.power_cycle).start()
+    assert rig.sweep(tmp_path / "room").status == "complete"
+    require_whole(tmp_path / "room")
+
+
+def test_an_alarm_ends_the_session_by_name(rig, tmp_path):
+    rig.events[3] = rig.board.hit_limit
+    with pytest.raises(RigFault, match=r"a limit switch was hit.*ALARM:1") as alarm:
+        rig.sweep(tmp_path / "room")
+    assert alarm.value.fault is Fault.LIMIT and not rig.board.lit
+    assert rig.sweep(tmp_path / "room", resume=True).status == "complete"
+    require_whole(tmp_path / "room")
+
+
+def test_steps_lost_on_the_way_show_in_the_pictures(rig, tmp_path):
+    """The board says nothing of it at home; the first step of the turn, taken again, does."""
+
+    def slip():
+        rig.board.slipped = 10.0
+
+    rig.events[2] = slip
+    result = rig.sweep(tmp_path / "room")
+    assert any("is not what it was" in sentence for sentence in rig.said) or result.status == "suspect"
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt, SystemExit])
+def test_the_laser_is_off_on_every_way_out(rig, tmp_path, error):
+    def fail():
+        raise error
+
+    rig.events[2] = fail
+    with pytest.raises(error):
+        rig.sweep(tmp_path / "room")
+    assert not rig.board.lit
+
+
+def test_noise_on_the_line_leaves_nothing_out(rig, tmp_path):
+    count = [0]
+
+    def garble(data):
+        count[0] += 1
+        return data.replace(b"ok", b"o~") if count[0] % 9 == 0 else data
+
+    rig.board.to_host = garble
+    result = rig.sweep(tmp_path / "room")
+    assert result.status == "complete"
+    require_whole(tmp_path / "room")
+    assert events(tmp_path / "room", "end")[0]["link"]["resent"] > 2
+
+
+LIGHTS = """
+import sys, time
+sys.path[:0] = [{hardware!r}]
+from scanrig.controllers import ControllerTable, Settings, open_controller
+table = ControllerTable(type="grbl", allow_laser_without_watchdog=True)
+with open_controller(table, 28800, port={port!r}) as controller:
+    controller.hello()
+    controller.configure(Settings(speed=8000))
+    controller.enable(True)
+    controller.home(40000)
+    controller.arm(True)
+    controller.laser(True)
+    print("lit", flush=True)
+    time.sleep(60)
+"""
+
+
+def host_that_lights(board):
+    hardware = str(Path(__file__).resolve().parents[2] / "hardware")
+    code = LIGHTS.format(hardware=hardware, port=board.port)
+    host = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    with host.stdout:
+        assert host.stdout.readline() == "lit\n"
+    return host
+
+
+def test_a_killed_host_leaves_the_laser_on_as_is_said(board):
+    """The truth that the configuration has to allow: nobody is there any more who could switch it off."""
+    host = host_that_lights(board)
+    host.kill()
+    host.wait()
+    time.sleep(3.0)
+    assert board.lit
+    # The next session puts it off before anything else.
+    with open_board(board, rig_config()) as controller:
+        controller.hello()
+        assert not board.lit
+
+
+def test_a_host_that_is_interrupted_switches_the_laser_off(board):
+    host = host_that_lights(board)
+    host.send_signal(signal.SIGINT)
+    host.wait(timeout=20)
+    assert not board.lit
