@@ -13,7 +13,7 @@ from scanrig.controllers.grbl.units import TableUnits
 from scanrig.controllers.settings import Settings
 from scanrig.controllers.status import Firmware, LinkCounts, Reconnection, ShotDone, Status
 from scanrig.controllers.table import GrblTable
-from scanrig.errors import Fault, LinkLost, PortError, Reason, Refused, RigError, RigFault, RigTimeout
+from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused, RigError, RigFault, RigTimeout
 
 
 log = logging.getLogger(__name__)
@@ -59,6 +59,11 @@ class GrblController:
         return Firmware("Grbl", version, self._boot)
 
     def configure(self, settings: Settings) -> None:
+        if settings.lasers > (known := len(self._table.laser_on)):
+            raise FirmwareError(
+                f"{self.name}: found {known} command in controller.grbl.laser_on, needed one for each of "
+                f"{settings.lasers} lasers"
+            )
         self._units = dataclasses.replace(self._units, reverse=settings.reverse)
         if self._table.check_settings:
             require_fit(self._lines, self._table, self._units, settings)
@@ -153,7 +158,7 @@ class GrblController:
     def trigger(self) -> None:
         raise Refused(Reason.NO_SUCH_PART, "trigger")
 
-    def shot(self, to: int, id: int) -> None:
+    def shot(self, to: int, id: int, *, number: int = 1) -> None:
         raise Refused(Reason.NO_SUCH_PART, f"shot {id} at {to}")
 
     def wait_shot(self, id: int, timeout_s: float = 120.0) -> ShotDone:
