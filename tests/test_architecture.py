@@ -44,7 +44,7 @@ HOME_OF = {
     "pye57": {"files"},
     "laspy": {"files"},
     "serial": set(),
-    "numba": {"stripes/search/native.py"},
+    "numba": {"stripes/search/native_loops.py"},
     "scipy": {"measurement"},
     "matplotlib": {"report"},
     "viser": {"report"},
@@ -112,6 +112,14 @@ def test_a_room_of_files_reaches_others_through_their_facades(path):
         parts = module.split(".")
         if parts[:2] == ["jaxscan", "files"] and path.name != "__init__.py" and parts[2] != path.parent.name:
             assert len(parts) == 3, f"line {line}: {module}"
+
+
+@pytest.mark.parametrize("path", [*FILES, *RIG_FILES, *BENCH_FILES], ids=str)
+def test_stripes_are_reached_through_their_facade(path):
+    if path.is_relative_to(PACKAGE / "stripes"):
+        return
+    for module, line in imports(path):
+        assert not module.startswith("jaxscan.stripes."), f"line {line}: {module}, expected jaxscan.stripes"
 
 
 @pytest.mark.parametrize("path", FILES, ids=IDS)

@@ -14,7 +14,7 @@ from scanrig.errors import Fault, LinkLost, RigFault
 from scanrig.session import Devices, Hooks, run_sweep
 
 from jaxscan.errors import ConfigError
-from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture import open_capture
 
 from .grbl_rig import camera_of, open_board, rig_config
 

@@ -9,7 +9,7 @@ from scanrig.controllers.settings import Settings
 from scanrig.errors import FirmwareError, FrameError
 from scanrig.session.plan import controller_settings, estimate, placed_targets, placement_positions, plan_sweep
 
-from jaxscan.files.capture.capture import open_capture
+from jaxscan.files.capture import open_capture
 
 from .desk import Desk, rig_config
 from .fake import FakeController

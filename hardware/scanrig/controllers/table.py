@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import pydantic
 
-from jaxscan.files.disk.validation import FileModel, Integer, Number
+from jaxscan.files.disk import FileModel, Integer, Number
 
 
 _Command = Annotated[str, pydantic.Field(max_length=70, pattern=r"^[\x20-\x7e]*$")]

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from jaxscan.stripes.frames.formats import laser_plane
+from jaxscan.stripes import laser_plane
 from scanrig.cameras.frame import Camera, Frame
 from scanrig.clock import Clock
 from scanrig.config import RigConfig

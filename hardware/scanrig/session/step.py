@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from jaxscan.stripes.frames.formats import frame_rank
+from jaxscan.stripes import frame_rank
 from scanrig.cameras.frame import Camera, Frame
 from scanrig.checks.proof import PairProof, prove_pair
 from scanrig.clock import Clock, SystemClock

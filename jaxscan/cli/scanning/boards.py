@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -15,7 +15,7 @@ from jaxscan.cli.scanning.operator import CommandOperator, Lines, TerminalOperat
 from jaxscan.cli.scanning.plan import sweep_header
 from jaxscan.errors import OptionError
 from jaxscan.files.capture import board_of
-from jaxscan.stripes.frames.formats import LaserLine
+from jaxscan.stripes import FrameFormat, LaserLine
 
 
 if TYPE_CHECKING:
@@ -87,13 +87,14 @@ def make_guide(rig: "RigConfig") -> "Guide":
     if board is None:
         raise OptionError("The configuration has no [board] table.")
 
+    frames = FrameFormat(camera.pixel_format, camera.response)
+
     def detect(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         found = find_corners(to_grey(frame, camera.pixel_format), board)
         return None if found is None else (found.q, found.valid)
 
     def find_line(line: LaserLine, on: np.ndarray, off: np.ndarray) -> np.ndarray:
-        how: dict[str, Any] = {"pixel_format": camera.pixel_format, "response": camera.response, "line": line}
-        stripes = api.extract_stripes(on[None], off[None], **how)
+        stripes = api.extract_stripes(on, off, pixel_format=frames, line=line)
         valid = np.asarray(stripes.valid)[0]
         points = np.column_stack([np.asarray(stripes.u)[0][valid], np.flatnonzero(valid)]).astype(float)
         return points if line.stripe_axis == "rows" else points[:, ::-1]

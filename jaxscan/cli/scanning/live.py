@@ -13,9 +13,14 @@ from jaxscan.cli.scanning.turns import LasersInTurn
 from jaxscan.errors import CaptureError, JaxscanError
 from jaxscan.files.capture import Capture, CaptureHeader, open_capture
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction.incoming import IncomingStripes, Pair, PlannedSweep
-from jaxscan.reconstruction.reconstruct import Progress
-from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
+from jaxscan.reconstruction import (
+    DEFAULTS,
+    IncomingStripes,
+    PlannedSweep,
+    Progress,
+    ReconstructSettings,
+    RecordedPair,
+)
 
 
 _PATIENCE_S = 5.0
@@ -78,17 +83,17 @@ class LiveCloud:
         camera = header.camera
         carries = None if header.turntable is None else header.turntable.carries
         size = (camera.width, camera.height)
-        sweep = PlannedSweep(camera.pixel_format, camera.response, header.lines, size, carries, steps)
+        sweep = PlannedSweep(camera.pixel_format, camera.response, header.lasers, size, carries, steps)
         self._stripes: IncomingStripes | LasersInTurn
-        if len(header.lines) == 1:
+        if len(header.lasers) == 1:
             self._stripes = IncomingStripes(sweep, scanner, settings)
         else:
             self._stripes = LasersInTurn(sweep, scanner, settings)
         self._folder, self._scanner, self._settings, self._steps = folder, scanner, settings, steps
-        self._first: dict[int, Pair] = {}
+        self._first: dict[int, RecordedPair] = {}
         self._given: set[int] = set()
         self._learned_again = False
-        self._queue: queue.Queue[Pair] = queue.Queue(self._stripes.size)
+        self._queue: queue.Queue[RecordedPair] = queue.Queue(self._stripes.size)
         self._lock = threading.Lock()
         self._later: set[int] = set()
         self._unread: set[int] = set()
@@ -111,7 +116,7 @@ class LiveCloud:
         if self._problem is not None or not 0 <= number < self._steps:
             return
         # The camera may use its memory again.
-        pair = Pair(number, angle, np.array(on), np.array(off))
+        pair = RecordedPair(number, angle, np.array(on), np.array(off))
         with self._lock:
             self._notice(number)
             self._later.discard(number)
@@ -222,7 +227,7 @@ class LiveCloud:
 
     def _collect(self) -> None:
         stripes = self._stripes
-        chunk: dict[int, Pair] = {}
+        chunk: dict[int, RecordedPair] = {}
         since = time.monotonic()
         while not self._stopped.is_set():
             pair = self._next()
@@ -246,7 +251,7 @@ class LiveCloud:
             if ending:
                 return
 
-    def _next(self) -> Pair | None:
+    def _next(self) -> RecordedPair | None:
         """A pair as it comes, or one from the disk where none comes."""
         try:
             return self._queue.get_nowait()
@@ -273,7 +278,7 @@ class LiveCloud:
                 self._later.discard(number)
             return number
 
-    def _read(self, number: int) -> Pair:
+    def _read(self, number: int) -> RecordedPair:
         with self._lock:
             changes, known = self._changes, self._capture
         if known is None or known[0] != changes:
@@ -284,7 +289,7 @@ class LiveCloud:
                 return _from_disk(capture, index)
         raise CaptureError(f"{self._folder}: record {number} is not in the journal.")
 
-    def _learn(self, pair: Pair) -> bool:
+    def _learn(self, pair: RecordedPair) -> bool:
         """Learn as soon as the first records are there; whether that was now."""
         needed = self._stripes.needed
         if self._stripes.learned or pair.number >= needed:
@@ -296,9 +301,9 @@ class LiveCloud:
         return True
 
 
-def _from_disk(capture: Capture, index: int) -> Pair:
+def _from_disk(capture: Capture, index: int) -> RecordedPair:
     on, off = capture.frames(index)
     record = capture.records[index]
     if on is None or off is None or record.angle is None:
         raise CaptureError(f"{capture.path}: record {record.i}: expected a pair at a known angle.")
-    return Pair(record.i, record.angle, on, off)
+    return RecordedPair(record.i, record.angle, on, off)
