@@ -121,13 +121,7 @@ def _apart(data: Prepared) -> Prepared:
 
 
 def _without_stripes(data: Prepared) -> Prepared:
-    return data._replace(
-        stripe_q=data.stripe_q[:0],
-        stripe_sigma=data.stripe_sigma[:0],
-        stripe_valid=data.stripe_valid[:0],
-        stripe_view=data.stripe_view[:0],
-        stripe_laser=data.stripe_laser[:0],
-    )
+    return data._replace(**{name: getattr(data, name)[:0] for name in data._fields if name.startswith("stripe_")})
 
 
 def _stand_ins(observations: Observations) -> tuple[LaserSheet, Turntable]:

@@ -1,4 +1,4 @@
-"""What is true of a simulated rig: for comparison with what is found, never for finding it."""
+"""The truth of a simulated rig: for comparison with an estimate, never for making one."""
 
 from typing import Any
 

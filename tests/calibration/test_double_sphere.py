@@ -11,8 +11,7 @@ from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate
 from jaxscan.calibration.seed.camera import seed_camera
 from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.calibration import load_calibration, save_calibration
-from jaxscan.files.calibration.exports import export_camera
+from jaxscan.files.calibration import export_camera, load_calibration, save_calibration
 from jaxscan.geometry import DoubleSphere
 
 
