@@ -46,11 +46,11 @@ def drawn(config: SimulationConfig, random: np.random.Generator) -> SimulationCo
     priors = trials.SETTINGS.priors
     table = config.turntable.model_copy(
         update={
-            "gain": 1.0 + priors.gain * random.normal(),
-            "harmonics": tuple(priors.harmonics * random.normal(size=4)),
+            "gain": 1.0 + priors["gain"] * random.normal(),
+            "harmonics": tuple(priors["harmonics"] * random.normal(size=4)),
         }
     )
-    camera = config.camera.model_copy(update={"fy": config.camera.fx / (1.0 + priors.aspect * random.normal())})
+    camera = config.camera.model_copy(update={"fy": config.camera.fx / (1.0 + priors["aspect"] * random.normal())})
     return config.model_copy(update={"turntable": table, "camera": camera})
 
 
@@ -126,9 +126,9 @@ def judged(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[Le
 def prior_shares(covariance: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
     """Posterior over prior variance: how much of a parameter's information the prior is at most."""
     priors = trials.SETTINGS.priors
-    sigma = dict.fromkeys(("cx", "cy"), priors.centre_px) | dict.fromkeys(("p1", "p2"), priors.tangential)
-    sigma |= {"k3": priors.k3, "gain": priors.gain} | dict.fromkeys(("c1", "s1", "c2", "s2"), priors.harmonics)
-    sigma |= dict.fromkeys(("warp.x", "warp.y"), priors.warp)
+    sigma = dict.fromkeys(("cx", "cy"), priors["centre_px"]) | dict.fromkeys(("p1", "p2"), priors["tangential"])
+    sigma |= {"k3": priors["k3"], "gain": priors["gain"]} | dict.fromkeys(("c1", "s1", "c2", "s2"), priors["harmonics"])
+    sigma |= dict.fromkeys(("warp.x", "warp.y"), priors["warp"])
     return {name: float(covariance[i, i] / sigma[name] ** 2) for i, name in enumerate(names) if name in sigma}
 
 

@@ -70,7 +70,7 @@ def calibrate(
     captures = [captures] if isinstance(captures, Capture) else list(captures)
     if not captures:
         raise CaptureError("No capture was given; a calibration needs at least one capture of a board.")
-    if not only_camera and not captures[0].lines:
+    if not only_camera and not captures[0].lasers:
         raise CalibrationError(
             f"{captures[0].path}: lists no [[laser]], so there is no laser plane to be found: capture the board with "
             "the laser on and off, or calibrate the camera alone (`--only camera`, `only_camera=True`)."

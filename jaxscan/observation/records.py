@@ -60,7 +60,7 @@ class BoardSource(Protocol):
     @property
     def response(self) -> Response: ...
     @property
-    def lines(self) -> tuple[LaserLine, ...]:
+    def lasers(self) -> tuple[LaserLine, ...]:
         """The lasers, in the order that `lasers` of a record counts them."""
 
     @property

@@ -12,7 +12,7 @@ from jaxscan.files.capture.journal import Record
 from jaxscan.files.capture.references import Folder, ImageRef
 from jaxscan.files.capture.shards import Shards
 from jaxscan.files.disk import MEGABYTE, read_bounded
-from jaxscan.stripes.frames.formats import frame_rank
+from jaxscan.stripes import frame_rank
 
 
 class ImageReader:
