@@ -38,13 +38,9 @@ class Look:
     problem: str = ""
     """Why it is refused, and the remedy."""
     notes: tuple[str, ...] = ()
-<<<<<<< HEAD
     """Things that could be better."""
-=======
-    """What is not as good as it could be."""
     laser: int = 0
     """Which laser it shows, counted from 0."""
->>>>>>> controllers
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,7 @@ from jaxscan.cli.scanning.operator import CommandOperator, Lines, TerminalOperat
 from jaxscan.cli.scanning.plan import sweep_header
 from jaxscan.errors import OptionError
 from jaxscan.files.capture import board_of
-<<<<<<< HEAD
-from jaxscan.stripes import FrameFormat
-=======
-from jaxscan.stripes.frames.formats import LaserLine
->>>>>>> controllers
+from jaxscan.stripes import FrameFormat, LaserLine
 
 
 if TYPE_CHECKING:
@@ -96,14 +92,8 @@ def make_guide(rig: "RigConfig") -> "Guide":
         found = find_corners(to_grey(frame, camera.pixel_format), board)
         return None if found is None else (found.q, found.valid)
 
-<<<<<<< HEAD
-    def find_line(on: np.ndarray, off: np.ndarray) -> np.ndarray:
-        stripes = api.extract_stripes(on, off, pixel_format=frames, line=line)
-=======
     def find_line(line: LaserLine, on: np.ndarray, off: np.ndarray) -> np.ndarray:
-        how: dict[str, Any] = {"pixel_format": camera.pixel_format, "response": camera.response, "line": line}
-        stripes = api.extract_stripes(on[None], off[None], **how)
->>>>>>> controllers
+        stripes = api.extract_stripes(on, off, pixel_format=frames, line=line)
         valid = np.asarray(stripes.valid)[0]
         points = np.column_stack([np.asarray(stripes.u)[0][valid], np.flatnonzero(valid)]).astype(float)
         return points if line.stripe_axis == "rows" else points[:, ::-1]

@@ -80,25 +80,15 @@ class LiveCloud:
         Raises:
             CalibrationError: If the scanner is not that of the sweep.
         """
-<<<<<<< HEAD
-        if len(header.lasers) != 1:
-            raise CaptureError(f"{folder}: found {len(header.lasers)} lasers, expected one for a cloud while scanning.")
         camera = header.camera
         carries = None if header.turntable is None else header.turntable.carries
         size = (camera.width, camera.height)
         sweep = PlannedSweep(camera.pixel_format, camera.response, header.lasers, size, carries, steps)
-        self._stripes = IncomingStripes(sweep, scanner, settings)
-=======
-        camera = header.camera
-        carries = None if header.turntable is None else header.turntable.carries
-        size = (camera.width, camera.height)
-        sweep = PlannedSweep(camera.pixel_format, camera.response, header.lines, size, carries, steps)
         self._stripes: IncomingStripes | LasersInTurn
-        if len(header.lines) == 1:
+        if len(header.lasers) == 1:
             self._stripes = IncomingStripes(sweep, scanner, settings)
         else:
             self._stripes = LasersInTurn(sweep, scanner, settings)
->>>>>>> controllers
         self._folder, self._scanner, self._settings, self._steps = folder, scanner, settings, steps
         self._first: dict[int, RecordedPair] = {}
         self._given: set[int] = set()
