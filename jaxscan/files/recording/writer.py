@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, MAX_LINE_BYTES, CaptureHeader, frame_shape, header_toml
-from jaxscan.files.disk import write_atomically
+from jaxscan.files.disk import append_whole, write_atomically
 from jaxscan.files.recording.folder import is_unused, make_folder, require_no_links
 from jaxscan.files.recording.given import copies, given_exposures, named, unnamed
 from jaxscan.files.recording.store import Storage, WriteSettings, image_store
@@ -99,15 +99,15 @@ class CaptureWriter:
         """
         self._check_alive()
         number = self._next if i is None else i
-        if number < 0:
-            raise CaptureError(f"{self.path}: i = {number} is negative.")
-        if self.header.kind == "sweep" and (angle_deg is None or on is None):
-            raise CaptureError(f"{self.path}: record {number}: a sweep needs an angle and a laser-on image.")
-        if on is None and off is None:
-            raise CaptureError(f"{self.path}: record {number}: has no image.")
-        if angle_deg is not None and not math.isfinite(angle_deg):
-            raise CaptureError(f"{self.path}: record {number}: angle_deg = {angle_deg} is not finite.")
         where = f"{self.path}: record {number}"
+        if number < 0:
+            raise CaptureError(f"{where}: i = {number} is negative.")
+        if self.header.kind == "sweep" and (angle_deg is None or on is None):
+            raise CaptureError(f"{where}: a sweep needs an angle and a laser-on image.")
+        if on is None and off is None:
+            raise CaptureError(f"{where}: has no image.")
+        if angle_deg is not None and not math.isfinite(angle_deg):
+            raise CaptureError(f"{where}: angle_deg = {angle_deg} is not finite.")
         levels = [
             given_exposures(given, f"{where}: {side}")
             for side, given in (("on", on), ("off", off))
@@ -237,7 +237,8 @@ class CaptureWriter:
         pending = self._pending.popleft()
         try:
             digests = {side: [image.result() for image in images] for side, images in pending.images.items()}
-            self._append(self._line(pending.fields | (self._sums(digests) if digests else {})))
+            line = self._line(pending.fields | (self._sums(digests) if digests else {}))
+            append_whole(self._journal, line, durable=self._durable)
         except OSError as problem:
             self._failed = CaptureError(
                 f"{self.path / JOURNAL_NAME}: cannot be written: {problem.strerror or problem}."
@@ -245,21 +246,6 @@ class CaptureWriter:
             raise self._failed from problem
         except CaptureError as problem:
             self._failed = problem
-            raise
-
-    def _append(self, line: bytes) -> None:
-        handle = self._journal.fileno()
-        before = os.fstat(handle).st_size
-        try:
-            rest = memoryview(line)
-            while rest:
-                rest = rest[self._journal.write(rest) or 0 :]
-            if self._durable:
-                os.fsync(handle)
-        except BaseException:
-            # No part of a line stays, where the disk still lets it be taken back.
-            with contextlib.suppress(OSError):
-                os.ftruncate(handle, before)
             raise
 
 
