@@ -8,6 +8,8 @@ from jaxscan.api import reconstruct_capture as reconstruct_capture
 from jaxscan.api import simulate as simulate
 from jaxscan.calibration import Calibration as Calibration
 from jaxscan.calibration import CalibrationSettings as CalibrationSettings
+from jaxscan.calibration import Quality as Quality
+from jaxscan.calibration import Verdict as Verdict
 from jaxscan.calibration import calibrate_observations as calibrate_observations
 from jaxscan.errors import CalibrationError as CalibrationError
 from jaxscan.errors import CaptureError as CaptureError
@@ -28,6 +30,7 @@ from jaxscan.files import save_calibration as save_calibration
 from jaxscan.files import save_cloud as save_cloud
 from jaxscan.geometry import Charuco as Charuco
 from jaxscan.geometry import Chessboard as Chessboard
+from jaxscan.geometry import DoubleSphere as DoubleSphere
 from jaxscan.geometry import Fisheye as Fisheye
 from jaxscan.geometry import LaserSheet as LaserSheet
 from jaxscan.geometry import Pinhole as Pinhole

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from jaxscan.geometry.arrays import Array, real
+from jaxscan.geometry.parameters import ParameterBlock
 from jaxscan.geometry.tangent import move_direction, tangent_basis, unit_vector
 
 
@@ -95,7 +96,10 @@ class LaserSheet(eqx.Module):
         return jnp.sqrt(safe) * tau * tau * (self.bow[0] + self.bow[1] * tau)
 
 
-LASER_PARAMETERS = ("n1", "n2", "d", "b2", "b3")
+LASER_BLOCKS = (
+    ParameterBlock("laser", ("n1", "n2", "d"), 0.01, "rad, m"),
+    ParameterBlock("bow", ("b2", "b3"), 0.001, "rad / rad^2, rad / rad^3", prior="bow", sigma=1e-2),
+)
 """Minimal coordinates of a sheet, in the order that `LaserSheet.retract` takes them."""
 
 

@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.geometry.arrays import Array
-from jaxscan.geometry.camera import AbstractCamera
-from jaxscan.geometry.laser import LASER_PARAMETERS, LaserSheet, stack_lasers
+from jaxscan.geometry.cameras import AbstractCamera
+from jaxscan.geometry.laser import LaserSheet, stack_lasers
+from jaxscan.geometry.layout import Layout, make_layout
 from jaxscan.geometry.rigid import rigid, transform
-from jaxscan.geometry.turntable import AXIS_PARAMETERS, Turntable
+from jaxscan.geometry.turntable import Turntable
 
 
 Up = Literal["-v", "+v", "+u", "-u"]
@@ -119,17 +120,19 @@ class Scanner(eqx.Module):
 
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the minimal coordinates: camera, lasers, axis, angle model."""
-        lasers = tuple(f"laser.{name}.{part}" for name in self.laser_names for part in LASER_PARAMETERS)
-        return self.camera.parameter_names() + lasers + AXIS_PARAMETERS
+        return self.layout().names
+
+    def layout(self) -> Layout:
+        """Where the minimal coordinates of each part stand."""
+        return make_layout(self.camera, self.laser_names)
 
     def retract(self, step: Float[Array, " params"]) -> "Scanner":
         """The scanner moved by `step` in its minimal coordinates; it has no covariance."""
-        cameras, lasers = len(self.camera.parameter_names()), len(self.laser_names)
-        sheet_steps = step[cameras : cameras + 5 * lasers].reshape(lasers, 5)
+        layout = self.layout()
         return Scanner(
-            camera=self.camera.retract(step[:cameras]),
-            lasers=jax.vmap(LaserSheet.retract)(self.lasers, sheet_steps),
-            turntable=self.turntable.retract(step[cameras + 5 * lasers :]),
+            camera=self.camera.retract(step[layout.camera]),
+            lasers=jax.vmap(LaserSheet.retract)(self.lasers, step[layout.lasers].reshape(-1, 5)),
+            turntable=self.turntable.retract(step[layout.turntable]),
             laser_names=self.laser_names,
             up=self.up,
         )

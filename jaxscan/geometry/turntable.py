@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from jaxscan.geometry.arrays import Array, real
+from jaxscan.geometry.parameters import ParameterBlock
 from jaxscan.geometry.rigid import exponential
 from jaxscan.geometry.tangent import move_direction, tangent_basis, unit_vector
 
@@ -131,5 +132,14 @@ class Turntable(eqx.Module):
         return Turntable(direction, point, self.gain + step[4], self.harmonics + step[5:9], basis, self.carries)
 
 
-AXIS_PARAMETERS = ("axis.d1", "axis.d2", "axis.p1", "axis.p2", "gain", "c1", "s1", "c2", "s2")
+ANGLE_BLOCKS = (
+    # The prior is the accuracy of the table's gears and step count, and speaks of |gain|.
+    ParameterBlock("gain", ("gain",), 0.001, prior="gain", sigma=1e-3, expected=1.0),
+    ParameterBlock("harmonics", ("c1", "s1", "c2", "s2"), 0.001, "rad", prior="harmonics", sigma=3e-4),
+)
+"""The angle about the axis."""
+AXIS_BLOCKS = (
+    ParameterBlock("axis", ("axis.d1", "axis.d2", "axis.p1", "axis.p2"), 0.01, "rad, m"),
+    *ANGLE_BLOCKS,
+)
 """Minimal coordinates of a turntable, in the order that `Turntable.retract` takes them."""

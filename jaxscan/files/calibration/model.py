@@ -1,14 +1,14 @@
 """What a calibration file holds, key by key, and the conditions on the numbers."""
 
 import dataclasses
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 import numpy as np
 import pydantic
 
 from jaxscan.files.capture.header import MAX_PIXELS
 from jaxscan.files.disk import FileModel, Integer, Number
-from jaxscan.geometry import Fisheye, LaserSheet, Pinhole, Turntable
+from jaxscan.geometry import CAMERAS, AbstractCamera, LaserSheet, Turntable
 from jaxscan.geometry.scanner import UP_VECTORS, Up
 from jaxscan.geometry.turntable import Carries
 
@@ -24,46 +24,21 @@ Positive = Annotated[Number, pydantic.Field(gt=0)]
 Extent = Annotated[Integer, pydantic.Field(ge=1, le=65535)]
 
 
-class BrownTable(FileModel):
-    """Brown-Conrady coefficients [1]."""
-
-    k1: Number
-    k2: Number
-    p1: Number
-    p2: Number
-    k3: Number
-    k4: Number | None = None
-    k5: Number | None = None
-    k6: Number | None = None
+class LensTable(FileModel):
+    """Coefficients of a lens by name [1]; each camera model has a table of its own."""
 
     @pydantic.model_validator(mode="after")
-    def _all_or_none(self) -> "BrownTable":
-        if len({self.k4 is None, self.k5 is None, self.k6 is None}) > 1:
-            raise ValueError("k4, k5 and k6 come together or not at all")
+    def _all_or_none(self) -> "LensTable":
+        optional = [name for name, known in type(self).model_fields.items() if not known.is_required()]
+        if len({getattr(self, name) is None for name in optional}) > 1:
+            raise ValueError(f"{', '.join(optional[:-1])} and {optional[-1]} come together or not at all")
         return self
 
-    def coefficients(self) -> np.ndarray:
-        """In the order of `Pinhole.distortion`."""
-        every = (self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6)
-        return np.array([value for value in every if value is not None], np.float64)
 
+class CameraTable(FileModel):
+    """A camera; the coefficients of its lens depend on the model."""
 
-class KannalaTable(FileModel):
-    """Kannala-Brandt coefficients [1]."""
-
-    k1: Number
-    k2: Number
-    k3: Number
-    k4: Number
-
-    def coefficients(self) -> np.ndarray:
-        """In the order of `Fisheye.distortion`."""
-        return np.array([self.k1, self.k2, self.k3, self.k4], np.float64)
-
-
-class _CameraTable(FileModel):
-    """What every camera has [px]."""
-
+    model: str
     width: Extent
     height: Extent
     up: Up = "-v"
@@ -71,52 +46,63 @@ class _CameraTable(FileModel):
     fy: Positive
     cx: Number
     cy: Number
+    skew: Number = 0.0
+    distortion: LensTable
 
-    def numbers(self) -> dict[str, Any]:
-        """Arguments that every camera of the geometry takes."""
-        floats = {name: np.asarray(getattr(self, name), np.float64) for name in ("fx", "fy", "cx", "cy")}
-        return {**floats, "width": self.width, "height": self.height}
+    @pydantic.field_validator("skew")
+    @classmethod
+    def _known(cls, skew: float, info: Any) -> float:
+        if skew != 0.0 and not _has_skew(CAMERAS[info.data["model"]]):
+            raise ValueError(f"found {skew}, a {info.data['model']} has no skew: expected 0")
+        return skew
 
     @pydantic.model_validator(mode="after")
-    def _bounded(self) -> "_CameraTable":
+    def _bounded(self) -> "CameraTable":
         if self.width * self.height > MAX_PIXELS:
             raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
         return self
 
-
-class PinholeTable(_CameraTable):
-    """A pinhole camera [px]."""
-
-    model: Literal["pinhole"]
-    skew: Number = 0.0
-    distortion: BrownTable
-
-    def camera(self) -> Pinhole:
+    def camera(self) -> AbstractCamera:
         """The camera of the geometry."""
-        skew = np.asarray(self.skew, np.float64)
-        return Pinhole(**self.numbers(), distortion=self.distortion.coefficients(), skew=skew)
+        model = CAMERAS[self.model]
+        fx, fy, cx, cy = (np.asarray(value, np.float64) for value in (self.fx, self.fy, self.cx, self.cy))
+        lens = np.array([value for _, value in self.distortion if value is not None], np.float64)
+        skew: dict[str, Any] = {"skew": np.asarray(self.skew, np.float64)} if _has_skew(model) else {}
+        return model(fx, fy, cx, cy, lens, self.width, self.height, **skew)
+
+    @staticmethod
+    def of(camera: AbstractCamera, up: Up) -> dict[str, Any]:
+        """A camera as its table in the file."""
+        names, values = camera.parameter_names(), np.asarray(camera.parameters(), np.float64).tolist()
+        numbers = dict(zip(names, values, strict=True))
+        pixels = {name: numbers.pop(name) for name in ("fx", "fy", "cx", "cy")}
+        size = {"model": camera.model, "width": camera.width, "height": camera.height, "up": up}
+        return {**size, **pixels, "skew": float(getattr(camera, "skew", 0.0)), "distortion": numbers}
 
 
-class FisheyeTable(_CameraTable):
-    """A fisheye camera [px, px/rad]."""
-
-    model: Literal["fisheye"]
-    skew: Number = 0.0
-    distortion: KannalaTable
-
-    @pydantic.field_validator("skew")
-    @classmethod
-    def _upright(cls, skew: float) -> float:
-        if skew != 0.0:
-            raise ValueError(f"found {skew}, a fisheye has no skew: expected 0")
-        return skew
-
-    def camera(self) -> Fisheye:
-        """The camera of the geometry."""
-        return Fisheye(**self.numbers(), distortion=self.distortion.coefficients())
+def _has_skew(model: type[AbstractCamera]) -> bool:
+    return "skew" in model.__dataclass_fields__
 
 
-CameraTable = Annotated[PinholeTable | FisheyeTable, pydantic.Field(discriminator="model")]
+def _table(model: type[AbstractCamera]) -> type[CameraTable]:
+    """The table of a camera model."""
+    lens: Any = {
+        name: (Number | None, None) if block.optional else (Number, ...)
+        for block in model.lens
+        for name in block.parameters
+    }
+    coefficients = pydantic.create_model(f"{model.__name__}Lens", __base__=LensTable, **lens)
+    fields: Any = {"model": (Literal[model.model], ...), "distortion": (coefficients, ...)}
+    return pydantic.create_model(f"{model.__name__}Table", __base__=CameraTable, **fields)
+
+
+if TYPE_CHECKING:
+    AnyCameraTable = CameraTable
+else:
+    AnyCameraTable = Annotated[
+        Union[tuple(map(_table, CAMERAS.values()))],  # noqa: UP007
+        pydantic.Field(discriminator="model"),
+    ]
 
 
 class LaserTable(FileModel):
@@ -240,7 +226,7 @@ class CalibrationTable(FileModel):
     """All of a calibration file; without lasers and turntable it holds a camera alone."""
 
     format: Literal["jaxscan-calibration/1"]
-    camera: CameraTable
+    camera: AnyCameraTable
     lasers: Annotated[tuple[LaserTable, ...], pydantic.Field(max_length=16)] = ()
     turntable: TurntableTable | None = None
     quality: dict[str, Any] = pydantic.Field(default_factory=dict)

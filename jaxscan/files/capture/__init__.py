@@ -26,6 +26,7 @@ from jaxscan.files.capture.references import Folder as Folder
 from jaxscan.files.capture.references import ImageRef as ImageRef
 from jaxscan.files.capture.stripe_cache import cache_path as cache_path
 from jaxscan.files.capture.stripe_cache import cached_stripes as cached_stripes
+from jaxscan.files.capture.stripe_cache import code_digest as code_digest
 from jaxscan.files.capture.stripe_cache import frames_key as frames_key
 from jaxscan.files.capture.stripe_cache import save_stripes as save_stripes
 from jaxscan.files.capture.texts import read_texts as read_texts

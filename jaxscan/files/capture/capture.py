@@ -19,8 +19,8 @@ from jaxscan.files.capture.texts import read_texts
 from jaxscan.geometry import AbstractBoard
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
-from jaxscan.reconstruction.sweep import FrameChunk
-from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response
+from jaxscan.reconstruction import FrameChunk
+from jaxscan.stripes import LaserLine, PixelFormat, Response
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +48,9 @@ class Capture:
         return self.header.camera.response
 
     @property
-    def lines(self) -> tuple[LaserLine, ...]:
+    def lasers(self) -> tuple[LaserLine, ...]:
         """The lasers, in the order that `laser` counts them."""
-        return self.header.lines
+        return self.header.lasers
 
     @property
     def image_size(self) -> tuple[int, int]:
