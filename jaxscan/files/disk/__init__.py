@@ -16,6 +16,7 @@ from jaxscan.files.disk.config import load_toml as load_toml
 from jaxscan.files.disk.config import parse_toml as parse_toml
 from jaxscan.files.disk.readable_json import readable_json as readable_json
 from jaxscan.files.disk.validation import FileModel as FileModel
+from jaxscan.files.disk.validation import ImageSize as ImageSize
 from jaxscan.files.disk.validation import Integer as Integer
 from jaxscan.files.disk.validation import Number as Number
 from jaxscan.files.disk.validation import check as check
