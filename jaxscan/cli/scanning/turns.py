@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction.incoming import IncomingStripes, Pair, PlannedSweep
-from jaxscan.reconstruction.settings import ReconstructSettings
+from jaxscan.reconstruction import IncomingStripes, PlannedSweep, ReconstructSettings, RecordedPair
 
 
 class LasersInTurn:
@@ -23,10 +22,10 @@ class LasersInTurn:
         Raises:
             CaptureError, CalibrationError, ValueError: As of `IncomingStripes`.
         """
-        self._turns = len(sweep.lines)
+        self._turns = len(sweep.lasers)
         steps = sweep.steps // self._turns
         self._engines = tuple(
-            IncomingStripes(replace(sweep, lines=(line,), steps=steps), scanner, settings) for line in sweep.lines
+            IncomingStripes(replace(sweep, lasers=(line,), steps=steps), scanner, settings) for line in sweep.lasers
         )
 
     @property
@@ -49,7 +48,7 @@ class LasersInTurn:
         """Points of each record; -1 where its stripes are not known [records]."""
         return np.stack([engine.points for engine in self._engines], axis=1).ravel()
 
-    def learn(self, pairs: Sequence[Pair]) -> None:
+    def learn(self, pairs: Sequence[RecordedPair]) -> None:
         """Prepare each laser's search from the first `needed` records, in their order.
 
         Raises:
@@ -58,7 +57,7 @@ class LasersInTurn:
         for engine, theirs in zip(self._engines, self._shared(pairs), strict=True):
             engine.learn(theirs)
 
-    def compute(self, pairs: Sequence[Pair]) -> None:
+    def compute(self, pairs: Sequence[RecordedPair]) -> None:
         """Find the stripes of some records, and count their points.
 
         Raises:
@@ -67,7 +66,7 @@ class LasersInTurn:
         for engine, theirs in zip(self._engines, self._shared(pairs), strict=True):
             engine.compute(theirs)
 
-    def _shared(self, pairs: Sequence[Pair]) -> list[list[Pair]]:
+    def _shared(self, pairs: Sequence[RecordedPair]) -> list[list[RecordedPair]]:
         """The pairs of each laser, numbered by its own records."""
         return [
             [pair._replace(number=pair.number // self._turns) for pair in pairs if pair.number % self._turns == laser]
