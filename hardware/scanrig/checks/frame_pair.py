@@ -32,6 +32,11 @@ class FramePair(NamedTuple):
 
 
 def check_frames(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat) -> None:
+    """Refuse what is no pair of frames.
+
+    Raises:
+        ValueError: With what was found.
+    """
     rank = frame_rank(pixel_format)
     if on.dtype != np.uint8 or on.ndim != rank or min(on.shape[:2]) < 64:
         raise ValueError(f"`on` must be uint8 with {rank} dimensions and 64 px, got {on.dtype} with shape {on.shape}.")
@@ -55,6 +60,7 @@ def _brightest_change(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat
 def lines_of(
     on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, response: Response, line: LaserLine
 ) -> FramePair:
+    """A few lines of two frames, of the laser's colour and along its axis."""
     lit, dark = (np.asarray(laser_plane(a[None], pixel_format=pixel_format, line=line))[0] for a in (on, off))
     step = max(1, len(lit) // _LINES)
     few = (slice(None, None, 4), slice(None, None, 3))

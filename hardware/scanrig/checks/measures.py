@@ -116,6 +116,7 @@ def leak_of(off: Float[np.ndarray, " n"], difference: Float[np.ndarray, " n"]) -
 
 
 def saturated_part(pair: FramePair, rows: np.ndarray, at: np.ndarray) -> float:
+    """Part of the rows whose line is clipped at its peak, at `at` [samples]."""
     if len(rows) == 0:
         return 0.0
     lines = rows[:, None, None] * pair.step + np.arange(min(pair.step, STACK))[None, :, None]
