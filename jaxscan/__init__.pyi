@@ -6,11 +6,10 @@ from jaxscan.api import load_simulation as load_simulation
 from jaxscan.api import observe_boards as observe_boards
 from jaxscan.api import reconstruct_capture as reconstruct_capture
 from jaxscan.api import simulate as simulate
-from jaxscan.calibration import BoardViews as BoardViews
 from jaxscan.calibration import Calibration as Calibration
 from jaxscan.calibration import CalibrationSettings as CalibrationSettings
-from jaxscan.calibration import Observations as Observations
-from jaxscan.calibration import StripeViews as StripeViews
+from jaxscan.calibration import Quality as Quality
+from jaxscan.calibration import Verdict as Verdict
 from jaxscan.calibration import calibrate_observations as calibrate_observations
 from jaxscan.errors import CalibrationError as CalibrationError
 from jaxscan.errors import CaptureError as CaptureError
@@ -31,6 +30,7 @@ from jaxscan.files import save_calibration as save_calibration
 from jaxscan.files import save_cloud as save_cloud
 from jaxscan.geometry import Charuco as Charuco
 from jaxscan.geometry import Chessboard as Chessboard
+from jaxscan.geometry import DoubleSphere as DoubleSphere
 from jaxscan.geometry import Fisheye as Fisheye
 from jaxscan.geometry import LaserSheet as LaserSheet
 from jaxscan.geometry import Pinhole as Pinhole
@@ -43,6 +43,9 @@ from jaxscan.measurement import compare_clouds as compare_clouds
 from jaxscan.measurement import measure_distance as measure_distance
 from jaxscan.measurement import measure_plane as measure_plane
 from jaxscan.measurement import measure_room as measure_room
+from jaxscan.observation import BoardViews as BoardViews
+from jaxscan.observation import Observations as Observations
+from jaxscan.observation import StripeViews as StripeViews
 from jaxscan.reconstruction import PointCloud as PointCloud
 from jaxscan.reconstruction import ReconstructSettings as ReconstructSettings
 from jaxscan.reconstruction import Sweep as Sweep

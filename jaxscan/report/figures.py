@@ -81,10 +81,9 @@ def _stripe_noise_mm(calibration: Calibration, name: str, depths: np.ndarray) ->
     return noise
 
 
-def residuals_over_image(calibration: Calibration) -> Html | None:
+def residuals_over_image(observations: Observations, fit: Fit) -> Html | None:
     """Where in the image corners and stripes lie, and the directions of the residuals."""
-    observations, fit = calibration.observations, calibration.fit
-    if observations is None or fit is None or not fit.corner_kept.any():
+    if not fit.corner_kept.any():
         return None
     striped = residual_plots.has_stripes(observations, fit)
     seen = "Corners (blue) and stripes (other colours)" if striped else "Corners"
@@ -108,11 +107,8 @@ def residuals_over_image(calibration: Calibration) -> Html | None:
     return section("Residuals over the image", element("div", *figures, class_="figures"))
 
 
-def stripes(calibration: Calibration) -> Html | None:
-    """Residuals along the stripe and against the table's angle."""
-    observations, fit = calibration.observations, calibration.fit
-    if observations is None or fit is None:
-        return None
+def along_stripe_and_angle(observations: Observations, fit: Fit, *, turns: bool) -> Html | None:
+    """Residuals along the stripe and, where the table turns, against its angle."""
     figures = []
     striped = residual_plots.has_stripes(observations, fit)
     if striped:
@@ -125,7 +121,7 @@ def stripes(calibration: Calibration) -> Html | None:
                 "A curve means a sheet that is not flat, or a lens model that is too simple.",
             )
         )
-    if residual_plots.turned_views(observations).any() and calibration.scanner is not None:
+    if turns and residual_plots.turned_views(observations).any():
         if striped:
             figures.append(
                 _figure(
@@ -147,12 +143,10 @@ def stripes(calibration: Calibration) -> Html | None:
     return section("Stripe and table", element("div", *figures, class_="figures")) if figures else None
 
 
-def distributions(calibration: Calibration) -> Html | None:
+def distributions(fit: Fit) -> Html | None:
     """Residuals over their standard deviations, beside the Gaussian."""
-    if calibration.fit is None:
-        return None
     figures = []
-    for name, whitened in residual_plots.whitened_residuals(calibration.fit).items():
+    for name, whitened in residual_plots.whitened_residuals(fit).items():
         far = float(np.mean(np.abs(whitened) > 3))
         caption = (
             f"<b>{name.capitalize()}.</b> {len(whitened)} residuals, standard deviation {np.std(whitened):.3f}; "

@@ -18,32 +18,26 @@ def calibration_page(calibration: Calibration, *, notes: tuple[str, ...] = ()) -
     Returns:
         The document: nothing in it is fetched from anywhere, and nothing runs.
     """
-    words_first = [
+    observations, fit = calibration.observations, calibration.fit
+    # From a solve that did not converge residuals show where it hangs, but nothing is concluded.
+    concluded = calibration.quality.converged is not False
+    parts: list[Html | None] = [
         _head(calibration),
         *(element("p", note, class_="note") for note in notes),
         _verdict(calibration),
         _remarks(calibration),
     ]
-    residuals = [figures.residuals_over_image(calibration), figures.stripes(calibration), figures.views(calibration)]
-    numbers = [_quality(calibration), _provenance(calibration)]
-    if calibration.quality.converged is False:
-        # Residuals show where it hangs; estimates and their uncertainty are not to be read.
-        parts = [*words_first, *residuals, *numbers]
-    else:
-        over_image, along, views = residuals
-        parts = [
-            *words_first,
-            _tests(calibration),
-            _parameters(calibration),
-            figures.uncertainty(calibration),
-            over_image,
-            along,
-            figures.distributions(calibration),
-            views,
-            figures.correlations(calibration),
-            figures.spectrum(calibration),
-            *numbers,
-        ]
+    if concluded:
+        parts += [_tests(calibration), _parameters(calibration), figures.uncertainty(calibration)]
+    if observations is not None and fit is not None:
+        parts.append(figures.residuals_over_image(observations, fit))
+        parts.append(figures.along_stripe_and_angle(observations, fit, turns=calibration.scanner is not None))
+        if concluded:
+            parts.append(figures.distributions(fit))
+    parts.append(figures.views(calibration))
+    if concluded:
+        parts += [figures.correlations(calibration), figures.spectrum(calibration)]
+    parts += [_quality(calibration), _provenance(calibration)]
     return page("Calibration report", *(part for part in parts if part))
 
 

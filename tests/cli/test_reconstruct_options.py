@@ -59,6 +59,17 @@ def test_all_candidates_are_profiles_of_their_own(tiny, capture, reconstruct):
     assert cloud.valid.sum() >= whole.valid.sum()
 
 
+def test_a_calibration_that_did_not_converge_is_noted(tiny, capture, run, tmp_path):
+    content = json.loads(tiny.calibration.read_text())
+    content["quality"]["converged"] = False
+    (tmp_path / "ended.json").write_text(json.dumps(content))
+    result = tmp_path / "result.json"
+    ran = run("reconstruct", capture, "-c", tmp_path / "ended.json", "-o", tmp_path / "a.npz", "--json", result)
+    assert ran.code == 0, ran.err
+    (note,) = json.loads(result.read_text())["notes"]
+    assert "ended.json: its solve did not converge" in note and f"note: {note}" in ran.out.splitlines()
+
+
 def test_the_range_is_that_of_the_options(tiny, capture, reconstruct):
     _, _, cloud = reconstruct(capture, "--min-range", 1.5, "--max-range", 2.0, "--no-cache")
     scanner, whole = jaxscan.load_scanner(tiny.calibration), jaxscan.load_cloud(tiny.cloud)

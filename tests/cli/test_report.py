@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.calibration import CalibrationSettings, ModelTest, Verdict
+from jaxscan.calibration import CalibrationSettings, ModelTest, Verdict, calibrate_camera
 from jaxscan.calibration.verdict import LaserLengths, Lengths, LengthSigma
 from jaxscan.cli.calibrate import calibration_settings
 from jaxscan.cli.output import console
@@ -101,6 +101,28 @@ class TestCalibrate:
         assert page.stat().st_size > 0
         if words:
             assert json.loads(ran.out)["verdict"]["kind"] == "bad"
+
+    def test_a_solve_that_did_not_converge_says_so_and_nothing_else(self, tiny, run, tmp_path, monkeypatch):
+        few = CalibrationSettings(max_steps=1)
+        ended = calibrate_camera(jaxscan.load_calibration(tiny.calibration).observations, settings=few)
+        monkeypatch.setattr("jaxscan.api.calibrate", lambda captures, **options: ended)
+        target = tmp_path / "a.json"
+        ran = run("calibrate", tiny.boards, "-o", target, "--only", "camera", "--json", tmp_path / "result.json")
+        assert ran.code == 1
+        (line,) = ran.err.splitlines()
+        assert line.startswith(f"jaxscan: {target}: written, but not converged. The solve did not converge in 1 step")
+        assert ran.out.startswith("Not converged. The solve did not converge in 1 step")
+        for diagnosis in ("next:", "warning:", "Tests", "Parameters", "promise"):
+            assert diagnosis not in ran.out
+        result = json.loads((tmp_path / "result.json").read_text())
+        assert result["quality"]["converged"] is False and result["verdict"]["kind"] == "bad"
+        assert json.loads(target.read_text())["quality"]["verdict"]["accepted"] is False
+        # Solved again with the same few steps, it says so again.
+        monkeypatch.setattr("jaxscan.report.figures.as_svg", lambda figure, name, description: "")
+        page = tmp_path / "a.html"
+        again = run("report", target, "-o", page, "--json", "-")
+        assert again.code == 0 and json.loads(again.out)["reproduced"] is None
+        assert "the solve did not converge" in again.err and "<strong>Not converged</strong>" in page.read_text()
 
     def test_blocks_are_freed_and_held(self):
         settings = calibration_settings("fisheye", ("bow", "k3"), ("harmonics",))

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from scanrig.errors import CameraLost, PortError
+from scanrig.errors import CameraLost, Fault, PortError
 
 from jaxscan import api
 from jaxscan.files.capture import open_capture
@@ -110,6 +110,13 @@ def test_another_port(refused_after_plan, paper, config, tmp_path):
     assert paper.opened == ["nowhere"] and not (tmp_path / "room").exists()
 
 
+def test_a_laser_that_nothing_switches_off_has_to_be_allowed(refused_after_plan, config, tmp_path):
+    config.write_text(CONFIG.replace('port = "paper"', 'type = "grbl"'))
+    says = refused_after_plan("scan", config, "-o", tmp_path / "room")
+    assert "leaves the laser on" in says and "allow_laser_without_watchdog = true under [controller]" in says
+    assert not (tmp_path / "room").exists()
+
+
 @pytest.fixture
 def refused_after_plan(run):
     def call(*words):
@@ -174,7 +181,7 @@ def test_two_ctrl_c_end_at_once(run, paper, config, tmp_path):
 def test_the_emergency_stop_is_an_error(run, paper, config, tmp_path):
     def press(controller):
         controller.estop = True
-        controller.fall_into(1)
+        controller.fall_into(Fault.EMERGENCY_STOP)
 
     paper.desk.controller.before_shot[3] = press
     ran = run("scan", config, "-o", tmp_path / "room")
@@ -185,7 +192,7 @@ def test_the_emergency_stop_is_an_error(run, paper, config, tmp_path):
 def test_what_goes_on_is_said_with_what_was_asked_for(run, paper, config, tmp_path):
     def press(controller):
         controller.estop = True
-        controller.fall_into(1)
+        controller.fall_into(Fault.EMERGENCY_STOP)
 
     paper.desk.controller.before_shot[3] = press
     words = ("scan", config, "-o", tmp_path / "a room", "--port", "/dev/ttyACM1")

@@ -68,13 +68,13 @@ def describe_quality(
 def warn(quality: Quality) -> tuple[str, ...]:
     """Warnings about the numbers of a solve that converged."""
     warnings = []
-    if quality.prior_share is not None and limits.too_much_prior(quality.prior_share.cost):
+    if quality.prior_share is not None and quality.prior_share.cost > limits.PRIOR_COST:
         warnings.append(f"priors carry {100 * quality.prior_share.cost:.1f} % of the cost")
     for name, count, rejected in (
         ("corners", quality.corners or 0, quality.corners_rejected or 0),
         ("stripe points", quality.stripe_points or 0, quality.stripe_points_rejected or 0),
     ):
-        if limits.many_rejected(rejected, count):
+        if rejected > limits.REJECTED * max(count, 1):
             warnings.append(f"{100 * rejected / count:.1f} % of the {name} were rejected")
     # Records of several captures may have the same number, so views are gone through one by one.
     sizes = [view.corner_rms_px or 0.0 for view in quality.per_view]
@@ -85,7 +85,7 @@ def warn(quality: Quality) -> tuple[str, ...]:
                 f"record {view.record} was left out: its corners are {size:.2f} px off and disagree with all other "
                 "views"
             )
-        elif limits.is_odd_view(size, usual):
+        elif size > limits.ODD_VIEW * usual:
             warnings.append(
                 f"record {view.record}: its corners are {size:.2f} px off, those of other views {usual:.2f}"
             )

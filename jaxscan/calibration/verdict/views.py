@@ -24,12 +24,12 @@ class JudgedView(NamedTuple):
     @property
     def far_off(self) -> bool:
         """Whether its kept corners stand out."""
-        return limits.is_far_off(self.kept_rms_px or 0.0, self.usual_px)
+        return (self.kept_rms_px or 0.0) > limits.FAR_OFF * self.usual_px > 0
 
     @property
     def lost_many(self) -> bool:
         """Whether an unusual share of its corners was rejected."""
-        return limits.view_lost_many(self.quality.corners_rejected, self.quality.corners)
+        return self.quality.corners_rejected > limits.MANY_REJECTED * self.quality.corners
 
     @property
     def rms_px(self) -> float:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan import api
+from jaxscan.cli.scanning.turns import LasersInTurn
 from jaxscan.errors import CaptureError, JaxscanError
 from jaxscan.files.capture import Capture, CaptureHeader, open_capture
 from jaxscan.geometry import Scanner
@@ -78,15 +79,16 @@ class LiveCloud:
 
         Raises:
             CalibrationError: If the scanner is not that of the sweep.
-            CaptureError: If records may show several lasers, of which only the finished capture tells.
         """
-        if len(header.lasers) != 1:
-            raise CaptureError(f"{folder}: found {len(header.lasers)} lasers, expected one for a cloud while scanning.")
         camera = header.camera
         carries = None if header.turntable is None else header.turntable.carries
         size = (camera.width, camera.height)
         sweep = PlannedSweep(camera.pixel_format, camera.response, header.lasers, size, carries, steps)
-        self._stripes = IncomingStripes(sweep, scanner, settings)
+        self._stripes: IncomingStripes | LasersInTurn
+        if len(header.lasers) == 1:
+            self._stripes = IncomingStripes(sweep, scanner, settings)
+        else:
+            self._stripes = LasersInTurn(sweep, scanner, settings)
         self._folder, self._scanner, self._settings, self._steps = folder, scanner, settings, steps
         self._first: dict[int, RecordedPair] = {}
         self._given: set[int] = set()
@@ -168,12 +170,12 @@ class LiveCloud:
             raise CaptureError(f"{self._folder}: the live cloud does not end; reconstruct the capture.")
         capture = open_capture(self._folder)
         numbers = [record.i for record in capture.records]
-        why = self._why_not(capture, numbers)
-        if why is not None:
+        found = self._usable(capture, numbers)
+        if isinstance(found, str):
             done = api.reconstruct_capture(capture, self._scanner, settings=self._settings, progress=progress)
-            return LiveResult(done.cloud, False, (why, *done.notes))
+            return LiveResult(done.cloud, False, (found, *done.notes))
         self._catch_up(capture, progress)
-        stripes = self._stripes.finish(numbers)
+        stripes = found.finish(numbers)
         cloud = api.reconstruct(capture, self._scanner, stripes=stripes, settings=self._settings)
         return LiveResult(cloud, True, ())
 
@@ -194,15 +196,17 @@ class LiveCloud:
             self._learned_again |= number in self._given
             self._given.add(number)
 
-    def _why_not(self, capture: Capture, numbers: list[int]) -> str | None:
-        """Why the stripes found so far are not those of the finished capture; None if they are."""
+    def _usable(self, capture: Capture, numbers: list[int]) -> IncomingStripes | str:
+        """The stripes found so far, or why they are not those of the finished capture."""
         if isinstance(self._problem, JaxscanError):
             return f"the live cloud stopped ({' '.join(str(self._problem).split())}); reconstructed from the disk"
         if self._problem is not None:
             raise self._problem
+        if isinstance(self._stripes, LasersInTurn):
+            return "with several lasers the cloud is reconstructed from the disk"
         if self._learned_again or not self._stripes.are_of(capture, numbers):
             return "the first records are not those at the start of the scan; reconstructed from the disk"
-        return None
+        return self._stripes
 
     def _catch_up(self, capture: Capture, progress: Progress) -> None:
         """Compute what was left on the disk."""
