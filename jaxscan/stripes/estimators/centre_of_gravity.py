@@ -30,6 +30,8 @@ _REACH = 16
 """Samples on either side of the highest one that may count."""
 _SHARE = 0.2
 """Part of the highest sample below which light does not count [1]."""
+_SAMPLING = 0.016
+"""Error that sampling leaves in a stripe as wide as a sample [samples]; it falls with the square of the width."""
 _BLUR = (0.25, 0.5, 0.25)
 _BORDER = ((0, 0), (0, 0), (1, 1))
 
@@ -111,6 +113,8 @@ class CentreOfGravity:
         lit = jnp.where(counts, light[:, :, 1:-1], 0.0)
         amplitude = jnp.max(lit, axis=2)
         width = pitch * jnp.sum(lit, axis=2) / (math.sqrt(2.0 * math.pi) * jnp.maximum(amplitude, 1e-3))
+        samples_wide = jnp.maximum(width / pitch, 0.5)
+        sigma = jnp.sqrt(sigma**2 + (pitch * _SAMPLING / samples_wide**2) ** 2)
         snr = jnp.maximum(top[:, :, 0], 0.0) / jnp.sqrt(sum(h * h for h in _BLUR) * variance[:, :, _REACH + 1])
         valid = (amplitude > 0) & (snr >= settings.least_snr) & (sigma <= settings.max_sigma_px)
         valid &= (width >= settings.min_width_px) & (width <= settings.max_width_px)
