@@ -30,7 +30,7 @@ _REACH = 16
 """Samples on either side of the highest one that may count."""
 _SHARE = 0.2
 """Part of the highest sample below which light does not count [1]."""
-_SAMPLING = 0.016
+_SAMPLING = 0.025
 """Error that sampling leaves in a stripe as wide as a sample [samples]; it falls with the square of the width."""
 _BLUR = (0.25, 0.5, 0.25)
 _BORDER = ((0, 0), (0, 0), (1, 1))
