@@ -12,9 +12,7 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.seed.closed_form import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
 from jaxscan.calibration.seed.fisheye import seed_fisheye
 from jaxscan.calibration.settings import CAMERA_BLOCKS, CalibrationSettings
-from jaxscan.calibration.solve.adjust import Adjustment, adjust, not_converged
-from jaxscan.calibration.solve.assemble import make_problem
-from jaxscan.calibration.solve.prepare import Prepared, prepare
+from jaxscan.calibration.solve import Adjustment, Prepared, adjust, make_problem, not_converged, prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, LaserSheet, Pinhole, Turntable, point_up, stack_lasers
 from jaxscan.geometry.scanner import UP_VECTORS
@@ -34,14 +32,14 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
 
     Args:
         observations: Board corners, stripes on boards, table angles.
-        settings: What is free, priors, thresholds.
+        settings: Free blocks, priors, thresholds.
 
     Returns:
         The calibration; its `quality` says first whether the solve converged, and with
         `settings.judge` it has predicted lengths and a verdict.
 
     Raises:
-        CalibrationError: If the observations do not determine the scanner; it says what to capture.
+        CalibrationError: If the observations do not determine the scanner; it names the captures that are missing.
 
     Source: PAPER.md equations (1)-(12), solved together.
     """
@@ -51,7 +49,7 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
         raise CalibrationError("The observations name no laser, so there is no laser sheet to be found.")
     with jax.enable_x64(True):
         data = prepare(observations)
-        # Each view by itself, without stripes and table: what is not the camera is held and meets no
+        # Each view by itself, without stripes and table: lasers and table are held and meet no
         # observation, so that both solves are one compiled function.
         apart = _apart(data)._replace(stripe_valid=np.zeros_like(data.stripe_valid))
         seed, poses = _seed(apart, observations, settings)

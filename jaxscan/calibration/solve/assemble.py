@@ -30,7 +30,7 @@ def make_problem(
         table: First table; None where only the camera is sought.
         poses: T_cam0_board of every placement, as many as views [views, 4, 4].
         data: Of `prepare`.
-        settings: What is free, and the priors.
+        settings: Free blocks and priors.
     """
     centre = (data.size[0] - 1) / 2, (data.size[1] - 1) / 2
     # The solver needs neither names nor sizes, and would compile again for each.
@@ -69,7 +69,7 @@ def shared_names(camera: AbstractCamera, lasers: tuple[str, ...], turns: bool) -
 
 
 def prior_weights(names: tuple[str, ...], settings: CalibrationSettings) -> np.ndarray:
-    """1 / standard deviation of every prior; 0 where there is none, and for what is held."""
+    """1 / standard deviation of every prior; 0 where there is none, and for held unknowns."""
     priors = settings.priors
     sigma = {
         **dict.fromkeys(("cx", "cy"), priors.centre_px),
@@ -92,7 +92,7 @@ def prior_weights(names: tuple[str, ...], settings: CalibrationSettings) -> np.n
 
 
 def carrying(table: Turntable, carries: Carries) -> Turntable:
-    """The same motion of boards in front of the camera: what turns backwards, turns the other part."""
+    """The same motion of boards in front of the camera: a table that turns backwards turns the other part."""
     if table.carries == carries:
         return table
     return Turntable(table.direction, table.point, -table.gain, -table.harmonics, table.basis, carries)

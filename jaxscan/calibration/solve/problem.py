@@ -1,4 +1,4 @@
-"""The joint problem: the unknowns, what was seen, and how much each of it counts."""
+"""The joint problem: unknowns, observations and their weights."""
 
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ class Problem(eqx.Module):
     error of its pitch [1]."""
     scales: Float[Array, " shared"]
     expected: Float[Array, " shared"]
-    """What is expected of each shared unknown before any image, as `shared_values` gives them."""
+    """Expected value of each shared unknown before any image, in the terms of `shared_values`."""
     prior_weight: Float[Array, " shared"]
     board: Float[Array, "corners 3"]
     """Corners of the flat board [m]."""
@@ -97,7 +97,7 @@ def board_points(problem: Problem) -> Float[Array, "corners 3"]:
 
 
 def shared_values(problem: Problem) -> Float[Array, " shared"]:
-    """What priors speak of, one value per shared unknown.
+    """The values that priors speak of, one per shared unknown.
 
     The values of the minimal coordinates; for fx the aspect fx / fy, for the gain its size, and 0
     for directions, points and distances, of which nothing is known beforehand.
