@@ -6,7 +6,7 @@ The firmware runs in a simulated processor and the camera serves rendered pictur
 (hardware/bench). Everything on the host's side is done by the command line. The truth - what was
 rendered for which frame, and where the walls stand - is read for the comparison at the end.
 
-    python experiments/closed_loop.py [--json FILE] [--keep DIR]
+    python experiments/closed_loop.py [--two-lasers] [--json FILE] [--keep DIR]
 
 Needs `make bench-deps`.
 """
@@ -23,14 +23,14 @@ from typing import Any
 
 import numpy as np
 from bench.desk import Desk, set_up
-from bench.places import WORLD
+from bench.places import TWO_LASERS, WORLD
 
 import jaxscan
 from jaxscan.simulation import SimulationConfig, expect_sweep, true_cloud, truth
 
 
 ROOT = Path(__file__).resolve().parent.parent
-CONFIG = ROOT / "configs" / "bench.toml"
+CONFIG, CONFIG_TWO = (ROOT / "configs" / name for name in ("bench.toml", "bench_two_lasers.toml"))
 ON_PLANE_M = 1e-3
 """Distance at which a true point lies on a plane of the room."""
 
@@ -51,7 +51,7 @@ def shots_right(capture: Path, ledger: Path, microsteps_per_turn: int) -> tuple[
     """How many records show what they say, by the camera's own ledger: records, and right ones.
 
     A record is right if both of its frames were rendered at the microstep that it names, the first
-    in the laser's light and the second without.
+    in the light of its laser alone and the second without any.
     """
     sent = [entry for entry in map(json.loads, ledger.read_text().splitlines()) if entry["sent"]]
     records = {}
@@ -66,8 +66,9 @@ def shots_right(capture: Path, ledger: Path, microsteps_per_turn: int) -> tuple[
         angle = 360.0 * record["microsteps"] / microsteps_per_turn
         right += (
             on["position"] == off["position"] == record["microsteps"]
-            and on["light"] == 1.0
-            and off["light"] == 0.0
+            and [on["light"], on["light_2"]]
+            == [float(record.get("lasers", ["left"]) == [name]) for name in ("left", "right")]
+            and off["light"] == off["light_2"] == 0.0
             and abs(record["angle_deg"] - angle) < 1e-9
         )
     return len(records), right
@@ -102,11 +103,11 @@ def wall_errors(cloud: jaxscan.PointCloud, world: SimulationConfig) -> list[dict
     return rows
 
 
-def calibrated(desk: Desk, folder: Path) -> Path:
+def calibrated(desk: Desk, config: Path, folder: Path) -> Path:
     """A calibration from boards that were shown to the loop."""
     place = f"{sys.executable} -m bench place"
     how = ("--boards", "--place-command", place, "--port", desk.rig.port)
-    boards = jaxscan_verb("scan", str(CONFIG), "-o", str(folder / "boards"), *how)
+    boards = jaxscan_verb("scan", str(config), "-o", str(folder / "boards"), *how)
     desk.command("place none")
     print(f"boards: {boards['records']} pairs, {boards['retakes']} retakes", file=sys.stderr)
     path = folder / "calibration.json"
@@ -118,15 +119,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep captures, calibration and cloud here")
     parser.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
+    parser.add_argument("--two-lasers", action="store_true", help="a rig with a second laser, and fewer steps")
     arguments = parser.parse_args()
+    config, place = (CONFIG_TWO, TWO_LASERS) if arguments.two_lasers else (CONFIG, WORLD)
     with tempfile.TemporaryDirectory() as temporary:
         folder = (arguments.keep or Path(temporary)).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         os.environ["JAXSCAN_BENCH"] = str(Path(temporary) / "bench")
         seconds = {}
-        with set_up(Path(temporary) / "bench", world=WORLD, wait_s=600.0) as desk:
+        with set_up(Path(temporary) / "bench", world=place, wait_s=600.0) as desk:
             start = time.perf_counter()
-            calibration = calibrated(desk, folder)
+            calibration = calibrated(desk, config, folder)
             seconds["boards and calibration"] = time.perf_counter() - start
             ledger = desk.camera.ledger
             before = ledger.stat().st_size
@@ -134,7 +137,7 @@ def main() -> None:
             live = folder / "live.npz"
             sweep = folder / "sweep"
             how = ("--port", desk.rig.port, "-c", str(calibration), "--cloud", str(live))
-            scan = jaxscan_verb("scan", str(CONFIG), "-o", str(sweep), *how)
+            scan = jaxscan_verb("scan", str(config), "-o", str(sweep), *how)
             seconds["sweep with live cloud"] = time.perf_counter() - start
             mine = folder / "sweep-truth.jsonl"
             mine.write_bytes(ledger.read_bytes()[before:])
@@ -142,7 +145,7 @@ def main() -> None:
         jaxscan_verb("reconstruct", str(sweep), "-c", str(calibration), "-o", str(folder / "room.npz"), "--no-cache")
         seconds["reconstruct"] = time.perf_counter() - start
         records, right = shots_right(sweep, mine, 28800)
-        world = jaxscan.load_simulation(WORLD)
+        world = jaxscan.load_simulation(place)
         clouds = {name: jaxscan.load_cloud(path) for name, path in (("room", folder / "room.npz"), ("live", live))}
         rows = wall_errors(clouds["room"], world)
         both = np.asarray(clouds["room"].valid) & np.asarray(clouds["live"].valid)

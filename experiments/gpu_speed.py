@@ -26,13 +26,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxscan.reconstruction.streaming.chunk import ChunkKind, ChunkResult
 from measuring.gpu_stages import STAGES, Chunk, Job, all_of_it, natively, prepare
 from measuring.speed_times import Figure
 from worlds.speed_scene import DISTINCT, ELECTRONS_PER_DN, READ_DN, make_angles, make_frames, make_scanner
 
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.reconstruction.streaming.chunk import ChunkKind, ChunkResult
 from jaxscan.stripes import NoiseModel
 
 

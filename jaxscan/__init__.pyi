@@ -30,6 +30,7 @@ from jaxscan.files import save_calibration as save_calibration
 from jaxscan.files import save_cloud as save_cloud
 from jaxscan.geometry import Charuco as Charuco
 from jaxscan.geometry import Chessboard as Chessboard
+from jaxscan.geometry import DoubleSphere as DoubleSphere
 from jaxscan.geometry import Fisheye as Fisheye
 from jaxscan.geometry import LaserSheet as LaserSheet
 from jaxscan.geometry import Pinhole as Pinhole

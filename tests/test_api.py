@@ -136,7 +136,7 @@ def in_memory(tiny):
     capture = jaxscan.open_capture(tiny.sweep)
     pairs = [capture.frames(index) for index in range(len(capture))]
     on, off = (np.stack([pair[k] for pair in pairs]) for k in (0, 1))
-    return jaxscan.Sweep(on=on, off=off, angle=capture.angles, lines=capture.lines, carries=capture.carries)
+    return jaxscan.Sweep(on=on, off=off, angles=capture.angles, lasers=capture.lasers, carries=capture.carries)
 
 
 def test_a_sweep_in_memory_gives_what_its_capture_gives(tiny, in_memory):
@@ -168,7 +168,7 @@ def test_stripes_of_a_whole_sweep_serve_again(tiny, in_memory):
     assert stripes.rgb is not None and stripes.valid.dtype == bool
     whole = jaxscan.reconstruct(in_memory, scanner)
     unread = jaxscan.Sweep(
-        on=np.zeros_like(in_memory.on), off=None, angle=in_memory.angle, lines=in_memory.lines, carries="scanner"
+        on=np.zeros_like(in_memory.on), off=None, angles=in_memory.angles, lasers=in_memory.lasers, carries="scanner"
     )
     again = jaxscan.reconstruct(unread, scanner, stripes=stripes)
     np.testing.assert_array_equal(again.valid, whole.valid)
@@ -181,7 +181,7 @@ def test_stripes_found_before_give_the_same_cloud(tiny, in_memory):
     scanner = jaxscan.load_scanner(tiny.calibration)
     noise = jaxscan.NoiseModel(read_dn=1.0, electrons_per_dn=40.0)
     whole = jaxscan.reconstruct(in_memory, scanner, noise=noise)
-    stripes = jaxscan.extract_stripes(in_memory.on, in_memory.off, line=in_memory.lines[0], noise=noise)
+    stripes = jaxscan.extract_stripes(in_memory.on, in_memory.off, line=in_memory.lasers[0], noise=noise)
     halves = jaxscan.reconstruct(in_memory, scanner, stripes=stripes)
     both = whole.valid & halves.valid
     # Compiled as one function and as two, so single precision may round a limit the other way.

@@ -10,14 +10,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int8, UInt8
-
-from jaxscan.geometry import Array, Scanner
-from jaxscan.reconstruction import ReconstructSettings, Sweep
-from jaxscan.reconstruction.plan import make_plan, make_searches
-from jaxscan.reconstruction.points.colour import stripe_colours
-from jaxscan.reconstruction.points.locate import Points, Rig
-from jaxscan.reconstruction.points.triangulate import Limits
 from jaxscan.reconstruction.streaming.chunk import (
     Aim,
     ChunkKind,
@@ -26,13 +18,20 @@ from jaxscan.reconstruction.streaming.chunk import (
     _from_located,
     points_of_centres,
 )
-from jaxscan.stripes import NoiseModel
 from jaxscan.stripes.choosing.choose import choose
 from jaxscan.stripes.chunk import locate_frames, locate_natively
 from jaxscan.stripes.fitting.fits import Fits, fit_candidates
+from jaxtyping import Bool, Float, Int8, UInt8
+
+from jaxscan.geometry import Array, Scanner
+from jaxscan.reconstruction import ReconstructSettings, Sweep
+from jaxscan.reconstruction.plan import make_plan, make_searches
+from jaxscan.reconstruction.points.colour import stripe_colours
+from jaxscan.reconstruction.points.locate import Points, Rig
+from jaxscan.reconstruction.points.triangulate import Limits
+from jaxscan.stripes import FrameStripes, NoiseModel
 from jaxscan.stripes.search.candidates import Located
 from jaxscan.stripes.search.search import Search, learn_search
-from jaxscan.stripes.stripes import FrameStripes
 
 
 class Chunk(NamedTuple):

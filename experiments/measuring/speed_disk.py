@@ -22,10 +22,9 @@ from worlds.speed_scene import HEIGHT, WIDTH, Frames, make_scanner
 
 from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_key, open_capture, save_stripes
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction import PointCloud, reconstruct
-from jaxscan.reconstruction.reconstruct import extract_sweep
+from jaxscan.reconstruction import PointCloud, extract_sweep, reconstruct
 from jaxscan.stripes import Stripes
-from jaxscan.vision.images import decode_image, encode_png
+from jaxscan.vision import decode_image, encode_png
 
 
 HEADER = f"""format = "jaxscan-capture/1"

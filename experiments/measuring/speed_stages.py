@@ -9,21 +9,19 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxscan.reconstruction.streaming.chunk import Aim, points_of_centres
+from jaxscan.stripes.choosing.choose import choose
+from jaxscan.stripes.chunk import locate_natively, stripes_of_located
+from jaxscan.stripes.fitting.fits import Fits, fit_candidates
 from measuring.speed_times import Times, take_turns
 from worlds.speed_scene import ELECTRONS_PER_DN, HEIGHT, READ_DN, WIDTH, Frames, make_angles
 
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
+from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
 from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan, make_searches
 from jaxscan.reconstruction.points.locate import Rig
 from jaxscan.reconstruction.points.triangulate import Limits
-from jaxscan.reconstruction.reconstruct import extract_sweep
-from jaxscan.reconstruction.streaming.chunk import Aim, points_of_centres
-from jaxscan.stripes import NoiseModel
-from jaxscan.stripes.choosing.choose import choose
-from jaxscan.stripes.chunk import locate_natively, stripes_of_located
-from jaxscan.stripes.fitting.fits import Fits, fit_candidates
-from jaxscan.stripes.frames.noise import estimate_noise
+from jaxscan.stripes import NoiseModel, estimate_noise
 
 
 FRAME = WIDTH * HEIGHT

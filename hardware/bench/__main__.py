@@ -1,7 +1,7 @@
 """`python -m bench`: the bench at the places that configs/bench.toml names, with commands from the terminal.
 
 `python -m bench place N` shows the camera of a running bench the board in pose N, `place next` in the next one, and
-`place none` takes it away, as a person with a board would. `python -m bench rig …` and `camera …` pass a command on.
+`place none` takes it away, as a person with a board would. `python -m bench two-lasers` has a second laser. `python -m bench rig …` and `camera …` pass a command on.
 """
 
 import json
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from bench.desk import HELP, Desk, set_up
 from bench.errors import BenchError
-from bench.places import WORLD, runtime
+from bench.places import TWO_LASERS, WORLD, runtime
 from bench.sockets import ControlClient
 from jaxscan.errors import JaxscanError
 
@@ -62,7 +62,7 @@ def _carried_out(desk: Desk, text: str) -> str:
         return str(problem)
 
 
-def run(world: Path) -> int:
+def run(world: Path, config: str) -> int:
     """Set the bench up, say what to type, and attend to it."""
     folder = runtime()
     print("Building, and making a room …", flush=True)
@@ -72,7 +72,7 @@ def run(world: Path) -> int:
         (folder / "poses.json").write_text(json.dumps(truth, indent=2))
         free = sum(pose["kind"] == "free" for pose in poses)
         print(f"The bench is set up. Port: {desk.rig.port}   camera: {desk.camera.address}")
-        print("In another terminal, type:\n\n    jaxscan scan configs/bench.toml -o captures/bench\n")
+        print(f"In another terminal, type:\n\n    jaxscan scan configs/{config} -o captures/bench\n")
         print(f"The board has {len(poses)} poses: {free} free views, then {len(poses) - free} placements.\n{HELP}\n")
         attend(desk)
     return 0
@@ -83,11 +83,11 @@ def main(words: list[str]) -> int:
     try:
         if words and words[0] in SOCKETS:
             return ask(words)
-        if words:
-            raise BenchError(f"{words[0]}: found no such word, expected place, camera or rig, or nothing.")
+        if words and words != ["two-lasers"]:
+            raise BenchError(f"{words[0]}: found no such word, expected place, camera, rig, two-lasers, or nothing.")
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         signal.signal(signal.SIGHUP, signal.default_int_handler)
-        return run(WORLD)
+        return run(TWO_LASERS, "bench_two_lasers.toml") if words else run(WORLD, "bench.toml")
     except JaxscanError as problem:
         print(f"bench: {problem}", file=sys.stderr)
         return 1

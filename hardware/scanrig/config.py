@@ -11,7 +11,7 @@ import pydantic
 from jaxscan.files.capture import BoardTable, LaserTable
 from jaxscan.files.disk import FileModel, Integer, Number, load_toml
 from jaxscan.geometry.turntable import Carries
-from jaxscan.stripes.frames.formats import LaserLine
+from jaxscan.stripes import LaserLine
 from scanrig.cameras.settings import CameraSettings
 from scanrig.checks.proof import ProofLimits
 from scanrig.controllers.table import ControllerTable

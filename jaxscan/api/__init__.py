@@ -1,4 +1,4 @@
-"""The public verbs: what joins the core and the edges."""
+"""The public verbs, which join the core and the edges."""
 
 from jaxscan.api.calibration import calibrate as calibrate
 from jaxscan.api.calibration import observe_boards as observe_boards
@@ -29,8 +29,8 @@ from jaxscan.measurement import measure_room as measure_room
 from jaxscan.reconstruction import PointCloud as PointCloud
 from jaxscan.reconstruction import ReconstructSettings as ReconstructSettings
 from jaxscan.reconstruction import Sweep as Sweep
+from jaxscan.reconstruction import extract_sweep as extract_sweep
 from jaxscan.reconstruction import reconstruct as reconstruct
-from jaxscan.reconstruction.reconstruct import extract_sweep as extract_sweep
 from jaxscan.simulation import SimulationConfig as SimulationConfig
 from jaxscan.stripes import LaserLine as LaserLine
 from jaxscan.stripes import NoiseModel as NoiseModel

@@ -70,7 +70,7 @@ def calibrate(
     captures = [captures] if isinstance(captures, Capture) else list(captures)
     if not captures:
         raise CaptureError("No capture was given; a calibration needs at least one capture of a board.")
-    if not only_camera and not captures[0].lines:
+    if not only_camera and not captures[0].lasers:
         raise CalibrationError(
             f"{captures[0].path}: lists no [[laser]], so there is no laser plane to be found: capture the board with "
             "the laser on and off, or calibrate the camera alone (`--only camera`, `only_camera=True`)."
@@ -105,7 +105,6 @@ def _part(progress: Progress | None, look: int, looks: int) -> Progress | None:
 
 def _eyes() -> Eyes:
     # Imported here, so that `import jaxscan` does not load OpenCV.
-    from jaxscan.vision.boards import find_corners
-    from jaxscan.vision.grey import to_grey
+    from jaxscan.vision import find_corners, to_grey
 
     return Eyes(to_grey, find_corners)

@@ -7,7 +7,6 @@ from jaxscan.calibration.result import Calibration as Calibration
 from jaxscan.calibration.second_look import choose as choose
 from jaxscan.calibration.second_look import solved_rig as solved_rig
 from jaxscan.calibration.settings import CalibrationSettings as CalibrationSettings
-from jaxscan.calibration.settings import Priors as Priors
 from jaxscan.calibration.verdict import ModelTest as ModelTest
 from jaxscan.calibration.verdict import Quality as Quality
 from jaxscan.calibration.verdict import SecondLook as SecondLook

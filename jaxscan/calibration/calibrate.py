@@ -8,19 +8,17 @@ import jax
 import numpy as np
 
 from jaxscan.calibration.conclude import conclude
+from jaxscan.calibration.parameters import CAMERA_BLOCKS
 from jaxscan.calibration.result import Calibration
-from jaxscan.calibration.seed.closed_form import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
-from jaxscan.calibration.seed.fisheye import seed_fisheye
-from jaxscan.calibration.settings import CAMERA_BLOCKS, CalibrationSettings
+from jaxscan.calibration.seed import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
+from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve import Adjustment, Prepared, adjust, make_problem, not_converged, prepare
+from jaxscan.calibration.solve.noise import huber_weights
+from jaxscan.calibration.solve.problem import Problem
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractCamera, LaserSheet, Pinhole, Turntable, point_up, stack_lasers
+from jaxscan.geometry import AbstractCamera, LaserSheet, Turntable, point_up, stack_lasers
 from jaxscan.geometry.scanner import UP_VECTORS
 from jaxscan.observation import Observations
-
-
-_RATIONAL = 3
-"""Coefficients k4, k5, k6 that the solver always knows and mostly holds at 0."""
 
 
 def calibrate_observations(observations: Observations, *, settings: CalibrationSettings | None = None) -> Calibration:
@@ -52,10 +50,11 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
         # Each view by itself, without stripes and table: lasers and table are held and meet no
         # observation, so that both solves are one compiled function.
         apart = _apart(data)._replace(stripe_valid=np.zeros_like(data.stripe_valid))
-        seed, poses = _seed(apart, observations, settings)
+        cameras, poses = seed_camera(apart, settings.camera)
         free = tuple(block for block in settings.free if block in CAMERA_BLOCKS)
-        start = make_problem(seed, *_stand_ins(observations), poses, apart, replace(settings, free=free))
-        first = adjust(start, apart, settings, rejection=False)
+        held, stand_ins = replace(settings, free=free), _stand_ins(observations)
+        starts = [make_problem(camera, *stand_ins, poses, apart, held) for camera in cameras]
+        first = _lowest(starts, apart, settings)
         camera, poses = _named(first.problem.camera, observations, settings), np.asarray(first.problem.poses)
         try:
             lasers = [
@@ -95,9 +94,20 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
     settings = replace(settings, free=free)
     with jax.enable_x64(True):
         data = _without_stripes(_apart(prepare(observations)))
-        camera, poses = _seed(data, observations, settings)
-        problem = make_problem(camera, None, None, poses, data, settings)
+        cameras, poses = seed_camera(data, settings.camera)
+        starts = [make_problem(camera, None, None, poses, data, settings) for camera in cameras]
+        problem = starts[0] if len(starts) == 1 else _lowest(starts, data, settings).problem
         return _concluded(adjust(problem, data, settings), observations, settings, started)
+
+
+def _lowest(starts: list[Problem], data: Prepared, settings: CalibrationSettings) -> Adjustment:
+    """Of robust solves from each start the one that fits the corners best."""
+
+    def cost(found: Adjustment) -> float:
+        size = np.linalg.norm(found.corner_error, axis=-1)[data.corner_valid] / data.corner_sigma[data.corner_valid]
+        return float(np.sum(huber_weights(size, settings.huber) ** 2 * size**2))
+
+    return min((adjust(start, data, settings, rejection=False) for start in starts), key=cost)
 
 
 def _apart(data: Prepared) -> Prepared:
@@ -118,20 +128,11 @@ def _stand_ins(observations: Observations) -> tuple[LaserSheet, Turntable]:
     return stack_lasers([sheet] * len(observations.laser_names)), table
 
 
-def _seed(
-    data: Prepared, observations: Observations, settings: CalibrationSettings
-) -> tuple[AbstractCamera, np.ndarray]:
-    """A first camera and T_cam_board of every view."""
-    if settings.camera == "fisheye":
-        return seed_fisheye(data, observations.width, observations.height)
-    return seed_camera(data, observations.width, observations.height, 5 + _RATIONAL)
-
-
 def _named(camera: AbstractCamera, observations: Observations, settings: CalibrationSettings) -> AbstractCamera:
-    """The solver's camera with its size, and without coefficients that nobody asked for."""
-    if isinstance(camera, Pinhole) and "rational" not in settings.free:
-        camera = replace(camera, distortion=np.asarray(camera.distortion)[:-_RATIONAL])
-    return replace(camera, width=observations.width, height=observations.height)
+    """The solver's camera with its size, and without optional coefficients that nobody asked for."""
+    count = sum(len(block.parameters) for block in camera.lens if not block.optional or block.name in settings.free)
+    distortion = np.asarray(camera.distortion)[:count]
+    return replace(camera, distortion=distortion, width=observations.width, height=observations.height)
 
 
 def _pointed_up(result: Adjustment, observations: Observations, settings: CalibrationSettings) -> Adjustment:

@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_PARAMETERS
+from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_BLOCKS
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve import (
@@ -14,7 +14,6 @@ from jaxscan.calibration.solve import (
     carrying,
     determine,
     not_converged,
-    shared_names,
 )
 from jaxscan.calibration.verdict import (
     ModelTest,
@@ -31,7 +30,7 @@ from jaxscan.calibration.verdict import (
     warn,
 )
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractCamera, Scanner
+from jaxscan.geometry import AbstractCamera, Scanner, make_layout
 from jaxscan.observation import Observations
 
 
@@ -53,14 +52,14 @@ def conclude(
     """
     problem, table = result.problem, result.problem.turntable
     lasers = observations.laser_names if table is not None else ()
-    names = shared_names(problem.camera, lasers, table is not None)
+    names = make_layout(problem.camera, lasers, turns=table is not None, board=BOARD_BLOCKS).names
     determination = _determined(result, names)
-    every = shared_names(camera, lasers, table is not None)
+    layout = make_layout(camera, lasers, turns=table is not None, board=BOARD_BLOCKS)
+    every, count = layout.names, layout.board.start
     kept = np.array([names.index(name) for name in every])
     turned = -1.0 if observations.carries == "object" else 1.0
     sign = np.array([turned if name in ANGLE_PARAMETERS else 1.0 for name in every])
     covariance = determination.covariance[np.ix_(kept, kept)] * np.outer(sign, sign)
-    count = len(every) - len(BOARD_PARAMETERS)
     own = np.ascontiguousarray(covariance[:count, :count])
     scanner = None
     if table is not None:

@@ -1,53 +1,43 @@
-"""The unknowns of the joint solve: their names, scales, and which of them are free."""
+"""The unknowns of the joint solve: all blocks that can be freed or held, and how a pose moves."""
 
-import numpy as np
+from typing import TYPE_CHECKING, Literal
+
 from jaxtyping import Float
 
-from jaxscan.calibration.settings import BLOCKS, Block
-from jaxscan.geometry import Array, exponential
+from jaxscan.geometry import CAMERAS, Array, ParameterBlock, exponential
+from jaxscan.geometry.laser import LASER_BLOCKS
+from jaxscan.geometry.turntable import ANGLE_BLOCKS, AXIS_BLOCKS
 
 
-BOARD_PARAMETERS = BLOCKS["warp"] + BLOCKS["pitch"]
-ANGLE_PARAMETERS = BLOCKS["gain"] + BLOCKS["harmonics"]
+BOARD_BLOCKS = (
+    ParameterBlock("warp", ("warp.x", "warp.y"), 0.001, "m", prior="warp", sigma=2e-3),
+    # No image shows the size of the squares: the prior says how well the board was measured.
+    ParameterBlock("pitch", ("pitch",), 0.001, prior="pitch", sigma=1e-4),
+)
+"""Unknowns of the calibration board, after those of the scanner."""
+ANGLE_PARAMETERS = tuple(name for block in ANGLE_BLOCKS for name in block.parameters)
 LOCAL_SCALE = 1e-2
 """Unit of a board's pose steps [m, rad]."""
 
-# One unit of each scaled parameter is about as far as a seed is off. The damping is
-# scale-invariant; the scales make tolerances mean the same for all, and 0 holds a parameter.
-_SCALES: dict[Block, float] = {
-    "focal": 100.0,
-    "centre": 20.0,
-    "radial": 0.1,
-    "tangential": 0.01,
-    "k3": 0.1,
-    "rational": 0.1,
-    "laser": 0.01,
-    "bow": 0.001,
-    "axis": 0.01,
-    "gain": 0.001,
-    "harmonics": 0.001,
-    "warp": 0.001,
-    "pitch": 0.001,
-}
-_BLOCK_OF: dict[str, Block] = {name: block for block, names in BLOCKS.items() for name in names}
+_OF_CAMERAS = tuple(block for camera in CAMERAS.values() for block in camera.blocks())
+_OF_ALL = _OF_CAMERAS + LASER_BLOCKS + AXIS_BLOCKS + BOARD_BLOCKS
+_HELD = ("bow", "pitch")
 
+CAMERA_BLOCKS = tuple(dict.fromkeys(block.name for block in _OF_CAMERAS))
+"""Names of the blocks that cameras have."""
+BLOCKS = tuple(dict.fromkeys(block.name for block in _OF_ALL))
+"""Names of all blocks."""
+USUALLY_FREE = tuple(dict.fromkeys(block.name for block in _OF_ALL if not block.optional and block.name not in _HELD))
+"""Names of the blocks that are free unless settings say otherwise."""
+PRIORS = {block.prior: block.sigma for block in _OF_ALL if block.prior}
+"""Standard deviations of what is known before any image, by the name of the prior."""
 
-def block_of(name: str, camera: str = "pinhole") -> Block:
-    """The block that a shared unknown belongs to.
-
-    Args:
-        name: Of the unknown.
-        camera: Model of the camera: a fisheye's k1 ... k4 are all its radial distortion.
-    """
-    if camera == "fisheye" and name in ("k3", "k4"):
-        return "radial"
-    return _BLOCK_OF[name.rsplit(".", 1)[-1] if name.startswith("laser.") else name]
-
-
-def parameter_scales(names: tuple[str, ...], free: tuple[Block, ...], camera: str = "pinhole") -> np.ndarray:
-    """Size of one scaled unit of each shared unknown [px, 1, rad, m]; 0 where it is held."""
-    blocks = [block_of(name, camera) for name in names]
-    return np.array([_SCALES[block] if block in free else 0.0 for block in blocks])
+if TYPE_CHECKING:
+    Block = str
+    PriorName = str
+else:
+    Block = Literal[BLOCKS]
+    PriorName = Literal[tuple(PRIORS)]
 
 
 def move_pose(pose: Float[Array, "4 4"], step: Float[Array, "6"]) -> Float[Array, "4 4"]:

@@ -7,7 +7,7 @@ import tyro
 
 from jaxscan import api
 from jaxscan.calibration import CalibrationSettings
-from jaxscan.calibration.settings import Block
+from jaxscan.calibration.parameters import Block
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
@@ -15,6 +15,7 @@ from jaxscan.cli.summary import print_summary, summary, write_page
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import check_calibration_path, quality_table
 from jaxscan.files.disk import check_writable
+from jaxscan.geometry import CameraModel
 from jaxscan.report import words
 
 
@@ -25,7 +26,7 @@ def calibrate(
     output: OutputPath,
     report: Path | None = None,
     only: Literal["camera"] | None = None,
-    lens: Literal["pinhole", "fisheye"] = "pinhole",
+    lens: CameraModel = "pinhole",
     free: tuple[Block, ...] = (),
     hold: tuple[Block, ...] = (),
     redetect: bool = True,
@@ -75,9 +76,7 @@ def calibrate(
         raise CalibrationError(f"{output}: written, but {first.headline.lower()}. {first.explanation}")
 
 
-def calibration_settings(
-    lens: Literal["pinhole", "fisheye"], free: tuple[Block, ...], hold: tuple[Block, ...]
-) -> CalibrationSettings:
+def calibration_settings(lens: CameraModel, free: tuple[Block, ...], hold: tuple[Block, ...]) -> CalibrationSettings:
     """The usual settings, with some blocks freed and some held."""
     usual = CalibrationSettings(camera=lens)
     wanted = dict.fromkeys((*usual.free, *free))

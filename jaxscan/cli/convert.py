@@ -32,7 +32,8 @@ def convert(
         source: Cloud (.ply or .npz), calibration (.json) or capture (a folder) to read.
         target: File to write; the suffix chooses the format: .ply .e57 .laz .las .pcd .xyz .ptx .npz for a
             cloud, .yaml (OpenCV) or .cameramodel (mrcal) for a calibration. Of a capture, the new folder.
-        format: Of a calibration, where its suffix does not say it: `ros` is a camera_info .yaml.
+        format: Of a calibration, where its suffix does not say it: `ros` is a camera_info .yaml, `kalibr` a
+            camchain .yaml.
         storage: Of a capture: `npy`, raw frames that are read at once but take more space, or `png`.
         json: Write the result as JSON too.
     """

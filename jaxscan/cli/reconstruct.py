@@ -11,7 +11,7 @@ from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
 from jaxscan.files.calibration import calibration_digest, calibration_notes
 from jaxscan.files.clouds import check_cloud_path
-from jaxscan.stripes.stripes import Choice
+from jaxscan.stripes import Choice, estimator_of
 
 
 _RANGE = api.ReconstructSettings()
@@ -24,6 +24,7 @@ def reconstruct(
     calibration: CalibrationPath,
     output: OutputPath,
     every: int = 1,
+    estimator: str = "gaussian",
     choice: Choice = "path",
     min_range: float = _RANGE.min_range_m,
     max_range: float = _RANGE.max_range_m,
@@ -38,6 +39,8 @@ def reconstruct(
         calibration: Calibration of the scanner, as `jaxscan calibrate` writes it.
         output: Cloud to write; the suffix chooses the format (.ply .e57 .laz .las .pcd .xyz .ptx .npz).
         every: Use every n-th record only.
+        estimator: How a stripe's centre is found on a line: gaussian, a fit; or centre_of_gravity, the plain mean of
+            its light, which knows one candidate a line.
         choice: Which candidate of a line is the stripe: that on the best path over the lines, the brightest, the
             nearest, the farthest, or all of them.
         min_range: Smallest distance from the camera [m].
@@ -50,8 +53,13 @@ def reconstruct(
     range_limits("--min-range", min_range, "--max-range", max_range)
     if check_steps and choice == "all":
         raise OptionError("--check-steps: found with --choice all, expected with a choice that is one.")
+    stripes = api.StripeSettings(estimator=estimator, choice=choice)
+    try:
+        estimator_of(stripes)
+    except ValueError as problem:
+        raise OptionError(f"--estimator: {problem}") from problem
     settings = api.ReconstructSettings(
-        stripes=api.StripeSettings(choice=choice),
+        stripes=stripes,
         min_range_m=min_range,
         max_range_m=max_range,
         check_steps=check_steps,

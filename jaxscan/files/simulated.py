@@ -22,7 +22,7 @@ from jaxscan.simulation import truth as simulation_truth
 
 
 class SimulatedCaptures(NamedTuple):
-    """What `simulate` wrote."""
+    """The folder that `simulate` wrote."""
 
     folder: Path
     board_pairs: int
@@ -46,7 +46,7 @@ class SimulatedCaptures(NamedTuple):
 
     @property
     def truth(self) -> Path:
-        """What is true of the rig and its room, as JSON."""
+        """The truth of the rig and its room, as JSON."""
         return self.folder / "truth.json"
 
     @property
@@ -121,7 +121,7 @@ def simulation_digest(config: SimulationConfig) -> str:
 def _write_capture(
     config: SimulationConfig, kind: Literal["calibration", "sweep"], folder: Path, records: Iterator[RenderedRecord]
 ) -> list[RenderedRecord]:
-    """Write records as a capture; what is returned has no frames."""
+    """Write records as a capture; the records that are returned have no frames."""
     camera = {**config.camera.model_dump(include={"width", "height", "up"})}
     camera |= {"pixel_format": config.sensor.pixel_format, "response": config.sensor.response}
     board = config.boards.model_dump(include={"type", "columns", "rows", "square_mm"})

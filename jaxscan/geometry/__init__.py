@@ -2,13 +2,16 @@
 
 from jaxscan.geometry.arrays import Array as Array
 from jaxscan.geometry.board import AbstractBoard as AbstractBoard
+from jaxscan.geometry.board import BowedBoard as BowedBoard
 from jaxscan.geometry.board import Charuco as Charuco
 from jaxscan.geometry.board import Chessboard as Chessboard
-from jaxscan.geometry.bowed_board import BowedBoard as BowedBoard
-from jaxscan.geometry.bowed_board import corner_frame as corner_frame
-from jaxscan.geometry.camera import AbstractCamera as AbstractCamera
-from jaxscan.geometry.camera import Pinhole as Pinhole
-from jaxscan.geometry.fisheye import Fisheye as Fisheye
+from jaxscan.geometry.board import corner_frame as corner_frame
+from jaxscan.geometry.cameras import CAMERAS as CAMERAS
+from jaxscan.geometry.cameras import AbstractCamera as AbstractCamera
+from jaxscan.geometry.cameras import CameraModel as CameraModel
+from jaxscan.geometry.cameras import DoubleSphere as DoubleSphere
+from jaxscan.geometry.cameras import Fisheye as Fisheye
+from jaxscan.geometry.cameras import Pinhole as Pinhole
 from jaxscan.geometry.fit import AxisFit as AxisFit
 from jaxscan.geometry.fit import PlaneFit as PlaneFit
 from jaxscan.geometry.fit import fit_axis as fit_axis
@@ -19,6 +22,9 @@ from jaxscan.geometry.homography import direct_homography as direct_homography
 from jaxscan.geometry.homography import fixes_plane as fixes_plane
 from jaxscan.geometry.laser import LaserSheet as LaserSheet
 from jaxscan.geometry.laser import stack_lasers as stack_lasers
+from jaxscan.geometry.layout import Layout as Layout
+from jaxscan.geometry.layout import make_layout as make_layout
+from jaxscan.geometry.parameters import ParameterBlock as ParameterBlock
 from jaxscan.geometry.rigid import exponential as exponential
 from jaxscan.geometry.rigid import invert as invert
 from jaxscan.geometry.rigid import rigid as rigid

@@ -1,5 +1,6 @@
 """The scanner: camera, laser sheets and turntable, calibrated, as one pytree."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 import equinox as eqx
@@ -9,10 +10,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.geometry.arrays import Array
-from jaxscan.geometry.camera import AbstractCamera
-from jaxscan.geometry.laser import LASER_PARAMETERS, LaserSheet
+from jaxscan.geometry.cameras import AbstractCamera
+from jaxscan.geometry.laser import LaserSheet, stack_lasers
+from jaxscan.geometry.layout import Layout, make_layout
 from jaxscan.geometry.rigid import rigid, transform
-from jaxscan.geometry.turntable import AXIS_PARAMETERS, Turntable
+from jaxscan.geometry.turntable import Turntable
 
 
 Up = Literal["-v", "+v", "+u", "-u"]
@@ -35,6 +37,39 @@ class Scanner(eqx.Module):
     laser_names: tuple[str, ...] = eqx.field(static=True, default=("laser",))
     up: Up = eqx.field(static=True, default="-v")
     """Which image direction is up; it fixes the sense of the axis."""
+
+    @staticmethod
+    def from_parts(
+        camera: AbstractCamera,
+        lasers: LaserSheet | Sequence[LaserSheet],
+        turntable: Turntable,
+        *,
+        laser_names: Sequence[str] = (),
+        up: Up = "-v",
+    ) -> "Scanner":
+        """A scanner from its parts, all in the camera frame at angle 0.
+
+        Args:
+            camera: Any model.
+            lasers: One sheet, or several.
+            turntable: Its axis in either sense; it is turned to the image's up side, with the signs of its angles.
+            laser_names: One for each sheet; without any, "laser", or "laser1", "laser2" and so on.
+            up: Which image direction is up.
+
+        Returns:
+            The scanner, without a covariance.
+
+        Raises:
+            ValueError: If there is no sheet, or the names do not fit the sheets.
+        """
+        sheets = [lasers] if isinstance(lasers, LaserSheet) else list(lasers)
+        if not sheets or any(np.shape(sheet.normal) != (3,) for sheet in sheets):
+            raise ValueError("lasers: expected one sheet, or a list of at least one sheet")
+        counted = ["laser"] if len(sheets) == 1 else [f"laser{k + 1}" for k in range(len(sheets))]
+        names = tuple(laser_names) or tuple(counted)
+        if len(names) != len(sheets) or len(set(names)) < len(names):
+            raise ValueError(f"laser_names: found {', '.join(names)}, expected {len(sheets)} different names")
+        return Scanner(camera, stack_lasers(sheets), point_up(turntable, up), laser_names=names, up=up)
 
     def laser(self, index: int | Int[Array, ""]) -> LaserSheet:
         """One of the stacked sheets."""
@@ -85,17 +120,19 @@ class Scanner(eqx.Module):
 
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the minimal coordinates: camera, lasers, axis, angle model."""
-        lasers = tuple(f"laser.{name}.{part}" for name in self.laser_names for part in LASER_PARAMETERS)
-        return self.camera.parameter_names() + lasers + AXIS_PARAMETERS
+        return self.layout().names
+
+    def layout(self) -> Layout:
+        """Where the minimal coordinates of each part stand."""
+        return make_layout(self.camera, self.laser_names)
 
     def retract(self, step: Float[Array, " params"]) -> "Scanner":
         """The scanner moved by `step` in its minimal coordinates; it has no covariance."""
-        cameras, lasers = len(self.camera.parameter_names()), len(self.laser_names)
-        sheet_steps = step[cameras : cameras + 5 * lasers].reshape(lasers, 5)
+        layout = self.layout()
         return Scanner(
-            camera=self.camera.retract(step[:cameras]),
-            lasers=jax.vmap(LaserSheet.retract)(self.lasers, sheet_steps),
-            turntable=self.turntable.retract(step[cameras + 5 * lasers :]),
+            camera=self.camera.retract(step[layout.camera]),
+            lasers=jax.vmap(LaserSheet.retract)(self.lasers, step[layout.lasers].reshape(-1, 5)),
+            turntable=self.turntable.retract(step[layout.turntable]),
             laser_names=self.laser_names,
             up=self.up,
         )

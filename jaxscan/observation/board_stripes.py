@@ -10,8 +10,16 @@ from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.prediction import SolvedRig, lift_to_board, predict_stripe
 from jaxscan.observation.records import BoardSource, SeenRecord
 from jaxscan.observation.stripes_on_board import BoardStripe, FoundStripe, select_board_stripe
-from jaxscan.stripes import LaserLine, NoiseModel, Stripes, StripeSettings, estimate_noise, extract_stripes
-from jaxscan.stripes.frames.learn_colour import with_colour
+from jaxscan.stripes import (
+    FrameFormat,
+    LaserLine,
+    NoiseModel,
+    Stripes,
+    StripeSettings,
+    estimate_noise,
+    extract_stripes,
+    with_colour,
+)
 
 
 BATCH_RECORDS = 8
@@ -31,7 +39,7 @@ def learn_colours(capture: BoardSource) -> tuple[LaserLine, ...]:
     Raises:
         CaptureError: If a colour cannot be learned.
     """
-    return tuple(_with_colour(capture, laser) for laser in range(len(capture.lines)))
+    return tuple(_with_colour(capture, laser) for laser in range(len(capture.lasers)))
 
 
 def find_stripes(
@@ -67,7 +75,7 @@ def find_stripes(
 
 
 def _with_colour(capture: BoardSource, laser: int) -> LaserLine:
-    line = capture.lines[laser]
+    line = capture.lasers[laser]
     lit = [i for i, record in enumerate(capture.records) if record.lasers == (laser,) and record.on]
     if line.colour != "auto" or not lit:
         return line
@@ -100,9 +108,8 @@ def _extract(
     if rig is not None and off is not None:
         near = np.stack([_band(view, rig, line) for view in padded])
         on = np.where(near if on.ndim == 3 else near[..., None], on, off)
-    stripes = extract_stripes(
-        on, off, pixel_format=pixel_format, response=response, line=line, settings=_SETTINGS, noise=noise
-    )
+    frames = FrameFormat(pixel_format, response)
+    stripes = extract_stripes(on, off, pixel_format=frames, line=line, settings=_SETTINGS, noise=noise)
     return noise, stripes
 
 

@@ -87,7 +87,7 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
         stripes=stack_stripes(stripes),
         width=width,
         height=height,
-        laser_names=tuple(line.name for line in first.lines),
+        laser_names=tuple(line.name for line in first.lasers),
         up=first.up,
         carries=first.carries or "scanner",
     )

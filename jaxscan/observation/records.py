@@ -1,4 +1,4 @@
-"""Records of a board: where they come from, and what was seen in them."""
+"""Records of a board: where they come from, and the board and the stripe that were seen in them."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -60,7 +60,7 @@ class BoardSource(Protocol):
     @property
     def response(self) -> Response: ...
     @property
-    def lines(self) -> tuple[LaserLine, ...]:
+    def lasers(self) -> tuple[LaserLine, ...]:
         """The lasers, in the order that `lasers` of a record counts them."""
 
     @property

@@ -1,9 +1,35 @@
 """The organised point cloud."""
 
+from typing import NamedTuple
+
 import equinox as eqx
+import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from jaxscan.geometry import Array
+
+
+class CloudPoints(NamedTuple):
+    """The valid points of a cloud, in the order of the grid."""
+
+    xyz: np.ndarray
+    """Position [m], float32 [n, 3], scanner frame."""
+    normals: np.ndarray
+    """float32 [n, 3]; zero where there is none."""
+    rgb: np.ndarray
+    """uint8 [n, 3]."""
+    intensity: np.ndarray
+    """Amplitude [DN], float32 [n]."""
+    sigma: np.ndarray
+    """Both uncertainties together [m], float32 [n]."""
+    sigma_random: np.ndarray
+    sigma_systematic: np.ndarray
+    step: np.ndarray
+    """Profile, int32 [n]."""
+    row: np.ndarray
+    """Line, int32 [n]."""
+    laser: np.ndarray
+    """uint8 [n]."""
 
 
 class PointCloud(eqx.Module):
@@ -29,3 +55,25 @@ class PointCloud(eqx.Module):
     laser: Int[Array, " profiles"]
     angle: Float[Array, " profiles"]
     """The table's angle phi of the profile [rad from home]."""
+
+    def points(self, start: int = 0, stop: int | None = None) -> CloudPoints:
+        """The valid points as a flat list, of all profiles or of those from `start` to before `stop`."""
+        part = slice(start, stop)
+        step, row = np.nonzero(np.asarray(self.valid[part]))
+
+        def take(field, dtype):
+            return np.asarray(field[part])[step, row].astype(dtype)
+
+        random, systematic = take(self.sigma_random, np.float32), take(self.sigma_systematic, np.float32)
+        return CloudPoints(
+            xyz=take(self.xyz, np.float32),
+            normals=take(self.normals, np.float32),
+            rgb=take(self.rgb, np.uint8),
+            intensity=take(self.intensity, np.float32),
+            sigma=np.hypot(random, systematic),
+            sigma_random=random,
+            sigma_systematic=systematic,
+            step=(step + start).astype(np.int32),
+            row=row.astype(np.int32),
+            laser=np.asarray(self.laser[part])[step].astype(np.uint8),
+        )

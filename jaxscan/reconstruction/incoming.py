@@ -1,7 +1,7 @@
 """Stripes of a sweep while it is being taken, as `extract_sweep` finds them in the finished one.
 
-What the search knows of a sweep it learns from the first records; a frame's stripes depend on
-nothing else beside the frame. So they are the same whenever they are found, and beside which others.
+The engine learns from the first records; after that a frame's stripes depend on nothing but the
+frame. So they are the same whenever they are found, and in whatever chunk.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,21 +12,17 @@ import jax
 import numpy as np
 
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan, make_searches, with_colours
-from jaxscan.reconstruction.points.locate import Rig
-from jaxscan.reconstruction.points.triangulate import Limits
+from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan
+from jaxscan.reconstruction.points.coloured import coloured, points_alone
+from jaxscan.reconstruction.points.locate import Centres
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.streaming.batches import chunk_records, padded
-from jaxscan.reconstruction.streaming.chunk import Aim, compute_chunk, points_alone
 from jaxscan.reconstruction.streaming.grid import GrowingStripes
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
-from jaxscan.stripes.fitting.widths import LEARNED_FRAMES
-from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response
-from jaxscan.stripes.search.search import Search, learn_search
-from jaxscan.stripes.stripes import Stripes
+from jaxscan.stripes import LEARNED_FRAMES, LaserLine, PixelFormat, Response, StripeEngine, Stripes
 
 
-class Pair(NamedTuple):
+class RecordedPair(NamedTuple):
     """One record as it was taken."""
 
     number: int
@@ -43,7 +39,7 @@ class PlannedSweep:
 
     pixel_format: PixelFormat
     response: Response
-    lines: tuple[LaserLine, ...]
+    lasers: tuple[LaserLine, ...]
     image_size: tuple[int, int]
     carries: str | None
     steps: int
@@ -80,10 +76,9 @@ class IncomingStripes:
         """
         if settings.check_steps or settings.stripes.choice == "all":
             raise ValueError("Stripes are found one record at a time: neither `check_steps` nor every candidate.")
-        self._sweep, self._scanner = sweep, scanner
+        self._sweep = sweep
         self._plan = make_plan(sweep, scanner, settings)
-        self._search: Search | None = None
-        self._rig: Rig | None = None
+        self._engine: StripeEngine | None = None
         self._stripes = GrowingStripes(len(sweep), self._plan.lines)
         self.points = np.full(len(sweep), -1, np.int64)
         """Points of each record; -1 where its stripes are not known."""
@@ -101,49 +96,43 @@ class IncomingStripes:
     @property
     def learned(self) -> bool:
         """Whether stripes can be found."""
-        return self._search is not None
+        return self._engine is not None
 
-    def learn(self, pairs: Sequence[Pair]) -> None:
+    def learn(self, pairs: Sequence[RecordedPair]) -> None:
         """Prepare the search from the first `needed` records, in their order.
 
         Raises:
             CaptureError: If they do not tell the laser's colour.
         """
         self._sweep.first = FrameChunk(np.stack([pair.on for pair in pairs]), np.stack([pair.off for pair in pairs]))
-        # JAX keeps this setting per thread.
-        with jax.enable_x64(False):
-            self._plan = with_colours(self._plan)
-            search = make_searches(self._plan, None)[0]
-            self._rig = Rig.of(self._scanner, self._plan.stripe_axis)
-            if self._plan.settings.stripes.learn_width:
-                some = pairs[: self.size]
-                on, off = self._frames([pair.on for pair in some]), self._frames([pair.off for pair in some])
-                search = learn_search(search, compute_chunk(on, off, search, None, self._plan.kind(0)).stripes)
+        (engine,) = self._plan.engines().values()
+        some = pairs[: self.size]
+        on, off = self._frames([pair.on for pair in some]), self._frames([pair.off for pair in some])
+        self._engine = engine.learn_width(on, off, coloured(self._plan.frames))
         self._sweep.first = None
-        self._search = search
 
-    def compute(self, pairs: Sequence[Pair]) -> None:
+    def compute(self, pairs: Sequence[RecordedPair]) -> None:
         """Find the stripes of some records, and count their points.
 
         Raises:
             ValueError: If nothing was learned yet.
         """
-        if self._search is None or self._rig is None:
+        if self._engine is None:
             raise ValueError("`learn` comes before `compute`.")
-        kind, limits = self._plan.kind(0), Limits.of(self._plan.settings)
+        plan = self._plan
         ordered = sorted(pairs, key=lambda pair: pair.number)
         for start in range(0, len(ordered), self.size):
             some = ordered[start : start + self.size]
             numbers = np.array([pair.number for pair in some])
             on, off = self._frames([pair.on for pair in some]), self._frames([pair.off for pair in some])
             phi = padded(np.array([pair.angle for pair in some], np.float32), self.size)
+            found, _, (rgb, _) = self._engine.extract(on, off, coloured(plan.frames))
+            centres = Centres(found.u, found.sigma, found.valid)
+            # JAX keeps this setting per thread.
             with jax.enable_x64(False):
-                result = jax.tree.map(np.asarray, compute_chunk(on, off, self._search, None, kind))
-                found = result.stripes
-                aim = Aim(self._rig, np.asarray(self._plan.sheet[0], np.int32), phi, limits)
-                axis = self._plan.stripe_axis
-                valid = np.asarray(points_alone(found.u, found.sigma, found.valid, aim, stripe_axis=axis).valid)
-            self._stripes.store(numbers, found, result.rgb)
+                points = points_alone(centres, plan.aim(0), phi, stripe_axis=plan.stripe_axis)
+                valid = np.asarray(points.valid)
+            self._stripes.store(numbers, found, rgb)
             self.points[numbers] = np.count_nonzero(valid[: len(some)], axis=1)
 
     def are_of(self, sweep: SweepSource, numbers: Sequence[int]) -> bool:
@@ -164,7 +153,7 @@ class IncomingStripes:
         rows, count = np.asarray(numbers), len(numbers)
         fields = {name: values[rows] for name, values in self._stripes.fields.items()}
         record, laser = np.arange(count, dtype=np.int32), np.zeros(count, np.int32)
-        return Stripes(**fields, rgb=self._stripes.rgb[rows], record=record, laser=laser)
+        return Stripes(**fields, record=record, laser=laser)
 
     def _frames(self, frames: Sequence[np.ndarray]) -> np.ndarray:
         return padded(np.stack(frames), self.size)

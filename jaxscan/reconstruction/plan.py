@@ -1,24 +1,34 @@
-"""What all chunks of a sweep share: what is compiled, which sheet lit what, where to look."""
+"""The plan of a reconstruction, which all its chunks share: made once, it learns and computes each thing once."""
 
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.geometry import Scanner
-from jaxscan.reconstruction.points.gate import LineGate, line_gate
+from jaxscan.geometry import Scanner, StripeAxis, across_and_along
+from jaxscan.reconstruction.points.coloured import Aim
+from jaxscan.reconstruction.points.gate import line_gate
+from jaxscan.reconstruction.points.locate import Rig
+from jaxscan.reconstruction.points.triangulate import Limits
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.streaming.batches import chunk_records
-from jaxscan.reconstruction.streaming.chunk import ChunkKind
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
-from jaxscan.stripes.frames.formats import LaserLine, StripeAxis
-from jaxscan.stripes.frames.learn_colour import with_colour
-from jaxscan.stripes.frames.noise import estimate_noise
-from jaxscan.stripes.search.search import Search, prepare_search
-from jaxscan.stripes.stripes import NoiseModel, Stripes
+from jaxscan.stripes import (
+    ExtractionSetup,
+    FrameFormat,
+    LaserLine,
+    LineGate,
+    NoiseModel,
+    StripeEngine,
+    Stripes,
+    prepare_engines,
+    whole_lines,
+    with_colour,
+)
 
 
 NOISE_RECORDS = 8
@@ -36,8 +46,6 @@ class Plan:
     scanner: Scanner
     settings: ReconstructSettings
     stripe_axis: StripeAxis
-    lasers: tuple[LaserLine, ...]
-    """The lasers of the sweep."""
     sheet: np.ndarray
     """The scanner's laser of each profile of the sweep."""
     size: int
@@ -46,33 +54,107 @@ class Plan:
     @property
     def lines(self) -> int:
         """Lines of a profile."""
-        width, height = self.sweep.image_size
-        return height if self.stripe_axis == "rows" else width
+        return across_and_along(*self.sweep.image_size, self.stripe_axis)[1]
 
-    def kind(self, laser: int) -> ChunkKind:
-        """What is compiled for the frames of a laser; the same for lasers that look the same."""
-        sweep, line, settings = self.sweep, self.lasers[laser], self.settings
-        look = LaserLine(stripe_axis=line.stripe_axis)
-        if sweep.pixel_format != "mono8":
-            look = dataclasses.replace(look, colour=line.colour)
-        return ChunkKind(
-            sweep.image_size,
-            sweep.pixel_format,
-            sweep.response,
-            look,
-            tuple(sweep.exposures),
-            settings.stripes,
-            settings.check_steps,
-        )
+    @property
+    def frames(self) -> FrameFormat:
+        """How a frame is to be read."""
+        return FrameFormat(self.sweep.pixel_format, self.sweep.response)
+
+    @property
+    def lit_together(self) -> bool:
+        """Whether a record has several lasers lit."""
+        return len(np.unique(self.sweep.record)) < len(self.sweep.record)
+
+    @cached_property
+    def lasers(self) -> tuple[LaserLine, ...]:
+        """The lasers, an "auto" colour learned from the first records that show the laser alone.
+
+        Raises:
+            CaptureError: If a colour cannot be learned.
+        """
+        lasers = list(self.sweep.lasers)
+        for laser in np.unique(self.sweep.laser):
+            if lasers[laser].colour == "auto":
+                lasers[laser] = _learned(self.sweep, int(laser))
+        return tuple(lasers)
+
+    @cached_property
+    def gates(self) -> dict[int, LineGate]:
+        """Where the stripes of each laser are looked for: `GATE_MARGIN_PX` beyond the range limits.
+
+        Lasers that are lit together are told apart by their gates, which then have no margin.
+        """
+        return self.gates_beyond(0.0 if self.lit_together else GATE_MARGIN_PX)
+
+    def gates_beyond(self, margin_px: float) -> dict[int, LineGate]:
+        """Where the stripes of each laser can lie, and so much further [px]."""
+        gates = {}
+        for laser in np.unique(self.sweep.laser):
+            (sheet,) = np.unique(self.sheet[self.sweep.laser == laser])
+            gates[int(laser)] = line_gate(
+                self.scanner,
+                int(sheet),
+                stripe_axis=self.stripe_axis,
+                min_range_m=self.settings.min_range_m,
+                max_range_m=self.settings.max_range_m,
+                margin_px=margin_px,
+            )
+        return gates
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The scanner as chunks need it."""
+        return Rig.of(self.scanner, self.stripe_axis)
+
+    def aim(self, profile: int) -> Aim:
+        """Where the points of a profile, and of others of the same laser, go."""
+        return Aim(self.rig, np.asarray(self.sheet[profile], np.int32), Limits.of(self.settings))
+
+    def engines(self, noise: NoiseModel | None = None) -> dict[int, StripeEngine]:
+        """The engine of each laser of the sweep.
+
+        Args:
+            noise: Noise of a frame; estimated from the start of the sweep where not given.
+
+        Raises:
+            CaptureError: If a colour cannot be learned, or stripes of two lasers in one record could be
+                mistaken for each other.
+        """
+        sweep, settings = self.sweep, self.settings
+        gated = settings.gate or self.lit_together
+        if self.lit_together:
+            _check_apart(list(self.gates.values()))
+        setups, gates = [], []
+        for laser, gate in self.gates.items():
+            setup = ExtractionSetup(
+                sweep.image_size,
+                self.frames,
+                self.lasers[laser],
+                settings.stripes,
+                tuple(sweep.exposures),
+                all_candidates=settings.check_steps,
+            )
+            setups.append(setup)
+            gates.append(gate if gated else whole_lines(setup, gate.near_side))
+        # A fixed number of records, so that the result does not depend on the size of the chunks.
+        ((on, off),) = islice(sweep.chunks(min(NOISE_RECORDS, len(sweep))), 1)
+        return dict(zip(self.gates, prepare_engines(on, off, setups, noise=noise, gates=gates), strict=True))
 
 
 def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettings) -> Plan:
-    """Refuse what does not fit together; else plan the sweep.
+    """Refuse a sweep and a scanner that do not fit together; else plan the sweep.
 
     Raises:
+        TypeError: If it is no sweep.
         CaptureError: If the sweep has no records, or contradicts itself.
         CalibrationError: If the scanner is not that of the sweep.
     """
+    if not isinstance(sweep, SweepSource):
+        raise TypeError(
+            f"Expected a sweep, got {type(sweep).__name__}; open a capture, or make one of arrays: "
+            "Sweep(on, off, angles)."
+        )
     if len(sweep) == 0:
         raise CaptureError("The sweep has no records; a reconstruction needs at least one. Capture it again.")
     width, height = sweep.image_size
@@ -87,7 +169,7 @@ def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSetting
             f"The table of the sweep carries the {sweep.carries}, that of the calibration the "
             f"{scanner.turntable.carries}; use a calibration made in the same arrangement."
         )
-    known, names = scanner.laser_names, [line.name for line in sweep.lines]
+    known, names = scanner.laser_names, [line.name for line in sweep.lasers]
     used = int(sweep.laser.max()) + 1
     if max(used, len(names)) > len(known):
         raise CalibrationError(
@@ -96,7 +178,7 @@ def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSetting
         )
     if used > len(names):
         raise CaptureError(f"A record names laser {used - 1}, the sweep lists {len(names)}; list every laser.")
-    axes = {line.stripe_axis for line in sweep.lines}
+    axes = {line.stripe_axis for line in sweep.lasers}
     if len(axes) > 1:
         raise CaptureError(
             "The sweep has lasers along the rows and along the columns; one grid holds one kind. "
@@ -106,7 +188,7 @@ def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSetting
     by_name = all(name in known for name in names) and len(set(names)) == len(names)
     of_scanner = [known.index(name) if by_name else i for i, name in enumerate(names)]
     sheet = np.asarray(of_scanner, np.int32)[sweep.laser]
-    return Plan(sweep, scanner, settings, stripe_axis, tuple(sweep.lines), sheet, chunk_records(sweep, settings))
+    return Plan(sweep, scanner, settings, stripe_axis, sheet, chunk_records(sweep, settings))
 
 
 def check_stripes(plan: Plan, stripes: Stripes) -> None:
@@ -120,21 +202,8 @@ def check_stripes(plan: Plan, stripes: Stripes) -> None:
         )
 
 
-def with_colours(plan: Plan) -> Plan:
-    """The plan with every laser's colour, learned from the first records that show it where it is "auto".
-
-    Raises:
-        CaptureError: If a colour cannot be learned.
-    """
-    lasers = list(plan.lasers)
-    for laser in np.unique(plan.sweep.laser):
-        if lasers[laser].colour == "auto":
-            lasers[laser] = _learned(plan.sweep, int(laser))
-    return dataclasses.replace(plan, lasers=tuple(lasers))
-
-
 def _learned(sweep: SweepSource, laser: int) -> LaserLine:
-    line, problem = sweep.lines[laser], "it is never lit alone."
+    line, problem = sweep.lasers[laser], "it is never lit alone."
     if sweep.pixel_format == "mono8":
         return dataclasses.replace(line, colour="red")
     for on, off in _pairs_of(sweep, laser):
@@ -143,67 +212,6 @@ def _learned(sweep: SweepSource, laser: int) -> LaserLine:
         except ValueError as error:
             problem = str(error)
     raise CaptureError(f'The colour of the laser "{line.name}" is "auto" and cannot be learned: {problem}')
-
-
-def search_gates(plan: Plan, *, margin_px: float | None = None) -> dict[int, LineGate]:
-    """Where the stripes of each laser of the sweep can lie.
-
-    Args:
-        plan: Sweep and scanner.
-        margin_px: How far beyond the range limits; where not given, as far as stripes are looked for:
-            `GATE_MARGIN_PX`, and nothing where lasers that are lit together are told apart by it.
-    """
-    settings = plan.settings
-    if margin_px is None:
-        margin_px = 0.0 if _several(plan.sweep) else GATE_MARGIN_PX
-    gates = {}
-    for laser in np.unique(plan.sweep.laser):
-        (sheet,) = np.unique(plan.sheet[plan.sweep.laser == laser])
-        gates[int(laser)] = line_gate(
-            plan.scanner,
-            int(sheet),
-            stripe_axis=plan.stripe_axis,
-            min_range_m=settings.min_range_m,
-            max_range_m=settings.max_range_m,
-            margin_px=margin_px,
-        )
-    return gates
-
-
-def make_searches(plan: Plan, noise: NoiseModel | None) -> dict[int, Search]:
-    """Where the stripes of each laser of the sweep are looked for, and in what noise.
-
-    Args:
-        plan: Of which all colours are known.
-        noise: Noise of a frame; estimated from the start of the sweep where not given.
-
-    Raises:
-        CaptureError: If stripes of two lasers in one record could be mistaken for each other.
-    """
-    sweep, settings = plan.sweep, plan.settings
-    several, gates, searches = _several(sweep), search_gates(plan), {}
-    if several:
-        _check_apart(list(gates.values()))
-    first = _first(sweep)
-    for laser, gate in gates.items():
-        noise = noise or _noise(first, sweep, plan.lasers[laser])
-        searches[laser] = prepare_search(
-            noise,
-            sweep.image_size,
-            has_off=first.off is not None,
-            pixel_format=sweep.pixel_format,
-            response=sweep.response,
-            line=plan.lasers[laser],
-            settings=settings.stripes,
-            gate=(gate.low, gate.high) if settings.gate or several else None,
-            near_side=float(gate.near_side),
-        )
-    return searches
-
-
-def _several(sweep: SweepSource) -> bool:
-    """Whether a record has several lasers lit."""
-    return len(np.unique(sweep.record)) < len(sweep.record)
 
 
 def _pairs_of(sweep: SweepSource, laser: int) -> Iterator[FrameChunk]:
@@ -233,17 +241,3 @@ def _check_apart(gates: list) -> None:
                     f"Two lasers that are lit in one record can be seen at the same places (up to {shared.max()} px of "
                     f"a line); narrow min_range_m and max_range_m, or capture a record for each laser."
                 )
-
-
-def _first(sweep: SweepSource) -> FrameChunk:
-    # A fixed number of records, so that the result does not depend on the size of the chunks.
-    (first,) = islice(sweep.chunks(min(NOISE_RECORDS, len(sweep))), 1)
-    return first
-
-
-def _noise(first: FrameChunk, sweep: SweepSource, line: LaserLine) -> NoiseModel:
-    # Of a bracket the shortest exposure, in which least is clipped.
-    on, off = first
-    if len(sweep.exposures) > 1:
-        on, off = on[:, 0], None if off is None else off[:, 0]
-    return estimate_noise(on, off, pixel_format=sweep.pixel_format, response=sweep.response, line=line)

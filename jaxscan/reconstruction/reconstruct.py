@@ -8,22 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.geometry import Array, Scanner
+from jaxscan.geometry import Array, Scanner, StripeAxis
 from jaxscan.reconstruction.cloud import PointCloud
-from jaxscan.reconstruction.pick import one_per_line, pick_by_steps
-from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan, make_searches, with_colours
+from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan
 from jaxscan.reconstruction.points.colour import sample_colours
-from jaxscan.reconstruction.points.locate import Points, Rig, line_step
-from jaxscan.reconstruction.points.triangulate import Limits
+from jaxscan.reconstruction.points.coloured import coloured, points_alone
+from jaxscan.reconstruction.points.locate import Centres, Points, line_step
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.streaming.ahead import map_ahead, workers
 from jaxscan.reconstruction.streaming.batches import Batch, batches, padded
-from jaxscan.reconstruction.streaming.chunk import Aim, ChunkResult, compute_chunk, points_alone
 from jaxscan.reconstruction.streaming.grid import GrowingCloud, GrowingStripes
 from jaxscan.reconstruction.sweep import SweepSource
-from jaxscan.stripes.frames.formats import PixelFormat, StripeAxis
-from jaxscan.stripes.search.search import learn_search
-from jaxscan.stripes.stripes import NoiseModel, Stripes
+from jaxscan.stripes import ChunkStripes, Continuation, NoiseModel, PixelFormat, Stripes, pick_by_steps
 
 
 Progress = Callable[[int, int], None] | None
@@ -62,29 +58,7 @@ def reconstruct(
 
     Source: PAPER.md equations (1)-(4) and (9)-(12).
     """
-    plan = make_plan(sweep, scanner, settings)
-    if stripes is None and settings.check_steps:
-        stripes = extract_sweep(sweep, scanner, settings=settings, noise=noise, progress=progress)
-    if stripes is not None:
-        check_stripes(plan, stripes)
-    each = _profiles_each(plan, stripes)
-    cloud = GrowingCloud(each * len(sweep.record), plan.lines)
-    # Single precision throughout, so that the result does not depend on the caller's setting.
-    with jax.enable_x64(False):
-        rig = Rig.of(scanner, plan.stripe_axis)
-        if stripes is None:
-            for profiles, result in _chunks(plan, rig, noise, progress):
-                found = result.stripes
-                cloud.store(profiles, _not_none(result.points), found.amplitude, result.rgb, found.valid)
-        else:
-            for profiles, points, rgb in _from_stripes(plan, rig, stripes, each, progress):
-                amplitude, valid = (np.asarray(field)[profiles] for field in (stripes.amplitude, stripes.valid))
-                cloud.store(profiles, points, amplitude, rgb, valid)
-        _check_result(cloud, settings)
-        between_lines = line_step(rig.scanner.camera, plan.stripe_axis) if settings.normals else None
-        profile, rank = np.divmod(np.arange(each * len(sweep.record)), each)
-        record = sweep.record[profile]
-        return cloud.finish(record, plan.sheet[profile], sweep.angles[record], rank, between_lines)
+    return cloud_of_plan(make_plan(sweep, scanner, settings), stripes=stripes, noise=noise, progress=progress)
 
 
 def extract_sweep(
@@ -112,89 +86,124 @@ def extract_sweep(
         Stripes, a profile per laser in a record; NumPy arrays, float32. `record` and `laser` are
         those of the sweep.
     """
-    plan = make_plan(sweep, scanner, settings)
-    each, profiles = _profiles_each(plan, None), len(sweep.record)
+    return stripes_of_plan(make_plan(sweep, scanner, settings), noise=noise, progress=progress)
+
+
+def cloud_of_plan(
+    plan: Plan, *, stripes: Stripes | None = None, noise: NoiseModel | None = None, progress: Progress = None
+) -> PointCloud:
+    """`reconstruct` by a plan that is made."""
+    sweep, settings = plan.sweep, plan.settings
+    if stripes is None and settings.check_steps:
+        stripes = stripes_of_plan(plan, noise=noise, progress=progress)
+    if stripes is not None:
+        check_stripes(plan, stripes)
+        each = len(stripes.u) // len(sweep.record)
+    # Before threads ask for it.
+    rig = plan.rig
+    # Single precision throughout, so that the result does not depend on the caller's setting.
+    with jax.enable_x64(False):
+        if stripes is None:
+            each, chunks = _extracted(plan, noise, progress, with_points=True)
+            cloud = GrowingCloud(each * len(sweep.record), plan.lines)
+            for rows, result in chunks:
+                found, (rgb, points) = result.stripes, result.more
+                cloud.store(rows, points, found.amplitude, rgb, found.valid)
+        else:
+            cloud = GrowingCloud(each * len(sweep.record), plan.lines)
+            for rows, points, rgb in _from_stripes(plan, stripes, each, progress):
+                amplitude, valid = (np.asarray(field)[rows] for field in (stripes.amplitude, stripes.valid))
+                cloud.store(rows, points, amplitude, rgb, valid)
+        _check_result(cloud, settings)
+        between_lines = line_step(rig.scanner.camera, plan.stripe_axis) if settings.normals else None
+        profile, rank = np.divmod(np.arange(each * len(sweep.record)), each)
+        record = sweep.record[profile]
+        return cloud.finish(record, plan.sheet[profile], sweep.angles[record], rank, between_lines)
+
+
+def stripes_of_plan(plan: Plan, *, noise: NoiseModel | None = None, progress: Progress = None) -> Stripes:
+    """`extract_sweep` by a plan that is made."""
+    sweep = plan.sweep
+    profiles = len(sweep.record)
+    each, chunks = _extracted(plan, noise, progress, with_points=False)
     stripes = GrowingStripes(each * profiles, plan.lines)
     chosen = np.full((profiles, plan.lines), -1, np.int8)
-    with jax.enable_x64(False):
-        for rows, result in _chunks(plan, None, noise, progress):
-            stripes.store(rows, result.stripes, result.rgb)
-            if result.chosen is not None:
-                own = rows[::each] // each
-                chosen[own] = result.chosen[: len(own)]
-    if settings.check_steps:
-        pick_by_steps(stripes, chosen, sweep.laser, sweep.angles[sweep.record])
+    for rows, result in chunks:
+        stripes.store(rows, result.stripes, result.more.rgb)
+        if result.chosen is not None:
+            own = rows[::each] // each
+            chosen[own] = result.chosen[: len(own)]
+    if plan.settings.check_steps:
+        stripes.fields = pick_by_steps(stripes.fields, chosen, sweep.laser, sweep.angles[sweep.record])
         each = 1
     profile = np.arange(each * profiles) // each
     return stripes.finish(sweep.record[profile], sweep.laser[profile])
-
-
-def _profiles_each(plan: Plan, stripes: Stripes | None) -> int:
-    """Profiles of the result for each of the sweep."""
-    if stripes is not None:
-        return len(stripes.u) // len(plan.sweep.record)
-    return plan.kind(int(plan.sweep.laser[0])).profiles_per_frame
 
 
 def _rows(profiles: np.ndarray, each: int) -> np.ndarray:
     return (each * profiles[:, None] + np.arange(each)[None, :]).reshape(-1)
 
 
-def _chunks(
-    plan: Plan, rig: Rig | None, noise: NoiseModel | None, progress: Progress
-) -> Iterator[tuple[np.ndarray, ChunkResult]]:
-    """Stripes, colours and, with a rig, points of all chunks, with the profiles that they are."""
-    plan = with_colours(plan)
+def _extracted(
+    plan: Plan, noise: NoiseModel | None, progress: Progress, *, with_points: bool
+) -> tuple[int, Iterator[tuple[np.ndarray, ChunkStripes]]]:
+    """Stripes, colours and perhaps points of all chunks, with the profiles that they are; profiles of a record."""
     sweep, size = plan.sweep, plan.size
-    searches, learns = make_searches(plan, noise), plan.settings.stripes.learn_width
-    angles, limits = sweep.angles.astype(np.float32), Limits.of(plan.settings)
+    engines, angles = plan.engines(noise), sweep.angles.astype(np.float32)
+    each = next(iter(engines.values())).profiles_per_record
 
-    def compute(batch: Batch) -> tuple[np.ndarray, ChunkResult]:
-        kind, aim = plan.kind(batch.laser), None
-        if rig is not None:
-            sheet = np.asarray(plan.sheet[batch.profiles[0]], np.int32)
-            aim = Aim(rig, sheet, padded(angles[sweep.record[batch.profiles]], size), limits)
-        # JAX keeps this setting per thread.
-        with jax.enable_x64(False):
-            result = compute_chunk(batch.on, batch.off, searches[batch.laser], aim, kind)
-            return batch.profiles, jax.tree.map(np.asarray, result)
+    def then(batch: Batch) -> Continuation:
+        if not with_points:
+            return coloured(plan.frames)
+        phi = padded(angles[sweep.record[batch.profiles]], size)
+        return coloured(plan.frames, plan.aim(batch.profiles[0]), phi)
+
+    def compute(batch: Batch) -> tuple[np.ndarray, ChunkStripes]:
+        return batch.profiles, engines[batch.laser].extract(batch.on, batch.off, then(batch))
 
     def ready(waiting: Iterator[Batch]) -> Iterator[Batch]:
-        """Before a laser's first batch is computed in earnest, it says how wide the stripes are."""
+        """Each laser's first batch is computed twice: at first it says how wide the stripes are."""
         learned: set[int] = set()
         for batch in waiting:
-            if learns and batch.laser not in learned:
+            if batch.laser not in learned:
                 learned.add(batch.laser)
-                searches[batch.laser] = learn_search(searches[batch.laser], one_per_line(compute(batch)[1]))
+                engines[batch.laser] = engines[batch.laser].learn_width(batch.on, batch.off, then(batch))
             yield batch
 
-    for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers(), compiled=learns):
-        yield _rows(profiles, _profiles_each(plan, None)), result
-        if progress is not None:
-            progress(int(sweep.record[profiles[-1]]) + 1, len(sweep))
+    def chunks() -> Iterator[tuple[np.ndarray, ChunkStripes]]:
+        compiled = plan.settings.stripes.learn_width
+        for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers(), compiled=compiled):
+            yield _rows(profiles, each), result
+            if progress is not None:
+                progress(int(sweep.record[profiles[-1]]) + 1, len(sweep))
+
+    return each, chunks()
 
 
 def _from_stripes(
-    plan: Plan, rig: Rig, stripes: Stripes, each: int, progress: Progress
+    plan: Plan, stripes: Stripes, each: int, progress: Progress
 ) -> Iterator[tuple[np.ndarray, Points, np.ndarray]]:
     """Points and colours of known stripes, with the profiles that they are."""
-    sweep, size = plan.sweep, plan.size
-    angles, limits, axis = sweep.angles.astype(np.float32), Limits.of(plan.settings), plan.stripe_axis
+    sweep, size, axis = plan.sweep, plan.size, plan.stripe_axis
+    angles = sweep.angles.astype(np.float32)
 
     def compute(item: tuple[np.ndarray, Array | None]) -> tuple[np.ndarray, Points, np.ndarray]:
         profiles, off = item
         rows = _rows(profiles, each)
         u, sigma, valid = (np.asarray(field)[rows] for field in (stripes.u, stripes.sigma, stripes.valid))
         u, sigma = u.astype(np.float32), sigma.astype(np.float32)
-        u, sigma, valid = (padded(field, size * each) for field in (u, sigma, valid))
+        centres = Centres(*(padded(field, size * each) for field in (u, sigma, valid)))
         phi = padded(np.repeat(angles[sweep.record[profiles]], each), size * each)
-        aim = Aim(rig, np.asarray(plan.sheet[profiles[0]], np.int32), phi, limits)
+        # JAX keeps this setting per thread.
         with jax.enable_x64(False):
-            points = points_alone(u, sigma, valid, aim, stripe_axis=axis)
+            points = points_alone(centres, plan.aim(profiles[0]), phi, stripe_axis=axis)
             if stripes.rgb is not None:
                 rgb = np.asarray(stripes.rgb)[rows]
             else:
-                rgb = np.asarray(_colours_alone(u, valid, off, pixel_format=sweep.pixel_format, stripe_axis=axis))
+                pixel_format = sweep.pixel_format
+                rgb = np.asarray(
+                    _colours_alone(centres.u, centres.valid, off, pixel_format=pixel_format, stripe_axis=axis)
+                )
             return rows, jax.tree.map(np.asarray, points), rgb
 
     if stripes.rgb is not None:
@@ -216,12 +225,6 @@ def _blocks(plan: Plan) -> Iterator[np.ndarray]:
 
 def _one_exposure(off: Array | None, plan: Plan) -> Array | None:
     return off if off is None or len(plan.sweep.exposures) == 1 else off[:, -1]
-
-
-def _not_none(points: Points | None) -> Points:
-    if points is None:
-        raise ValueError("A chunk without points was computed where points were asked for.")
-    return points
 
 
 @functools.partial(jax.jit, static_argnames=("pixel_format", "stripe_axis"))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from jaxscan.stripes.stripes import StripeSettings
+from jaxscan.stripes import StripeSettings, estimator_of
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class ReconstructSettings:
             )
         if not self.min_incidence > 0.0:
             raise ValueError(f"`min_incidence` must be positive, got {self.min_incidence}.")
+        estimator_of(self.stripes)
         if self.check_steps and self.stripes.choice == "all":
             raise ValueError('`check_steps` compares what was chosen; with `choice` "all" nothing is.')
         if self.chunk_records is not None and self.chunk_records < 1:

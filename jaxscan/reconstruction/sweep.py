@@ -1,13 +1,13 @@
 """A sweep: pairs of frames at known table angles, in memory or from anywhere else."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.frames.formats import PIXEL_FORMATS, LaserLine, PixelFormat, Response, frame_rank
+from jaxscan.stripes import PIXEL_FORMATS, LaserLine, PixelFormat, Response, frame_rank
 
 
 class FrameChunk(NamedTuple):
@@ -20,14 +20,14 @@ class FrameChunk(NamedTuple):
 
 @runtime_checkable
 class SweepSource(Protocol):
-    """What `reconstruct` needs of a sweep; `Sweep` and `files.Capture` both are one."""
+    """The interface of a sweep; `Sweep` and `files.Capture` both have it."""
 
     @property
     def pixel_format(self) -> PixelFormat: ...
     @property
     def response(self) -> Response: ...
     @property
-    def lines(self) -> tuple[LaserLine, ...]:
+    def lasers(self) -> tuple[LaserLine, ...]:
         """The lasers, in the order that `laser` counts them."""
 
     @property
@@ -36,7 +36,7 @@ class SweepSource(Protocol):
 
     @property
     def carries(self) -> str | None:
-        """What the table carries, where known."""
+        """ "scanner" or "object", where known."""
 
     @property
     def angles(self) -> np.ndarray:
@@ -63,6 +63,9 @@ class SweepSource(Protocol):
         ...
 
 
+_NOT_GIVEN: np.ndarray = np.zeros(0, np.int32)
+
+
 @dataclass(frozen=True)
 class Sweep:
     """A sweep whose frames are arrays in memory.
@@ -70,12 +73,12 @@ class Sweep:
     Args:
         on: Laser-on frames, uint8 [records, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
-        angle: The table's angle of each record [rad from home].
+        angles: The table's angle of each record [rad from home].
         pixel_format: How a frame is to be read.
         response: "linear", or "srgb" (decoded before the fit).
-        lines: The lasers as the camera sees them.
-        laser_index: The laser of each profile; the first where not given.
-        record_index: The record of each profile; with one laser lit in each record, the record itself.
+        lasers: The lasers as the camera sees them.
+        laser: The laser of each profile; the first where not given.
+        record: The record of each profile; with one laser lit in each record, the record itself.
         exposures: Relative exposures, where `on` and `off` have a second axis over them.
 
     Raises:
@@ -84,12 +87,12 @@ class Sweep:
 
     on: Array
     off: Array | None
-    angle: Array
+    angles: np.ndarray
     pixel_format: PixelFormat = "mono8"
     response: Response = "linear"
-    lines: tuple[LaserLine, ...] = (LaserLine(),)
-    laser_index: Array | None = None
-    record_index: Array | None = None
+    lasers: tuple[LaserLine, ...] = (LaserLine(),)
+    laser: np.ndarray = field(default_factory=lambda: _NOT_GIVEN)
+    record: np.ndarray = field(default_factory=lambda: _NOT_GIVEN)
     exposures: tuple[float, ...] = (1.0,)
     carries: str | None = None
 
@@ -107,14 +110,19 @@ class Sweep:
             raise ValueError(f"`off` must be like `on`, got {self.off.dtype} with shape {tuple(self.off.shape)}.")
         if bracket and self.on.shape[1] != len(self.exposures):
             raise ValueError(f"`on` must have {len(self.exposures)} exposures, got shape {tuple(self.on.shape)}.")
-        if np.shape(self.laser) != np.shape(self.record):
-            raise ValueError("`laser_index` and `record_index` must have one entry per profile each.")
+        record = np.arange(len(self.on)) if self.record is _NOT_GIVEN else self.record
+        laser = np.zeros(len(record)) if self.laser is _NOT_GIVEN else self.laser
+        for name, values in (("record", record), ("laser", laser)):
+            object.__setattr__(self, name, np.asarray(values, np.int32))
+        object.__setattr__(self, "angles", np.asarray(self.angles, np.float64))
+        if self.laser.shape != self.record.shape:
+            raise ValueError("`laser` and `record` must have one entry per profile each.")
         if len(self.record) and not 0 <= self.record.min() <= self.record.max() < max(len(self.on), 1):
-            raise ValueError(f"`record_index` must be within the {len(self.on)} records.")
-        if np.shape(self.angle) != (len(self.on),):
-            raise ValueError(f"`angle` must have shape ({len(self.on)},), got {np.shape(self.angle)}.")
-        if not np.all(np.isfinite(np.asarray(self.angle))):
-            raise ValueError("`angle` must be finite.")
+            raise ValueError(f"`record` must be within the {len(self.on)} records.")
+        if self.angles.shape != (len(self.on),):
+            raise ValueError(f"`angles` must have shape ({len(self.on)},), got {self.angles.shape}.")
+        if not np.all(np.isfinite(self.angles)):
+            raise ValueError("`angles` must be finite.")
 
     def __len__(self) -> int:
         return len(self.on)
@@ -123,22 +131,6 @@ class Sweep:
     def image_size(self) -> tuple[int, int]:
         rows, columns = self.on.shape[-2:] if self.pixel_format != "rgb8" else self.on.shape[-3:-1]
         return int(columns), int(rows)
-
-    @property
-    def angles(self) -> np.ndarray:
-        return np.asarray(self.angle, np.float64)
-
-    @property
-    def record(self) -> np.ndarray:
-        if self.record_index is None:
-            return np.arange(len(self), dtype=np.int32)
-        return np.asarray(self.record_index, np.int32)
-
-    @property
-    def laser(self) -> np.ndarray:
-        if self.laser_index is None:
-            return np.zeros(len(self.record), np.int32)
-        return np.asarray(self.laser_index, np.int32)
 
     def chunks(self, size: int) -> Iterator[FrameChunk]:
         for start in range(0, len(self), size):

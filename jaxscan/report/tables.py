@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxscan.calibration import Calibration, ModelTest, Quality
 from jaxscan.calibration.verdict import judge_views
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Scanner, make_layout
 from jaxscan.report.words import TESTS
 
 
@@ -49,9 +49,10 @@ def parameters(calibration: Calibration) -> list[Parameter]:
     camera = calibration.camera
     with jax.enable_x64(True):
         values = np.asarray(camera.parameters()).tolist()
+    layout = make_layout(camera, (), turns=False)
     rows = [
-        Parameter(name, (value,), sigma.get(name, 0.0), "px" if name in ("fx", "fy", "cx", "cy") else "")
-        for name, value in zip(camera.parameter_names(), values, strict=True)
+        Parameter(name, (value,), sigma.get(name, 0.0), block.unit)
+        for name, value, block in zip(layout.names, values, layout.blocks, strict=True)
     ]
     if calibration.scanner is not None:
         rows += _lasers(calibration.scanner, sigma) + _table(calibration.scanner, sigma)

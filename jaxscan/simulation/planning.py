@@ -99,7 +99,7 @@ def _draw(rig: TrueRig, rng: np.random.Generator, distance: float, *, crossed: b
     rotation = rodrigues(np.array([np.cos(axis), np.sin(axis), 0.0]), tilt)
     rotation = rotation @ rodrigues(np.array([0.0, 0.0, 1.0]), np.deg2rad(rng.uniform(-20, 20)))
     middle = np.append(spec.board().outline().mean(0), 0.0)
-    if camera.model == "fisheye":
+    if camera.wide:
         place = _place_around(camera, sheet if crossed else None, rng, distance, size)
         rotation = _facing(place) @ rotation
         return Motion(rotation, place - rotation @ middle)
@@ -116,7 +116,7 @@ def _draw(rig: TrueRig, rng: np.random.Generator, distance: float, *, crossed: b
 def _place_around(
     camera: CameraSpec, sheet: Sheet | None, rng: np.random.Generator, distance: float, size: np.ndarray
 ) -> np.ndarray:
-    """A place [3] at the given distance within a fisheye's field of view: beside a sheet, or anywhere."""
+    """A place [3] at the given distance within the field of view of a wide-angle lens: beside a sheet, or anywhere."""
     if sheet is None:
         theta = np.deg2rad(camera.field_deg / 2) * np.sqrt(rng.uniform())
         psi = rng.uniform(0, 2 * np.pi)
@@ -144,16 +144,16 @@ def _extent(rig: TrueRig) -> np.ndarray:
 def _pixels(rig: TrueRig, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of points [n, 3] in the camera frame, and which are in the image."""
     camera = rig.config.camera
-    if camera.model == "pinhole":
+    if camera.wide:
+        angle = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
+        straight = angle < np.deg2rad(camera.field_deg / 2) - _MARGIN_PX / camera.fx
+        straight &= np.linalg.norm(points, axis=1) > 0.05
+    else:
         # Beyond the field of view the lens model folds back into the image.
         reach = 0.6 * np.hypot(camera.width / camera.fx, camera.height / camera.fy)
         straight = np.hypot(points[:, 0], points[:, 1]) < reach * np.maximum(points[:, 2], 1e-6)
         straight &= points[:, 2] > 0.05
         points = np.column_stack([points[:, :2], np.maximum(points[:, 2], 1e-6)])
-    else:
-        angle = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
-        straight = angle < np.deg2rad(camera.field_deg / 2) - _MARGIN_PX / camera.fx
-        straight &= np.linalg.norm(points, axis=1) > 0.05
     u, v = project(camera, points)
     inside = (u > _MARGIN_PX) & (u < camera.width - 1 - _MARGIN_PX) & (v > _MARGIN_PX)
     return np.stack([u, v], -1), inside & (v < camera.height - 1 - _MARGIN_PX) & straight
@@ -208,7 +208,7 @@ def _turns(rig: TrueRig, pose: Motion, count: int) -> tuple[float, ...]:
         ends.append(phi)
     if ends[1] - ends[0] < 0.1:
         return ()
-    # Whole hundredths of a degree: what a stepper can be told to do.
+    # Whole hundredths of a degree, which a stepper can be told to go to.
     return tuple(float(np.deg2rad(round(np.rad2deg(phi), 2))) for phi in np.linspace(ends[0], ends[1], count))
 
 
@@ -217,7 +217,7 @@ def _clear(rig: TrueRig, scene: Scene, pose: Motion, phi: float) -> bool:
     spec = rig.config.boards
     low, high = spec.board().outline()[[0, 2]] + np.array([[-1.0], [1.0]]) * spec.border_mm / 1000
     x, y = np.meshgrid(np.linspace(low[0], high[0], 5), np.linspace(low[1], high[1], 5))
-    # Points behind the board by the clearance: what is cut by them would stick through it.
+    # Points behind the board by the clearance: an object that hides them would stick through it.
     grid = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, _CLEARANCE)])
     world = (rig.pose(0.0) @ pose).apply(grid).astype(np.float32)
     eyes = [rig.pose(phi).translation] + [rig.pose(phi).apply(sheet.origin) for sheet in rig.sheets]

@@ -1,7 +1,7 @@
 """Which way the pixels of a camera look: tables, made once per camera.
 
-The inverse distortion here is a fixed point in NumPy (of a fisheye, a table), independent of the
-Newton iteration in `geometry`, so that an error in either shows as a difference.
+The inverse distortion here is a fixed point in NumPy (of a wide-angle lens, a table), independent of the
+inversion in `geometry`, so that an error in either shows as a difference.
 """
 
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ class RayTable:
     """The way (x, y, z) that every pixel's centre looks, and how it changes along u and v.
 
     All arrays are float32 [height, width]. A pinhole has (x, y, 1), normalised image coordinates,
-    along which a depth is z; a fisheye has unit vectors, along which a depth is a distance.
+    along which a depth is z; a wide-angle lens has unit vectors, along which a depth is a distance.
     (x + x_u du + x_v dv, …) holds to 1e-4 px within the pixel, since a lens bends over hundreds
     of pixels.
     """
@@ -58,9 +58,9 @@ class RayTable:
     directions: np.ndarray
     """(x, y, z) of all pixels, float32 [height * width, 3]."""
     third: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
-    """z, z_u, z_v of a fisheye; None for a pinhole."""
+    """z, z_u, z_v of a wide-angle lens; None for a pinhole."""
     sees: np.ndarray | None = None
-    """Pixels inside the field of view of a fisheye, bool; None where all are."""
+    """Pixels inside the field of view of a wide-angle lens, bool; None where all are."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -82,7 +82,7 @@ class RayTable:
 def project(camera: CameraSpec, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (u, v) of points [n, 3], camera frame, float64; without meaning beyond the field of view."""
     x, y, z = (points[..., i] for i in range(3))
-    if camera.model == "pinhole":
+    if not camera.wide:
         return distort(camera, x / z, y / z)
     aside = np.hypot(x, y)
     scale = _bent(camera, np.arctan2(aside, z)) / np.maximum(aside, 1e-300)
@@ -96,7 +96,7 @@ def distort(camera: CameraSpec, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarra
     Raises:
         ConfigError: If the camera is none.
     """
-    if camera.model != "pinhole":
+    if camera.wide:
         raise ConfigError(f"A {camera.model} has no normalised image coordinates: it sees beside and behind itself.")
     r2 = x * x + y * y
     radial = 1 + r2 * (camera.k1 + r2 * (camera.k2 + r2 * camera.k3))
@@ -136,8 +136,7 @@ def ray_table(camera: CameraSpec) -> RayTable:
     """The table of a camera; the last few are kept."""
     # One pixel beyond every side, for central differences at the border.
     columns, rows = np.meshgrid(np.arange(-1.0, camera.width + 1), np.arange(-1.0, camera.height + 1))
-    fisheye = camera.model == "fisheye"
-    seen, ways = look(camera, columns, rows) if fisheye else (None, undistort(camera, columns, rows))
+    seen, ways = look(camera, columns, rows) if camera.wide else (None, undistort(camera, columns, rows))
     inner = (slice(1, -1), slice(1, -1))
     along_u = [((a[1:-1, 2:] - a[1:-1, :-2]) / 2).astype(np.float32) for a in ways]
     along_v = [((a[2:, 1:-1] - a[:-2, 1:-1]) / 2).astype(np.float32) for a in ways]
@@ -152,7 +151,7 @@ def ray_table(camera: CameraSpec) -> RayTable:
 def look(
     camera: CameraSpec, u: np.ndarray, v: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Unit vectors along which pixels of a fisheye look, float64, by interpolation in a table of angles.
+    """Unit vectors along which pixels of a wide-angle lens look, float64, by interpolation in a table of angles.
 
     Returns:
         Which pixels are inside the field of view, and (x, y, z): of those beyond, on its edge.
@@ -165,8 +164,8 @@ def look(
     bent = _bent(camera, theta)
     if np.any(np.diff(bent) <= 0):
         raise ConfigError(
-            f"The fisheye (k1 = {camera.k1}, k2 = {camera.k2}, k3 = {camera.k3}, k4 = {camera.k4}) folds over inside "
-            f"its field of view of {camera.field_deg} degrees: use weaker distortion or a smaller `field_deg`."
+            f"The lens ({', '.join(f'{name} = {value}' for name, value in camera.coefficients().items())}) folds over "
+            f"inside its field of view of {camera.field_deg} degrees: use weaker distortion or a smaller `field_deg`."
         )
     cx, cy = camera.centre()
     x, y = (u - cx) / camera.fx, (v - cy) / camera.fy
@@ -177,5 +176,8 @@ def look(
 
 
 def _bent(camera: CameraSpec, theta: np.ndarray) -> np.ndarray:
-    """Distance from the principal point, per focal length, at which a fisheye shows an angle."""
+    """Distance from the principal point, per focal length, at which a wide-angle lens shows an angle."""
+    if camera.model == "double_sphere":
+        second = np.sqrt(1 + 2 * camera.xi * np.cos(theta) + camera.xi**2)
+        return np.sin(theta) / (camera.alpha * second + (1 - camera.alpha) * (camera.xi + np.cos(theta)))
     return theta + camera.k1 * theta**3 + camera.k2 * theta**5 + camera.k3 * theta**7 + camera.k4 * theta**9

@@ -1,4 +1,4 @@
-"""What a simulated rig is made of: the configuration, as frozen models that refuse unknown keys.
+"""Parts of a simulated rig: the configuration, as frozen models that refuse unknown keys.
 
 Metres, radians and pixels unless the key says otherwise.
 """
@@ -25,10 +25,19 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class CameraSpec(Section):
-    """Pinhole with Brown-Conrady distortion, or fisheye after Kannala and Brandt [px; 1 for the coefficients]."""
+# The simulator draws its lenses by code of its own, so that an error of the estimator's shows; only the
+# names of lenses and coefficients are shared with the estimator.
+_COEFFICIENTS: dict[str, tuple[str, ...]] = {
+    "pinhole": ("k1", "k2", "p1", "p2", "k3"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+    "double_sphere": ("xi", "alpha"),
+}
 
-    model: Literal["pinhole", "fisheye"] = "pinhole"
+
+class CameraSpec(Section):
+    """Pinhole with Brown-Conrady distortion, fisheye after Kannala and Brandt, or double sphere [px; 1]."""
+
+    model: Literal["pinhole", "fisheye", "double_sphere"] = "pinhole"
     width: Annotated[int, Field(gt=7)] = 1280
     height: Annotated[int, Field(gt=7)] = 1024
     fx: Positive = 1100.0
@@ -37,22 +46,34 @@ class CameraSpec(Section):
     """Principal point; the middle of the image where not given."""
     cy: float | None = None
     k1: float = 0.0
+    """This and the other coefficients are those of the model; all others stay 0."""
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
     k4: float = 0.0
-    """Of a fisheye only, which has no p1, p2."""
+    xi: float = 0.0
+    alpha: float = 0.0
     field_deg: Annotated[float, Field(gt=0, le=300)] = 200.0
-    """Field of view of a fisheye: the image is dark beyond."""
+    """Field of view of a wide-angle lens: the image is dark beyond."""
     up: Literal["-v", "+v", "+u", "-u"] = "-v"
 
     @model_validator(mode="after")
     def _one_lens(self) -> "CameraSpec":
-        strange = ("p1", "p2") if self.model == "fisheye" else ("k4",)
+        every = dict.fromkeys(name for names in _COEFFICIENTS.values() for name in names)
+        strange = [name for name in every if name not in _COEFFICIENTS[self.model]]
         if any(getattr(self, name) != 0.0 for name in strange):
             raise ValueError(f"a {self.model} has no {' or '.join(strange)}")
         return self
+
+    @property
+    def wide(self) -> bool:
+        """Whether the lens sees beside itself: rays are then found over the angle to the axis."""
+        return self.model != "pinhole"
+
+    def coefficients(self) -> dict[str, float]:
+        """Coefficients of the lens, by name."""
+        return {name: getattr(self, name) for name in _COEFFICIENTS[self.model]}
 
     def centre(self) -> Pair:
         """Principal point [px]."""
@@ -188,7 +209,7 @@ class LightSpec(Section):
     """The room's own light."""
 
     white_dn: Positive = 120.0
-    """What a white surface (albedo 1) gives in the room's mean light, on every channel."""
+    """Level of a white surface (albedo 1) in the room's mean light, on every channel."""
     shadows: bool = True
 
 
@@ -216,7 +237,7 @@ class BoardsSpec(Section):
     peak_dn: Positive = 120.0
     """Peak of the stripe on the board's white: the laser's power is set for each view."""
     white_dn: Positive = 105.0
-    """What a white surface gives in mean light while boards are shown."""
+    """Level of a white surface in mean light while boards are shown."""
 
     @field_validator("range_m", "tilt_deg")
     @classmethod
@@ -244,7 +265,7 @@ class PlanSpec(Section):
 
 
 class SimulationConfig(Section):
-    """A rig, its surroundings and what is done with it; everything is drawn from `seed`."""
+    """A rig, its surroundings and its plan; everything is drawn from `seed`."""
 
     camera: CameraSpec = CameraSpec()
     sensor: SensorSpec = SensorSpec()

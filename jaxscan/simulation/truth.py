@@ -1,11 +1,11 @@
-"""What is true of a simulated rig: for comparison with what is found, never for finding it."""
+"""The truth of a simulated rig: for comparison with an estimate, never for making one."""
 
 from typing import Any
 
 import jax
 import numpy as np
 
-from jaxscan.geometry import AbstractCamera, Fisheye, LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
+from jaxscan.geometry import CAMERAS, AbstractCamera, LaserSheet, Scanner, Turntable, point_up, stack_lasers
 from jaxscan.simulation.rig import make_rig
 from jaxscan.simulation.scene.scene import room_from_scanner
 from jaxscan.simulation.spec import CameraSpec, SimulationConfig, TurntableSpec
@@ -33,11 +33,8 @@ def true_scanner(config: SimulationConfig) -> Scanner:
 
 def _camera(spec: CameraSpec) -> AbstractCamera:
     fx, fy, cx, cy = (np.asarray(value) for value in (spec.fx, spec.fy, *spec.centre()))
-    if spec.model == "fisheye":
-        kannala = np.array([spec.k1, spec.k2, spec.k3, spec.k4])
-        return Fisheye(fx=fx, fy=fy, cx=cx, cy=cy, distortion=kannala, width=spec.width, height=spec.height)
-    brown = np.array([spec.k1, spec.k2, spec.p1, spec.p2, spec.k3])
-    return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy, distortion=brown, width=spec.width, height=spec.height)
+    lens = np.array(list(spec.coefficients().values()))
+    return CAMERAS[spec.model](fx, fy, cx, cy, lens, spec.width, spec.height)
 
 
 def truth(config: SimulationConfig) -> dict[str, Any]:

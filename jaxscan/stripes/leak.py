@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.fitting.albedo import moments
+from jaxscan.stripes.fitting.albedo import DarkWindow, moments
 
 
 NO_INFORMATION = 1e3
@@ -27,15 +27,7 @@ class Leak(NamedTuple):
     """Standard deviation of `ratio` [1]; `NO_INFORMATION` where it is not known."""
 
 
-def leak(
-    dark: Float[Array, "samples n"],
-    x: Float[Array, "samples n"],
-    u: Float[Array, " n"],
-    width: Float[Array, " n"],
-    amplitude: Float[Array, " n"],
-    used: Bool[Array, "samples n"],
-    noise_variance: Float[Array, "#samples #n"],
-) -> Leak:
+def leak(dark: DarkWindow, u: Float[Array, " n"], width: Float[Array, " n"], amplitude: Float[Array, " n"]) -> Leak:
     r"""Amplitude of the stripe in the laser-off frame, line by line.
 
     Least squares of $\mathrm{dark}(x) = b_0 + b_1 x + r A h(x)$ with $h$ the Gaussian that was fitted to the
@@ -43,24 +35,21 @@ def leak(
     laser-off frame.
 
     Args:
-        dark: Laser-off level in the window of the fit [DN].
-        x: Coordinates of the samples, evenly spaced and rising [px].
-        u: Fitted centre, in the coordinates of `x` [px].
+        dark: The laser-off frame in the window of the fit.
+        u: Fitted centre, in the coordinates of `dark.x` [px].
         width: Fitted standard deviation of the stripe [px].
         amplitude: Fitted amplitude of the stripe [DN].
-        used: Samples that the fit used.
-        noise_variance: Variance of `dark` [DN^2].
     """
     seen = jnp.sqrt(width * width + _PIXEL)
-    z = (x - u[None, :]) * (1.0 / seen)[None, :]
-    weight = jnp.where(used, 1.0 / jnp.broadcast_to(jnp.asarray(noise_variance), z.shape), 0.0)
+    z = (dark.x - u[None, :]) * (1.0 / seen)[None, :]
+    weight = jnp.where(dark.used, 1.0 / jnp.broadcast_to(jnp.asarray(dark.variance), z.shape), 0.0)
     h = jnp.exp(-0.5 * z * z) * (width / seen)[None, :]
     weight_h = weight * h
     count, count_s, count_ss = moments(weight, 3)
     sum_h, sum_hs = moments(weight_h, 2)
     (sum_hh,) = moments(weight_h * h, 1)
     # Levels from about their mean: squares of large numbers would cost the digits of small ones.
-    level = dark - jnp.mean(dark, 0)[None, :]
+    level = dark.level - jnp.mean(dark.level, 0)[None, :]
     sum_d, sum_ds = moments(weight * level, 2)
     (sum_dh,) = moments(weight_h * level, 1)
 

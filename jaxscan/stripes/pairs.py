@@ -7,20 +7,22 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.chunk import sample_pair
 from jaxscan.stripes.extract import extract_stripes
-from jaxscan.stripes.frames.flicker import pair_gain
-from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response, decode_table, laser_plane, laser_sites
+from jaxscan.stripes.fitting.albedo import DarkWindow
+from jaxscan.stripes.frames.flicker import lamp_ratio
+from jaxscan.stripes.frames.formats import FrameFormat, LaserLine, decode_table, laser_plane, laser_sites
 from jaxscan.stripes.frames.noise import estimate_noise
+from jaxscan.stripes.frames.planes import sample_pair
 from jaxscan.stripes.leak import frame_leak, leak
 
 
+_MONO = FrameFormat()
 _HALF_WINDOW = 12
 """Samples on either side of a stripe in which its trace is looked for."""
 
 
 class PairQuality(NamedTuple):
-    """What is wrong with each pair of frames."""
+    """Laser light in the laser-off frame, and motion, of each pair of frames."""
 
     leak: Float[np.ndarray, " frames"]
     """Amplitude of the stripe in the laser-off frame over that in the difference [1]."""
@@ -30,28 +32,21 @@ class PairQuality(NamedTuple):
     """What differs between the frames beside the laser, in the root mean square of the noise [1]."""
 
 
-def judge_pairs(
-    on: Array,
-    off: Array,
-    *,
-    pixel_format: PixelFormat = "mono8",
-    response: Response = "linear",
-    line: LaserLine,
-) -> PairQuality:
+def judge_pairs(on: Array, off: Array, *, frames: FrameFormat = _MONO, line: LaserLine) -> PairQuality:
     """Look at some pairs of frames for laser light in the laser-off frame and for motion between the two.
 
     Args:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape.
-        pixel_format: How a frame is to be read.
-        response: "linear" or "srgb".
+        frames: How a frame is to be read.
         line: The laser, of which the colour is known.
     """
+    pixel_format, response = frames.pixel_format, frames.response
     noise = estimate_noise(on, off, pixel_format=pixel_format, response=response, line=line)
-    stripes = extract_stripes(on, off, pixel_format=pixel_format, response=response, line=line, noise=noise)
+    stripes = extract_stripes(on, off, pixel_format=frames, line=line, noise=noise)
     sites = laser_sites(pixel_format, line)
     lit, dark = (np.asarray(laser_plane(np.asarray(a), pixel_format=pixel_format, line=line)) for a in (on, off))
-    frames, lines, samples = dark.shape
+    count, lines, samples = dark.shape
     image_lines = sites.first_line + sites.line_step * np.arange(lines)
     offsets = np.asarray(sites.offsets)[np.arange(lines) % len(sites.offsets)]
     u, width, amplitude, valid = (
@@ -63,7 +58,7 @@ def judge_pairs(
     x = np.arange(-_HALF_WINDOW, _HALF_WINDOW + 1)[:, None, None]
     index = middle[None] + x
     used = (index >= 0) & (index < samples) & valid[None]
-    rows = np.arange(frames * lines).reshape(frames, lines)
+    rows = np.arange(count * lines).reshape(count, lines)
     level = decode_table(response)[0][dark.reshape(-1, samples)[rows[None], np.clip(index, 0, samples - 1)]]
     variance = noise.read_dn**2 + 1 / 12 + level / noise.electrons_per_dn
 
@@ -71,16 +66,12 @@ def judge_pairs(
         return np.asarray(values, np.float32).reshape(*values.shape[:-2], -1)
 
     with jax.enable_x64(False):
-        each = leak(
-            flat(level),
-            flat(np.broadcast_to(x, index.shape)),
-            flat(centre - middle),
-            flat(np.where(valid, width / sites.pitch, 1.0)),
-            flat(amplitude),
-            used.reshape(len(x), -1),
-            flat(variance),
+        window = DarkWindow(
+            flat(level), flat(np.broadcast_to(x, index.shape)), used.reshape(len(x), -1), flat(variance)
         )
-        of_frame = frame_leak(jax.tree.map(lambda values: values.reshape(frames, lines), each), valid)
+        width = np.where(valid, width / sites.pitch, 1.0)
+        each = leak(window, flat(centre - middle), flat(width), flat(amplitude))
+        of_frame = frame_leak(jax.tree.map(lambda values: values.reshape(count, lines), each), valid)
         pair = sample_pair(lit, dark)
-        unrest = np.ones(frames) if pair is None else pair_gain(*pair, noise.read_dn, noise.electrons_per_dn).unrest
+        unrest = np.ones(count) if pair is None else lamp_ratio(*pair, noise.read_dn, noise.electrons_per_dn).unrest
         return PairQuality(np.asarray(of_frame.ratio), np.asarray(of_frame.sigma), np.asarray(unrest))

@@ -27,7 +27,7 @@ class Stripes(eqx.Module):
     chi2: Float[Array, "profiles lines"]
     """Chi-squared of the fit per degree of freedom [1]."""
     skew: Float[Array, "profiles lines"]
-    """Skewness of the stripe's profile, as its misfit speaks of it [1]."""
+    """Skewness of the stripe's profile, from the residuals of its fit [1]."""
     saturated: UInt8[Array, "profiles lines"]
     """Number of saturated pixels in the fitted window."""
     valid: Bool[Array, "profiles lines"]
@@ -71,6 +71,9 @@ Choice = Literal["path", "brightest", "nearest", "farthest", "all"]
 class StripeSettings:
     """How stripes are found and which are believed; static, so a change recompiles."""
 
+    estimator: str = "gaussian"
+    """How a centre is found on a line: "gaussian" fits a Gaussian to every maximum; "centre_of_gravity"
+    takes the plain mean of the light around the highest."""
     choice: Choice = "path"
     """Which candidate of a line is the stripe: that on the best path over the lines, the
     brightest, the nearest or farthest one (which needs a calibration), or all of them, as
@@ -104,3 +107,8 @@ class StripeSettings:
     """Steps of the fit: what is then left is a fiftieth of the noise."""
     clipped_iterations: int = 8
     """Steps of the fit where pixels are saturated, of which the start is worse."""
+
+    @property
+    def least_snr(self) -> float:
+        """Signal-to-noise ratio from which a candidate is measured and judged [1]."""
+        return self.continued_snr if self.choice == "path" else self.min_snr

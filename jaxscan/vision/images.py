@@ -58,7 +58,7 @@ def decode_image(data: bytes, *, name: str, rank: int, size: tuple[int, int] | N
 
     Args:
         data: The whole file.
-        name: What messages call it.
+        name: The file's name in messages.
         rank: 2 for grey or raw Bayer, 3 for colour.
         size: Width and height that it must have [px], or None for any.
 

@@ -20,7 +20,7 @@ class Rig:
     focal: tuple[float, float] = (1201.0, 1202.0)
     centre: tuple[float, float] = (644.0, 507.0)
     lens: tuple[float, ...] = (-0.10, 0.06, 4e-4, -3e-4, 0.0)
-    """Of a pinhole k1 k2 p1 p2 k3; four numbers make a fisheye's k1 k2 k3 k4."""
+    """Of a pinhole k1 k2 p1 p2 k3; four numbers make a fisheye's k1 k2 k3 k4, two a double sphere's xi, alpha."""
     size: tuple[int, int] = (1280, 1024)
     normals: tuple[tuple[float, float, float], ...] = ((0.990, -0.010, 0.140),)
     distances: tuple[float, ...] = (0.200,)
@@ -32,6 +32,9 @@ class Rig:
     carries: str = "scanner"
     up: str = "-v"
     board: Chessboard = field(default_factory=lambda: Chessboard(9, 7, 0.035))
+
+    def wide(self):
+        return len(self.lens) != 5
 
     def normal(self, laser=0):
         n = np.array(self.normals[laser])
@@ -56,8 +59,8 @@ def rodrigues(vector):
 
 
 def project(rig, points):
-    if len(rig.lens) == 4:
-        return project_fisheye(rig, points)
+    if rig.wide():
+        return (project_fisheye if len(rig.lens) == 4 else project_double_sphere)(rig, points)
     x = points[..., :2] / points[..., 2:]
     k1, k2, p1, p2, k3 = rig.lens
     r2 = (x**2).sum(-1)
@@ -74,6 +77,16 @@ def project_fisheye(rig, points):
     k1, k2, k3, k4 = rig.lens
     theta_d = theta + k1 * theta**3 + k2 * theta**5 + k3 * theta**7 + k4 * theta**9
     return rig.centre + np.array(rig.focal) * (theta_d / np.maximum(radius, 1e-300))[..., None] * points[..., :2]
+
+
+def project_double_sphere(rig, points):
+    """By the angle from the centre of the second sphere, whose centre lies xi in front of the first's."""
+    xi, alpha = rig.lens
+    radius = np.hypot(points[..., 0], points[..., 1])
+    theta = np.arctan2(radius, points[..., 2])
+    second = np.arctan2(np.sin(theta), xi + np.cos(theta))
+    r = np.sin(second) / (alpha + (1 - alpha) * np.cos(second))
+    return rig.centre + np.array(rig.focal) * (r / np.maximum(radius, 1e-300))[..., None] * points[..., :2]
 
 
 def seen_from(rig, rotation, translation, phi):
@@ -118,8 +131,8 @@ def stripe_on_board(rig, rotation, translation, laser, count):
 
 
 def in_reach(rig, points):
-    """Whether points lie within 100 degrees of the axis: a fisheye's polynomial may end soon after."""
-    return len(rig.lens) != 4 or (points[:, 2] > np.cos(np.radians(100)) * np.linalg.norm(points, axis=1)).all()
+    """Whether points lie within 100 degrees of the axis: a wide lens may end soon after."""
+    return not rig.wide() or (points[:, 2] > np.cos(np.radians(100)) * np.linalg.norm(points, axis=1)).all()
 
 
 def hold_ahead(rig, random, middle, tilt_deg):
@@ -159,7 +172,7 @@ def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, s
     while number < free + placements:
         turning = number >= free
         stops = np.radians(np.linspace(-span_deg / 2, span_deg / 2, angles)) if turning else np.zeros(1)
-        hold = hold_around if len(rig.lens) == 4 else hold_ahead
+        hold = hold_around if rig.wide() else hold_ahead
         rotation, translation = hold(rig, random, middle, tilt_deg)
         poses = [seen_from(rig, rotation, translation, phi) for phi in stops]
         q = [project(rig, corners @ r.T + t) for r, t in poses]
@@ -172,7 +185,7 @@ def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, s
     for index, (_, _, _, r, t) in enumerate(views):
         for laser in range(len(rig.normals)) if stripes else ():
             p = stripe_on_board(rig, r, t, laser, points)
-            p = p[p[:, 2] > 0.2] if len(rig.lens) != 4 else p
+            p = p[p[:, 2] > 0.2] if not rig.wide() else p
             s = project(rig, p) if len(p) else np.zeros((0, 2))
             s = s[((s > 0) & (s < np.array(rig.size) - 1)).all(-1)] if len(s) else s
             if len(s):

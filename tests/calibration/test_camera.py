@@ -8,10 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxscan.calibration import CalibrationSettings, Priors, calibrate_camera
+from jaxscan.calibration import CalibrationSettings, calibrate_camera
+from jaxscan.calibration.parameters import PRIORS
 from jaxscan.geometry import Chessboard, fit_axis, fit_plane, plane_sigma
 from jaxscan.observation import BoardViews, Observations, StripeViews
-from jaxscan.vision.boards import find_corners
+from jaxscan.vision import find_corners
 
 
 DATA = Path(__file__).parents[1] / "data"
@@ -59,7 +60,7 @@ def test_same_minimum_as_opencv(world):
     observed = world.with_noise(world.observe(rig, free=12, placements=0), 0)
     single = observed.corners.q.astype(np.float32).astype(np.float64)
     observed = replace(observed, corners=replace(observed.corners, q=single))
-    off = Priors(**dict.fromkeys(vars(Priors()), np.inf))
+    off = dict.fromkeys(PRIORS, np.inf)
     settings = CalibrationSettings(free=FLAT, priors=off, reject_any=np.inf, judge=False)
     calibration = calibrate_camera(observed, settings=settings)
     points = observed.board.corners().astype(np.float32)
@@ -86,7 +87,7 @@ def test_same_minimum_as_opencv(world):
 def test_covariance_of_the_camera_is_opencvs(world):
     rig = world.Rig()
     observed = world.with_noise(world.observe(rig, free=12, placements=0), 1)
-    off = Priors(**dict.fromkeys(vars(Priors()), np.inf))
+    off = dict.fromkeys(PRIORS, np.inf)
     calibration = calibrate_camera(
         observed, settings=CalibrationSettings(free=FLAT, priors=off, reject_any=np.inf, judge=False)
     )

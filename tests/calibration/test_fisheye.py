@@ -7,7 +7,8 @@ import jax
 import numpy as np
 import pytest
 
-from jaxscan.calibration import CalibrationSettings, Priors, calibrate_camera, calibrate_observations
+from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
+from jaxscan.calibration.parameters import PRIORS
 from jaxscan.geometry import Fisheye
 
 
@@ -78,7 +79,7 @@ def test_same_minimum_as_opencv(world):
     names = ("q", "sigma", "valid", "angle", "placement", "record")
     corners = replace(observed.corners, **{name: getattr(observed.corners, name)[chosen] for name in names})
     none = jax.tree.map(lambda leaf: leaf[:0], observed.stripes)
-    off = Priors(**dict.fromkeys(vars(Priors()), np.inf))
+    off = dict.fromkeys(PRIORS, np.inf)
     settings = CalibrationSettings(camera="fisheye", free=FLAT, priors=off, reject_any=np.inf)
     calibration = calibrate_camera(replace(observed, corners=corners, stripes=none), settings=settings)
     board = observed.board.corners()[None]

@@ -7,19 +7,18 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings
-from jaxscan.calibration.parameters import parameter_scales
-from jaxscan.calibration.settings import BLOCKS
-from jaxscan.calibration.solve.assemble import prior_weights, shared_names
+from jaxscan.calibration.parameters import BLOCKS, BOARD_BLOCKS
+from jaxscan.calibration.solve.assemble import parameter_scales, prior_weights
 from jaxscan.calibration.solve.covariance import linearise
 from jaxscan.calibration.solve.levenberg_marquardt import form_blocks, jacobian_columns, schur_step
 from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.calibration.solve.problem import Problem, Step, camera_from_board, move, zero_step
 from jaxscan.calibration.solve.residuals import residuals
 from jaxscan.calibration.solve.rows import stripe_rows
-from jaxscan.geometry import LaserSheet, Pinhole, Turntable, exponential, stack_lasers
+from jaxscan.geometry import LaserSheet, Pinhole, Turntable, exponential, make_layout, stack_lasers
 
 
-NAMES = shared_names(Pinhole(1.0, 1.0, 0.0, 0.0, np.zeros(8), 1, 1), ("0",), turns=True)
+LAYOUT = make_layout(Pinhole(1.0, 1.0, 0.0, 0.0, np.zeros(8), 1, 1), ("0",), board=BOARD_BLOCKS)
 
 
 @pytest.fixture(scope="module")
@@ -36,20 +35,19 @@ def problem(world):
     sheet = eqx.tree_at(lambda s: s.bow, sheet, np.array([2e-3, -1e-3]))
     table = Turntable.from_axis(rig.direction(), rig.foot() + 0.01, gain=1.001)
     table = eqx.tree_at(lambda t: t.harmonics, table, np.array([1e-3, 2e-3, -1e-3, 5e-4]))
-    names = shared_names(camera, ("0",), turns=True)
     pose = jax.jit(exponential)
     poses = np.array([np.asarray(pose(np.array([-0.1, -0.1, 0.9 + 0.1 * i, 0.3, -0.2 * i, 0.1]))) for i in range(4)])
     half = np.ptp(rig.board.corners()[:, :2], axis=0) / 2
-    settings = CalibrationSettings(free=tuple(BLOCKS))
+    settings = CalibrationSettings(free=BLOCKS)
     return Problem(
         camera=camera,
         lasers=stack_lasers([sheet]),
         turntable=table,
         poses=poses,
         shape=np.array([1e-3, -5e-4, 2e-4]),
-        scales=parameter_scales(names, settings.free),
-        expected=np.linspace(0, 1, len(names)),
-        prior_weight=prior_weights(names, settings),
+        scales=parameter_scales(LAYOUT, settings.free),
+        expected=np.linspace(0, 1, len(LAYOUT.names)),
+        prior_weight=prior_weights(LAYOUT, settings),
         board=data.board[pick],
         frame=np.concatenate([half, half]),
         corner_q=data.corner_q[:5, pick],
@@ -126,7 +124,7 @@ def test_information_and_leverages_are_those_of_the_dense_jacobian(problem, dens
     # The condition of this small problem, far from its minimum, costs about eight digits.
     np.testing.assert_allclose(np.concatenate([corner.ravel(), stripe.ravel()]), leverage[:count], atol=1e-6)
     covariance = inverse / np.outer(size, size)
-    shared = covariance[: len(NAMES), : len(NAMES)]
+    shared = covariance[: len(LAYOUT.names), : len(LAYOUT.names)]
     sigma = np.sqrt(np.diag(shared))
     np.testing.assert_allclose(
         np.linalg.inv(ours.reduced) / np.outer(sigma, sigma), shared / np.outer(sigma, sigma), atol=1e-6
@@ -162,16 +160,16 @@ def test_stripe_rows_are_the_distance_of_the_lifted_point_from_the_sheet(problem
 
 
 def test_held_parameters_do_not_move(problem):
-    held = eqx.tree_at(lambda p: p.scales, problem, parameter_scales(NAMES, ("focal", "laser")))
+    held = eqx.tree_at(lambda p: p.scales, problem, parameter_scales(LAYOUT, ("focal", "laser")))
     blocks = linearised(jax.tree.map(jnp.asarray, held))
     shared, _ = schur_step(blocks, jnp.asarray(1e-3))
-    moved = {name for name, value in zip(NAMES, np.asarray(shared), strict=True) if value != 0}
+    moved = {name for name, value in zip(LAYOUT.names, np.asarray(shared), strict=True) if value != 0}
     assert moved == {"fx", "fy", "laser.0.n1", "laser.0.n2", "laser.0.d"}
 
 
 def test_a_step_moves_the_camera_as_it_says(problem):
-    step = np.zeros(len(NAMES))
-    step[NAMES.index("cx")] = 1.0
+    step = np.zeros(len(LAYOUT.names))
+    step[LAYOUT.names.index("cx")] = 1.0
     moved = jax.jit(move)(Step(jnp.asarray(step), jnp.zeros((4, 6))), problem)
-    assert float(moved.camera.cx) == pytest.approx(640.0 + problem.scales[NAMES.index("cx")])
+    assert float(moved.camera.cx) == pytest.approx(640.0 + problem.scales[LAYOUT.names.index("cx")])
     np.testing.assert_allclose(moved.poses, problem.poses, atol=1e-15)

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from scanrig.errors import CameraLost, PortError
+from scanrig.errors import CameraLost, Fault, PortError
 
 from jaxscan import api
 from jaxscan.files.capture import open_capture
@@ -174,7 +174,7 @@ def test_two_ctrl_c_end_at_once(run, paper, config, tmp_path):
 def test_the_emergency_stop_is_an_error(run, paper, config, tmp_path):
     def press(controller):
         controller.estop = True
-        controller.fall_into(1)
+        controller.fall_into(Fault.EMERGENCY_STOP)
 
     paper.desk.controller.before_shot[3] = press
     ran = run("scan", config, "-o", tmp_path / "room")
@@ -185,7 +185,7 @@ def test_the_emergency_stop_is_an_error(run, paper, config, tmp_path):
 def test_what_goes_on_is_said_with_what_was_asked_for(run, paper, config, tmp_path):
     def press(controller):
         controller.estop = True
-        controller.fall_into(1)
+        controller.fall_into(Fault.EMERGENCY_STOP)
 
     paper.desk.controller.before_shot[3] = press
     words = ("scan", config, "-o", tmp_path / "a room", "--port", "/dev/ttyACM1")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxscan.reconstruction.cloud import PointCloud
+from jaxscan.reconstruction import PointCloud
 
 
 PROFILES, LINES = 6, 5

@@ -19,7 +19,7 @@ from jaxscan.calibration import (
 )
 from jaxscan.calibration.verdict import DepthSigma, Direction, LaserLengths, Lengths, LengthSigma, PriorShare
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.calibration import (
+from jaxscan.files.calibration import (
     calibration_digest,
     calibration_notes,
     load_calibration,
@@ -30,6 +30,7 @@ from jaxscan.files.calibration.quality import quality_table, read_quality
 from jaxscan.geometry import (
     Charuco,
     Chessboard,
+    DoubleSphere,
     Fisheye,
     LaserSheet,
     Pinhole,
@@ -64,8 +65,8 @@ QUALITY = Quality(
 
 def make_scanner(*, coefficients=5, lasers=("red", "green")):
     rng = np.random.default_rng(5)
-    # Four coefficients make a fisheye.
-    camera = (Fisheye if coefficients == 4 else Pinhole)(
+    # Four coefficients make a fisheye, two a double sphere.
+    camera = {4: Fisheye, 2: DoubleSphere}.get(coefficients, Pinhole)(
         fx=np.asarray(1234.567 + 1 / 3),
         fy=np.asarray(1234.1),
         cx=np.asarray(640.2),
@@ -142,7 +143,7 @@ def same_bits(a, b):
         assert np.asarray(one).tobytes() == np.asarray(other).tobytes()
 
 
-@pytest.mark.parametrize("coefficients", [4, 5, 8])
+@pytest.mark.parametrize("coefficients", [2, 4, 5, 8])
 @pytest.mark.parametrize("lasers", [("red",), ("red", "green")])
 def test_exact_to_the_last_bit(tmp_path, coefficients, lasers):
     calibration = make_calibration(make_scanner(coefficients=coefficients, lasers=lasers))
@@ -200,7 +201,7 @@ def test_observations_come_back(tmp_path, board):
     same_bits(load_scanner(tmp_path / "c.json"), calibration.scanner)
 
 
-@pytest.mark.parametrize("coefficients", [4, 5])
+@pytest.mark.parametrize("coefficients", [2, 4, 5])
 def test_a_camera_alone(tmp_path, coefficients):
     alone = camera_alone(coefficients)
     save_calibration(alone, tmp_path / "camera.json")
@@ -278,7 +279,7 @@ NAN = float("nan")
             'format: found "jaxscan-calibration/2", expected "jaxscan-calibration/1"',
         ),
         (["camera", "model"], "fisheye", "camera.distortion.p1: unknown key; the closest known one is"),
-        (["camera", "model"], "omni", 'camera.model: found "omni", expected "pinhole", "fisheye"'),
+        (["camera", "model"], "omni", 'camera.model: found "omni", expected "pinhole", "fisheye", "double_sphere"'),
         (["camera", "model"], KeyError, "camera.model: missing"),
         (["camera", "fx"], NAN, "NaN"),
         (["camera", "fx"], -5.0, "camera.fx: found -5.0, expected greater than 0"),
@@ -289,7 +290,7 @@ NAN = float("nan")
         (["camera", "up"], "up", 'camera.up: found "up", expected "-v", "+v", "+u" or "-u"'),
         (["camera", "distortion", "k4"], 0.1, "camera.distortion: k4, k5 and k6 come together or not at all"),
         (["lasers", 1, "normal"], [1.0, 0.0, 0.1], "lasers[1]: normal: found a vector of length 1.0049"),
-        (["lasers", 0, "distance_m"], -0.2, "lasers[0].distance_m: found -0.2, expected greater than 0"),
+        (["lasers", 0, "distance_m"], -0.2, "lasers[0]: distance_m: found -0.2, expected greater than 0"),
         (["lasers", 0, "basis", 1], [1.0, 0.0, 0.0], "lasers[0]: basis: expected two unit vectors, perpendicular"),
         (["lasers", 0, "bow"], [0.0], "lasers[0].bow[1]: missing"),
         (["lasers", 1, "name"], "red", "lasers: found the names red, red"),
@@ -340,6 +341,20 @@ def test_every_wrong_number_of_a_fisheye_is_named(tmp_path, path, value, message
     with pytest.raises(CalibrationError) as caught:
         load_calibration(tmp_path / "c.json")
     assert message in str(caught.value) and "c.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_every_wrong_number_of_a_double_sphere_is_named(tmp_path):
+    save_calibration(make_calibration(make_scanner(coefficients=2)), tmp_path / "c.json")
+    text = (tmp_path / "c.json").read_text()
+    assert list(json.loads(text)["camera"]["distortion"]) == ["xi", "alpha"]
+    for old, new, message in (
+        ('"xi"', '"xy"', 'camera.distortion.xy: unknown key; the closest known one is "xi"'),
+        ('"skew": 0.0', '"skew": 0.5', "camera.skew: found 0.5, a double_sphere has no skew"),
+    ):
+        assert text.count(old) >= 1
+        (tmp_path / "c.json").write_text(text.replace(old, new, 1))
+        with pytest.raises(CalibrationError, match=message):
+            load_calibration(tmp_path / "c.json")
 
 
 def test_a_covariance_that_is_none(tmp_path):

@@ -12,7 +12,7 @@ import pytest
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import export_camera
-from jaxscan.geometry import Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.geometry import DoubleSphere, Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 
 
 BROWN = (-0.1012345678901234, 0.0612, 4e-4, -3.1e-5, 0.0123)
@@ -22,15 +22,17 @@ MODELS = {
     "rational": (*BROWN, 0.02, -1e-05, 0.003),
     "fisheye": (0.031, -0.004, 0.0012, -1e-05),
 }
+DOUBLE_SPHERE = (-0.2, 0.55)
 # Rounding of float64 at 2000 px is 2e-13; the order of summation differs.
 SAME_PX = 1e-9
 
 
 def camera(model, **changes):
-    kind = Fisheye if model == "fisheye" else Pinhole
+    kind = {"fisheye": Fisheye, "double_sphere": DoubleSphere}.get(model, Pinhole)
+    lens = {**MODELS, "double_sphere": DOUBLE_SPHERE, "plain": (*BROWN[:4], 0.0)}[model]
     given = {"fx": 1201.1 + 1 / 3, "fy": 1202.7, "cx": 644.2, "cy": 507.1, "width": 1280, "height": 1024}
     numbers = {name: value if name in ("width", "height") else np.asarray(value) for name, value in given.items()}
-    return kind(distortion=np.array(MODELS[model]), **numbers, **changes)
+    return kind(distortion=np.array(lens), **numbers, **changes)
 
 
 def calibration(model, *, name="red", **changes):
@@ -158,13 +160,63 @@ class TestMrcal:
         np.testing.assert_allclose(np.column_stack([u, v]), seen_by_us(model), rtol=0, atol=SAME_PX)
 
 
+class TestKalibr:
+    @staticmethod
+    def read(path):
+        """The few lines of YAML, read as such."""
+        head, *lines = path.read_text().splitlines()
+        assert head == "cam0:"
+        pairs = [re.fullmatch(r"  (\w+): (.*)", line).groups() for line in lines]
+        return {key: ast.literal_eval(value) if value.startswith("[") else value for key, value in pairs}
+
+    @pytest.mark.parametrize(("model", "distortion"), [("plain", "radtan"), ("fisheye", "equidistant")])
+    def test_a_pinhole_and_a_fisheye(self, tmp_path, model, distortion):
+        export_camera(calibration(model), tmp_path / "camchain.yaml", "kalibr")
+        found = self.read(tmp_path / "camchain.yaml")
+        assert (found["camera_model"], found["distortion_model"]) == ("pinhole", distortion)
+        assert found["resolution"] == [1280, 1024]
+        fu, fv, pu, pv = found["intrinsics"]
+        matrix, coefficients = np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]]), np.array(found["distortion_coeffs"])
+        assert len(coefficients) == 4
+        seen = seen_by_opencv(model, matrix, coefficients)
+        np.testing.assert_allclose(seen, seen_by_us(model), rtol=0, atol=SAME_PX)
+
+    def test_a_double_sphere(self, tmp_path):
+        export_camera(calibration("double_sphere"), tmp_path / "camchain.yaml", "kalibr")
+        found = self.read(tmp_path / "camchain.yaml")
+        assert (found["camera_model"], found["distortion_model"], found["distortion_coeffs"]) == ("ds", "none", [])
+        xi, alpha, fu, fv, pu, pv = found["intrinsics"]
+        assert (xi, alpha) == DOUBLE_SPHERE
+        p = points()
+        d1 = np.linalg.norm(p, axis=1)
+        d2 = np.sqrt(p[:, 0] ** 2 + p[:, 1] ** 2 + (xi * d1 + p[:, 2]) ** 2)
+        scale = alpha * d2 + (1 - alpha) * (xi * d1 + p[:, 2])
+        seen = np.column_stack([fu * p[:, 0] / scale + pu, fv * p[:, 1] / scale + pv])
+        np.testing.assert_allclose(seen, seen_by_us("double_sphere"), rtol=0, atol=SAME_PX)
+
+
 class TestRefused:
+    @pytest.mark.parametrize(
+        ("model", "camera_format", "said"),
+        [
+            ("double_sphere", "opencv", r"opencv has no double sphere camera.*export it for kalibr instead"),
+            ("double_sphere", "ros", "ros has no double sphere camera"),
+            ("double_sphere", "mrcal", "mrcal has no double sphere camera"),
+            ("rational", "kalibr", "kalibr has no rational pinhole camera.*export it for opencv or ros or mrcal"),
+            ("brown", "kalibr", "kalibr has no k3.*--hold k3"),
+        ],
+    )
+    def test_a_lens_that_the_format_lacks(self, tmp_path, model, camera_format, said):
+        with pytest.raises(CalibrationError, match=said):
+            export_camera(calibration(model), tmp_path / "a.yaml", camera_format)
+        assert list(tmp_path.iterdir()) == []
+
     def test_fisheye_for_mrcal(self, tmp_path):
         with pytest.raises(CalibrationError, match="mrcal has no Kannala-Brandt fisheye"):
             export_camera(calibration("fisheye"), tmp_path / "a.cameramodel")
         assert list(tmp_path.iterdir()) == []
 
-    @pytest.mark.parametrize("camera_format", ["opencv", "ros", "mrcal"])
+    @pytest.mark.parametrize("camera_format", ["opencv", "ros", "mrcal", "kalibr"])
     def test_skew(self, tmp_path, camera_format):
         with pytest.raises(CalibrationError, match=rf"skew of 0\.25 px, which {camera_format} cannot hold"):
             export_camera(calibration("brown", skew=np.asarray(0.25)), tmp_path / "a.yaml", camera_format)

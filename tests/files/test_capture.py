@@ -8,7 +8,7 @@ import pytest
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import open_capture
 from jaxscan.geometry import Charuco, Chessboard
-from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.reconstruction import SweepSource
 
 from .conftest import BOARD, LASER
 
@@ -28,7 +28,7 @@ def test_a_sweep(folder):
     assert isinstance(capture, SweepSource)
     assert len(capture) == 5 and capture.notes == ()
     assert capture.image_size == (6, 4) and capture.pixel_format == "mono8" and capture.carries == "scanner"
-    assert capture.lines[0].name == "red" and capture.board is None
+    assert capture.lasers[0].name == "red" and capture.board is None
     assert np.array_equal(capture.angles, np.radians([0.1 * i for i in range(5)]))
     assert capture.laser.dtype == np.int32 and not capture.laser.any()
     for index, (on, off) in enumerate(frames):
@@ -61,7 +61,7 @@ def test_a_single_laser_table_and_two_lasers(folder):
     folder.record(0)
     folder.header(rest='[laser]\nname = "only"\nstripe_axis = "columns"\n')
     capture = open_capture(folder.path)
-    assert [(line.name, line.stripe_axis) for line in capture.lines] == [("only", "columns")]
+    assert [(line.name, line.stripe_axis) for line in capture.lasers] == [("only", "columns")]
     folder.header(rest=LASER + '[[laser]]\nname = "green"\ncolour = "green"\n')
     # A record that does not say shows all of them.
     assert open_capture(folder.path).laser.tolist() == [0, 1]

@@ -32,7 +32,7 @@ def ready(rig: SimulatedRig, *, speed: float = 0.0, armed: bool = True, **settin
     return controller
 
 
-def make_ready(controller: Controller, *, armed: bool = True) -> int:
+def make_ready(controller: JxsController, *, armed: bool = True) -> int:
     """Driver on, armed, homed; what the counter said at home."""
     controller.enable(True)
     if armed:

@@ -27,7 +27,7 @@ WIDTH, HEIGHT = 128, 96
 SCENE = SyntheticScene(turn_px=12000.0)
 
 
-def config(steps):
+def config(steps, **tables):
     """A step of 8 microsteps and a patient controller: the rig's clock runs faster than the host's."""
     return RigConfig.model_validate(
         {
@@ -35,6 +35,7 @@ def config(steps):
             "turntable": {"gear": [9, 1], "settle_ms": 20},
             "camera": {"kind": "simulated", "width": WIDTH, "height": HEIGHT},
             "sweep": {"steps": steps, "turn_deg": steps / 10},
+            **tables,
         }
     )
 
@@ -49,7 +50,7 @@ class Wire:
     def __init__(self, path, camera):
         self._file = open(path)
         self._camera = camera
-        self._lit = False
+        self._lit = {"light": False, "light_2": False}
         self._rest = ""
         self._read(expose=False)
         self._ended = threading.Event()
@@ -69,10 +70,10 @@ class Wire:
         *lines, self._rest = (self._rest + self._file.read()).split("\n")
         for line in lines:
             edge = json.loads(line)
-            if edge.get("pin") == "light":
-                self._lit = bool(edge["v"])
+            if edge.get("pin") in self._lit:
+                self._lit[edge["pin"]] = bool(edge["v"])
             elif edge.get("pin") == "trig" and edge["v"] and expose:
-                self._camera.expose(edge["pos"], self._lit)
+                self._camera.expose(edge["pos"], self._lit["light"] + 2 * self._lit["light_2"])
 
 
 def session(order):

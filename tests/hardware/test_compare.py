@@ -6,7 +6,7 @@ from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.checks.compare import compare_pairs
 from scanrig.config import ChecksTable
 
-from jaxscan.stripes.frames.formats import LaserLine
+from jaxscan.stripes import LaserLine
 
 
 LEAST = ChecksTable().correlation

@@ -46,7 +46,7 @@ class Poses:
 
     def __init__(self, *, laser=True):
         self.now, self.line = None, column(-100.0)
-        self.guide = Guide(BOARD, SIZE, lambda off: self.now, (lambda on, off: self.line) if laser else None)
+        self.guide = Guide(BOARD, SIZE, lambda off: self.now, {"red": lambda on, off: self.line} if laser else {})
 
     def take(self, *args, line=None, placement=None, **how):
         self.now = corners(turned(*args), **how)

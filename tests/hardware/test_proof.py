@@ -8,7 +8,7 @@ import pytest
 from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.checks.proof import ProofLimits, prove_pair
 
-from jaxscan.stripes.frames.formats import LaserLine
+from jaxscan.stripes import LaserLine
 
 
 HERE = __file__.rsplit("/", 2)[0]
@@ -190,7 +190,7 @@ def test_rendered_pairs(tiny):
     from jaxscan.files.capture import open_capture
 
     capture = open_capture(tiny.sweep)
-    settings = {"pixel_format": capture.pixel_format, "response": capture.response, "line": capture.lines[0]}
+    settings = {"pixel_format": capture.pixel_format, "response": capture.response, "line": capture.lasers[0]}
     pairs = [capture.frames(index) for index in range(0, len(capture), 3)]
     assert len(pairs) == 20
     assert all(prove(on, off, **settings).ok for on, off in pairs)

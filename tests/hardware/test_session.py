@@ -134,7 +134,7 @@ def test_the_header_says_with_what_it_was_taken(tmp_path):
     assert said["features"] == desk.camera.features()
     assert (said["firmware"], said["boot"], said["microsteps_per_turn"]) == ("1.0.0", 7, 28800)
     assert said["calibration"] == "sha256:abc"
-    assert (header.plan.steps, header.turntable.carries, header.lines[0].name) == (10, "scanner", "laser")
+    assert (header.plan.steps, header.turntable.carries, header.lasers[0].name) == (10, "scanner", "laser")
 
 
 def test_each_pass_is_closed_and_begins_at_home(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
-from jaxscan.stripes.stripes import Stripes
+from jaxscan.stripes import Stripes
 
 
 WIDTH, HEIGHT = 96, 64

@@ -8,8 +8,8 @@ from jaxscan.files.capture import CaptureHeader, open_capture
 from jaxscan.files.recording import create_capture
 from jaxscan.observation.board_stripes import learn_colours
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
+from jaxscan.stripes import LaserLine
 from jaxscan.stripes.extract import extract_stripes
-from jaxscan.stripes.frames.formats import LaserLine
 
 from .rendered import expose, stripe
 
@@ -55,7 +55,7 @@ def test_a_sweep(scanner, centres, pixel_format):
     on, off = frames(stripe(*centres[0], 60.0, WIDTH), ["green"] * RECORDS, pixel_format)
     phi = np.radians(np.arange(RECORDS))
     given, learned = (
-        reconstruct(Sweep(on, off, phi, pixel_format=pixel_format, lines=(LaserLine("left", colour),)), scanner)
+        reconstruct(Sweep(on, off, phi, pixel_format=pixel_format, lasers=(LaserLine("left", colour),)), scanner)
         for colour in ("green", "auto")
     )
     for name in ("xyz", "valid", "rgb", "sigma_random"):
@@ -63,7 +63,7 @@ def test_a_sweep(scanner, centres, pixel_format):
     assert given.valid.mean() > 0.95
     # How much hangs on it is seen in two lasers of different colours too, by their intensity.
     if pixel_format == "rgb8":
-        red = reconstruct(Sweep(on, off, phi, pixel_format=pixel_format, lines=(LaserLine("left"),)), scanner)
+        red = reconstruct(Sweep(on, off, phi, pixel_format=pixel_format, lasers=(LaserLine("left"),)), scanner)
         # Red, the default, would have seen a tenth of the laser: so much hangs on it.
         assert np.median(red.sigma_random[red.valid]) > 2 * np.median(given.sigma_random[given.valid])
 
@@ -77,7 +77,7 @@ def test_each_laser_has_its_own(scanner, centres):
     )
     on, off = frames(light, np.array(["blue", "green"])[number], "rgb8")
     lines = (LaserLine("left", "auto"), LaserLine("right", "auto"))
-    sweep = Sweep(on, off, np.radians(which), pixel_format="rgb8", lines=lines, laser_index=number)
+    sweep = Sweep(on, off, np.radians(which), pixel_format="rgb8", lasers=lines, laser=number)
     cloud = reconstruct(sweep, scanner)
     error = np.abs(cloud.xyz @ NORMAL - 1.5)
     # Chance alone exceeds five standard deviations once in two million.
@@ -90,18 +90,18 @@ def test_what_cannot_be_learned_is_refused(scanner, centres):
     line = LaserLine("left", "auto")
     on, off = frames(light, ["green"] * RECORDS, "rgb8", lit=0.0)
     with pytest.raises(CaptureError, match='"left" is "auto" and cannot be learned: No channel'):
-        reconstruct(Sweep(on, off, phi, pixel_format="rgb8", lines=(line,)), scanner)
+        reconstruct(Sweep(on, off, phi, pixel_format="rgb8", lasers=(line,)), scanner)
     on, off = frames(light, ["green"] * RECORDS, "rgb8")
     with pytest.raises(CaptureError, match="without laser-off frames, give its colour"):
-        reconstruct(Sweep(on, None, phi, pixel_format="rgb8", lines=(line,)), scanner)
+        reconstruct(Sweep(on, None, phi, pixel_format="rgb8", lasers=(line,)), scanner)
     together = Sweep(
         on,
         off,
         phi,
         pixel_format="rgb8",
-        lines=(line, LaserLine("right", "auto")),
-        record_index=np.repeat(np.arange(RECORDS), 2),
-        laser_index=np.tile([0, 1], RECORDS),
+        lasers=(line, LaserLine("right", "auto")),
+        record=np.repeat(np.arange(RECORDS), 2),
+        laser=np.tile([0, 1], RECORDS),
     )
     with pytest.raises(CaptureError, match='"left" is "auto" and cannot be learned: it is never lit alone'):
         reconstruct(together, scanner, settings=ReconstructSettings(min_range_m=1.0, max_range_m=4.0))
@@ -134,6 +134,6 @@ def test_a_capture_of_a_board(centres, tmp_path):
         for k in range(RECORDS):
             writer.append(angle_deg=float(k), on=on[k], off=off[k], placement=0, lasers=["left"])
     capture = open_capture(tmp_path / "boards")
-    assert capture.lines[0].colour == "auto", "what the header says is kept"
+    assert capture.lasers[0].colour == "auto", "what the header says is kept"
     # What is lit nowhere stays open.
     assert [line.colour for line in learn_colours(capture)] == ["green", "auto", "red"]

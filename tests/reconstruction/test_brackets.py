@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.reconstruction.reconstruct import extract_sweep
-from jaxscan.stripes.stripes import NoiseModel
+from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
+from jaxscan.stripes import NoiseModel
 
 from .rendered import ELECTRONS_PER_DN, READ_DN, expose, stripe
 
@@ -43,7 +42,7 @@ def sweep(scanner):
 
 
 def alone(sweep, which):
-    return Sweep(sweep.on[:, which], sweep.off[:, which], sweep.angle)
+    return Sweep(sweep.on[:, which], sweep.off[:, which], sweep.angles)
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,9 @@ from jaxscan.api import reconstruct_capture
 from jaxscan.files.capture import Capture, CaptureHeader, cache_path, open_capture
 from jaxscan.files.recording import create_capture
 from jaxscan.geometry import LaserSheet, Scanner, stack_lasers
-from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.reconstruction.reconstruct import extract_sweep
-from jaxscan.stripes.stripes import NoiseModel, StripeSettings
-from jaxscan.vision.images import encode_png
+from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
+from jaxscan.stripes import NoiseModel, StripeSettings
+from jaxscan.vision import encode_png
 
 from .rendered import pairs, stripe
 
@@ -109,12 +108,12 @@ def test_other_settings_find_other_stripes(capture, scanner, stripes, monkeypatc
     reconstruct_capture(capture, scanner, settings=SETTINGS)
     searched = []
 
-    def search(*args, settings, noise, **others):
-        searched.append((settings, noise))
+    def search(plan, *, noise, progress):
+        searched.append((plan.settings, noise))
         return stripes
 
     # What matters is whether it searches; every search with other settings would be compiled anew.
-    monkeypatch.setattr("jaxscan.api.sweeps.extract_sweep", search)
+    monkeypatch.setattr("jaxscan.api.sweeps.stripes_of_plan", search)
     assert not reconstruct_capture(capture, scanner, **change).from_cache
     assert searched == [(change["settings"], change.get("noise"))]
     assert reconstruct_capture(capture, scanner, **change).from_cache
@@ -155,7 +154,7 @@ def test_a_calibration_that_looks_elsewhere_searches_again(capture, scanner, mon
     def search(*args, **kwargs):
         raise Searched
 
-    monkeypatch.setattr("jaxscan.api.sweeps.extract_sweep", search)
+    monkeypatch.setattr("jaxscan.api.sweeps.stripes_of_plan", search)
     assert reconstruct_capture(capture, moved(scanner, 0.205), settings=SETTINGS).from_cache
     # The limits then lie beyond the margin of 40 px.
     with pytest.raises(Searched):
@@ -192,5 +191,5 @@ def test_without_the_cache_nothing_is_kept(capture, scanner):
 
 def test_better_code_finds_stripes_anew(capture, scanner, monkeypatch):
     reconstruct_capture(capture, scanner, settings=SETTINGS)
-    monkeypatch.setattr("jaxscan.api.sweeps._code_digest", lambda: "sha256:another")
+    monkeypatch.setattr("jaxscan.api.sweeps.code_digest", lambda: "sha256:another")
     assert not reconstruct_capture(capture, scanner, settings=SETTINGS).from_cache

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.stripes.stripes import NoiseModel
+from jaxscan.stripes import NoiseModel
 
 from .rendered import ELECTRONS_PER_DN, READ_DN, expose, stripe
 

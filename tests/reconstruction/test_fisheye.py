@@ -8,7 +8,8 @@ import pytest
 from jaxscan.geometry import Fisheye, LaserSheet, Scanner, Turntable, stack_lasers
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
 from jaxscan.reconstruction.points.uncertainty import range_table
-from tests.reconstruction.exact_sigma import range_sigma
+
+from .exact_sigma import range_sigma
 
 
 WIDTH, HEIGHT, RADIUS = 96, 64, 2.0

@@ -5,7 +5,7 @@ import pytest
 
 from jaxscan.errors import CaptureError
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.stripes.frames.formats import LaserLine
+from jaxscan.stripes import LaserLine
 
 from .rendered import pairs, stripe
 
@@ -38,14 +38,14 @@ def sweep(scanner):
         light = light + stripe(u, seen, (50.0, 150.0)[laser], WIDTH)
     on, off = pairs(light)
     record, laser = np.divmod(np.arange(2 * RECORDS, dtype=np.int32), 2)
-    return Sweep(on, off, phi, lines=LINES, record_index=record, laser_index=laser)
+    return Sweep(on, off, phi, lasers=LINES, record=record, laser=laser)
 
 
 def test_each_sheet_gives_its_own_points(sweep, scanner):
     cloud = reconstruct(sweep, scanner, settings=SETTINGS)
     np.testing.assert_array_equal(cloud.record, np.repeat(np.arange(RECORDS), 2))
     np.testing.assert_array_equal(cloud.laser, np.tile([0, 1], RECORDS))
-    np.testing.assert_allclose(cloud.angle, np.repeat(sweep.angle, 2))
+    np.testing.assert_allclose(cloud.angle, np.repeat(sweep.angles, 2))
     for laser in (0, 1):
         own = cloud.laser == laser
         valid = cloud.valid[own]
@@ -69,10 +69,10 @@ def test_one_after_the_other_needs_no_limits(sweep, scanner):
     number = np.arange(RECORDS) % 2
     light = 0.0
     for laser in (0, 1):
-        u, seen = stripes_on_plane(scanner, np.asarray(sweep.angle), NORMAL, DISTANCE, laser)
+        u, seen = stripes_on_plane(scanner, np.asarray(sweep.angles), NORMAL, DISTANCE, laser)
         light = light + stripe(u, seen & (number == laser)[:, None], 80.0, WIDTH)
     on, off = pairs(light)
-    cloud = reconstruct(Sweep(on, off, sweep.angle, lines=LINES, laser_index=number), scanner)
+    cloud = reconstruct(Sweep(on, off, sweep.angles, lasers=LINES, laser=number), scanner)
     np.testing.assert_array_equal(cloud.laser, number)
     assert cloud.valid.mean() > 0.99
     error = (cloud.xyz @ NORMAL - DISTANCE)[cloud.valid]

@@ -7,8 +7,7 @@ import pytest
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.stripes.frames.formats import LaserLine
-from jaxscan.stripes.stripes import NoiseModel
+from jaxscan.stripes import LaserLine, NoiseModel
 
 
 WIDTH, HEIGHT = 96, 64
@@ -121,7 +120,7 @@ def test_what_is_no_shape_compiles_nothing(small_scanner, flat_stripes, frames, 
     on, off = lit.astype(np.uint8), frames // 32
 
     def run(colour, chunk, **settings):
-        sweep = Sweep(on, off, np.radians(np.arange(7.0)), lines=(LaserLine("left", colour),))
+        sweep = Sweep(on, off, np.radians(np.arange(7.0)), lasers=(LaserLine("left", colour),))
         settings = ReconstructSettings(chunk_records=chunk, **settings)
         reconstruct(sweep, scanner, stripes=stripes, settings=settings)
         return reconstruct(sweep, scanner, settings=settings, noise=NoiseModel())
@@ -144,7 +143,7 @@ def test_two_lasers_are_data(small_scanner, flat_stripes, frames):
     phi = np.radians(np.arange(7.0))
     settings = SETTINGS
     cloud = reconstruct(
-        Sweep(frames, frames, phi, lines=lines, laser_index=number), both, stripes=stripes, settings=settings
+        Sweep(frames, frames, phi, lasers=lines, laser=number), both, stripes=stripes, settings=settings
     )
     # By name: the sweep's "right" is the scanner's second laser.
     np.testing.assert_array_equal(cloud.laser, 1 - number)
@@ -166,7 +165,7 @@ def test_columns_turn_the_picture(small_scanner, flat_stripes):
     frames = np.arange(HEIGHT * WIDTH, dtype=np.uint64).reshape(1, HEIGHT, WIDTH).astype(np.uint8)
     line = LaserLine(stripe_axis="columns")
     across = flat_stripes((1, WIDTH), np.full(WIDTH, 30.0))
-    cloud = reconstruct(Sweep(frames, frames, np.zeros(1), lines=(line,)), scanner, stripes=across, settings=SETTINGS)
+    cloud = reconstruct(Sweep(frames, frames, np.zeros(1), lasers=(line,)), scanner, stripes=across, settings=SETTINGS)
     rows = flat_stripes((1, HEIGHT), 45.0)
     same = reconstruct(Sweep(frames, frames, np.zeros(1)), scanner, stripes=rows, settings=SETTINGS)
     # Column 45 at v = 30 and row 30 at u = 45 are one pixel.
@@ -203,10 +202,10 @@ def test_refusals(small_scanner, flat_stripes, frames):
         reconstruct(Sweep(frames, None, phi, carries="object"), scanner, stripes=stripes, settings=SETTINGS)
     two = (LaserLine("left"), LaserLine("right"))
     with pytest.raises(CalibrationError, match="2 lasers, the calibration knows 1"):
-        reconstruct(Sweep(frames, None, phi, lines=two), scanner, stripes=stripes, settings=SETTINGS)
+        reconstruct(Sweep(frames, None, phi, lasers=two), scanner, stripes=stripes, settings=SETTINGS)
     mixed = (LaserLine("left"), LaserLine("right", stripe_axis="columns"))
     with pytest.raises(CaptureError, match="one grid holds one kind"):
-        reconstruct(Sweep(frames, None, phi, lines=mixed), small_scanner(lasers=2), stripes=stripes)
+        reconstruct(Sweep(frames, None, phi, lasers=mixed), small_scanner(lasers=2), stripes=stripes)
     with pytest.raises(CaptureError, match="7 profiles of 64 lines, the sweep has 6 records"):
         reconstruct(Sweep(frames[:6], None, phi[:6]), scanner, stripes=stripes, settings=SETTINGS)
     nothing = type(stripes)(**{**vars(stripes), "valid": np.zeros((7, HEIGHT), bool)})

@@ -5,7 +5,7 @@ import pytest
 
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers
 from jaxscan.reconstruction import Sweep, reconstruct
-from jaxscan.stripes.stripes import NoiseModel, Stripes
+from jaxscan.stripes import NoiseModel, Stripes
 
 
 WIDTH, HEIGHT = 2048, 1638

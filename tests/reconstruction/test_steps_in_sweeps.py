@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.reconstruction.reconstruct import extract_sweep
-from jaxscan.stripes.frames.formats import LaserLine
-from jaxscan.stripes.stripes import NoiseModel, StripeSettings
+from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
+from jaxscan.stripes import LaserLine, NoiseModel, StripeSettings
 
 from .rendered import ELECTRONS_PER_DN, READ_DN, pairs, stripe
 
@@ -45,7 +43,7 @@ def lit(scanner, phi, laser=0):
 def sweep(scanner):
     phi = np.radians(np.arange(RECORDS))
     on, off = pairs(lit(scanner, phi))
-    return Sweep(on, off, phi, lines=(LaserLine("left"),))
+    return Sweep(on, off, phi, lasers=(LaserLine("left"),))
 
 
 def wrong(cloud):
@@ -76,7 +74,7 @@ def test_the_steps_of_each_laser_are_its_own(scanner):
     light = np.stack([lit(scanner, phi, laser) for laser in (0, 1)], 1).reshape(2 * RECORDS, HEIGHT, WIDTH)
     on, off = pairs(light[::-1])
     number = np.tile([1, 0], RECORDS)
-    both = Sweep(on, off, np.repeat(phi, 2)[::-1], lines=(LaserLine("left"), LaserLine("right")), laser_index=number)
+    both = Sweep(on, off, np.repeat(phi, 2)[::-1], lasers=(LaserLine("left"), LaserLine("right")), laser=number)
     cloud = reconstruct(both, scanner, settings=CHECKED, noise=NOISE)
     np.testing.assert_array_equal(cloud.laser, number)
     assert wrong(cloud).max() == 0.0
@@ -86,7 +84,7 @@ def test_the_steps_of_each_laser_are_its_own(scanner):
 
 def test_bayer_lines_that_hold_no_site_hold_no_stripe(scanner, sweep):
     """On a mosaic the choice, like the stripes, lives on the lines of the laser's colour."""
-    mosaic = Sweep(sweep.on, sweep.off, sweep.angle, pixel_format="bayer_rggb8", lines=sweep.lines)
+    mosaic = Sweep(sweep.on, sweep.off, sweep.angles, pixel_format="bayer_rggb8", lasers=sweep.lasers)
     checked = extract_sweep(mosaic, scanner, settings=CHECKED, noise=NOISE)
     assert not checked.valid[:, 1::2].any() and checked.valid[:HIDING, ::2].mean() > 0.95
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from jaxscan.reconstruction.points.uncertainty import range_table
-from tests.reconstruction.exact_sigma import range_sigma
+
+from .exact_sigma import range_sigma
 
 
 @jax.jit

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.stripes.fitting.albedo import albedo_shift
+from jaxscan.stripes.fitting.albedo import DarkWindow, albedo_shift
 
 
 SAMPLES, SUBSAMPLES = 24, 16
@@ -69,9 +69,8 @@ def guarded(on, off, width, dtype=np.float64, offset=0.0):
     cast = lambda a: jnp.asarray(np.ascontiguousarray(a), dtype)
     columns = np.broadcast_to(x[:, None], used.T.shape)
     variance = READ**2 + 1 / 12 + off.T / GAIN
-    found = albedo_shift(
-        cast(off.T), cast(columns), cast(u), cast(spread), jnp.asarray(used.T), cast(variance), offset=offset
-    )
+    dark = DarkWindow(cast(off.T), cast(columns), jnp.asarray(used.T), cast(variance))
+    found = albedo_shift(dark, cast(u), cast(spread), offset=offset)
     return u, sigma, found
 
 
@@ -96,9 +95,8 @@ def test_a_slope_of_reflectance_moves_the_stripe_as_the_theory_says():
     x = np.arange(SAMPLES) - SAMPLES / 2 + 0.5
     column = jnp.asarray(x[:, None])
     dark = 60.0 * jnp.exp(slope * column)
-    found = albedo_shift(
-        dark, column, jnp.array([0.3]), jnp.array([width]), jnp.ones((SAMPLES, 1), bool), 1e-6 * jnp.ones((1, 1))
-    )
+    window = DarkWindow(dark, column, jnp.ones((SAMPLES, 1), bool), 1e-6 * jnp.ones((1, 1)))
+    found = albedo_shift(window, jnp.array([0.3]), jnp.array([width]))
     # Of an exponential reflectance w^2 rho' / rho is exact; the width is that seen by a pixel.
     np.testing.assert_allclose(found.shift, (width**2 + 1 / 12) * slope, rtol=1e-5)
 
@@ -117,7 +115,8 @@ def test_the_noise_of_the_shift(sensor):
     x = np.broadcast_to((np.arange(SAMPLES) - 11.5)[:, None], off.shape)
     centre, width = jnp.full(4000, 0.2), jnp.full(4000, 2.0)
     # No gate where no variance is claimed.
-    shift = lambda v: albedo_shift(jnp.asarray(off), jnp.asarray(x), centre, width, jnp.ones(off.shape, bool), v)
+    used = jnp.ones(off.shape, bool)
+    shift = lambda v: albedo_shift(DarkWindow(jnp.asarray(off), jnp.asarray(x), used, v), centre, width)
     free, claimed = shift(jnp.full((1, 1), 1e-12)), shift(jnp.full((1, 1), READ**2 + 1 / 12 + 1.0))
     np.testing.assert_allclose(np.std(free.shift), np.mean(claimed.sigma), rtol=0.05)
 

@@ -3,10 +3,18 @@
 import numpy as np
 import pytest
 
-from jaxscan.stripes import NoiseModel, extract_stripes
-from jaxscan.stripes.search.candidates import thresholds
+from jaxscan.stripes import (
+    ExtractionSetup,
+    FrameFormat,
+    LaserLine,
+    NoiseModel,
+    StripeSettings,
+    extract_stripes,
+    whole_lines,
+)
+from jaxscan.stripes.frames.planes import Planes
 from jaxscan.stripes.search.native import NativeLocator
-from jaxscan.stripes.stripes import StripeSettings
+from jaxscan.stripes.search.search import prepare_search
 
 
 KNOWN = NoiseModel(read_dn=1.0, electrons_per_dn=40.0)
@@ -23,17 +31,10 @@ def _empty(stripes, rows):
 def test_faint_stripe_is_located(width, render):
     u = np.random.default_rng(1).uniform(60, 1220, 1024)
     scene = render(width, 5 * NOISE_DN, columns=1280, rows=1024, u=u)
-    located = NativeLocator().locate(
-        scene.on,
-        scene.off,
-        pitch=1,
-        low=np.zeros(1024, int),
-        high=np.full(1024, 1280),
-        gain=np.full(1, 128),
-        thresholds=thresholds(KNOWN, StripeSettings(), pitch=1, has_off=True),
-        levels=np.arange(256.0),
-        saturation=254,
-    )
+    setup = ExtractionSetup((1280, 1024), FrameFormat(), LaserLine(), StripeSettings())
+    search = prepare_search(setup, KNOWN, whole_lines(setup), has_off=True)
+    planes = Planes(scene.on, scene.off, np.ones(1, np.float32))
+    located = NativeLocator().locate(planes, search, pitch=1, saturation=254)
     centre = np.concatenate([(found.middle + found.start).reshape(-1) for found in located.lists])
     slots = located.slots[0]
     near = (slots >= 0) & (np.abs(centre[slots] - u[:, None]) < 3 * width + 1)

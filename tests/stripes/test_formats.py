@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.stripes import LaserLine, NoiseModel, extract_stripes
+from jaxscan.stripes import FrameFormat, LaserLine, NoiseModel, extract_stripes
 from jaxscan.stripes.frames.formats import decode_table, laser_plane, laser_sites
 
 
@@ -140,7 +140,7 @@ def test_srgb_is_decoded_before_the_fit(render, profile):
         x = np.clip(linear, 0, 255) / 255
         code = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
         frames.append(np.round(255 * code).astype(np.uint8)[None])
-    stripes = extract_stripes(*frames, response="srgb", noise=KNOWN)
+    stripes = extract_stripes(*frames, pixel_format=FrameFormat("mono8", "srgb"), noise=KNOWN)
     assert np.asarray(stripes.valid).mean() > 0.99
     error = np.asarray(stripes.u)[0] - u
     assert 0.92 < np.sqrt(np.mean((error / np.asarray(stripes.sigma)[0]) ** 2)) < 1.08

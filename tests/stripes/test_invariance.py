@@ -9,8 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxscan.stripes import LaserLine, NoiseModel, StripeSettings, extract_stripes, stripes_of_frames
-from jaxscan.stripes.search.search import learn_search, prepare_search
+from jaxscan.stripes import (
+    ExtractionSetup,
+    FrameFormat,
+    LaserLine,
+    NoiseModel,
+    StripeSettings,
+    extract_stripes,
+    prepare_engines,
+    stripes_of_frames,
+)
+from jaxscan.stripes.engine import StripeEngine
+from jaxscan.stripes.search.search import learn_search
 
 
 KNOWN = NoiseModel(read_dn=1.0, electrons_per_dn=40.0)
@@ -93,7 +103,7 @@ def test_numpy_and_jax_frames(render):
         np.testing.assert_array_equal(np.asarray(getattr(a, name)), np.asarray(getattr(b, name)))
 
 
-HOW = {"pixel_format": "mono8", "response": "linear", "line": LaserLine(), "settings": StripeSettings()}
+SETUP = ExtractionSetup((96, 64), FrameFormat(), LaserLine(), StripeSettings())
 
 
 def test_the_native_search_gives_what_the_pure_function_does_inside_a_larger_jit(render):
@@ -101,16 +111,17 @@ def test_the_native_search_gives_what_the_pure_function_does_inside_a_larger_jit
     scene = render(1.5, 80.0, rows=64)
     on, off = (np.concatenate([frame, frame[:, ::-1]]) for frame in (scene.on, scene.off))
     native = extract_stripes(on, off, noise=KNOWN)
-    search = prepare_search(KNOWN, (96, 64), has_off=True, **HOW)
+    (engine,) = prepare_engines(on, off, [SETUP], noise=KNOWN)
 
     @jax.jit
-    def compute(on, off, search):
-        stripes = stripes_of_frames(on, off, search, **HOW)
+    def compute(engine, on, off):
+        stripes = stripes_of_frames(engine, on, off)
         count = jnp.sum(stripes.valid.astype(jnp.float32))
         return stripes, jnp.sum(jnp.where(stripes.valid, stripes.u, 0.0)) / count
 
     with jax.enable_x64(False):
-        reference, mean_centre = compute(on, off, learn_search(search, compute(on, off, search)[0]))
+        learned = StripeEngine(engine.setup, learn_search(engine.search, compute(engine, on, off)[0]))
+        reference, mean_centre = compute(learned, on, off)
     for name in FIELDS:
         a, b = np.asarray(getattr(native, name)), np.asarray(getattr(reference, name))
         # The order of float32 sums may differ.

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxscan.stripes.fitting.albedo import DarkWindow
 from jaxscan.stripes.leak import NO_INFORMATION, Leak, frame_leak, leak
 
 
@@ -24,7 +25,8 @@ def measured(
     variance = 1.0 + 1 / 12 + level.T / 40.0
     columns = np.broadcast_to(x[:, None], dark.shape)
     dark, columns, u, variance = (jnp.asarray(a, dtype) for a in (dark, columns, u, variance))
-    return leak(dark, columns, u, number(width), number(amplitude), jnp.ones(dark.shape, bool), variance)
+    window = DarkWindow(dark, columns, jnp.ones(dark.shape, bool), variance)
+    return leak(window, u, number(width), number(amplitude))
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.02, 0.3])

@@ -5,15 +5,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxscan.stripes.frames.formats import FrameFormat, LaserLine
+from jaxscan.stripes.frames.planes import Planes
 from jaxscan.stripes.search.candidates import NARROW, WIDE, thresholds
 from jaxscan.stripes.search.locate import locate
 from jaxscan.stripes.search.native import NativeLocator
+from jaxscan.stripes.search.search import prepare_search, whole_lines
+from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.stripes import NoiseModel, StripeSettings
 
 
 LINES, SAMPLES = 96, 203
 SATURATION = 254
 LEVELS = np.linspace(0.0, 255.0, 256) ** 1.1
+SETUP = ExtractionSetup((SAMPLES, LINES), FrameFormat(), LaserLine(), StripeSettings())
 REFERENCE = jax.jit(locate, static_argnames=("pitch", "saturation"))
 
 
@@ -43,22 +48,21 @@ def test_same_candidates(kind, pitch, gated, sensor):
     rng = np.random.default_rng(5)
     low = rng.integers(0, SAMPLES // 2, LINES) if gated else np.zeros(LINES, np.int64)
     high = low + rng.integers(-5, SAMPLES, LINES) if gated else np.full(LINES, SAMPLES)
-    arguments = {
-        "pitch": pitch,
-        "low": low.astype(np.int32),
-        "high": np.minimum(high, SAMPLES).astype(np.int32),
-        "gain": np.array([128, 131 if gated else 128], np.int32),
-        "thresholds": thresholds(NoiseModel(), StripeSettings(), pitch=pitch, has_off=True),
-        "levels": LEVELS.astype(np.float32),
-        "saturation": SATURATION,
-    }
+    ratio = np.array([128, 131 if gated else 128], np.float32) / 128
+    search = prepare_search(SETUP, NoiseModel(), whole_lines(SETUP), has_off=True)._replace(
+        low=low.astype(np.int32),
+        high=np.minimum(high, SAMPLES).astype(np.int32),
+        thresholds=thresholds(NoiseModel(), StripeSettings(), pitch=pitch, has_off=True),
+        levels=LEVELS.astype(np.float32),
+    )
+    how = {"pitch": pitch, "saturation": SATURATION}
     with jax.enable_x64(False):
-        reference = jax.tree.map(np.asarray, REFERENCE(jnp.asarray(on), jnp.asarray(off), **arguments))
+        reference = jax.tree.map(np.asarray, REFERENCE(Planes(jnp.asarray(on), jnp.asarray(off), ratio), search, **how))
     (expected,) = reference.lists
     exists = reference.slots.reshape(-1) >= 0
     if kind in ("stripes", "bright"):
         assert 0.2 < exists.mean() < 1.0
-    native = NativeLocator().locate(on, off, **arguments)
+    native = NativeLocator().locate(Planes(on, off, ratio), search, **how)
     slots = native.slots.reshape(-1)
     np.testing.assert_array_equal(slots >= 0, exists)
     assert sum(int(found.total) for found in native.lists) == exists.sum()

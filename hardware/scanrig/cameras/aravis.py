@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from jaxscan.errors import DependencyError
-from jaxscan.stripes.frames.formats import frame_rank
+from jaxscan.stripes import frame_rank
 from scanrig.cameras.aravis_binding import STATUS, SUCCESS, AravisError, load_aravis, text
 from scanrig.cameras.aravis_setup import apply_settings, connect, read_features
 from scanrig.cameras.features import require, wanted

@@ -4,7 +4,7 @@ import ctypes
 import ipaddress
 from collections.abc import Callable
 
-from jaxscan.stripes.frames.formats import PixelFormat
+from jaxscan.stripes import PixelFormat
 from scanrig.cameras.aravis_binding import ACCESS_CHECK, RANGE_CHECK, Aravis, AravisError, text
 from scanrig.cameras.frame import Features
 from scanrig.cameras.settings import CameraSettings

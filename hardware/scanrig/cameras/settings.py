@@ -6,7 +6,7 @@ import pydantic
 
 from jaxscan.files.disk import FileModel, Integer, Number
 from jaxscan.geometry.scanner import Up
-from jaxscan.stripes.frames.formats import PixelFormat, Response
+from jaxscan.stripes import PixelFormat, Response
 
 
 CameraKind = Literal["aravis", "opencv", "folder", "simulated"]

@@ -7,7 +7,8 @@ import pydantic
 from jaxtyping import Float, UInt8
 
 from jaxscan.files.disk import FileModel, Integer, Number
-from jaxscan.stripes.frames.formats import Colour, PixelFormat, StripeAxis, frame_rank
+from jaxscan.geometry import StripeAxis
+from jaxscan.stripes import Colour, PixelFormat, frame_rank
 
 
 _CHANNEL = {"red": 0, "green": 1, "blue": 2}

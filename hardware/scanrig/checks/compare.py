@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import UInt8
 
-from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response, decode_table, laser_plane, laser_sites
+from jaxscan.stripes import LaserLine, PixelFormat, Response, decode_table, laser_plane, laser_sites
 from scanrig.checks.ridges import find_ridges
 
 

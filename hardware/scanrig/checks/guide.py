@@ -1,10 +1,10 @@
-"""What the calibration board should do next, in words, from the pictures so far and without a calibration.
+"""Where to hold the calibration board next, in words, from the pictures so far and without a calibration.
 
 It asks for the same coverage as `jaxscan calibrate` does afterwards, while the board is still at hand. The caller
 finds corners and the laser's line.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -31,19 +31,21 @@ _SIDES_OF_TILT = 4
 
 @dataclass(frozen=True)
 class Look:
-    """What was seen of one pose."""
+    """One pose of the board, as it was seen."""
 
     view: BoardView | None
     """None: the pose is refused."""
     problem: str = ""
-    """Why it is refused, and what to do."""
+    """Why it is refused, and the remedy."""
     notes: tuple[str, ...] = ()
-    """What is not as good as it could be."""
+    """Things that could be better."""
+    laser: int = 0
+    """Which laser it shows, counted from 0."""
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """What the poses so far have covered."""
+    """Coverage of the poses so far."""
 
     views: int
     corners: Int[np.ndarray, "rows columns"]
@@ -56,9 +58,13 @@ class Coverage:
     depth_m: tuple[float, float] | None
     """Nearest and farthest, by a guessed focal length."""
     stripe_depth_m: tuple[float, float] | None
-    """The same of boards with the laser's line on them."""
+    """The same of boards with the laser's line on them; of several lasers, as the next, that with the fewest."""
     crossed: int
     """Views that the laser's line crosses."""
+    lit: int
+    """Views with that laser."""
+    laser: str
+    """Its name; "" where there is one laser alone."""
     roll_deg: float
     """How far the board was turned in its plane between views."""
     placements: int
@@ -72,43 +78,48 @@ class Coverage:
 
 @dataclass
 class Guide:
-    """Looks at poses, keeps those that are taken, and says what is missing."""
+    """Looks at poses, keeps those that are taken, and says which are missing."""
 
     board: AbstractBoard
     image_size: tuple[int, int]
     """Width and height [px]."""
     detect: Detect
-    find_line: FindLine | None = None
-    """None: without laser."""
+    find_lines: Mapping[str, FindLine] = field(default_factory=dict)
+    """For each laser by its name, in their order; empty: without laser."""
     _views: list[BoardView] = field(default_factory=list)
+    _lasers: list[int] = field(default_factory=list)
+    """Which laser each view shows."""
     _placements: set[int] = field(default_factory=set)
 
-    def look(self, on: UInt8[np.ndarray, "..."] | None, off: UInt8[np.ndarray, "..."]) -> Look:
+    def look(self, on: UInt8[np.ndarray, "..."] | None, off: UInt8[np.ndarray, "..."], laser: int = 0) -> Look:
         """Look at one pose; nothing is kept.
 
         Args:
             on: Laser-on frame, where there is one.
             off: Laser-off frame.
+            laser: Which laser is on, counted from 0.
         """
         found = self.detect(off)
-        stripe = None if on is None or self.find_line is None else self.find_line(on, off)
+        finders = tuple(self.find_lines.values())
+        stripe = finders[laser](on, off) if on is not None and finders else None
         view = None if found is None else view_board(self.board, *found, stripe, self.image_size)
         if view is None:
             return Look(None, _why_not_found(off))
         notes = []
-        if self.find_line is not None and not view.crossed:
+        if finders and not view.crossed:
             notes.append("the laser's line does not cross the board; move the board into it in most of the poses")
-        return Look(view, notes=tuple(notes))
+        return Look(view, notes=tuple(notes), laser=laser)
 
     def keep(self, look: Look, placement: int | None = None) -> None:
         """Count a pose that was taken.
 
         Args:
-            look: What was seen of it.
+            look: The pose as it was seen.
             placement: Which place of the board it is, where the table turns while it stands.
         """
         if look.view is not None:
             self._views.append(look.view)
+            self._lasers.append(look.laser)
             if placement is not None:
                 self._placements.add(placement)
 
@@ -119,10 +130,15 @@ class Guide:
         return pose_of(look.view, guess_focal([*self._views, look.view], self.image_size))
 
     def coverage(self) -> Coverage:
-        """What the poses so far have covered."""
+        """Coverage of the poses so far."""
         focal = guess_focal(self._views, self.image_size)
-        posed = [(view, pose) for view in self._views if (pose := pose_of(view, focal)) is not None]
-        poses = [pose for _, pose in posed]
+        shown = list(zip(self._views, self._lasers, strict=True))
+        posed = [(view, laser, pose) for view, laser in shown if (pose := pose_of(view, focal)) is not None]
+        lasers = range(max(1, len(self.find_lines)))
+        fewest = min(lasers, key=lambda one: sum(view.crossed for view, laser in shown if laser == one))
+        theirs = [view for view, laser in shown if laser == fewest]
+        on_boards = [pose.depth_m for view, laser, pose in posed if view.crossed and laser == fewest]
+        poses = [pose for _, _, pose in posed]
         tilted = [pose for pose in poses if pose.tilt_deg >= coverage.MIN_TILT_DEG]
         return Coverage(
             views=len(self._views),
@@ -131,22 +147,24 @@ class Guide:
             tilts_deg=tuple(pose.tilt_deg for pose in poses),
             tilt_sides=len({round(pose.towards_deg / 90.0) % 4 for pose in tilted}),
             depth_m=_range([pose.depth_m for pose in poses]),
-            stripe_depth_m=_range([pose.depth_m for view, pose in posed if view.crossed]),
-            crossed=sum(view.crossed for view in self._views),
+            stripe_depth_m=_range(on_boards),
+            crossed=sum(view.crossed for view in theirs),
+            lit=len(theirs),
+            laser=list(self.find_lines)[fewest] if len(self.find_lines) > 1 else "",
             roll_deg=_turned([pose.roll_deg for pose in poses]),
             placements=len(self._placements),
         )
 
     def advice(self, kind: Literal["free", "placement"] = "free", most: int = 2) -> list[str]:
-        """What would help most, a sentence each, the most needed first; empty where nothing is missing."""
+        """Poses that would help most, a sentence each, the most needed first; empty where nothing is missing."""
         seen = self.coverage()
         if kind == "placement":
-            return _about_placing(seen, laser=self.find_line is not None)[:most]
+            return _about_placing(seen, laser=bool(self.find_lines))[:most]
         if seen.views == 0:
-            line = ", with the laser's line across it" if self.find_line is not None else ""
+            line = ", with the laser's line across it" if self.find_lines else ""
             return [f"hold the board still, wholly in the picture{line}"]
         needs = [*_about_image(seen), *_about_tilt(seen), *_about_depth(seen)]
-        if self.find_line is not None:
+        if self.find_lines:
             needs += _about_stripe(seen)
         needs.sort(key=lambda need: -need[0])
         return [sentence for _, sentence in needs[:most]]
@@ -188,8 +206,9 @@ def _about_depth(seen: Coverage) -> list[tuple[float, str]]:
 
 
 def _about_stripe(seen: Coverage) -> list[tuple[float, str]]:
-    if seen.crossed < max(min(coverage.MIN_STRIPES, seen.views), _GOOD_SHARE * seen.views):
-        return [(0.95, coverage.ASK_FOR_STRIPES.format(f"{seen.crossed} of {seen.views}"))]
+    if seen.crossed < max(min(coverage.MIN_STRIPES, seen.lit), _GOOD_SHARE * seen.lit):
+        which = f" with the laser {seen.laser}" if seen.laser else ""
+        return [(0.95, coverage.ASK_FOR_STRIPES.format(f"{seen.crossed} of {seen.lit}{which}"))]
     if seen.stripe_depth_m is not None and seen.crossed >= coverage.MIN_STRIPES:
         near, far = seen.stripe_depth_m
         if far < coverage.MIN_DEPTH_RATIO * near:

@@ -8,7 +8,7 @@ import pydantic
 from jaxtyping import Float, UInt8
 
 from jaxscan.files.disk import FileModel, Number
-from jaxscan.stripes.frames.formats import (
+from jaxscan.stripes import (
     Colour,
     LaserLine,
     PixelFormat,

@@ -11,7 +11,6 @@ from jaxscan.geometry import (
     AbstractCamera,
     Array,
     LaserSheet,
-    Pinhole,
     Turntable,
     apply_homography,
     direct_homography,
@@ -32,48 +31,39 @@ _MIN_PLANE_SPREAD = 0.02
 _MIN_TURN = 1e-3
 
 
-def seed_camera(data: Prepared, width: int, height: int, coefficients: int) -> tuple[Pinhole, np.ndarray]:
-    """Focal length and board poses from homographies, without distortion.
+def seed_narrow(data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The lens and the board poses from homographies, without distortion.
 
     Square pixels and a centred principal point are assumed, which keeps the estimate sound under
     strong distortion; the solve frees both.
 
     Returns:
-        The camera, and T_cam_board of every view [views, 4, 4] (identity where not usable).
+        theta: Angles of the corners to the optical axis [n], rad.
+        radius: Distances of the corners from the middle of the image [n], px.
+        poses: T_cam_board of every view [views, 4, 4] (identity where not usable).
 
     Raises:
         CalibrationError: If the views do not determine a camera.
 
     Source: Zhang, A flexible new technique for camera calibration (2000), section 3.1.
     """
-    views = usable_views(data)
-    centre = np.array([(width - 1) / 2, (height - 1) / 2])
-    homographies = {
-        view: fit_homography(
-            data.board[data.corner_valid[view], :2], data.corner_q[view, data.corner_valid[view]] - centre
-        )
-        for view in views
-    }
-    focal = _focal_length(list(homographies.values()))
-    poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
+    views, corners = centred_corners(data)
+    homographies = [fit_homography(*seen) for seen in corners]
+    found = _focal_length(homographies)
     # A hopeless focal length still gives normals, which then say what is wrong.
-    for view, homography in homographies.items():
-        poses[view] = pose_from_homography(homography, focal or 1.2 * max(width, height))
-    check_tilts(poses[views], determined=focal is not None)
-    camera = Pinhole(
-        fx=np.asarray(focal),
-        fy=np.asarray(focal),
-        cx=np.asarray(centre[0]),
-        cy=np.asarray(centre[1]),
-        distortion=np.zeros(coefficients),
-        width=width,
-        height=height,
-    )
-    return camera, poses
+    focal = found or 1.2 * max(data.size)
+    poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
+    for view, homography in zip(views, homographies, strict=True):
+        poses[view] = pose_from_homography(homography, focal)
+    check_tilts(poses[views], determined=found is not None)
+    radius = np.hypot(*np.concatenate([q for _, q in corners]).T)
+    return np.arctan2(radius, focal), radius, poses
 
 
-def usable_views(data: Prepared) -> np.ndarray:
-    """Numbers of the views that fix a pose.
+def centred_corners(data: Prepared) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
+    """Numbers of the views that fix a pose, and of each the corners on the board [n, 2] (m) and in the image.
+
+    Pixels [n, 2] are counted from the middle of the image.
 
     Raises:
         CalibrationError: If they are too few for any camera.
@@ -89,7 +79,9 @@ def usable_views(data: Prepared) -> np.ndarray:
             f"The board was found in {len(views)} view(s) and a camera needs at least 3: "
             "capture 10 or more, tilted by 20 to 45 degrees in different directions."
         )
-    return views
+    middle = (np.array(data.size) - 1) / 2
+    seen = data.corner_valid
+    return views, [(data.board[seen[view], :2], data.corner_q[view, seen[view]] - middle) for view in views]
 
 
 def check_tilts(poses: np.ndarray, *, determined: bool = True) -> None:

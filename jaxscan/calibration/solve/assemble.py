@@ -5,13 +5,11 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from jaxscan.calibration.parameters import BOARD_PARAMETERS, block_of, parameter_scales
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.prepare import Prepared
-from jaxscan.calibration.solve.problem import Problem
-from jaxscan.geometry import AbstractCamera, LaserSheet, Turntable, corner_frame, stack_lasers
-from jaxscan.geometry.laser import LASER_PARAMETERS
-from jaxscan.geometry.turntable import AXIS_PARAMETERS, Carries
+from jaxscan.calibration.solve.problem import Problem, problem_layout
+from jaxscan.geometry import AbstractCamera, LaserSheet, Layout, Turntable, corner_frame, stack_lasers
+from jaxscan.geometry.turntable import Carries
 
 
 def make_problem(
@@ -32,23 +30,22 @@ def make_problem(
         data: Of `prepare`.
         settings: Free blocks and priors.
     """
-    centre = (data.size[0] - 1) / 2, (data.size[1] - 1) / 2
     # The solver needs neither names nor sizes, and would compile again for each.
     camera = replace(camera, width=0, height=0)
     sheets = stack_lasers([LaserSheet.from_plane(np.array([1.0, 0.0, 0.0]), 1.0)]) if lasers is None else lasers
     if lasers is None:
         sheets = jax.tree.map(lambda leaf: leaf[:0], sheets)
-    names = shared_names(camera, tuple(str(i) for i in range(len(sheets.distance))), table is not None)
-    expected = {"cx": centre[0], "cy": centre[1], "fx": 1.0, "gain": 1.0}
+    layout = problem_layout(camera, sheets, table)
+    centre = {"cx": (data.size[0] - 1) / 2, "cy": (data.size[1] - 1) / 2}
     return Problem(
         camera=camera,
         lasers=sheets,
         turntable=None if table is None else carrying(table, "scanner"),
         poses=poses,
-        shape=np.zeros(len(BOARD_PARAMETERS)),
-        scales=parameter_scales(names, settings.free, settings.camera),
-        expected=np.array([expected.get(name, 0.0) for name in names]),
-        prior_weight=prior_weights(names, settings),
+        shape=np.zeros(3),
+        scales=parameter_scales(layout, settings.free),
+        expected=np.array([centre.get(name, block.expected) for name, block in zip(*layout[:2], strict=True)]),
+        prior_weight=prior_weights(layout, settings),
         board=data.board,
         frame=corner_frame(data.board),
         corner_q=data.corner_q,
@@ -62,32 +59,18 @@ def make_problem(
     )
 
 
-def shared_names(camera: AbstractCamera, lasers: tuple[str, ...], turns: bool) -> tuple[str, ...]:
-    """Names of the shared unknowns: the scanner's minimal coordinates, then the board's."""
-    sheets = tuple(f"laser.{name}.{part}" for name in lasers for part in LASER_PARAMETERS)
-    return camera.parameter_names() + sheets + (AXIS_PARAMETERS if turns else ()) + BOARD_PARAMETERS
+def parameter_scales(layout: Layout, free: tuple[str, ...]) -> np.ndarray:
+    """Size of one scaled unit of each shared unknown [px, 1, rad, m]; 0 where it is held.
+
+    The damping is scale-invariant; the scales make tolerances mean the same for all.
+    """
+    return np.array([block.scale * (block.name in free) for block in layout.blocks])
 
 
-def prior_weights(names: tuple[str, ...], settings: CalibrationSettings) -> np.ndarray:
-    """1 / standard deviation of every prior; 0 where there is none, and for held unknowns."""
-    priors = settings.priors
-    sigma = {
-        **dict.fromkeys(("cx", "cy"), priors.centre_px),
-        "fx": priors.aspect,
-        **dict.fromkeys(("p1", "p2"), priors.tangential),
-        **dict.fromkeys(("k3", "k4", "k5", "k6"), priors.k3),
-        "gain": priors.gain,
-        **dict.fromkeys(("c1", "s1", "c2", "s2"), priors.harmonics),
-        **dict.fromkeys(("b2", "b3"), priors.bow),
-        **dict.fromkeys(("warp.x", "warp.y"), priors.warp),
-        "pitch": priors.pitch,
-    }
-    free = [block_of(name, settings.camera) in settings.free for name in names]
+def prior_weights(layout: Layout, settings: CalibrationSettings) -> np.ndarray:
+    """1 / standard deviation of every prior; 0 where there is none, and for unknowns that are held."""
     return np.array(
-        [
-            1.0 / sigma.get(name.rsplit(".", 1)[-1] if name.startswith("laser.") else name, np.inf) * is_free
-            for name, is_free in zip(names, free, strict=True)
-        ]
+        [(block.name in settings.free) / settings.priors.get(block.prior, block.sigma) for block in layout.blocks]
     )
 
 

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from jaxscan.calibration.parameters import BOARD_PARAMETERS, move_pose
-from jaxscan.geometry import AbstractCamera, Array, BowedBoard, LaserSheet, Turntable, invert
+from jaxscan.calibration.parameters import BOARD_BLOCKS, move_pose
+from jaxscan.geometry import AbstractCamera, Array, BowedBoard, LaserSheet, Layout, Turntable, invert, make_layout
 
 
 class Problem(eqx.Module):
@@ -52,6 +52,12 @@ class Problem(eqx.Module):
         return self.placement[self.stripe_view]
 
 
+def problem_layout(camera: AbstractCamera, lasers: LaserSheet, table: Turntable | None) -> Layout:
+    """Where the shared unknowns of each part stand; `lasers` are stacked, and their names do not matter."""
+    names = tuple(map(str, range(len(lasers.distance))))
+    return make_layout(camera, names, turns=table is not None, board=BOARD_BLOCKS)
+
+
 class Step(NamedTuple):
     """A step from the point that `Problem` holds, in scaled units."""
 
@@ -67,14 +73,13 @@ def zero_step(problem: Problem) -> Step:
 def move(step: Step, problem: Problem) -> Problem:
     """The same problem seen from the point that `step` leads to."""
     shared = step.shared * problem.scales
-    camera_count, lasers = len(problem.camera.parameter_names()), problem.lasers.distance.shape[0]
-    axis = camera_count + 5 * lasers
+    layout = problem_layout(problem.camera, problem.lasers, problem.turntable)
     moved = (
-        problem.camera.retract(shared[:camera_count]),
-        jax.vmap(LaserSheet.retract)(problem.lasers, shared[camera_count:axis].reshape(lasers, 5)),
-        None if problem.turntable is None else problem.turntable.retract(shared[axis : axis + 9]),
+        problem.camera.retract(shared[layout.camera]),
+        jax.vmap(LaserSheet.retract)(problem.lasers, shared[layout.lasers].reshape(-1, 5)),
+        None if problem.turntable is None else problem.turntable.retract(shared[layout.turntable]),
         jax.vmap(move_pose)(problem.poses, step.local),
-        problem.shape + shared[-len(BOARD_PARAMETERS) :],
+        problem.shape + shared[layout.board],
     )
     return eqx.tree_at(
         lambda p: (p.camera, p.lasers, p.turntable, p.poses, p.shape), problem, moved, is_leaf=lambda x: x is None
@@ -99,12 +104,11 @@ def board_points(problem: Problem) -> Float[Array, "corners 3"]:
 def shared_values(problem: Problem) -> Float[Array, " shared"]:
     """The values that priors speak of, one per shared unknown.
 
-    The values of the minimal coordinates; for fx the aspect fx / fy, for the gain its size, and 0
+    Those of the minimal coordinates; for fx the aspect fx / fy, for the gain its size, and 0
     for directions, points and distances, of which nothing is known beforehand.
     """
-    camera = jnp.asarray(problem.camera.parameters())
     bow = jnp.asarray(problem.lasers.bow)
-    parts = [camera.at[0].divide(camera[1]), jnp.pad(bow, ((0, 0), (3, 0))).ravel()]
+    parts = [problem.camera.prior_values(), jnp.pad(bow, ((0, 0), (3, 0))).ravel()]
     if problem.turntable is not None:
         angle = jnp.append(jnp.abs(problem.turntable.gain), problem.turntable.harmonics)
         parts.append(jnp.pad(angle, (4, 0)))

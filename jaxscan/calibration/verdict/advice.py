@@ -5,16 +5,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxscan.calibration.solve.adjust import Adjustment
-from jaxscan.geometry import coverage
+from jaxscan.geometry import CAMERAS, coverage
 
 
 _MIN_TURN_DEG = 15.0
+
+_LENS = tuple({name for camera in CAMERAS.values() for block in camera.lens for name in block.parameters})
 
 # Captures that make a weak direction known, by the names of its largest component.
 _CURES = {
     ("fx", "fy"): "boards tilted by 20 to 45 degrees at several distances (focal length)",
     ("cx", "cy"): "the board turned in its plane by 90 degrees, and tilted both ways (principal point)",
-    ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"): "boards right into the corners of the image (lens)",
+    _LENS: "boards right into the corners of the image (lens)",
     ("n1", "n2", "d"): "the stripe on boards at clearly different distances (laser sheet)",
     ("b2", "b3"): "the stripe on boards at both ends of the lit field (bow of the sheet)",
     ("axis.d1", "axis.d2", "axis.p1", "axis.p2"): "placements at more and wider table angles (axis)",

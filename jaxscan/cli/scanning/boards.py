@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -14,6 +15,7 @@ from jaxscan.cli.scanning.operator import CommandOperator, Lines, TerminalOperat
 from jaxscan.cli.scanning.plan import sweep_header
 from jaxscan.errors import OptionError
 from jaxscan.files.capture import board_of
+from jaxscan.stripes import FrameFormat, LaserLine
 
 
 if TYPE_CHECKING:
@@ -35,6 +37,7 @@ def scan_boards(
     from scanrig.session import Hooks, run_calibration
 
     guide, lines = make_guide(rig), None
+    named = [f"{one.name} " for one in rig.laser] if len(rig.laser) > 1 else [""]
     operator: TerminalOperator | CommandOperator
     if place_command is None:
         lines = Lines()
@@ -45,7 +48,8 @@ def scan_boards(
     def on_pair(number: int, angle: float, on: np.ndarray, off: np.ndarray) -> None:
         request = operator.placing
         turning = request is not None and request.kind == "placement"
-        seen = guide.look(on, off)
+        laser = rig.laser_of(number)
+        seen = guide.look(on, off, laser)
         guide.keep(seen, request.number if turning and request is not None else None)
         at = f"at {math.degrees(angle):.1f}°: " if turning else ""
         if seen.view is None:
@@ -53,7 +57,7 @@ def scan_boards(
             return
         pose = guide.pose(seen)
         stands = "" if pose is None else f", tilted {pose.tilt_deg:.0f}°, about {pose.depth_m:.2f} m away"
-        out.print(f"  {at}board found, {len(seen.view.q)} corners{stands}; laser {seen.view.where}")
+        out.print(f"  {at}board found, {len(seen.view.q)} corners{stands}; laser {named[laser]}{seen.view.where}")
         if not turning:
             out.print(coverage_text(guide.coverage()))
 
@@ -74,24 +78,25 @@ def make_guide(rig: "RigConfig") -> "Guide":
     """The guide, with OpenCV for corners and the stripe extraction for the laser's line."""
     from scanrig.checks.guide import Guide
 
-    from jaxscan.vision.boards import find_corners
-    from jaxscan.vision.grey import to_grey
+    from jaxscan.vision import find_corners, to_grey
 
-    camera, line = rig.camera, rig.laser[0].line
+    camera = rig.camera
     header = sweep_header(rig).model_copy(update={"kind": "calibration", "board": rig.board})
     board = board_of(header)
     if board is None:
         raise OptionError("The configuration has no [board] table.")
 
+    frames = FrameFormat(camera.pixel_format, camera.response)
+
     def detect(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         found = find_corners(to_grey(frame, camera.pixel_format), board)
         return None if found is None else (found.q, found.valid)
 
-    def find_line(on: np.ndarray, off: np.ndarray) -> np.ndarray:
-        how: dict[str, Any] = {"pixel_format": camera.pixel_format, "response": camera.response, "line": line}
-        stripes = api.extract_stripes(on[None], off[None], **how)
+    def find_line(line: LaserLine, on: np.ndarray, off: np.ndarray) -> np.ndarray:
+        stripes = api.extract_stripes(on, off, pixel_format=frames, line=line)
         valid = np.asarray(stripes.valid)[0]
         points = np.column_stack([np.asarray(stripes.u)[0][valid], np.flatnonzero(valid)]).astype(float)
         return points if line.stripe_axis == "rows" else points[:, ::-1]
 
-    return Guide(board, (camera.width, camera.height), detect, find_line)
+    finders = {laser.name: partial(find_line, laser.line) for laser in rig.laser}
+    return Guide(board, (camera.width, camera.height), detect, finders)

@@ -9,12 +9,18 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan import api
+from jaxscan.cli.scanning.turns import LasersInTurn
 from jaxscan.errors import CaptureError, JaxscanError
 from jaxscan.files.capture import Capture, CaptureHeader, open_capture
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction.incoming import IncomingStripes, Pair, PlannedSweep
-from jaxscan.reconstruction.reconstruct import Progress
-from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
+from jaxscan.reconstruction import (
+    DEFAULTS,
+    IncomingStripes,
+    PlannedSweep,
+    Progress,
+    ReconstructSettings,
+    RecordedPair,
+)
 
 
 _PATIENCE_S = 5.0
@@ -73,20 +79,21 @@ class LiveCloud:
 
         Raises:
             CalibrationError: If the scanner is not that of the sweep.
-            CaptureError: If records may show several lasers, of which only the finished capture tells.
         """
-        if len(header.lines) != 1:
-            raise CaptureError(f"{folder}: found {len(header.lines)} lasers, expected one for a cloud while scanning.")
         camera = header.camera
         carries = None if header.turntable is None else header.turntable.carries
         size = (camera.width, camera.height)
-        sweep = PlannedSweep(camera.pixel_format, camera.response, header.lines, size, carries, steps)
-        self._stripes = IncomingStripes(sweep, scanner, settings)
+        sweep = PlannedSweep(camera.pixel_format, camera.response, header.lasers, size, carries, steps)
+        self._stripes: IncomingStripes | LasersInTurn
+        if len(header.lasers) == 1:
+            self._stripes = IncomingStripes(sweep, scanner, settings)
+        else:
+            self._stripes = LasersInTurn(sweep, scanner, settings)
         self._folder, self._scanner, self._settings, self._steps = folder, scanner, settings, steps
-        self._first: dict[int, Pair] = {}
+        self._first: dict[int, RecordedPair] = {}
         self._given: set[int] = set()
         self._learned_again = False
-        self._queue: queue.Queue[Pair] = queue.Queue(self._stripes.size)
+        self._queue: queue.Queue[RecordedPair] = queue.Queue(self._stripes.size)
         self._lock = threading.Lock()
         self._later: set[int] = set()
         self._unread: set[int] = set()
@@ -109,7 +116,7 @@ class LiveCloud:
         if self._problem is not None or not 0 <= number < self._steps:
             return
         # The camera may use its memory again.
-        pair = Pair(number, angle, np.array(on), np.array(off))
+        pair = RecordedPair(number, angle, np.array(on), np.array(off))
         with self._lock:
             self._notice(number)
             self._later.discard(number)
@@ -163,12 +170,12 @@ class LiveCloud:
             raise CaptureError(f"{self._folder}: the live cloud does not end; reconstruct the capture.")
         capture = open_capture(self._folder)
         numbers = [record.i for record in capture.records]
-        why = self._why_not(capture, numbers)
-        if why is not None:
+        found = self._usable(capture, numbers)
+        if isinstance(found, str):
             done = api.reconstruct_capture(capture, self._scanner, settings=self._settings, progress=progress)
-            return LiveResult(done.cloud, False, (why, *done.notes))
+            return LiveResult(done.cloud, False, (found, *done.notes))
         self._catch_up(capture, progress)
-        stripes = self._stripes.finish(numbers)
+        stripes = found.finish(numbers)
         cloud = api.reconstruct(capture, self._scanner, stripes=stripes, settings=self._settings)
         return LiveResult(cloud, True, ())
 
@@ -189,15 +196,17 @@ class LiveCloud:
             self._learned_again |= number in self._given
             self._given.add(number)
 
-    def _why_not(self, capture: Capture, numbers: list[int]) -> str | None:
-        """Why the stripes found so far are not those of the finished capture; None if they are."""
+    def _usable(self, capture: Capture, numbers: list[int]) -> IncomingStripes | str:
+        """The stripes found so far, or why they are not those of the finished capture."""
         if isinstance(self._problem, JaxscanError):
             return f"the live cloud stopped ({' '.join(str(self._problem).split())}); reconstructed from the disk"
         if self._problem is not None:
             raise self._problem
+        if isinstance(self._stripes, LasersInTurn):
+            return "with several lasers the cloud is reconstructed from the disk"
         if self._learned_again or not self._stripes.are_of(capture, numbers):
             return "the first records are not those at the start of the scan; reconstructed from the disk"
-        return None
+        return self._stripes
 
     def _catch_up(self, capture: Capture, progress: Progress) -> None:
         """Compute what was left on the disk."""
@@ -218,7 +227,7 @@ class LiveCloud:
 
     def _collect(self) -> None:
         stripes = self._stripes
-        chunk: dict[int, Pair] = {}
+        chunk: dict[int, RecordedPair] = {}
         since = time.monotonic()
         while not self._stopped.is_set():
             pair = self._next()
@@ -242,7 +251,7 @@ class LiveCloud:
             if ending:
                 return
 
-    def _next(self) -> Pair | None:
+    def _next(self) -> RecordedPair | None:
         """A pair as it comes, or one from the disk where none comes."""
         try:
             return self._queue.get_nowait()
@@ -269,7 +278,7 @@ class LiveCloud:
                 self._later.discard(number)
             return number
 
-    def _read(self, number: int) -> Pair:
+    def _read(self, number: int) -> RecordedPair:
         with self._lock:
             changes, known = self._changes, self._capture
         if known is None or known[0] != changes:
@@ -280,7 +289,7 @@ class LiveCloud:
                 return _from_disk(capture, index)
         raise CaptureError(f"{self._folder}: record {number} is not in the journal.")
 
-    def _learn(self, pair: Pair) -> bool:
+    def _learn(self, pair: RecordedPair) -> bool:
         """Learn as soon as the first records are there; whether that was now."""
         needed = self._stripes.needed
         if self._stripes.learned or pair.number >= needed:
@@ -292,9 +301,9 @@ class LiveCloud:
         return True
 
 
-def _from_disk(capture: Capture, index: int) -> Pair:
+def _from_disk(capture: Capture, index: int) -> RecordedPair:
     on, off = capture.frames(index)
     record = capture.records[index]
     if on is None or off is None or record.angle is None:
         raise CaptureError(f"{capture.path}: record {record.i}: expected a pair at a known angle.")
-    return Pair(record.i, record.angle, on, off)
+    return RecordedPair(record.i, record.angle, on, off)

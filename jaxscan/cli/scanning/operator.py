@@ -165,5 +165,5 @@ def coverage_text(seen: "Coverage", *, laser: bool = True) -> str:
     facts = [f"{seen.tilted} of {seen.views} tilted by {MIN_TILT_DEG:.0f}° or more{sides}"]
     depth = "no distance yet" if seen.depth_m is None else f"{seen.depth_m[0]:.2f} to {seen.depth_m[1]:.2f} m away"
     facts.append(f"{depth} (about)")
-    facts.append(f"laser across {seen.crossed} of {seen.views}" if laser else "")
+    facts.append(f"laser {seen.laser} across {seen.crossed} of {seen.lit}".replace("  ", " ") if laser else "")
     return "\n".join(f"    {row}   {fact}".rstrip() for row, fact in zip(cells, facts, strict=True))

@@ -26,22 +26,23 @@ class ScanPlan:
         Raises:
             ConfigError: If the table cannot stand where it is asked to.
         """
-        from scanrig.session.plan import estimate, placement_positions, plan_sweep
+        from scanrig.session.plan import estimate, placed_targets, placement_positions, plan_sweep
 
         if not boards:
             targets, notes = plan_sweep(rig)
             needed = estimate(rig, [target.position for target in targets])
             step = abs(rig.sweep.turn_deg) / rig.sweep.steps
-            what = f"{len(targets)} steps of {step:.4g}°"
+            what = f"{rig.sweep.steps * rig.sweep.turns} steps of {step:.4g}°{_each(rig)}"
             return cls(len(targets), what, needed.seconds, needed.bytes, notes)
         positions, views = placement_positions(rig), rig.calibration
-        stands = [to for _ in range(views.placements) for to in positions]
-        needed = estimate(rig, [0] * views.free_views + stands)
+        free, stands = placed_targets(rig, positions)
+        records = [target.position for one in (*free, *stands) for target in one]
+        needed = estimate(rig, records)
         what = (
             f"{views.free_views} poses of the board, then {views.placements} places where it stands while the table "
-            f"turns to {len(positions)} angles"
+            f"turns to {len(positions)} angles{_each(rig)}"
         )
-        return cls(views.free_views + len(stands), what, needed.seconds, needed.bytes, ())
+        return cls(len(records), what, needed.seconds, needed.bytes, ())
 
     def show(self, out: Console, rig: "RigConfig", folder: Path) -> None:
         """Say what is going to happen."""
@@ -52,6 +53,11 @@ class ScanPlan:
         out.print(f"about {_duration(self._seconds)}, up to {readable(self._size)}, {turn}")
         for note in self._notes:
             out.print(f"note: {note}")
+
+
+def _each(rig: "RigConfig") -> str:
+    names = " and ".join(laser.name for laser in rig.laser)
+    return f", each with the lasers {names}" if len(rig.laser) > 1 else ""
 
 
 def _duration(seconds: float) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable
+from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable, CameraTable
 from jaxscan.files.calibration.observations import (
     is_observations,
     observations_path,
@@ -25,7 +25,7 @@ from jaxscan.files.disk import (
     readable_json,
     write_atomically,
 )
-from jaxscan.geometry import AbstractCamera, Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.geometry import Scanner, point_up, stack_lasers
 
 
 MAX_CALIBRATION_BYTES = 16 * MEGABYTE
@@ -162,24 +162,12 @@ def _parse(data: bytes, *, name: str) -> CalibrationTable:
 
 
 def _scanner(table: CalibrationTable) -> Scanner:
-    turntable = table.turntable
-    if turntable is None:
+    if table.turntable is None:
         raise CalibrationError("The calibration holds a camera alone.")
-    sheets = [
-        LaserSheet(*(np.array(value, np.float64) for value in (one.normal, one.distance_m, one.bow, one.basis)))
-        for one in table.lasers
-    ]
     return Scanner(
         camera=table.camera.camera(),
-        lasers=stack_lasers(sheets),
-        turntable=Turntable(
-            direction=np.array(turntable.direction, np.float64),
-            point=np.array(turntable.point_m, np.float64),
-            gain=np.array(turntable.gain, np.float64),
-            harmonics=np.array(turntable.harmonics, np.float64),
-            basis=np.array(turntable.basis, np.float64),
-            carries=turntable.carries,
-        ),
+        lasers=stack_lasers([one.sheet() for one in table.lasers]),
+        turntable=point_up(table.turntable.turntable(), table.camera.up),
         covariance=_covariance(table),
         laser_names=tuple(one.name for one in table.lasers),
         up=table.camera.up,
@@ -196,7 +184,7 @@ def _covariance(table: CalibrationTable) -> np.ndarray | None:
 def _tables(calibration: Calibration) -> dict[str, Any]:
     scanner, observations = calibration.scanner, calibration.observations
     up = scanner.up if scanner is not None else observations.up if observations is not None else "-v"
-    tables: dict[str, Any] = {"format": CALIBRATION_FORMAT, "camera": _camera_table(calibration.camera, up)}
+    tables: dict[str, Any] = {"format": CALIBRATION_FORMAT, "camera": CameraTable.of(calibration.camera, up)}
     if scanner is not None:
         tables["lasers"] = [_laser_table(scanner, index) for index in range(len(scanner.laser_names))]
         tables["turntable"] = {
@@ -216,24 +204,6 @@ def _tables(calibration: Calibration) -> dict[str, Any]:
             "matrix": _double(calibration.covariance),
         }
     return tables
-
-
-def _camera_table(camera: AbstractCamera, up: str) -> dict[str, Any]:
-    if isinstance(camera, Pinhole):
-        model, skew = "pinhole", _double(camera.skew)
-    elif isinstance(camera, Fisheye):
-        model, skew = "fisheye", 0.0
-    else:
-        raise TypeError(f"a {type(camera).__name__} camera has no place in {CALIBRATION_FORMAT}")
-    return {
-        "model": model,
-        "width": camera.width,
-        "height": camera.height,
-        "up": up,
-        **{name: _double(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")},
-        "skew": skew,
-        "distortion": dict(zip(camera.parameter_names()[4:], _double(camera.distortion), strict=True)),
-    }
 
 
 def _laser_table(scanner: Scanner, index: int) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""Calibrations for other programs: OpenCV, ROS, mrcal.
+"""Calibrations for other programs: OpenCV, ROS, mrcal, Kalibr.
 
-All four count pixels alike: (0, 0) is the centre of the top-left pixel. Numbers are written so
+All count pixels alike: (0, 0) is the centre of the top-left pixel. Numbers are written so
 that they are read back to the last bit.
 """
 
@@ -14,13 +14,23 @@ import numpy as np
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files.disk import check_writable, write_atomically
-from jaxscan.geometry import Fisheye, Pinhole, Scanner
+from jaxscan.geometry import Scanner
 
 
-CameraFormat = Literal["opencv", "ros", "mrcal"]
+CameraFormat = Literal["opencv", "ros", "mrcal", "kalibr"]
 
 FORMAT_OF: dict[str, CameraFormat] = {".cameramodel": "mrcal", ".yaml": "opencv", ".yml": "opencv"}
 """What a suffix means where no format is named."""
+
+
+_HELD_BY: dict[CameraFormat, tuple[str, ...]] = {
+    "opencv": ("brown", "rational", "fisheye"),
+    "ros": ("brown", "rational", "fisheye"),
+    "mrcal": ("brown", "rational"),
+    "kalibr": ("brown", "fisheye", "double_sphere"),
+}
+"""Lenses that each format can hold."""
+_LENS_NAMES = {"fisheye": "Kannala-Brandt fisheye", "double_sphere": "double sphere", "rational": "rational pinhole"}
 
 
 class _Lens(NamedTuple):
@@ -28,7 +38,8 @@ class _Lens(NamedTuple):
 
     focal: tuple[float, float]
     centre: tuple[float, float]
-    model: Literal["brown", "rational", "fisheye"]
+    model: str
+    """"brown" (5 coefficients) or "rational" (8) for a pinhole, otherwise the name of the camera model."""
     coefficients: tuple[float, ...]
     width: int
     height: int
@@ -74,18 +85,20 @@ def check_camera_path(path: str | Path, camera_format: CameraFormat | None = Non
     return chosen
 
 
-def _lens(calibration: Calibration, camera_format: str, path: Path) -> _Lens:
+def _lens(calibration: Calibration, camera_format: CameraFormat, path: Path) -> _Lens:
     camera = calibration.camera
-    if isinstance(camera, Pinhole):
-        if float(camera.skew) != 0.0:
-            raise CalibrationError(
-                f"{path}: the camera has a skew of {float(camera.skew):g} px, which {camera_format} cannot hold."
-            )
-        model: Literal["brown", "rational", "fisheye"] = "brown" if len(camera.distortion) == 5 else "rational"
-    elif isinstance(camera, Fisheye):
-        model = "fisheye"
-    else:
-        raise CalibrationError(f"{path}: {camera_format} cannot hold a camera of type {type(camera).__name__}.")
+    skew = float(getattr(camera, "skew", 0.0))
+    if skew != 0.0:
+        raise CalibrationError(f"{path}: the camera has a skew of {skew:g} px, which {camera_format} cannot hold.")
+    model = {("pinhole", 5): "brown", ("pinhole", 8): "rational"}.get(
+        (camera.model, len(camera.distortion)), camera.model
+    )
+    if model not in _HELD_BY[camera_format]:
+        able = [name for name, models in _HELD_BY.items() if model in models]
+        raise CalibrationError(
+            f"{path}: {camera_format} has no {_LENS_NAMES.get(model, model)} camera, so it cannot hold this one"
+            + (f"; export it for {' or '.join(able)} instead." if able else ".")
+        )
     return _Lens(
         focal=(float(camera.fx), float(camera.fy)),
         centre=(float(camera.cx), float(camera.cy)),
@@ -97,7 +110,7 @@ def _lens(calibration: Calibration, camera_format: str, path: Path) -> _Lens:
 
 
 def _opencv(lens: _Lens, calibration: Calibration, path: Path) -> str:
-    """What `cv2.FileStorage` reads; for a fisheye, coefficients as `cv2.fisheye` takes them."""
+    """A file for `cv2.FileStorage`; for a fisheye, coefficients as `cv2.fisheye` takes them."""
     lines = [
         "%YAML:1.0",
         "---",
@@ -167,11 +180,6 @@ def _ros_matrix(name: str, rows: int, columns: int, values: Sequence[float]) -> 
 
 def _mrcal(lens: _Lens, calibration: Calibration, path: Path) -> str:
     """A `.cameramodel`: a Python literal. The camera is its own reference frame."""
-    if lens.model == "fisheye":
-        raise CalibrationError(
-            f"{path}: mrcal has no Kannala-Brandt fisheye, so it cannot hold this camera; "
-            "export it for opencv or ros instead."
-        )
     intrinsics = [*lens.focal, *lens.centre, *lens.coefficients]
     return (
         "{\n"
@@ -183,6 +191,30 @@ def _mrcal(lens: _Lens, calibration: Calibration, path: Path) -> str:
         f"    'imagersize': [ {lens.width}, {lens.height} ]\n"
         "}\n"
     )
+
+
+def _kalibr(lens: _Lens, calibration: Calibration, path: Path) -> str:
+    """A `camchain.yaml` of one camera, as Kalibr and Basalt read it."""
+    camera_model, distortion_model = "pinhole", "none"
+    intrinsics: tuple[float, ...] = (*lens.focal, *lens.centre)
+    coefficients = lens.coefficients
+    if lens.model == "double_sphere":
+        camera_model, intrinsics, coefficients = "ds", (*coefficients, *intrinsics), ()
+    elif lens.model == "fisheye":
+        distortion_model = "equidistant"
+    elif coefficients[4] == 0.0:
+        distortion_model, coefficients = "radtan", coefficients[:4]
+    else:
+        raise CalibrationError(f"{path}: kalibr has no k3, so it cannot hold this camera; calibrate it with --hold k3.")
+    lines = [
+        "cam0:",
+        f"  camera_model: {camera_model}",
+        f"  intrinsics: [{', '.join(map(_number, intrinsics))}]",
+        f"  distortion_model: {distortion_model}",
+        f"  distortion_coeffs: [{', '.join(map(_number, coefficients))}]",
+        f"  resolution: [{lens.width}, {lens.height}]",
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def _number(value: object) -> str:
@@ -199,4 +231,5 @@ _WRITERS: dict[CameraFormat, Callable[[_Lens, Calibration, Path], str]] = {
     "opencv": _opencv,
     "ros": _ros,
     "mrcal": _mrcal,
+    "kalibr": _kalibr,
 }

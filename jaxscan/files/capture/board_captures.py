@@ -31,7 +31,7 @@ def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> Abstrac
     for capture in captures if single_lasers else ():
         for record in capture.records:
             if len(record.lasers) > 1:
-                names = ", ".join(capture.lines[laser].name for laser in record.lasers)
+                names = ", ".join(capture.lasers[laser].name for laser in record.lasers)
                 raise CaptureError(
                     f"{capture.path}: record {record.i}: several lasers are lit at once ({names}), but a calibration "
                     'needs one per record; capture a record for each, and name it there: "lasers": ["..."].'

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from jaxscan.reconstruction.sweep import FrameChunk
+from jaxscan.reconstruction import FrameChunk
 
 
 AHEAD = 2

@@ -7,16 +7,15 @@ import tomli_w
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.disk import FileModel, Integer, Number, check, parse_toml
-from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
+from jaxscan.geometry import AbstractBoard, Charuco, Chessboard, StripeAxis
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
-from jaxscan.stripes.frames.formats import (
+from jaxscan.stripes import (
     PIXEL_FORMATS,
     LaserColour,
     LaserLine,
     PixelFormat,
     Response,
-    StripeAxis,
     frame_rank,
 )
 
@@ -143,7 +142,7 @@ class CaptureHeader(FileModel):
         return self
 
     @property
-    def lines(self) -> tuple[LaserLine, ...]:
+    def lasers(self) -> tuple[LaserLine, ...]:
         """The lasers as the stripe extraction takes them."""
         return tuple(LaserLine(one.name, one.colour, one.stripe_axis) for one in self.laser)
 

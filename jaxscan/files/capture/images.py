@@ -12,7 +12,7 @@ from jaxscan.files.capture.journal import Record
 from jaxscan.files.capture.references import Folder, ImageRef
 from jaxscan.files.capture.shards import Shards
 from jaxscan.files.disk import MEGABYTE, read_bounded
-from jaxscan.stripes.frames.formats import frame_rank
+from jaxscan.stripes import frame_rank
 
 
 class ImageReader:
@@ -50,7 +50,7 @@ class ImageReader:
         if reference.index is not None:
             return self.shards.image(reference)
         # Here, so that opening a capture does not load OpenCV.
-        from jaxscan.vision.images import decode_image
+        from jaxscan.vision import decode_image
 
         camera = self._header.camera
         name = str(self._path / reference.path)

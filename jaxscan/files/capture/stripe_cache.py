@@ -1,10 +1,12 @@
 """Stripes that were extracted before: arrays in one file, under a key that says what they came from."""
 
+import functools
 import hashlib
 import json
 import os
 import zipfile
 from collections.abc import Mapping
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +49,17 @@ def frames_key(capture: Capture) -> str:
         except OSError as problem:
             raise CaptureError(f"{root}/{path}: cannot be read: {problem.strerror or problem}.") from problem
         digest.update(f"{path}\0{status.st_size}\0{status.st_mtime_ns}\n".encode())
+    return "sha256:" + digest.hexdigest()
+
+
+@functools.lru_cache(maxsize=1)
+def code_digest() -> str:
+    """Digest of the code that finds stripes, so that better code never takes the stripes of worse."""
+    root = Path(str(resources.files("jaxscan")))
+    files = sorted(file for room in ("stripes", "reconstruction") for file in (root / room).rglob("*.py"))
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
     return "sha256:" + digest.hexdigest()
 
 

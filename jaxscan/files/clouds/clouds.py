@@ -16,7 +16,7 @@ from jaxscan.files.clouds.ply_reader import read_ply
 from jaxscan.files.clouds.points import check_cloud
 from jaxscan.files.clouds.text import write_ptx, write_xyz
 from jaxscan.files.disk import check_writable, write_atomically
-from jaxscan.reconstruction.cloud import PointCloud
+from jaxscan.reconstruction import PointCloud
 
 
 Writer = Callable[[PointCloud, Path, str], None]

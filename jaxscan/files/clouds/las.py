@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxscan.errors import DependencyError
 from jaxscan.files.clouds.points import all_points
-from jaxscan.reconstruction.cloud import PointCloud
+from jaxscan.reconstruction import PointCloud
 
 
 SCALE_M = 1e-4

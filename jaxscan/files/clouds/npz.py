@@ -8,7 +8,7 @@ import numpy as np
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.ply import CLOUD_FORMAT
 from jaxscan.files.disk import read_arrays, write_arrays
-from jaxscan.reconstruction.cloud import PointCloud
+from jaxscan.reconstruction import PointCloud
 
 
 _SHAPES = {

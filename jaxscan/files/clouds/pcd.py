@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.files.clouds.points import blocks
-from jaxscan.reconstruction.cloud import PointCloud
+from jaxscan.reconstruction import PointCloud
 
 
 _FLOATS = ("x", "y", "z", "normal_x", "normal_y", "normal_z")

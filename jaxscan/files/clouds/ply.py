@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.files.clouds.points import Points, blocks
-from jaxscan.reconstruction.cloud import PointCloud
+from jaxscan.reconstruction import PointCloud
 
 
 CLOUD_FORMAT = "jaxscan-cloud/1"

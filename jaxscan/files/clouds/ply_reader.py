@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.ply import CLOUD_FORMAT, PROFILE, VERTEX
-from jaxscan.reconstruction.cloud import PointCloud
+from jaxscan.reconstruction import PointCloud
 
 
 MAX_HEADER_BYTES = 64 << 10

@@ -6,7 +6,7 @@ from typing import TextIO
 import numpy as np
 
 from jaxscan.files.clouds.points import blocks
-from jaxscan.reconstruction.cloud import PointCloud
+from jaxscan.reconstruction import PointCloud
 
 
 # A micrometre is far below any scanner's noise, and a float32 holds little more.

@@ -86,7 +86,7 @@ class PngStore:
 
     def write(self, name: str, image: np.ndarray) -> str:
         # Here, so that reading a capture's header does not load OpenCV.
-        from jaxscan.vision.images import encode_png
+        from jaxscan.vision import encode_png
 
         data = encode_png(image)
         write_atomically(self._path / name, data, durable=self._durable, error=CaptureError)

@@ -5,8 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, UInt8
 
 from jaxscan.geometry import Array, StripeAxis, stripe_pixel
-from jaxscan.stripes.frames.formats import PixelFormat, Response
-from jaxscan.stripes.stripes import FrameStripes
+from jaxscan.stripes import FrameFormat, FrameStripes, PixelFormat
 
 
 def sample_colour(frame: UInt8[Array, "..."], q: Float[Array, "2"], pixel_format: PixelFormat) -> UInt8[Array, "3"]:
@@ -60,32 +59,21 @@ def _cell(position: Array, count: int) -> tuple[Array, Array]:
 
 
 def stripe_colours(
-    stripes: FrameStripes,
-    off: UInt8[Array, "frames ..."] | None,
-    *,
-    has_off: bool,
-    pixel_format: PixelFormat,
-    response: Response,
-    stripe_axis: StripeAxis,
+    stripes: FrameStripes, off: UInt8[Array, "frames ..."] | None, *, frames: FrameFormat, stripe_axis: StripeAxis
 ) -> UInt8[Array, "profiles lines 3"]:
-    """Colour of the laser-off frames at the stripes' centres.
+    """Colour of the laser-off frames at the stripes' centres; black where there are none.
 
     Args:
         stripes: The stripes; of several profiles per frame those of a frame follow each other.
-        off: The frames; None where there are none, or `needs_frames` is false.
-        has_off: Whether there are laser-off frames; else everything is black.
-        pixel_format: How a frame is to be read.
-        response: "linear" or "srgb".
+        off: The laser-off frames, which are looked at where `needs_frames` says so.
+        frames: How a frame is to be read.
         stripe_axis: What a line is.
     """
-    profiles, lines = stripes.u.shape
-    if not has_off:
-        return jnp.zeros((profiles, lines, 3), jnp.uint8)
-    if off is not None and needs_frames(pixel_format, response):
-        colour = sample_colours(stripes.u, off, pixel_format=pixel_format, stripe_axis=stripe_axis)
+    if off is not None and needs_frames(frames):
+        colour = sample_colours(stripes.u, off, pixel_format=frames.pixel_format, stripe_axis=stripe_axis)
     else:
         grey = jnp.clip(jnp.round(stripes.grey), 0, 255).astype(jnp.uint8)
-        colour = jnp.broadcast_to(grey[:, :, None], (profiles, lines, 3))
+        colour = jnp.broadcast_to(grey[:, :, None], (*grey.shape, 3))
     return jnp.where(stripes.valid[:, :, None], colour, 0).astype(jnp.uint8)
 
 
@@ -109,6 +97,6 @@ def sample_colours(
     return colour.reshape(*u.shape, 3)
 
 
-def needs_frames(pixel_format: PixelFormat, response: Response) -> bool:
+def needs_frames(frames: FrameFormat) -> bool:
     """Whether a colour takes more than the level that the fit of a stripe knows already."""
-    return pixel_format != "mono8" or response != "linear"
+    return frames != FrameFormat()

@@ -10,23 +10,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.geometry import Scanner, StripeAxis, across_and_along, stripe_pixel
+from jaxscan.stripes import LineGate
 
 
 _PITCH_PX = 8.0
 """Largest distance between the points at which rays meet the sheet [px]."""
 _SAFETY = 8.0
 """The interpolation's error is bounded by its second differences, times this."""
-
-
-class LineGate(NamedTuple):
-    """Coordinates across each line that can hold the stripe: `low <= u < high`."""
-
-    low: Int[np.ndarray, " lines"]
-    """First coordinate [px]; 0 where nothing fits."""
-    high: Int[np.ndarray, " lines"]
-    """One past the last coordinate [px]; 0 where nothing fits."""
-    near_side: int
-    """+1 where the range falls towards higher coordinates, -1 where it grows."""
 
 
 def line_gate(
@@ -74,7 +64,8 @@ def line_gate(
     distance = float(np.asarray(sheet.distance))
     least = distance / max_range_m
     most = distance / min_range_m if min_range_m > 0 else math.inf
-    return _gate(incidence, _error(incidence), along, across, (lines, length), (least, most), margin_px)
+    places = _Cells.of(np.arange(float(lines)), along), _Cells.of(np.arange(-1.0, length + 1.0), across)
+    return _gate(incidence, places, (least, most), math.ceil(margin_px))
 
 
 def _nodes(first: float, last: float) -> Float[np.ndarray, " nodes"]:
@@ -114,30 +105,25 @@ def _error(incidence: Float[np.ndarray, "a b"]) -> Float[np.ndarray, "a b"]:
 
 def _gate(
     incidence: Float[np.ndarray, "a b"],
-    error: Float[np.ndarray, "a b"],
-    along: Float[np.ndarray, " a"],
-    across: Float[np.ndarray, " b"],
-    size: tuple[int, int],
+    places: tuple["_Cells", "_Cells"],
     limits: tuple[float, float],
-    margin_px: float,
+    grown: int,
 ) -> LineGate:
-    lines, length = size
-    least, most = limits
-    index, fraction = _place(np.arange(-1.0, length + 1.0), across)
+    error, (least, most) = _error(incidence), limits
+    (row, down), (index, fraction) = places
+    lines, length = len(row), len(index) - 2
     # Lines of the lattice at all pixels, then pairs of these for all lines in between.
     wide = _between(incidence[:, index], incidence[:, index + 1], fraction[None, :])
     loose = np.maximum(error[:, index], error[:, index + 1])
-    row, down = _place(np.arange(float(lines)), along)
     low, high = np.zeros(lines, np.int32), np.zeros(lines, np.int32)
     rise = 0.0
-    grown = math.ceil(margin_px)
     for cell in np.unique(row):
         members = np.flatnonzero(row == cell)
         m = _between(wide[cell][None, :], wide[cell + 1][None, :], down[members][:, None])
         slack = np.maximum(loose[cell], loose[cell + 1])
         slack = np.maximum(slack[:-1], slack[1:])[None, :]
         smaller, larger = np.minimum(m[:, :-1], m[:, 1:]), np.maximum(m[:, :-1], m[:, 1:])
-        # Written so that what is not a number is not excluded; a ray must meet the sheet in front.
+        # Written so that a NaN is not excluded; a ray must meet the sheet in front.
         accepted = ~(larger + slack < least) & ~(smaller - slack > most) & ~(larger + slack <= 0.0)
         some = accepted.any(1)
         # Interval k lies between coordinates k - 1 and k.
@@ -149,11 +135,17 @@ def _gate(
     return LineGate(low, high, 1 if rise >= 0 else -1)
 
 
-def _place(x: Float[np.ndarray, " n"], nodes: Float[np.ndarray, " m"]) -> tuple[np.ndarray, np.ndarray]:
+class _Cells(NamedTuple):
     """In which cell of evenly spaced nodes each coordinate lies, and how far from its start."""
-    position = (x - nodes[0]) / (nodes[1] - nodes[0]) if nodes[1] > nodes[0] else np.zeros_like(x)
-    index = np.clip(np.floor(position).astype(int), 0, len(nodes) - 2)
-    return index, position - index
+
+    index: Int[np.ndarray, " n"]
+    fraction: Float[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, x: Float[np.ndarray, " n"], nodes: Float[np.ndarray, " m"]) -> "_Cells":
+        position = (x - nodes[0]) / (nodes[1] - nodes[0]) if nodes[1] > nodes[0] else np.zeros_like(x)
+        index = np.clip(np.floor(position).astype(int), 0, len(nodes) - 2)
+        return cls(index, position - index)
 
 
 def _between(a: np.ndarray, b: np.ndarray, fraction: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from jaxscan.geometry import Array
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.points.locate import Points
 from jaxscan.reconstruction.points.normals import grid_normals
-from jaxscan.stripes.stripes import FrameStripes, Stripes
+from jaxscan.stripes import FrameStripes, Stripes
 
 
 class GrowingCloud:
@@ -104,18 +104,18 @@ class GrowingStripes:
             for name in FrameStripes._fields
             if name != "grey"
         }
-        self.rgb = np.zeros((profiles, lines, 3), np.uint8)
+        self.fields["rgb"] = np.zeros((profiles, lines, 3), np.uint8)
 
     def store(self, profiles: np.ndarray, stripes: FrameStripes, rgb: Array) -> None:
         """Copy one chunk, of which the first `len(profiles)` profiles are real."""
         rows = _rows(profiles)
+        found = {**stripes._asdict(), "rgb": rgb}
         for name, field in self.fields.items():
-            field[rows] = np.asarray(getattr(stripes, name))[: len(profiles)]
-        self.rgb[rows] = np.asarray(rgb)[: len(profiles)]
+            field[rows] = np.asarray(found[name])[: len(profiles)]
 
     def finish(self, record: np.ndarray, laser: np.ndarray) -> Stripes:
         """The stripes; record and laser of each profile."""
-        return Stripes(**self.fields, record=record, laser=laser, rgb=self.rgb)
+        return Stripes(**self.fields, record=record, laser=laser)
 
 
 def _rows(profiles: np.ndarray) -> slice | np.ndarray:

@@ -1,4 +1,4 @@
-"""What surfaces look like: procedural patterns over (u, v) in metres, and materials made of them.
+"""Looks of surfaces: procedural patterns over (u, v) in metres, and materials made of them.
 
 A pattern says, for each point, where between two colours it lies and how bright it is; so one
 evaluation serves a colour camera, a mono camera and the laser's single wavelength alike.

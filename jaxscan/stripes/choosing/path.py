@@ -1,13 +1,14 @@
 r"""Which candidate of each line is the stripe: the best path over the lines of a frame.
 
-A stripe goes on from line to line; what only looks like it does not. On every line the path takes
-one candidate or none. A candidate gains
+A stripe goes on from line to line; a reflection rarely does. On every line the path takes
+one candidate or none. A candidate adds to the score of the path
 
 $$\min(\tfrac12 \mathrm{snr}^2, E) - \tfrac12 s_0^2,$$
 
-the logarithm of the likelihood ratio against noise that a line on its own must exceed. It is cut
-off at E, or a bright reflection would buy its way; what a line's best candidate has beyond E is
-lost by taking none. From one line to the next a path gains and pays
+the logarithm of its likelihood ratio against noise, less that of the faintest stripe that is
+believed on a line of its own. It is cut off at E, so that one bright reflection does not outweigh
+many lines; a path that takes none on a line loses the part of its best candidate beyond E. From
+one line to the next a path adds and pays
 
 $$\tfrac12 (s_0^2 - s_1^2) - \min(\lambda |\Delta u|, J),$$
 
@@ -21,9 +22,10 @@ codes, IEEE Trans. Inf. Theory 13, 1967, with costs that saturate.
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Int8
 
 from jaxscan.geometry import Array
+from jaxscan.stripes.measured import LineCandidates
 
 
 _EVIDENCE = 20.0
@@ -40,39 +42,26 @@ _WIDTH_COST = 0.5
 """Cost of a change of the width, per natural logarithm, up to one."""
 _NEVER = -1e6
 _BRIGHTER = 0.02
-"""Gain per natural logarithm of the amplitude."""
+"""Score per natural logarithm of the amplitude."""
 
 
-def best_path(
-    u: Float[Array, "frames lines k"],
-    snr: Float[Array, "frames lines k"],
-    amplitude: Float[Array, "frames lines k"],
-    width: Float[Array, "frames lines k"],
-    valid: Bool[Array, "frames lines k"],
-    *,
-    alone_snr: float,
-    continued_snr: float,
-) -> Int8[Array, "frames lines"]:
+def best_path(candidates: LineCandidates, *, alone_snr: float, continued_snr: float) -> Int8[Array, "frames lines"]:
     """The candidate on the best path of every line, or -1.
 
     Args:
-        u: Centres [px].
-        snr: Signal-to-noise ratios [1].
-        amplitude: Amplitudes [DN].
-        width: Standard deviations [px].
-        valid: Which candidates may be taken.
+        candidates: The candidates of every line; those that are not valid are never taken.
         alone_snr: Signal-to-noise ratio that a line on its own must exceed [1].
         continued_snr: The same where the neighbours continue the line [1].
     """
-    count = u.shape[2]
-    frames = u.shape[0]
+    u, snr, amplitude, width, valid = candidates
+    frames, _, count = u.shape
     bonus = 0.5 * (alone_snr**2 - continued_snr**2)
     full = 0.5 * jnp.minimum(jnp.where(valid, snr, 0.0), _CERTAIN_SNR) ** 2
-    gain = jnp.minimum(full, _EVIDENCE) - 0.5 * alone_snr**2 + _BRIGHTER * jnp.log(jnp.maximum(amplitude, 1.0))
-    gain = jnp.where(valid, gain, _NEVER)
+    score = jnp.minimum(full, _EVIDENCE) - 0.5 * alone_snr**2 + _BRIGHTER * jnp.log(jnp.maximum(amplitude, 1.0))
+    score = jnp.where(valid, score, _NEVER)
     lost = jnp.maximum(jnp.max(full, axis=2) - _EVIDENCE, 0.0)
     # Lines first, for the loop; then every operation is one vector over frames.
-    place, gain, log_width = (jnp.moveaxis(values, 0, 2) for values in (u, gain, jnp.log(jnp.maximum(width, 0.1))))
+    place, score, log_width = (jnp.moveaxis(values, 0, 2) for values in (u, score, jnp.log(jnp.maximum(width, 0.1))))
 
     def best_of(scores):
         best, origin = scores[0], jnp.zeros(frames, jnp.int8)
@@ -84,7 +73,7 @@ def best_path(
     def forward(state, line):
         # State 0 is none, with the centre of the last candidate before it.
         scores, places, widths = state
-        here, gains, widths_here, lost_here = line
+        here, scores_here, widths_here, lost_here = line
         best, origin = best_of(scores)
         remembered = places[0]
         for k in range(1, count + 1):
@@ -97,14 +86,14 @@ def best_path(
                 change += _WIDTH_COST * jnp.minimum(jnp.abs(widths_here[k] - widths[j - 1]), 1.0)
                 moved.append(scores[j] + bonus - change)
             best, origin = best_of(moved)
-            new_scores.append(best + gains[k])
+            new_scores.append(best + scores_here[k])
             origins.append(origin)
         return (new_scores, [remembered, *here], list(widths_here)), jnp.stack(origins)
 
     zero = jnp.zeros(frames, u.dtype)
     # Nothing is remembered at first: a place so far away costs the same for all.
     first = ([zero] + [zero + _NEVER] * count, [zero + _NEVER] + [zero] * count, [zero] * count)
-    (scores, _, _), origins = lax.scan(forward, first, (place, gain, log_width, lost.T))
+    (scores, _, _), origins = lax.scan(forward, first, (place, score, log_width, lost.T))
     _, last = best_of(scores)
 
     def backward(taken, origin):

@@ -1,7 +1,7 @@
 """Candidates against those of the neighbouring steps: a surface moves smoothly, a reflection does not.
 
-From step to step the stripe on a surface moves along a nearly straight track. What the path along the
-lines of one profile took for the stripe, but no neighbouring profile knows, is a reflection.
+From step to step the stripe on a surface moves along a nearly straight track. A centre that the path along
+the lines of one profile chose, and that lies on no track of the neighbouring profiles, is a reflection.
 """
 
 import functools
@@ -97,26 +97,25 @@ def check_steps(
 
         def block(start, centre=centre, there=there, choice=choice, last=last):
             cut = lambda a, size, axis=0: lax.dynamic_slice_in_dim(a, start, size, axis)
-            around = cut(centre, _BLOCK + 2 * _REACH), cut(there, _BLOCK + 2 * _REACH)
-            own = cut(centres, _BLOCK, 1), cut(known, _BLOCK, 1), cut(choice, _BLOCK)
-            return _choose(*around, *own, settings, reject=last)
+            track = cut(centre, _BLOCK + 2 * _REACH), cut(there, _BLOCK + 2 * _REACH)
+            own = cut(centres, _BLOCK, 1), cut(known, _BLOCK, 1)
+            return _choose(track, own, cut(choice, _BLOCK), settings, reject=last)
 
         choice = lax.map(block, jnp.arange(blocks) * _BLOCK).reshape(blocks * _BLOCK, lines)
     return choice[:profiles]
 
 
 def _choose(
-    centre: Float[Array, "around lines"],
-    there: Bool[Array, "around lines"],
-    own: Float[Array, "K block lines"],
-    known: Bool[Array, "K block lines"],
+    track: tuple[Float[Array, "around lines"], Bool[Array, "around lines"]],
+    candidates: tuple[Float[Array, "K block lines"], Bool[Array, "K block lines"]],
     choice: Int8[Array, "block lines"],
     settings: StepSettings,
     *,
     reject: bool,
 ) -> Int8[Array, "block lines"]:
-    """The new choice of a block of profiles, of which `around` holds 3 more on either side."""
+    """The new choice of a block of profiles; the track of chosen centres has 3 more on either side."""
     block = choice.shape[0]
+    (centre, there), (own, known) = track, candidates
     at = {o: (centre[_REACH + o :][:block], there[_REACH + o :][:block]) for o in _OFFSETS}
     lines = {}
     for i, j in _PAIRS:

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.fitting.fit import Fit
+from jaxscan.stripes.fitting.gaussian_fit import Fit
 from jaxscan.stripes.stripes import StripeSettings
 
 
@@ -14,7 +14,6 @@ def accept(
     reach: Float[Array, " stripes"],
     tallest: Float[Array, " stripes"],
     parameters: int,
-    least_snr: float,
     settings: StripeSettings,
 ) -> tuple[Bool[Array, " stripes"], Float[Array, " stripes"], Float[Array, " stripes"]]:
     """Judge every fit.
@@ -29,7 +28,6 @@ def accept(
         tallest: Largest amplitude that the samples allow [DN]: one side of an edge is no top of
             a hill that lies mostly below the ground.
         parameters: Number of fitted parameters.
-        least_snr: Smallest accepted signal-to-noise ratio [1].
         settings: Limits.
 
     Returns:
@@ -45,7 +43,7 @@ def accept(
     explained = fit.chi2 <= settings.max_chi2 * freedom + settings.max_misfit**2 * fit.energy
     valid = (
         (fit.samples > parameters)
-        & (fit.energy >= least_snr**2)
+        & (fit.energy >= settings.least_snr**2)
         & (fit.variance > 0)
         & (sigma <= settings.max_sigma_px)
         & (fit.width >= settings.min_width_px)

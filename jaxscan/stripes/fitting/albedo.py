@@ -18,6 +18,19 @@ _PIXEL = 1.0 / 12.0
 """What a pixel's aperture adds to the square of a stripe's width [px^2]."""
 
 
+class DarkWindow(NamedTuple):
+    """The laser-off frame in the window of a fit."""
+
+    level: Float[Array, "samples n"]
+    """[DN]"""
+    x: Float[Array, "samples n"]
+    """Coordinates of the samples, evenly spaced and rising [px]."""
+    used: Bool[Array, "samples n"]
+    """Samples that the fit used."""
+    variance: Float[Array, "#samples #n"]
+    """Variance of `level` [DN^2]."""
+
+
 class AlbedoShift(NamedTuple):
     """By how much reflectance moved the fitted centre of each line."""
 
@@ -28,16 +41,13 @@ class AlbedoShift(NamedTuple):
 
 
 def albedo_shift(
-    dark: Float[Array, "samples n"],
-    x: Float[Array, "samples n"],
+    dark: DarkWindow,
     u: Float[Array, " n"],
     width: Float[Array, " n"],
-    used: Bool[Array, "samples n"],
-    noise_variance: Float[Array, "#samples #n"],
     *,
     offset: Float[Array, ""] | float = 0.0,
 ) -> AlbedoShift:
-    r"""Displacement of fitted centres by what the surface reflects around them.
+    r"""Displacement of fitted centres by the reflectance of the surface around them.
 
     Under even ambient light the laser-off frame shows the reflectance $\rho$. What is seen of the
     stripe is $\rho$ times the laser's light, so with the fitted Gaussian $h$ that light is $h / \rho$, and
@@ -51,12 +61,9 @@ def albedo_shift(
     below 3 standard deviations of the noise is 0, so that a clean surface keeps its sigma.
 
     Args:
-        dark: Laser-off level in the window of the fit [DN].
-        x: Coordinates of the samples, evenly spaced and rising [px].
-        u: Fitted centre, in the coordinates of `x` [px].
+        dark: The laser-off frame in the window of the fit.
+        u: Fitted centre, in the coordinates of `dark.x` [px].
         width: Fitted standard deviation of the stripe [px].
-        used: Samples that the fit used.
-        noise_variance: Variance of `dark` [DN^2].
         offset: Level of a pixel without light [DN].
 
     Returns:
@@ -64,10 +71,11 @@ def albedo_shift(
         the shift to its square.
     """
     seen = jnp.sqrt(width * width + _PIXEL)
+    x, used = dark.x, dark.used
     z = (x - u[None, :]) * (1.0 / seen)[None, :]
     light = jnp.where(used, jnp.exp(-0.5 * z * z), 0.0)
-    variance = jnp.broadcast_to(jnp.asarray(noise_variance), z.shape)
-    level = jnp.maximum(dark - offset, _FLOOR * jnp.sqrt(variance))
+    variance = jnp.broadcast_to(jnp.asarray(dark.variance), z.shape)
+    level = jnp.maximum(dark.level - offset, _FLOOR * jnp.sqrt(variance))
     per_level = 1.0 / level
     source = light * per_level
     # Of the centre by one sample's level: (z - mean) source / level / sum(source).

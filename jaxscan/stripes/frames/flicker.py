@@ -15,9 +15,9 @@ from jaxscan.geometry import Array
 
 
 NO_INFORMATION = 1.0
-"""Standard deviation of a gain of which the frames tell nothing [1]."""
+"""Standard deviation of a ratio of which the frames tell nothing [1]."""
 SMALLEST_CHANGE = 0.005
-"""Change of the gain below which the frames are left as they are [1]: an eighth of a DN at 25 DN."""
+"""Change of the ratio below which the frames are left as they are [1]: an eighth of a DN at 25 DN."""
 _CERTAIN = 4.0
 """Standard deviations that a change must stand out by."""
 _CUT = 3.0
@@ -32,39 +32,39 @@ _GLOW = 0.03
 """What glow may pull, in the noise of a pixel: light of 1 to 3 standard deviations on a tenth of the
 pixels cannot be told from lamps and moves their mean by a tenth, of which this is a good quarter."""
 _WIDENED = (0.08, 0.02)
-"""Error of the gain that the first steps allow for [1]."""
+"""Error of the ratio that the first steps allow for [1]."""
 _CLIPPED = 6.0
 """Residual at which a pixel's share in the unrest is cut off, in standard deviations."""
 _EVERY = 4
 """The first steps look at every fourth pixel."""
 _START = (0.6, 1.5)
-"""Gains between which a pixel may vote for the start."""
+"""Ratios between which a pixel may vote for the start."""
 _LANES = 64
 
 
-class PairGain(NamedTuple):
+class LampRatio(NamedTuple):
     """Brightness of the room in a laser-on frame, in that of its laser-off frame."""
 
-    gain: Float[Array, " frames"]
+    ratio: Float[Array, " frames"]
     """Factor by which ambient light is brighter in the laser-on frame [1]; 1 where it is not known."""
     sigma: Float[Array, " frames"]
-    """Standard deviation of `gain` [1], with what faint glow of the laser may pull; `NO_INFORMATION`
+    """Standard deviation of `ratio` [1], with what faint glow of the laser may pull; `NO_INFORMATION`
     where it is not known."""
     unrest: Float[Array, " frames"]
-    """Robust root mean square of what the gain leaves unexplained, in that of the noise [1]:
+    """Robust root mean square of what the ratio leaves unexplained, in that of the noise [1]:
     1 where all is still; 0 where nothing is known."""
 
 
 @functools.partial(jax.jit, static_argnames="saturation")
-def pair_gain(
+def lamp_ratio(
     on: UInt8[Array, "frames n"],
     off: UInt8[Array, "frames n"],
-    noise_read: Float[Array, ""] | float,
-    noise_gain: Float[Array, ""] | float,
+    read_dn: Float[Array, ""] | float,
+    electrons_per_dn: Float[Array, ""] | float,
     *,
     saturation: int = 250,
-) -> PairGain:
-    r"""Gain of the ambient light between the frames of each pair.
+) -> LampRatio:
+    r"""Ratio of the ambient light between the frames of each pair.
 
     $\mathrm{on} = g\,\mathrm{off}$ but for the few pixels that the laser reaches. Both sides are noisy, so
     the slope is taken with $x = (\mathrm{on} + \mathrm{off}) / (1 + g)$ as instrument, whose noise is not
@@ -80,20 +80,20 @@ def pair_gain(
     Args:
         on: Pixels of each laser-on frame, about 10^4 of them, spread over it.
         off: The same pixels with the laser off.
-        noise_read: Read noise of one frame [DN].
-        noise_gain: Conversion gain K [e-/DN].
+        read_dn: Read noise of one frame [DN].
+        electrons_per_dn: Conversion gain K [e-/DN].
         saturation: Level from which a pixel does not count [DN].
 
     Returns:
-        Gain, its standard deviation and the unrest of each pair; gains between 0.6 and 1.5 are found.
+        Ratio, its standard deviation and the unrest of each pair; ratios between 0.6 and 1.5 are found.
 
     Source:
         A. E. Beaton and J. W. Tukey, The fitting of power series, Technometrics 16, 1974 (the weight);
         W. A. Fuller, Measurement Error Models, 1987, section 1.4 (the instrument).
     """
     frames, count = on.shape
-    floor = jnp.asarray(noise_read, jnp.float32) ** 2 + 1.0 / 12
-    per_dn = 1.0 / jnp.asarray(noise_gain, jnp.float32)
+    floor = jnp.asarray(read_dn, jnp.float32) ** 2 + 1.0 / 12
+    per_dn = 1.0 / jnp.asarray(electrons_per_dn, jnp.float32)
     # A sum of two levels below this may have lost its lower part to the cut at zero.
     dark = 6.0 * jnp.sqrt(floor)
     # Sums along a leading axis compile to vector instructions, sums along the last do not.
@@ -108,9 +108,9 @@ def pair_gain(
         usable = (a + b > dark) & (jnp.maximum(a, b) < saturation)
         return a, b, usable
 
-    def step(pixels, gain, widened):
+    def step(pixels, ratio, widened):
         a, b, usable = pixels
-        g = gain[:, None, None]
+        g = ratio[:, None, None]
         x = (a + b) / (1.0 + g)
         variance = (1.0 + g * g) * floor + (g * (1.0 + g) * per_dn) * x + (widened * widened) * (x * x)
         residual = a - g * b
@@ -125,44 +125,44 @@ def pair_gain(
     slack = 3.0 * jnp.sqrt(floor)
     voted = jnp.clip(a, _START[0] * b - slack, _START[1] * b + slack)
     first = total(jnp.where(usable, voted, 0.0)), total(jnp.where(usable, b, 0.0))
-    gain = _towards(jnp.ones(frames, jnp.float32), *first, haste=1.0)
+    ratio = _towards(jnp.ones(frames, jnp.float32), *first, haste=1.0)
     for widened in _WIDENED:
-        a, b, _, _, _, weight = step(few, gain, widened)
-        gain = _towards(gain, total(weight * a), total(weight * b))
+        a, b, _, _, _, weight = step(few, ratio, widened)
+        ratio = _towards(ratio, total(weight * a), total(weight * b))
     every = levels(1)
-    a, b, x, residual, square, weight = step(every, gain, 0.0)
+    a, b, x, residual, square, weight = step(every, ratio, 0.0)
     darker = every[2] & (residual < 0.0)
     information = total(weight * x)
     spread = total(jnp.where(darker, jnp.minimum(square, _CLIPPED**2), 0.0))
     number = total(darker.astype(jnp.float32))
-    gain = _towards(gain, total(weight * a), total(weight * b))
+    ratio = _towards(ratio, total(weight * a), total(weight * b))
     information = _EFFICIENCY * information
     known = (information * NO_INFORMATION**2 > 1.0) & (number > 0)
     unrest = jnp.sqrt(jnp.where(known, spread / jnp.maximum(number, 1.0), 0.0))
     glow = 2.0 * _GLOW**2 * number
     sigma = jnp.sqrt((jnp.maximum(unrest, 1.0) ** 2 + glow) / jnp.where(known, information, 1.0))
-    return PairGain(
-        gain=jnp.where(known, gain, 1.0),
+    return LampRatio(
+        ratio=jnp.where(known, ratio, 1.0),
         sigma=jnp.where(known, jnp.minimum(sigma, NO_INFORMATION), NO_INFORMATION),
         unrest=unrest,
     )
 
 
-def applied_gain(pair: PairGain) -> Float[Array, " frames"]:
+def applied_ratio(pair: LampRatio) -> Float[Array, " frames"]:
     """What to multiply laser-off frames by before they are subtracted.
 
     Returns:
-        The gain where it differs from 1 by more than 4 of its standard deviations and 0.005;
+        The ratio where it differs from 1 by more than 4 of its standard deviations and 0.005;
         elsewhere exactly 1, so that frames under steady light stay as they are.
     """
-    change = jnp.abs(pair.gain - 1.0)
-    return jnp.where(change > jnp.maximum(SMALLEST_CHANGE, _CERTAIN * pair.sigma), pair.gain, 1.0)
+    change = jnp.abs(pair.ratio - 1.0)
+    return jnp.where(change > jnp.maximum(SMALLEST_CHANGE, _CERTAIN * pair.sigma), pair.ratio, 1.0)
 
 
 def _towards(
-    gain: Float[Array, " frames"], top: Float[Array, " frames"], bottom: Float[Array, " frames"], haste: float = _HASTE
+    ratio: Float[Array, " frames"], top: Float[Array, " frames"], bottom: Float[Array, " frames"], haste: float = _HASTE
 ) -> Float[Array, " frames"]:
-    """The gain moved towards a ratio, within bounds; as it was where nothing counted."""
+    """The ratio moved towards that of two sums, within bounds; as it was where nothing counted."""
     some = bottom > 0
-    step = top / jnp.where(some, bottom, 1.0) - gain
-    return jnp.clip(gain + jnp.where(some, haste * step, 0.0), 0.5, 2.0)
+    step = top / jnp.where(some, bottom, 1.0) - ratio
+    return jnp.clip(ratio + jnp.where(some, haste * step, 0.0), 0.5, 2.0)

@@ -31,6 +31,15 @@ class LaserLine:
     """One centre per image row ("rows"), or per image column ("columns")."""
 
 
+@dataclass(frozen=True)
+class FrameFormat:
+    """How the pixels of a frame are to be read."""
+
+    pixel_format: PixelFormat = "mono8"
+    response: Response = "linear"
+    """"linear", or "srgb": decoded before a stripe is measured, so that levels are linear DN."""
+
+
 def frame_rank(pixel_format: PixelFormat) -> int:
     """Dimensions of one frame in this format: [rows, columns], or [rows, columns, 3]."""
     return 3 if pixel_format == "rgb8" else 2

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.frames.flicker import applied_gain, pair_gain
+from jaxscan.stripes.frames.flicker import applied_ratio, lamp_ratio
 from jaxscan.stripes.frames.formats import Colour, LaserLine, PixelFormat, StripeAxis, frame_rank, laser_plane
 from jaxscan.stripes.frames.noise import estimate_noise
 from jaxscan.stripes.stripes import NoiseModel
@@ -17,7 +17,7 @@ _FRAMES = 8
 _LINES = 128
 """Lines of a frame that are looked at."""
 _LATTICE = 10_000
-"""Pixels of a frame from which the gain between the frames of a pair is taken."""
+"""Pixels of a frame from which the lamp ratio of a pair is taken."""
 _BOX = 3
 """Samples that are added up to find a stripe."""
 _REACH = 16
@@ -34,7 +34,7 @@ def learn_colour(
 ) -> Colour:
     r"""The channel in which what the laser adds stands out most.
 
-    In each channel the difference of the pairs, after the gain of flickering lamps (`pair_gain`), is compared
+    In each channel the difference of the pairs, after the ratio of flickering lamps (`lamp_ratio`), is compared
     with its noise (`estimate_noise`). The mean over the lines of what the stripe's samples tell,
     $\tfrac12 \sum \log_2 (1 + \mathrm{snr}^2)$, decides: it grows with the signal-to-noise ratio, and where several
     channels are clipped it grows with the width, which is largest in the laser's own. A few frames and lines
@@ -115,12 +115,12 @@ def _score(
         return 0.0
     step = max(1, lines * samples // _LATTICE)
     lattice = lambda a: np.ascontiguousarray(a.reshape(frames, -1)[:, ::step])
-    pair = pair_gain(lattice(on), lattice(off), default.read_dn, default.electrons_per_dn)
-    gain = np.asarray(applied_gain(pair))[:, None, None]
-    room = gain * off.astype(np.float32)
+    pair = lamp_ratio(lattice(on), lattice(off), default.read_dn, default.electrons_per_dn)
+    ratio = np.asarray(applied_ratio(pair))[:, None, None]
+    room = ratio * off.astype(np.float32)
     steady = np.clip(np.rint(room), 0, 255).astype(np.uint8)
     noise = estimate_noise(on, steady)
-    variance = (1 + gain**2) * (noise.read_dn**2 + 1 / 12) + (1 + gain) * room / noise.electrons_per_dn
+    variance = (1 + ratio**2) * (noise.read_dn**2 + 1 / 12) + (1 + ratio) * room / noise.electrons_per_dn
     # Where the room alone saturates nothing can be added.
     added = np.where(off < saturation, on - room, 0.0) / np.sqrt(variance)
     return _told(added.reshape(-1, samples))

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Int16
 
@@ -28,7 +29,7 @@ FINE_NORM, COARSE_NORM = np.sqrt(6.0), np.sqrt(22.0)
 """Root sums of squares of the two filters' weights on the lattice."""
 FINE_SHIFT = 3
 """2 - 1 / 8 brings the fine filter's response to the noise of the coarse one's, within 2 %."""
-UNUSED = -1.0
+NO_LEVEL = -1.0
 """Level of a sample that does not count: outside the image, too far away, or clipped [DN]."""
 
 
@@ -49,7 +50,7 @@ class Candidates(NamedTuple):
     saturated: Int[Array, "blocks size"]
     """Saturated pixels that belong to the candidate."""
     on: Float[Array, "blocks samples size"]
-    """Linear level with the laser on [DN]; UNUSED where the sample does not count."""
+    """Linear level with the laser on [DN]; NO_LEVEL where the sample does not count."""
     off: Float[Array, "blocks samples size"] | None
     """Linear level with the laser off [DN]; 0 outside the image."""
 
@@ -79,6 +80,12 @@ def thresholds(noise: NoiseModel, settings: StripeSettings, *, pitch: int, has_o
     spread = COARSE_NORM**2 * (2.0 if has_off else 1.0) + (0.0 if has_off else 2.0)
     response = settings.candidate_snr * np.sqrt(spread * samples * variance)
     return np.clip(np.ceil(response), 2, 32000).astype(np.int16)
+
+
+def fixed_point(lamp_ratio: Float[Array, " frames"]) -> Int[Array, " frames"]:
+    """Ratios as the integer search takes them, in 1/128."""
+    xp = np if isinstance(lamp_ratio, np.ndarray) else jnp
+    return xp.clip(xp.round(128.0 * lamp_ratio), 0, 256).astype(np.int32)
 
 
 def reach(extent: Array) -> Array:

@@ -12,63 +12,54 @@ This is the reference; on a CPU `native.NativeLocator` computes the same, many t
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Float, Int, Int16, UInt8
+from jaxtyping import Int16
 
 from jaxscan.geometry import Array
+from jaxscan.stripes.frames.planes import Planes
 from jaxscan.stripes.search.candidates import (
     BIN_EXTENT_PX,
     CANDIDATES,
     FINE_SHIFT,
     HALF_SPAN,
     LATTICE_PX,
-    UNUSED,
+    NO_LEVEL,
     WIDE,
     ZONE_SPAN,
     Candidates,
     Located,
+    fixed_point,
     reach,
 )
+from jaxscan.stripes.search.search import Search
 
 
 _FLANK_GAP = 4
 _NOTHING = -32768
 
 
-def locate(
-    on: UInt8[Array, "frames lines samples"],
-    off: UInt8[Array, "frames lines samples"] | None,
-    *,
-    pitch: int,
-    low: Int[Array, " lines"],
-    high: Int[Array, " lines"],
-    gain: Int[Array, " frames"],
-    thresholds: Int16[Array, "256"],
-    levels: Float[Array, "256"],
-    saturation: int,
-) -> Located:
+def locate(planes: Planes, search: Search, *, pitch: int, saturation: int) -> Located:
     """Candidates of all lines, in one list of one block with a place for each.
 
     Args:
-        on: Samples with the laser on [DN].
-        off: Samples with the laser off [DN], or None: then the level of both sides of
-            a maximum is subtracted from it, the higher of the two, so that no edge wins.
+        planes: Samples of the laser's colour. Where there are none with the laser off, the level of both
+            sides of a maximum is subtracted from it, the higher of the two, so that no edge wins.
+        search: Where to look and from which response on; a line whose `high` is not above `low` is skipped.
         pitch: Distance between samples [px], 1 or 2.
-        low: First sample of each line that may hold the stripe.
-        high: The sample behind the last one; a line whose `high` is not above `low` is skipped.
-        gain: By what the light of `off` is multiplied before it is subtracted, in 1/128.
-        thresholds: Smallest response of a candidate, by the line's mean level.
-        levels: Linear level of each code [DN].
         saturation: Codes from here on are clipped.
 
     Returns:
         Candidates with WIDE samples each.
     """
 
-    def of_frame(on, off, gain):
-        found = _of_frame(on, off, gain, pitch, low, high, jnp.asarray(thresholds))
-        return found, _cut(on, off, found, pitch, jnp.asarray(levels, jnp.float32), saturation)
+    levels = jnp.asarray(search.levels, jnp.float32)
 
-    (exists, at, extent, first, bins), (saturated, level_on, level_off) = jax.vmap(of_frame)(on, off, gain)
+    def of_frame(on, off, ratio):
+        found = _of_frame(on, off, ratio, search, pitch)
+        return found, _cut(on, off, found, pitch, levels, saturation)
+
+    ratio = fixed_point(planes.lamp_ratio)
+    (exists, at, extent, first, bins), cut = jax.vmap(of_frame)(planes.on, planes.off, ratio)
+    saturated, level_on, level_off = cut
     middle = _middle(first, bins, pitch)
 
     def flat(values):
@@ -93,15 +84,15 @@ def locate(
     return Located((found,), jnp.where(exists, number.reshape(exists.shape), -1))
 
 
-def _of_frame(on, off, gain, pitch, low, high, thresholds):
+def _of_frame(on, off, ratio, search, pitch):
     """Candidates of one frame's lines: whether, centre, extent, window's first sample, samples per bin."""
     samples = on.shape[1]
     per_point = LATTICE_PX // pitch
     points = samples // per_point
-    begin, end = low // per_point, jnp.minimum(-(-high // per_point), points)
+    begin, end = search.low // per_point, jnp.minimum(-(-search.high // per_point), points)
     point = jnp.arange(points, dtype=jnp.int32)[None, :]
     inside = (point >= begin[:, None]) & (point < end[:, None])
-    lattice = jnp.where(inside, _lattice(on, off, gain, pitch), 0).astype(jnp.int16)
+    lattice = jnp.where(inside, _lattice(on, off, ratio, pitch), 0).astype(jnp.int16)
     padded = jnp.pad(lattice, ((0, 0), (4, 4)))
     fine = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
     middle = fine[:, 3 : 3 + points]
@@ -119,7 +110,7 @@ def _of_frame(on, off, gain, pitch, low, high, thresholds):
     counted = jnp.repeat(inside, per_point, axis=1, total_repeat_length=points * per_point)
     total = jnp.sum(jnp.where(counted, dark[:, : points * per_point], 0), axis=1)
     mean = total // jnp.maximum(per_point * (end - begin), 1)
-    threshold = thresholds[mean].astype(jnp.int32)
+    threshold = jnp.asarray(search.thresholds)[mean].astype(jnp.int32)
 
     left = response
     fine = fine.astype(jnp.int32)
@@ -127,7 +118,7 @@ def _of_frame(on, off, gain, pitch, low, high, thresholds):
     for _ in range(CANDIDATES):
         best = jnp.argmax(left, axis=1).astype(jnp.int32)
         peak = jnp.take_along_axis(left, best[:, None], axis=1)[:, 0]
-        zone = [_zone_steps(left, best, peak, side, threshold, begin, end) for side in (-1, 1)]
+        zone = [_zone_steps(left, best, side, threshold, (begin, end)) for side in (-1, 1)]
         base = jnp.take_along_axis(ground, best[:, None], axis=1)
         before, after = (_half_distance(fine, base, best + 3, begin + 3, end + 3, side) for side in (-1, 1))
         kept.append((peak >= threshold) & (end > begin))
@@ -144,10 +135,10 @@ def _of_frame(on, off, gain, pitch, low, high, thresholds):
     return exists, at, extent, first, bins
 
 
-def _lattice(on: Array, off: Array | None, gain: Array, pitch: int) -> Int16[Array, "lines points"]:
+def _lattice(on: Array, off: Array | None, ratio: Array, pitch: int) -> Int16[Array, "lines points"]:
     signal: Array = jnp.asarray(on).astype(jnp.int32)
     if off is not None:
-        signal = signal - ((jnp.asarray(off).astype(jnp.int32) * gain + 64) >> 7)
+        signal = signal - ((jnp.asarray(off).astype(jnp.int32) * ratio + 64) >> 7)
     signal = signal.astype(jnp.int16)
     if pitch == 2:
         return signal
@@ -167,8 +158,10 @@ def _surround(lattice: Int16[Array, "lines points"]) -> Array:
     return jnp.maximum(flank[:, :points], flank[:, left + right : left + right + points])
 
 
-def _zone_steps(response, best, peak, side, threshold, begin, end):
+def _zone_steps(response, best, side, threshold, span):
     """Steps to the first point on one side that does not belong to the maximum any more."""
+    begin, end = span
+    peak = jnp.take_along_axis(response, best[:, None], axis=1)[:, 0]
     floor = threshold // 2
     rise = jnp.maximum(floor, peak // 4)
     step = jnp.arange(1, ZONE_SPAN + 2, dtype=jnp.int32)[None, :]
@@ -231,4 +224,4 @@ def _cut(on, off, found, pitch, levels, saturation):
         whole &= (off_codes[0] < saturation) & (off_codes[1] < saturation)
         level_off = jnp.where(inside, 0.5 * (levels[off_codes[0]] + levels[off_codes[1]]), 0.0)
     level_on = 0.5 * (levels[on_codes[0]] + levels[on_codes[1]])
-    return saturated, jnp.where(near & whole, level_on, UNUSED), level_off
+    return saturated, jnp.where(near & whole, level_on, NO_LEVEL), level_off

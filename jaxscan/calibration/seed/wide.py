@@ -1,11 +1,10 @@
-"""First values of a fisheye: the lens under which boards look flat and square."""
+"""First values of a wide-angle camera: the lens under which boards look flat and square."""
 
 import numpy as np
 
-from jaxscan.calibration.seed.closed_form import check_tilts, fit_homography, pose_from_homography, usable_views
+from jaxscan.calibration.seed.closed_form import centred_corners, check_tilts, fit_homography, pose_from_homography
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Fisheye
 
 
 # Field of view of the farthest corner, from the axis [rad]: from a mild lens to one that sees far
@@ -26,7 +25,7 @@ _MAX_MISFIT = 0.1
 _MIN_SHARE = 0.9
 
 
-def seed_fisheye(data: Prepared, width: int, height: int) -> tuple[Fisheye, np.ndarray]:
+def seed_wide(data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     r"""Focal length, cubic distortion and board poses, also of boards beyond 90 degrees.
 
     A trial lens $\theta_d = \theta (1 + k_1 \theta^2)$ makes rays of the corners; seen along the
@@ -35,33 +34,23 @@ def seed_fisheye(data: Prepared, width: int, height: int) -> tuple[Fisheye, np.n
     pixels and a centred principal point are assumed; the solve frees both.
 
     Returns:
-        The camera, and T_cam_board of every view [views, 4, 4] (identity where not usable).
+        theta: Angles of the corners to the optical axis [n], rad.
+        radius: Distances from the middle of the image at which the lens shows them [n], px.
+        poses: T_cam_board of every view [views, 4, 4] (identity where not usable).
 
     Raises:
         CalibrationError: If the views do not determine a camera.
     """
-    views = usable_views(data)
-    centre = np.array([(width - 1) / 2, (height - 1) / 2])
-    corners = [
-        (data.board[data.corner_valid[view], :2], data.corner_q[view, data.corner_valid[view]] - centre)
-        for view in views
-    ]
+    views, corners = centred_corners(data)
     chosen = np.unique(np.linspace(0, len(views) - 1, _SEARCH_VIEWS).round().astype(int))
     focal, cubic = _search([corners[index] for index in chosen])
     poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
     for view, (points, q) in zip(views, corners, strict=True):
         poses[view] = _board_pose(points, q, focal, cubic)[0]
     check_tilts(poses[views])
-    camera = Fisheye(
-        fx=np.asarray(focal),
-        fy=np.asarray(focal),
-        cx=np.asarray(centre[0]),
-        cy=np.asarray(centre[1]),
-        distortion=np.array([cubic, 0.0, 0.0, 0.0]),
-        width=width,
-        height=height,
-    )
-    return camera, poses
+    rays, exists = _rays(np.concatenate([q for _, q in corners]), focal, cubic)
+    theta = np.arccos(rays[exists, 2])
+    return theta, focal * theta * (1.0 + cubic * theta * theta), poses
 
 
 def _board_pose(points: np.ndarray, q: np.ndarray, focal: float, cubic: float) -> tuple[np.ndarray, float]:
@@ -93,7 +82,7 @@ def _search(seen: list[tuple[np.ndarray, np.ndarray]]) -> tuple[float, float]:
     focal, cubic, best = grid[column], _CUBIC[row], coarse[row, column]
     if not best < _MAX_MISFIT * radius:
         raise CalibrationError(
-            "No fisheye lens makes the corners found those of a flat board: check `[board]` in capture.toml (type, "
+            "No wide-angle lens makes the corners found those of a flat board: check `[board]` in capture.toml (type, "
             "columns, rows), and that the images are neither cropped nor rectified."
         )
     step_cubic = _CUBIC[1] - _CUBIC[0]

@@ -1,6 +1,6 @@
-"""Cameras: where a point is seen, and along which ray a pixel looks."""
+"""The pinhole camera with the distortion of Brown and Conrady."""
 
-import abc
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -9,33 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry.arrays import Array, real
-
-
-class AbstractCamera(eqx.Module):
-    """A central camera: one pixel, one ray through the centre of projection."""
-
-    width: eqx.AbstractVar[int]
-    height: eqx.AbstractVar[int]
-
-    @abc.abstractmethod
-    def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
-        """Pixel at which the point `p` [camera frame, any length unit] is seen [px]."""
-
-    @abc.abstractmethod
-    def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
-        """Unit ray [camera frame] along which the pixel `q` [px] looks."""
-
-    @abc.abstractmethod
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the minimal coordinates, in the order that `retract` takes them."""
-
-    @abc.abstractmethod
-    def parameters(self) -> Float[Array, " params"]:
-        """Values of the minimal coordinates [px; 1 for distortion]."""
-
-    @abc.abstractmethod
-    def retract(self, step: Float[Array, " params"]) -> "AbstractCamera":
-        """This camera moved by `step` in its minimal coordinates [px; 1 for distortion]."""
+from jaxscan.geometry.cameras.camera import AbstractCamera
+from jaxscan.geometry.parameters import ParameterBlock
 
 
 class Pinhole(AbstractCamera):
@@ -53,26 +28,17 @@ class Pinhole(AbstractCamera):
     the order of the coefficients is OpenCV's.
     """
 
-    fx: Float[Array, ""] = eqx.field(converter=real)
-    """Focal length along u [px]."""
-    fy: Float[Array, ""] = eqx.field(converter=real)
-    """Focal length along v [px]."""
-    cx: Float[Array, ""] = eqx.field(converter=real)
-    """Principal point, u [px]."""
-    cy: Float[Array, ""] = eqx.field(converter=real)
-    """Principal point, v [px]."""
-    distortion: Float[Array, " k"] = eqx.field(converter=real)
-    """k1 k2 p1 p2 k3, optionally followed by k4 k5 k6 [1]."""
-    width: int = eqx.field(static=True)
-    """Image width [px]."""
-    height: int = eqx.field(static=True)
-    """Image height [px]."""
+    model: ClassVar[str] = "pinhole"
+    lens: ClassVar[tuple[ParameterBlock, ...]] = (
+        ParameterBlock("radial", ("k1", "k2"), 0.1),
+        ParameterBlock("tangential", ("p1", "p2"), 0.01, prior="tangential", sigma=2e-3),
+        ParameterBlock("k3", ("k3",), 0.1, prior="k3", sigma=1.0),
+        ParameterBlock("rational", ("k4", "k5", "k6"), 0.1, prior="k3", sigma=1.0, optional=True),
+    )
+    wide: ClassVar[bool] = False
+
     skew: Float[Array, ""] = eqx.field(default=0.0, converter=real)
     """Skew s of the pixel axes [px]; known, never estimated."""
-
-    def __check_init__(self) -> None:
-        if np.shape(self.distortion) not in ((5,), (8,)):
-            raise ValueError(f"`distortion` must have 5 or 8 coefficients, got shape {np.shape(self.distortion)}.")
 
     def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
         """Pixel of a point [px].
@@ -92,25 +58,12 @@ class Pinhole(AbstractCamera):
         ray = jnp.append(normalised, jnp.ones((), normalised.dtype))
         return ray / jnp.linalg.norm(ray)
 
-    def parameter_names(self) -> tuple[str, ...]:
-        names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-        return names[: 4 + np.shape(self.distortion)[-1]]
-
-    def parameters(self) -> Float[Array, " params"]:
-        pixels = jnp.stack([jnp.asarray(value) for value in (self.fx, self.fy, self.cx, self.cy)])
-        return jnp.concatenate([pixels, jnp.asarray(self.distortion)])
-
-    def retract(self, step: Float[Array, " params"]) -> "Pinhole":
-        return Pinhole(
-            fx=self.fx + step[0],
-            fy=self.fy + step[1],
-            cx=self.cx + step[2],
-            cy=self.cy + step[3],
-            distortion=self.distortion + step[4:],
-            width=self.width,
-            height=self.height,
-            skew=self.skew,
-        )
+    @staticmethod
+    def fit_curve(
+        theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "lenses values"]:
+        slope = np.tan(theta)
+        return np.array([[radius @ slope / (slope @ slope), *np.zeros(8)]])
 
     def matrix(self) -> Float[Array, "3 3"]:
         """The paper's camera matrix A [px]. Source: PAPER.md equation (1)."""

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int
 from jaxscan.geometry import Array
 
 
-UNUSED = 1e30
+UNUSED_VARIANCE = 1e30
 """Variance of a sample that does not count [DN^2]."""
 MIN_WIDTH_PX = 0.3
 """Below this the width of a stripe cannot be told from its pixel's [px]."""
@@ -39,8 +39,8 @@ class Window(NamedTuple):
     y: Float[Array, "samples stripes"]
     """Level: on minus off, or on where there is no off [DN]."""
     variance: Float[Array, "samples stripes"]
-    """Variance of `y` but for the stripe's own shot noise [DN^2]; UNUSED where the sample does
-    not count."""
+    """Variance of `y` but for the stripe's own shot noise [DN^2]; UNUSED_VARIANCE where the sample
+    does not count."""
     step: Float[Array, " stripes"]
     """Distance between samples [px]."""
     aperture: Float[Array, " stripes"]
@@ -60,6 +60,22 @@ class Start(NamedTuple):
     """Standard deviation [px]."""
     background: Float[Array, " stripes"] | None
     """Background [DN]; None where it is known to be 0."""
+
+
+class FitRules(NamedTuple):
+    """When a fit ends, and what it knows of the stripe beforehand."""
+
+    max_width: float
+    """Largest width that a step may reach [px]."""
+    prior: tuple[Float[Array, ""], Float[Array, ""]] | None = None
+    """Mean of the logarithm of the widened width [px], and its information; None where nothing is known."""
+    speckle: float = 0.0
+    """Contrast of the laser's speckle within a sample [1]."""
+    min_snr: float = 0.0
+    """Signal-to-noise ratio from which a candidate's steps are waited for [1]."""
+    rest: float = 0.0
+    """Error of the centre, in its standard deviations, with which the steps may end early: after a step
+    about its size times the relative change of the parameters is left."""
 
 
 class Fit(NamedTuple):
@@ -91,14 +107,10 @@ def sample_places(samples: int) -> Float[np.ndarray, " samples"]:
 def fit_stripe(
     window: Window,
     start: Start,
+    rules: FitRules,
     *,
     iterations: int | Int[Array, " stripes"],
-    max_width: float,
     active: Bool[Array, " stripes"] | None = None,
-    prior: tuple[Float[Array, ""], Float[Array, ""]] | None = None,
-    speckle: float = 0.0,
-    min_snr: float = 0.0,
-    rest: float = 0.0,
 ) -> Fit:
     r"""Fit centre, amplitude and width (and a constant background) of every candidate.
 
@@ -110,15 +122,9 @@ def fit_stripe(
     Args:
         window: The samples.
         start: Where to start; with a background where that is to be fitted too.
+        rules: The prior of the width, and when the steps end.
         iterations: Largest number of steps, of all or of each.
-        max_width: Largest width that a step may reach [px].
         active: Which candidates are real; all where not given.
-        prior: What is known of the logarithm of the widened width [px]: mean and information.
-        speckle: Contrast of the laser's speckle within a sample [1].
-        min_snr: Signal-to-noise ratio from which a candidate's steps are waited for [1].
-        rest: Error of the centre, in its standard deviations, with which the steps may end
-            before `iterations`: what a step leaves is about its size times the relative change
-            of the parameters.
 
     Source:
         S. M. Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993,
@@ -130,7 +136,8 @@ def fit_stripe(
     free = start.background is not None
     base = jnp.zeros_like(start.u) if start.background is None else start.background
     pixel = (window.aperture / window.step) ** 2 / 12
-    widest = max_width / window.step
+    prior, speckle = rules.prior, rules.speckle
+    widest = rules.max_width / window.step
     log_step = jnp.log(window.step)
 
     def step(state):
@@ -163,8 +170,8 @@ def fit_stripe(
             normal = [[powers[0] @ weight], [plain[0], *normal[0]], [plain[2], *normal[1]], [plain[1], *normal[2]]]
             gradient.insert(0, powers[0] @ (weight * residual))
         delta, pivot = _solve(normal, gradient)
-        gain = sum(d * g for d, g in zip(delta, gradient, strict=True))
-        chi2 = jnp.maximum(powers[0] @ (weight * residual * residual) - gain, 0.0)
+        explained = sum(d * g for d, g in zip(delta, gradient, strict=True))
+        chi2 = jnp.maximum(powers[0] @ (weight * residual * residual) - explained, 0.0)
         width = jnp.sqrt(squared)
         by_u, by_w = delta[-1] / amplitude, delta[-2] / amplitude
         # Large steps in log amplitude and 1 / width^2, in which the logarithm of a Gaussian is linear:
@@ -176,9 +183,9 @@ def fit_stripe(
         information, energy = taller * taller * pivot, taller * taller * about[0]
         change = jnp.abs(by_u) + jnp.abs(by_w) + jnp.abs(delta[-3]) / amplitude
         left = by_u * change
-        # What still does not stand out of the noise after two steps is not waited for.
-        hopeful = (number < 1) | (energy >= (0.8 * min_snr) ** 2)
-        # Of the third Hermite polynomial what a shift of the centre cannot imitate.
+        # A candidate that does not stand out of the noise after two steps is given up.
+        hopeful = (number < 1) | (energy >= (0.8 * rules.min_snr) ** 2)
+        # The third Hermite polynomial without the part that a shift of the centre explains.
         shifted = (about[4] - 3.0 * about[2]) ** 2 / jnp.maximum(about[2], 1e-12)
         cubic = about[6] - 6.0 * about[4] + 9.0 * about[2] - shifted
         skew = 6.0 * (first[3] - 3.0 * first[1]) / jnp.maximum(amplitude * cubic, 1e-12)
@@ -186,14 +193,14 @@ def fit_stripe(
         wider = squared * jnp.where(small, (1.0 + by_w) ** 2, 1.0 / (1.0 - 2.0 * jnp.clip(by_w, -0.8, 0.3)))
         after = (
             # One step alone would leave a wrong chi-squared.
-            moving & (number + 1 < iterations) & ((number < 1) | (left * left * information > rest**2)) & hopeful,
+            moving & (number + 1 < iterations) & ((number < 1) | (left * left * information > rules.rest**2)) & hopeful,
             u + width * jnp.clip(by_u, -limit, limit),
             taller,
             jnp.clip(wider, _SMALLEST, widest * widest + pixel),
             base + delta[0] if free else base,
             (information / squared, energy, chi2, skew, width * by_u),
         )
-        # What is at rest stays as it is, so that no candidate depends on its neighbours.
+        # A candidate at rest stays as it is, so that none depends on its neighbours.
         return number + 1, *jax.tree.map(lambda new, old: jnp.where(moving, new, old), after, state[1:])
 
     none = jnp.zeros_like(start.u)
@@ -217,7 +224,7 @@ def fit_stripe(
         chi2=chi2,
         skew=skew,
         energy=energy,
-        samples=jnp.sum((window.variance < UNUSED).astype(dtype), 0),
+        samples=jnp.sum((window.variance < UNUSED_VARIANCE).astype(dtype), 0),
         last_step=jnp.abs(last) * window.step,
     )
 

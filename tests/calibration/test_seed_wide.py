@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jaxscan.calibration.seed.camera import seed_camera
 from jaxscan.calibration.seed.closed_form import lift_stripes
-from jaxscan.calibration.seed.fisheye import seed_fisheye
 from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Fisheye
@@ -45,7 +45,7 @@ def test_lens_and_poses_are_near(world, lens, fov_deg):
     rig = rig_of(world, LENSES[lens], fov_deg)
     observed = seen(world, rig)
     data = prepare(observed)
-    camera, poses = seed_fisheye(data, *rig.size)
+    (camera,), poses = seed_camera(data, "fisheye")
     # A lens of one coefficient with its centre 10 px off stands for one of four: the focal length
     # and the distances come out to a tenth, far inside what the solve converges from.
     assert camera.fx == camera.fy == pytest.approx(rig.focal[0], rel=0.1)
@@ -64,8 +64,8 @@ def test_a_few_wrong_corners_do_no_harm(world):
     q = observed.corners.q.copy()
     wrong = random.random(q.shape[:2]) < 0.03
     q[wrong] = random.uniform(0, 1000, (wrong.sum(), 2))
-    right, _ = seed_fisheye(prepare(observed), *rig.size)
-    robust, _ = seed_fisheye(prepare(replace(observed, corners=replace(observed.corners, q=q))), *rig.size)
+    (right,), _ = seed_camera(prepare(observed), "fisheye")
+    (robust,), _ = seed_camera(prepare(replace(observed, corners=replace(observed.corners, q=q))), "fisheye")
     assert robust.fx == pytest.approx(float(right.fx), rel=0.05)
 
 
@@ -92,9 +92,9 @@ def test_degenerate_sets_are_refused(world):
     rig = rig_of(world, LENSES["equidistant"], 160)
     data = prepare(seen(world, rig))
     with pytest.raises(CalibrationError, match="not found in any view"):
-        seed_fisheye(data._replace(usable=np.zeros_like(data.usable)), *rig.size)
+        seed_camera(data._replace(usable=np.zeros_like(data.usable)), "fisheye")
     with pytest.raises(CalibrationError, match=r"2 view\(s\) and a camera needs at least 3"):
-        seed_fisheye(data._replace(usable=np.arange(len(data.usable)) < 2), *rig.size)
+        seed_camera(data._replace(usable=np.arange(len(data.usable)) < 2), "fisheye")
     random = np.random.default_rng(2)
     board = rig.board.corners() - rig.board.corners().mean(0)
     places = [np.array([x, y, 0.6]) for x in (-0.15, 0.0, 0.15) for y in (-0.15, 0.0, 0.15)]
@@ -102,7 +102,7 @@ def test_degenerate_sets_are_refused(world):
     flat = data.corner_q.copy()
     flat[: len(q), : q.shape[1]] = q + 0.1 * random.normal(size=q.shape)
     with pytest.raises(CalibrationError, match="same tilt"):
-        seed_fisheye(data._replace(corner_q=flat, usable=np.arange(len(data.usable)) < len(q)), *rig.size)
+        seed_camera(data._replace(corner_q=flat, usable=np.arange(len(data.usable)) < len(q)), "fisheye")
     nonsense = np.where(data.corner_valid[..., None], random.uniform(0, 1000, data.corner_q.shape), data.corner_q)
-    with pytest.raises(CalibrationError, match="No fisheye lens makes the corners"):
-        seed_fisheye(data._replace(corner_q=nonsense), *rig.size)
+    with pytest.raises(CalibrationError, match="No wide-angle lens makes the corners"):
+        seed_camera(data._replace(corner_q=nonsense), "fisheye")

@@ -1,13 +1,15 @@
 """The fisheye camera: the angle to the optical axis, not its tangent, becomes the radius."""
 
-import equinox as eqx
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.geometry.arrays import Array, real
-from jaxscan.geometry.camera import AbstractCamera
+from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.cameras.camera import AbstractCamera
+from jaxscan.geometry.parameters import ParameterBlock
 
 
 # Points of the search for the angle at which a lens folds over.
@@ -31,24 +33,12 @@ class Fisheye(AbstractCamera):
     wide-angle, and fish-eye lenses (2006), equation (6); scaled as OpenCV's fisheye module does.
     """
 
-    fx: Float[Array, ""] = eqx.field(converter=real)
-    """Focal length along u [px/rad]."""
-    fy: Float[Array, ""] = eqx.field(converter=real)
-    """Focal length along v [px/rad]."""
-    cx: Float[Array, ""] = eqx.field(converter=real)
-    """Principal point, u [px]."""
-    cy: Float[Array, ""] = eqx.field(converter=real)
-    """Principal point, v [px]."""
-    distortion: Float[Array, "4"] = eqx.field(converter=real)
-    """k1 k2 k3 k4 [1]."""
-    width: int = eqx.field(static=True)
-    """Image width [px]."""
-    height: int = eqx.field(static=True)
-    """Image height [px]."""
-
-    def __check_init__(self) -> None:
-        if np.shape(self.distortion) != (4,):
-            raise ValueError(f"`distortion` must have 4 coefficients, got shape {np.shape(self.distortion)}.")
+    model: ClassVar[str] = "fisheye"
+    lens: ClassVar[tuple[ParameterBlock, ...]] = (
+        ParameterBlock("radial", ("k1", "k2"), 0.1),
+        ParameterBlock("radial", ("k3", "k4"), 0.1, prior="k3", sigma=1.0),
+    )
+    wide: ClassVar[bool] = True
 
     def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
         """Pixel of a point [px].
@@ -78,23 +68,12 @@ class Fisheye(AbstractCamera):
         # Unit but for rounding.
         return ray / jnp.linalg.norm(ray)
 
-    def parameter_names(self) -> tuple[str, ...]:
-        return ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
-
-    def parameters(self) -> Float[Array, " params"]:
-        pixels = jnp.stack([jnp.asarray(value) for value in (self.fx, self.fy, self.cx, self.cy)])
-        return jnp.concatenate([pixels, jnp.asarray(self.distortion)])
-
-    def retract(self, step: Float[Array, " params"]) -> "Fisheye":
-        return Fisheye(
-            fx=self.fx + step[0],
-            fy=self.fy + step[1],
-            cx=self.cx + step[2],
-            cy=self.cy + step[3],
-            distortion=self.distortion + step[4:],
-            width=self.width,
-            height=self.height,
-        )
+    @staticmethod
+    def fit_curve(
+        theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "lenses values"]:
+        focal, cubic = np.linalg.lstsq(np.column_stack([theta, theta**3]), radius, rcond=None)[0]
+        return np.array([[focal, cubic / focal, 0.0, 0.0, 0.0]])
 
 
 def _angle(x: Array, y: Array, z: Array) -> tuple[Array, Array]:

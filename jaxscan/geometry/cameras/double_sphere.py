@@ -1,0 +1,97 @@
+"""The double sphere camera: a lens of two coefficients that sees beyond 180 degrees, inverted in closed form."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.geometry.arrays import Array
+from jaxscan.geometry.cameras.camera import AbstractCamera
+from jaxscan.geometry.parameters import ParameterBlock
+
+
+# Trial values of xi for a first camera. Lenses of two values, one on either side of this, are the same to a
+# hundredth of a pixel; the solve tells them apart.
+_XI = np.linspace(-0.6, 0.95, 156)
+_BETWEEN = 0.05
+
+
+class DoubleSphere(AbstractCamera):
+    r"""A point is projected onto two unit spheres, one after the other, and then onto the image.
+
+    With $d_1 = |(X, Y, Z)|$, $d_2 = |(X, Y, \xi d_1 + Z)|$ and
+
+    $$D = \alpha d_2 + (1 - \alpha)(\xi d_1 + Z)$$
+
+    the pixel is $u = f_x X / D + c_x$, $v = f_y Y / D + c_y$. On the axis one radian is
+    $f / (1 + \xi)$ pixels. With $\xi = 0$ this is the unified camera model, with $\alpha = 0$
+    besides the pinhole without distortion.
+
+    Source: Usenko, Demmel and Cremers, The Double Sphere Camera Model (2018), equations (40)-(52).
+    """
+
+    model: ClassVar[str] = "double_sphere"
+    lens: ClassVar[tuple[ParameterBlock, ...]] = (
+        ParameterBlock("sphere", ("xi",), 0.1, prior="xi", sigma=1.0),
+        ParameterBlock("sphere", ("alpha",), 0.1, prior="alpha", sigma=0.5, expected=0.5),
+    )
+    wide: ClassVar[bool] = True
+
+    def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Pixel of a point [px].
+
+        Without meaning behind the camera, beyond the angle at which the image turns back or ends.
+        """
+        xi, alpha = self.distortion[0], self.distortion[1]
+        aside = p[0] * p[0] + p[1] * p[1]
+        d1 = _root(aside + p[2] * p[2])
+        z = xi * d1 + p[2]
+        scale = alpha * _root(aside + z * z) + (1.0 - alpha) * z
+        # A harmless 1 where the point is lost, so that neither value nor gradient is NaN there.
+        scale = jnp.where(scale > 0, scale, 1.0).astype(scale.dtype)
+        return jnp.stack([self.fx * (p[0] / scale) + self.cx, self.fy * (p[1] / scale) + self.cy])
+
+    def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Unit ray of a pixel, in closed form.
+
+        Pixels that no ray reaches get the ray of the largest angle on their side.
+        """
+        xi, alpha = self.distortion[0], self.distortion[1]
+        x, y = (q[0] - self.cx) / self.fx, (q[1] - self.cy) / self.fy
+        square = x * x + y * y
+        inside = 1.0 - (2.0 * alpha - 1.0) * square
+        beyond = inside <= 0
+        inwards = jnp.where(beyond, _root(1.0 - inside), 1.0).astype(square.dtype)
+        x, y = x / inwards, y / inwards
+        square = x * x + y * y
+        root = jnp.where(beyond, 0.0, _root(inside)).astype(square.dtype)
+        z = (1.0 - alpha * alpha * square) / (alpha * root + 1.0 - alpha)
+        scale = (z * xi + _root(z * z + (1.0 - xi * xi) * square)) / (z * z + square)
+        ray = jnp.stack([scale * x, scale * y, scale * z - xi])
+        # Unit but for rounding.
+        return ray / jnp.linalg.norm(ray)
+
+    @staticmethod
+    def fit_curve(
+        theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "lenses values"]:
+        # radius (alpha d2 + (1 - alpha)(xi + cos theta)) = f sin theta is linear in f and alpha.
+        trials = []
+        for xi in _XI:
+            z = xi + np.cos(theta)
+            rise = np.hypot(np.sin(theta), z) - z
+            alpha = np.linalg.lstsq(np.column_stack([np.sin(theta), -radius * rise]), radius * z, rcond=None)[0][1]
+            alpha = np.clip(alpha, 0.05, 0.95)
+            curve = np.sin(theta) / (alpha * rise + z)
+            focal = radius @ curve / (curve @ curve)
+            trials.append((np.sum((focal * curve - radius) ** 2), focal, xi, alpha))
+        sides = [[trial for trial in trials if (trial[2] > _BETWEEN) == above] for above in (False, True)]
+        return np.array([min(side)[1:] for side in sides])
+
+
+def _root(square: Array) -> Array:
+    """The square root, and 0 with slope 0 where there is none."""
+    positive = square > 0
+    root = jnp.sqrt(jnp.where(positive, square, 1.0).astype(square.dtype))
+    return jnp.where(positive, root, 0.0).astype(square.dtype)

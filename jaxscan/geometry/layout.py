@@ -1,0 +1,52 @@
+"""Where the minimal coordinates of each part of a scanner stand in one vector."""
+
+from itertools import accumulate, chain
+from typing import NamedTuple
+
+from jaxscan.geometry.cameras import AbstractCamera
+from jaxscan.geometry.laser import LASER_BLOCKS
+from jaxscan.geometry.parameters import ParameterBlock
+from jaxscan.geometry.turntable import AXIS_BLOCKS
+
+
+class Layout(NamedTuple):
+    """The order of all minimal coordinates: camera, laser after laser, turntable, board."""
+
+    names: tuple[str, ...]
+    blocks: tuple[ParameterBlock, ...]
+    """Block of each coordinate, as long as `names`."""
+    camera: slice
+    lasers: slice
+    turntable: slice
+    board: slice
+
+
+def make_layout(
+    camera: AbstractCamera,
+    lasers: tuple[str, ...],
+    *,
+    turns: bool = True,
+    board: tuple[ParameterBlock, ...] = (),
+) -> Layout:
+    """The layout of a rig.
+
+    Args:
+        camera: For its minimal coordinates.
+        lasers: Names of the lasers.
+        turns: Whether there is a turntable.
+        board: Blocks of the board, where it is solved for too.
+    """
+    names = camera.parameter_names()
+    parts = (
+        list(zip(names, (block for block in camera.blocks() for _ in block.parameters), strict=False)),
+        [(f"laser.{laser}.{name}", block) for laser in lasers for block in LASER_BLOCKS for name in block.parameters],
+        [(name, block) for block in AXIS_BLOCKS if turns for name in block.parameters],
+        [(name, block) for block in board for name in block.parameters],
+    )
+    ends = list(accumulate(map(len, parts)))
+    every = list(chain(*parts))
+    return Layout(
+        tuple(name for name, _ in every),
+        tuple(block for _, block in every),
+        *(slice(end - len(part), end) for part, end in zip(parts, ends, strict=True)),
+    )

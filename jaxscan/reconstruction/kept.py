@@ -1,0 +1,61 @@
+"""Stripes of an earlier reconstruction: what they depend on, and whether another calibration may use them."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from jaxscan.reconstruction.plan import Plan
+from jaxscan.reconstruction.settings import ReconstructSettings
+from jaxscan.stripes import LineGate, NoiseModel, Stripes
+
+
+def extraction_key(settings: ReconstructSettings, noise: NoiseModel | None) -> dict[str, Any]:
+    """The settings that the stripes of a sweep depend on, as JSON holds them."""
+    return {
+        "stripes": dataclasses.asdict(settings.stripes),
+        "noise": None if noise is None else dataclasses.asdict(noise),
+        # Another range might choose other stripes among those that were searched.
+        "range_m": [str(settings.min_range_m), str(settings.max_range_m)],
+        "gate": settings.gate,
+        "check_steps": settings.check_steps,
+    }
+
+
+def kept_arrays(stripes: Stripes, plan: Plan) -> dict[str, np.ndarray]:
+    """The stripes and, of each laser, the searched part of every line and the near side."""
+    fields = {name: np.asarray(field) for name, field in vars(stripes).items() if field is not None}
+    return fields | _searched(plan.gates)
+
+
+def usable_stripes(arrays: dict[str, np.ndarray], plan: Plan) -> Stripes | None:
+    """The kept stripes, if a search by this plan could find no others; else None.
+
+    The search reaches `GATE_MARGIN_PX` beyond the range limits. As long as the limits as the plan's calibration
+    sees them lie within the searched part of every line, nothing can have been missed.
+    """
+    fields, gated = dict(arrays), plan.settings.gate or plan.lit_together
+    for name, wanted in _searched(plan.gates_beyond(0.0)).items():
+        searched = fields.pop(name, None)
+        if searched is None or searched.shape != wanted.shape:
+            return None
+        if name.startswith("near_side"):
+            if np.any(searched != wanted):
+                return None
+        elif gated:
+            empty = wanted[0] >= wanted[1]
+            if not np.all(empty | ((searched[0] <= wanted[0]) & (wanted[1] <= searched[1]))):
+                return None
+    try:
+        return Stripes(**fields)
+    except TypeError:
+        # Fields of another version's stripes.
+        return None
+
+
+def _searched(gates: dict[int, LineGate]) -> dict[str, np.ndarray]:
+    searched = {}
+    for laser, gate in gates.items():
+        searched[f"searched_{laser}"] = np.stack([gate.low, gate.high])
+        searched[f"near_side_{laser}"] = np.array(gate.near_side)
+    return searched

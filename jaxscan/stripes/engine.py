@@ -1,0 +1,255 @@
+"""The stripe engine: learn from the first frames, then frames of one laser to stripes, natively or by XLA."""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Int8, UInt8
+
+from jaxscan.geometry import Array
+from jaxscan.stripes.choosing.by_steps import chosen_of
+from jaxscan.stripes.choosing.rules import choose
+from jaxscan.stripes.estimators import estimator_of
+from jaxscan.stripes.exposures import merge_brackets
+from jaxscan.stripes.frames.learn_colour import with_colour
+from jaxscan.stripes.frames.noise import estimate_noise
+from jaxscan.stripes.frames.planes import host_planes, read_planes
+from jaxscan.stripes.measured import LineCandidates, MeasuredLines
+from jaxscan.stripes.search.search import LineGate, Search, learn_search, prepare_search, whole_lines
+from jaxscan.stripes.setup import ExtractionSetup
+from jaxscan.stripes.stripes import FrameStripes, NoiseModel
+
+
+class ChunkStripes(NamedTuple):
+    """Stripes of a chunk of records."""
+
+    stripes: FrameStripes
+    chosen: Int8[Array, "records lines"] | None
+    """Of several candidates of every line the number of the stripe, -1 for none; None where one is given."""
+    more: Any
+    """The result of the continuation."""
+
+
+class Continuation(NamedTuple):
+    """Work that is compiled together with the extraction."""
+
+    function: Callable[[FrameStripes, Array | None, Any, Any, ExtractionSetup], Any]
+    """Takes the stripes, the laser-off frames, both operands and the setup; pure and traceable."""
+    shared: Any = None
+    """Arrays that all records share."""
+    per_record: Any = None
+    """Arrays with a leading axis over records."""
+    needs_frames: bool = False
+    """Whether it looks at the laser-off frames."""
+
+
+def _nothing_more(stripes: FrameStripes, off: Array | None, shared: Any, per_record: Any, setup: Any) -> None:
+    return None
+
+
+NOTHING_MORE = Continuation(_nothing_more)
+
+
+class StripeEngine(eqx.Module):
+    """Finds the stripes of one laser in frames of one kind; make it by `prepare_engines`."""
+
+    setup: ExtractionSetup = eqx.field(static=True)
+    search: Search
+
+    @property
+    def profiles_per_record(self) -> int:
+        """Profiles that a record gives."""
+        return estimator_of(self.setup.settings).candidates if self.setup.several else 1
+
+    def learn_width(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> "StripeEngine":
+        """The engine that knows the width of the stripes in the first frames, where the settings ask for it.
+
+        Arguments as of `extract`, so that nothing else is compiled.
+        """
+        if not self.setup.settings.learn_width:
+            return self
+        found = self.extract(on, off, then)
+        return StripeEngine(self.setup, learn_search(self.search, chosen_of(found.stripes, found.chosen)))
+
+    def extract(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> ChunkStripes:
+        """Stripes of a chunk of records, a profile for each; with all candidates one for each of them.
+
+        On a CPU an estimator may search natively; elsewhere, and on several devices, all is one
+        function of XLA's, the frames shared out among the devices. Single precision throughout, so that
+        the result does not depend on the caller's setting.
+
+        Args:
+            on: Laser-on frames, uint8 [records, rows, columns] (rgb8: and 3), with a second axis over
+                exposures where there are several.
+            off: Laser-off frames of the same shape, or None.
+            then: Work that is compiled together with it.
+
+        Returns:
+            NumPy arrays in memory of their own.
+        """
+        if len(self.setup.exposures) > 1:
+            on, off = (None if frames is None else frames.reshape(-1, *frames.shape[2:]) for frames in (on, off))
+        with jax.enable_x64(False):
+            return jax.tree.map(np.asarray, self._compute(on, off, then))
+
+    def _compute(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
+        if len(jax.local_devices()) > 1:
+            return _on_devices(self, on, off, then)
+        operands, how = (then.shared, then.per_record), {"function": then.function, "needs_frames": then.needs_frames}
+        if off is not None and jax.default_backend() == "cpu":
+            planes = host_planes(on, off, self.search, self.setup)
+            located = estimator_of(self.setup.settings).locate_natively(planes, self.search, self.setup)
+            if located is not None:
+                seen = off if then.needs_frames else None
+                return _from_located(self, (located, planes.lamp_ratio), seen, operands, function=then.function)
+        return _from_frames(self, on, off, operands, **how)
+
+
+def prepare_engines(
+    on: Array,
+    off: Array | None,
+    setups: Sequence[ExtractionSetup],
+    *,
+    noise: NoiseModel | None = None,
+    gates: Sequence[LineGate] | None = None,
+) -> list[StripeEngine]:
+    """An engine for each laser, from the first frames.
+
+    Args:
+        on: Laser-on frames of the first records, as of `StripeEngine.extract`.
+        off: Laser-off frames of the same shape, or None.
+        setups: Of each laser; a colour "auto" is learned from the frames.
+        noise: Noise of a frame; where not given it is estimated, in the colour of the first laser and in the
+            shortest exposure, in which least is clipped.
+        gates: The part of every line that can hold the stripe of each laser; the whole line where not given.
+
+    Raises:
+        ValueError: If the colour cannot be learned, or the settings ask for a choice that the estimator or
+            the gate do not allow.
+    """
+    if len(setups[0].exposures) > 1:
+        on, off = on[:, 0], None if off is None else off[:, 0]
+    engines = []
+    for setup, gate in zip(setups, gates or [whole_lines(setup) for setup in setups], strict=True):
+        estimator_of(setup.settings)
+        line = with_colour(setup.line, on, off, setup.frames.pixel_format)
+        if noise is None:
+            frames = setup.frames
+            noise = estimate_noise(on, off, pixel_format=frames.pixel_format, response=frames.response, line=line)
+        setup = setup._replace(line=line).anonymous()
+        engines.append(StripeEngine(setup, prepare_search(setup, noise, gate, has_off=off is not None)))
+    return engines
+
+
+def stripes_of_frames(engine: StripeEngine, on: UInt8[Array, "frames ..."], off: Array | None) -> FrameStripes:
+    """Stripe centres of a chunk of frames: pure, of static shapes, to be traced in a larger jit.
+
+    Args:
+        engine: Setup and search.
+        on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
+        off: Laser-off frames of the same shape, or None.
+    """
+    return _all_in_one(engine, on, off, (None, None), function=_nothing_more, needs_frames=False).stripes
+
+
+def _all_in_one(engine, on, off, operands, *, function, needs_frames) -> ChunkStripes:
+    planes = read_planes(on, off, engine.search, engine.setup)
+    located = estimator_of(engine.setup.settings).locate(planes, engine.search, engine.setup)
+    return _finish(engine, (located, planes.lamp_ratio), off if needs_frames else None, operands, function)
+
+
+_from_frames = jax.jit(_all_in_one, static_argnames=("function", "needs_frames"))
+
+
+@functools.partial(jax.jit, static_argnames="function")
+def _from_located(engine, located, off, operands, *, function) -> ChunkStripes:
+    return _finish(engine, located, off, operands, function)
+
+
+def _finish(engine: StripeEngine, located: tuple, off: Array | None, operands: tuple, function: Callable):
+    """Measure, choose, merge exposures, continue."""
+    setup, search = engine.setup, engine.search
+    measured = estimator_of(setup.settings).measure(*located, search, setup)
+    stripes, chosen = choose_stripes(measured, search, setup)
+    if len(setup.exposures) > 1:
+        each = measured.slots.shape[2] if setup.several else 1
+        stripes, chosen = merge_brackets(stripes, chosen, setup.exposures, each)
+        # The longest exposure says most about the dark parts.
+        off = None if off is None else off[len(setup.exposures) - 1 :: len(setup.exposures)]
+    return ChunkStripes(stripes, chosen, function(stripes, off, *operands, setup))
+
+
+def choose_stripes(
+    found: MeasuredLines, search: Search, setup: ExtractionSetup
+) -> tuple[FrameStripes, Int8[Array, "frames lines"] | None]:
+    """Choose among the candidates of each line, and put them on the lines of the image; pure and traceable.
+
+    Returns:
+        stripes: A profile per frame; with `all_candidates` one for each candidate.
+        chosen: Of all candidates the number of each line's stripe, -1 where there is none; None where
+            one candidate is given, or nothing is chosen (`settings.choice` "all").
+    """
+    sites, settings, measured = setup.sites, setup.settings, found.measured
+    lines = setup.plane_size[0]
+    slots = jnp.asarray(found.slots)
+    exists = slots >= 0
+    index = jnp.where(exists, slots, 0)
+
+    def take(field, index):
+        return field.at[index].get(mode="promise_in_bounds")
+
+    valid = exists & take(measured.valid, index)
+    number = None
+    if settings.choice != "all":
+        fields = (take(getattr(measured, name), index) for name in LineCandidates._fields[:-1])
+        number = choose(LineCandidates(*fields, valid), search.near_side, settings)
+    if setup.several:
+        taken = jnp.moveaxis(jnp.where(valid, index, -1), 2, 1).reshape(-1, lines)
+    else:
+        taken = jnp.full(number.shape, -1, index.dtype)
+        for k in range(slots.shape[2]):
+            taken = jnp.where(number == k, index[:, :, k], taken)
+        number = None
+    there = taken >= 0
+    index = jnp.where(there, taken, 0)
+    values = {name: take(getattr(measured, name), index) for name in FrameStripes._fields if name != "valid"}
+    offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(lines) % len(sites.offsets)]
+    values["u"] = values["u"] + offsets[None, :]
+    stripes = FrameStripes(**{name: jnp.where(there, value, 0) for name, value in values.items()}, valid=there)
+
+    def on_image_lines(values, nothing=0):
+        if setup.image_lines == lines:
+            return values
+        image = jnp.full((len(values), setup.image_lines), nothing, values.dtype)
+        last = sites.first_line + sites.line_step * lines
+        return image.at[:, sites.first_line : last : sites.line_step].set(values)
+
+    return jax.tree.map(on_image_lines, stripes), None if number is None else on_image_lines(number, -1)
+
+
+def _on_devices(engine: StripeEngine, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
+    """All local devices take the same number of frames each."""
+    devices = jax.local_devices()
+    mesh = Mesh(np.array(devices), ("frames",))
+    split = NamedSharding(mesh, PartitionSpec("frames"))
+    on, off = jax.device_put(on, split), None if off is None else jax.device_put(off, split)
+    call = _sharded(mesh, engine.setup, then.function, then.needs_frames)
+    return call(engine.search, on, off, then.shared, then.per_record)
+
+
+@functools.lru_cache(maxsize=16)
+def _sharded(mesh: Mesh, setup: ExtractionSetup, function: Callable, needs_frames: bool):
+    frames, everywhere = PartitionSpec("frames"), PartitionSpec()
+
+    def one(search, on, off, shared, per_record):
+        engine = StripeEngine(setup, search)
+        return _all_in_one(engine, on, off, (shared, per_record), function=function, needs_frames=needs_frames)
+
+    # Every frame is computed by itself: nothing is exchanged.
+    specs = (everywhere, frames, frames, everywhere, frames)
+    return jax.jit(jax.shard_map(one, mesh=mesh, in_specs=specs, out_specs=frames, check_vma=False))

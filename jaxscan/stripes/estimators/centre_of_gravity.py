@@ -1,0 +1,153 @@
+r"""The plain estimator: blur, threshold, centre of gravity, on every line by itself.
+
+The difference of the pair (or, without laser-off frames, the frame above the median of its line) is blurred
+by (1, 2, 1) / 4. Around the highest sample of a line the part that lies above a fifth of it counts, with
+weights $w_i = \max(b_i - t, 0)$ that vanish at the threshold t:
+
+$$u = \frac{\sum x_i w_i}{\sum w_i}, \qquad
+  \sigma^2 = \sum_j v_j \left( \frac{\sum_i (x_i - u)\, h_{i-j}}{\sum_i w_i} \right)^2,$$
+
+with the variance $v_j$ of a sample and the blur h. No width is assumed and nothing is fitted: skewed stripes
+and reflections beside the stripe pull the centre, and clipping is not corrected.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from jaxscan.geometry import Array
+from jaxscan.stripes.frames.planes import Planes
+from jaxscan.stripes.measured import Measured, MeasuredLines
+from jaxscan.stripes.search.search import Search
+from jaxscan.stripes.setup import ExtractionSetup
+from jaxscan.stripes.stripes import Choice
+
+
+_REACH = 16
+"""Samples on either side of the highest one that may count."""
+_SHARE = 0.2
+"""Part of the highest sample below which light does not count [1]."""
+_BLUR = (0.25, 0.5, 0.25)
+_BORDER = ((0, 0), (0, 0), (1, 1))
+
+
+class Peak(NamedTuple):
+    """The highest sample of every line, and the window of samples around it."""
+
+    place: Int[Array, "frames lines"]
+    """Number of the sample."""
+    inside: Bool[Array, "frames lines window"]
+    """Which samples of the window may hold the stripe."""
+    light: Float[Array, "frames lines window"]
+    """Light of the laser [DN]."""
+    room: Float[Array, "frames lines window"]
+    """Light of the room [DN]."""
+    off: Float[Array, "frames lines window"] | None
+    """The same where a laser-off frame shows it."""
+    saturated: UInt8[Array, "frames lines"]
+    """Clipped samples of the window."""
+
+
+class CentreOfGravity:
+    """One candidate a line: the brightest."""
+
+    candidates = 1
+    choices: tuple[Choice, ...] = ("path", "brightest")
+
+    def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Peak:
+        """The highest sample of every blurred line."""
+        levels, samples = jnp.asarray(search.levels), planes.on.shape[2]
+        number = jnp.arange(samples, dtype=jnp.int32)
+        gate = (number >= search.low[:, None]) & (number < search.high[:, None])
+        on = levels[planes.on]
+        room = _median(on, gate) if planes.off is None else planes.lamp_ratio[:, None, None] * levels[planes.off]
+        light = jnp.where(gate, on - room, -jnp.inf)
+        place = jnp.argmax(_blurred(jnp.pad(light, _BORDER, mode="edge")), axis=2).astype(jnp.int32)
+        index = place[..., None] + np.arange(-_REACH - 1, _REACH + 2, dtype=np.int32)
+        inside = (index >= search.low[:, None]) & (index < search.high[:, None])
+        index = jnp.clip(index, 0, samples - 1)
+
+        def window(values):
+            return jnp.take_along_axis(jnp.asarray(values), index, 2)
+
+        clipped = inside & (window(planes.on) >= setup.settings.saturation)
+        return Peak(
+            place,
+            inside,
+            light=jnp.where(inside, window(light), 0.0),
+            room=window(jnp.broadcast_to(room, on.shape)),
+            off=None if planes.off is None else levels[window(planes.off)],
+            saturated=jnp.sum(clipped, axis=2).astype(jnp.uint8),
+        )
+
+    def locate_natively(self, planes: Planes, search: Search, setup: ExtractionSetup) -> None:
+        """There is no native search."""
+        return None
+
+    def measure(
+        self, located: Peak, lamp_ratio: Float[Array, " frames"], search: Search, setup: ExtractionSetup
+    ) -> MeasuredLines:
+        """The centre of gravity of every line, its standard deviation by propagation of the noise."""
+        settings, pitch, light = setup.settings, setup.sites.pitch, located.light
+        variance = _variance(located, lamp_ratio[:, None, None], search)
+        blurred = _blurred(light)
+        top = blurred[:, :, _REACH, None]
+        counts = _around_the_middle(located.inside[:, :, 1:-1] & (blurred > _SHARE * top))
+        weight = jnp.where(counts, blurred - _SHARE * top, 0.0)
+        total = jnp.sum(weight, axis=2, keepdims=True)
+        total = jnp.where(total > 0, total, 1.0)
+        x = jnp.arange(-_REACH, _REACH + 1, dtype=jnp.float32)
+        centre = jnp.sum(x * weight, axis=2, keepdims=True) / total
+        # d centre / d blurred sample; the highest one moves the threshold too.
+        pull = jnp.where(counts, x - centre, 0.0) / total
+        pull = pull - jnp.where(x == 0, _SHARE * jnp.sum(pull, axis=2, keepdims=True), 0.0)
+        of_sample = _blurred(jnp.pad(pull, ((0, 0), (0, 0), (2, 2))))
+        sigma = pitch * jnp.sqrt(jnp.sum(of_sample**2 * variance, axis=2))
+        lit = jnp.where(counts, light[:, :, 1:-1], 0.0)
+        amplitude = jnp.max(lit, axis=2)
+        width = pitch * jnp.sum(lit, axis=2) / (math.sqrt(2.0 * math.pi) * jnp.maximum(amplitude, 1e-3))
+        snr = jnp.maximum(top[:, :, 0], 0.0) / jnp.sqrt(sum(h * h for h in _BLUR) * variance[:, :, _REACH + 1])
+        valid = (amplitude > 0) & (snr >= settings.least_snr) & (sigma <= settings.max_sigma_px)
+        valid &= (width >= settings.min_width_px) & (width <= settings.max_width_px)
+        grey = jnp.zeros_like(snr)
+        if located.off is not None:
+            nearest = jnp.round(centre).astype(jnp.int32) + _REACH + 1
+            grey = jnp.take_along_axis(located.off, nearest, 2)[:, :, 0]
+        nothing = jnp.zeros_like(snr)
+        u = pitch * (located.place + centre[:, :, 0])
+        fields = u, sigma, amplitude, width, nothing, nothing, snr, grey, located.saturated, valid
+        slots = jnp.arange(u.size, dtype=jnp.int32).reshape(*u.shape, 1)
+        return MeasuredLines(Measured(*(field.ravel() for field in fields)), slots)
+
+
+def _variance(located: Peak, ratio: Array, search: Search) -> Float[Array, "frames lines window"]:
+    """Variance of the laser's light [DN^2]: of both frames, with the stripe's own shot noise."""
+    frame = search.read_dn**2 + 1 / 12
+    shot = (jnp.maximum(located.light, 0.0) + located.room) / search.electrons_per_dn
+    if located.off is None:
+        return frame + shot
+    return (1.0 + ratio**2) * frame + shot + ratio**2 * located.off / search.electrons_per_dn
+
+
+def _blurred(values: Float[Array, "frames lines n"]) -> Float[Array, "frames lines n-2"]:
+    """The samples but for the first and the last one, blurred."""
+    return sum(h * values[:, :, k : values.shape[2] - 2 + k] for k, h in enumerate(_BLUR))
+
+
+def _around_the_middle(counts: Bool[Array, "frames lines n"]) -> Bool[Array, "frames lines n"]:
+    """The samples that hang together with the middle one."""
+    middle = counts.shape[2] // 2
+    before = jnp.cumprod(counts[:, :, middle::-1], axis=2)[:, :, ::-1]
+    after = jnp.cumprod(counts[:, :, middle:], axis=2)
+    return jnp.concatenate([before[:, :, :-1], after], axis=2) > 0
+
+
+def _median(on: Float[Array, "frames lines samples"], gate: Bool[Array, "lines samples"]) -> Array:
+    """The median level of the part of every line that is searched [frames, lines, 1]; 0 where there is none."""
+    count = jnp.sum(gate, axis=1)
+    place = jnp.broadcast_to((jnp.maximum(count - 1, 0) // 2)[None, :, None], (*on.shape[:2], 1))
+    median = jnp.take_along_axis(jnp.sort(jnp.where(gate, on, jnp.inf), axis=2), place, 2)
+    return jnp.where((count > 0)[:, None], median, 0.0)

@@ -1,0 +1,295 @@
+"""The loops of the native search: one pass over the frames, line by line in the first-level cache.
+
+They take the difference on the lattice, two matched filters, the highest maxima, and the samples around
+them. They are written for the vectoriser: every integer is cast back to 16 bits, or it would be
+widened to 64; indices are unsigned, or each would be tested for being negative; and no loop
+makes slices, which cost as much as 64 additions. Constants of other files come as arguments:
+the compiled code is kept on disk, and only a change of this file would renew it.
+"""
+
+from typing import NamedTuple, no_type_check
+
+import numba
+import numpy as np
+
+
+GROUP = np.uint64(64)
+"""Lattice points whose maximum is kept."""
+EDGE = np.uint64(4)
+"""Zeros around a line of the lattice."""
+_i16, _u64 = np.int16, np.uint64
+_part = numba.njit(nogil=True)
+# Only `locate_lines` is cached on disk: functions that are cached one by one are not inlined into each other.
+_whole = numba.njit(nogil=True, cache=True)
+
+
+class Rules(NamedTuple):
+    """How candidates are found: the search, the samples, and the constants of `candidates`."""
+
+    low: np.ndarray
+    high: np.ndarray
+    thresholds: np.ndarray
+    levels: np.ndarray
+    pitch: int
+    saturation: int
+    candidates: int
+    half_span: int
+    zone_span: int
+    fine_shift: int
+    bin_extent: np.float32
+
+
+class Scratch(NamedTuple):
+    """Of one line: the lattice, the fine filter, the response, and the highest response of each group."""
+
+    lattice: np.ndarray
+    fine: np.ndarray
+    response: np.ndarray
+    highest: np.ndarray
+
+
+class _Spot(NamedTuple):
+    """A maximum: its frame, its place on the line [px], its extent [px], samples taken as one."""
+
+    frame: int
+    at: np.float32
+    extent: np.float32
+    bins: int
+
+
+@_part
+@no_type_check
+def _lattice(on, off, ratio, first, lattice, count):
+    """Difference of two frames' line, two neighbouring samples added up."""
+    if ratio == 128:
+        for i in range(count):
+            x = first + _u64(2) * i
+            lattice[i + EDGE] = _i16(on[x]) + _i16(on[x + _u64(1)]) - _i16(off[x]) - _i16(off[x + _u64(1)])
+    else:
+        for i in range(count):
+            x = first + _u64(2) * i
+            second = _i16((np.int32(off[x + _u64(1)]) * ratio + 64) >> 7)
+            lattice[i + EDGE] = (
+                _i16(on[x]) + _i16(on[x + _u64(1)]) - _i16((np.int32(off[x]) * ratio + 64) >> 7) - second
+            )
+
+
+@_part
+@no_type_check
+def _sparse_lattice(on, off, ratio, first, lattice, count):
+    """As `_lattice`, where every sample is a point."""
+    for i in range(count):
+        lattice[i + EDGE] = _i16(on[first + i]) - _i16((np.int32(off[first + i]) * ratio + 64) >> 7)
+
+
+@_part
+@no_type_check
+def _mean(values, first, count):
+    total = np.uint32(0)
+    for i in range(count):
+        total += np.uint32(values[first + i])
+    return np.int64(total) // np.int64(count)
+
+
+@_part
+@no_type_check
+def _fine(lattice, fine, count):
+    for i in range(count):
+        fine[i + _u64(1)] = lattice[i] + 2 * lattice[i + _u64(1)] + lattice[i + _u64(2)]
+
+
+@_part
+@no_type_check
+def _response(fine, response, count, shift):
+    for i in range(count):
+        middle = fine[i + EDGE]
+        coarse = _i16(fine[i + EDGE - _u64(2)] + middle + fine[i + EDGE + _u64(2)])
+        scaled = _i16(2 * middle - (middle >> shift))
+        response[i] = scaled if scaled > coarse else coarse
+
+
+@_part
+@no_type_check
+def _highest(values, first, count):
+    # The length is an argument: of a constant the compiler would unroll the loop, not vectorise it.
+    highest = values[first]
+    for i in range(count):
+        value = values[first + i]
+        highest = value if value > highest else highest
+    return highest
+
+
+@_part
+@no_type_check
+def _zone_end(response, count, best, side, threshold, span):
+    """The first point on one side that does not belong to the maximum any more."""
+    peak = np.int64(response[best])
+    floor = threshold // 2
+    rise = max(floor, peak // 4)
+    lowest = peak
+    for step in range(1, span + 1):
+        point = best + side * step
+        if point < 0 or point >= count:
+            return point
+        value = np.int64(response[point])
+        if value < floor or value >= lowest + rise:
+            return point
+        lowest = min(lowest, value)
+    return best + side * (span + 1)
+
+
+@_part
+@no_type_check
+def _half_distance(fine, count, best, side, span):
+    """Distance to half of the maximum of the fine filter [lattice points]."""
+    edge = np.int64(EDGE)
+    peak = np.int64(fine[best])
+    inner = peak
+    for step in range(1, span + 1):
+        point = best + side * step
+        # The filter reaches one point beyond the lattice.
+        value = np.int64(fine[point]) if edge - 1 <= point <= count + edge else 0
+        if 2 * value < peak or step == span:
+            fraction = np.float32(2 * inner - peak) / np.float32(2 * max(inner - value, 1))
+            return np.float32(step - 1) + min(max(fraction, np.float32(0)), np.float32(1))
+        inner = value
+    return np.float32(0)
+
+
+@_part
+@no_type_check
+def _keep(on, off, spot, rules, found, count):
+    """Add a candidate to a list, with the samples around it."""
+    samples, size = found.on.shape[1], found.on.shape[2]
+    block, slot = count // size, count % size
+    pitch, bins, saturation, levels = rules.pitch, spot.bins, rules.saturation, rules.levels
+    at, extent = spot.at, spot.extent
+    first = np.int64(np.floor(at / np.float32(pitch) + np.float32(0.5))) - bins * (samples // 2)
+    middle = np.float32(pitch) * (np.float32(first) + np.float32(0.5) * np.float32(samples * bins - 1))
+    found.frame[block, slot] = spot.frame
+    found.bins[block, slot] = bins
+    found.start[block, slot] = at - middle
+    found.extent[block, slot] = extent
+    found.middle[block, slot] = middle
+    step, reach = np.float32(pitch * bins), extent + np.float32(1)
+    x = np.float32(-0.5) * np.float32(samples - 1) * step - (at - middle)
+    clipped = 0
+    for sample in range(samples):
+        index = first + bins * sample
+        level_on, level_off = np.float32(-1), np.float32(0)
+        if 0 <= index and index + bins <= on.size:
+            a, b = on[index], off[index]
+            whole = a < saturation and b < saturation
+            above = 1 if a >= saturation else 0
+            total, level_off = levels[a], levels[b]
+            if bins == 2:
+                a, b = on[index + 1], off[index + 1]
+                whole &= a < saturation and b < saturation
+                above += 1 if a >= saturation else 0
+                total = np.float32(0.5) * (total + levels[a])
+                level_off = np.float32(0.5) * (level_off + levels[b])
+            if abs(x + sample * step) <= reach:
+                clipped += above
+                if whole:
+                    level_on = total
+        found.on[block, sample, slot] = level_on
+        found.off[block, sample, slot] = level_off
+    found.saturated[block, slot] = clipped
+
+
+@_part
+@no_type_check
+def _filter_line(on_line, off_line, ratio, rules, scratch, span):
+    """The response of both filters over one line, and the highest of each group of points; their number."""
+    begin, end = span
+    per_point = 2 // rules.pitch
+    count, first = end - begin, _u64(per_point * begin)
+    if rules.pitch == 1:
+        _lattice(on_line, off_line, ratio, first, scratch.lattice, _u64(count))
+    else:
+        _sparse_lattice(on_line, off_line, ratio, first, scratch.lattice, _u64(count))
+    edge = np.int64(EDGE)
+    # An earlier, longer line may have left something here.
+    for i in range(count + edge, count + 2 * edge):
+        scratch.lattice[i] = 0
+    _fine(scratch.lattice, scratch.fine, _u64(count + 2 * edge - 2))
+    _response(scratch.fine, scratch.response, _u64(count), rules.fine_shift)
+    groups = -(-count // np.int64(GROUP))
+    for i in range(count, groups * np.int64(GROUP)):
+        scratch.response[i] = -32768
+    for group in range(_u64(groups)):
+        scratch.highest[group] = _highest(scratch.response, group * GROUP, GROUP)
+    return groups
+
+
+@_part
+@no_type_check
+def _highest_point(scratch, groups, threshold):
+    """The first of the highest points of a line; -1 where it is below the threshold."""
+    group = 0
+    for other in range(1, groups):
+        if scratch.highest[other] > scratch.highest[group]:
+            group = other
+    peak = scratch.highest[group]
+    if peak < threshold:
+        return np.int64(-1)
+    best = group * np.int64(GROUP)
+    while scratch.response[best] != peak:
+        best += 1
+    return best
+
+
+@_whole
+@no_type_check
+def locate_lines(on, off, ratio, rules, found, scratch):
+    """Fill `found`, a `Located` of two lists, with the candidates of all frames."""
+    frames, lines, samples = on.shape
+    per_point = 2 // rules.pitch
+    group_size = np.int64(GROUP)
+    edge = np.int64(EDGE)
+    fine, response = scratch.fine, scratch.response
+    narrow, wide = found.lists
+    behind, few = narrow.frame.size, narrow.on.shape[1]
+    narrow_count, wide_count = 0, 0
+    for frame in range(frames):
+        for line in range(lines):
+            for rank in range(rules.candidates):
+                found.slots[frame, line, rank] = -1
+            begin, end = rules.low[line] // per_point, min(-(-rules.high[line] // per_point), samples // per_point)
+            if end <= begin:
+                continue
+            on_line, off_line = on[frame, line], off[frame, line]
+            count, first = end - begin, _u64(per_point * begin)
+            threshold = np.int64(rules.thresholds[_mean(off_line, first, _u64(per_point * count))])
+            groups = _filter_line(on_line, off_line, ratio[frame], rules, scratch, (begin, end))
+            for rank in range(rules.candidates):
+                best = _highest_point(scratch, groups, threshold)
+                if best < 0:
+                    break
+                left = max(_zone_end(response, count, best, -1, threshold, rules.zone_span) + 1, 0)
+                right = min(_zone_end(response, count, best, 1, threshold, rules.zone_span), count)
+                before = _half_distance(fine, count, best + edge, -1, rules.half_span)
+                after = _half_distance(fine, count, best + edge, 1, rules.half_span)
+                extent = np.float32(2) * (before + after)
+                at = np.float32(2) * (np.float32(best + begin) + np.float32(0.5) * (after - before))
+                at += np.float32(0.5) if rules.pitch == 1 else np.float32(0)
+                slim = extent + np.float32(1) <= np.float32(0.5) * np.float32(rules.pitch * (few - 1))
+                # Clipped ones take more steps of the fit: they go with the others that are rare.
+                slim &= on_line[per_point * (best + begin)] < rules.saturation
+                bins = 2 if rules.pitch == 1 and extent > rules.bin_extent else 1
+                spot = _Spot(frame, at, extent, bins)
+                if slim:
+                    _keep(on_line, off_line, spot, rules, narrow, narrow_count)
+                    found.slots[frame, line, rank] = narrow_count
+                    narrow_count += 1
+                else:
+                    _keep(on_line, off_line, spot, rules, wide, wide_count)
+                    found.slots[frame, line, rank] = behind + wide_count
+                    wide_count += 1
+                if rank + 1 < rules.candidates:
+                    for i in range(left, right):
+                        response[i] = -32768
+                    for other in range(left // group_size, (right - 1) // group_size + 1):
+                        scratch.highest[other] = _highest(response, _u64(other) * GROUP, GROUP)
+    narrow.total[()] = narrow_count
+    wide.total[()] = wide_count
