@@ -11,7 +11,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CameraTable, CaptureHeader, frame_shape
 from jaxscan.files.recording import create_capture
-from scanrig.cameras.frame import Camera
+from scanrig.cameras import Camera
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from jaxscan.stripes import laser_plane
-from scanrig.cameras.frame import Camera, Frame
+from scanrig.cameras import Camera, Frame
 from scanrig.clock import Clock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller

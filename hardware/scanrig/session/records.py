@@ -4,7 +4,7 @@ from importlib.metadata import version
 from typing import Any
 
 from jaxscan.files.capture import CameraTable, CaptureHeader, PlanTable, TurntableTable
-from scanrig.cameras.frame import Features
+from scanrig.cameras import Features
 from scanrig.clock import Clock
 from scanrig.config import RigConfig
 from scanrig.controllers import Firmware

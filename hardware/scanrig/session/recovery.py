@@ -6,8 +6,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from scanrig.cameras import Features
 from scanrig.cameras.features import differences
-from scanrig.cameras.frame import Features
 from scanrig.config import RigConfig
 from scanrig.controllers import Firmware, Status
 from scanrig.errors import (

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from jaxscan.stripes import frame_rank
-from scanrig.cameras.frame import Camera, Frame
+from scanrig.cameras import Camera, Frame
 from scanrig.checks.proof import PairProof, prove_pair
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
