@@ -17,7 +17,7 @@ from jaxscan.files.clouds import save_cloud
 from jaxscan.files.disk import write_atomically
 from jaxscan.files.recording import create_capture
 from jaxscan.reconstruction import PointCloud
-from jaxscan.simulation import RenderedRecord, SimulationConfig, board_pairs, sweep_angles
+from jaxscan.simulation import RenderedRecord, SimulationConfig, board_pairs, sweep_angles, true_cloud
 from jaxscan.simulation import truth as simulation_truth
 
 
@@ -154,17 +154,17 @@ def _write_capture(
 
 def _cloud_of_truth(records: Sequence[RenderedRecord]) -> PointCloud:
     """The cloud of a perfect scanner; `intensity` is the stripe's true peak [DN]."""
-    truths = [record.truth for record in records]
-    grid = (len(truths), len(truths[0].u))
+    xyz, valid, angle = true_cloud(records)
+    grid = valid.shape
     return PointCloud(
-        xyz=np.stack([t.xyz for t in truths]).astype(np.float32),
+        xyz=xyz.astype(np.float32),
         rgb=np.zeros((*grid, 3), np.uint8),
-        intensity=np.stack([t.amplitude for t in truths]).astype(np.float32),
+        intensity=np.stack([record.truth.amplitude for record in records]).astype(np.float32),
         normals=np.zeros((*grid, 3), np.float32),
         sigma_random=np.zeros(grid, np.float32),
         sigma_systematic=np.zeros(grid, np.float32),
-        valid=np.stack([t.valid for t in truths]),
-        record=np.arange(len(truths), dtype=np.int32),
+        valid=valid,
+        record=np.arange(len(valid), dtype=np.int32),
         laser=np.array([record.laser_index for record in records], np.int32),
-        angle=np.array([record.angle for record in records]),
+        angle=angle,
     )

@@ -1,5 +1,6 @@
 """Nouns: what the rig is."""
 
+from jaxscan.geometry.arrays import MAX_PIXELS as MAX_PIXELS
 from jaxscan.geometry.arrays import Array as Array
 from jaxscan.geometry.board import AbstractBoard as AbstractBoard
 from jaxscan.geometry.board import BowedBoard as BowedBoard

@@ -9,10 +9,8 @@ import cv2
 import numpy as np
 
 from jaxscan.errors import CaptureError
+from jaxscan.geometry import MAX_PIXELS
 
-
-MAX_PIXELS = 100_000_000
-"""Larger images are refused before anything is allocated for them."""
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB`\x82"

@@ -12,6 +12,7 @@ import pydantic
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import (
     HEADER_NAME,
+    JOURNAL_NAME,
     CaptureHeader,
     ImageReader,
     Problem,

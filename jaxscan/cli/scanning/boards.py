@@ -12,9 +12,7 @@ from rich.console import Console
 from jaxscan import api
 from jaxscan.cli.scanning.display import ScanDisplay
 from jaxscan.cli.scanning.operator import CommandOperator, Lines, TerminalOperator, coverage_text
-from jaxscan.cli.scanning.plan import sweep_header
 from jaxscan.errors import OptionError
-from jaxscan.files.capture import board_of
 from jaxscan.stripes import FrameFormat, LaserLine
 
 
@@ -81,10 +79,9 @@ def make_guide(rig: "RigConfig") -> "Guide":
     from jaxscan.vision import find_corners, to_grey
 
     camera = rig.camera
-    header = sweep_header(rig).model_copy(update={"kind": "calibration", "board": rig.board})
-    board = board_of(header)
-    if board is None:
+    if rig.board is None:
         raise OptionError("The configuration has no [board] table.")
+    board = rig.board.board()
 
     frames = FrameFormat(camera.pixel_format, camera.response)
 

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 import numpy as np
 import pydantic
 
-from jaxscan.files.capture.header import MAX_PIXELS
-from jaxscan.files.disk import FileModel, Integer, Number
+from jaxscan.files.disk import FileModel, ImageSize, Number
 from jaxscan.geometry import CAMERAS, AbstractCamera, LaserSheet, Turntable
 from jaxscan.geometry.scanner import UP_VECTORS, Up
 from jaxscan.geometry.turntable import Carries
@@ -21,7 +20,6 @@ Pair = tuple[Number, Number]
 Triple = tuple[Number, Number, Number]
 Basis = tuple[Triple, Triple]
 Positive = Annotated[Number, pydantic.Field(gt=0)]
-Extent = Annotated[Integer, pydantic.Field(ge=1, le=65535)]
 
 
 class LensTable(FileModel):
@@ -35,12 +33,10 @@ class LensTable(FileModel):
         return self
 
 
-class CameraTable(FileModel):
+class CameraTable(ImageSize):
     """A camera; the coefficients of its lens depend on the model."""
 
     model: str
-    width: Extent
-    height: Extent
     up: Up = "-v"
     fx: Positive
     fy: Positive
@@ -55,12 +51,6 @@ class CameraTable(FileModel):
         if skew != 0.0 and not _has_skew(CAMERAS[info.data["model"]]):
             raise ValueError(f"found {skew}, a {info.data['model']} has no skew: expected 0")
         return skew
-
-    @pydantic.model_validator(mode="after")
-    def _bounded(self) -> "CameraTable":
-        if self.width * self.height > MAX_PIXELS:
-            raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
-        return self
 
     def camera(self) -> AbstractCamera:
         """The camera of the geometry."""

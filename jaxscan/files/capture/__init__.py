@@ -1,18 +1,18 @@
 """Captures on disk, read."""
 
 from jaxscan.files.capture.board_captures import common_board as common_board
+from jaxscan.files.capture.boards import BoardTable as BoardTable
+from jaxscan.files.capture.boards import board_table as board_table
 from jaxscan.files.capture.capture import Capture as Capture
 from jaxscan.files.capture.capture import open_capture as open_capture
 from jaxscan.files.capture.decode import cores as cores
 from jaxscan.files.capture.exposures import exposure_levels as exposure_levels
 from jaxscan.files.capture.header import HEADER_NAME as HEADER_NAME
-from jaxscan.files.capture.header import BoardTable as BoardTable
 from jaxscan.files.capture.header import CameraTable as CameraTable
 from jaxscan.files.capture.header import CaptureHeader as CaptureHeader
 from jaxscan.files.capture.header import LaserTable as LaserTable
 from jaxscan.files.capture.header import PlanTable as PlanTable
 from jaxscan.files.capture.header import TurntableTable as TurntableTable
-from jaxscan.files.capture.header import board_of as board_of
 from jaxscan.files.capture.header import frame_shape as frame_shape
 from jaxscan.files.capture.header import header_toml as header_toml
 from jaxscan.files.capture.header import parse_header as parse_header

@@ -11,7 +11,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.decode import decode_ahead
 from jaxscan.files.capture.exposures import common_exposures, exposure_levels
-from jaxscan.files.capture.header import CaptureHeader, board_of
+from jaxscan.files.capture.header import CaptureHeader
 from jaxscan.files.capture.images import ImageReader, RecordFrames
 from jaxscan.files.capture.journal import JOURNAL_NAME, Record
 from jaxscan.files.capture.references import ImageRef
@@ -70,7 +70,7 @@ class Capture:
     @property
     def board(self) -> AbstractBoard | None:
         """The calibration board, where the header has one."""
-        return board_of(self.header)
+        return None if self.header.board is None else self.header.board.board()
 
     @functools.cached_property
     def angles(self) -> np.ndarray:

@@ -7,8 +7,9 @@ from pathlib import Path
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import JOURNAL_NAME, Record, exposure_levels, journal_objects, read_texts
 from jaxscan.files.disk import write_atomically
-from jaxscan.files.recording.store import Storage
-from jaxscan.files.recording.writer import CaptureWriter, require_no_links
+from jaxscan.files.recording.folder import require_no_links
+from jaxscan.files.recording.store import Storage, WriteSettings
+from jaxscan.files.recording.writer import CaptureWriter
 
 
 def resume_capture(
@@ -45,15 +46,8 @@ def resume_capture(
         for folder in ("on", "off"):
             (path / folder).mkdir(exist_ok=True)
         levels = exposure_levels(texts.records[-1].on) if texts.records else None
-        writer = CaptureWriter(
-            path,
-            texts.header,
-            storage=storage or _storage(texts.records),
-            durable=durable,
-            digests=digests,
-            taken=taken,
-            levels=levels,
-        )
+        settings = WriteSettings(storage or _storage(texts.records), durable, digests)
+        writer = CaptureWriter(path, texts.header, settings=settings, taken=taken, levels=levels)
     except OSError as problem:
         raise CaptureError(f"{path}: cannot be written: {problem.strerror or problem}.") from problem
     writer.event("resume")
