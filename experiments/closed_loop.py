@@ -66,8 +66,7 @@ def shots_right(capture: Path, ledger: Path, microsteps_per_turn: int) -> tuple[
         angle = 360.0 * record["microsteps"] / microsteps_per_turn
         right += (
             on["position"] == off["position"] == record["microsteps"]
-            and [on["light"], on["light_2"]]
-            == [float(record.get("lasers", ["left"]) == [name]) for name in ("left", "right")]
+            and [on["light"], on["light_2"]] == ([0.0, 1.0] if record.get("lasers") == ["right"] else [1.0, 0.0])
             and off["light"] == off["light_2"] == 0.0
             and abs(record["angle_deg"] - angle) < 1e-9
         )

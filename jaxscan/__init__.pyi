@@ -52,6 +52,7 @@ from jaxscan.reconstruction import Sweep as Sweep
 from jaxscan.reconstruction import extract_sweep as extract_sweep
 from jaxscan.reconstruction import reconstruct as reconstruct
 from jaxscan.simulation import SimulationConfig as SimulationConfig
+from jaxscan.stripes import FrameFormat as FrameFormat
 from jaxscan.stripes import LaserLine as LaserLine
 from jaxscan.stripes import NoiseModel as NoiseModel
 from jaxscan.stripes import Stripes as Stripes

@@ -13,7 +13,7 @@ from jaxscan.files.disk import FileModel, Integer, Number, load_toml
 from jaxscan.geometry.turntable import Carries
 from jaxscan.stripes import LaserLine
 from scanrig.cameras import CameraSettings
-from scanrig.checks.proof import ProofLimits
+from scanrig.checks import ProofLimits
 from scanrig.controllers import ControllerTable
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import tyro
 
 from jaxscan import api
+from jaxscan.cli.options import CLOUD_SUFFIXES
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
@@ -15,9 +16,15 @@ from jaxscan.files.clouds import check_cloud_path
 from jaxscan.files.recording import Storage, check_new_folder, repack_capture
 
 
+TARGET = (
+    f"File to write; the suffix chooses the format: {CLOUD_SUFFIXES} for a cloud, .yaml (OpenCV) or .cameramodel "
+    "(mrcal) for a calibration. Of a capture, the new folder."
+)
+
+
 def convert(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")],
-    target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUTPUT")],
+    target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUTPUT", help=TARGET)],
     /,
     *,
     format: CameraFormat | None = None,
@@ -30,8 +37,6 @@ def convert(
 
     Args:
         source: Cloud (.ply or .npz), calibration (.json) or capture (a folder) to read.
-        target: File to write; the suffix chooses the format: .ply .e57 .laz .las .pcd .xyz .ptx .npz for a
-            cloud, .yaml (OpenCV) or .cameramodel (mrcal) for a calibration. Of a capture, the new folder.
         format: Of a calibration, where its suffix does not say it: `ros` is a camera_info .yaml, `kalibr` a
             camchain .yaml.
         storage: Of a capture: `npy`, raw frames that are read at once but take more space, or `png`.

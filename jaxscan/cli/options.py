@@ -7,11 +7,18 @@ from typing import Annotated
 import tyro
 
 from jaxscan.errors import OptionError
+from jaxscan.files.clouds import WRITERS
 
 
 CapturePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
 CloudPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CLOUD")]
 OutputPath = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+CLOUD_SUFFIXES = " ".join(WRITERS)
+"""Suffixes of the formats that clouds can be written in."""
+CloudOutputPath = Annotated[
+    Path,
+    tyro.conf.arg(aliases=["-o"], help=f"Cloud to write; the suffix chooses the format ({CLOUD_SUFFIXES})."),
+]
 CalibrationPath = Annotated[Path, tyro.conf.arg(aliases=["-c"])]
 
 

@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from jaxscan import api
-from jaxscan.cli.options import CalibrationPath, CapturePath, OutputPath, at_least, range_limits
+from jaxscan.cli.options import CalibrationPath, CapturePath, CloudOutputPath, at_least, range_limits
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
@@ -22,7 +22,7 @@ def reconstruct(
     /,
     *,
     calibration: CalibrationPath,
-    output: OutputPath,
+    output: CloudOutputPath,
     every: int = 1,
     estimator: str = "gaussian",
     choice: Choice = "path",
@@ -37,7 +37,6 @@ def reconstruct(
     Args:
         capture: Folder of the captured sweep.
         calibration: Calibration of the scanner, as `jaxscan calibrate` writes it.
-        output: Cloud to write; the suffix chooses the format (.ply .e57 .laz .las .pcd .xyz .ptx .npz).
         every: Use every n-th record only.
         estimator: How a stripe's centre is found on a line: gaussian, a fit; or centre_of_gravity, the plain mean of
             its light, which knows one candidate a line.

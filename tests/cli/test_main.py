@@ -2,13 +2,16 @@
 
 import importlib
 import inspect
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from jaxscan.cli.main import MEASURES, VERBS, main
 from jaxscan.errors import CloudError
+from jaxscan.files.clouds import WRITERS
 
 
 EVERY = [((name,), entry) for name, entry in VERBS.items()] + [
@@ -47,6 +50,18 @@ def test_help_of_a_verb(words, capsys):
     assert said.out.startswith(f"usage: jaxscan {' '.join(words)} [-h]")
     options = ["-h, --help"] if words == ("measure",) else ["-h, --help", "--json FILE"]
     assert all(option in said.out for option in options)
+
+
+@pytest.mark.parametrize("verb", ["convert", "reconstruct", "scan"])
+def test_help_names_every_format_of_clouds(verb, capsys):
+    _, said = answer(capsys, verb, "--help")
+    assert " ".join(WRITERS) in " ".join(said.out.replace("│", " ").split())
+
+
+def test_the_readme_names_every_format_of_clouds():
+    readme = (Path(__file__).resolve().parents[2] / "README.md").read_text()
+    (line,) = [line for line in readme.splitlines() if line.startswith("jaxscan.save_cloud(")]
+    assert set(re.findall(r"\.\w+\b", line.split("(")[1])) == set(WRITERS)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
-from scanrig.checks.proof import ProofLimits, prove_pair
+from scanrig.checks import ProofLimits, prove_pair
 
 from jaxscan.stripes import LaserLine
 

@@ -4,8 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from scanrig.checks.compare import Likeness, compare_pairs
-from scanrig.checks.leaks import PLACES, LeakWatch
+from scanrig.checks import PLACES, LeakWatch, Likeness, compare_pairs
 from scanrig.controllers import shortcomings
 from scanrig.errors import FrameError, SessionError
 from scanrig.recording import KEPT_PAIRS, Ledger, require_space

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from jaxscan.stripes import frame_rank
 from scanrig.cameras import Camera, Frame
-from scanrig.checks.proof import PairProof, prove_pair
+from scanrig.checks import PairProof, prove_pair
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller, Status

@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 
 from jaxscan import api
-from jaxscan.cli.options import OutputPath
+from jaxscan.cli.options import CLOUD_SUFFIXES, OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.scanning.boards import scan_boards
@@ -45,7 +45,9 @@ def scan(
     resume: bool = False,
     port: str | None = None,
     calibration: Annotated[Path | None, tyro.conf.arg(aliases=["-c"])] = None,
-    cloud: Path | None = None,
+    cloud: Annotated[
+        Path | None, tyro.conf.arg(help=f"With --calibration: cloud to write at the end ({CLOUD_SUFFIXES}).")
+    ] = None,
     place_command: str | None = None,
     json: JsonTarget = None,
 ) -> None:
@@ -60,7 +62,6 @@ def scan(
         resume: Go on with a capture that was interrupted.
         port: Serial port instead of that of the configuration; "auto" takes the only controller there is.
         calibration: Calibration of the rig: points are counted while it scans.
-        cloud: With --calibration: cloud to write at the end (.ply .e57 .laz .las .pcd .xyz .ptx .npz).
         place_command: With --boards: command that places the board, run with the number of the pose after it.
         json: Write the result as JSON too.
     """

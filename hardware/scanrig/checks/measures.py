@@ -1,0 +1,131 @@
+"""What is measured on two frames: how much of a line is light of its own, how restless the rest is, how much leaks."""
+
+import numpy as np
+from jaxtyping import Float
+
+from scanrig.checks.frame_pair import CLIPPED, STACK, FramePair
+from scanrig.checks.ridges import Relief, Ridges
+
+
+_BLACK_DN = 32.0
+_FEATURELESS_DN = 3.0
+"""Under a lens cap a frame is darker than the one, and its large features are flatter than the other."""
+_NOISE_CUT = 6.0
+"""Residual at which a pixel's part in the unrest ends, in standard deviations."""
+_BESIDE = 14
+"""Samples on either side of a ridge within which contrast may explain it."""
+_EXPLAINS_MOST = 1.5
+"""Part of a contrast that motion changes at most: all of it, and as much again where thin things pass."""
+_MOSTLY = 0.4
+"""Part of the ridges that contrast may not explain: of a laser nearly all, of what moves a fifth."""
+_MARGIN = 3.0
+"""By how much the largest change of a contrast may exceed that which nine tenths of them keep to."""
+_ALIKE = 4.0
+"""Neighbouring lines that see the same texture."""
+
+
+def solid_part(ridges: Ridges, field: np.ndarray, frame: np.ndarray, explains: float) -> float:
+    """Part of the lines whose ridge nothing in the other frame explains; 0 where that is the lesser part of the ridges.
+
+    Whatever moves or flickers changes a picture by a part of the contrast that is there. A ridge that is higher than
+    that part of all contrast of the other frame beside it is light of its own.
+    """
+    rows = np.flatnonzero(ridges.clear)
+    if len(rows) == 0:
+        return 0.0
+    at = ridges.at[rows]
+    beside = np.clip(at[:, None] + np.arange(-_BESIDE, _BESIDE + 1), 0, field.shape[1] - 1)
+    contrast = np.ptp(_smooth(frame[rows[:, None], beside]), 1)
+    solid = float((peak_heights(field[rows], at) > explains * contrast).mean())
+    return solid * len(rows) / len(ridges.at) if solid > _MOSTLY else 0.0
+
+
+def explained_part(difference: np.ndarray, off: np.ndarray, relief: Relief) -> float:
+    """What part of the contrast of a picture its change may be: near 0 where all is still, 1 where all moved.
+
+    From the blocks with contrast themselves, but for those in which the line itself may be: along a door's frame
+    they would be a sixth of all.
+    """
+    few = slice(None, None, max(1, len(off) // 32))
+    change, light = _smooth(difference[few]), _smooth(off[few])
+    noise = 1.4826 * float(np.median(np.abs(change))) + 0.1
+    blocks = change.shape[1] // 16
+    change, light = (a[:, : 16 * blocks].reshape(len(a), blocks, 16) for a in (change, light))
+    contrast = np.ptp(light, 2)
+    structured = contrast > 8.0 * noise
+    for found in relief:
+        own = np.abs(np.arange(blocks) - found.at[few, None] // 16) <= 1
+        structured &= ~(own & found.seen[few, None])
+    if np.count_nonzero(structured) < 50:
+        return 1.0
+    part = np.maximum(np.abs(change[structured]).max(1) - 3.0 * noise, 0.0) / contrast[structured]
+    return float(min(_MARGIN * np.quantile(part, 0.9) + 0.1, _EXPLAINS_MOST))
+
+
+def _smooth(field: np.ndarray) -> np.ndarray:
+    return (field[:, :-2] + field[:, 1:-1] + field[:, 2:]) * np.float32(1.0 / 3.0)
+
+
+def unrest_of(difference: Float[np.ndarray, "lines samples"], off: Float[np.ndarray, "lines samples"]) -> float:
+    """Root mean square of the difference where it is negative - a laser only adds light -, in that of the noise.
+
+    The noise is that of second differences along the lines, in the calmer half of the blocks of equal level: neither
+    smooth light nor edges are in it.
+    """
+    few = slice(None, None, max(1, len(off) // 32))
+    residual, level = difference[few], off[few]
+    block = 16
+    blocks = residual.shape[1] // block
+    if blocks == 0:
+        return 0.0
+    second = residual[:, :-4] - 2.0 * residual[:, 2:-2] + residual[:, 4:]
+    second = np.pad(second, ((0, 0), (0, 4)))[:, : blocks * block].reshape(len(level), blocks, block)[..., :-4]
+    variance = (second * second).mean(2).ravel() / 6.0
+    light = level[:, : blocks * block].reshape(len(level), blocks, block).mean(2).ravel()
+    order = np.argsort(light)
+    # The median of 12 correlated squares lies below their mean.
+    table = [
+        (np.median(light[part]), np.median(variance[part]) / 0.89) for part in np.array_split(order, 8) if len(part)
+    ]
+    floor = 2.0 / 12.0 / 4.0
+    noise = np.maximum(np.interp(level, *np.array(table).T), floor)
+    square = np.minimum(residual * residual / noise, _NOISE_CUT**2)
+    # Darkness is cut off at zero.
+    darker = (residual < 0) & (level > 2.0)
+    return float(np.sqrt(square[darker].mean())) if darker.sum() > 50 else 0.0
+
+
+def peak_heights(difference: Float[np.ndarray, "n samples"], at: np.ndarray) -> Float[np.ndarray, " n"]:
+    """Highest sample near a ridge, over what lies beside it [DN]."""
+    rows, last = np.arange(len(at))[:, None], difference.shape[1] - 1
+    near = difference[rows, np.clip(at[:, None] + np.arange(-4, 5), 0, last)]
+    beside = difference[rows, np.clip(at[:, None] + np.array([-32, -28, -24, -20, 20, 24, 28, 32]), 0, last)]
+    return near.max(1) - np.median(beside, 1)
+
+
+def leak_of(off: Float[np.ndarray, " n"], difference: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """Part of a line's light that is in the laser-off frame: median over the rows, and its standard deviation."""
+    good = difference > 0
+    if np.count_nonzero(good) < 3:
+        return 0.0, 1.0
+    ratio = off[good] / difference[good]
+    middle = float(np.median(ratio))
+    scatter = 1.4826 * float(np.median(np.abs(ratio - middle)))
+    leak = middle / (1.0 + middle) if middle > 0 else middle
+    return leak, 1.2533 * scatter / float(np.sqrt(len(ratio) / _ALIKE))
+
+
+def saturated_part(pair: FramePair, rows: np.ndarray, at: np.ndarray) -> float:
+    """Part of the rows whose line is clipped at its peak, at `at` [samples]."""
+    if len(rows) == 0:
+        return 0.0
+    lines = rows[:, None, None] * pair.step + np.arange(min(pair.step, STACK))[None, :, None]
+    samples = np.clip(at[:, None, None] + np.arange(-2, 3)[None, None, :], 0, pair.lit.shape[1] - 1)
+    return float((pair.lit[lines, samples] >= CLIPPED).any((1, 2)).mean())
+
+
+def is_covered(frame: Float[np.ndarray, "lines samples"]) -> bool:
+    """Dark, and without any large feature: blocks of 16 lines and samples tell it from noise."""
+    lines, samples = (size // 16 for size in frame.shape)
+    blocks = frame[: lines * 16, : samples * 16].reshape(lines, 16, samples, 16).mean((1, 3))
+    return bool(frame.mean() < _BLACK_DN and np.ptp(blocks) < _FEATURELESS_DN)
