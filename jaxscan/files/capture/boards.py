@@ -57,8 +57,13 @@ def board_table(board: AbstractBoard) -> CharucoTable | ChessboardTable:
         CaptureError: If the board is of a kind that files do not know.
     """
     if isinstance(board, Charuco):
-        marker = {"marker_mm": 1000 * board.marker, "dictionary": board.dictionary}
-        return CharucoTable(columns=board.columns, rows=board.rows, square_mm=1000 * board.square, **marker)
+        return CharucoTable(
+            columns=board.columns,
+            rows=board.rows,
+            square_mm=1000 * board.square,
+            marker_mm=1000 * board.marker,
+            dictionary=board.dictionary,
+        )
     if isinstance(board, Chessboard):
         return ChessboardTable(columns=board.columns, rows=board.rows, square_mm=1000 * board.square)
     raise CaptureError(f"A board of type {type(board).__name__} has no place in files yet.")
