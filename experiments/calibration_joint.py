@@ -22,7 +22,7 @@ from worlds import calibration_trials as trials
 from worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import Calibration, calibrate_camera, calibrate_observations
-from jaxscan.calibration.verdict.lengths import depth_sigma, stripe_depths, stripe_pixels
+from jaxscan.calibration.verdict import depth_sigma, stripe_depths, stripe_pixels
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.observation import Observations
 from jaxscan.simulation import SimulationConfig, true_scanner

@@ -12,10 +12,8 @@ from jaxscan.calibration.parameters import CAMERA_BLOCKS
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.seed import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjust import Adjustment, adjust, not_converged
-from jaxscan.calibration.solve.assemble import make_problem
+from jaxscan.calibration.solve import Adjustment, Prepared, adjust, make_problem, not_converged, prepare
 from jaxscan.calibration.solve.noise import huber_weights
-from jaxscan.calibration.solve.prepare import Prepared, prepare
 from jaxscan.calibration.solve.problem import Problem
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, LaserSheet, Turntable, point_up, stack_lasers
@@ -32,14 +30,14 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
 
     Args:
         observations: Board corners, stripes on boards, table angles.
-        settings: What is free, priors, thresholds.
+        settings: Free blocks, priors, thresholds.
 
     Returns:
         The calibration; its `quality` says first whether the solve converged, and with
         `settings.judge` it has predicted lengths and a verdict.
 
     Raises:
-        CalibrationError: If the observations do not determine the scanner; it says what to capture.
+        CalibrationError: If the observations do not determine the scanner; it names the captures that are missing.
 
     Source: PAPER.md equations (1)-(12), solved together.
     """
@@ -49,7 +47,7 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
         raise CalibrationError("The observations name no laser, so there is no laser sheet to be found.")
     with jax.enable_x64(True):
         data = prepare(observations)
-        # Each view by itself, without stripes and table: what is not the camera is held and meets no
+        # Each view by itself, without stripes and table: lasers and table are held and meet no
         # observation, so that both solves are one compiled function.
         apart = _apart(data)._replace(stripe_valid=np.zeros_like(data.stripe_valid))
         cameras, poses = seed_camera(apart, settings.camera)

@@ -8,9 +8,13 @@ from jaxscan.calibration.fit import Fit
 from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_BLOCKS
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjust import Adjustment, not_converged
-from jaxscan.calibration.solve.assemble import carrying
-from jaxscan.calibration.solve.covariance import Determination, determine
+from jaxscan.calibration.solve import (
+    Adjustment,
+    Determination,
+    carrying,
+    determine,
+    not_converged,
+)
 from jaxscan.calibration.verdict import (
     ModelTest,
     Verdict,
@@ -44,7 +48,7 @@ def conclude(
         settings: Of the solve.
 
     Raises:
-        CalibrationError: If the observations do not determine the parameters; it says what to capture.
+        CalibrationError: If the observations do not determine the parameters; it names the captures that are missing.
     """
     problem, table = result.problem, result.problem.turntable
     lasers = observations.laser_names if table is not None else ()

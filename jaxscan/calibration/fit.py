@@ -9,7 +9,7 @@ import numpy as np
 class Fit:
     """Every observation after the solve: for residual plots, predictions and tests of the model.
 
-    Arrays have the shapes of the observations; what is not valid there is 0 here.
+    Arrays have the shapes of the observations; entries that are not valid there are 0 here.
     """
 
     pose: np.ndarray

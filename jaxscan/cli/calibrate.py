@@ -16,7 +16,7 @@ from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import check_calibration_path, quality_table
 from jaxscan.files.disk import check_writable
 from jaxscan.geometry import CameraModel
-from jaxscan.report.words import headline
+from jaxscan.report import words
 
 
 def calibrate(
@@ -71,7 +71,7 @@ def calibrate(
     out.print(f"written: {', '.join(written)}")
     files = {"calibration": str(output)} | ({"report": str(report)} if report is not None else {})
     emit_json(json, "calibrate", files | summary(result) | {"quality": quality_table(result.quality)})
-    first = headline(result)
+    first = words.headline(result)
     if first.kind == "bad":
         raise CalibrationError(f"{output}: written, but {first.headline.lower()}. {first.explanation}")
 

@@ -17,7 +17,7 @@ from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomically
 from jaxscan.geometry import Array, Scanner
 from jaxscan.measurement import RoomBox
-from jaxscan.report.picture import draw_cloud
+from jaxscan.report import draw_cloud
 from jaxscan.simulation import SimulationConfig, true_scanner
 from jaxscan.vision import encode_png
 

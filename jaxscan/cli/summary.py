@@ -15,7 +15,7 @@ _STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
 
 
 def print_summary(out: Console, calibration: Calibration) -> None:
-    """The verdict first, then lengths, noise, what is wrong, what to do, and the parameters."""
+    """The verdict first, then lengths, noise, faults, advice, and the parameters."""
     first = words.headline(calibration)
     out.print(f"{first.headline}. {first.explanation}", style=_STYLE[first.kind])
     lengths = words.lengths(calibration)

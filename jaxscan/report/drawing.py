@@ -81,7 +81,7 @@ def as_svg(figure: "Figure", name: str, description: str) -> Html:
     """A figure as markup.
 
     Args:
-        figure: What to draw.
+        figure: The figure.
         name: Unlike that of any other figure on the page.
         description: For those who cannot see it.
     """

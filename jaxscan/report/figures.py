@@ -166,7 +166,7 @@ def distributions(fit: Fit) -> Html | None:
         return None
     text = (
         "Residuals divided by the standard deviation that each should have: its own noise, as estimated from all of "
-        "its group, less what the fit takes up."
+        "its group, less the part that the fit takes up."
     )
     return section("Are the residuals noise?", element("p", text), element("div", *figures, class_="figures"))
 
@@ -243,7 +243,7 @@ def spectrum(calibration: Calibration) -> Html | None:
         if is_held_by_priors(row.sigma_over_prior)
     ]
     text = (
-        f"Held by what was known beforehand rather than by these data: {'; '.join(weak)}."
+        f"Held by priors rather than by these data: {'; '.join(weak)}."
         if weak
         else "Every combination of parameters is held by the data."
     )

@@ -118,7 +118,7 @@ def coverage_map(observations: Observations, fit: Fit) -> "Figure":
 
 
 def _whole_image(observations: Observations) -> tuple["Figure", Any]:
-    """A figure of the image, with room for what stands beside it; of a portrait image, no taller than wide."""
+    """A figure of the image, with room for labels beside it; of a portrait image, no taller than wide."""
     width = 5.4 * min(1.0, observations.width / observations.height)
     figure = new_figure(width, (width - 0.4) * observations.height / observations.width + 0.35)
     return figure, _image_axes(figure, observations)

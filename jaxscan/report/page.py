@@ -12,14 +12,14 @@ def calibration_page(calibration: Calibration, *, notes: tuple[str, ...] = ()) -
     """A calibration as an HTML page.
 
     Args:
-        calibration: With `fit` and `observations`, where residuals are to be drawn; what is not there is left out.
+        calibration: With `fit` and `observations`, where residuals are to be drawn; parts without data are left out.
         notes: Remarks to put first, in plain text.
 
     Returns:
         The document: nothing in it is fetched from anywhere, and nothing runs.
     """
     observations, fit = calibration.observations, calibration.fit
-    # From a solve that did not converge residuals show where it hangs, but nothing is concluded.
+    # From a solve that did not converge only residuals are shown: they tell which views disagree.
     concluded = calibration.quality.converged is not False
     parts: list[Html | None] = [
         _head(calibration),
@@ -89,7 +89,7 @@ def _remarks(calibration: Calibration) -> Html:
     for title, lines in (
         ("Warnings", words.warnings(calibration)),
         ("Records that stand out", bad),
-        ("What to capture next", words.advice(calibration)),
+        ("Next captures", words.advice(calibration)),
     ):
         if lines:
             parts += [element("h3", title), bullets(map(_sentence, lines))]

@@ -35,7 +35,7 @@ class View:
     fov_deg: float = FOV_DEG
     """Field of view across the picture's width."""
     cut_away: bool = True
-    """Leave out surfaces that turn their back to the eye, and what hides the room: the ceiling and
+    """Leave out surfaces that turn their back to the eye, and surfaces that hide the room: the ceiling and
     the walls on the eye's side."""
 
 

@@ -57,7 +57,7 @@ def stripes_against_angle(observations: Observations, fit: Fit) -> "Figure":
         error = np.where(kept, fit.stripe_error[mine], 0.0)[some]
         mean = error.sum(1) / count[some]
         # The standard deviation of a mean of points that share their errors is larger than of independent ones;
-        # the scatter of these means is what is to be looked at.
+        # the scatter of these means is the point of the figure.
         spread = np.sqrt(np.where(kept[some], (error - mean[:, None]) ** 2, 0.0).sum(1) / (count[some] - 1))
         place = _beside(angle[mine][some], placement[mine][some])
         colour, name = SERIES[laser % len(SERIES)], plain(observations.laser_names[laser])
@@ -117,7 +117,7 @@ def whitened_residuals(fit: Fit) -> dict[str, np.ndarray]:
     """Kept residuals over the standard deviation that each should have, by group; a group without any is left out."""
 
     def group(error: np.ndarray, sigma: np.ndarray, leverage: np.ndarray) -> np.ndarray:
-        # What the fit has taken up is missing in the residual; one that is all but taken up says nothing.
+        # The fit takes up a part of each residual; one that is all but taken up says nothing.
         free = leverage < 0.99
         return (error / (sigma * np.sqrt(np.clip(1.0 - leverage, 0.01, 1.0))))[free]
 

@@ -1,4 +1,4 @@
-"""A calibration in words: is it good, how good in millimetres, what is wrong, what to do next."""
+"""A calibration in words: is it good, how good in millimetres, its faults, and the next captures."""
 
 import math
 from typing import Literal, NamedTuple
@@ -163,7 +163,7 @@ def warnings(calibration: Calibration) -> list[str]:
 
 
 def advice(calibration: Calibration) -> tuple[str, ...]:
-    """What to capture or to change next."""
+    """Captures or changes that would help."""
     quality = calibration.quality
     # Of a solve that did not converge, the advice is the explanation.
     return () if quality.verdict is None or quality.converged is False else quality.verdict.advice

@@ -37,11 +37,12 @@ def test_perfect_data_recover_the_truth(world, perfect):
     # Rounding of float64 pixels only; what the priors pull is scaled down with the noise.
     assert np.abs(error).max() < 1e-6
     assert calibration.order == calibration.scanner.parameter_names()
-    assert calibration.quality.corner_rms_px < 1e-7
+    assert calibration.quality.converged and calibration.quality.corner_rms_px < 1e-7
     assert calibration.quality.corners_rejected == 0
 
 
 def test_residuals_are_one_standard_deviation(noisy):
+    assert all(c.quality.converged for c in noisy)
     for group in ("corner", "stripe"):
         rms = np.array([getattr(c.quality, f"{group}_rms_whitened") for c in noisy])
         # Eight times about 2500 corner coordinates, or 1000 stripe points: 1 / sqrt(2 n) = 0.8 %
@@ -117,6 +118,7 @@ def test_gross_errors_are_rejected(world, perfect, noisy):
     ratio = np.sqrt(np.diag(calibration.covariance)[free] / np.diag(noisy[0].covariance)[free])
     assert ratio.max() < 1.3
     # A tenth of the 8 px errors lies within one px in both coordinates and may stay.
+    assert calibration.quality.converged
     assert calibration.quality.corners_rejected > 0.8 * wrong_corners.sum()
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 from bench.grbl import GrblBoard
-from scanrig.errors import Fault, LinkLost, RigFault
+from scanrig.doctor import Patient, examine
+from scanrig.errors import ControllerReset, Fault, FirmwareError, LinkLost, Refused, RigFault
 from scanrig.session import Devices, Hooks, run_sweep
 
 from jaxscan.errors import ConfigError
@@ -105,6 +106,49 @@ def test_a_session_refuses_a_controller_that_was_opened_elsewhere(board, tmp_pat
     with open_board(board, rig_config()) as controller, pytest.raises(ConfigError, match="allow_laser"):
         run_sweep(config, tmp_path / "room", Devices(controller, camera_of(board, config)))
     assert not (tmp_path / "room").exists()
+
+
+def test_the_doctor_says_what_the_board_cannot(rig, tmp_path):
+    found = {}
+    with open_board(rig.board, rig.config) as controller:
+        patient = Patient(controller, camera_of(rig.board, rig.config), rig.config)
+        examine(patient, folder=tmp_path, tell=lambda finding: found.update({finding.name: finding}))
+    verdicts = {name: finding.verdict for name, finding in found.items()}
+    assert "wrong" not in verdicts.values(), found
+    assert verdicts["safety"] == "note" and "the laser stays on" in found["safety"].found
+    assert verdicts["steps per turn"] == "not checked"
+    assert (verdicts["home"], verdicts["laser"], verdicts["laser off"]) == ("works", "works", "works")
+    assert not rig.board.lit
+
+
+def test_a_board_that_is_set_otherwise_is_refused_with_what_to_type(rig, tmp_path):
+    rig.board.settings |= {100: 250.0, 32: 1.0}
+    with pytest.raises(FirmwareError, match=r"found \$32=1\.0, \$100=250\.0; expected \$32=0, \$100=80: type that"):
+        rig.sweep(tmp_path / "room")
+    assert not rig.board.lit
+
+
+def test_without_a_home_switch_home_is_where_the_table_stands(tmp_path):
+    board = GrblBoard(tmp_path, s22=0.0)
+    board.start()
+    try:
+        rig = GrblRig(board, grbl={"home": ""})
+        with open_board(board, rig.config) as controller:
+            controller.hello()
+            controller.enable(True)
+            stood = board.position
+            assert controller.home(40000) is None and board.position == stood
+            assert controller.move(160) == 160 and board.position == pytest.approx(stood + 2.0)
+            assert controller.home(40000) is None and board.position == pytest.approx(stood)
+            board.power_cycle()
+            with pytest.raises(ControllerReset):
+                for _ in range(5):
+                    controller.poll()
+            assert controller.reconnect().must_home
+            with pytest.raises(Refused, match="not known any more"):
+                controller.home(40000)
+    finally:
+        board.close()
 
 
 def test_a_camera_that_waits_for_a_wire_is_refused(board, tmp_path):

@@ -28,7 +28,7 @@ def make_problem(
         table: First table; None where only the camera is sought.
         poses: T_cam0_board of every placement, as many as views [views, 4, 4].
         data: Of `prepare`.
-        settings: What is free, and the priors.
+        settings: Free blocks and priors.
     """
     # The solver needs neither names nor sizes, and would compile again for each.
     camera = replace(camera, width=0, height=0)
@@ -75,7 +75,7 @@ def prior_weights(layout: Layout, settings: CalibrationSettings) -> np.ndarray:
 
 
 def carrying(table: Turntable, carries: Carries) -> Turntable:
-    """The same motion of boards in front of the camera: what turns backwards, turns the other part."""
+    """The same motion of boards in front of the camera: a table that turns backwards turns the other part."""
     if table.carries == carries:
         return table
     return Turntable(table.direction, table.point, -table.gain, -table.harmonics, table.basis, carries)

@@ -1,4 +1,4 @@
-"""What the observations say at the minimum: information, covariance, leverages, weak directions."""
+"""Information of the observations at the minimum, covariance, leverages, weak directions."""
 
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from jaxscan.geometry import Array
 # Directions of which the priors know less than this share are the data's alone.
 _LEAST_SHARE = 1e-6
 # Eigenvalue of the information, scaled to a unit diagonal, that is rounding error: sums of some ten
-# thousand squares lose three digits, and inverting what is left of them some more.
+# thousand squares lose three digits, and inverting costs some more.
 _SINGULAR = 1e-11
 
 
@@ -29,7 +29,7 @@ class Linearised(NamedTuple):
     offset: Float[Array, "stripes points"]
     """Distance e of a stripe point, lifted to its board, from its sheet [m]."""
     slope: Float[Array, "stripes points"]
-    """|grad_q e|: what one pixel across the stripe is worth [m / px]."""
+    """|grad_q e|: change of the distance over one pixel across the stripe [m / px]."""
     prior_residual: Float[Array, " shared"]
     corner_leverage: Float[Array, "views rows"]
     """Share of each whitened residual that the fit takes up, 0 ... 1 [1]."""
@@ -188,8 +188,8 @@ def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]
     if len(free) == 0:
         return Determination(covariance, 1.0, (), 0.0)
     information = reduced[np.ix_(free, free)]
-    # What is left of the information once the poses are eliminated is compared with what was there
-    # before: of nothing, rounding error remains.
+    # The information after the poses are eliminated is compared with that before: where nothing
+    # is left, rounding error remains.
     known = np.sqrt(np.asarray(linearised.known_poses)[free])
     if np.any(known == 0):
         return {names[free[i]]: 1.0 for i in np.flatnonzero(known == 0)}

@@ -1,4 +1,4 @@
-"""How large the noise is, how it hangs together, and what is too large to be noise."""
+"""Size of the noise, its correlation along a stripe, and residuals too large to be noise."""
 
 import numpy as np
 

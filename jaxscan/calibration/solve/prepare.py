@@ -38,7 +38,7 @@ class Prepared(NamedTuple):
 
 
 def prepare(observations: Observations) -> Prepared:
-    """Drop corners and points that cannot be used, and pad views, stripes and points to the next bucket."""
+    """Drop unusable observations and pad views, stripes and points to the next bucket."""
     corners, stripes = observations.corners, observations.stripes
     board = np.asarray(observations.board.corners(), np.float64)
     centre = np.array([(observations.width - 1) / 2, (observations.height - 1) / 2])

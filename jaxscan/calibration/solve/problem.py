@@ -1,4 +1,4 @@
-"""The joint problem: the unknowns, what was seen, and how much each of it counts."""
+"""The joint problem: unknowns, observations and their weights."""
 
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ class Problem(eqx.Module):
     error of its pitch [1]."""
     scales: Float[Array, " shared"]
     expected: Float[Array, " shared"]
-    """What is expected of each shared unknown before any image, as `shared_values` gives them."""
+    """Expected value of each shared unknown before any image, in the terms of `shared_values`."""
     prior_weight: Float[Array, " shared"]
     board: Float[Array, "corners 3"]
     """Corners of the flat board [m]."""

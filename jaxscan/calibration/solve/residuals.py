@@ -31,7 +31,7 @@ def residuals(step: Step, problem: Problem) -> Residuals:
     Source: PAPER.md equations (5)-(8) and (10), made one problem.
     """
     moved = move(step, problem)
-    # The derivatives are formed once per point, not once per unknown: what depends on the step is
+    # The derivatives are formed once per point, not once per unknown: the part that depends on the step is
     # linear in a few departures per view.
     fixed = jax.lax.stop_gradient(moved)
     corners, (stripes, _) = corner_rows(fixed), stripe_rows(fixed)
@@ -44,5 +44,5 @@ def residuals(step: Step, problem: Problem) -> Residuals:
 
 
 def priors(problem: Problem) -> Float[Array, " shared"]:
-    """Departures from what is expected before any image, in standard deviations."""
+    """Departures from the values expected before any image, in standard deviations."""
     return (shared_values(problem) - problem.expected) * problem.prior_weight

@@ -90,7 +90,7 @@ def warn(quality: Quality) -> tuple[str, ...]:
                 f"record {view.record}: its corners are {size:.2f} px off, those of other views {usual:.2f}"
             )
     for direction in quality.unobserved:
-        # The table's own angle errors are meant to be held by what is known of tables.
+        # The table's own angle errors are meant to be held by the priors.
         if not set(direction) & set(ANGLE_PARAMETERS):
             warnings.append(f"held by priors rather than by data: {', '.join(direction)}")
     return tuple(warnings)

@@ -1,4 +1,4 @@
-"""What a lens, a board, a table and a sheet may do besides what their models say: terms to test for."""
+"""Terms to test for: behaviour of lens, board, table and sheet that their models do not have."""
 
 from typing import NamedTuple
 
@@ -54,7 +54,7 @@ def board_terms(problem: Problem, shift: Float[np.ndarray, "views rows 3"]) -> F
     """Shapes of the board: polynomial heights, and prints that are not true [px]."""
     where = (np.asarray(problem.board)[:, :2] - problem.frame[:2]) / problem.frame[2:]
     heights, prints = _polynomials(where, _HEIGHT_DEGREE), _polynomials(where, _PRINT_DEGREE)
-    # What moves the whole board along its axes, moves one corner of it likewise.
+    # A shift along the axes of the board moves a corner as it moves the whole board.
     rows = lambda values: np.repeat(values, 2, axis=0)[None]
     parts = [
         shift[..., 0:1] * rows(prints),

@@ -75,7 +75,7 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> list[Finding]:
         if name == "table":
             angle_statistic, angle_dof = statistic, dof
         if name == "axis":
-            # Beyond what a wrong angle at every stop would explain.
+            # Less the part that a wrong angle at every stop would explain.
             statistic, dof = max(statistic - angle_statistic, 0.0), dof - angle_dof
         if dof > 0:
             findings.append(_tested(name, statistic, dof, shift, noise))
@@ -83,7 +83,7 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> list[Finding]:
     if halves is not None:
         given = halves
         if max(abs(corner_noise - 1.0), abs(stripe_noise - 1.0)) > _REPEATED:
-            # Weights that promise what the detector promised.
+            # With weights of the noise that the detector promised.
             given = compare_halves(result, settings, (corner_noise, stripe_noise)) or halves
         findings.append(Finding(ModelTest("halves", *given, _p_value(*given), _p_value(*halves))))
     return findings

@@ -1,4 +1,4 @@
-"""Every limit by which a calibration is judged: reports and files only put into words what is decided here."""
+"""Every limit by which a calibration is judged; reports only word the decisions that are made with them."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -8,7 +8,7 @@ ACCEPTED_P = 0.01
 """Chance of refusing good data, all tests together."""
 
 PRIOR_COST = 0.01
-"""A larger share of the priors in the cost is worth a warning: they should only hold what nothing else does."""
+"""A larger share of the priors in the cost is worth a warning: they should only hold unknowns that the data do not."""
 REJECTED = 0.03
 """So is a larger share of rejected corners or stripe points ..."""
 ODD_VIEW = 4.0

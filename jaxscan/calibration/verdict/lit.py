@@ -32,7 +32,7 @@ class Lit(NamedTuple):
     along: Float[np.ndarray, " lines"]
     """Where each lies along the stripe, counted from beside the optical axis [m]."""
     per_pixel: float
-    """What one pixel is worth in depth [m / px]."""
+    """Change of the depth over one pixel [m / px]."""
 
     def middle(self) -> Float[np.ndarray, "2"]:
         """Pixel of the point nearest the optical axis."""
@@ -51,7 +51,7 @@ def lit_lines(scanner: Scanner, laser: int, depths: Sequence[float]) -> list[Lit
     for number, depth in enumerate(depths):
         at, shift = _at_lines(q[number, 0], seen[number], along[2 * number], q[number, 1], size)
         found.append((depth, at, (_NEARBY - 1.0) * depth / shift))
-    # Interpolated to a tenth of a line; what is found there is exact again.
+    # Interpolated to a tenth of a line; the pixels there are computed exactly.
     count = [len(at) for _, at, _ in found]
     q, seen = _stripe(scanner, laser, np.repeat(depths, count), np.concatenate([at for _, at, _ in found]))
     kept = seen & ((q >= -0.5) & (q <= size - 0.5)).all(-1)
@@ -80,7 +80,7 @@ def _at_lines(
     axis = int(np.ptp(q[inside, 1]) >= np.ptp(q[inside, 0]))
     middle = np.flatnonzero(inside)[inside.sum() // 2 + np.array([-1, 0])]
     tangent = q[middle[1]] - q[middle[0]]
-    # What moves along the stripe is not seen.
+    # A motion along the stripe is not seen.
     shift = np.abs(np.linalg.det([tangent, q_nearby[middle[0]] - q[middle[0]]])) / np.linalg.norm(tangent)
     order = np.argsort(q[seen, axis])
     across, along = q[seen, axis][order], along[seen][order]

@@ -23,7 +23,7 @@ class ModelTest:
     p_structure: float
     """The same with the noise that was estimated, so that structure alone counts."""
     effect_mm: float | None = None
-    """How far the typical length that suffers most would go if the model had what it lacks [mm]."""
+    """How far the typical length that suffers most would go if the model had the terms that it lacks [mm]."""
     effect_sigma: float | None = None
     """The same over the standard deviation that the calibration causes in that length [1]."""
 
@@ -40,7 +40,7 @@ class Verdict:
     """The same of the tests' `p_structure`."""
     tests: tuple[ModelTest, ...] = ()
     advice: tuple[str, ...] = ()
-    """What to capture next, the most needed first."""
+    """Captures that would help, the most needed first."""
 
     def result(self, test: ModelTest) -> Result:
         """How one of the tests ended."""
@@ -128,7 +128,7 @@ class LaserLengths:
 
 @dataclass(frozen=True)
 class Lengths:
-    """What the covariance means in lengths that people measure."""
+    """The covariance in lengths that people measure."""
 
     lasers: tuple[LaserLengths, ...] = ()
 

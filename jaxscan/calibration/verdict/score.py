@@ -35,7 +35,7 @@ class Score(NamedTuple):
 
     gradient: Float[np.ndarray, " terms"]
     own: Float[np.ndarray, " terms"]
-    """Diagonal of E'E: what the variance would be if nothing were estimated."""
+    """Diagonal of E'E: the variance if nothing were estimated."""
     variance: Float[np.ndarray, "terms terms"]
     taken: Float[np.ndarray, "terms shared"]
     """$(J^T J)^{-1} J^T E$: how the shared unknowns imitate each term."""
@@ -158,10 +158,10 @@ def _finish(system: _System, gradient: np.ndarray, own: np.ndarray, met: np.ndar
 
 
 def _mean_residual(problem: Problem, system: _System) -> Float[np.ndarray, "views rows"]:
-    r"""What the bend of the projection leaves in the mean of the corner residuals [px].
+    r"""Mean of the corner residuals that the bend of the projection causes [px].
 
     $d = \frac{1}{2} \mathrm{tr}(H C)$, with $H$ the second derivatives of a residual and $C$ the covariance of the
-    unknowns, less what the unknowns take up of it. Small, but terms that the unknowns imitate almost
+    unknowns, less the part that the unknowns take up. Small, but terms that the unknowns imitate almost
     wholly are smaller.
 
     Source: Box, Bias in nonlinear estimation (1971).

@@ -61,14 +61,15 @@ class CentreOfGravity:
     def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Peak:
         """The highest sample of every blurred line."""
         levels, samples = jnp.asarray(search.levels), planes.on.shape[2]
-        number = jnp.arange(samples, dtype=jnp.int32)
-        gate = (number >= search.low[:, None]) & (number < search.high[:, None])
+        number = jnp.arange(samples, dtype=jnp.int32)[None, None, :]
+        low, high = (jnp.asarray(limit)[None, :, None] for limit in (search.low, search.high))
+        gate = (number >= low) & (number < high)
         on = levels[planes.on]
         room = _median(on, gate) if planes.off is None else planes.lamp_ratio[:, None, None] * levels[planes.off]
         light = jnp.where(gate, on - room, -jnp.inf)
         place = jnp.argmax(_blurred(jnp.pad(light, _BORDER, mode="edge")), axis=2).astype(jnp.int32)
-        index = place[..., None] + np.arange(-_REACH - 1, _REACH + 2, dtype=np.int32)
-        inside = (index >= search.low[:, None]) & (index < search.high[:, None])
+        index = place[..., None] + np.arange(-_REACH - 1, _REACH + 2, dtype=np.int32)[None, None, :]
+        inside = (index >= low) & (index < high)
         index = jnp.clip(index, 0, samples - 1)
 
         def window(values):
@@ -100,7 +101,7 @@ class CentreOfGravity:
         weight = jnp.where(counts, blurred - _SHARE * top, 0.0)
         total = jnp.sum(weight, axis=2, keepdims=True)
         total = jnp.where(total > 0, total, 1.0)
-        x = jnp.arange(-_REACH, _REACH + 1, dtype=jnp.float32)
+        x = jnp.arange(-_REACH, _REACH + 1, dtype=jnp.float32)[None, None, :]
         centre = jnp.sum(x * weight, axis=2, keepdims=True) / total
         # d centre / d blurred sample; the highest one moves the threshold too.
         pull = jnp.where(counts, x - centre, 0.0) / total
@@ -118,7 +119,7 @@ class CentreOfGravity:
             nearest = jnp.round(centre).astype(jnp.int32) + _REACH + 1
             grey = jnp.take_along_axis(located.off, nearest, 2)[:, :, 0]
         nothing = jnp.zeros_like(snr)
-        u = pitch * (located.place + centre[:, :, 0])
+        u = pitch * (located.place.astype(jnp.float32) + centre[:, :, 0])
         fields = u, sigma, amplitude, width, nothing, nothing, snr, grey, located.saturated, valid
         slots = jnp.arange(u.size, dtype=jnp.int32).reshape(*u.shape, 1)
         return MeasuredLines(Measured(*(field.ravel() for field in fields)), slots)
@@ -146,9 +147,9 @@ def _around_the_middle(counts: Bool[Array, "frames lines n"]) -> Bool[Array, "fr
     return jnp.concatenate([before[:, :, :-1], after], axis=2) > 0
 
 
-def _median(on: Float[Array, "frames lines samples"], gate: Bool[Array, "lines samples"]) -> Array:
+def _median(on: Float[Array, "frames lines samples"], gate: Bool[Array, "1 lines samples"]) -> Array:
     """The median level of the part of every line that is searched [frames, lines, 1]; 0 where there is none."""
-    count = jnp.sum(gate, axis=1)
-    place = jnp.broadcast_to((jnp.maximum(count - 1, 0) // 2)[None, :, None], (*on.shape[:2], 1))
+    count = jnp.sum(gate, axis=2, keepdims=True)
+    place = jnp.broadcast_to(jnp.maximum(count - 1, 0) // 2, (*on.shape[:2], 1))
     median = jnp.take_along_axis(jnp.sort(jnp.where(gate, on, jnp.inf), axis=2), place, 2)
-    return jnp.where((count > 0)[:, None], median, 0.0)
+    return jnp.where(count > 0, median, 0.0)

@@ -19,6 +19,7 @@ EDGE = np.uint64(4)
 """Zeros around a line of the lattice."""
 _i16, _u64 = np.int16, np.uint64
 _part = numba.njit(nogil=True)
+_inlined = numba.njit(nogil=True, inline="always")
 # Only `locate_lines` is cached on disk: functions that are cached one by one are not inlined into each other.
 _whole = numba.njit(nogil=True, cache=True)
 
@@ -156,21 +157,21 @@ def _half_distance(fine, count, best, side, span):
     return np.float32(0)
 
 
-@_part
+@_inlined
 @no_type_check
-def _keep(on, off, spot, rules, found, count):
+def _keep(pair, spot, rules, found, count):
     """Add a candidate to a list, with the samples around it."""
-    samples, size = found.on.shape[1], found.on.shape[2]
+    _, frames, starts, extents, middles, binning, saturated, on_window, off_window = found
+    samples, size = on_window.shape[1], on_window.shape[2]
     block, slot = count // size, count % size
-    pitch, bins, saturation, levels = rules.pitch, spot.bins, rules.saturation, rules.levels
-    at, extent = spot.at, spot.extent
+    (on, off), (pitch, levels, saturation), (at_frame, at, extent, bins) = pair, rules, spot
     first = np.int64(np.floor(at / np.float32(pitch) + np.float32(0.5))) - bins * (samples // 2)
     middle = np.float32(pitch) * (np.float32(first) + np.float32(0.5) * np.float32(samples * bins - 1))
-    found.frame[block, slot] = spot.frame
-    found.bins[block, slot] = bins
-    found.start[block, slot] = at - middle
-    found.extent[block, slot] = extent
-    found.middle[block, slot] = middle
+    frames[block, slot] = at_frame
+    binning[block, slot] = bins
+    starts[block, slot] = at - middle
+    extents[block, slot] = extent
+    middles[block, slot] = middle
     step, reach = np.float32(pitch * bins), extent + np.float32(1)
     x = np.float32(-0.5) * np.float32(samples - 1) * step - (at - middle)
     clipped = 0
@@ -192,49 +193,50 @@ def _keep(on, off, spot, rules, found, count):
                 clipped += above
                 if whole:
                     level_on = total
-        found.on[block, sample, slot] = level_on
-        found.off[block, sample, slot] = level_off
-    found.saturated[block, slot] = clipped
+        on_window[block, sample, slot] = level_on
+        off_window[block, sample, slot] = level_off
+    saturated[block, slot] = clipped
 
 
-@_part
+@_inlined
 @no_type_check
-def _filter_line(on_line, off_line, ratio, rules, scratch, span):
+def _filter_line(pair, ratio, rules, scratch, span):
     """The response of both filters over one line, and the highest of each group of points; their number."""
-    begin, end = span
-    per_point = 2 // rules.pitch
+    (on_line, off_line), (pitch, fine_shift), (begin, end) = pair, rules, span
+    lattice, fine, response, highest = scratch
+    per_point = 2 // pitch
     count, first = end - begin, _u64(per_point * begin)
-    if rules.pitch == 1:
-        _lattice(on_line, off_line, ratio, first, scratch.lattice, _u64(count))
+    if pitch == 1:
+        _lattice(on_line, off_line, ratio, first, lattice, _u64(count))
     else:
-        _sparse_lattice(on_line, off_line, ratio, first, scratch.lattice, _u64(count))
+        _sparse_lattice(on_line, off_line, ratio, first, lattice, _u64(count))
     edge = np.int64(EDGE)
     # An earlier, longer line may have left something here.
     for i in range(count + edge, count + 2 * edge):
-        scratch.lattice[i] = 0
-    _fine(scratch.lattice, scratch.fine, _u64(count + 2 * edge - 2))
-    _response(scratch.fine, scratch.response, _u64(count), rules.fine_shift)
+        lattice[i] = 0
+    _fine(lattice, fine, _u64(count + 2 * edge - 2))
+    _response(fine, response, _u64(count), fine_shift)
     groups = -(-count // np.int64(GROUP))
     for i in range(count, groups * np.int64(GROUP)):
-        scratch.response[i] = -32768
+        response[i] = -32768
     for group in range(_u64(groups)):
-        scratch.highest[group] = _highest(scratch.response, group * GROUP, GROUP)
+        highest[group] = _highest(response, group * GROUP, GROUP)
     return groups
 
 
-@_part
+@_inlined
 @no_type_check
-def _highest_point(scratch, groups, threshold):
+def _highest_point(response, highest, groups, threshold):
     """The first of the highest points of a line; -1 where it is below the threshold."""
     group = 0
     for other in range(1, groups):
-        if scratch.highest[other] > scratch.highest[group]:
+        if highest[other] > highest[group]:
             group = other
-    peak = scratch.highest[group]
+    peak = highest[group]
     if peak < threshold:
         return np.int64(-1)
     best = group * np.int64(GROUP)
-    while scratch.response[best] != peak:
+    while response[best] != peak:
         best += 1
     return best
 
@@ -244,52 +246,55 @@ def _highest_point(scratch, groups, threshold):
 def locate_lines(on, off, ratio, rules, found, scratch):
     """Fill `found`, a `Located` of two lists, with the candidates of all frames."""
     frames, lines, samples = on.shape
-    per_point = 2 // rules.pitch
     group_size = np.int64(GROUP)
     edge = np.int64(EDGE)
-    fine, response = scratch.fine, scratch.response
+    # Fields are taken out of their tuples once: each access would count the references to all of their arrays.
+    _, fine, response, highest = scratch
+    low, high, thresholds, levels, pitch, saturation, candidates, half_span, zone_span, fine_shift, bin_extent = rules
+    slots = found.slots
     narrow, wide = found.lists
+    per_point = 2 // pitch
     behind, few = narrow.frame.size, narrow.on.shape[1]
     narrow_count, wide_count = 0, 0
     for frame in range(frames):
         for line in range(lines):
-            for rank in range(rules.candidates):
-                found.slots[frame, line, rank] = -1
-            begin, end = rules.low[line] // per_point, min(-(-rules.high[line] // per_point), samples // per_point)
+            for rank in range(candidates):
+                slots[frame, line, rank] = -1
+            begin, end = low[line] // per_point, min(-(-high[line] // per_point), samples // per_point)
             if end <= begin:
                 continue
             on_line, off_line = on[frame, line], off[frame, line]
             count, first = end - begin, _u64(per_point * begin)
-            threshold = np.int64(rules.thresholds[_mean(off_line, first, _u64(per_point * count))])
-            groups = _filter_line(on_line, off_line, ratio[frame], rules, scratch, (begin, end))
-            for rank in range(rules.candidates):
-                best = _highest_point(scratch, groups, threshold)
+            threshold = np.int64(thresholds[_mean(off_line, first, _u64(per_point * count))])
+            groups = _filter_line((on_line, off_line), ratio[frame], (pitch, fine_shift), scratch, (begin, end))
+            for rank in range(candidates):
+                best = _highest_point(response, highest, groups, threshold)
                 if best < 0:
                     break
-                left = max(_zone_end(response, count, best, -1, threshold, rules.zone_span) + 1, 0)
-                right = min(_zone_end(response, count, best, 1, threshold, rules.zone_span), count)
-                before = _half_distance(fine, count, best + edge, -1, rules.half_span)
-                after = _half_distance(fine, count, best + edge, 1, rules.half_span)
+                left = max(_zone_end(response, count, best, -1, threshold, zone_span) + 1, 0)
+                right = min(_zone_end(response, count, best, 1, threshold, zone_span), count)
+                before = _half_distance(fine, count, best + edge, -1, half_span)
+                after = _half_distance(fine, count, best + edge, 1, half_span)
                 extent = np.float32(2) * (before + after)
                 at = np.float32(2) * (np.float32(best + begin) + np.float32(0.5) * (after - before))
-                at += np.float32(0.5) if rules.pitch == 1 else np.float32(0)
-                slim = extent + np.float32(1) <= np.float32(0.5) * np.float32(rules.pitch * (few - 1))
+                at += np.float32(0.5) if pitch == 1 else np.float32(0)
+                slim = extent + np.float32(1) <= np.float32(0.5) * np.float32(pitch * (few - 1))
                 # Clipped ones take more steps of the fit: they go with the others that are rare.
-                slim &= on_line[per_point * (best + begin)] < rules.saturation
-                bins = 2 if rules.pitch == 1 and extent > rules.bin_extent else 1
+                slim &= on_line[per_point * (best + begin)] < saturation
+                bins = 2 if pitch == 1 and extent > bin_extent else 1
                 spot = _Spot(frame, at, extent, bins)
                 if slim:
-                    _keep(on_line, off_line, spot, rules, narrow, narrow_count)
-                    found.slots[frame, line, rank] = narrow_count
+                    _keep((on_line, off_line), spot, (pitch, levels, saturation), narrow, narrow_count)
+                    slots[frame, line, rank] = narrow_count
                     narrow_count += 1
                 else:
-                    _keep(on_line, off_line, spot, rules, wide, wide_count)
-                    found.slots[frame, line, rank] = behind + wide_count
+                    _keep((on_line, off_line), spot, (pitch, levels, saturation), wide, wide_count)
+                    slots[frame, line, rank] = behind + wide_count
                     wide_count += 1
-                if rank + 1 < rules.candidates:
+                if rank + 1 < candidates:
                     for i in range(left, right):
                         response[i] = -32768
                     for other in range(left // group_size, (right - 1) // group_size + 1):
-                        scratch.highest[other] = _highest(response, _u64(other) * GROUP, GROUP)
+                        highest[other] = _highest(response, _u64(other) * GROUP, GROUP)
     narrow.total[()] = narrow_count
     wide.total[()] = wide_count
