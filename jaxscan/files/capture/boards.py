@@ -31,7 +31,13 @@ class CharucoTable(FileModel):
 
     def board(self) -> AbstractBoard:
         """The board of the geometry."""
-        return Charuco(self.columns, self.rows, self.square_mm / 1000, self.marker_mm / 1000, self.dictionary)
+        return Charuco(
+            columns=self.columns,
+            rows=self.rows,
+            square=self.square_mm / 1000,
+            marker=self.marker_mm / 1000,
+            dictionary=self.dictionary,
+        )
 
 
 class ChessboardTable(FileModel):
@@ -44,7 +50,7 @@ class ChessboardTable(FileModel):
 
     def board(self) -> AbstractBoard:
         """The board of the geometry."""
-        return Chessboard(self.columns, self.rows, self.square_mm / 1000)
+        return Chessboard(columns=self.columns, rows=self.rows, square=self.square_mm / 1000)
 
 
 BoardTable = Annotated[CharucoTable | ChessboardTable, pydantic.Field(discriminator="type")]
