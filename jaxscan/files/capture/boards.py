@@ -31,7 +31,13 @@ class CharucoTable(FileModel):
 
     def board(self) -> AbstractBoard:
         """The board of the geometry."""
-        return Charuco(self.columns, self.rows, self.square_mm / 1000, self.marker_mm / 1000, self.dictionary)
+        return Charuco(
+            columns=self.columns,
+            rows=self.rows,
+            square=self.square_mm / 1000,
+            marker=self.marker_mm / 1000,
+            dictionary=self.dictionary,
+        )
 
 
 class ChessboardTable(FileModel):
@@ -44,7 +50,7 @@ class ChessboardTable(FileModel):
 
     def board(self) -> AbstractBoard:
         """The board of the geometry."""
-        return Chessboard(self.columns, self.rows, self.square_mm / 1000)
+        return Chessboard(columns=self.columns, rows=self.rows, square=self.square_mm / 1000)
 
 
 BoardTable = Annotated[CharucoTable | ChessboardTable, pydantic.Field(discriminator="type")]
@@ -57,8 +63,13 @@ def board_table(board: AbstractBoard) -> CharucoTable | ChessboardTable:
         CaptureError: If the board is of a kind that files do not know.
     """
     if isinstance(board, Charuco):
-        marker = {"marker_mm": 1000 * board.marker, "dictionary": board.dictionary}
-        return CharucoTable(columns=board.columns, rows=board.rows, square_mm=1000 * board.square, **marker)
+        return CharucoTable(
+            columns=board.columns,
+            rows=board.rows,
+            square_mm=1000 * board.square,
+            marker_mm=1000 * board.marker,
+            dictionary=board.dictionary,
+        )
     if isinstance(board, Chessboard):
         return ChessboardTable(columns=board.columns, rows=board.rows, square_mm=1000 * board.square)
     raise CaptureError(f"A board of type {type(board).__name__} has no place in files yet.")
