@@ -1,11 +1,11 @@
-"""Is the covariance true? Hundreds of full calibrations with fresh noise against what each of them says of itself.
+"""Is the covariance true? Hundreds of full calibrations with fresh noise against the covariance that each states.
 
 Thirty board views and four placements seen at nine table angles each, all with a stripe.
 
-What only a prior holds - gain and harmonics of the table - would look too good if its true value
-stood at the prior's mean in every run: the prior would then be better than it says. So their true
-values, and the ratio of the focal lengths, are drawn from their priors in every run, as the
-covariance has it. What the priors know of all other parameters is printed and is next to nothing.
+Gain and harmonics of the table are held by a prior alone. They would look too good if their true
+values stood at the prior's mean in every run: the prior would then be better than it says. So the
+true values, and the ratio of the focal lengths, are drawn from their priors in every run, as the
+covariance has it. The share of the priors in all other parameters is printed and is next to nothing.
 
     python experiments/calibration_honesty.py [--runs 200] [--noise white] [--quick] [--json FILE]
 """
@@ -85,7 +85,7 @@ def judged(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[Le
     error, covariance = error[:, free], covariance[:, free][:, :, free]
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     count, size = error.shape
-    # Each error against what its own run says: truths differ, and so do the covariances a little.
+    # Each error against the sigma of its own run: truths differ, and so do the covariances a little.
     # About zero and not about the mean, so that a bias counts against us.
     ratio = np.sqrt(np.mean((error / sigma) ** 2, axis=0))
     inside = np.abs(error) <= 1.96 * sigma

@@ -1,4 +1,4 @@
-"""What gross errors do to a calibration: 3 % of the corners and 10 % of the stripe points are wrong.
+"""Gross errors in a calibration: 3 % of the corners and 10 % of the stripe points are wrong.
 
 Every draw is calibrated clean and spoiled, so that the two differ by nothing but the outliers.
 They are 3 to 50 px large, in any direction for corners and across the stripe for its points: to
@@ -68,7 +68,7 @@ def main() -> int:
         with np.errstate(invalid="ignore"):
             predicted = sigma.mean(0) / clean_sigma.mean(0)
             sample = error.std(0) / clean.std(0)
-            # Of the same noise: what is left of it in the difference is small.
+            # Of the same noise: little of it is left in the difference.
             bias = np.abs((error - clean).mean(0)) / clean_sigma.mean(0)
         # Ratios of two standard deviations from 6 paired draws scatter by a fifth.
         most = 2.0 if arguments.quick else 1.3

@@ -26,8 +26,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxscan.reconstruction.streaming.chunk import ChunkKind, ChunkResult
-from measuring.gpu_stages import STAGES, Chunk, Job, all_of_it, natively, prepare
+from measuring.gpu_stages import STAGES, Chunk, Finished, Job, all_of_it, natively, prepare
 from measuring.speed_times import Figure
 from worlds.speed_scene import DISTINCT, ELECTRONS_PER_DN, READ_DN, make_angles, make_frames, make_scanner
 
@@ -107,7 +106,7 @@ def differences(name: str, found: dict[str, Any], expected: dict[str, Any]) -> l
     ]
 
 
-def fields_of(result: Any) -> dict[str, Any]:
+def fields_of(result: Finished) -> dict[str, Any]:
     """The fields of a stripe and of its point by their names; `valid` is the point's."""
     points = {key: field for key, field in result.points._asdict().items() if key != "centre"}
     return {**result.stripes._asdict(), **points, "rgb": result.rgb, "intensity": result.stripes.amplitude}
@@ -121,7 +120,7 @@ def measure(device: jax.Device, chunks: int, size: int, copied: int, repeats: in
     stacks = resident(chunks, size, device)
     frame_bytes = sum(chunk.on.nbytes + chunk.off.nbytes for chunk in stacks)
     first = jax.tree.map(lambda leaf: np.asarray(leaf)[:DISTINCT], stacks[0])
-    on_host, kind = prepare(first, scanner, NOISE)
+    on_host = prepare(first, scanner, NOISE)
     job = jax.device_put(on_host, device)
 
     def add(name: str, taken: float, asked: float | None = None) -> None:
@@ -132,11 +131,11 @@ def measure(device: jax.Device, chunks: int, size: int, copied: int, repeats: in
     total_without_path = 0.0
     inputs: list[Any] = [None] * chunks
     for stage in STAGES:
-        compiled = jax.jit(stage.run, static_argnames="kind")
+        compiled = jax.jit(stage.run)
         arguments = list(zip(stacks, inputs, strict=True))
 
         def run(compiled=compiled, arguments=arguments) -> list[Any]:
-            return [compiled(job, chunk, given, kind=kind) for chunk, given in arguments]
+            return [compiled(job, chunk, given) for chunk, given in arguments]
 
         taken = seconds(run, repeats)
         inputs = run()
@@ -144,32 +143,23 @@ def measure(device: jax.Device, chunks: int, size: int, copied: int, repeats: in
         add(stage.name, taken)
     # On a CPU the copy says little about a search that XLA computes there.
     add("all but the path", total_without_path, None if dry else ASKED_SHARE)
-    whole = jax.jit(all_of_it, static_argnames="kind")
-    add("all in one function", seconds(lambda: [whole(job, chunk, kind=kind) for chunk in stacks], repeats))
+    whole = jax.jit(all_of_it)
+    add("all in one function", seconds(lambda: [whole(job, chunk) for chunk in stacks], repeats))
     staged = jax.tree.map(lambda leaf: np.asarray(leaf)[:DISTINCT], inputs[0])
-    return figures + compare(whole, staged, first, scanner, (on_host, job), kind, device)
+    here = fields_of(jax.device_get(whole(job, jax.device_put(first, device))))
+    return figures + compare(here, fields_of(staged), first, scanner, on_host)
 
 
-def compare(
-    whole: Callable[..., ChunkResult],
-    staged: Any,
-    first: Chunk,
-    scanner: Scanner,
-    jobs: tuple[Job, Job],
-    kind: ChunkKind,
-    device: jax.Device,
-) -> list[Figure]:
-    """The first pairs by all ways: the stages, one function, the CPU's native search, and the public call."""
-    on_host, on_device = jobs
-    here = fields_of(jax.device_get(whole(on_device, jax.device_put(first, device), kind=kind)))
-    there = fields_of(natively(on_host, first, kind))
+def compare(here: dict[str, Any], staged: dict[str, Any], first: Chunk, scanner: Scanner, on_host: Job) -> list[Figure]:
+    """The first pairs by all ways: one function, the stages, the CPU's native search, and the public call."""
+    there = fields_of(natively(on_host, first))
     sweep = Sweep(first.on, first.off, first.phi.astype(np.float64))
     settings = ReconstructSettings(chunk_records=len(first.on))
     cloud = vars(reconstruct(sweep, scanner, settings=settings, noise=NOISE))
     same = {key: cloud[key] for key in ("xyz", "rgb", "intensity", "sigma_random", "sigma_systematic", "valid")}
     return [
         *differences("one function - native", here, there),
-        *differences("one function - stages", here, fields_of(staged)),
+        *differences("one function - stages", here, staged),
         *differences("reconstruct - native", same, there),
     ]
 

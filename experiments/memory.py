@@ -32,7 +32,7 @@ import numpy as np
 from jaxscan.files.capture import open_capture
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.reconstruction import ReconstructSettings, reconstruct
-from jaxscan.vision.images import encode_png
+from jaxscan.vision import encode_png
 
 
 LIMIT_BYTES = 2e9

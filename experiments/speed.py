@@ -44,9 +44,11 @@ from worlds.speed_scene import (
 )
 
 from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
-from jaxscan.stripes import NoiseModel, extract_stripes
+from jaxscan.stripes import NoiseModel, StripeSettings, extract_stripes
 
 
+PLAIN = StripeSettings(estimator="centre_of_gravity")
+"""The plain estimator, beside the default one."""
 SECTIONS = ("memory", "stages", "png", "shards")
 RESULTS = Path(__file__).resolve().parent / "results"
 PAIR_BYTES = 2 * WIDTH * HEIGHT
@@ -86,6 +88,7 @@ def own_variants() -> dict[str, dict[str, Any]]:
     variants: dict[str, dict[str, Any]] = {
         "ours": {},
         "ours, noise given": {"noise": noise},
+        "ours, centre of gravity": {"noise": noise, "settings": ReconstructSettings(stripes=PLAIN)},
         "ours, no normals": {"noise": noise, "settings": ReconstructSettings(normals=False)},
     }
     # The columns where the calibrated rig can see a stripe are a part of the image; this is all of it.
@@ -123,6 +126,8 @@ def measure_memory(frames: Frames, size: Size) -> list[Contestant]:
     right: dict[str, float | None] = {name: _right(peer.u, frames) for name, peer in others.items()}
     found = extract_stripes(*(stack[:DISTINCT] for stack in stacks))
     right["ours"] = _right(np.where(found.valid, found.u, np.nan), frames)
+    plain = extract_stripes(*(stack[:DISTINCT] for stack in stacks), settings=PLAIN)
+    right["ours, centre of gravity"] = _right(np.where(plain.valid, plain.u, np.nan), frames)
     for name in ("horus", "usual", "lean"):
         points[name] = float(np.isfinite(others[name].u).mean())
     what = {
@@ -130,6 +135,7 @@ def measure_memory(frames: Frames, size: Size) -> list[Contestant]:
         "ours, noise given": "points, colours, normals, two sigmas",
         "ours, no normals": "noise given; points, colours, two sigmas",
         "ours, all columns": "noise given; stripes searched in every column",
+        "ours, centre of gravity": "noise given; the plain estimator instead of the fit",
         "horus": "the desk scanner, operation by operation: points, colours",
         "usual": "the same for all rows at once: points, colours",
         "lean": "the least that gives a centroid: points, colours",

@@ -6,7 +6,8 @@ All through the public call with its default settings, on frames from an indepen
 - cells: error over the bound, bias over the sub-pixel phase and honesty of sigma, width by amplitude;
 - narrow: the same at 0.7 px; over-exposed: at 2.4 times full scale;
 - faint: 12 DN in noise of 3 DN, and rows invented where there is no stripe;
-- reflections: rows mistaken in a furnished room (`stripe_reflections.py`).
+- reflections: rows mistaken in a furnished room (`stripe_reflections.py`);
+- peer: the centre of gravity, the plain estimator, beside the Gaussian on the same frames.
 
 Without --only and --quick a table and a plot are written to experiments/results. The exit code is
 1 where a figure misses what is asked.
@@ -31,7 +32,7 @@ from tables.stripe_table import Cell, Figure, cell_figures, cell_lines, draw, fi
 from worlds.stripe_world import Sensor, centre_bound, curved_course, expose_evenly, render, scattered_course
 
 import jaxscan
-from jaxscan.stripes import NoiseModel
+from jaxscan.stripes import ESTIMATORS, NoiseModel, StripeSettings
 
 
 WIDTHS = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
@@ -45,11 +46,15 @@ PHASES = 10
 BIAS_ERROR_PX = 0.00095
 """Standard error of a phase bin's mean that sets the number of rows, where the bound is reached."""
 NOISES = ("known", "estimated")
+PEER_PLACES = ((1.0, 60.0), (1.5, 20.0), (1.5, 120.0), (3.0, 60.0))
+"""Width [px] and amplitude [DN] at which both estimators are compared."""
 
 
-def extracted(on: np.ndarray, off: np.ndarray, noise: NoiseModel | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def extracted(
+    on: np.ndarray, off: np.ndarray, noise: NoiseModel | None, estimator: str = "gaussian"
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """u, sigma, valid of every row, by the public call."""
-    stripes = jaxscan.extract_stripes(on, off, noise=noise)
+    stripes = jaxscan.extract_stripes(on, off, noise=noise, settings=StripeSettings(estimator=estimator))
     return np.asarray(stripes.u, np.float64), np.asarray(stripes.sigma, np.float64), np.asarray(stripes.valid)
 
 
@@ -132,6 +137,31 @@ def measure_faint(*, quick: bool, seed: int) -> list[Figure]:
     return out
 
 
+def measure_peer(*, quick: bool, seed: int) -> list[Figure]:
+    """Error over the bound, honesty of sigma and rows found of both estimators, on the same frames."""
+    sensor = Sensor()
+    known = models(sensor)["known"]
+    out = []
+    for width, amplitude in PEER_PLACES:
+        rng = np.random.default_rng([seed, 31, round(100 * width), round(amplitude)])
+        rows: dict[str, list] = {name: [] for name in ESTIMATORS}
+        for _ in range(1 if quick else 4):
+            frames = render(scattered_course(BATCH, ROWS, COLUMNS, rng), width, amplitude, COLUMNS, sensor, rng)
+            for name in ESTIMATORS:
+                u, sigma, valid = extracted(frames.on, frames.off, known, name)
+                rows[name].append(np.stack([u - frames.u, sigma, valid]).reshape(3, -1))
+        bound = centre_bound(width, amplitude, sensor)
+        for name in ESTIMATORS:
+            error, sigma, valid = np.concatenate(rows[name], -1)
+            error, sigma = error[valid > 0], sigma[valid > 0]
+            rms = float(np.sqrt(np.mean(error**2)))
+            key = f"peer_{name}_{width:g}px_{amplitude:g}dn"
+            out.append(Figure(f"{key}_rms_over_bound", rms / bound, "1"))
+            out.append(Figure(f"{key}_sigma_over_error", float(np.sqrt(np.mean(sigma**2))) / rms, "1"))
+            out.append(Figure(f"{key}_valid", float(np.mean(valid)), "of rows"))
+    return out
+
+
 def measure_reflections(*, quick: bool, seed: int) -> list[Figure]:
     """Rows that are mistaken in a room with second reflections."""
     config, records = reflections.room_records(6 if quick else 24)
@@ -150,12 +180,13 @@ def measure_reflections(*, quick: bool, seed: int) -> list[Figure]:
     return out
 
 
-SECTIONS = ("cells", "narrow", "over_exposed", "faint", "reflections")
+SECTIONS = ("cells", "narrow", "over_exposed", "faint", "reflections", "peer")
 TITLES = {
     "cells": "Width by amplitude (asked: RMS ≤ 1.05 of the bound, bias ≤ 0.005 px, sigma 0.9–1.1 of the error)",
     "narrow": "Narrow stripes (asked: RMS ≤ 1.10 of the bound, sigma 0.9–1.1 of the error)",
     "over_exposed": "Over-exposed 2.4 times (asked: RMS ≤ 0.02 px, sigma 0.9–1.1 of the error)",
     "faint": "A stripe of 12 DN, 2 px wide, in noise of 3 DN of the difference; and no stripe at all",
+    "peer": "The plain estimator (centre of gravity) beside the default one, on the same frames, the noise known",
     "reflections": "Second reflections on a fifth of the lit rows of a furnished room",
 }
 
@@ -170,7 +201,8 @@ def measure(section: str, *, quick: bool, seed: int) -> tuple[list[str], list[Fi
     if section in places:
         cells = [cell for place in places[section] for cell in measure_cell(*place, quick=quick, seed=seed)]
         return cell_lines(cells, section), cell_figures(cells, section), cells
-    figures = (measure_faint if section == "faint" else measure_reflections)(quick=quick, seed=seed)
+    measures = {"faint": measure_faint, "reflections": measure_reflections, "peer": measure_peer}
+    figures = measures[section](quick=quick, seed=seed)
     return figure_lines(figures), figures, []
 
 

@@ -47,7 +47,6 @@ HOME_OF = {
     "numba": {"stripes/search/native_loops.py"},
     "scipy": {"measurement"},
     "matplotlib": {"report"},
-    "viser": {"report"},
     "rich": {"cli"},
     "tyro": {"cli"},
     "pydantic": {"files", "simulation"},
@@ -142,6 +141,70 @@ def test_the_acquisition_layer_imports_what_writes_captures(path):
         homes = RIG_HOME_OF.get(first)
         if homes is not None:
             assert where.startswith(homes), f"line {line}: {module}"
+
+
+def _modules():
+    """Every module of the three packages, by its name."""
+    found = {}
+    for package in (PACKAGE, RIG, BENCH):
+        for path in package.rglob("*.py"):
+            parts = [package.name, *path.relative_to(package).with_suffix("").parts]
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def _imported_modules(path, known):
+    """The modules among `known` that a file imports, also where only a type checker or a function does."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in known)
+        elif isinstance(node, ast.ImportFrom) and node.module in known:
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield inner if inner in known else node.module
+
+
+def _circle(graph):
+    """A circle of a graph as the names along it; None where there is none."""
+    done = set()
+
+    def walk(name, way):
+        if name in way:
+            return [*way[way.index(name) :], name]
+        if name in done:
+            return None
+        for other in sorted(graph.get(name, ())):
+            if found := walk(other, [*way, name]):
+                return found
+        done.add(name)
+        return None
+
+    return next((found for name in sorted(graph) if (found := walk(name, []))), None)
+
+
+def test_a_circle_is_found():
+    assert _circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+    assert _circle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) is None
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    known = _modules()
+    graph = {name: set(_imported_modules(path, known)) - {name} for name, path in known.items()}
+    circle = _circle(graph)
+    assert circle is None, " imports ".join(circle)
+
+
+def test_no_room_of_the_acquisition_layer_imports_itself_by_way_of_others():
+    """Rooms are its folders; a file beside them is one of its own."""
+    known = _modules()
+    graph = {}
+    for name, path in known.items():
+        here = ".".join(name.split(".")[:2])
+        there = {".".join(other.split(".")[:2]) for other in _imported_modules(path, known)}
+        if name.startswith("scanrig."):
+            graph.setdefault(here, set()).update(room for room in there if room.startswith("scanrig.") and room != here)
+    circle = _circle(graph)
+    assert circle is None, " imports ".join(circle)
 
 
 @pytest.mark.parametrize("path", BENCH_FILES, ids=lambda path: path.name)

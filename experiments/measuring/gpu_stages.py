@@ -5,33 +5,27 @@ fit and taking the chosen ones to the triangulation, so that the path is the cho
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxscan.reconstruction.streaming.chunk import (
-    Aim,
-    ChunkKind,
-    ChunkResult,
-    _all_in_one,
-    _from_located,
-    points_of_centres,
-)
-from jaxscan.stripes.choosing.choose import choose
-from jaxscan.stripes.chunk import locate_frames, locate_natively
-from jaxscan.stripes.fitting.fits import Fits, fit_candidates
 from jaxtyping import Bool, Float, Int8, UInt8
 
 from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction import ReconstructSettings, Sweep
-from jaxscan.reconstruction.plan import make_plan, make_searches
+from jaxscan.reconstruction.plan import make_plan
 from jaxscan.reconstruction.points.colour import stripe_colours
-from jaxscan.reconstruction.points.locate import Points, Rig
-from jaxscan.reconstruction.points.triangulate import Limits
-from jaxscan.stripes import FrameStripes, NoiseModel
+from jaxscan.reconstruction.points.coloured import Aim, Coloured, coloured, points_of_centres
+from jaxscan.reconstruction.points.locate import Centres, Points
+from jaxscan.stripes import ChunkStripes, FrameStripes, NoiseModel, StripeEngine
+from jaxscan.stripes.choosing.rules import choose
+from jaxscan.stripes.engine import compute_at_once, compute_natively
+from jaxscan.stripes.fitting.fit_blocks import fit_candidates
+from jaxscan.stripes.frames.planes import host_planes, read_planes
+from jaxscan.stripes.measured import LineCandidates, Measured
 from jaxscan.stripes.search.candidates import Located
-from jaxscan.stripes.search.search import Search, learn_search
+from jaxscan.stripes.search.locate import locate
 
 
 class Chunk(NamedTuple):
@@ -45,22 +39,22 @@ class Chunk(NamedTuple):
 class Job(NamedTuple):
     """What every chunk needs beside its frames."""
 
-    search: Search
-    rig: Rig
+    engine: StripeEngine
+    aim: Aim
 
 
 class Found(NamedTuple):
-    """Candidates, and the gains of the pairs."""
+    """Candidates, and the lamp ratios of the pairs."""
 
     located: Located
-    gain: Float[Array, " pairs"]
+    lamp_ratio: Float[Array, " pairs"]
 
 
 class Chosen(NamedTuple):
     """Which candidate of every line is the stripe, -1 for none, and all of them."""
 
     number: Int8[Array, "pairs lines"]
-    fits: Fits
+    fits: Measured
 
 
 class Finished(NamedTuple):
@@ -76,57 +70,48 @@ class Stage(NamedTuple):
 
     name: str
     run: Callable[..., Any]
-    """`run(job, chunk, given, kind)`: `given` is what the stage before returned."""
+    """`run(job, chunk, given)`: `given` is what the stage before returned."""
     is_path: bool = False
     """Whether it is the path over the rows, which is reported apart."""
 
 
-def prepare(first: Chunk, scanner: Scanner, noise: NoiseModel) -> tuple[Job, ChunkKind]:
-    """What a reconstruction of a sweep that starts with these pairs knows before its first chunk; on the host."""
+def prepare(first: Chunk, scanner: Scanner, noise: NoiseModel) -> Job:
+    """The engine and aim of a reconstruction of a sweep that starts with these pairs; on the host."""
     chunk = jax.tree.map(np.asarray, first)
     sweep = Sweep(chunk.on, chunk.off, chunk.phi.astype(np.float64))
     plan = make_plan(sweep, scanner, ReconstructSettings(chunk_records=len(chunk.on)))
-    kind = plan.kind(0)
-    job = Job(make_searches(plan, noise)[0], Rig.of(scanner, "rows"))
-    learned = learn_search(job.search, natively(job, chunk, kind).stripes)
-    return job._replace(search=learned), kind
+    job = Job(plan.engines(noise)[0], plan.aim(0))
+    with jax.default_device(jax.devices("cpu")[0]):
+        return job._replace(engine=job.engine.learn_width(chunk.on, chunk.off, coloured(plan.frames)))
 
 
-def to_candidates(job: Job, chunk: Chunk, given: None, kind: ChunkKind) -> Found:
+def to_candidates(job: Job, chunk: Chunk, given: None) -> Found:
     """The highest maxima of every line, and the samples around them."""
     del given
-    return Found(*locate_frames(chunk.on, chunk.off, job.search, **_look(kind)))
+    setup, search = job.engine.setup, job.engine.search
+    planes = read_planes(chunk.on, chunk.off, search, setup)
+    found = locate(planes, search, pitch=setup.sites.pitch, saturation=setup.settings.saturation)
+    return Found(found, planes.lamp_ratio)
 
 
-def to_fits(job: Job, chunk: Chunk, given: Found, kind: ChunkKind) -> Fits:
+def to_fits(job: Job, chunk: Chunk, given: Found) -> Measured:
     """Every candidate fitted and judged: fields [pairs, lines, candidates]."""
     del chunk
-    search = job.search
-    fits = fit_candidates(
-        given.located.lists,
-        given.gain,
-        search.read,
-        search.gain,
-        (search.log_width, search.width_information),
-        samples=kind.image_size[0],
-        pitch=1,
-        response=kind.response,
-        settings=kind.stripes,
-    )
+    fits = fit_candidates(given.located.lists, given.lamp_ratio, job.engine.search, job.engine.setup)
     slots = given.located.slots
     index = jnp.maximum(slots, 0)
     fits = jax.tree.map(lambda field: field.at[index].get(mode="promise_in_bounds"), fits)
     return fits._replace(valid=fits.valid & (slots >= 0))
 
 
-def to_path(job: Job, chunk: Chunk, given: Fits, kind: ChunkKind) -> Chosen:
+def to_path(job: Job, chunk: Chunk, given: Measured) -> Chosen:
     """The best path over the rows."""
     del chunk
-    fields = given.u, given.snr, given.amplitude, given.width, given.valid
-    return Chosen(choose(*fields, job.search.near_side, kind.stripes), given)
+    candidates = LineCandidates(given.u, given.snr, given.amplitude, given.width, given.valid)
+    return Chosen(choose(candidates, job.engine.search.near_side, job.engine.setup.settings), given)
 
 
-def to_points(job: Job, chunk: Chunk, given: Chosen, kind: ChunkKind) -> Finished:
+def to_points(job: Job, chunk: Chunk, given: Chosen) -> Finished:
     """Triangulate and colour what was chosen."""
     valid: Bool[Array, "pairs lines"] = given.number >= 0
 
@@ -135,12 +120,11 @@ def to_points(job: Job, chunk: Chunk, given: Chosen, kind: ChunkKind) -> Finishe
         return jnp.where(valid, one, jnp.zeros_like(one))
 
     fields = {name: taken(getattr(given.fits, name)) for name in FrameStripes._fields if name != "valid"}
-    stripes = FrameStripes(**fields, valid=valid)
-    points = points_of_centres(stripes.u, stripes.sigma, valid, _aim(job, chunk), stripe_axis=kind.line.stripe_axis)
-    how: dict[str, Any] = {"pixel_format": kind.pixel_format, "response": kind.response}
-    how["stripe_axis"] = kind.line.stripe_axis
+    stripes, setup = FrameStripes(**fields, valid=valid), job.engine.setup
+    axis = setup.line.stripe_axis
+    points = points_of_centres(Centres(stripes.u, stripes.sigma, valid), job.aim, chunk.phi, stripe_axis=axis)
     # The fit knows the grey level already.
-    return Finished(stripes, points, stripe_colours(stripes, None, has_off=True, **how))
+    return Finished(stripes, points, stripe_colours(stripes, None, frames=setup.frames, stripe_axis=axis))
 
 
 STAGES = (
@@ -151,22 +135,21 @@ STAGES = (
 )
 
 
-def all_of_it(job: Job, chunk: Chunk, kind: ChunkKind) -> ChunkResult:
+def all_of_it(job: Job, chunk: Chunk) -> Finished:
     """All stages in one function, as a reconstruction on an accelerator has them."""
-    return _all_in_one(chunk.on, chunk.off, job.search, _aim(job, chunk), kind)
+    then = coloured(job.engine.setup.frames, job.aim, chunk.phi)
+    return _finished(compute_at_once(job.engine, chunk.on, chunk.off, then))
 
 
-def natively(job: Job, chunk: Chunk, kind: ChunkKind) -> ChunkResult:
+def natively(job: Job, chunk: Chunk) -> Finished:
     """The same on the CPU, whose search is native, as a reconstruction there has it; NumPy arrays."""
     with jax.default_device(jax.devices("cpu")[0]):
         job, chunk = jax.tree.map(np.asarray, (job, chunk))
-        found = locate_natively(chunk.on, chunk.off, job.search, **_look(kind))
-        return jax.tree.map(np.array, _from_located(*found, job.search, None, _aim(job, chunk), kind=kind))
+        then = coloured(job.engine.setup.frames, job.aim, chunk.phi)
+        planes = host_planes(chunk.on, chunk.off, job.engine.search, job.engine.setup)
+        return _finished(compute_natively(job.engine, planes, None, then))
 
 
-def _aim(job: Job, chunk: Chunk) -> Aim:
-    return Aim(job.rig, np.asarray(0, np.int32), chunk.phi, Limits.of(ReconstructSettings()))
-
-
-def _look(kind: ChunkKind) -> dict[str, Any]:
-    return {"pixel_format": kind.pixel_format, "line": kind.line, "settings": kind.stripes}
+def _finished(found: ChunkStripes) -> Finished:
+    more: Coloured = found.more
+    return Finished(found.stripes, cast(Points, more.points), more.rgb)

@@ -24,7 +24,7 @@ from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_ke
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud, extract_sweep, reconstruct
 from jaxscan.stripes import Stripes
-from jaxscan.vision.images import decode_image, encode_png
+from jaxscan.vision import decode_image, encode_png
 
 
 HEADER = f"""format = "jaxscan-capture/1"

@@ -9,19 +9,20 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxscan.reconstruction.streaming.chunk import Aim, points_of_centres
-from jaxscan.stripes.choosing.choose import choose
-from jaxscan.stripes.chunk import locate_natively, stripes_of_located
-from jaxscan.stripes.fitting.fits import Fits, fit_candidates
 from measuring.speed_times import Times, take_turns
 from worlds.speed_scene import ELECTRONS_PER_DN, HEIGHT, READ_DN, WIDTH, Frames, make_angles
 
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
-from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan, make_searches
-from jaxscan.reconstruction.points.locate import Rig
-from jaxscan.reconstruction.points.triangulate import Limits
+from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan
+from jaxscan.reconstruction.points.coloured import points_alone
+from jaxscan.reconstruction.points.locate import Centres
 from jaxscan.stripes import NoiseModel, estimate_noise
+from jaxscan.stripes.choosing.rules import choose
+from jaxscan.stripes.engine import choose_stripes
+from jaxscan.stripes.fitting.fit_blocks import fit_candidates
+from jaxscan.stripes.frames.planes import host_planes
+from jaxscan.stripes.measured import LineCandidates, Measured
 
 
 FRAME = WIDTH * HEIGHT
@@ -78,30 +79,31 @@ def stages(frames: Frames, scanner: Scanner, repeats: int) -> list[Stage]:
 def chunk_stages(frames: Frames, sweep: Sweep, scanner: Scanner, noise: NoiseModel) -> tuple[dict[str, Any], float]:
     """The stages of one chunk, as functions; and the candidates of a pair."""
     plan = make_plan(sweep, scanner, ReconstructSettings(chunk_records=CHUNK))
-    kind, search = plan.kind(0), make_searches(plan, noise)[0]
-    settings = kind.stripes
-    how = {"pixel_format": kind.pixel_format, "response": kind.response, "line": kind.line, "settings": settings}
+    engine = plan.engines(noise)[0]
+    setup, search, estimator = engine.setup, engine.search, engine.estimator
     on, off = frames.on[:CHUNK], frames.off[:CHUNK]
-    look = {"pixel_format": kind.pixel_format, "line": kind.line, "settings": settings}
-    located, gain = jax.tree.map(np.copy, locate_natively(on, off, search, **look))
-    fit = jax.jit(functools.partial(fit_candidates, samples=WIDTH, pitch=1, response="linear", settings=settings))
-    prior = search.log_width, search.width_information
-    fits = fit(located.lists, gain, search.read, search.gain, prior)
+
+    def locate_natively():
+        planes = host_planes(on, off, search, setup)
+        return estimator.locate_natively(planes, search, setup), planes.lamp_ratio
+
+    located, ratio = jax.tree.map(np.copy, locate_natively())
+    fit = jax.jit(functools.partial(fit_candidates, setup=setup))
+    fits = fit(located.lists, ratio, search)
 
     @jax.jit
-    def path(fits: Fits, slots: np.ndarray):
+    def path(fits: Measured, slots: np.ndarray):
         index = jax.numpy.maximum(slots, 0)
-        u, snr, amplitude, width, valid = (
-            getattr(fits, name)[index] for name in ("u", "snr", "amplitude", "width", "valid")
-        )
-        return choose(u, snr, amplitude, width, valid & (slots >= 0), search.near_side, settings)
+        u, snr, amplitude, width, valid = (getattr(fits, name)[index] for name in LineCandidates._fields)
+        candidates = LineCandidates(u, snr, amplitude, width, valid & (slots >= 0))
+        return choose(candidates, search.near_side, setup.settings)
 
-    stripes = jax.jit(functools.partial(stripes_of_located, image_size=(WIDTH, HEIGHT), **how))
-    found = stripes(located, gain, search)
-    aim = Aim(
-        Rig.of(scanner, "rows"), np.asarray(0, np.int32), np.zeros(CHUNK, np.float32), Limits.of(ReconstructSettings())
+    stripes = jax.jit(
+        lambda located, ratio: choose_stripes(estimator.measure(located, ratio, search, setup), search, setup)[0]
     )
-    points = jax.jit(functools.partial(points_of_centres, stripe_axis=kind.line.stripe_axis))
+    found = stripes(located, ratio)
+    centres = Centres(found.u, found.sigma, found.valid)
+    points = functools.partial(points_alone, stripe_axis=setup.line.stripe_axis)
 
     def single(function, *arguments):
         def run():
@@ -111,10 +113,10 @@ def chunk_stages(frames: Frames, sweep: Sweep, scanner: Scanner, noise: NoiseMod
         return run
 
     runs = {
-        "locate (native, one thread)": single(functools.partial(locate_natively, **look), on, off, search),
-        "fit (one thread)": single(fit, located.lists, gain, search.read, search.gain, prior),
+        "locate (native, one thread)": single(locate_natively),
+        "fit (one thread)": single(fit, located.lists, ratio, search),
         "path over the rows (one thread)": single(path, fits, located.slots),
-        "fit, path and choice (one thread)": single(stripes, located, gain, search),
-        "triangulate (one thread)": single(points, found.u, found.sigma, found.valid, aim),
+        "fit, path and choice (one thread)": single(stripes, located, ratio),
+        "triangulate (one thread)": single(points, centres, plan.aim(0), np.zeros(CHUNK, np.float32)),
     }
     return runs, sum(int(one.total) for one in located.lists) / CHUNK

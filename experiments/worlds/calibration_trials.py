@@ -1,4 +1,4 @@
-"""What the calibration experiments share: noisy observations of a known rig, and figures against targets."""
+"""Shared by the calibration experiments: noisy observations of a known rig, and figures against targets."""
 
 import argparse
 import json
@@ -20,12 +20,12 @@ CORNER_PX, STRIPE_PX = 0.1, 0.15
 CORRELATIONS = {"white": 0.0, "correlated": 0.6}
 """Noise along the stripe: between neighbouring points; at 0.6, n points are worth n / 4."""
 SETTINGS = CalibrationSettings(judge=False)
-"""The tests of the models take longer than the solve and are not what is looked at here."""
+"""The tests of the models take longer than the solve and are not looked at here."""
 REFERENCE = Path(__file__).resolve().parents[2] / "configs" / "reference.toml"
 
 
 class Figure(NamedTuple):
-    """A number and what it must be."""
+    """A number and its target."""
 
     key: str
     value: float

@@ -107,8 +107,8 @@ def ideal_boards(
         config: The true rig.
         poses: Of `draw_poses`, perhaps for a rig that differs a little.
         points: Points of a stripe at most: of more rows, so many are taken, evenly spread.
-        lens_px: What r^8, which the five coefficients of the lens cannot hold, is worth in the
-            corners of the image once they have taken up what they can [px].
+        lens_px: An error of the lens model, in the corners of the image [px]: the part of r^8 that
+            the five coefficients of the lens cannot take up.
     """
     rig = IdealRig(config, lens_px)
     corners = rig.bowed(config.boards.board().corners()[:, :2])

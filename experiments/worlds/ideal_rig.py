@@ -1,4 +1,4 @@
-"""Where a rig sees points of a board and of the stripe on it, to the last digit.
+"""A true rig as a forward model: pixels of points of a board and of the stripe on it, to the last digit.
 
 Written in NumPy apart from `geometry` and `calibration` on purpose: an estimator that is tested
 with these cannot share an error with them.
@@ -120,10 +120,10 @@ class IdealRig:
 
 
 def lens_flaw(camera: CameraSpec, worth_px: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Shift [n, 2], px, at normalised coordinates: r^8 less what the lens model absorbs of it."""
+    """Shift [n, 2], px, at normalised coordinates: r^8 less the part that the lens model absorbs."""
 
     def terms(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """r^8, and what a change of each modelled parameter does, as [2 n] and [2 n, 9]."""
+        """r^8, and the shift by a change of each modelled parameter, as [2 n] and [2 n, 9]."""
         r2, zero, one = x * x + y * y, np.zeros_like(x), np.ones_like(x)
         pairs = [(x, zero), (zero, y), (one, zero), (zero, one)]
         pairs += [(x * r2**power, y * r2**power) for power in (1, 2, 3)]

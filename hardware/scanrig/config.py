@@ -12,9 +12,9 @@ from jaxscan.files.capture import BoardTable, LaserTable
 from jaxscan.files.disk import FileModel, Integer, Number, load_toml
 from jaxscan.geometry.turntable import Carries
 from jaxscan.stripes import LaserLine
-from scanrig.cameras.settings import CameraSettings
+from scanrig.cameras import CameraSettings
 from scanrig.checks import ProofLimits
-from scanrig.controllers.table import ControllerTable
+from scanrig.controllers import ControllerTable
 
 
 MAX_MICROSTEPS = 10_000_000
@@ -235,11 +235,6 @@ class RigConfig(FileModel):
             raise ValueError(
                 f"camera.exposure_ms: found {self.camera.exposure_ms:g}, expected at most 5000 with a trigger pulse of "
                 "the exposure's length; give trigger.pulse_ms where the camera times its exposure itself"
-            )
-        if self.controller.type == "grbl" and self.camera.trigger == "hardware":
-            raise ValueError(
-                'camera.trigger: found "hardware", expected "software" or "free": a controller of type "grbl" has no '
-                "wire to the camera"
             )
         return self
 

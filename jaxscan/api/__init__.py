@@ -1,4 +1,4 @@
-"""The public verbs: what joins the core and the edges."""
+"""The public verbs, which join the core and the edges."""
 
 from jaxscan.api.calibration import calibrate as calibrate
 from jaxscan.api.calibration import observe_boards as observe_boards

@@ -105,7 +105,6 @@ def _part(progress: Progress | None, look: int, looks: int) -> Progress | None:
 
 def _eyes() -> Eyes:
     # Imported here, so that `import jaxscan` does not load OpenCV.
-    from jaxscan.vision.boards import find_corners
-    from jaxscan.vision.grey import to_grey
+    from jaxscan.vision import find_corners, to_grey
 
     return Eyes(to_grey, find_corners)

@@ -39,7 +39,7 @@ def simulate(
         DependencyError: If Open3D or a system library that it needs is missing.
     """
     # Imported here, so that `import jaxscan` does not load OpenCV.
-    from jaxscan.vision.boards import board_texture
+    from jaxscan.vision import board_texture
 
     boards = render_boards(config, board_texture(config.boards.board(), TEXTURE_PX), seed=seed)
     sweep = render_sweep(config, every=every, seed=seed)

@@ -13,8 +13,7 @@ from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.summary import print_summary, summary, write_page
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration import check_calibration_path
-from jaxscan.files.calibration.quality import quality_table
+from jaxscan.files.calibration import check_calibration_path, quality_table
 from jaxscan.files.disk import check_writable
 from jaxscan.geometry import CameraModel
 from jaxscan.report.words import headline

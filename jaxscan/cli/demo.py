@@ -19,7 +19,7 @@ from jaxscan.geometry import Array, Scanner
 from jaxscan.measurement import RoomBox
 from jaxscan.report.picture import draw_cloud
 from jaxscan.simulation import SimulationConfig, true_scanner
-from jaxscan.vision.images import encode_png
+from jaxscan.vision import encode_png
 
 
 COLUMNS = ("", "measured m", "truth m", "error mm", "predicted sigma mm")

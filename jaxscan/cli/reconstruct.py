@@ -9,7 +9,7 @@ from jaxscan.cli.options import CalibrationPath, CapturePath, OutputPath, at_lea
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
-from jaxscan.files.calibration.calibration import calibration_digest, calibration_notes
+from jaxscan.files.calibration import calibration_digest, calibration_notes
 from jaxscan.files.clouds import check_cloud_path
 from jaxscan.stripes import Choice, estimator_of
 

@@ -17,12 +17,12 @@ from jaxscan.files.clouds import save_cloud
 from jaxscan.files.disk import write_atomically
 from jaxscan.files.recording import create_capture
 from jaxscan.reconstruction import PointCloud
-from jaxscan.simulation import RenderedRecord, SimulationConfig, board_pairs, sweep_angles
+from jaxscan.simulation import RenderedRecord, SimulationConfig, board_pairs, sweep_angles, true_cloud
 from jaxscan.simulation import truth as simulation_truth
 
 
 class SimulatedCaptures(NamedTuple):
-    """What `simulate` wrote."""
+    """The folder that `simulate` wrote."""
 
     folder: Path
     board_pairs: int
@@ -46,7 +46,7 @@ class SimulatedCaptures(NamedTuple):
 
     @property
     def truth(self) -> Path:
-        """What is true of the rig and its room, as JSON."""
+        """The truth of the rig and its room, as JSON."""
         return self.folder / "truth.json"
 
     @property
@@ -121,7 +121,7 @@ def simulation_digest(config: SimulationConfig) -> str:
 def _write_capture(
     config: SimulationConfig, kind: Literal["calibration", "sweep"], folder: Path, records: Iterator[RenderedRecord]
 ) -> list[RenderedRecord]:
-    """Write records as a capture; what is returned has no frames."""
+    """Write records as a capture; the records that are returned have no frames."""
     camera = {**config.camera.model_dump(include={"width", "height", "up"})}
     camera |= {"pixel_format": config.sensor.pixel_format, "response": config.sensor.response}
     board = config.boards.model_dump(include={"type", "columns", "rows", "square_mm"})
@@ -154,17 +154,17 @@ def _write_capture(
 
 def _cloud_of_truth(records: Sequence[RenderedRecord]) -> PointCloud:
     """The cloud of a perfect scanner; `intensity` is the stripe's true peak [DN]."""
-    truths = [record.truth for record in records]
-    grid = (len(truths), len(truths[0].u))
+    xyz, valid, angle = true_cloud(records)
+    grid = valid.shape
     return PointCloud(
-        xyz=np.stack([t.xyz for t in truths]).astype(np.float32),
+        xyz=xyz.astype(np.float32),
         rgb=np.zeros((*grid, 3), np.uint8),
-        intensity=np.stack([t.amplitude for t in truths]).astype(np.float32),
+        intensity=np.stack([record.truth.amplitude for record in records]).astype(np.float32),
         normals=np.zeros((*grid, 3), np.float32),
         sigma_random=np.zeros(grid, np.float32),
         sigma_systematic=np.zeros(grid, np.float32),
-        valid=np.stack([t.valid for t in truths]),
-        record=np.arange(len(truths), dtype=np.int32),
+        valid=valid,
+        record=np.arange(len(valid), dtype=np.int32),
         laser=np.array([record.laser_index for record in records], np.int32),
-        angle=np.array([record.angle for record in records]),
+        angle=angle,
     )

@@ -1,11 +1,12 @@
 """Nouns: what the rig is."""
 
+from jaxscan.geometry.arrays import MAX_PIXELS as MAX_PIXELS
 from jaxscan.geometry.arrays import Array as Array
 from jaxscan.geometry.board import AbstractBoard as AbstractBoard
+from jaxscan.geometry.board import BowedBoard as BowedBoard
 from jaxscan.geometry.board import Charuco as Charuco
 from jaxscan.geometry.board import Chessboard as Chessboard
-from jaxscan.geometry.bowed_board import BowedBoard as BowedBoard
-from jaxscan.geometry.bowed_board import corner_frame as corner_frame
+from jaxscan.geometry.board import corner_frame as corner_frame
 from jaxscan.geometry.cameras import CAMERAS as CAMERAS
 from jaxscan.geometry.cameras import AbstractCamera as AbstractCamera
 from jaxscan.geometry.cameras import CameraModel as CameraModel

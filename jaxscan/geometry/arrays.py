@@ -12,6 +12,9 @@ import numpy as np
 
 Array = jax.Array | np.ndarray
 
+MAX_PIXELS = 100_000_000
+"""Largest image that is decoded, announced by a file or asked of a camera."""
+
 
 def real(value: Any) -> Array:
     """Numbers and lists as NumPy float64; JAX arrays and floating NumPy arrays as they are."""

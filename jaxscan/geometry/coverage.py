@@ -1,4 +1,4 @@
-"""What views of a board should cover, before and after a calibration: parts of the image, tilts, depths."""
+"""Coverage that a calibration asks of views of a board: parts of the image, tilts, depths."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,7 +13,7 @@ MIN_DEPTH_RATIO = 1.5
 MIN_STRIPES = 4
 MIN_PLACEMENTS = 3
 
-# Sentences that are the same before and after a calibration, each with a place for what was seen.
+# Sentences that are the same before and after a calibration, each with a place for the views so far.
 ASK_FOR_PARTS = "bring the board into the {} of the image: too few corners lie there"
 ASK_FOR_TILT = "tilt the board by 20 to 45 degrees: {}"
 ASK_FOR_STRIPES = "capture the stripe on more boards: it was seen on {}"

@@ -10,7 +10,7 @@ from jaxtyping import ArrayLike, Float
 
 from jaxscan.geometry.arrays import Array, real
 from jaxscan.geometry.parameters import ParameterBlock
-from jaxscan.geometry.tangent import move_direction, tangent_basis
+from jaxscan.geometry.tangent import move_direction, tangent_basis, unit_vector
 
 
 class LaserSheet(eqx.Module):
@@ -33,17 +33,21 @@ class LaserSheet(eqx.Module):
 
     @staticmethod
     def from_plane(normal: ArrayLike | Sequence[float], distance: ArrayLike) -> "LaserSheet":
-        """The flat sheet `normal . p = distance` [m]; neither sign nor length of the normal matters.
+        """The flat sheet `normal . p = distance`, camera frame at angle 0.
+
+        Args:
+            normal: Three numbers; neither sign nor length matters.
+            distance: In metres, where the normal has length 1; else so many times more.
 
         Raises:
-            ValueError: If the plane contains the camera centre, or the normal is zero.
+            ValueError: If the normal is zero, or the plane contains the camera centre.
         """
-        n, d = np.asarray(normal, np.float64), float(np.asarray(distance))
-        length = float(np.linalg.norm(n))
-        if length == 0 or d == 0:
-            raise ValueError("A laser plane needs a normal and must not contain the camera centre.")
-        n = np.sign(d) * n / length
-        return LaserSheet(n, np.asarray(abs(d) / length), np.zeros(2), _host_basis(n))
+        n, length = unit_vector(normal, "normal of the plane")
+        d = float(np.asarray(distance)) / length
+        if not 0 < abs(d) < np.inf:
+            raise ValueError(f"distance: found {d:g} m, expected a plane that does not contain the camera centre")
+        n = np.copysign(1.0, d) * n
+        return LaserSheet(n, np.asarray(abs(d)), np.zeros(2), tangent_basis(n))
 
     @staticmethod
     def from_abc(a: float, b: float, c: float) -> "LaserSheet":
@@ -102,8 +106,3 @@ LASER_BLOCKS = (
 def stack_lasers(lasers: list[LaserSheet]) -> LaserSheet:
     """Several sheets as one pytree, every leaf with a leading axis over lasers."""
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *lasers)
-
-
-def _host_basis(normal: np.ndarray) -> np.ndarray:
-    with jax.enable_x64(True):
-        return np.asarray(tangent_basis(jnp.asarray(normal)))

@@ -1,5 +1,6 @@
 """The scanner: camera, laser sheets and turntable, calibrated, as one pytree."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 import equinox as eqx
@@ -10,7 +11,7 @@ from jaxtyping import Float, Int
 
 from jaxscan.geometry.arrays import Array
 from jaxscan.geometry.cameras import AbstractCamera
-from jaxscan.geometry.laser import LaserSheet
+from jaxscan.geometry.laser import LaserSheet, stack_lasers
 from jaxscan.geometry.layout import Layout, make_layout
 from jaxscan.geometry.rigid import rigid, transform
 from jaxscan.geometry.turntable import Turntable
@@ -36,6 +37,39 @@ class Scanner(eqx.Module):
     laser_names: tuple[str, ...] = eqx.field(static=True, default=("laser",))
     up: Up = eqx.field(static=True, default="-v")
     """Which image direction is up; it fixes the sense of the axis."""
+
+    @staticmethod
+    def from_parts(
+        camera: AbstractCamera,
+        lasers: LaserSheet | Sequence[LaserSheet],
+        turntable: Turntable,
+        *,
+        laser_names: Sequence[str] = (),
+        up: Up = "-v",
+    ) -> "Scanner":
+        """A scanner from its parts, all in the camera frame at angle 0.
+
+        Args:
+            camera: Any model.
+            lasers: One sheet, or several.
+            turntable: Its axis in either sense; it is turned to the image's up side, with the signs of its angles.
+            laser_names: One for each sheet; without any, "laser", or "laser1", "laser2" and so on.
+            up: Which image direction is up.
+
+        Returns:
+            The scanner, without a covariance.
+
+        Raises:
+            ValueError: If there is no sheet, or the names do not fit the sheets.
+        """
+        sheets = [lasers] if isinstance(lasers, LaserSheet) else list(lasers)
+        if not sheets or any(np.shape(sheet.normal) != (3,) for sheet in sheets):
+            raise ValueError("lasers: expected one sheet, or a list of at least one sheet")
+        counted = ["laser"] if len(sheets) == 1 else [f"laser{k + 1}" for k in range(len(sheets))]
+        names = tuple(laser_names) or tuple(counted)
+        if len(names) != len(sheets) or len(set(names)) < len(names):
+            raise ValueError(f"laser_names: found {', '.join(names)}, expected {len(sheets)} different names")
+        return Scanner(camera, stack_lasers(sheets), point_up(turntable, up), laser_names=names, up=up)
 
     def laser(self, index: int | Int[Array, ""]) -> LaserSheet:
         """One of the stacked sheets."""

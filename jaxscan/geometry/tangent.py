@@ -1,19 +1,43 @@
 """Unit vectors in minimal coordinates: a direction, and two tangent vectors that steps refer to."""
 
+import math
+from collections.abc import Sequence
+
 import jax.numpy as jnp
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import ArrayLike, Float
 
 from jaxscan.geometry.arrays import Array
 
 
-def tangent_basis(direction: Float[Array, "3"]) -> Float[Array, "2 3"]:
-    """Two orthonormal vectors perpendicular to the unit vector `direction`."""
+def tangent_basis(direction: np.ndarray) -> np.ndarray:
+    """Two orthonormal vectors, float64 [2, 3], perpendicular to the unit vector `direction`."""
     # The coordinate axis after the largest component is safe to cross with. The least parallel one
     # would be too, but which of two that is, changes with the last digits of an upright axis.
-    helper = jnp.zeros_like(jnp.asarray(direction)).at[(jnp.argmax(jnp.abs(direction)) + 1) % 3].set(1.0)
-    first = jnp.cross(direction, helper)
-    first = first / jnp.linalg.norm(first)
-    return jnp.stack([first, jnp.cross(direction, first)])
+    first = np.cross(direction, np.eye(3)[(np.argmax(np.abs(direction)) + 1) % 3])
+    first = first / np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
+
+
+def unit_vector(vector: ArrayLike | Sequence[float], name: str) -> tuple[np.ndarray, float]:
+    """A vector of any length, made a unit vector.
+
+    Args:
+        vector: Three numbers.
+        name: What messages call it.
+
+    Returns:
+        unit: float64 [3].
+        length: Of `vector`.
+
+    Raises:
+        ValueError: If there are not three finite numbers, or all are 0.
+    """
+    found = np.asarray(vector, np.float64)
+    length = math.hypot(*found.ravel())
+    if found.shape != (3,) or not 0 < length < math.inf:
+        raise ValueError(f"{name}: found {found.tolist()}, expected three finite numbers, not all 0")
+    return found / length, length
 
 
 def move_direction(

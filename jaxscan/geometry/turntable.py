@@ -12,7 +12,7 @@ from jaxtyping import ArrayLike, Float
 from jaxscan.geometry.arrays import Array, real
 from jaxscan.geometry.parameters import ParameterBlock
 from jaxscan.geometry.rigid import exponential
-from jaxscan.geometry.tangent import move_direction, tangent_basis
+from jaxscan.geometry.tangent import move_direction, tangent_basis, unit_vector
 
 
 Carries = Literal["scanner", "object"]
@@ -48,13 +48,24 @@ class Turntable(eqx.Module):
         gain: float = 1.0,
         carries: Carries = "scanner",
     ) -> "Turntable":
-        """An axis through any of its points [m], with a direction of any length."""
-        a = np.asarray(direction, np.float64)
-        a = a / np.linalg.norm(a)
+        """An axis through any of its points, camera frame at angle 0.
+
+        Args:
+            direction: Three numbers, of any length. The table turns right-handed about it where `gain` is positive.
+            point: Any point of the axis [m].
+            gain: Turned angle per commanded angle [1].
+            carries: What turns.
+
+        Raises:
+            ValueError: If the direction is zero, the point is not finite, or the gain is 0.
+        """
+        a, _ = unit_vector(direction, "direction")
         p = np.asarray(point, np.float64)
-        with jax.enable_x64(True):
-            basis = np.asarray(tangent_basis(jnp.asarray(a)))
-        return Turntable(a, p - (a @ p) * a, np.asarray(float(gain)), np.zeros(4), basis, carries)
+        if p.shape != (3,) or not np.isfinite(p).all():
+            raise ValueError(f"point: found {p.tolist()}, expected three finite numbers")
+        if gain == 0 or not np.isfinite(gain):
+            raise ValueError(f"gain: found {gain:g}, expected about 1 or -1: with 0 the table does not turn")
+        return Turntable(a, p - (a @ p) * a, np.asarray(float(gain)), np.zeros(4), tangent_basis(a), carries)
 
     @staticmethod
     def from_tr(tr: Float[Array, "4 4"]) -> "Turntable":

@@ -9,9 +9,9 @@ from jaxscan.geometry import Array, Scanner
 
 def camera_centres(scanner: Scanner, angle: np.ndarray) -> np.ndarray:
     """Camera centre [n, 3], m, scanner frame, at the table's angles [n], rad from home."""
-    bare = Scanner(scanner.camera, scanner.lasers, scanner.turntable, None, scanner.laser_names, scanner.up)
     with jax.enable_x64(True):
-        return np.asarray(_centres(bare.as_dtype(jnp.float64), jnp.asarray(angle, jnp.float64)))
+        exact = scanner.without_covariance().as_dtype(jnp.float64)
+        return np.asarray(_centres(exact, jnp.asarray(angle, jnp.float64)))
 
 
 @jax.jit

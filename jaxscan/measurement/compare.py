@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree  # type: ignore[import-untyped]
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
@@ -104,6 +103,9 @@ def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudCompar
 
 
 def _by_neighbour(cloud: Cloud, truth: Cloud) -> CloudComparison:
+    # Imported here: `import jaxscan` is to be light.
+    from scipy.spatial import cKDTree  # type: ignore[import-untyped]
+
     p = np.asarray(cloud.xyz)[np.asarray(cloud.valid)].astype(float)
     exact = np.asarray(truth.xyz)[np.asarray(truth.valid)].astype(float)
     to_truth = cKDTree(exact).query(p)[0]

@@ -67,13 +67,9 @@ def measure_distance(
         )
     along = (means[1] - means[0]) / value
     variance = sum(float(np.sum(patch.sigma_across(along) ** 2)) / len(patch.p) ** 2 for patch in patches)
-    weights = np.concatenate(
-        [
-            np.outer(np.full(len(patch.p), sign / len(patch.p)), along)
-            for sign, patch in zip((-1, 1), patches, strict=True)
-        ]
-    )
-    together = Samples(*(np.concatenate(fields) for fields in zip(*patches, strict=True)))
+    shares = [np.full(len(patch.p), sign / len(patch.p)) for sign, patch in zip((-1, 1), patches, strict=True)]
+    weights = np.outer(np.concatenate(shares), along)
+    together = Samples.joined(patches)
     systematic = systematic_sigma(scanner, together, weights)
     between = _between_planes(patches)
     return DistanceMeasurement(

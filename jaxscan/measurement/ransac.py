@@ -1,7 +1,6 @@
 """The large planes of a room: hypotheses from small patches, voted for by all points."""
 
 import numpy as np
-from scipy.spatial import cKDTree  # type: ignore[import-untyped]
 
 from jaxscan.measurement.planes import Plane, weighted_plane
 from jaxscan.measurement.samples import Samples, spread_out
@@ -51,6 +50,9 @@ def find_planes(samples: Samples, *, seed: int) -> list[tuple[Plane, np.ndarray]
 
 
 def _hypotheses(voters: Samples, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    # Imported here: `import jaxscan` is to be light.
+    from scipy.spatial import cKDTree  # type: ignore[import-untyped]
+
     origin = spread_out(len(voters.p), HYPOTHESES, rng)
     groups = cKDTree(voters.p).query_ball_point(voters.p[origin], PATCH_M)
     # The clouds of other programs know no profiles.

@@ -171,9 +171,8 @@ def _dimension(pair: list[Wall], centre: np.ndarray, scanner: Scanner | None, rn
     ahead, behind = _distances(pair, normal, centre)
     random = np.hypot(pair[0].plane.sigma_at(centre), pair[1].plane.sigma_at(centre))
     parts = [_wall_weights(wall, centre, rng) for wall in pair]
-    together = Samples(*(np.concatenate(fields) for fields in zip(*(part for part, _ in parts), strict=True)))
     weights = np.concatenate([weight for _, weight in parts])
-    systematic = systematic_sigma(scanner, together, weights)
+    systematic = systematic_sigma(scanner, Samples.joined([part for part, _ in parts]), weights)
     counts = [len(wall.samples.p) for wall in pair]
     cosine = -pair[0].plane.normal @ pair[1].plane.normal
     return Dimension(

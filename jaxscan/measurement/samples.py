@@ -1,5 +1,6 @@
-"""What measurements read of a cloud: its points as a list, with their noise and their origin."""
+"""A cloud as measurements read it: its points as a list, with their noise and their origin."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -46,6 +47,11 @@ class Samples(NamedTuple):
     def take(self, index: np.ndarray) -> "Samples":
         """The points at `index` (numbers or a mask)."""
         return Samples(*(field[index] for field in self))
+
+    @staticmethod
+    def joined(parts: "Sequence[Samples]") -> "Samples":
+        """The points of several parts, one after the other."""
+        return Samples(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
     def sigma_across(self, normal: np.ndarray) -> np.ndarray:
         """Standard deviation along `normal` [n], m: the noise lies along the ray, and the camera

@@ -1,4 +1,4 @@
-"""What the calibration's covariance does to a number measured in the cloud."""
+"""The uncertainty that the calibration's covariance gives to a number measured in the cloud."""
 
 import jax
 import jax.numpy as jnp
@@ -30,24 +30,16 @@ def systematic_sigma(scanner: Scanner | None, samples: Samples, weights: np.ndar
     """
     if scanner is None or scanner.covariance is None:
         return 0.0
-    bare = Scanner(scanner.camera, scanner.lasers, scanner.turntable, None, scanner.laser_names, scanner.up)
     gradient = np.zeros(len(scanner.parameter_names()))
     with jax.enable_x64(True):
-        exact = bare.as_dtype(jnp.float64)
+        exact = scanner.without_covariance().as_dtype(jnp.float64)
         for start in range(0, len(samples.p), BLOCK):
             part = slice(start, start + BLOCK)
             # Padding repeats the first point with no weight.
             index = np.resize(np.arange(len(samples.p))[part], BLOCK)
             counted = (np.arange(BLOCK) < len(samples.p[part]))[:, None]
-            gradient += np.asarray(
-                _gradient(
-                    exact,
-                    samples.p[index],
-                    np.where(counted, weights[index], 0.0),
-                    samples.laser[index].astype(np.int32),
-                    samples.angle[index],
-                )
-            )
+            counted_weights, laser = np.where(counted, weights[index], 0.0), samples.laser[index].astype(np.int32)
+            gradient += np.asarray(_gradient(exact, samples.p[index], counted_weights, laser, samples.angle[index]))
     covariance = np.asarray(scanner.covariance, np.float64)
     return float(np.sqrt(np.maximum(gradient @ covariance @ gradient, 0.0)))
 

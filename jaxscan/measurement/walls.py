@@ -15,7 +15,7 @@ NEIGHBOURHOOD_M = 0.05
 KEPT = 2.5
 """Residuals beyond this many (robust) standard deviations are left out, on both sides alike."""
 SHARE, SPAN = 0.1, 0.5
-"""A plane is a wall rather than what stands behind a door if it has at least these parts of the
+"""A plane is a wall rather than something behind a door if it has at least these parts of the
 largest support and of the largest width of all planes on its side of the room."""
 
 
@@ -62,7 +62,7 @@ def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> 
 
     Skirting, pictures and furniture stand in front of a wall and nothing behind it, so the width
     of the residuals is taken from the outer side, and both tails are cut at the same distance:
-    what lies in front does not pull the plane.
+    things in front do not pull the plane.
     """
     normal, distance = plane.normal, plane.distance
     residual = samples.p @ normal - distance

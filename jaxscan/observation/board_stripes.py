@@ -100,15 +100,14 @@ def _extract(
     on = np.stack([view.on for view in padded if view.on is not None])
     dark = [view.off for view in padded if view.off is not None]
     off = np.stack(dark) if dark else None
-    pixel_format, response = capture.pixel_format, capture.response
+    frames = FrameFormat(capture.pixel_format, capture.response)
     # From whole frames: a frame of which only a band is left shows no noise elsewhere.
     noise = views[0].noise
     if noise is None:
-        noise = estimate_noise(on, off, pixel_format=pixel_format, response=response, line=line)
+        noise = estimate_noise(on, off, **vars(frames), line=line)
     if rig is not None and off is not None:
         near = np.stack([_band(view, rig, line) for view in padded])
         on = np.where(near if on.ndim == 3 else near[..., None], on, off)
-    frames = FrameFormat(pixel_format, response)
     stripes = extract_stripes(on, off, pixel_format=frames, line=line, settings=_SETTINGS, noise=noise)
     return noise, stripes
 

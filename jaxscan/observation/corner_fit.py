@@ -28,7 +28,7 @@ _QUANTISED_DN = 0.3
 _BLOCK = 3
 _SAMPLE = 16
 _MOST_SHARED = 1.5
-# What the model errs where nothing else does [px]: bent edges, quantised pictures.
+# Error of the model itself [px]: bent edges, quantised pictures.
 _FLOOR_PX = 2e-3
 
 
@@ -46,15 +46,15 @@ class FittedCorners(NamedTuple):
 def fit_corners(
     image: np.ndarray, start: np.ndarray, edges: np.ndarray, half: np.ndarray, *, clear: np.ndarray | None = None
 ) -> FittedCorners:
-    r"""Place of chessboard corners, by a least-squares fit of what a blurred crossing looks like.
+    r"""Place of chessboard corners, by a least-squares fit of the image of a blurred crossing.
 
     $$I(q) = \Bigl[l + c\, \mathrm{erf}\frac{d_1(q)}{\sqrt2 w}\, \mathrm{erf}\frac{d_2(q)}{\sqrt2 w}\Bigr]
       \,\bigl(1 + g \cdot (q - q_0)\bigr)$$
 
     with $d_k$ the distance from edge $k$: nine unknowns a corner (centre, two directions, level,
-    contrast, blur, gradient of the light), all corners at once by damped Gauss-Newton. What the
-    model leaves out (swollen ink, a bent grey scale, unequal blur, the rounded crossing) is the
-    same on opposite sides of a corner and does not move it.
+    contrast, blur, gradient of the light), all corners at once by damped Gauss-Newton. Effects
+    that the model leaves out (swollen ink, a bent grey scale, unequal blur, the rounded crossing)
+    are the same on opposite sides of a corner and do not move it.
 
     Args:
         image: uint8 or float [rows, columns].
@@ -135,7 +135,7 @@ def _across(angle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _start(window: _Window, angle: np.ndarray) -> np.ndarray:
-    """Level and contrast by a straight line from the pattern that is expected to what is seen."""
+    """Level and contrast by a straight line from the expected pattern to the image."""
     unknowns = np.zeros((len(angle), _UNKNOWNS))
     unknowns[:, 2:4], unknowns[:, 6] = angle, 1.0
     pattern = np.prod(_edge(_across(angle, window.u, window.v))[0], axis=0)
@@ -234,8 +234,8 @@ def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, ha
     unknowns, jacobian = fit.unknowns, fit.jacobian
     count = window.weight.sum(1)
     normal = (jacobian @ jacobian.transpose(0, 2, 1)).astype(np.float64)
-    # Scaled to be well conditioned, with a hair of damping so that what sees nothing (outside the
-    # image) can be inverted too; it is dropped below.
+    # Scaled to be well conditioned, with a little damping so that the matrix of a window outside the
+    # image can be inverted too; such corners are dropped below.
     scale = np.sqrt(np.maximum(np.einsum("cii->ci", normal), 1e-12))
     both = scale[:, :, None] * scale[:, None, :]
     inverse = np.linalg.inv(normal / both + 1e-6 * np.eye(_UNKNOWNS)) / both
@@ -256,10 +256,10 @@ def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, ha
 
 
 def _shared_noise(window: _Window, fit: _Fit, inverse: np.ndarray, valid: np.ndarray) -> float:
-    """Variance of the corners over what white noise of the size of the residuals would give.
+    """Variance of the corners over that by white noise of the size of the residuals.
 
-    Pixels that lie together err together (demosaicing, JPEG). So the squares of what blocks of
-    pixels move the corners are compared with what they would be if the noise were white. One
+    Pixels that lie together err together (demosaicing, JPEG). So the squared shifts of the
+    corners by blocks of pixels are compared with those that white noise would give. One
     number for the picture, as that of one corner is itself uncertain; and a bounded one, as
     pictures weighted by a rough number are worse off than pictures that are not.
     """

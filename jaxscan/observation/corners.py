@@ -35,7 +35,7 @@ def fit_found_corners(
     Args:
         image: uint8 [rows, columns].
         found: Corners to within a pixel or so.
-        board: What is seen.
+        board: The board in it.
         half_window: Half the side of the window [px], instead of a share of the squares.
     """
     edges, known = edge_directions(found.q, found.valid, board)

@@ -22,18 +22,18 @@ _PREDICTION_NOISE = 1.0
 
 
 class InkShift(NamedTuple):
-    """What the print does to the centre of a stripe."""
+    """Shift of a stripe's centre by the print under it."""
 
     predicted: np.ndarray
     """float64 [lines]: measured less true centre, as the image has it [px]."""
     correction: np.ndarray
-    """float64 [lines]: what should be taken off the measured centre [px]."""
+    """float64 [lines]: the part of it to take off the measured centre [px]."""
     sigma: np.ndarray
     """float64 [lines]: standard deviation that is left after that [px]."""
 
 
 def ink_shift(image: np.ndarray, line: np.ndarray, centre: np.ndarray, width: np.ndarray, blur: float) -> InkShift:
-    r"""Shift of stripe centres by what is printed under them.
+    r"""Shift of stripe centres by the print under them.
 
     Laser light and room light meet the same paper, and the lens blurs both. A sheet of laser
     light of width $w_l$ seen through a blur $b$ has the width $w^2 = w_l^2 + b^2$, and paper $a$
@@ -81,8 +81,8 @@ def _relative_noise(image: np.ndarray, line: np.ndarray, centre: np.ndarray) -> 
     first, last = np.clip(line - 1, 0, len(image) - 1), np.clip(line + 1, 0, len(image) - 1)
     sample = np.clip(np.rint(centre).astype(int)[:, None] + np.arange(-2, 3), 0, image.shape[1] - 1)
     above, here, below = (image[at[:, None], sample] for at in (first, line, last))
-    # What a line departs by from those above and below is noise where there is no edge, which is
-    # at half of the places and more. Small numbers of DN are rounded: 0.3 DN at the least.
+    # Where there is no edge, at half of the places and more, a line differs from the mean of those
+    # above and below by noise alone. Small numbers of DN are rounded: 0.3 DN at the least.
     noise = 1.4826 * np.median(np.abs(here - 0.5 * (above + below))) / np.sqrt(1.5)
     level = (above + here + below).mean(1) / 3.0
     return max(float(noise), 0.3) / np.sqrt(3.0) / np.maximum(level, 1.0)

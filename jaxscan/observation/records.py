@@ -1,4 +1,4 @@
-"""Records of a board: where they come from, and what was seen in them."""
+"""Records of a board: where they come from, and the board and the stripe that were seen in them."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable

@@ -156,7 +156,7 @@ def _extracted(
         if not with_points:
             return coloured(plan.frames)
         phi = padded(angles[sweep.record[batch.profiles]], size)
-        return coloured(plan.frames, plan.aim(batch.profiles[0]), phi)
+        return coloured(plan.frames, plan.aim(int(batch.profiles[0])), phi)
 
     def compute(batch: Batch) -> tuple[np.ndarray, ChunkStripes]:
         return batch.profiles, engines[batch.laser].extract(batch.on, batch.off, then(batch))
@@ -196,7 +196,7 @@ def _from_stripes(
         phi = padded(np.repeat(angles[sweep.record[profiles]], each), size * each)
         # JAX keeps this setting per thread.
         with jax.enable_x64(False):
-            points = points_alone(centres, plan.aim(profiles[0]), phi, stripe_axis=axis)
+            points = points_alone(centres, plan.aim(int(profiles[0])), phi, stripe_axis=axis)
             if stripes.rgb is not None:
                 rgb = np.asarray(stripes.rgb)[rows]
             else:

@@ -11,7 +11,7 @@ import numpy as np
 
 
 def psf_weights(psf_px: float, samples: int) -> np.ndarray:
-    """What each pixel receives from a sample.
+    """Share of a sample's light that each pixel receives.
 
     Args:
         psf_px: Standard deviation of the Gaussian point-spread function [px].
@@ -78,7 +78,7 @@ def integrate(samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """
     _, n_v, height, width = samples.shape
     taps = len(weights)
-    # Weight taps - 1 - k: what pixel 0 receives from the pixel k - radius beside it.
+    # Weight taps - 1 - k is the share that pixel 0 receives from the pixel k - radius beside it.
     kernel = weights[::-1]
     across = _weighted_sum(samples, kernel, n_v, height, width - taps + 1, axis=2)
     return _weighted_sum(across, kernel, 1, height - taps + 1, width - taps + 1, axis=0)[0]
@@ -105,7 +105,7 @@ def _weighted_sum(
 def blur(image: np.ndarray, psf_px: float) -> np.ndarray:
     """A picture sampled at pixel centres, blurred by lens and pixel [..., height, width].
 
-    Good enough for what is looked at but not measured: the room in its own light. Binomial
+    Good enough for the room in its own light, which is looked at but not measured. Binomial
     passes (a, 1 - 2a, a) of the same variance, psf^2 + 1/12, stand for the Gaussian.
     """
     variance = psf_px**2 + 1 / 12

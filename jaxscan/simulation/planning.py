@@ -208,7 +208,7 @@ def _turns(rig: TrueRig, pose: Motion, count: int) -> tuple[float, ...]:
         ends.append(phi)
     if ends[1] - ends[0] < 0.1:
         return ()
-    # Whole hundredths of a degree: what a stepper can be told to do.
+    # Whole hundredths of a degree, which a stepper can be told to go to.
     return tuple(float(np.deg2rad(round(np.rad2deg(phi), 2))) for phi in np.linspace(ends[0], ends[1], count))
 
 
@@ -217,7 +217,7 @@ def _clear(rig: TrueRig, scene: Scene, pose: Motion, phi: float) -> bool:
     spec = rig.config.boards
     low, high = spec.board().outline()[[0, 2]] + np.array([[-1.0], [1.0]]) * spec.border_mm / 1000
     x, y = np.meshgrid(np.linspace(low[0], high[0], 5), np.linspace(low[1], high[1], 5))
-    # Points behind the board by the clearance: what is cut by them would stick through it.
+    # Points behind the board by the clearance: an object that hides them would stick through it.
     grid = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, _CLEARANCE)])
     world = (rig.pose(0.0) @ pose).apply(grid).astype(np.float32)
     eyes = [rig.pose(phi).translation] + [rig.pose(phi).apply(sheet.origin) for sheet in rig.sheets]

@@ -4,7 +4,7 @@ Written apart from `geometry` on purpose: the two are compared in tests, so an e
 cannot cancel against itself.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -187,4 +187,4 @@ def _sheet(spec: LaserSpec, config: SimulationConfig, rays: RayTable) -> Sheet:
     power = spec.peak_dn / WALL_ALBEDO * r * np.sqrt(2 * np.pi) * width_m * seen_px / width_px
     z = rays.z if isinstance(rays.z, float) else rays.z.astype(np.float64)
     slope = sheet.slope_at(rays.x.astype(np.float64), rays.y.astype(np.float64), z).astype(np.float32)
-    return Sheet(spec, normal, distance, origin, ahead, across, slope, float(power))
+    return replace(sheet, slope=slope, power=float(power))

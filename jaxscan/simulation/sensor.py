@@ -7,7 +7,7 @@ from jaxscan.simulation.spec import Colour, PixelFormat, SensorSpec
 
 COLOURS: tuple[Colour, ...] = ("red", "green", "blue")
 LUMINANCE = np.array([[0.30], [0.59], [0.11]], np.float32)
-"""What a mono camera makes of red, green and blue light."""
+"""Levels of red, green and blue light in a mono camera."""
 _SITES = {
     "bayer_rggb8": ((0, 1), (1, 2)),
     "bayer_bggr8": ((2, 1), (1, 0)),
@@ -23,7 +23,7 @@ def channels(sensor: SensorSpec) -> np.ndarray:
 
 
 def laser_response(sensor: SensorSpec, colour: Colour) -> np.ndarray:
-    """What the channels [channels] see of the laser's light; a mono camera sees all of it."""
+    """Share of the laser's light that each of the channels [channels] sees; a mono camera sees all of it."""
     if sensor.pixel_format == "mono8":
         return np.ones(1, np.float32)
     response = np.full(3, sensor.crosstalk, np.float32)
@@ -32,7 +32,7 @@ def laser_response(sensor: SensorSpec, colour: Colour) -> np.ndarray:
 
 
 def mosaic(image: np.ndarray, pixel_format: PixelFormat) -> np.ndarray:
-    """What the sensor's sites receive of an image [channels, height, width].
+    """Light at the sensor's sites from an image [channels, height, width].
 
     Returns:
         [height, width], or [height, width, 3] for rgb8.

@@ -1,4 +1,4 @@
-"""What a simulated rig is made of: the configuration, as frozen models that refuse unknown keys.
+"""Parts of a simulated rig: the configuration, as frozen models that refuse unknown keys.
 
 Metres, radians and pixels unless the key says otherwise.
 """
@@ -209,7 +209,7 @@ class LightSpec(Section):
     """The room's own light."""
 
     white_dn: Positive = 120.0
-    """What a white surface (albedo 1) gives in the room's mean light, on every channel."""
+    """Level of a white surface (albedo 1) in the room's mean light, on every channel."""
     shadows: bool = True
 
 
@@ -237,7 +237,7 @@ class BoardsSpec(Section):
     peak_dn: Positive = 120.0
     """Peak of the stripe on the board's white: the laser's power is set for each view."""
     white_dn: Positive = 105.0
-    """What a white surface gives in mean light while boards are shown."""
+    """Level of a white surface in mean light while boards are shown."""
 
     @field_validator("range_m", "tilt_deg")
     @classmethod
@@ -265,7 +265,7 @@ class PlanSpec(Section):
 
 
 class SimulationConfig(Section):
-    """A rig, its surroundings and what is done with it; everything is drawn from `seed`."""
+    """A rig, its surroundings and its plan; everything is drawn from `seed`."""
 
     camera: CameraSpec = CameraSpec()
     sensor: SensorSpec = SensorSpec()

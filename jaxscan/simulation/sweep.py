@@ -1,4 +1,4 @@
-"""Frames: what the camera records while the table turns, or while a board is shown to it."""
+"""Frames that the camera records while the table turns, or while a board is shown to it."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator

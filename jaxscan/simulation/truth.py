@@ -1,4 +1,4 @@
-"""What is true of a simulated rig: for comparison with what is found, never for finding it."""
+"""The truth of a simulated rig: for comparison with an estimate, never for making one."""
 
 from typing import Any
 
@@ -77,11 +77,10 @@ def truth(config: SimulationConfig) -> dict[str, Any]:
 
 def _axis(spec: TurntableSpec) -> Turntable:
     if spec.tr is None:
-        return Turntable.from_axis(np.array(spec.direction), np.array(spec.point_m), carries=spec.carries)
+        return Turntable.from_axis(np.array(spec.direction), np.array(spec.point_m))
     tr = np.array(spec.tr)
     tr[:3, 3] /= 1000
-    axis = Turntable.from_tr(tr)
-    return Turntable(axis.direction, axis.point, axis.gain, axis.harmonics, axis.basis, spec.carries)
+    return Turntable.from_tr(tr)
 
 
 def _parameters(scanner: Scanner) -> dict[str, Any]:

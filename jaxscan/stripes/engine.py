@@ -14,11 +14,11 @@ from jaxtyping import Int8, UInt8
 from jaxscan.geometry import Array
 from jaxscan.stripes.choosing.by_steps import chosen_of
 from jaxscan.stripes.choosing.rules import choose
-from jaxscan.stripes.estimators import estimator_of
+from jaxscan.stripes.estimators import Estimator, estimator_of
 from jaxscan.stripes.exposures import merge_brackets
 from jaxscan.stripes.frames.learn_colour import with_colour
 from jaxscan.stripes.frames.noise import estimate_noise
-from jaxscan.stripes.frames.planes import host_planes, read_planes
+from jaxscan.stripes.frames.planes import Planes, host_planes, read_planes
 from jaxscan.stripes.measured import LineCandidates, MeasuredLines
 from jaxscan.stripes.search.search import LineGate, Search, learn_search, prepare_search, whole_lines
 from jaxscan.stripes.setup import ExtractionSetup
@@ -62,9 +62,14 @@ class StripeEngine(eqx.Module):
     search: Search
 
     @property
+    def estimator(self) -> Estimator:
+        """The estimator that the settings name."""
+        return estimator_of(self.setup.settings)
+
+    @property
     def profiles_per_record(self) -> int:
         """Profiles that a record gives."""
-        return estimator_of(self.setup.settings).candidates if self.setup.several else 1
+        return self.estimator.candidates if self.setup.several else 1
 
     def learn_width(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> "StripeEngine":
         """The engine that knows the width of the stripes in the first frames, where the settings ask for it.
@@ -93,21 +98,16 @@ class StripeEngine(eqx.Module):
             NumPy arrays in memory of their own.
         """
         if len(self.setup.exposures) > 1:
-            on, off = (None if frames is None else frames.reshape(-1, *frames.shape[2:]) for frames in (on, off))
+            on, off = on.reshape(-1, *on.shape[2:]), None if off is None else off.reshape(-1, *off.shape[2:])
         with jax.enable_x64(False):
             return jax.tree.map(np.asarray, self._compute(on, off, then))
 
     def _compute(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
         if len(jax.local_devices()) > 1:
             return _on_devices(self, on, off, then)
-        operands, how = (then.shared, then.per_record), {"function": then.function, "needs_frames": then.needs_frames}
-        if off is not None and jax.default_backend() == "cpu":
-            planes = host_planes(on, off, self.search, self.setup)
-            located = estimator_of(self.setup.settings).locate_natively(planes, self.search, self.setup)
-            if located is not None:
-                seen = off if then.needs_frames else None
-                return _from_located(self, (located, planes.lamp_ratio), seen, operands, function=then.function)
-        return _from_frames(self, on, off, operands, **how)
+        if off is not None and jax.default_backend() == "cpu" and self.estimator.native:
+            return compute_natively(self, host_planes(on, off, self.search, self.setup), off, then)
+        return _at_once(self, on, off, (then.shared, then.per_record), then.function, then.needs_frames)
 
 
 def prepare_engines(
@@ -154,34 +154,44 @@ def stripes_of_frames(engine: StripeEngine, on: UInt8[Array, "frames ..."], off:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
     """
-    return _all_in_one(engine, on, off, (None, None), function=_nothing_more, needs_frames=False).stripes
+    return compute_at_once(engine, on, off, NOTHING_MORE).stripes
 
 
-def _all_in_one(engine, on, off, operands, *, function, needs_frames) -> ChunkStripes:
+def compute_at_once(engine: StripeEngine, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
+    """All of it by XLA; pure and traceable. Frames of a record's exposures follow each other."""
     planes = read_planes(on, off, engine.search, engine.setup)
-    located = estimator_of(engine.setup.settings).locate(planes, engine.search, engine.setup)
-    return _finish(engine, (located, planes.lamp_ratio), off if needs_frames else None, operands, function)
+    located = engine.estimator.locate(planes, engine.search, engine.setup)
+    return _finish(engine, (located, planes.lamp_ratio), off if then.needs_frames else None, then)
 
 
-_from_frames = jax.jit(_all_in_one, static_argnames=("function", "needs_frames"))
+def compute_natively(engine: StripeEngine, planes: Planes, off: Array | None, then: Continuation) -> ChunkStripes:
+    """The search natively, the rest by XLA."""
+    located = engine.estimator.locate_natively(planes, engine.search, engine.setup)
+    seen, operands = off if then.needs_frames else None, (then.shared, then.per_record)
+    return _from_located(engine, (located, planes.lamp_ratio), seen, operands, then.function)
+
+
+@functools.partial(jax.jit, static_argnames=("function", "needs_frames"))
+def _at_once(engine, on, off, operands, function, needs_frames) -> ChunkStripes:
+    return compute_at_once(engine, on, off, Continuation(function, operands[0], operands[1], needs_frames))
 
 
 @functools.partial(jax.jit, static_argnames="function")
-def _from_located(engine, located, off, operands, *, function) -> ChunkStripes:
-    return _finish(engine, located, off, operands, function)
+def _from_located(engine, located, off, operands, function) -> ChunkStripes:
+    return _finish(engine, located, off, Continuation(function, operands[0], operands[1]))
 
 
-def _finish(engine: StripeEngine, located: tuple, off: Array | None, operands: tuple, function: Callable):
+def _finish(engine: StripeEngine, located: tuple, off: Array | None, then: Continuation) -> ChunkStripes:
     """Measure, choose, merge exposures, continue."""
     setup, search = engine.setup, engine.search
-    measured = estimator_of(setup.settings).measure(*located, search, setup)
+    measured = engine.estimator.measure(located[0], located[1], search, setup)
     stripes, chosen = choose_stripes(measured, search, setup)
     if len(setup.exposures) > 1:
         each = measured.slots.shape[2] if setup.several else 1
         stripes, chosen = merge_brackets(stripes, chosen, setup.exposures, each)
         # The longest exposure says most about the dark parts.
         off = None if off is None else off[len(setup.exposures) - 1 :: len(setup.exposures)]
-    return ChunkStripes(stripes, chosen, function(stripes, off, *operands, setup))
+    return ChunkStripes(stripes, chosen, then.function(stripes, off, then.shared, then.per_record, setup))
 
 
 def choose_stripes(
@@ -206,9 +216,9 @@ def choose_stripes(
     valid = exists & take(measured.valid, index)
     number = None
     if settings.choice != "all":
-        fields = (take(getattr(measured, name), index) for name in LineCandidates._fields[:-1])
-        number = choose(LineCandidates(*fields, valid), search.near_side, settings)
-    if setup.several:
+        fields = {name: take(getattr(measured, name), index) for name in LineCandidates._fields if name != "valid"}
+        number = choose(LineCandidates(**fields, valid=valid), search.near_side, settings)
+    if number is None or setup.several:
         taken = jnp.moveaxis(jnp.where(valid, index, -1), 2, 1).reshape(-1, lines)
     else:
         taken = jnp.full(number.shape, -1, index.dtype)
@@ -247,8 +257,8 @@ def _sharded(mesh: Mesh, setup: ExtractionSetup, function: Callable, needs_frame
     frames, everywhere = PartitionSpec("frames"), PartitionSpec()
 
     def one(search, on, off, shared, per_record):
-        engine = StripeEngine(setup, search)
-        return _all_in_one(engine, on, off, (shared, per_record), function=function, needs_frames=needs_frames)
+        then = Continuation(function, shared, per_record, needs_frames)
+        return compute_at_once(StripeEngine(setup, search), on, off, then)
 
     # Every frame is computed by itself: nothing is exchanged.
     specs = (everywhere, frames, frames, everywhere, frames)

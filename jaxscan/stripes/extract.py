@@ -50,10 +50,10 @@ def extract_stripes(
     _check(on, off, frames.pixel_format)
     size = int(on.shape[2]), int(on.shape[1])
     (engine,) = prepare_engines(on, off, [ExtractionSetup(size, frames, line, settings)], noise=noise)
-    parts = (slice(start, start + _CHUNK) for start in range(0, len(on), _CHUNK))
-    chunks = [[None if a is None else _padded(a[part], len(on)) for a in (on, off)] for part in parts]
-    engine = engine.learn_width(*chunks[0])
-    found = [engine.extract(*chunk).stripes for chunk in chunks]
+    chunks = [slice(start, start + _CHUNK) for start in range(0, len(on), _CHUNK)]
+    frames_of = lambda part: (_padded(on[part], len(on)), None if off is None else _padded(off[part], len(on)))
+    engine = engine.learn_width(*frames_of(chunks[0]))
+    found = [engine.extract(*frames_of(part)).stripes for part in chunks]
     each = engine.profiles_per_record
     profiles = each * len(on)
     with jax.enable_x64(False):

@@ -3,8 +3,10 @@
 import dataclasses
 from typing import NamedTuple
 
-from jaxscan.geometry import across_and_along
-from jaxscan.stripes.frames.formats import FrameFormat, LaserLine, Sites, laser_sites
+from jaxtyping import UInt8
+
+from jaxscan.geometry import Array, across_and_along
+from jaxscan.stripes.frames.formats import FrameFormat, LaserLine, Sites, laser_plane, laser_sites
 from jaxscan.stripes.stripes import StripeSettings
 
 
@@ -44,6 +46,10 @@ class ExtractionSetup(NamedTuple):
         if sites.pitch == 1:
             return lines, across
         return lines // 2 * 2 // sites.line_step, across // 2
+
+    def plane(self, frames: Array) -> UInt8[Array, "frames lines samples"]:
+        """The samples of the laser's colour of frames uint8 [frames, rows, columns] (rgb8: and 3)."""
+        return laser_plane(frames, pixel_format=self.frames.pixel_format, line=self.line)
 
     def anonymous(self) -> "ExtractionSetup":
         """The same for all lasers that look alike: without a name, and without a colour where there is none."""

@@ -18,8 +18,8 @@ from jaxscan.observation.corners import (
 
 Detector = Literal["auto", "sb", "classic"]
 
-# What each way of finding corners leaves as noise on a sharp, well exposed board: a prior for
-# corners to which the model of a blurred crossing was not fitted, which measures its own.
+# Noise of the corners of each detector on a sharp, well exposed board: a prior for corners to which
+# the model of a blurred crossing was not fitted, for that measures its own.
 _SIGMA_PX = {"auto": 0.035, "sb": 0.10, "classic": 0.035, "charuco": 0.06}
 _MIN_CORNERS = 6
 
@@ -38,7 +38,7 @@ def find_corners(
 
     Args:
         image: uint8 [rows, columns].
-        board: What to look for.
+        board: The board to look for.
         detector: "auto": chessboards by sectors, or by the classic way where that finds nothing,
             and each corner placed by `fit_corners` (where its model does not fit, by
             `cornerSubPix`). "classic": OpenCV's first detector and `cornerSubPix` (of a ChArUco

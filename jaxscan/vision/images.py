@@ -9,10 +9,8 @@ import cv2
 import numpy as np
 
 from jaxscan.errors import CaptureError
+from jaxscan.geometry import MAX_PIXELS
 
-
-MAX_PIXELS = 100_000_000
-"""Larger images are refused before anything is allocated for them."""
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB`\x82"
@@ -58,7 +56,7 @@ def decode_image(data: bytes, *, name: str, rank: int, size: tuple[int, int] | N
 
     Args:
         data: The whole file.
-        name: What messages call it.
+        name: The file's name in messages.
         rank: 2 for grey or raw Bayer, 3 for colour.
         size: Width and height that it must have [px], or None for any.
 

@@ -12,7 +12,7 @@ from jaxscan.calibration import CalibrationSettings, calibrate_camera
 from jaxscan.calibration.parameters import PRIORS
 from jaxscan.geometry import Chessboard, fit_axis, fit_plane, plane_sigma
 from jaxscan.observation import BoardViews, Observations, StripeViews
-from jaxscan.vision.boards import find_corners
+from jaxscan.vision import find_corners
 
 
 DATA = Path(__file__).parents[1] / "data"

@@ -9,7 +9,7 @@ import pytest
 from jaxscan.calibration import CalibrationSettings, calibrate_camera
 from jaxscan.geometry import Chessboard
 from jaxscan.observation import BoardViews, Observations, StripeViews
-from jaxscan.vision.boards import find_corners
+from jaxscan.vision import find_corners
 
 
 DATA = Path(__file__).parents[1] / "data"

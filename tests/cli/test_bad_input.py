@@ -10,7 +10,7 @@ import pytest
 
 import jaxscan
 from jaxscan.reconstruction import PointCloud
-from jaxscan.vision.images import encode_png
+from jaxscan.vision import encode_png
 
 
 def journal(capture, change):

@@ -1,4 +1,4 @@
-"""A fisheye the whole way on the command line: rendered boards and room, calibration, cloud."""
+"""A fisheye and a double sphere the whole way on the command line: rendered boards and room, calibration, cloud."""
 
 import json
 
@@ -7,24 +7,18 @@ import pytest
 
 import jaxscan
 from jaxscan.cli.main import main
-from jaxscan.geometry import Fisheye
+from jaxscan.geometry import CAMERAS
 
 
 RIG = """
 seed = 1
 [camera]
-model = "fisheye"
 width = 480
 height = 480
-fx = 145.5
-fy = 145.6
 cx = 240.6
 cy = 238.6
-k1 = -0.02
-k2 = 0.003
-k3 = -0.001
-k4 = 0.0001
 field_deg = 195.0
+LENS
 [sensor]
 psf_px = 0.8
 [laser]
@@ -55,15 +49,22 @@ steps = 48
 """
 
 
+LENSES = {
+    "fisheye": "fx = 145.5\nfy = 145.6\nk1 = -0.02\nk2 = 0.003\nk3 = -0.001\nk4 = 0.0001",
+    "double_sphere": "fx = 112.0\nfy = 112.1\nxi = -0.18\nalpha = 0.58",
+}
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_a_room_in_one_turn_with_floor_and_ceiling(tmp_path, monkeypatch):
+@pytest.mark.parametrize("model", LENSES)
+def test_a_room_in_one_turn_with_floor_and_ceiling(tmp_path, monkeypatch, model):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "rig.toml").write_text(RIG.replace("LENS", f'model = "{model}"\n{LENSES[model]}'))
     captures, calibration, cloud = tmp_path / "captures", tmp_path / "calibration.json", tmp_path / "room.ply"
     verbs = {
         "simulate": [tmp_path / "rig.toml", "-o", captures],
-        "calibrate": [captures / "boards", "-o", calibration, "--lens", "fisheye"],
+        "calibrate": [captures / "boards", "-o", calibration, "--lens", model],
         "reconstruct": [captures / "sweep", "-c", calibration, "-o", cloud],
         "measure-room": [cloud, "-c", calibration],
         "measure-compare": [cloud, captures / "truth.npz", "-c", calibration],
@@ -74,7 +75,7 @@ def test_a_room_in_one_turn_with_floor_and_ceiling(tmp_path, monkeypatch):
         assert main([*verb.split("-"), *map(str, words), "--json", str(target)]) == 0, verb
         results[verb] = json.loads(target.read_text())
     scanner = jaxscan.load_scanner(calibration)
-    assert isinstance(scanner.camera, Fisheye)
+    assert isinstance(scanner.camera, CAMERAS[model])
     truth = json.loads((captures / "truth.json").read_text())["parameters"]
     order, sigma = scanner.parameter_names(), np.sqrt(np.diag(scanner.covariance))
     values = dict(zip(order, np.asarray(scanner.camera.parameters()), strict=False))

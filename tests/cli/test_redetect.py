@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.vision.boards import find_corners
+from jaxscan.vision import find_corners
 
 
 @pytest.fixture(scope="module")

@@ -110,6 +110,13 @@ def test_another_port(refused_after_plan, paper, config, tmp_path):
     assert paper.opened == ["nowhere"] and not (tmp_path / "room").exists()
 
 
+def test_a_laser_that_nothing_switches_off_has_to_be_allowed(refused_after_plan, config, tmp_path):
+    config.write_text(CONFIG.replace('port = "paper"', 'type = "grbl"'))
+    says = refused_after_plan("scan", config, "-o", tmp_path / "room")
+    assert "leaves the laser on" in says and "allow_laser_without_watchdog = true under [controller]" in says
+    assert not (tmp_path / "room").exists()
+
+
 @pytest.fixture
 def refused_after_plan(run):
     def call(*words):

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from jaxscan.vision.images import encode_png
+from jaxscan.vision import encode_png
 
 
 HEADER = """\

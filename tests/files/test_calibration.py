@@ -19,7 +19,7 @@ from jaxscan.calibration import (
 )
 from jaxscan.calibration.verdict import DepthSigma, Direction, LaserLengths, Lengths, LengthSigma, PriorShare
 from jaxscan.errors import CalibrationError
-from jaxscan.files.calibration.calibration import (
+from jaxscan.files.calibration import (
     calibration_digest,
     calibration_notes,
     load_calibration,
@@ -290,7 +290,7 @@ NAN = float("nan")
         (["camera", "up"], "up", 'camera.up: found "up", expected "-v", "+v", "+u" or "-u"'),
         (["camera", "distortion", "k4"], 0.1, "camera.distortion: k4, k5 and k6 come together or not at all"),
         (["lasers", 1, "normal"], [1.0, 0.0, 0.1], "lasers[1]: normal: found a vector of length 1.0049"),
-        (["lasers", 0, "distance_m"], -0.2, "lasers[0].distance_m: found -0.2, expected greater than 0"),
+        (["lasers", 0, "distance_m"], -0.2, "lasers[0]: distance_m: found -0.2, expected greater than 0"),
         (["lasers", 0, "basis", 1], [1.0, 0.0, 0.0], "lasers[0]: basis: expected two unit vectors, perpendicular"),
         (["lasers", 0, "bow"], [0.0], "lasers[0].bow[1]: missing"),
         (["lasers", 1, "name"], "red", "lasers: found the names red, red"),

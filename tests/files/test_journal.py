@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import MAX_LINE_BYTES, read_journal
+from jaxscan.files.capture.journal import MAX_LINE_BYTES, read_journal
 
 
 def read(data, kind="sweep", lasers=("red",)):

@@ -19,6 +19,6 @@ def test_a_calibration_needs_one_laser_per_record(folder, monkeypatch):
         observe_boards([capture])
     assert "\n" not in str(caught.value)
     # Corners alone do not ask for lasers.
-    monkeypatch.setattr("jaxscan.vision.boards.find_corners", lambda image, board: None)
+    monkeypatch.setattr("jaxscan.vision.find_corners", lambda image, board: None)
     with pytest.raises(CalibrationError, match="found in none of 3 records"):
         observe_boards([capture], with_stripes=False)

@@ -94,7 +94,7 @@ def test_each_side_is_mapped_or_decoded_by_itself(tmp_path):
     with begin(tmp_path / "room", durable=False) as capture:
         fill(capture, 4)
     path = tmp_path / "room"
-    from jaxscan.vision.images import encode_png
+    from jaxscan.vision import encode_png
 
     (path / "off/2.png").write_bytes(encode_png(FRAMES[20]))
     lines = journal(path)

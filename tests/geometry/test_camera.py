@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from jaxscan.geometry import CAMERAS, DoubleSphere, Fisheye, Pinhole
 from jaxscan.geometry.cameras import CENTRE, FOCAL
+from jaxscan.geometry.laser import LASER_BLOCKS
+from jaxscan.geometry.turntable import AXIS_BLOCKS
 
 
 def pinhole(distortion, skew=0.0):
@@ -258,18 +260,19 @@ class TestDoubleSphere(CameraContract):
         # Beside the largest angle a pixel's rounding grows to some hundred times its size.
         np.testing.assert_allclose(unproject(camera, q), ray, atol=1e-11, rtol=0)
 
-    def test_pixels_that_no_ray_reaches_look_at_the_largest_angle(self, camera):
-        xi, alpha = camera.distortion
-        if alpha <= 0.5:
-            pytest.skip("every pixel has a ray")
-        w1 = (1 - alpha) / alpha
-        # Seen from the second sphere's centre at the angle b, the radius is sin b / (alpha + (1 - alpha) cos b),
-        # largest at cos b = -w1; this is where (xi + z)^2 = w1^2 (1 + 2 xi z + xi^2). The paper's bound lies a
-        # little inside.
-        limit = -xi * (1 - w1**2) - w1 * np.sqrt(1 - xi**2 + xi**2 * w1**2)
-        radius = np.array([1.0001, 3.0, 40.0]) / np.sqrt(2 * alpha - 1)
-        ray = np.asarray(unproject(camera, np.stack([camera.cx + camera.fx * radius, np.full(3, camera.cy)], -1)))
-        np.testing.assert_allclose(ray[:, 2], limit, atol=1e-12)
+
+@pytest.mark.parametrize("lens", ["published", "far"])
+def test_pixels_that_no_ray_reaches_look_at_the_largest_angle(lens):
+    camera = double_sphere(*DOUBLE_SPHERES[lens])
+    xi, alpha = camera.distortion
+    w1 = (1 - alpha) / alpha
+    # Seen from the second sphere's centre at the angle b, the radius is sin b / (alpha + (1 - alpha) cos b),
+    # largest at cos b = -w1; this is where (xi + z)^2 = w1^2 (1 + 2 xi z + xi^2). The paper's bound lies a
+    # little inside.
+    limit = -xi * (1 - w1**2) - w1 * np.sqrt(1 - xi**2 + xi**2 * w1**2)
+    radius = np.array([1.0001, 3.0, 40.0]) / np.sqrt(2 * alpha - 1)
+    ray = np.asarray(unproject(camera, np.stack([camera.cx + camera.fx * radius, np.full(3, camera.cy)], -1)))
+    np.testing.assert_allclose(ray[:, 2], limit, atol=1e-12)
 
 
 def test_a_double_sphere_by_hand():
@@ -357,3 +360,11 @@ def test_wrong_number_of_coefficients_is_named():
 def test_every_registered_model_has_a_contract():
     tested = {TestPinhole: Pinhole, TestFisheye: Fisheye, TestDoubleSphere: DoubleSphere}
     assert set(CAMERAS.values()) == set(tested.values())
+
+
+def test_blocks_and_priors_of_one_name_mean_the_same_everywhere():
+    of_rig = {block.name for block in (*LASER_BLOCKS, *AXIS_BLOCKS)}
+    sigmas = {}
+    for block in (block for camera in CAMERAS.values() for block in camera.blocks()):
+        assert block.name not in of_rig
+        assert sigmas.setdefault(block.prior, block.sigma) == block.sigma

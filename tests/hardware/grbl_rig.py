@@ -2,9 +2,10 @@
 
 import os
 
+import numpy as np
 from bench.grbl import GrblBoard
 from scanrig.cameras.simulated import SimulatedCamera
-from scanrig.cameras.synthetic import SyntheticScene, draw
+from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.config import RigConfig
 from scanrig.controllers import open_controller
 
@@ -35,12 +36,10 @@ def rig_config(*, steps=10, grbl=None, **controller):
 
 def camera_of(board: GrblBoard, config: RigConfig) -> SimulatedCamera:
     """A camera that sees where the table of a board truly stands, and whether its laser truly shines."""
-    import numpy as np
-
     generator = np.random.default_rng(os.getpid())
 
     def see(position, lit):
-        return draw(SCENE, position, lit, width=WIDTH, height=HEIGHT, generator=generator)
+        return draw(SCENE, position, lit, FrameShape(WIDTH, HEIGHT), generator)
 
     # From the place where the table stands after homing, the pull-off above the switch.
     def world():

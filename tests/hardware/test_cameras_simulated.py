@@ -15,7 +15,7 @@ from scanrig.errors import CameraError, CameraLost, CameraTimeout
 from jaxscan.errors import ConfigError
 from jaxscan.files.capture import CameraTable, CaptureHeader, LaserTable
 from jaxscan.files.recording import create_capture
-from jaxscan.vision.images import encode_png
+from jaxscan.vision import encode_png
 
 
 SETTINGS = CameraSettings(kind="simulated", width=96, height=64)

@@ -107,6 +107,15 @@ def test_a_session_refuses_a_controller_that_was_opened_elsewhere(board, tmp_pat
     assert not (tmp_path / "room").exists()
 
 
+def test_a_camera_that_waits_for_a_wire_is_refused(board, tmp_path):
+    rig = GrblRig(board)
+    wired = {"camera": rig.config.camera.model_copy(update={"trigger": "hardware"})}
+    rig.config = rig.config.model_copy(update=wired)
+    with pytest.raises(ConfigError, match="has no wire to the camera"):
+        rig.sweep(tmp_path / "room")
+    assert board.heard == [] or not board.lit
+
+
 def test_a_pulled_cable_is_recovered_from(rig, tmp_path):
     def pull():
         rig.board.unplug()

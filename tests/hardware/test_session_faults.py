@@ -473,11 +473,11 @@ def test_25_slow_disk_holds_the_table_and_loses_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "write_atomically", slow)
     shot = desk.controller.shot
 
-    def counting(to, number, **keys):
+    def counting(to, id, **keys):
         lines = (tmp_path / "room" / "frames.jsonl").read_text().splitlines()
         behind.append(len(desk.controller.shots) - sum('"i"' in line for line in lines))
         assert not desk.table.laser
-        shot(to, number, **keys)
+        shot(to, id, **keys)
 
     desk.controller.shot = counting
     assert sweep(desk, tmp_path / "room").status == "complete"

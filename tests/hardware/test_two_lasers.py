@@ -45,7 +45,7 @@ def test_each_step_is_taken_with_one_laser_after_the_other(tmp_path):
     assert [one["lasers"] for one in found] == [["left"], ["right"]] * 10
     assert [one["microsteps"] for one in found] == [288 * (k // 2) for k in range(20)]
     capture = open_capture(tmp_path / "room")
-    assert [line.name for line in capture.lines] == ["left", "right"]
+    assert [line.name for line in capture.lasers] == ["left", "right"]
     assert list(capture.laser) == [0, 1] * 10
     # The line of the second laser lies 40 px beside that of the first.
     for k in (0, 4):

@@ -11,7 +11,7 @@ from jaxscan.files.recording import create_capture
 from jaxscan.geometry import LaserSheet, Scanner, stack_lasers
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
 from jaxscan.stripes import NoiseModel, StripeSettings
-from jaxscan.vision.images import encode_png
+from jaxscan.vision import encode_png
 
 from .rendered import pairs, stripe
 

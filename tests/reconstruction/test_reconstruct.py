@@ -1,12 +1,15 @@
 """Whole sweeps from known stripes: exactness, chunks, lasers, colour, refusals."""
 
+import subprocess
+import sys
+
 import jax
 import numpy as np
 import pytest
 
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction import ReconstructSettings, Sweep, reconstruct
+from jaxscan.reconstruction import PointCloud, ReconstructSettings, Sweep, reconstruct
 from jaxscan.stripes import LaserLine, NoiseModel
 
 
@@ -232,3 +235,28 @@ def test_normals_can_be_left_out(small_scanner, stripes_on_plane, flat_stripes):
     )
     assert with_normals.normals.any() and not without.normals.any()
     np.testing.assert_array_equal(without.xyz, with_normals.xyz)
+
+
+def test_points_are_the_valid_ones_in_the_order_of_the_grid(small_scanner):
+    valid = np.array([[True, False, True], [False, False, False], [False, True, False]])
+    xyz = np.arange(27, dtype=np.float32).reshape(3, 3, 3)
+    one, nothing = np.full((3, 3), 0.3, np.float32), np.zeros((3, 3, 3), np.float32)
+    cloud = PointCloud(
+        xyz=xyz, rgb=nothing.astype(np.uint8), intensity=one, normals=nothing, sigma_random=one, valid=valid,
+        sigma_systematic=0.4 / 0.3 * one, record=np.arange(3), laser=np.array([0, 0, 1]), angle=np.zeros(3),
+    )  # fmt: skip
+    points = cloud.points()
+    np.testing.assert_array_equal(points.xyz, xyz[valid])
+    np.testing.assert_allclose(points.sigma, 0.5, rtol=1e-6)
+    assert (points.step.tolist(), points.row.tolist(), points.laser.tolist()) == ([0, 0, 2], [0, 2, 1], [0, 0, 1])
+    assert cloud.points(1, 3).step.tolist() == [2]
+
+
+def test_what_is_no_sweep_is_refused_in_one_line():
+    # A process of its own: the annotations that tests check would refuse it before.
+    code = (
+        "import numpy as np\nfrom jaxscan.reconstruction import make_plan\n"
+        "try:\n    make_plan(np.zeros((2, 3, 4)), None, None)\nexcept TypeError as problem:\n    print(problem)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.startswith("Expected a sweep, got ndarray;") and run.stdout.count("\n") == 1

@@ -72,7 +72,7 @@ def test_rays_agree_with_the_house():
 
 def test_rays_of_a_double_sphere_agree_with_the_house():
     camera = CameraSpec(
-        model="double_sphere", width=320, height=256, fx=84, fy=84.2, cx=158.2, cy=126.7, xi=-0.18, alpha=0.58
+        model="double_sphere", width=320, height=256, fx=60, fy=60.2, cx=158.2, cy=126.7, xi=-0.18, alpha=0.58
     )
     scanner = true_scanner(config(camera=camera))
     assert isinstance(scanner.camera, DoubleSphere)

@@ -11,7 +11,7 @@ from jaxscan.geometry import Charuco, Chessboard
 from jaxscan.observation.corners import edge_directions
 from jaxscan.observation.prediction import PredictedCorners
 from jaxscan.observation.redetect import redetect_corners
-from jaxscan.vision.boards import board_texture, find_corners
+from jaxscan.vision import board_texture, find_corners
 
 
 CHESS = Chessboard(8, 5, 0.03)

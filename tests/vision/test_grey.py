@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.vision.grey import to_grey
+from jaxscan.vision import to_grey
 
 
 def ramp(rows=16, columns=24):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
-from jaxscan.vision.images import MAX_PIXELS, decode_image, encode_png
+from jaxscan.vision import MAX_PIXELS, decode_image, encode_png
 
 
 GREY = np.random.default_rng(1).integers(0, 256, (13, 17), np.uint8)

@@ -21,7 +21,7 @@ from jaxscan.simulation import (
     plan_boards,
     speckled,
 )
-from jaxscan.vision.boards import board_texture
+from jaxscan.vision import board_texture
 
 
 NOMINAL_EXPOSURE_S = 0.01

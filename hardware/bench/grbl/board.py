@@ -4,16 +4,16 @@ Source: "Grbl v1.1 Interface", "Grbl v1.1 Commands", "Grbl v1.1 Configuration", 
 github.com/gnea/grbl.
 """
 
-import os
 import re
-import select
 import threading
 import time
-import tty
 from collections.abc import Callable
 from pathlib import Path
 
+from bench.grbl.gcode import parse
 from bench.grbl.motion import Axis
+from bench.grbl.settings import SETTINGS
+from bench.grbl.terminal import Terminal
 
 
 GREETING = "Grbl 1.1h ['$' for help]"
@@ -21,26 +21,7 @@ RX_BUFFER = 128
 PLANNER_BLOCKS = 15
 _TICK_S = 0.001
 _LONGEST = 80
-_WORD = re.compile(r"([A-Z])(-?\d*\.?\d+)")
 _SETTING = re.compile(r"\$(\d+)=(-?\d+\.?\d*)")
-
-SETTINGS = {
-    1: 255.0,  # step idle delay: 255 keeps the motor on
-    10: 1.0,  # reports have MPos
-    13: 0.0,  # reports in millimetres
-    21: 0.0,  # hard limits
-    22: 1.0,  # homing
-    23: 1.0,  # homing downwards
-    25: 60000.0,  # homing seek, units/min
-    27: 1.0,  # pull-off
-    30: 1000.0,  # largest S
-    32: 0.0,  # laser mode
-    100: 80.0,  # steps per unit
-    110: 60000.0,  # largest rate, units/min
-    120: 20000.0,  # acceleration, units/s²
-    130: 400.0,  # travel
-}
-"""A fast board: what is tested is its logic."""
 
 Mangle = Callable[[bytes], bytes]
 
@@ -56,7 +37,7 @@ class GrblBoard:
         self.port = str(folder / "grbl")
         self.settings = SETTINGS | {int(name[1:]): value for name, value in settings.items()}
         self.ledger: list[tuple[float, str, float]] = []
-        """What happened: seconds, "light" or "reset" or "moved", and the value."""
+        """What happened: seconds, "light" or "reset", and whether there is light."""
         self.heard: list[str] = []
         """Lines that were carried out."""
         self.to_board: Mangle = lambda data: data
@@ -69,7 +50,7 @@ class GrblBoard:
         """By how much the table stands elsewhere than the axis counts, units."""
         self._lock = threading.RLock()
         self._ended = threading.Event()
-        self._master = self._slave = -1
+        self._terminal: Terminal | None = None
         self._axis = Axis()
         self._power_on()
         self._thread = threading.Thread(target=self._live, daemon=True)
@@ -102,20 +83,14 @@ class GrblBoard:
     def plug(self) -> None:
         """Plug the cable in, as another terminal under the same name."""
         with self._lock:
-            self._master, self._slave = os.openpty()
-            tty.setraw(self._slave)
-            link = Path(self.port)
-            link.unlink(missing_ok=True)
-            link.symlink_to(os.ttyname(self._slave))
+            self._terminal = Terminal(self.port)
 
     def unplug(self) -> None:
         """Pull the cable: the board goes on as it was."""
         with self._lock:
-            for end in (self._master, self._slave):
-                if end >= 0:
-                    os.close(end)
-            self._master = self._slave = -1
-            Path(self.port).unlink(missing_ok=True)
+            if self._terminal is not None:
+                self._terminal.close()
+            self._terminal = None
 
     def power_cycle(self) -> None:
         """Reset by power: position and everything else are gone, and the table stands where it stands."""
@@ -171,20 +146,15 @@ class GrblBoard:
         while not self._ended.is_set():
             with self._lock:
                 self._step(time.monotonic())
-                master = self._master
-            if master < 0:
+                terminal = self._terminal
+            if terminal is None:
                 time.sleep(_TICK_S)
-            elif select.select([master], [], [], _TICK_S)[0]:
+            elif terminal.wait(_TICK_S):
                 with self._lock:
-                    self._receive()
+                    if terminal is self._terminal:
+                        self._receive(self.to_board(terminal.read()))
 
-    def _receive(self) -> None:
-        if self._master < 0:
-            return
-        try:
-            data = self.to_board(os.read(self._master, 4096))
-        except OSError:
-            return
+    def _receive(self, data: bytes) -> None:
         for byte in data:
             char = bytes([byte])
             if char == b"\x18":
@@ -233,8 +203,8 @@ class GrblBoard:
 
     def _say(self, line: str) -> None:
         data = self.to_host(line.encode("latin-1") + b"\r\n")
-        if self._master >= 0 and data:
-            os.write(self._master, data)
+        if self._terminal is not None:
+            self._terminal.write(data)
 
     def _report(self, now: float) -> None:
         if self._locked:
@@ -305,37 +275,26 @@ class GrblBoard:
         self._say("ok")
 
     def _gcode(self, text: str) -> None:
-        words = _WORD.findall(text)
-        if "".join(letter + number for letter, number in words) != text:
-            self._say("error:2" if re.fullmatch(r"[A-Z][^A-Z]*", text) or text[0].isalpha() else "error:1")
-            return
-        codes = [f"{letter}{float(number):g}" for letter, number in words if letter in "GM"]
-        values = {letter: float(number) for letter, number in words if letter not in "GM"}
-        known = {"G0", "G1", "G4", "G21", "G53", "G90", "G94", "M3", "M5"}
-        if not set(codes) <= known or not set(values) <= set("XFSP"):
-            self._say("error:20")
-            return
-        motion = next((code for code in codes if code in ("G0", "G1")), self._motion)
-        feed = values.get("F", self._feed)
-        if "X" in values and motion == "G1" and feed <= 0:
-            self._say("error:22")
+        block = parse(text, motion=self._motion, feed=self._feed)
+        if isinstance(block, str):
+            self._say(block)
             return
         self.heard.append(text)
 
         def carry_out() -> None:
-            self._motion, self._feed, self._power = motion, feed, values.get("S", self._power)
             before = self.lit
-            self._spindle = next((code for code in codes if code in ("M3", "M5")), self._spindle)
+            self._motion, self._feed = block.motion, block.feed
+            self._power = self._power if block.power is None else block.power
+            self._spindle = block.spindle or self._spindle
             if self.lit != before:
                 self._note_light()
-            if "X" in values:
-                rate = self.settings[110] if motion == "G0" else min(feed, self.settings[110])
+            if block.target is not None:
+                rate = self.settings[110] if block.motion == "G0" else min(block.feed, self.settings[110])
                 step = 1 / self.settings[100]
-                self._axis.go(round(values["X"] / step) * step, rate / 60, self.settings[120])
-                self.ledger.append((time.monotonic(), "moved", values["X"]))
+                self._axis.go(round(block.target / step) * step, rate / 60, self.settings[120])
             self._say("ok")
 
-        if {"G4", "M3", "M5"} & set(codes):
+        if block.waits:
             self._waiting = carry_out  # Only when all motions are over.
         else:
             carry_out()

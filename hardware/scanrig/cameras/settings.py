@@ -4,18 +4,16 @@ from typing import Annotated, Literal
 
 import pydantic
 
-from jaxscan.files.disk import FileModel, Integer, Number
+from jaxscan.files.disk import ImageSize, Integer, Number
 from jaxscan.geometry.scanner import Up
 from jaxscan.stripes import PixelFormat, Response
 
 
 CameraKind = Literal["aravis", "opencv", "folder", "simulated"]
 TriggerMode = Literal["hardware", "software", "free"]
-MAX_PIXELS = 100_000_000
-"""Largest image that may be asked for."""
 
 
-class CameraSettings(FileModel):
+class CameraSettings(ImageSize):
     """A camera and all that is set on it; what is not named here is left as the camera has it."""
 
     kind: CameraKind
@@ -23,10 +21,6 @@ class CameraSettings(FileModel):
     id: Annotated[str, pydantic.Field(max_length=1024)] = ""
     """Aravis: device id, serial number or address, "" for the only camera there is. OpenCV: index, path or
     URL. Folder: its path. Simulated: a TOML file of a synthetic scene, or ""."""
-    width: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
-    """Width of a frame [px]."""
-    height: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
-    """Height of a frame [px]."""
     pixel_format: PixelFormat = "mono8"
     """How a frame is to be read."""
     response: Response = "linear"
@@ -48,8 +42,6 @@ class CameraSettings(FileModel):
 
     @pydantic.model_validator(mode="after")
     def _meaningful(self) -> "CameraSettings":
-        if self.width * self.height > MAX_PIXELS:
-            raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
         if self.kind == "opencv" and self.trigger != "free":
             raise ValueError(f'trigger: found "{self.trigger}", but a camera of kind "opencv" can only be "free"')
         if self.kind == "opencv" and self.pixel_format not in ("mono8", "rgb8"):

@@ -1,4 +1,4 @@
-"""What one picture of the calibration board tells without a calibration: where, how far, how tilted, where lit."""
+"""One picture of the calibration board without a calibration: where it is, how far, how tilted, where it is lit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -121,7 +121,7 @@ def guess_focal(views: Sequence[BoardView], image_size: tuple[int, int]) -> floa
     rest = np.concatenate([a[:, 2] * b[:, 2], a[:, 2] ** 2 - b[:, 2] ** 2])
     if np.sum(rest**2) < _TELLING**2:
         return width
-    # Least squares in f^2: what is small, the perspective, is where the noise is.
+    # Least squares in f^2: the noise is in the perspective, which is small.
     square = -float(np.sum(factor * rest) / np.sum(rest**2))
     return width * float(np.sqrt(square)) if _FOCAL[0] ** 2 < square < _FOCAL[1] ** 2 else width
 

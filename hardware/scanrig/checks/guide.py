@@ -1,4 +1,4 @@
-"""What the calibration board should do next, in words, from the pictures so far and without a calibration.
+"""Where to hold the calibration board next, in words, from the pictures so far and without a calibration.
 
 It asks for the same coverage as `jaxscan calibrate` does afterwards, while the board is still at hand. The caller
 finds corners and the laser's line.
@@ -31,21 +31,21 @@ _SIDES_OF_TILT = 4
 
 @dataclass(frozen=True)
 class Look:
-    """What was seen of one pose."""
+    """One pose of the board, as it was seen."""
 
     view: BoardView | None
     """None: the pose is refused."""
     problem: str = ""
-    """Why it is refused, and what to do."""
+    """Why it is refused, and the remedy."""
     notes: tuple[str, ...] = ()
-    """What is not as good as it could be."""
+    """Things that could be better."""
     laser: int = 0
     """Which laser it shows, counted from 0."""
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """What the poses so far have covered."""
+    """Coverage of the poses so far."""
 
     views: int
     corners: Int[np.ndarray, "rows columns"]
@@ -78,7 +78,7 @@ class Coverage:
 
 @dataclass
 class Guide:
-    """Looks at poses, keeps those that are taken, and says what is missing."""
+    """Looks at poses, keeps those that are taken, and says which are missing."""
 
     board: AbstractBoard
     image_size: tuple[int, int]
@@ -114,7 +114,7 @@ class Guide:
         """Count a pose that was taken.
 
         Args:
-            look: What was seen of it.
+            look: The pose as it was seen.
             placement: Which place of the board it is, where the table turns while it stands.
         """
         if look.view is not None:
@@ -130,7 +130,7 @@ class Guide:
         return pose_of(look.view, guess_focal([*self._views, look.view], self.image_size))
 
     def coverage(self) -> Coverage:
-        """What the poses so far have covered."""
+        """Coverage of the poses so far."""
         focal = guess_focal(self._views, self.image_size)
         shown = list(zip(self._views, self._lasers, strict=True))
         posed = [(view, laser, pose) for view, laser in shown if (pose := pose_of(view, focal)) is not None]
@@ -156,7 +156,7 @@ class Guide:
         )
 
     def advice(self, kind: Literal["free", "placement"] = "free", most: int = 2) -> list[str]:
-        """What would help most, a sentence each, the most needed first; empty where nothing is missing."""
+        """Poses that would help most, a sentence each, the most needed first; empty where nothing is missing."""
         seen = self.coverage()
         if kind == "placement":
             return _about_placing(seen, laser=bool(self.find_lines))[:most]

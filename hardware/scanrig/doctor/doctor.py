@@ -11,7 +11,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CameraTable, CaptureHeader, frame_shape
 from jaxscan.files.recording import create_capture
-from scanrig.cameras.frame import Camera
+from scanrig.cameras import Camera
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller
@@ -22,7 +22,7 @@ from scanrig.doctor.table import examine_table
 from scanrig.errors import RigError
 from scanrig.recording import free_bytes, readable
 from scanrig.session.plan import estimate, plan_sweep
-from scanrig.session.step import Pair
+from scanrig.session.step import ProvenPair
 
 
 _STORED_PAIRS = 6
@@ -55,7 +55,7 @@ def examine(patient: Patient, *, folder: Path, tell: Tell, say: Callable[[str], 
         say: Called with what is going on where it takes long.
     """
     controller, camera, config = patient.controller, patient.camera, patient.config
-    pair: Pair | None = None
+    pair: ProvenPair | None = None
     try:
         homed = False if controller is None else examine_table(controller, config, tell, say)
         if camera is not None and config is not None:
@@ -69,7 +69,7 @@ def examine(patient: Patient, *, folder: Path, tell: Tell, say: Callable[[str], 
         looked_at("storage", lambda: _storage(config, folder, pair), tell)
 
 
-def _storage(config: RigConfig, folder: Path, pair: Pair | None) -> Finding:
+def _storage(config: RigConfig, folder: Path, pair: ProvenPair | None) -> Finding:
     """Free space, and how long a pair takes until it is on the disk."""
     targets, _ = plan_sweep(config)
     needed = estimate(config, [target.position for target in targets])
@@ -90,7 +90,7 @@ def _storage(config: RigConfig, folder: Path, pair: Pair | None) -> Finding:
     return Finding("storage", "works", found, values=values)
 
 
-def _seconds_a_pair(config: RigConfig, folder: Path, pair: Pair | None) -> float:
+def _seconds_a_pair(config: RigConfig, folder: Path, pair: ProvenPair | None) -> float:
     camera = config.camera
     table = CameraTable(width=camera.width, height=camera.height, pixel_format=camera.pixel_format)
     header = CaptureHeader(kind="sweep", camera=table, laser=tuple(laser.table for laser in config.laser))

@@ -5,14 +5,14 @@ from functools import partial
 import numpy as np
 
 from jaxscan.stripes import laser_plane
-from scanrig.cameras.frame import Camera, Frame
+from scanrig.cameras import Camera, Frame
 from scanrig.clock import Clock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller
 from scanrig.doctor.findings import Finding, Tell, looked_at
 from scanrig.errors import CameraTimeout, FrameError
 from scanrig.session.plan import controller_settings
-from scanrig.session.step import Pair, Station, Step, next_frame, rest, take_pair
+from scanrig.session.step import ProvenPair, Station, Step, next_frame, rest, take_pair
 
 
 PULSES = 6
@@ -29,7 +29,9 @@ def examine_camera(controller: Controller | None, camera: Camera, config: RigCon
     looked_at("trigger", lambda: _trigger(controller, camera, config, clock), tell)
 
 
-def examine_light(controller: Controller, camera: Camera, config: RigConfig, tell: Tell, clock: Clock) -> Pair | None:
+def examine_light(
+    controller: Controller, camera: Camera, config: RigConfig, tell: Tell, clock: Clock
+) -> ProvenPair | None:
     """Look at each laser, and at how bright its line is; a proven pair, where there is one.
 
     Args:
@@ -39,7 +41,7 @@ def examine_light(controller: Controller, camera: Camera, config: RigConfig, tel
         tell: Called with each finding.
         clock: For waiting.
     """
-    pairs: list[Pair] = []
+    pairs: list[ProvenPair] = []
     station = Station(_with_one_retake(config), controller, camera, clock)
     for number in range(len(config.laser)):
         known = len(pairs)
@@ -107,7 +109,7 @@ def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, c
     return Finding("trigger", "works", found, values=values)
 
 
-def _laser(station: Station, number: int, pairs: list[Pair]) -> Finding:
+def _laser(station: Station, number: int, pairs: list[ProvenPair]) -> Finding:
     name = _named("laser", station.config, number)
     station.controller.arm(True)
     try:
@@ -132,7 +134,7 @@ def _with_one_retake(config: RigConfig) -> RigConfig:
     return config.model_copy(update={"checks": checks})
 
 
-def _exposure(pair: Pair, config: RigConfig) -> Finding:
+def _exposure(pair: ProvenPair, config: RigConfig) -> Finding:
     """Where the brightest of the line lies between noise and clipping."""
     name = _named("exposure", config, pair.laser)
     peak, clipped = stripe_level(pair.on.image, pair.off.image, config, pair.laser)

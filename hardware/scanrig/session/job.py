@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from scanrig.cameras.frame import Camera
+from scanrig.cameras import Camera
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller

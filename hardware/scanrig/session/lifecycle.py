@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
+from jaxscan.errors import ConfigError
 from jaxscan.files.recording import make_folder
 from scanrig.controllers import require_allowed
 from scanrig.errors import SessionError
@@ -24,7 +25,12 @@ def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
     Raises:
         JaxscanError: As `run_sweep` says. The laser is off, or the message says that this is not certain.
     """
-    require_allowed(job.devices.controller.guarantees, job.config.controller)
+    guarantees = job.devices.controller.guarantees
+    require_allowed(guarantees, job.config.controller)
+    if job.config.camera.trigger == "hardware" and not guarantees.hardware_trigger:
+        raise ConfigError(
+            'camera.trigger: found "hardware", expected "software" or "free": the controller has no wire to the camera.'
+        )
     made = _folder(job.folder)
     try:
         with FolderLock(job.folder) as lock:

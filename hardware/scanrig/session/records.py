@@ -4,13 +4,13 @@ from importlib.metadata import version
 from typing import Any
 
 from jaxscan.files.capture import CameraTable, CaptureHeader, PlanTable, TurntableTable
-from scanrig.cameras.frame import Features
+from scanrig.cameras import Features
 from scanrig.clock import Clock
 from scanrig.config import RigConfig
 from scanrig.controllers import Firmware
 from scanrig.session.job import Job
 from scanrig.session.plan import angle_deg
-from scanrig.session.step import Pair
+from scanrig.session.step import ProvenPair
 
 
 def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureHeader:
@@ -48,7 +48,7 @@ def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureH
     )
 
 
-def record_fields(pair: Pair, config: RigConfig, features: Features, clock: Clock) -> dict[str, Any]:
+def record_fields(pair: ProvenPair, config: RigConfig, features: Features, clock: Clock) -> dict[str, Any]:
     """What a record says beside its images and their digests."""
     n, proof = config.microsteps_per_turn, pair.proof
     exposure = features.get("exposure_s", config.camera.exposure_ms / 1000)

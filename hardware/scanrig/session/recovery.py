@@ -6,8 +6,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from scanrig.cameras import Features
 from scanrig.cameras.features import differences
-from scanrig.cameras.frame import Features
 from scanrig.config import RigConfig
 from scanrig.controllers import Firmware, Status
 from scanrig.errors import (
@@ -24,7 +24,7 @@ from scanrig.errors import (
 )
 from scanrig.session.job import Devices
 from scanrig.session.plan import controller_settings, longest_s, nearest
-from scanrig.session.step import FrameNumbers, Pair, Station, Step, next_frame, take_pair
+from scanrig.session.step import FrameNumbers, ProvenPair, Station, Step, next_frame, take_pair
 
 
 Note = Callable[..., None]
@@ -163,7 +163,7 @@ class RecoveringRig:
             raise CameraTimeout(f"{camera.identity}: frame {frame.number} is not complete")
         return frame.image
 
-    def take(self, to: int, number: int) -> Pair:
+    def take(self, to: int, number: int) -> ProvenPair:
         """Take one record, of the laser that its number says; come back from a lost link, a reset, a lost camera and
         temporary faults.
 

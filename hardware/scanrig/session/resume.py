@@ -13,15 +13,13 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.capture import (
     HEADER_NAME,
     JOURNAL_NAME,
-    MAX_JOURNAL_BYTES,
     CaptureHeader,
     ImageReader,
     Problem,
-    parse_header,
-    read_journal,
+    journal_objects,
+    read_texts,
     verify_capture,
 )
-from jaxscan.files.disk import MEGABYTE, read_bounded
 from scanrig.config import RigConfig
 from scanrig.errors import SessionError
 from scanrig.session.job import Kind
@@ -69,13 +67,13 @@ def find_capture(folder: Path) -> Found:
         CaptureError: If header or journal are damaged in a way that no interruption leaves behind, or hold
             what no session writes.
     """
-    header, journal = _read(folder)
+    texts = read_texts(folder)
     problems = verify_capture(folder)
     records: dict[int, dict[str, Any]] = {}
     since_home: list[int] = []
     suspect: set[int] = set()
     placements, status, unjudged = 0, None, False
-    for value in _lines(journal):
+    for _, value in journal_objects(texts.journal_bytes):
         if "i" in value:
             number, status = value["i"], None
             records.pop(number, None)  # So that the order is that of the last takes.
@@ -108,7 +106,7 @@ def find_capture(folder: Path) -> Found:
     bad = {problem.record for problem in problems}
     whole = {number: value for number, value in records.items() if number not in bad and number not in suspect}
     return Found(
-        header=header,
+        header=texts.header,
         records=whole,
         order=tuple(whole),
         since_home=tuple(number for number in dict.fromkeys(since_home) if number in whole),
@@ -132,16 +130,6 @@ def _checked(folder: Path, event: dict[str, Any], key: str, kind: pydantic.TypeA
         ) from problem
 
 
-def _lines(journal: bytes) -> Iterator[dict[str, Any]]:
-    for line in journal.split(b"\n"):
-        try:
-            value = json.loads(line) if line.strip() else None
-        except ValueError:
-            continue  # The last line, torn; another one was refused before.
-        if isinstance(value, dict):
-            yield value
-
-
 def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
     """The frames of one record, whatever has become of the others.
 
@@ -151,23 +139,14 @@ def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         CaptureError: If they are not there, or damaged.
     """
-    header, journal = _read(folder)
-    names = tuple(laser.name for laser in header.laser)
-    records, _ = read_journal(journal, name=str(folder / JOURNAL_NAME), kind=header.kind, laser_names=names)
-    reader = ImageReader(folder, header)
-    for record in records:
+    texts = read_texts(folder)
+    reader = ImageReader(folder, texts.header)
+    for record in texts.records:
         if record.i == number:
             on, off = reader.frame(record.on), reader.frame(record.off)
             if on is not None and off is not None:
                 return on, off
     raise CaptureError(f"{folder}: record {number} has not both frames, so nothing can be compared with it.")
-
-
-def _read(folder: Path) -> tuple[CaptureHeader, bytes]:
-    """Header and journal."""
-    name, journal_name = str(folder / HEADER_NAME), str(folder / JOURNAL_NAME)
-    header = parse_header(read_bounded(name, MEGABYTE, name=name, error=CaptureError), name=name)
-    return header, read_bounded(journal_name, MAX_JOURNAL_BYTES, name=journal_name, error=CaptureError)
 
 
 def require_same_plan(

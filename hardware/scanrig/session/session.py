@@ -15,7 +15,7 @@ from scanrig.session.records import capture_header, record_fields
 from scanrig.session.recovery import RecoveringRig
 from scanrig.session.resume import Found, ranges, read_pair, require_same_camera
 from scanrig.session.sentences import say_end, say_event
-from scanrig.session.step import Pair
+from scanrig.session.step import ProvenPair
 
 
 class Session:
@@ -225,7 +225,7 @@ class Session:
             )
         return likeness
 
-    def _compare(self, record: int, pair: Pair) -> Likeness:
+    def _compare(self, record: int, pair: ProvenPair) -> Likeness:
         first = read_pair(self.job.folder, record)
         camera = self.config.camera
         return compare_pairs(
@@ -239,7 +239,7 @@ class Session:
     def _is_like(self, likeness: Likeness) -> bool:
         return likeness.within(self.config.checks.shift_px, self.config.checks.correlation)
 
-    def _watch_laser(self, record: int, pair: Pair, angle_deg: float | None) -> None:
+    def _watch_laser(self, record: int, pair: ProvenPair, angle_deg: float | None) -> None:
         """Stop where the laser shines on in laser-off frames, here and there and everywhere."""
         leak, allowed = self._leaks[pair.laser].add(angle_deg, pair.proof.leak), self.config.checks.proof.leak
         if leak is None or leak <= allowed:
@@ -251,7 +251,7 @@ class Session:
             "for longer ([[laser]] off_ms), and see relay and wiring. The contactor has been opened."
         )
 
-    def _watch_light(self, record: int, pair: Pair) -> None:
+    def _watch_light(self, record: int, pair: ProvenPair) -> None:
         """Say it once when the light in the room is not what it was at the beginning."""
         ambient = pair.proof.ambient_dn
         if self._ambient is None:

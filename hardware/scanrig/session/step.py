@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from jaxscan.stripes import frame_rank
-from scanrig.cameras.frame import Camera, Frame
+from scanrig.cameras import Camera, Frame
 from scanrig.checks import PairProof, prove_pair
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
@@ -27,7 +27,7 @@ _MOST_LATE = 64
 
 
 @dataclass(frozen=True)
-class Pair:
+class ProvenPair:
     """A proven pair."""
 
     on: Frame
@@ -83,7 +83,7 @@ class Step(NamedTuple):
     """Which laser, counted from 0."""
 
 
-def take_pair(station: Station, step: Step, rejected: Callable[[str], None] | None = None) -> Pair:
+def take_pair(station: Station, step: Step, rejected: Callable[[str], None] | None = None) -> ProvenPair:
     """Take one step, again and again at the same place until it is proven.
 
     With a camera that is triggered by a wire the controller runs the whole shot; of its two exposures
@@ -110,7 +110,7 @@ def take_pair(station: Station, step: Step, rejected: Callable[[str], None] | No
             taken = take(station, step)
             proof = _prove(taken, station.config, step.laser)
             if proof.ok:
-                return Pair(taken.on, taken.off, proof, taken.position, tuple(reasons), step.laser)
+                return ProvenPair(taken.on, taken.off, proof, taken.position, tuple(reasons), step.laser)
             verdict = proof.verdict
             reasons.append(proof.reason)
         except _Unbelievable as problem:

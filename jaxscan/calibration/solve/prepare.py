@@ -38,7 +38,7 @@ class Prepared(NamedTuple):
 
 
 def prepare(observations: Observations) -> Prepared:
-    """Drop what cannot be used and pad views, stripes and points to the next bucket."""
+    """Drop corners and points that cannot be used, and pad views, stripes and points to the next bucket."""
     corners, stripes = observations.corners, observations.stripes
     board = np.asarray(observations.board.corners(), np.float64)
     centre = np.array([(observations.width - 1) / 2, (observations.height - 1) / 2])
@@ -74,7 +74,7 @@ def prepare(observations: Observations) -> Prepared:
 def _clean(q: Array, sigma: Array, valid: Array, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     pixel, noise = np.asarray(q, np.float64), np.asarray(sigma, np.float64)
     good = np.asarray(valid, bool) & np.isfinite(pixel).all(-1) & np.isfinite(noise) & (noise > 0)
-    # Whatever stands in an entry that is not valid must not reach any arithmetic: 0 x NaN is NaN.
+    # An entry that is not valid must not reach any arithmetic: 0 x NaN is NaN.
     return np.where(good[..., None], pixel, centre), np.where(good, noise, 1.0), good
 
 

@@ -11,9 +11,8 @@ from rich.console import Console
 from jaxscan import api
 from jaxscan.cli.scanning.display import ScanDisplay
 from jaxscan.cli.scanning.operator import CommandOperator, Lines, TerminalOperator, coverage_text
-from jaxscan.cli.scanning.plan import CaptureFolder, sweep_header
+from jaxscan.cli.scanning.plan import CaptureFolder
 from jaxscan.errors import OptionError
-from jaxscan.files.capture import board_of
 from jaxscan.stripes import FrameFormat, LaserLine
 
 
@@ -76,14 +75,12 @@ def make_guide(rig: "RigConfig") -> "Guide":
     """The guide, with OpenCV for corners and the stripe extraction for the laser's line."""
     from scanrig.checks.guide import Guide
 
-    from jaxscan.vision.boards import find_corners
-    from jaxscan.vision.grey import to_grey
+    from jaxscan.vision import find_corners, to_grey
 
     camera = rig.camera
-    header = sweep_header(rig).model_copy(update={"kind": "calibration", "board": rig.board})
-    board = board_of(header)
-    if board is None:
+    if rig.board is None:
         raise OptionError("The configuration has no [board] table.")
+    board = rig.board.board()
 
     frames = FrameFormat(camera.pixel_format, camera.response)
 

@@ -25,7 +25,7 @@ from jaxscan.files.disk import (
     readable_json,
     write_atomically,
 )
-from jaxscan.geometry import LaserSheet, Scanner, Turntable, stack_lasers
+from jaxscan.geometry import Scanner, point_up, stack_lasers
 
 
 MAX_CALIBRATION_BYTES = 16 * MEGABYTE
@@ -162,24 +162,12 @@ def _parse(data: bytes, *, name: str) -> CalibrationTable:
 
 
 def _scanner(table: CalibrationTable) -> Scanner:
-    turntable = table.turntable
-    if turntable is None:
+    if table.turntable is None:
         raise CalibrationError("The calibration holds a camera alone.")
-    sheets = [
-        LaserSheet(*(np.array(value, np.float64) for value in (one.normal, one.distance_m, one.bow, one.basis)))
-        for one in table.lasers
-    ]
     return Scanner(
         camera=table.camera.camera(),
-        lasers=stack_lasers(sheets),
-        turntable=Turntable(
-            direction=np.array(turntable.direction, np.float64),
-            point=np.array(turntable.point_m, np.float64),
-            gain=np.array(turntable.gain, np.float64),
-            harmonics=np.array(turntable.harmonics, np.float64),
-            basis=np.array(turntable.basis, np.float64),
-            carries=turntable.carries,
-        ),
+        lasers=stack_lasers([one.sheet() for one in table.lasers]),
+        turntable=point_up(table.turntable.turntable(), table.camera.up),
         covariance=_covariance(table),
         laser_names=tuple(one.name for one in table.lasers),
         up=table.camera.up,

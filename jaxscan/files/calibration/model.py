@@ -1,13 +1,13 @@
 """What a calibration file holds, key by key, and the conditions on the numbers."""
 
+import dataclasses
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 import numpy as np
 import pydantic
 
-from jaxscan.files.capture.header import MAX_PIXELS
-from jaxscan.files.disk import FileModel, Integer, Number
-from jaxscan.geometry import CAMERAS, AbstractCamera
+from jaxscan.files.disk import FileModel, ImageSize, Number
+from jaxscan.geometry import CAMERAS, AbstractCamera, LaserSheet, Turntable
 from jaxscan.geometry.scanner import UP_VECTORS, Up
 from jaxscan.geometry.turntable import Carries
 
@@ -18,8 +18,8 @@ UNIT_TOLERANCE = 1e-6
 
 Pair = tuple[Number, Number]
 Triple = tuple[Number, Number, Number]
+Basis = tuple[Triple, Triple]
 Positive = Annotated[Number, pydantic.Field(gt=0)]
-Extent = Annotated[Integer, pydantic.Field(ge=1, le=65535)]
 
 
 class LensTable(FileModel):
@@ -33,12 +33,10 @@ class LensTable(FileModel):
         return self
 
 
-class CameraTable(FileModel):
+class CameraTable(ImageSize):
     """A camera; the coefficients of its lens depend on the model."""
 
     model: str
-    width: Extent
-    height: Extent
     up: Up = "-v"
     fx: Positive
     fy: Positive
@@ -53,12 +51,6 @@ class CameraTable(FileModel):
         if skew != 0.0 and not _has_skew(CAMERAS[info.data["model"]]):
             raise ValueError(f"found {skew}, a {info.data['model']} has no skew: expected 0")
         return skew
-
-    @pydantic.model_validator(mode="after")
-    def _bounded(self) -> "CameraTable":
-        if self.width * self.height > MAX_PIXELS:
-            raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
-        return self
 
     def camera(self) -> AbstractCamera:
         """The camera of the geometry."""
@@ -104,41 +96,92 @@ else:
 
 
 class LaserTable(FileModel):
-    """A laser sheet in the camera frame at angle 0."""
+    """A laser sheet in the camera frame at angle 0: `normal` and `distance_m`, or the paper's `abc`.
 
-    name: Annotated[str, pydantic.Field(min_length=1, max_length=64)]
-    normal: Triple
-    distance_m: Positive
-    bow: Pair
-    basis: tuple[Triple, Triple]
+    With a `basis` it is canonical: a unit normal and a positive distance. Without one it was written by hand, and
+    neither sign nor length of the normal matters.
+    """
+
+    name: Annotated[str, pydantic.Field(min_length=1, max_length=64)] = "laser"
+    normal: Triple | None = None
+    distance_m: Number | None = None
+    abc: Triple | None = None
+    """a, b [1] and c [m] of the plane a X + b Y + Z = c. Source: PAPER.md equation (3)."""
+    bow: Pair = (0.0, 0.0)
+    basis: Basis | None = None
 
     @pydantic.model_validator(mode="after")
-    def _orthonormal(self) -> "LaserTable":
-        _check_frame("normal", self.normal, self.basis)
+    def _meaningful(self) -> "LaserTable":
+        self.sheet()
         return self
+
+    def sheet(self) -> LaserSheet:
+        """The sheet of the geometry.
+
+        Raises:
+            ValueError: If the plane is said twice or not at all, or what is said is no plane.
+        """
+        if self.abc is not None:
+            if self.normal is not None or self.distance_m is not None or self.basis is not None:
+                raise ValueError("abc: found beside normal, distance_m or basis, expected the plane only once")
+            return self._bowed(LaserSheet.from_abc(*self.abc))
+        if self.normal is None or self.distance_m is None:
+            raise ValueError(
+                f"{'normal' if self.normal is None else 'distance_m'}: missing (or abc, the paper's plane)"
+            )
+        if self.basis is None:
+            return self._bowed(LaserSheet.from_plane(self.normal, self.distance_m))
+        _check_frame("normal", self.normal, self.basis)
+        if self.distance_m <= 0:
+            raise ValueError(f"distance_m: found {self.distance_m:g}, expected greater than 0 beside a basis")
+        return LaserSheet(*_arrays(self.normal, self.distance_m, self.bow, self.basis))
+
+    def _bowed(self, flat: LaserSheet) -> LaserSheet:
+        if any(self.bow) and not np.allclose(flat.normal, self.normal or 0.0, rtol=0, atol=UNIT_TOLERANCE):
+            raise ValueError("bow: its signs and its size refer to a normal of length 1 and a distance_m above 0")
+        return dataclasses.replace(flat, bow=np.array(self.bow, np.float64))
 
 
 class TurntableTable(FileModel):
-    """The axis in the camera frame at angle 0, and the model of the angle."""
+    """The axis in the camera frame at angle 0, and the model of the angle.
 
-    carries: Carries
+    With a `basis` it is canonical: a unit direction on the image's up side, and the axis point nearest the camera.
+    Without one it was written by hand: any point of the axis, and a direction of any length and either sense.
+    """
+
+    carries: Carries = "scanner"
     direction: Triple
     point_m: Triple
-    gain: Number
-    harmonics: tuple[Number, Number, Number, Number]
-    basis: tuple[Triple, Triple]
+    gain: Number = 1.0
+    """Turned angle, right-handed about `direction`, per angle of the table."""
+    harmonics: tuple[Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0)
+    basis: Basis | None = None
 
     @pydantic.model_validator(mode="after")
-    def _consistent(self) -> "TurntableTable":
+    def _meaningful(self) -> "TurntableTable":
+        self.turntable()
+        return self
+
+    def turntable(self) -> Turntable:
+        """The turntable of the geometry, its axis in the sense that the file has.
+
+        Raises:
+            ValueError: If there is no axis, or it is not canonical beside a basis.
+        """
+        if self.gain == 0:
+            raise ValueError("gain = 0: the table does not turn")
+        harmonics = np.array(self.harmonics, np.float64)
+        if self.basis is None:
+            flat = Turntable.from_axis(self.direction, self.point_m, gain=self.gain, carries=self.carries)
+            return dataclasses.replace(flat, harmonics=harmonics)
         _check_frame("direction", self.direction, self.basis)
         along = float(np.dot(self.direction, self.point_m))
         if abs(along) > UNIT_TOLERANCE * max(1.0, float(np.linalg.norm(self.point_m))):
             raise ValueError(
                 f"direction · point_m = {along:.3g}, expected 0: point_m is the axis point nearest the camera"
             )
-        if self.gain == 0:
-            raise ValueError("gain = 0: the table does not turn")
-        return self
+        direction, point, gain, basis = _arrays(self.direction, self.point_m, self.gain, self.basis)
+        return Turntable(direction, point, gain, harmonics, basis, self.carries)
 
 
 class CovarianceTable(FileModel):
@@ -187,12 +230,24 @@ class CalibrationTable(FileModel):
         names = [laser.name for laser in self.lasers]
         if len(set(names)) < len(names):
             raise ValueError(f"lasers: found the names {', '.join(names)}, expected no name twice")
-        if self.turntable is not None and np.dot(self.turntable.direction, UP_VECTORS[self.camera.up]) < 0:
+        if self.turntable is None:
+            return self
+        canonical = self.turntable.basis is not None
+        if canonical and np.dot(self.turntable.direction, UP_VECTORS[self.camera.up]) < 0:
             raise ValueError(f'turntable.direction: points down, expected towards the image\'s up "{self.camera.up}"')
+        if self.covariance is not None and not (canonical and all(laser.basis is not None for laser in self.lasers)):
+            raise ValueError(
+                "covariance: refers to the basis of every laser and of the turntable, and one is missing; give them, "
+                "or leave the covariance out"
+            )
         return self
 
 
-def _check_frame(name: str, direction: Triple, basis: tuple[Triple, Triple]) -> None:
+def _arrays(*values: Any) -> tuple[np.ndarray, ...]:
+    return tuple(np.array(value, np.float64) for value in values)
+
+
+def _check_frame(name: str, direction: Triple, basis: Basis) -> None:
     length = float(np.linalg.norm(direction))
     if abs(length - 1) > UNIT_TOLERANCE:
         raise ValueError(f"{name}: found a vector of length {length:.9g}, expected 1")

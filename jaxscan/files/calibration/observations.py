@@ -1,16 +1,16 @@
 """The observations beside a calibration file, so that anyone can solve again: NPZ."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pydantic
 
 from jaxscan.errors import CalibrationError
+from jaxscan.files.capture import BoardTable, board_table
 from jaxscan.files.disk import (
     FileModel,
-    Integer,
-    Number,
+    ImageSize,
     check,
     parse_json,
     read_arrays,
@@ -18,7 +18,6 @@ from jaxscan.files.disk import (
     write_arrays,
     write_atomically,
 )
-from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
 from jaxscan.observation import BoardViews, Observations, StripeViews
@@ -41,34 +40,28 @@ _ARRAYS = {
     "stripes.view": ("i", ("stripes",)),
     "stripes.laser": ("i", ("stripes",)),
 }
-Inner = Annotated[Integer, pydantic.Field(ge=1, le=1000)]
-Extent = Annotated[Integer, pydantic.Field(ge=1, le=65535)]
-Length = Annotated[Number, pydantic.Field(gt=0)]
 
 
-class _Charuco(FileModel):
-    type: Literal["charuco"]
-    columns: Inner
-    rows: Inner
-    square: Length
-    marker: Length
-    dictionary: str
+def _in_millimetres(board: Any) -> Any:
+    """A board as this file has it, lengths in metres, as the table that every other file has."""
+    if not isinstance(board, dict):
+        return board
+    lengths = {key: board[key] for key in ("square", "marker") if isinstance(board.get(key), int | float)}
+    others = {key: value for key, value in board.items() if key not in lengths}
+    return others | {f"{key}_mm": 1000 * value for key, value in lengths.items()}
 
 
-class _Chessboard(FileModel):
-    type: Literal["chessboard"]
-    columns: Inner
-    rows: Inner
-    square: Length
+def _in_metres(table: FileModel) -> dict[str, Any]:
+    """The table of a board as this file has it."""
+    items = table.model_dump().items()
+    return {key.removesuffix("_mm"): value / 1000 if key.endswith("_mm") else value for key, value in items}
 
 
-class _About(FileModel):
+class _About(ImageSize):
     """What is not an array, as JSON; lengths in metres, as the board itself has them."""
 
     format: Literal["jaxscan-observations/1"]
-    board: Annotated[_Charuco | _Chessboard, pydantic.Field(discriminator="type")]
-    width: Extent
-    height: Extent
+    board: Annotated[BoardTable, pydantic.BeforeValidator(_in_millimetres)]
     laser_names: tuple[str, ...]
     up: Up
     carries: Carries
@@ -83,14 +76,14 @@ def write_observations(observations: Observations, path: Path) -> None:
     """Write the observations, whole or not at all.
 
     Raises:
-        CalibrationError: If another file stands there, the board is of an unknown kind, or the
-            file cannot be written.
+        CalibrationError: If another file stands there, or the file cannot be written.
+        CaptureError: If the board is of an unknown kind.
     """
     if path.exists() and not is_observations(path):
         raise CalibrationError(f"{path}: exists and holds no observations; choose another name for the calibration.")
     about = {
         "format": OBSERVATIONS_FORMAT,
-        "board": _describe(observations.board),
+        "board": _in_metres(board_table(observations.board)),
         "width": observations.width,
         "height": observations.height,
         "laser_names": list(observations.laser_names),
@@ -124,7 +117,7 @@ def read_observations(path: Path) -> Observations:
     about = check(
         _About, parse_json(text, name=str(path), error=CalibrationError), name=str(path), error=CalibrationError
     )
-    board = _board(about)
+    board = about.board.board()
     extents: dict[str | int, int] = {"corners": len(board.corners()), 2: 2}
     for name, (kind, axes) in _ARRAYS.items():
         array = arrays.get(name)
@@ -152,25 +145,3 @@ def read_observations(path: Path) -> Observations:
         up=about.up,
         carries=about.carries,
     )
-
-
-def _describe(board: AbstractBoard) -> dict[str, object]:
-    if isinstance(board, Charuco):
-        return {
-            "type": "charuco",
-            "columns": board.columns,
-            "rows": board.rows,
-            "square": board.square,
-            "marker": board.marker,
-            "dictionary": board.dictionary,
-        }
-    if isinstance(board, Chessboard):
-        return {"type": "chessboard", "columns": board.columns, "rows": board.rows, "square": board.square}
-    raise CalibrationError(f"A board of type {type(board).__name__} has no place in the file of observations yet.")
-
-
-def _board(about: _About) -> AbstractBoard:
-    table = about.board
-    if isinstance(table, _Charuco):
-        return Charuco(**table.model_dump(exclude={"type"}))
-    return Chessboard(**table.model_dump(exclude={"type"}))

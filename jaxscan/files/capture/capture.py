@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +11,11 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.decode import decode_ahead
 from jaxscan.files.capture.exposures import common_exposures, exposure_levels
-from jaxscan.files.capture.header import HEADER_NAME, CaptureHeader, board_of, parse_header
+from jaxscan.files.capture.header import CaptureHeader
 from jaxscan.files.capture.images import ImageReader, RecordFrames
-from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record, read_journal
+from jaxscan.files.capture.journal import JOURNAL_NAME, Record
 from jaxscan.files.capture.references import ImageRef
-from jaxscan.files.disk import MEGABYTE, read_bounded
+from jaxscan.files.capture.texts import read_texts
 from jaxscan.geometry import AbstractBoard
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
@@ -71,7 +70,7 @@ class Capture:
     @property
     def board(self) -> AbstractBoard | None:
         """The calibration board, where the header has one."""
-        return board_of(self.header)
+        return None if self.header.board is None else self.header.board.board()
 
     @functools.cached_property
     def angles(self) -> np.ndarray:
@@ -213,12 +212,8 @@ def open_capture(path: str | Path) -> Capture:
         raise CaptureError(
             f"{path}: {'found a file' if path.exists() else 'no such folder'}, expected a capture's folder."
         )
-    header_name, journal_name = str(path / HEADER_NAME), str(path / JOURNAL_NAME)
-    header_bytes = read_bounded(header_name, MEGABYTE, name=header_name, error=CaptureError)
-    header = parse_header(header_bytes, name=header_name)
-    journal_bytes = read_bounded(journal_name, MAX_JOURNAL_BYTES, name=journal_name, error=CaptureError)
-    names = tuple(laser.name for laser in header.laser)
-    records, notes = read_journal(journal_bytes, name=journal_name, kind=header.kind, laser_names=names)
+    journal_name, texts = str(path / JOURNAL_NAME), read_texts(path)
+    header, records = texts.header, texts.records
     if not records:
         raise CaptureError(f"{journal_name}: holds no complete record.")
     without_off = [record for record in records if not record.off]
@@ -229,7 +224,6 @@ def open_capture(path: str | Path) -> Capture:
         )
     if header.kind == "sweep":
         common_exposures(records, name=journal_name)
-    digest = "sha256:" + hashlib.sha256(header_bytes + journal_bytes).hexdigest()
     reader = ImageReader(path, header)
     reader.check(records)
-    return Capture(path, header, records, notes, digest, reader)
+    return Capture(path, header, records, texts.notes, texts.digest(), reader)

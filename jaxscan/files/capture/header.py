@@ -6,8 +6,9 @@ import pydantic
 import tomli_w
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.disk import FileModel, Integer, Number, check, parse_toml
-from jaxscan.geometry import AbstractBoard, Charuco, Chessboard, StripeAxis
+from jaxscan.files.capture.boards import BoardTable
+from jaxscan.files.disk import FileModel, ImageSize, Integer, check, parse_toml
+from jaxscan.geometry import StripeAxis
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
 from jaxscan.stripes import (
@@ -22,8 +23,6 @@ from jaxscan.stripes import (
 
 CAPTURE_FORMAT: Literal["jaxscan-capture/1"] = "jaxscan-capture/1"
 HEADER_NAME = "capture.toml"
-MAX_PIXELS = 100_000_000
-"""Largest image that a header may announce."""
 RESERVED_FORMATS = ("mono16", "bayer_rggb16", "bayer_bggr16", "bayer_grbg16", "bayer_gbrg16")
 
 
@@ -40,25 +39,15 @@ def _listed(tables: Any) -> Any:
     return [tables] if isinstance(tables, dict | LaserTable) else tables
 
 
-class CameraTable(FileModel):
+class CameraTable(ImageSize):
     """What the images are."""
 
-    width: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
-    """Width of every image [px]."""
-    height: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
-    """Height of every image [px]."""
     pixel_format: Annotated[PixelFormat, pydantic.BeforeValidator(_supported)]
     """How an image is to be read."""
     response: Response = "linear"
     """"linear", or "srgb" (decoded before the fit)."""
     up: Up = "-v"
     """Which direction of the image is up."""
-
-    @pydantic.model_validator(mode="after")
-    def _bounded(self) -> "CameraTable":
-        if self.width * self.height > MAX_PIXELS:
-            raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
-        return self
 
 
 class TurntableTable(FileModel):
@@ -77,35 +66,6 @@ class LaserTable(FileModel):
     """Which channel of a colour camera holds it; "auto": whichever shows it best."""
     stripe_axis: StripeAxis = "rows"
     """One stripe centre per image row ("rows"), or per image column ("columns")."""
-
-
-class CharucoTable(FileModel):
-    """A ChArUco board; columns and rows count squares."""
-
-    type: Literal["charuco"] = "charuco"
-    columns: Annotated[Integer, pydantic.Field(ge=2, le=1000)]
-    rows: Annotated[Integer, pydantic.Field(ge=2, le=1000)]
-    square_mm: Annotated[Number, pydantic.Field(gt=0)]
-    marker_mm: Annotated[Number, pydantic.Field(gt=0)]
-    dictionary: Annotated[str, pydantic.Field(pattern=r"^DICT_\w+$", max_length=64)] = "DICT_5X5_250"
-
-    @pydantic.model_validator(mode="after")
-    def _marker_fits(self) -> "CharucoTable":
-        if self.marker_mm >= self.square_mm:
-            raise ValueError(f"marker_mm = {self.marker_mm:g} must be smaller than square_mm = {self.square_mm:g}")
-        return self
-
-
-class ChessboardTable(FileModel):
-    """A plain chessboard; columns and rows count inner corners."""
-
-    type: Literal["chessboard"] = "chessboard"
-    columns: Annotated[Integer, pydantic.Field(ge=2, le=1000)]
-    rows: Annotated[Integer, pydantic.Field(ge=2, le=1000)]
-    square_mm: Annotated[Number, pydantic.Field(gt=0)]
-
-
-BoardTable = Annotated[CharucoTable | ChessboardTable, pydantic.Field(discriminator="type")]
 
 
 class PlanTable(FileModel):
@@ -150,23 +110,6 @@ class CaptureHeader(FileModel):
 def frame_shape(header: CaptureHeader) -> tuple[int, ...]:
     """Shape of one image: (rows, columns), or (rows, columns, 3)."""
     return (header.camera.height, header.camera.width, 3)[: frame_rank(header.camera.pixel_format)]
-
-
-def board_of(header: CaptureHeader) -> AbstractBoard | None:
-    """The calibration board of a header [m], where there is one."""
-    table = header.board
-    if table is None:
-        return None
-    square = table.square_mm / 1000
-    if isinstance(table, ChessboardTable):
-        return Chessboard(columns=table.columns, rows=table.rows, square=square)
-    return Charuco(
-        columns=table.columns,
-        rows=table.rows,
-        square=square,
-        marker=table.marker_mm / 1000,
-        dictionary=table.dictionary,
-    )
 
 
 def parse_header(data: bytes, *, name: str) -> CaptureHeader:

@@ -50,7 +50,7 @@ class ImageReader:
         if reference.index is not None:
             return self.shards.image(reference)
         # Here, so that opening a capture does not load OpenCV.
-        from jaxscan.vision.images import decode_image
+        from jaxscan.vision import decode_image
 
         camera = self._header.camera
         name = str(self._path / reference.path)

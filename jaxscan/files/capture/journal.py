@@ -3,6 +3,7 @@
 import io
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -92,6 +93,24 @@ def read_journal(
     records = [_complete(latest[i][1], latest[i][0], kind, laser_names) for i in sorted(latest)]
     notes = () if torn is None else (f"{torn}: the last line was cut off and is left out.",)
     return tuple(records), notes
+
+
+def journal_objects(journal: bytes) -> Iterator[tuple[int, dict[str, Any]]]:
+    """The complete lines of a journal that `read_journal` has accepted, events too.
+
+    Yields:
+        start: Where in the file the line begins [bytes].
+        value: The object that it holds.
+    """
+    start = 0
+    for line in journal.split(b"\n"):
+        try:
+            value = json.loads(line) if line.strip() else None
+        except ValueError:
+            value = None  # A torn last line; any other was refused before.
+        if isinstance(value, dict):
+            yield start, value
+        start += len(line) + 1
 
 
 class _TornLine(Exception):

@@ -1,10 +1,9 @@
 """Whether the images of a capture are still those that were written, by the digests that its records carry."""
 
 import hashlib
-import json
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +11,11 @@ from typing import Any
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.decode import cores
-from jaxscan.files.capture.header import HEADER_NAME, CaptureHeader, frame_shape, parse_header
-from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record, read_journal
+from jaxscan.files.capture.header import CaptureHeader, frame_shape
+from jaxscan.files.capture.journal import JOURNAL_NAME, Record, journal_objects
 from jaxscan.files.capture.references import Folder, ImageRef
 from jaxscan.files.capture.shards import Shards
-from jaxscan.files.disk import MEGABYTE, read_bounded
+from jaxscan.files.capture.texts import read_texts
 
 
 SEAL = "journal_sha256"
@@ -55,14 +54,11 @@ def verify_capture(path: str | Path, *, progress: Callable[[int, int], None] | N
         CaptureError: If header or journal cannot be read.
     """
     path = Path(path)
-    header_name, journal_name = str(path / HEADER_NAME), str(path / JOURNAL_NAME)
-    header = parse_header(read_bounded(header_name, MEGABYTE, name=header_name, error=CaptureError), name=header_name)
-    journal = read_bounded(journal_name, MAX_JOURNAL_BYTES, name=journal_name, error=CaptureError)
-    names = tuple(laser.name for laser in header.laser)
-    records, notes = read_journal(journal, name=journal_name, kind=header.kind, laser_names=names)
-    problems = [Problem(None, note) for note in notes] + _broken_seals(journal, journal_name)
+    texts = read_texts(path)
+    records, journal = texts.records, texts.journal_bytes
+    problems = [Problem(None, note) for note in texts.notes] + _broken_seals(journal, str(path / JOURNAL_NAME))
     sums = _digests(journal)
-    look = _Looker(path, header)
+    look = _Looker(path, texts.header)
     with ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-verify") as pool:
         for start in range(0, len(records), _BLOCK):
             block = records[start : start + _BLOCK]
@@ -118,14 +114,14 @@ class _Looker:
 
 def _digests(journal: bytes) -> dict[int, Any]:
     """What the last complete line of each record says of its digests."""
-    return {value["i"]: value.get("sha256") for _, value in _objects(journal) if "i" in value}
+    return {value["i"]: value.get("sha256") for _, value in journal_objects(journal) if "i" in value}
 
 
 def _broken_seals(journal: bytes, name: str) -> list[Problem]:
     """Seals that do not fit what stands before them."""
     sealed, at = hashlib.sha256(), 0
     problems = []
-    for start, value in _objects(journal):
+    for start, value in journal_objects(journal):
         if "i" in value or SEAL not in value:
             continue
         sealed.update(journal[at:start])
@@ -135,19 +131,6 @@ def _broken_seals(journal: bytes, name: str) -> list[Problem]:
             message = f"{name}: line {line}: the seal does not fit the lines before it."
             problems.append(Problem(None, message, lasting=True))
     return problems
-
-
-def _objects(journal: bytes) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Complete lines: where in the file they begin, and what they say."""
-    start = 0
-    for line in journal.split(b"\n"):
-        try:
-            value = json.loads(line) if line.strip() else None
-        except ValueError:
-            value = None  # A torn last line; anything else was refused before.
-        if isinstance(value, dict):
-            yield start, value
-        start += len(line) + 1
 
 
 def seal(path: Path) -> str:

@@ -1,6 +1,8 @@
 """Files appear whole or not at all: written beside, then renamed."""
 
+import contextlib
 import errno
+import io
 import os
 import secrets
 import stat
@@ -65,6 +67,25 @@ def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as problem:
         raise error(_explain(path, target, problem)) from problem
+
+
+def append_whole(file: io.FileIO, data: bytes, *, durable: bool) -> None:
+    """Append to a file all of `data`, or nothing where the disk still lets a part be taken back.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    before = os.fstat(file.fileno()).st_size
+    try:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[file.write(rest) or 0 :]
+        if durable:
+            os.fsync(file.fileno())
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.ftruncate(file.fileno(), before)
+        raise
 
 
 def _check_target(target: Path) -> None:

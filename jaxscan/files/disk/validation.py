@@ -9,6 +9,7 @@ from typing import Annotated, Any, TypeVar
 import pydantic
 
 from jaxscan.errors import JaxscanError
+from jaxscan.geometry import MAX_PIXELS
 
 
 class FileModel(pydantic.BaseModel):
@@ -20,6 +21,22 @@ class FileModel(pydantic.BaseModel):
 # Files have types of their own: a quoted number is a mistake, not a number.
 Number = Annotated[float, pydantic.Strict()]
 Integer = Annotated[int, pydantic.Strict()]
+
+
+class ImageSize(FileModel):
+    """Width and height of an image [px], of at most `MAX_PIXELS` together."""
+
+    width: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
+    """Width of every image [px]."""
+    height: Annotated[Integer, pydantic.Field(ge=1, le=65535)]
+    """Height of every image [px]."""
+
+    @pydantic.model_validator(mode="after")
+    def _bounded(self) -> "ImageSize":
+        if self.width * self.height > MAX_PIXELS:
+            raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
+        return self
+
 
 Model = TypeVar("Model", bound=pydantic.BaseModel)
 

@@ -1,7 +1,5 @@
 """A capture with its images stored in another way: files that programs open, or shards that are read at once."""
 
-import hashlib
-import json
 import os
 import secrets
 import shutil
@@ -16,15 +14,15 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import (
     HEADER_NAME,
-    JOURNAL_NAME,
-    MAX_JOURNAL_BYTES,
     SEAL,
     Capture,
     Record,
     cores,
+    journal_objects,
     open_capture,
+    read_texts,
 )
-from jaxscan.files.disk import MEGABYTE, read_bounded, sync_to_disk, write_atomically
+from jaxscan.files.disk import sync_to_disk, write_atomically
 from jaxscan.files.recording.store import Storage
 from jaxscan.files.recording.writer import CaptureWriter, create_capture
 
@@ -58,14 +56,16 @@ def repack_capture(
     source, target = Path(source), Path(os.path.abspath(target))
     check_new_folder(target)
     capture = open_capture(source)
-    header, journal = _texts(capture)
+    texts = read_texts(source)
+    if texts.digest() != capture.digest():
+        raise CaptureError(f"{source}: has changed while it was read; end the capture first.")
     part = target.with_name(f".part-{secrets.token_hex(6)}")
-    values = list(_ordered(journal, torn=bool(capture.notes)))
+    values = list(_ordered(texts.journal_bytes))
     digests = any("sha256" in value for value in values if "i" in value)
     try:
         with create_capture(part, capture.header, storage=storage, durable=False, digests=digests) as writer:
             _copy(capture, writer, values, progress)
-        write_atomically(part / HEADER_NAME, header, durable=False, error=CaptureError)
+        write_atomically(part / HEADER_NAME, texts.header_bytes, durable=False, error=CaptureError)
         # Again, after all the work: a folder that has appeared meanwhile is somebody's.
         check_new_folder(target)
         try:
@@ -93,17 +93,6 @@ def check_new_folder(target: str | Path) -> None:
         raise CaptureError(f"{target}: exists; choose another folder, a capture is never overwritten.")
     if not target.parent.is_dir():
         raise CaptureError(f"{target}: cannot be created, the folder {target.parent} does not exist; create it first.")
-
-
-def _texts(capture: Capture) -> tuple[bytes, bytes]:
-    """Header and journal, as they were when the capture was opened."""
-    parts = []
-    for name, limit in ((HEADER_NAME, MEGABYTE), (JOURNAL_NAME, MAX_JOURNAL_BYTES)):
-        path = str(capture.path / name)
-        parts.append(read_bounded(path, limit, name=path, error=CaptureError))
-    if "sha256:" + hashlib.sha256(b"".join(parts)).hexdigest() != capture.digest():
-        raise CaptureError(f"{capture.path}: has changed while it was read; end the capture first.")
-    return parts[0], parts[1]
 
 
 def _copy(capture: Capture, writer: CaptureWriter, values: Iterable[dict[str, Any]], progress: Progress | None) -> None:
@@ -142,12 +131,9 @@ def _images(capture: Capture, record: Record) -> dict[str, list[np.ndarray]]:
     return {side: [capture.image(one) for one in images] for side, images in sides.items()}
 
 
-def _ordered(journal: bytes, *, torn: bool) -> Iterator[dict[str, Any]]:
+def _ordered(journal: bytes) -> Iterator[dict[str, Any]]:
     """Records by number, each followed by the events that followed it in the journal."""
-    lines = [line for line in journal.split(b"\n") if line.strip()]
-    if torn:
-        lines.pop()
-    values = [json.loads(line) for line in lines]
+    values = [value for _, value in journal_objects(journal)]
     winner = {value["i"]: number for number, value in enumerate(values) if "i" in value}
     after, keyed = -1, []
     for number, value in enumerate(values):

@@ -1,23 +1,15 @@
 """Going on with a capture that was interrupted."""
 
-import json
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import (
-    HEADER_NAME,
-    JOURNAL_NAME,
-    MAX_JOURNAL_BYTES,
-    Record,
-    exposure_levels,
-    parse_header,
-    read_journal,
-)
-from jaxscan.files.disk import MEGABYTE, read_bounded, write_atomically
-from jaxscan.files.recording.store import Storage
-from jaxscan.files.recording.writer import CaptureWriter, require_no_links
+from jaxscan.files.capture import JOURNAL_NAME, Record, exposure_levels, journal_objects, read_texts
+from jaxscan.files.disk import write_atomically
+from jaxscan.files.recording.folder import require_no_links
+from jaxscan.files.recording.store import Storage, WriteSettings
+from jaxscan.files.recording.writer import CaptureWriter
 
 
 def resume_capture(
@@ -42,32 +34,20 @@ def resume_capture(
     """
     path = Path(path)
     require_no_links(path)
-    header_name, journal = str(path / HEADER_NAME), path / JOURNAL_NAME
-    header = parse_header(read_bounded(header_name, MEGABYTE, name=header_name, error=CaptureError), name=header_name)
-    data = read_bounded(journal, MAX_JOURNAL_BYTES, name=str(journal), error=CaptureError)
-    names = tuple(laser.name for laser in header.laser)
-    records, torn = read_journal(data, name=str(journal), kind=header.kind, laser_names=names)
-    lines = [line for line in data.split(b"\n") if line.strip()]
-    if torn:
+    texts = read_texts(path)
+    lines = [line for line in texts.journal_bytes.split(b"\n") if line.strip()]
+    if texts.notes:
         lines.pop()
     whole = b"".join(line + b"\n" for line in lines)
-    if whole != data:
-        write_atomically(journal, whole, durable=durable, error=CaptureError)
-    values = (json.loads(line) for line in lines)
-    taken = Counter(value["i"] for value in values if "i" in value)
+    if whole != texts.journal_bytes:
+        write_atomically(path / JOURNAL_NAME, whole, durable=durable, error=CaptureError)
+    taken = Counter(value["i"] for _, value in journal_objects(whole) if "i" in value)
     try:
         for folder in ("on", "off"):
             (path / folder).mkdir(exist_ok=True)
-        levels = exposure_levels(records[-1].on) if records else None
-        writer = CaptureWriter(
-            path,
-            header,
-            storage=storage or _storage(records),
-            durable=durable,
-            digests=digests,
-            taken=taken,
-            levels=levels,
-        )
+        levels = exposure_levels(texts.records[-1].on) if texts.records else None
+        settings = WriteSettings(storage or _storage(texts.records), durable, digests)
+        writer = CaptureWriter(path, texts.header, settings=settings, taken=taken, levels=levels)
     except OSError as problem:
         raise CaptureError(f"{path}: cannot be written: {problem.strerror or problem}.") from problem
     writer.event("resume")

@@ -6,8 +6,9 @@ import os
 import re
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, get_args, runtime_checkable
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from jaxscan.files.disk import sync_to_disk, write_atomically
 
 
 Storage = Literal["png", "npy"]
-STORAGES: tuple[Storage, ...] = ("png", "npy")
+STORAGES: tuple[Storage, ...] = get_args(Storage)
 
 SHARD_BYTES = 64 << 20
 SHARD_RECORDS = 32
@@ -57,19 +58,28 @@ class ImageStore(Protocol):
         ...
 
 
-def image_store(
-    storage: Storage, path: Path, shape: tuple[int, ...], *, durable: bool, digests: bool = False
-) -> ImageStore:
-    """The store of this kind, for images of `shape` in the capture at `path`.
+@dataclass(frozen=True)
+class WriteSettings:
+    """How a capture is written; `create_capture` describes each."""
+
+    storage: Storage = "png"
+    durable: bool = True
+    digests: bool = False
+
+
+def image_store(path: Path, shape: tuple[int, ...], settings: WriteSettings) -> ImageStore:
+    """The store for images of `shape` in the capture at `path`.
 
     With `digests`, writing an image also tells its sha256: of the file, or of the frame in a shard.
 
     Raises:
-        ValueError: If the kind is unknown.
+        ValueError: If the kind of storage is unknown.
     """
-    if storage not in STORAGES:
-        raise ValueError(f"Unknown storage {storage!r}; known: {', '.join(STORAGES)}.")
-    return PngStore(path, durable, digests) if storage == "png" else ShardStore(path, shape, durable, digests)
+    if settings.storage not in STORAGES:
+        raise ValueError(f"Unknown storage {settings.storage!r}; known: {', '.join(STORAGES)}.")
+    if settings.storage == "png":
+        return PngStore(path, settings.durable, settings.digests)
+    return ShardStore(path, shape, settings.durable, settings.digests)
 
 
 class PngStore:
@@ -86,7 +96,7 @@ class PngStore:
 
     def write(self, name: str, image: np.ndarray) -> str:
         # Here, so that reading a capture's header does not load OpenCV.
-        from jaxscan.vision.images import encode_png
+        from jaxscan.vision import encode_png
 
         data = encode_png(image)
         write_atomically(self._path / name, data, durable=self._durable, error=CaptureError)

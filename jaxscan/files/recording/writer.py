@@ -16,13 +16,12 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, MAX_LINE_BYTES, CaptureHeader, frame_shape, header_toml
-from jaxscan.files.disk import sync_to_disk, write_atomically
+from jaxscan.files.disk import append_whole, write_atomically
+from jaxscan.files.recording.folder import is_unused, make_folder, require_no_links
 from jaxscan.files.recording.given import copies, given_exposures, named, unnamed
-from jaxscan.files.recording.store import Storage, image_store
+from jaxscan.files.recording.store import Storage, WriteSettings, image_store
 
 
-LOCK_NAME = ".scan.lock"
-"""File that whoever captures into a folder keeps there meanwhile."""
 _NO_DIGEST = "0" * 64
 
 
@@ -45,9 +44,7 @@ class CaptureWriter:
         path: Path,
         header: CaptureHeader,
         *,
-        storage: Storage = "png",
-        durable: bool = True,
-        digests: bool = False,
+        settings: WriteSettings,
         taken: Mapping[int, int] | None = None,
         levels: Sequence[float] | None = None,
     ) -> None:
@@ -58,13 +55,13 @@ class CaptureWriter:
         """
         self.path = path
         self.header = header
-        self._durable, self._digests = durable, digests
+        self._durable, self._digests = settings.durable, settings.digests
         self._taken = dict(taken or {})
         self._next = max(self._taken, default=-1) + 1
         self._levels = None if levels is None else list(levels)
         self._pending: deque[_Pending] = deque()
         self._failed: CaptureError | None = None
-        self._store = image_store(storage, path, frame_shape(header), durable=durable, digests=digests)
+        self._store = image_store(path, frame_shape(header), settings)
         self._journal = open(path / JOURNAL_NAME, "ab", buffering=0)
         self._pool = ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="jaxscan-encode")
         self._ahead = 2 * (os.cpu_count() or 1)
@@ -102,15 +99,15 @@ class CaptureWriter:
         """
         self._check_alive()
         number = self._next if i is None else i
-        if number < 0:
-            raise CaptureError(f"{self.path}: i = {number} is negative.")
-        if self.header.kind == "sweep" and (angle_deg is None or on is None):
-            raise CaptureError(f"{self.path}: record {number}: a sweep needs an angle and a laser-on image.")
-        if on is None and off is None:
-            raise CaptureError(f"{self.path}: record {number}: has no image.")
-        if angle_deg is not None and not math.isfinite(angle_deg):
-            raise CaptureError(f"{self.path}: record {number}: angle_deg = {angle_deg} is not finite.")
         where = f"{self.path}: record {number}"
+        if number < 0:
+            raise CaptureError(f"{where}: i = {number} is negative.")
+        if self.header.kind == "sweep" and (angle_deg is None or on is None):
+            raise CaptureError(f"{where}: a sweep needs an angle and a laser-on image.")
+        if on is None and off is None:
+            raise CaptureError(f"{where}: has no image.")
+        if angle_deg is not None and not math.isfinite(angle_deg):
+            raise CaptureError(f"{where}: angle_deg = {angle_deg} is not finite.")
         levels = [
             given_exposures(given, f"{where}: {side}")
             for side, given in (("on", on), ("off", off))
@@ -240,7 +237,8 @@ class CaptureWriter:
         pending = self._pending.popleft()
         try:
             digests = {side: [image.result() for image in images] for side, images in pending.images.items()}
-            self._append(self._line(pending.fields | (self._sums(digests) if digests else {})))
+            line = self._line(pending.fields | (self._sums(digests) if digests else {}))
+            append_whole(self._journal, line, durable=self._durable)
         except OSError as problem:
             self._failed = CaptureError(
                 f"{self.path / JOURNAL_NAME}: cannot be written: {problem.strerror or problem}."
@@ -248,21 +246,6 @@ class CaptureWriter:
             raise self._failed from problem
         except CaptureError as problem:
             self._failed = problem
-            raise
-
-    def _append(self, line: bytes) -> None:
-        handle = self._journal.fileno()
-        before = os.fstat(handle).st_size
-        try:
-            rest = memoryview(line)
-            while rest:
-                rest = rest[self._journal.write(rest) or 0 :]
-            if self._durable:
-                os.fsync(handle)
-        except BaseException:
-            # No part of a line stays, where the disk still lets it be taken back.
-            with contextlib.suppress(OSError):
-                os.ftruncate(handle, before)
             raise
 
 
@@ -301,7 +284,7 @@ def create_capture(
     try:
         make_folder(path, durable=durable)
         require_no_links(path)
-        if not _is_unused(path):
+        if not is_unused(path):
             raise CaptureError(
                 f"{path}: exists and is not empty; choose another folder, a capture is never overwritten."
             )
@@ -310,48 +293,6 @@ def create_capture(
         (path / JOURNAL_NAME).touch()
         # Last: a folder with a header is a capture.
         write_atomically(path / HEADER_NAME, toml, durable=durable, error=CaptureError)
-        return CaptureWriter(path, header, storage=storage, durable=durable, digests=digests)
+        return CaptureWriter(path, header, settings=WriteSettings(storage, durable, digests))
     except OSError as problem:
         raise CaptureError(f"{path}: cannot be created: {problem.strerror or problem}.") from problem
-
-
-def make_folder(path: Path, *, durable: bool) -> None:
-    """Make a folder, and those above it that are missing; none is lost with the power.
-
-    Raises:
-        OSError: If it cannot be made.
-    """
-    new = [path, *(above for above in path.parents if not above.exists())]
-    path.mkdir(parents=True, exist_ok=True)
-    if durable and os.name == "posix":
-        for folder in new:
-            # A folder that may be written but not listed cannot be waited for.
-            with contextlib.suppress(PermissionError):
-                sync_to_disk(folder.parent)
-
-
-def require_no_links(path: Path) -> None:
-    """See that what is written into a capture stays in its folder.
-
-    Raises:
-        CaptureError: If a folder of images or the journal is a link.
-    """
-    for name in ("on", "off", JOURNAL_NAME):
-        if (path / name).is_symlink():
-            raise CaptureError(
-                f"{path / name}: found a link, which may lead anywhere, expected the capture's own; "
-                "nothing is written there."
-            )
-
-
-def _is_unused(path: Path) -> bool:
-    """Whether nothing is lost with this folder: it is empty, or a capture was begun and has not even a header."""
-    empty = {"on": True, "off": True, JOURNAL_NAME: True, LOCK_NAME: True}
-    for entry in path.iterdir():
-        if entry.name.startswith(".part-") or entry.name == LOCK_NAME:
-            continue
-        if entry.name not in empty:
-            return False
-        if any(entry.iterdir()) if entry.is_dir() else entry.stat().st_size > 0:
-            return False
-    return True

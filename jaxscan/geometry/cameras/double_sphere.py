@@ -11,9 +11,9 @@ from jaxscan.geometry.cameras.camera import AbstractCamera
 from jaxscan.geometry.parameters import ParameterBlock
 
 
-# Trial values of xi for a first camera. Lenses of two values, one on either side of this, are the same to a
-# hundredth of a pixel; the solve tells them apart.
-_XI = np.linspace(-0.6, 0.95, 156)
+# Trial values of xi for a first camera. Two lenses, one on either side of the value between, may differ by a
+# hundredth of a pixel only: the solve tells them apart. From beyond 0.5 it goes on to lenses with xi above 1.
+_XI = np.linspace(-0.6, 0.5, 111)
 _BETWEEN = 0.05
 
 

@@ -138,7 +138,7 @@ def _gate(
 class _Cells(NamedTuple):
     """In which cell of evenly spaced nodes each coordinate lies, and how far from its start."""
 
-    index: Int[np.ndarray, " n"]
+    number: Int[np.ndarray, " n"]
     fraction: Float[np.ndarray, " n"]
 
     @classmethod

@@ -8,11 +8,12 @@ plane, so on a plane the result is exact whatever is missing.
 """
 
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxscan.geometry import Array
 from jaxscan.reconstruction.streaming.ahead import map_ahead, workers
@@ -63,7 +64,7 @@ def grid_normals(
         block = (_part(array, window) for array in (xyz, sigma, valid, centre))
         # JAX keeps this setting per thread.
         with jax.enable_x64(False):
-            found = _block_normals(*block, steps, half_lines=half_lines, half_profiles=half)
+            found = _block_normals(_Block(*block), steps, half_lines=half_lines, half_profiles=half)
             for axis in range(3):
                 part = normals[start : start + BLOCK, :, axis]
                 part[:] = np.asarray(found[axis])[: len(part)]
@@ -84,22 +85,14 @@ def _part(array: np.ndarray, window: tuple[int, int]) -> np.ndarray:
 
 @functools.partial(jax.jit, static_argnames=("half_lines", "half_profiles"))
 def _block_normals(
-    xyz: Float[Array, "padded lines 3"],
-    sigma: Float[Array, "padded lines"],
-    valid: Array,
-    centre: Float[Array, "padded 3"],
-    steps: Float[Array, "2"],
-    *,
-    half_lines: int,
-    half_profiles: int,
+    block: "_Block", steps: Float[Array, "2"], *, half_lines: int, half_profiles: int
 ) -> tuple[Array, Array, Array]:
+    xyz, sigma, valid, centre = block
     # Components apart: [..., 3] as the fastest axis would keep the loops from being vectorised.
     p = tuple(xyz[:, :, axis] for axis in range(3))
     c = tuple(centre[:, None, axis] for axis in range(3))
-    along, mean, found = _slopes(p, sigma, valid, c, steps[0], axis=1, half=half_lines, least=3)
-    across, average, enough = _slopes(
-        mean, sigma, found, c, steps[1], axis=0, half=half_profiles, least=2, carried=along
-    )
+    along, mean, found = _slopes(_Points(p, sigma, valid, c), _Window(1, half_lines, 3), steps[0])
+    across, average, enough = _slopes(_Points(mean, sigma, found, c), _Window(0, half_profiles, 2), steps[1], along)
     inner = slice(half_profiles, p[0].shape[0] - half_profiles)
     a, b, at, eye = (tuple(x[inner] for x in vector) for vector in (average, across, p, c))
     n = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
@@ -110,12 +103,39 @@ def _block_normals(
     return n[0] * scale, n[1] * scale, n[2] * scale
 
 
-def _slopes(p, sigma, valid, centre, step, *, axis, half, least, carried=None):
+class _Block(NamedTuple):
+    """A block of profiles, with those around it that its windows reach."""
+
+    xyz: Float[Array, "padded lines 3"]
+    sigma: Float[Array, "padded lines"]
+    valid: Bool[Array, "padded lines"]
+    centre: Float[Array, "padded 3"]
+
+
+class _Points(NamedTuple):
+    """The same by component, and camera centres that broadcast against them."""
+
+    p: tuple
+    sigma: Array
+    valid: Array
+    centre: tuple
+
+
+class _Window(NamedTuple):
+    """Along which axis of the grid, to how many neighbours on either side, and how many are needed."""
+
+    axis: int
+    half: int
+    least: int
+
+
+def _slopes(points, window, step, carried=None):
     """Slope and mean of the points over a window along one axis of the grid.
 
     Returns the slope per grid step, the mean of the points (of the vectors `carried` instead,
     where given), and where at least `least` neighbours were found.
     """
+    (p, sigma, valid, centre), (axis, half, least) = points, window
     d = tuple(p[i] - centre[i] for i in range(3))
     far = jnp.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
     variance = sigma * sigma

@@ -1,1 +1,1 @@
-"""What stands in the simulated room, and how it is lit."""
+"""The simulated room: its surfaces, and its light."""

@@ -12,6 +12,7 @@ import numpy as np
 from jaxscan.simulation.scene.meshes import Mesh
 from jaxscan.simulation.scene.textures import (
     Material,
+    bands,
     books,
     checker,
     dots,
@@ -171,13 +172,13 @@ def _table(mesh: Mesh, room: RoomSpec) -> None:
         for dy in (-0.5, 0.5):
             mesh.box((cx + dx, cy + dy, 0), (0.05, 0.05, top - 0.03), _OAK)
     profile = np.array([[0, 0], [0.05, 0], [0.09, 0.08], [0.08, 0.16], [0.04, 0.22], [0.055, 0.26]])
-    mesh.lathe((cx, cy + 0.1, top + 0.004), profile, Material(((0.22, 0.40, 0.62), (0.84, 0.82, 0.76)), _bands))
+    mesh.lathe(
+        (cx, cy + 0.1, top + 0.004),
+        profile,
+        Material(((0.22, 0.40, 0.62), (0.84, 0.82, 0.76)), partial(bands, period=0.05)),
+    )
     _chair(mesh, cx + 0.62, cy - 0.15, np.pi / 2)
     _chair(mesh, cx - 0.05, cy - 0.85, 0.0)
-
-
-def _bands(u: np.ndarray, v: np.ndarray):
-    return stripes(v, u, period=0.05)
 
 
 def _chair(mesh: Mesh, x: float, y: float, yaw: float) -> None:
@@ -201,27 +202,16 @@ _CHAIR = Material(((0.58, 0.22, 0.16), (0.50, 0.18, 0.13)), wood)
 def _small_things(mesh: Mesh, room: RoomSpec) -> None:
     """A rug, a floor lamp, a plant, a ball, and a low chest of drawers."""
     x, y, _ = room.size_m
-    rug = Material(
-        ((0.62, 0.20, 0.18), (0.76, 0.64, 0.42), (0.22, 0.24, 0.36)),
-        framed(
-            (1.8, 1.3),
-            ((0.62, 0.20, 0.18), (0.76, 0.64, 0.42), (0.22, 0.24, 0.36)),
-            partial(dots, period=0.26, radius=0.09),
-            0.1,
-        ).pattern,
-    )
+    colours = (0.62, 0.20, 0.18), (0.76, 0.64, 0.42), (0.22, 0.24, 0.36)
+    rug = framed((1.8, 1.3), colours, partial(dots, period=0.26, radius=0.09), 0.1)
     mesh.quad(np.array([0.5 * x - 0.9, 0.36 * y - 0.65, 0.008]), np.array([1.8, 0, 0]), np.array([0, 1.3, 0]), rug)
     shade = Material(((0.84, 0.76, 0.56),), glow=0.25)
     mesh.cylinder((x - 0.32, y - 0.9, 0), 0.14, 0.025, _DARK)
     mesh.cylinder((x - 0.32, y - 0.9, 0.025), 0.014, 1.45, _BRASS)
     mesh.sphere((x - 0.32, y - 0.9, 1.58), 0.16, shade)
     mesh.lathe((x - 0.35, 0.38, 0), np.array([[0, 0], [0.12, 0], [0.17, 0.32], [0.15, 0.32], [0, 0.28]]), _POT)
-    for dx, dy, z, radius in (
-        (0, 0, 0.62, 0.20),
-        (-0.10, 0.08, 0.85, 0.16),
-        (0.08, 0.02, 0.98, 0.14),
-        (-0.02, -0.06, 1.14, 0.10),
-    ):
+    leaves = (0, 0, 0.62, 0.20), (-0.10, 0.08, 0.85, 0.16), (0.08, 0.02, 0.98, 0.14), (-0.02, -0.06, 1.14, 0.10)
+    for dx, dy, z, radius in leaves:
         mesh.sphere((x - 0.35 + dx, 0.38 + dy, z), radius, _LEAF)
     mesh.sphere((0.55, 0.30 * y + 0.75, 0.13), 0.13, _BALL)
     drawers = framed(
@@ -239,27 +229,11 @@ def set_table(spec: ObjectSpec, *, empty: bool = False) -> Mesh:
     mesh.cylinder((0, 0, z - 0.02), r, 0.02, plate)
     if empty:
         return mesh
-    outline = np.array(
-        [
-            [0, 0],
-            [0.20, 0],
-            [0.30, 0.12],
-            [0.36, 0.30],
-            [0.33, 0.48],
-            [0.20, 0.66],
-            [0.14, 0.80],
-            [0.18, 0.93],
-            [0.24, 1.0],
-            [0, 0.97],
-        ]
-    )
-    vase = Material(((0.22, 0.42, 0.60), (0.80, 0.76, 0.66)), partial(_height_bands, period=0.22 * h))
+    radius = [0, 0.20, 0.30, 0.36, 0.33, 0.20, 0.14, 0.18, 0.24, 0]
+    outline = np.column_stack([radius, [0, 0, 0.12, 0.30, 0.48, 0.66, 0.80, 0.93, 1.0, 0.97]])
+    vase = Material(((0.22, 0.42, 0.60), (0.80, 0.76, 0.66)), partial(bands, period=0.22 * h))
     mesh.lathe((0.0, 0.0, z), h * outline, vase, sides=96)
     block = Material(((0.78, 0.58, 0.22), (0.56, 0.20, 0.16)), partial(checker, size=0.1 * h))
     mesh.box((0.62 * r, 0.1 * r, z), (0.3 * h, 0.3 * h, 0.35 * h), block, yaw=0.4)
     mesh.sphere((-0.55 * r, 0.45 * r, z + 0.15 * h), 0.15 * h, Material(((0.70, 0.72, 0.66),)))
     return mesh
-
-
-def _height_bands(u: np.ndarray, v: np.ndarray, *, period: float):
-    return stripes(v, u, period=period)

@@ -1,4 +1,4 @@
-"""A scene to look at: triangles for ray casting, and what light does at the points that are hit."""
+"""A scene to look at: triangles for ray casting, and the light at the points that are hit."""
 
 from dataclasses import dataclass
 from functools import lru_cache

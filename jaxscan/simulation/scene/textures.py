@@ -1,4 +1,4 @@
-"""What surfaces look like: procedural patterns over (u, v) in metres, and materials made of them.
+"""Looks of surfaces: procedural patterns over (u, v) in metres, and materials made of them.
 
 A pattern says, for each point, where between two colours it lies and how bright it is; so one
 evaluation serves a colour camera, a mono camera and the laser's single wavelength alike.
@@ -38,9 +38,14 @@ def plaster(u: np.ndarray, v: np.ndarray) -> Blend:
     return Blend(0, 0, 0.0, 1 + np.float32(0.02) * shade)
 
 
-def stripes(u: np.ndarray, v: np.ndarray, *, period: float, share: float = 0.5) -> Blend:
+def stripes(u: np.ndarray, v: np.ndarray, *, period: float) -> Blend:
     """Upright bars of the second colour."""
-    return Blend(0, 1, (_fraction(u / np.float32(period)) < share).astype(np.float32), 1.0)
+    return Blend(0, 1, (_fraction(u / np.float32(period)) < 0.5).astype(np.float32), 1.0)
+
+
+def bands(u: np.ndarray, v: np.ndarray, *, period: float) -> Blend:
+    """Level bars of the second colour."""
+    return stripes(v, u, period=period)
 
 
 def dots(u: np.ndarray, v: np.ndarray, *, period: float, radius: float) -> Blend:

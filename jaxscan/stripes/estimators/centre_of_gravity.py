@@ -55,6 +55,7 @@ class CentreOfGravity:
     """One candidate a line: the brightest."""
 
     candidates = 1
+    native = False
     choices: tuple[Choice, ...] = ("path", "brightest")
 
     def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Peak:
@@ -83,9 +84,9 @@ class CentreOfGravity:
             saturated=jnp.sum(clipped, axis=2).astype(jnp.uint8),
         )
 
-    def locate_natively(self, planes: Planes, search: Search, setup: ExtractionSetup) -> None:
-        """There is no native search."""
-        return None
+    def locate_natively(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Peak:
+        """The same by XLA: there is no native search."""
+        return self.locate(planes, search, setup)
 
     def measure(
         self, located: Peak, lamp_ratio: Float[Array, " frames"], search: Search, setup: ExtractionSetup
@@ -134,7 +135,7 @@ def _variance(located: Peak, ratio: Array, search: Search) -> Float[Array, "fram
 
 def _blurred(values: Float[Array, "frames lines n"]) -> Float[Array, "frames lines n-2"]:
     """The samples but for the first and the last one, blurred."""
-    return sum(h * values[:, :, k : values.shape[2] - 2 + k] for k, h in enumerate(_BLUR))
+    return _BLUR[0] * (values[:, :, :-2] + values[:, :, 2:]) + _BLUR[1] * values[:, :, 1:-1]
 
 
 def _around_the_middle(counts: Bool[Array, "frames lines n"]) -> Bool[Array, "frames lines n"]:

@@ -1,6 +1,6 @@
 """The protocol of an estimator: from the planes of the laser's colour to measured candidates on every line."""
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from jaxscan.stripes.frames.planes import Planes
 from jaxscan.stripes.measured import MeasuredLines
@@ -9,6 +9,7 @@ from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.stripes import Choice
 
 
+@runtime_checkable
 class Estimator(Protocol):
     """Finds and measures stripes; the engine learns, chooses among candidates, and puts them on the image's lines.
 
@@ -20,11 +21,14 @@ class Estimator(Protocol):
     choices: tuple[Choice, ...]
     """Rules of choice that make sense of its candidates."""
 
+    native: bool
+    """Whether `locate_natively` searches faster on a CPU."""
+
     def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Any:
         """Where stripes may be, as `measure` takes it; pure and traceable."""
 
-    def locate_natively(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Any | None:
-        """The same natively, of NumPy planes with laser-off frames; None where there is no native search.
+    def locate_natively(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Any:
+        """The same natively, of NumPy planes with laser-off frames; called where `native`.
 
         A result is good until the next call in the same thread.
         """

@@ -19,6 +19,7 @@ class Gaussian:
     """Locate by matched filters, fit by maximum likelihood."""
 
     candidates = CANDIDATES
+    native = True
     choices: tuple[Choice, ...] = ("path", "brightest", "nearest", "farthest", "all")
 
     def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Located:

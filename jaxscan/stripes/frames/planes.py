@@ -9,7 +9,6 @@ from jaxtyping import Float, UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.frames.flicker import applied_ratio, lamp_ratio
-from jaxscan.stripes.frames.formats import laser_plane
 from jaxscan.stripes.search.search import Search
 from jaxscan.stripes.setup import ExtractionSetup
 
@@ -31,9 +30,7 @@ class Planes(NamedTuple):
 
 def read_planes(on: Array, off: Array | None, search: Search, setup: ExtractionSetup) -> Planes:
     """The planes of frames uint8 [frames, rows, columns] (rgb8: and 3); pure and traceable."""
-    how = {"pixel_format": setup.frames.pixel_format, "line": setup.line}
-    on = laser_plane(on, **how)
-    off = None if off is None else laser_plane(off, **how)
+    on, off = setup.plane(on), None if off is None else setup.plane(off)
     return Planes(on, off, _ratios(sample_pair(on, off), search, len(on)))
 
 
@@ -41,7 +38,7 @@ def host_planes(on: Array, off: Array, search: Search, setup: ExtractionSetup) -
     """The same as NumPy arrays, for a native search."""
 
     def plane(frames: Array) -> np.ndarray:
-        found = laser_plane(np.asarray(frames), pixel_format=setup.frames.pixel_format, line=setup.line)
+        found = setup.plane(np.asarray(frames))
         # Samples that lie a line apart would each cost a cache line of their own.
         return np.ascontiguousarray(found) if setup.line.stripe_axis == "columns" else np.asarray(found)
 

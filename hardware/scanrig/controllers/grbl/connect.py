@@ -35,4 +35,4 @@ def connect_grbl(
         return open_serial(find_again(known), baud, clock)
 
     lines = GrblLines(link, clock, greeting=table.grbl.greeting, reopen=reopen)
-    return GrblController(lines, table.grbl, TableUnits(microsteps_per_turn, table.grbl.units_per_turn), clock)
+    return GrblController(lines, table.grbl, TableUnits(microsteps_per_turn, table.grbl.units_per_turn))

@@ -1,0 +1,41 @@
+"""The two text files of a capture, header and journal, read together."""
+
+import hashlib
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture.header import HEADER_NAME, CaptureHeader, parse_header
+from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record, read_journal
+from jaxscan.files.disk import MEGABYTE, read_bounded
+
+
+class CaptureTexts(NamedTuple):
+    """Header and journal of a capture, as they stand on the disk and as they are understood."""
+
+    header: CaptureHeader
+    records: tuple[Record, ...]
+    """Sorted by their number, one per number."""
+    notes: tuple[str, ...]
+    """A sentence where a torn last line was left out."""
+    header_bytes: bytes
+    journal_bytes: bytes
+
+    def digest(self) -> str:
+        """The sha256 of both files, as "sha256:<hex>"."""
+        return "sha256:" + hashlib.sha256(self.header_bytes + self.journal_bytes).hexdigest()
+
+
+def read_texts(folder: Path) -> CaptureTexts:
+    """Read header and journal.
+
+    Raises:
+        CaptureError: With the file, and the line or key, that is missing or wrong.
+    """
+    header_name, journal_name = str(folder / HEADER_NAME), str(folder / JOURNAL_NAME)
+    header_bytes = read_bounded(header_name, MEGABYTE, name=header_name, error=CaptureError)
+    header = parse_header(header_bytes, name=header_name)
+    journal_bytes = read_bounded(journal_name, MAX_JOURNAL_BYTES, name=journal_name, error=CaptureError)
+    names = tuple(laser.name for laser in header.laser)
+    records, notes = read_journal(journal_bytes, name=journal_name, kind=header.kind, laser_names=names)
+    return CaptureTexts(header, records, notes, header_bytes, journal_bytes)

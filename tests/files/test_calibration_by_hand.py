@@ -1,0 +1,136 @@
+"""Calibrations written by hand: read as they are meant, normalised, and every mistake named."""
+
+import dataclasses
+import json
+import math
+import re
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from jaxscan.errors import CalibrationError
+from jaxscan.files import load_calibration, load_scanner, save_calibration
+
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+
+
+def edit(data, path, value):
+    *parents, last = path
+    for key in parents:
+        data = data[key]
+    if value is KeyError:
+        del data[last]
+    else:
+        data[last] = value
+
+
+@pytest.fixture
+def by_hand(tmp_path):
+    """Writes a calibration as people do: the file of the README, changed where a test wants."""
+
+    def write(*changes):
+        (text,) = re.findall(r"```json\n(.*?)```", README.read_text(), re.DOTALL)
+        assert len(text.splitlines()) <= 12
+        data = json.loads(text)
+        for path, value in changes:
+            edit(data, path, value)
+        (tmp_path / "hand.json").write_text(json.dumps(data))
+        return tmp_path / "hand.json"
+
+    return write
+
+
+def points_of(scanner):
+    seen = [([1200.0, 800.0], 0.0), ([1150.0, 1600.0], 1.3), ([1300.0, 40.0], -2.0)]
+    found = [scanner.point(np.array(q), 0, np.asarray(phi)) for q, phi in seen]
+    assert all(incidence > 0 for _, incidence in found)
+    return np.array([point for point, _ in found])
+
+
+def test_the_file_of_the_readme(by_hand, tmp_path):
+    scanner = load_scanner(by_hand())
+    # The paper's plane: -7.606 X - 1.685 Y + Z = 1.296203 in the camera frame.
+    n, d = np.array([7.606, 1.685, -1.0]), -1.296203
+    sheet = scanner.laser(0)
+    np.testing.assert_allclose(sheet.normal, -n / np.linalg.norm(n), rtol=1e-15)
+    np.testing.assert_allclose(sheet.distance, -d / np.linalg.norm(n), rtol=1e-15)
+    # The design's point of the paper's rig; the axis is written with six digits, and the point is 2.7 m away from it.
+    np.testing.assert_allclose(points_of(scanner)[0], [2.663958, -0.165195, 0.009750], atol=3e-6)
+    assert scanner.covariance is None and scanner.laser_names == ("laser",)
+    save_calibration(load_calibration(by_hand()), tmp_path / "canonical.json")
+    canonical = json.loads((tmp_path / "canonical.json").read_text())
+    assert set(canonical["lasers"][0]) == {"name", "normal", "distance_m", "bow", "basis"}
+    again = load_scanner(tmp_path / "canonical.json")
+    for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(scanner), strict=True):
+        assert np.asarray(one).tobytes() == np.asarray(other).tobytes()
+
+
+@pytest.mark.parametrize("factor", [-1.0, 3.0, -1e-3])
+def test_a_normal_of_any_length_and_sign(by_hand, factor):
+    expected = points_of(load_scanner(by_hand()))
+    n, d = np.array([-7.606, -1.685, 1.0]) * factor, 1.296203 * factor
+    laser = {"normal": n.tolist(), "distance_m": d}
+    # Rounding in double precision, of points a few metres away.
+    np.testing.assert_allclose(points_of(load_scanner(by_hand((["lasers", 0], laser)))), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("factor", "along"), [(1.0, 0.7), (-1.0, 0.0), (-20.0, -3.0)])
+def test_any_point_of_the_axis_and_a_direction_of_either_sense(by_hand, factor, along):
+    path = by_hand()
+    table, expected = json.loads(path.read_text())["turntable"], load_scanner(path)
+    direction = np.array(table["direction"])
+    changed = {
+        "direction": (factor * direction).tolist(),
+        "point_m": (np.array(table["point_m"]) + along * direction).tolist(),
+        # The same table counts the other way about an axis of the other sense.
+        "gain": math.copysign(1.0, factor),
+        "harmonics": (math.copysign(1.0, factor) * np.array([1e-3, 2e-3, -3e-4, 5e-4])).tolist(),
+    }
+    harmonics = np.array([1e-3, 2e-3, -3e-4, 5e-4])
+    expected = dataclasses.replace(expected, turntable=dataclasses.replace(expected.turntable, harmonics=harmonics))
+    found = load_scanner(by_hand((["turntable"], changed)))
+    np.testing.assert_allclose(points_of(found), points_of(expected), atol=1e-12)
+    assert found.turntable.direction[1] < 0 and found.turntable.gain == 1.0
+
+
+def test_a_canonical_file_without_its_bases_is_the_same_scanner(by_hand, tmp_path):
+    save_calibration(load_calibration(by_hand()), tmp_path / "c.json")
+    expected, data = load_scanner(tmp_path / "c.json"), json.loads((tmp_path / "c.json").read_text())
+    for table in (*data["lasers"], data["turntable"]):
+        del table["basis"]
+    (tmp_path / "c.json").write_text(json.dumps(data))
+    found = load_scanner(tmp_path / "c.json")
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        # Unit vectors are made unit vectors again, which moves the last digit.
+        np.testing.assert_allclose(one, other, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (["lasers", 0, "abc"], [-7.6, -1.7], "lasers[0].abc[2]: missing"),
+        (["lasers", 0, "abc"], [-7.6, -1.7, 0.0], "lasers[0]: distance: found 0 m, expected a plane"),
+        (["lasers", 0, "normal"], [1.0, 0.0, 0.0], "lasers[0]: abc: found beside normal"),
+        (["lasers", 0], {"distance_m": 0.2}, "lasers[0]: normal: missing"),
+        (["lasers", 0], {"normal": [1.0, 0.0, 0.0]}, "lasers[0]: distance_m: missing"),
+        (["lasers", 0], {"normal": [0.0] * 3, "distance_m": 0.2}, "normal of the plane: found [0.0, 0.0, 0.0]"),
+        (["lasers", 0, "bow"], [1e-4, 0.0], "lasers[0]: bow: its signs and its size refer to a normal"),
+        (
+            ["lasers", 0, "nomal"],
+            [1.0, 0.0, 0.0],
+            "lasers[0].nomal: unknown key; the closest known one is",
+        ),
+        (["turntable", "direction"], [0.0, 0.0, 0.0], "turntable: direction: found [0.0, 0.0, 0.0]"),
+        (["turntable", "gain"], 0.0, "turntable: gain = 0"),
+        (["turntable", "point_m"], KeyError, "turntable.point_m: missing"),
+        (["covariance"], {"order": [], "matrix": []}, "covariance: refers to the basis of every laser"),
+    ],
+)
+def test_what_is_wrong_is_said(by_hand, path, value, message):
+    for load in (load_scanner, load_calibration):
+        with pytest.raises(CalibrationError) as caught:
+            load(by_hand((path, value)))
+        assert message in str(caught.value) and "hand.json" in str(caught.value) and "\n" not in str(caught.value)
