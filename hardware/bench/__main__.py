@@ -1,8 +1,8 @@
 """`python -m bench`: the bench at the places that configs/bench.toml names, with commands from the terminal.
 
 `python -m bench place N` shows the camera of a running bench the board in pose N, `place next` in the next one, and
-`place none` takes it away, as a person with a board would. `python -m bench rig …` and `camera …` pass a command on. `python -m bench two-lasers`
-sets up a rig with a second laser.
+`place none` takes it away, as a person with a board would. `python -m bench rig …` and `camera …` pass a command on.
+`python -m bench two-lasers` sets up a rig with a second laser.
 """
 
 import json

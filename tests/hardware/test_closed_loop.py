@@ -14,13 +14,14 @@ EXPERIMENT = Path(__file__).resolve().parents[2] / "experiments" / "closed_loop.
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.usefixtures("rig")
-def test_walls_of_a_room_that_came_through_the_loop(tmp_path):
+@pytest.mark.parametrize("options", [[], ["--two-lasers"]], ids=["one laser", "two lasers"])
+def test_walls_of_a_room_that_came_through_the_loop(tmp_path, options):
     from bench.camera.aravis import aravis_is_there
 
     if not aravis_is_there():
         pytest.skip("a camera on loopback needs libaravis-0.8-0: type `make bench-deps`")
     answer = tmp_path / "figures.json"
-    command = [sys.executable, str(EXPERIMENT), "--json", str(answer)]
+    command = [sys.executable, str(EXPERIMENT), *options, "--json", str(answer)]
     done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     figures = {metric["key"]: metric["value"] for metric in json.loads(answer.read_text())["metrics"]}

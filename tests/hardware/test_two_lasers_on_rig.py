@@ -1,4 +1,4 @@
-"""Two lasers on the real firmware, from the log of the pins: each shines alone, when asked to, and goes off on all paths."""
+"""Two lasers on the real firmware, from the pins' log: each shines alone, when asked to, and goes off on all paths."""
 
 import json
 import time

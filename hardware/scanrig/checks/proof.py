@@ -198,7 +198,8 @@ def _without_line(pair: FramePair, seen: _Seen, limits: ProofLimits) -> tuple[Ve
         return "swapped", "the line is in the laser-off frame and not in the laser-on frame: the frames are swapped"
     if seen.unrest > min(_UNSETTLED, limits.unrest):
         return "changed", (
-            f"no line, and the frames differ by {seen.unrest:.1f} times the noise: something moved, or the light changed"
+            f"no line, and the frames differ by {seen.unrest:.1f} times the noise: "
+            "something moved, or the light changed"
         )
     if max(ridges.seen.mean(), furrows.seen.mean()) >= seen.few:
         return "changed", (

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +11,7 @@ from rich.console import Console
 from jaxscan import api
 from jaxscan.cli.scanning.display import ScanDisplay
 from jaxscan.cli.scanning.operator import CommandOperator, Lines, TerminalOperator, coverage_text
+from jaxscan.cli.scanning.plan import CaptureFolder
 from jaxscan.errors import OptionError
 from jaxscan.stripes import FrameFormat, LaserLine
 
@@ -24,10 +24,9 @@ if TYPE_CHECKING:
 
 def scan_boards(
     rig: "RigConfig",
-    folder: Path,
+    folder: CaptureFolder,
     devices: "Devices",
     interrupted: Callable[[], bool],
-    resume: bool,
     place_command: str | None,
     out: Console,
 ) -> "SessionResult":
@@ -62,13 +61,13 @@ def scan_boards(
     with ScanDisplay() as display:
         return run_calibration(
             rig,
-            folder,
+            folder.path,
             devices,
             operator,
             Hooks(
                 on_pair, notify=display.say, should_stop=lambda: interrupted() or (lines is not None and lines.ended)
             ),
-            resume=resume,
+            resume=folder.resume,
         )
 
 

@@ -9,14 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan import api
-from jaxscan.cli.scanning.turns import LasersInTurn
+from jaxscan.cli.scanning.turns import LasersInTurn, stripes_to_come
 from jaxscan.errors import CaptureError, JaxscanError
 from jaxscan.files.capture import Capture, CaptureHeader, open_capture
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import (
     DEFAULTS,
     IncomingStripes,
-    PlannedSweep,
     Progress,
     ReconstructSettings,
     RecordedPair,
@@ -80,15 +79,7 @@ class LiveCloud:
         Raises:
             CalibrationError: If the scanner is not that of the sweep.
         """
-        camera = header.camera
-        carries = None if header.turntable is None else header.turntable.carries
-        size = (camera.width, camera.height)
-        sweep = PlannedSweep(camera.pixel_format, camera.response, header.lasers, size, carries, steps)
-        self._stripes: IncomingStripes | LasersInTurn
-        if len(header.lasers) == 1:
-            self._stripes = IncomingStripes(sweep, scanner, settings)
-        else:
-            self._stripes = LasersInTurn(sweep, scanner, settings)
+        self._stripes = stripes_to_come(header, scanner, steps, settings)
         self._folder, self._scanner, self._settings, self._steps = folder, scanner, settings, steps
         self._first: dict[int, RecordedPair] = {}
         self._given: set[int] = set()

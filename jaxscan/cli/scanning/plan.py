@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rich.console import Console
 
@@ -11,6 +11,14 @@ from jaxscan.files.capture import CameraTable, CaptureHeader, TurntableTable
 
 if TYPE_CHECKING:
     from scanrig.config import RigConfig
+
+
+class CaptureFolder(NamedTuple):
+    """Where a capture goes."""
+
+    path: Path
+    resume: bool
+    """Whether to go on with a capture that is there."""
 
 
 class ScanPlan:

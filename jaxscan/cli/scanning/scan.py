@@ -17,7 +17,7 @@ from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.scanning.boards import scan_boards
 from jaxscan.cli.scanning.display import ScanDisplay
 from jaxscan.cli.scanning.live import LiveCloud
-from jaxscan.cli.scanning.plan import ScanPlan, sweep_header
+from jaxscan.cli.scanning.plan import CaptureFolder, ScanPlan, sweep_header
 from jaxscan.errors import CaptureError, JaxscanError, OptionError
 from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.capture import HEADER_NAME
@@ -92,11 +92,11 @@ def scan(
             open_controller(rig.controller, rig.microsteps_per_turn, port=port) as controller,
             open_camera(rig.camera) as camera,
         ):
-            devices = Devices(controller, camera)
+            devices, folder = Devices(controller, camera), CaptureFolder(output, resume)
             if boards:
-                result = scan_boards(rig, output, devices, interrupts, resume, place_command, out)
+                result = scan_boards(rig, folder, devices, interrupts, place_command, out)
             else:
-                result = _scan_sweep(rig, output, devices, interrupts, resume, calibration, live)
+                result = _scan_sweep(rig, folder, devices, interrupts, calibration, live)
         out.print(result.message)
         done = _finish_cloud(live, result, cloud, calibration, out)
     if result.status == "complete":
@@ -133,10 +133,9 @@ def _take_along(live: LiveCloud) -> None:
 
 def _scan_sweep(
     rig: "RigConfig",
-    folder: Path,
+    folder: CaptureFolder,
     devices: "Devices",
     should_stop: Callable[[], bool],
-    resume: bool,
     calibration: Path | None,
     live: LiveCloud | None,
 ) -> "SessionResult":
@@ -153,10 +152,10 @@ def _scan_sweep(
 
         return run_sweep(
             rig,
-            folder,
+            folder.path,
             devices,
             Hooks(on_pair, display.progress, display.say, should_stop),
-            resume=resume,
+            resume=folder.resume,
             calibration_digest=None if calibration is None else calibration_digest(calibration),
         )
 

@@ -5,8 +5,30 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxscan.files.capture import CaptureHeader
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import IncomingStripes, PlannedSweep, ReconstructSettings, RecordedPair
+
+
+def stripes_to_come(
+    header: CaptureHeader, scanner: Scanner, steps: int, settings: ReconstructSettings
+) -> "IncomingStripes | LasersInTurn":
+    """What finds the stripes of a sweep while it is taken.
+
+    Args:
+        header: Of its capture.
+        scanner: The calibrated rig.
+        steps: Records of the whole sweep.
+        settings: As of `reconstruct`.
+
+    Raises:
+        CaptureError, CalibrationError, ValueError: As of `IncomingStripes`.
+    """
+    camera = header.camera
+    carries = None if header.turntable is None else header.turntable.carries
+    size = (camera.width, camera.height)
+    sweep = PlannedSweep(camera.pixel_format, camera.response, header.lasers, size, carries, steps)
+    return (IncomingStripes if len(header.lasers) == 1 else LasersInTurn)(sweep, scanner, settings)
 
 
 class LasersInTurn:
