@@ -1,6 +1,4 @@
 """The rig on a desk: firmware in a simulator, a camera on loopback."""
 
-from bench.errors import BenchError as BenchError
-from bench.rig import CLOCK_HZ as CLOCK_HZ
-from bench.rig import RigOptions as RigOptions
-from bench.rig import SimulatedRig as SimulatedRig
+from bench.errors import BenchError
+from bench.rig import CLOCK_HZ, RigOptions, SimulatedRig

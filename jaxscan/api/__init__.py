@@ -1,39 +1,22 @@
 """The public verbs, which join the core and the edges."""
 
-from jaxscan.api.calibration import calibrate as calibrate
-from jaxscan.api.calibration import observe_boards as observe_boards
-from jaxscan.api.simulation import load_simulation as load_simulation
-from jaxscan.api.simulation import simulate as simulate
-from jaxscan.api.sweeps import Reconstruction as Reconstruction
-from jaxscan.api.sweeps import reconstruct_capture as reconstruct_capture
-from jaxscan.calibration import Calibration as Calibration
-from jaxscan.calibration import CalibrationSettings as CalibrationSettings
-from jaxscan.files import Capture as Capture
-from jaxscan.files import load_calibration as load_calibration
-from jaxscan.files import load_cloud as load_cloud
-from jaxscan.files import load_scanner as load_scanner
-from jaxscan.files import load_toml as load_toml
-from jaxscan.files import open_capture as open_capture
-from jaxscan.files import save_calibration as save_calibration
-from jaxscan.files import save_cloud as save_cloud
-from jaxscan.files.simulated import SimulatedCaptures as SimulatedCaptures
-from jaxscan.files.simulated import simulation_digest as simulation_digest
-from jaxscan.geometry import Scanner as Scanner
-from jaxscan.geometry import fit_axis as fit_axis
-from jaxscan.geometry import fit_plane as fit_plane
-from jaxscan.geometry import plane_sigma as plane_sigma
-from jaxscan.measurement import compare_clouds as compare_clouds
-from jaxscan.measurement import measure_distance as measure_distance
-from jaxscan.measurement import measure_plane as measure_plane
-from jaxscan.measurement import measure_room as measure_room
-from jaxscan.reconstruction import PointCloud as PointCloud
-from jaxscan.reconstruction import ReconstructSettings as ReconstructSettings
-from jaxscan.reconstruction import Sweep as Sweep
-from jaxscan.reconstruction import extract_sweep as extract_sweep
-from jaxscan.reconstruction import reconstruct as reconstruct
-from jaxscan.simulation import SimulationConfig as SimulationConfig
-from jaxscan.stripes import LaserLine as LaserLine
-from jaxscan.stripes import NoiseModel as NoiseModel
-from jaxscan.stripes import Stripes as Stripes
-from jaxscan.stripes import StripeSettings as StripeSettings
-from jaxscan.stripes import extract_stripes as extract_stripes
+from jaxscan.api.calibration import calibrate, observe_boards
+from jaxscan.api.simulation import load_simulation, simulate
+from jaxscan.api.sweeps import Reconstruction, reconstruct_capture
+from jaxscan.calibration import Calibration, CalibrationSettings
+from jaxscan.files import (
+    Capture,
+    load_calibration,
+    load_cloud,
+    load_scanner,
+    load_toml,
+    open_capture,
+    save_calibration,
+    save_cloud,
+)
+from jaxscan.files.simulated import SimulatedCaptures, simulation_digest
+from jaxscan.geometry import Scanner, fit_axis, fit_plane, plane_sigma
+from jaxscan.measurement import compare_clouds, measure_distance, measure_plane, measure_room
+from jaxscan.reconstruction import PointCloud, ReconstructSettings, Sweep, extract_sweep, reconstruct
+from jaxscan.simulation import SimulationConfig
+from jaxscan.stripes import LaserLine, NoiseModel, Stripes, StripeSettings, extract_stripes

@@ -1,38 +1,14 @@
 """Nouns: what the rig is."""
 
-from jaxscan.geometry.arrays import MAX_PIXELS as MAX_PIXELS
-from jaxscan.geometry.arrays import Array as Array
-from jaxscan.geometry.board import AbstractBoard as AbstractBoard
-from jaxscan.geometry.board import BowedBoard as BowedBoard
-from jaxscan.geometry.board import Charuco as Charuco
-from jaxscan.geometry.board import Chessboard as Chessboard
-from jaxscan.geometry.board import corner_frame as corner_frame
-from jaxscan.geometry.cameras import CAMERAS as CAMERAS
-from jaxscan.geometry.cameras import AbstractCamera as AbstractCamera
-from jaxscan.geometry.cameras import CameraModel as CameraModel
-from jaxscan.geometry.cameras import DoubleSphere as DoubleSphere
-from jaxscan.geometry.cameras import Fisheye as Fisheye
-from jaxscan.geometry.cameras import Pinhole as Pinhole
-from jaxscan.geometry.fit import AxisFit as AxisFit
-from jaxscan.geometry.fit import PlaneFit as PlaneFit
-from jaxscan.geometry.fit import fit_axis as fit_axis
-from jaxscan.geometry.fit import fit_plane as fit_plane
-from jaxscan.geometry.fit import plane_sigma as plane_sigma
-from jaxscan.geometry.homography import apply_homography as apply_homography
-from jaxscan.geometry.homography import direct_homography as direct_homography
-from jaxscan.geometry.homography import fixes_plane as fixes_plane
-from jaxscan.geometry.laser import LaserSheet as LaserSheet
-from jaxscan.geometry.laser import stack_lasers as stack_lasers
-from jaxscan.geometry.layout import Layout as Layout
-from jaxscan.geometry.layout import make_layout as make_layout
-from jaxscan.geometry.parameters import ParameterBlock as ParameterBlock
-from jaxscan.geometry.rigid import exponential as exponential
-from jaxscan.geometry.rigid import invert as invert
-from jaxscan.geometry.rigid import rigid as rigid
-from jaxscan.geometry.rigid import transform as transform
-from jaxscan.geometry.scanner import Scanner as Scanner
-from jaxscan.geometry.scanner import point_up as point_up
-from jaxscan.geometry.stripe_axis import StripeAxis as StripeAxis
-from jaxscan.geometry.stripe_axis import across_and_along as across_and_along
-from jaxscan.geometry.stripe_axis import stripe_pixel as stripe_pixel
-from jaxscan.geometry.turntable import Turntable as Turntable
+from jaxscan.geometry.arrays import MAX_PIXELS, Array
+from jaxscan.geometry.board import AbstractBoard, BowedBoard, Charuco, Chessboard, corner_frame
+from jaxscan.geometry.cameras import CAMERAS, AbstractCamera, CameraModel, DoubleSphere, Fisheye, Pinhole
+from jaxscan.geometry.fit import AxisFit, PlaneFit, fit_axis, fit_plane, plane_sigma
+from jaxscan.geometry.homography import apply_homography, direct_homography, fixes_plane
+from jaxscan.geometry.laser import LaserSheet, stack_lasers
+from jaxscan.geometry.layout import Layout, make_layout
+from jaxscan.geometry.parameters import ParameterBlock
+from jaxscan.geometry.rigid import exponential, invert, rigid, transform
+from jaxscan.geometry.scanner import Scanner, point_up
+from jaxscan.geometry.stripe_axis import StripeAxis, across_and_along, stripe_pixel
+from jaxscan.geometry.turntable import Turntable

@@ -1,6 +1,4 @@
 """The camera on the bench: from the rig's log to pictures on the network."""
 
-from bench.camera.aravis import aravis_is_there as aravis_is_there
-from bench.camera.rendered import ADDRESS as ADDRESS
-from bench.camera.rendered import RenderedCamera as RenderedCamera
-from bench.camera.rendered import loopback as loopback
+from bench.camera.aravis import aravis_is_there
+from bench.camera.rendered import ADDRESS, RenderedCamera, loopback

@@ -5,11 +5,7 @@ and `ending.py` how they end. In between a `Session` (`session.py`) decides whic
 doubt, by `recovery.py`, which brings the rig back after a fault, and `step.py`, which takes one pair.
 """
 
-from scanrig.session.job import Devices as Devices
-from scanrig.session.job import Hooks as Hooks
-from scanrig.session.job import SessionResult as SessionResult
-from scanrig.session.placements import Operator as Operator
-from scanrig.session.placements import PlacementRequest as PlacementRequest
-from scanrig.session.run import run_calibration as run_calibration
-from scanrig.session.run import run_sweep as run_sweep
-from scanrig.session.signals import Interrupts as Interrupts
+from scanrig.session.job import Devices, Hooks, SessionResult
+from scanrig.session.placements import Operator, PlacementRequest
+from scanrig.session.run import run_calibration, run_sweep
+from scanrig.session.signals import Interrupts

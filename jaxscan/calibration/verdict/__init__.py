@@ -1,33 +1,32 @@
 """Is a calibration good? Tests of its models, its uncertainty in lengths, advice, and the limits of it all."""
 
-from jaxscan.calibration.verdict.advice import advise as advise
-from jaxscan.calibration.verdict.advice import cures as cures
-from jaxscan.calibration.verdict.describe import describe_quality as describe_quality
-from jaxscan.calibration.verdict.describe import warn as warn
-from jaxscan.calibration.verdict.judge import judge as judge
-from jaxscan.calibration.verdict.lengths import Length as Length
-from jaxscan.calibration.verdict.lengths import depth_sigma as depth_sigma
-from jaxscan.calibration.verdict.lengths import length_changes as length_changes
-from jaxscan.calibration.verdict.lengths import length_sigma as length_sigma
-from jaxscan.calibration.verdict.lengths import measure_lengths as measure_lengths
-from jaxscan.calibration.verdict.lengths import predict_lengths as predict_lengths
-from jaxscan.calibration.verdict.lengths import stripe_depths as stripe_depths
-from jaxscan.calibration.verdict.lengths import stripe_pixels as stripe_pixels
-from jaxscan.calibration.verdict.lengths import typical_lengths as typical_lengths
-from jaxscan.calibration.verdict.limits import Result as Result
-from jaxscan.calibration.verdict.limits import is_held_by_priors as is_held_by_priors
-from jaxscan.calibration.verdict.limits import noise_kind as noise_kind
-from jaxscan.calibration.verdict.quality import DepthSigma as DepthSigma
-from jaxscan.calibration.verdict.quality import Direction as Direction
-from jaxscan.calibration.verdict.quality import LaserLengths as LaserLengths
-from jaxscan.calibration.verdict.quality import Lengths as Lengths
-from jaxscan.calibration.verdict.quality import LengthSigma as LengthSigma
-from jaxscan.calibration.verdict.quality import ModelTest as ModelTest
-from jaxscan.calibration.verdict.quality import PriorShare as PriorShare
-from jaxscan.calibration.verdict.quality import Quality as Quality
-from jaxscan.calibration.verdict.quality import SecondLook as SecondLook
-from jaxscan.calibration.verdict.quality import Verdict as Verdict
-from jaxscan.calibration.verdict.quality import ViewQuality as ViewQuality
-from jaxscan.calibration.verdict.quality import reach_verdict as reach_verdict
-from jaxscan.calibration.verdict.views import JudgedView as JudgedView
-from jaxscan.calibration.verdict.views import judge_views as judge_views
+from jaxscan.calibration.verdict.advice import advise, cures
+from jaxscan.calibration.verdict.describe import describe_quality, warn
+from jaxscan.calibration.verdict.judge import judge
+from jaxscan.calibration.verdict.lengths import (
+    Length,
+    depth_sigma,
+    length_changes,
+    length_sigma,
+    measure_lengths,
+    predict_lengths,
+    stripe_depths,
+    stripe_pixels,
+    typical_lengths,
+)
+from jaxscan.calibration.verdict.limits import Result, is_held_by_priors, noise_kind
+from jaxscan.calibration.verdict.quality import (
+    DepthSigma,
+    Direction,
+    LaserLengths,
+    Lengths,
+    LengthSigma,
+    ModelTest,
+    PriorShare,
+    Quality,
+    SecondLook,
+    Verdict,
+    ViewQuality,
+    reach_verdict,
+)
+from jaxscan.calibration.verdict.views import JudgedView, judge_views

@@ -1,36 +1,24 @@
 """Captures on disk, read."""
 
-from jaxscan.files.capture.board_captures import common_board as common_board
-from jaxscan.files.capture.boards import BoardTable as BoardTable
-from jaxscan.files.capture.boards import board_table as board_table
-from jaxscan.files.capture.capture import Capture as Capture
-from jaxscan.files.capture.capture import open_capture as open_capture
-from jaxscan.files.capture.decode import cores as cores
-from jaxscan.files.capture.exposures import exposure_levels as exposure_levels
-from jaxscan.files.capture.header import HEADER_NAME as HEADER_NAME
-from jaxscan.files.capture.header import CameraTable as CameraTable
-from jaxscan.files.capture.header import CaptureHeader as CaptureHeader
-from jaxscan.files.capture.header import LaserTable as LaserTable
-from jaxscan.files.capture.header import PlanTable as PlanTable
-from jaxscan.files.capture.header import TurntableTable as TurntableTable
-from jaxscan.files.capture.header import frame_shape as frame_shape
-from jaxscan.files.capture.header import header_toml as header_toml
-from jaxscan.files.capture.header import parse_header as parse_header
-from jaxscan.files.capture.images import ImageReader as ImageReader
-from jaxscan.files.capture.journal import JOURNAL_NAME as JOURNAL_NAME
-from jaxscan.files.capture.journal import MAX_LINE_BYTES as MAX_LINE_BYTES
-from jaxscan.files.capture.journal import Record as Record
-from jaxscan.files.capture.journal import journal_objects as journal_objects
-from jaxscan.files.capture.references import MAX_IMAGES as MAX_IMAGES
-from jaxscan.files.capture.references import Folder as Folder
-from jaxscan.files.capture.references import ImageRef as ImageRef
-from jaxscan.files.capture.stripe_cache import cache_path as cache_path
-from jaxscan.files.capture.stripe_cache import cached_stripes as cached_stripes
-from jaxscan.files.capture.stripe_cache import code_digest as code_digest
-from jaxscan.files.capture.stripe_cache import frames_key as frames_key
-from jaxscan.files.capture.stripe_cache import save_stripes as save_stripes
-from jaxscan.files.capture.texts import read_texts as read_texts
-from jaxscan.files.capture.verify import SEAL as SEAL
-from jaxscan.files.capture.verify import Problem as Problem
-from jaxscan.files.capture.verify import seal as seal
-from jaxscan.files.capture.verify import verify_capture as verify_capture
+from jaxscan.files.capture.board_captures import common_board
+from jaxscan.files.capture.boards import BoardTable, board_table
+from jaxscan.files.capture.capture import Capture, open_capture
+from jaxscan.files.capture.decode import cores
+from jaxscan.files.capture.exposures import exposure_levels
+from jaxscan.files.capture.header import (
+    HEADER_NAME,
+    CameraTable,
+    CaptureHeader,
+    LaserTable,
+    PlanTable,
+    TurntableTable,
+    frame_shape,
+    header_toml,
+    parse_header,
+)
+from jaxscan.files.capture.images import ImageReader
+from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_LINE_BYTES, Record, journal_objects
+from jaxscan.files.capture.references import MAX_IMAGES, Folder, ImageRef
+from jaxscan.files.capture.stripe_cache import cache_path, cached_stripes, code_digest, frames_key, save_stripes
+from jaxscan.files.capture.texts import read_texts
+from jaxscan.files.capture.verify import SEAL, Problem, seal, verify_capture

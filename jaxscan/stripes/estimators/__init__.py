@@ -1,5 +1,4 @@
 """How a stripe's centre is found on a line."""
 
-from jaxscan.stripes.estimators.estimator import Estimator as Estimator
-from jaxscan.stripes.estimators.registry import ESTIMATORS as ESTIMATORS
-from jaxscan.stripes.estimators.registry import estimator_of as estimator_of
+from jaxscan.stripes.estimators.estimator import Estimator
+from jaxscan.stripes.estimators.registry import ESTIMATORS, estimator_of

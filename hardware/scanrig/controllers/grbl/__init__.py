@@ -3,5 +3,5 @@
 Source: "Grbl v1.1 Interface", "Grbl v1.1 Commands" and "Grbl v1.1 Laser Mode" of github.com/gnea/grbl.
 """
 
-from scanrig.controllers.grbl.connect import connect_grbl as connect_grbl
-from scanrig.controllers.grbl.controller import GrblController as GrblController
+from scanrig.controllers.grbl.connect import connect_grbl
+from scanrig.controllers.grbl.controller import GrblController

@@ -1,4 +1,4 @@
 """The scanner's own firmware: JXS/1, as PROTOCOL.md says it."""
 
-from scanrig.controllers.jxs.connect import connect as connect
-from scanrig.controllers.jxs.controller import JxsController as JxsController
+from scanrig.controllers.jxs.connect import connect
+from scanrig.controllers.jxs.controller import JxsController
