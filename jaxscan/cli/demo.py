@@ -113,7 +113,7 @@ def _render(config: SimulationConfig, folder: Path, out: Console, seconds: dict[
     if folder.exists():
         if _read_truth(folder / "truth.json").get("configuration") != digest:
             raise CaptureError(
-                f"{folder}: exists and holds captures of another configuration; delete it or choose another folder with -o."
+                f"{folder}: holds captures of another configuration; delete it or choose another folder with -o."
             )
         made = api.SimulatedCaptures.of(folder)
         out.print(f"captures of an earlier run: {folder}")
