@@ -78,7 +78,7 @@ def test_lengths(calibration):
 
 @pytest.mark.parametrize(
     ("ratio", "said"),
-    [(0.5, "quieter than it says"), (1.05, "as the corner detector promised"), (3.0, "a model is too simple")],
+    [(0.5, "less noise than promised"), (1.05, "as the corner detector promised"), (3.0, "a model is too simple")],
 )
 def test_whitened_residuals_in_words(calibration, ratio, said):
     corners, stripes = words.noise_lines(having(calibration, corner_rms_whitened=ratio))
