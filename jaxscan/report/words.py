@@ -155,7 +155,7 @@ def second_look(calibration: Calibration) -> list[str]:
         return ["The second look at the images explained them no better than the first, and was dropped."]
     counts = {"views": look.views_gained, "corners": look.corners_gained, "stripe points": look.stripe_points_gained}
     gains = ", ".join(f"{gained:+d} {name}" for name, gained in counts.items() if gained)
-    return [f"The second look at the images found {gains or 'nothing more'}."]
+    return [f"The second look at the images: {gains or 'nothing more'}."]
 
 
 def warnings(calibration: Calibration) -> list[str]:

@@ -1,4 +1,4 @@
-"""What the command line says of a calibration, its report, and its export to other programs."""
+"""Calibrations on the command line: printed summary, report, and export to other programs."""
 
 import ast
 import dataclasses
@@ -56,7 +56,7 @@ class TestCalibrate:
         assert result["noise"][0].startswith("Corners: ")
 
     def test_writes_the_report(self, tiny, run, tmp_path, monkeypatch):
-        # Solved already; what is asked is that the page is written with it.
+        # The solve is tested elsewhere; here only the page matters.
         stored = jaxscan.load_calibration(tiny.calibration)
         monkeypatch.setattr("jaxscan.api.calibrate", lambda captures, **options: stored)
         page = tmp_path / "a.html"

@@ -1,4 +1,4 @@
-"""The calibration report: whole, alone, and safe from what strangers write into their files."""
+"""The calibration report: complete, without external parts, and safe with hostile text in files."""
 
 import dataclasses
 import re
@@ -194,7 +194,7 @@ def test_a_camera_alone(calibration):
         calibration, scanner=None, order=order, covariance=calibration.covariance[:9, :9], fit=fit
     )
     page = Document(calibration_page(alone))
-    assert "camera alone, without laser and table" in page.all_words()
+    assert "camera alone, without laser and turntable" in page.all_words()
     assert "Stripe and table" not in page.words["h2"]
     assert "Uncertainty against distance" not in page.words["h2"]
 
