@@ -10,7 +10,7 @@ import numpy as np
 from jaxscan.errors import ConfigError
 from jaxscan.simulation.rays import project
 from jaxscan.simulation.rig import Motion, Sheet, TrueRig, rodrigues
-from jaxscan.simulation.scene.scene import Scene
+from jaxscan.simulation.scene import Scene
 from jaxscan.simulation.spec import CameraSpec
 
 

@@ -35,7 +35,7 @@ class Motion:
     def turn(self, vectors: np.ndarray) -> np.ndarray:
         """Vectors [..., 3] turned, in their own precision."""
         r = self.rotation.astype(vectors.dtype)
-        x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+        x, y, z = np.moveaxis(vectors, -1, 0)
         out = np.empty_like(vectors)
         # Three sums beat a matrix product whose matrix is 3 x 3.
         for row in range(3):
@@ -151,16 +151,13 @@ def turning_axis(spec: TurntableSpec) -> tuple[np.ndarray, np.ndarray]:
         shift = tr[:3, 3] / 1000
         shift = shift - (direction @ shift) * direction
         # Half the turn's chord, and the arrow to the centre: p = (t + cot(theta/2) a x t) / 2.
-        theta = np.arctan2(_vee(rotation) @ direction, (np.trace(rotation) - 1) / 2)
+        twice = rotation - rotation.T
+        sine = np.array([twice[2, 1], twice[0, 2], twice[1, 0]]) / 2 @ direction
+        theta = np.arctan2(sine, (np.trace(rotation) - 1) / 2)
         if abs(theta) < 1e-9:
             raise ConfigError("`tr` of the turntable does not turn.")
         point = (shift + np.cross(direction, shift) / np.tan(theta / 2)) / 2
     return direction, point - (direction @ point) * direction
-
-
-def _vee(rotation: np.ndarray) -> np.ndarray:
-    r = rotation
-    return np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2
 
 
 def _sheet(spec: LaserSpec, config: SimulationConfig, rays: RayTable) -> Sheet:
@@ -185,6 +182,5 @@ def _sheet(spec: LaserSpec, config: SimulationConfig, rays: RayTable) -> Sheet:
     width_px = width_m * config.camera.fx / r
     seen_px = np.sqrt(width_px**2 + config.sensor.psf_px**2 + 1 / 12)
     power = spec.peak_dn / WALL_ALBEDO * r * np.sqrt(2 * np.pi) * width_m * seen_px / width_px
-    z = rays.z if isinstance(rays.z, float) else rays.z.astype(np.float64)
-    slope = sheet.slope_at(rays.x.astype(np.float64), rays.y.astype(np.float64), z).astype(np.float32)
+    slope = sheet.slope_at(*(np.asarray(part, np.float64) for part in (rays.x, rays.y, rays.z))).astype(np.float32)
     return replace(sheet, slope=slope, power=float(power))

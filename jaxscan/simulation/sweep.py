@@ -12,7 +12,7 @@ from jaxscan.simulation.boards import SeenBoard, cover, make_print
 from jaxscan.simulation.optics import blur
 from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.rig import WALL_ALBEDO, Motion, Sheet, TrueRig, make_rig
-from jaxscan.simulation.scene.scene import Scene, make_scene
+from jaxscan.simulation.scene import Scene, make_scene
 from jaxscan.simulation.sensor import channels, expose, laser_response, mosaic, speckled
 from jaxscan.simulation.spec import SimulationConfig
 from jaxscan.simulation.stripe import LitScene, RowTruth, laser_image, row_truth
@@ -166,7 +166,7 @@ def expect_record(
     config, sensor, sheet = rig.config, rig.config.sensor, rig.sheets[laser]
     pose = rig.pose(phi)
     shape = rig.rays.shape
-    rays = pose.turn(rig.rays.directions)
+    rays = pose.turn(rig.rays.vectors)
     depth, triangle = scene.cast(pose.translation, rays)
     sees = rig.rays.sees
     if sees is not None:

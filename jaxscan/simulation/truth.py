@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxscan.geometry import CAMERAS, AbstractCamera, LaserSheet, Scanner, Turntable, point_up, stack_lasers
 from jaxscan.simulation.rig import make_rig
-from jaxscan.simulation.scene.scene import room_from_scanner
+from jaxscan.simulation.scene import room_from_scanner
 from jaxscan.simulation.spec import CameraSpec, SimulationConfig, TurntableSpec
 
 

@@ -11,7 +11,7 @@ import pytest
 from jaxscan.errors import DependencyError
 from jaxscan.simulation import SimulationConfig, make_rig, make_scene, true_scanner, truth
 from jaxscan.simulation.planning import plan_boards
-from jaxscan.simulation.scene.open3d import load_open3d
+from jaxscan.simulation.scene import load_open3d
 
 
 CONFIGS = pathlib.Path(__file__).parents[2] / "configs"

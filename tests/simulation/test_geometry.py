@@ -17,7 +17,7 @@ from jaxscan.simulation import (
     truth,
 )
 from jaxscan.simulation.rays import distort, ray_table, undistort
-from jaxscan.simulation.scene.scene import room_from_scanner
+from jaxscan.simulation.scene import room_from_scanner
 
 
 CAMERA = CameraSpec(width=96, height=80, fx=70, fy=72, cx=47.3, cy=40.1, k1=-0.2, k2=0.05, p1=1e-3, p2=-2e-3, k3=-0.004)

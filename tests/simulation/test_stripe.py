@@ -17,9 +17,7 @@ from jaxscan.simulation import (
     make_rig,
 )
 from jaxscan.simulation.optics import psf_weights
-from jaxscan.simulation.scene.meshes import Mesh
-from jaxscan.simulation.scene.scene import build_scene
-from jaxscan.simulation.scene.textures import Material, stripes
+from jaxscan.simulation.scene import Material, Mesh, build_scene, stripes
 
 
 GREY = Material(((0.7, 0.7, 0.7),))
