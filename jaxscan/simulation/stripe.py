@@ -241,7 +241,7 @@ def _shaded(shot: LitScene, points: np.ndarray, on_board: np.ndarray) -> np.ndar
 
 def _albedo(shot: LitScene, hits: Hits, lit: np.ndarray) -> np.ndarray:
     channel = np.eye(3, dtype=np.float32)[:, [COLOURS.index(shot.sheet.spec.colour)]]
-    albedo = shot.scene.albedo(hits.triangle[lit], shot.pose.apply(hits.points[lit]), channel)[0]
+    albedo = shot.scene.look(hits.triangle[lit], shot.pose.apply(hits.points[lit]), channel)[0]
     if shot.board is not None:
         on_board = hits.on_board[lit]
         albedo[on_board] = shot.board.albedo(*hits.place[:, lit[on_board]])
