@@ -24,7 +24,7 @@ from jaxscan.simulation import ExpectedRecord, PlanSpec, SimulationConfig, devel
 
 
 CHUNK = 24
-"""Records that are rendered together: what is held in memory."""
+"""Records that are rendered together and held in memory."""
 QUICK_CONFIG = Path(jaxscan.__file__).parent / "data" / "demo.toml"
 AMPLITUDE_SIGMAS = 5.0
 """A stripe counts as visible from this many standard deviations of a difference pixel on."""

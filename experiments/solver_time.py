@@ -69,7 +69,7 @@ def joint_problem() -> Problem:
         cut = getattr(problem, name)[tuple(slice(0, n) for n in shape)]
         problem = eqx.tree_at(lambda p, name=name: getattr(p, name), problem, cut)
     corner = observed.corners.valid / trials.CORNER_PX
-    # About what one pixel across the stripe is worth [m]: the weights must only be the same for all.
+    # About the width of one pixel across the stripe [m]; the weights need only be the same for all.
     stripe = observed.stripes.valid / (trials.STRIPE_PX * 1.5e-3)
     problem = eqx.tree_at(lambda p: (p.corner_weight, p.stripe_weight), problem, (corner, stripe))
     random, step = np.random.default_rng(1), zero_step(problem)
