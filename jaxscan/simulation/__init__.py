@@ -1,4 +1,4 @@
-"""A known world to frames."""
+"""Renders frames of a known world, with their truth."""
 
 from jaxscan.simulation.boards import SeenBoard, make_print
 from jaxscan.simulation.planning import Placement, plan_boards

@@ -1,7 +1,6 @@
-"""The rig as the renderer sees it: poses by Rodrigues' formula, sheets, and where the fans start.
+"""The rig of the renderer: poses by Rodrigues' formula, laser sheets, and origins of the fans.
 
-Written apart from `geometry` on purpose: the two are compared in tests, so an error in either
-cannot cancel against itself.
+It is independent of `geometry` on purpose: tests compare the two, so an error in either shows.
 """
 
 from dataclasses import dataclass, replace
@@ -63,7 +62,7 @@ class Sheet:
     normal: np.ndarray
     distance: float
     origin: np.ndarray
-    """Where the fan starts."""
+    """Origin of the fan."""
     ahead: np.ndarray
     """The middle of the fan: the optical axis projected into the sheet."""
     across: np.ndarray

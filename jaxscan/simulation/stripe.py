@@ -1,4 +1,4 @@
-"""The laser's light: where the sheet meets the scene, seen by the camera, through the lens.
+"""The laser's light on the scene, as the camera sees it through the lens.
 
 At a point p at distance r from the laser, with s its distance from the sheet,
 
@@ -6,7 +6,7 @@ At a point p at distance r from the laser, with s its distance from the sheet,
 
 falls off with 1/r (the fan spreads in one direction only) and with the sheet's thickness w(r).
 It is evaluated on a grid finer than pixels in the band round the sheet, each sample by its own
-ray, so depth edges, shadows and printed edges cut the stripe where they do in the world.
+ray, so depth edges, shadows and printed edges cut the stripe at their true places.
 """
 
 import math
@@ -241,7 +241,7 @@ def _shaded(shot: LitScene, points: np.ndarray, on_board: np.ndarray) -> np.ndar
 
 def _albedo(shot: LitScene, hits: Hits, lit: np.ndarray) -> np.ndarray:
     channel = np.eye(3, dtype=np.float32)[:, [COLOURS.index(shot.sheet.spec.colour)]]
-    albedo = shot.scene.look(hits.triangle[lit], shot.pose.apply(hits.points[lit]), channel)[0]
+    (albedo,), _ = shot.scene.look(hits.triangle[lit], shot.pose.apply(hits.points[lit]), channel)
     if shot.board is not None:
         on_board = hits.on_board[lit]
         albedo[on_board] = shot.board.albedo(*hits.place[:, lit[on_board]])

@@ -56,7 +56,7 @@ def test_rays_agree_with_the_house():
     np.testing.assert_allclose(np.stack([x, y], -1).reshape(-1, 2), unit[:, :2] / unit[:, 2:], atol=1e-11)
     table = ray_table(CAMERA)
     np.testing.assert_allclose(np.stack(distort(CAMERA, x, y), -1).reshape(-1, 2), q, atol=1e-9)
-    # Within a pixel the table is linear. What that leaves out falls with the focal length and
+    # Within a pixel the table is linear. The error falls with the focal length and
     # the distortion: 3e-3 px for this lens of 70 px, 1e-4 px for those in use.
     du, dv = 0.375, -0.25
     moved = np.stack([table.x + table.x_u * du + table.x_v * dv, table.y + table.y_u * du + table.y_v * dv], -1)
