@@ -88,7 +88,7 @@ def _openings(mesh: Mesh, room: RoomSpec) -> None:
     at = 0.27 * x
     mesh.box((at, 0.015, 0), (0.9, 0.03, 2.02), _OAK, yaw=np.pi, front=door)
     mesh.sphere((at + 0.33, 0.07, 1.0), 0.03, _BRASS)
-    width, height, bar = 1.3, 1.1, 0.07
+    width, height = 1.3, 1.1
     window = Material(
         ((0.55, 0.72, 0.90), (0.84, 0.84, 0.82)), partial(textures.panes, size=(width, height), bar=bar), glow=0.3
     )
@@ -152,7 +152,7 @@ def _shelf(mesh: Mesh, room: RoomSpec) -> None:
             (middle - 0.1 * (number % 2), front + 0.03, float(level) + 0.03),
             (length, 0.18, 0.75 * gap),
             _DARK,
-            front=spines,
+            front=Material(_BOOKS, spines),
         )
 
 
