@@ -56,12 +56,8 @@ def _shell(mesh: Mesh, room: RoomSpec) -> None:
     x, y, z = room.size_m
     floor = Material(((0.60, 0.42, 0.25), (0.46, 0.30, 0.17)), partial(textures.planks, width=0.14, length=1.3))
     mesh.quad(np.zeros(3), np.array([x, 0, 0]), np.array([0, y, 0]), floor)
-    mesh.quad(
-        np.array([0, y, z]),
-        np.array([x, 0, 0]),
-        np.array([0, -y, 0]),
-        Material(((0.78, 0.78, 0.76),), textures.plaster),
-    )
+    ceiling = Material(((0.78, 0.78, 0.76),), textures.plaster)
+    mesh.quad(np.array([0, y, z]), np.array([x, 0, 0]), np.array([0, -y, 0]), ceiling)
     walls = (
         Material(((0.76, 0.70, 0.56),), textures.plaster),
         Material(((0.66, 0.74, 0.62), (0.57, 0.68, 0.56)), partial(textures.stripes, period=0.2)),
@@ -89,9 +85,8 @@ def _openings(mesh: Mesh, room: RoomSpec) -> None:
     mesh.box((at, 0.015, 0), (0.9, 0.03, 2.02), _OAK, yaw=np.pi, front=door)
     mesh.sphere((at + 0.33, 0.07, 1.0), 0.03, _BRASS)
     width, height = 1.3, 1.1
-    window = Material(
-        ((0.55, 0.72, 0.90), (0.84, 0.84, 0.82)), partial(textures.panes, size=(width, height), bar=bar), glow=0.3
-    )
+    panes = partial(textures.panes, size=(width, height), bar=0.07)
+    window = Material(((0.55, 0.72, 0.90), (0.84, 0.84, 0.82)), panes, glow=0.3)
     mesh.box((0.02, 0.62 * y, 0.95), (width, 0.04, height), _WHITE, yaw=np.pi / 2, front=window)
     mesh.box((0.08, 0.62 * y, 0.90), (width + 0.2, 0.16, 0.04), _WHITE, yaw=np.pi / 2)
 
@@ -144,9 +139,7 @@ def _shelf(mesh: Mesh, room: RoomSpec) -> None:
         mesh.box((middle, front, float(level)), (width, depth, 0.03), _OAK)
     gap = float(levels[1] - levels[0])
     for number, level in enumerate(levels[:-1]):
-        spines = Material(
-            _BOOKS, partial(textures.books, width=0.035 + 0.006 * number, height=gap, colours=len(_BOOKS))
-        )
+        spines = partial(textures.books, width=0.035 + 0.006 * number, height=gap, colours=len(_BOOKS))
         length = width - 0.07 - 0.2 * (number % 2)
         mesh.box(
             (middle - 0.1 * (number % 2), front + 0.03, float(level) + 0.03),
@@ -209,12 +202,8 @@ def _small_things(mesh: Mesh, room: RoomSpec) -> None:
     for dx, dy, z, radius in leaves:
         mesh.sphere((x - 0.35 + dx, 0.38 + dy, z), radius, _LEAF)
     mesh.sphere((0.55, 0.30 * y + 0.75, 0.13), 0.13, _BALL)
-    drawers = framed(
-        (0.9, 0.7),
-        ((0.70, 0.68, 0.62), (0.40, 0.38, 0.34), (0.56, 0.54, 0.48)),
-        partial(textures.tiles, size=0.23),
-        0.03,
-    )
+    colours = (0.70, 0.68, 0.62), (0.40, 0.38, 0.34), (0.56, 0.54, 0.48)
+    drawers = framed((0.9, 0.7), colours, partial(textures.tiles, size=0.23), 0.03)
     mesh.box((0.25, 0.25 * y, 0), (0.9, 0.42, 0.7), Material(((0.60, 0.58, 0.52),)), yaw=np.pi / 2, front=drawers)
 
 
