@@ -1,7 +1,7 @@
-"""How true a room is: board images to a calibration, frames to a cloud, a cloud to wall distances, over several seeds.
+"""Accuracy of wall distances in a room, from board images to calibration, frames to cloud, over several seeds.
 
 Every seed draws its own board poses and all of its noise. The room without noise is rendered
-once and exposed once per seed. Nothing but the comparison at the end sees the truth.
+once and exposed once per seed. Only the comparison at the end uses the truth.
 
     python experiments/room_accuracy.py [configs/paper.toml] [--every 10] [--seeds 5] [--json FILE]
 

@@ -1,9 +1,9 @@
 """Time and memory of the joint solve against optimistix' own solvers, and of the camera alone against OpenCV.
 
 The joint problem has 40 views of 88 corners and 40 stripes of 1000 points, about 47 000 residuals,
-everything free that is free by default. All solvers minimise the same function from the same start,
-which is off by tens of pixels, and stop at the same tolerance. Each runs in a process of its own, so
-that its peak memory is its own. Times are those of processes that have compiled; look at the ratios.
+with the default free parameters. All solvers minimise the same function from the same start, which
+is off by tens of pixels, and stop at the same tolerance. Each runs in a separate process, so that
+its peak memory can be measured. Times exclude compilation; only their ratios mean much.
 """
 
 import json
@@ -56,7 +56,7 @@ def joint_problem() -> Problem:
     views[: len(fit.pose)] = fit.pose
     boards = average_placements(views, data, scanner.turntable)
     problem = make_problem(scanner.camera, scanner.lasers, scanner.turntable, boards, data, settings)
-    # Padding would be work for the others that is not theirs.
+    # Padding would be additional work for the other solvers.
     shapes = {
         "poses": (int(data.placement.max()) + 1,),
         "board": (observed.corners.q.shape[1],),

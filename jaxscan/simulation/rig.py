@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxscan.errors import ConfigError
 from jaxscan.simulation.rays import Numbers, RayTable, ray_table
-from jaxscan.simulation.spec import LaserSpec, SimulationConfig, TurntableSpec
+from jaxscan.simulation.spec import LaserSpec, SimulationConfig
 
 
 WALL_ALBEDO = 0.7
@@ -114,16 +114,14 @@ class TrueRig:
         return self.scanner_from_camera @ Motion(rotation, self.point - rotation @ self.point)
 
 
-UP = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u": (-1.0, 0.0, 0.0)}
+_UP = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u": (-1.0, 0.0, 0.0)}
 
 
 @lru_cache(maxsize=4)
 def make_rig(config: SimulationConfig) -> TrueRig:
     """The rig of a configuration; the last few are kept."""
     rays = ray_table(config.camera)
-    direction, point = turning_axis(config.turntable)
-    if direction @ np.array(UP[config.camera.up]) < 0:
-        direction = -direction
+    direction, point = turning_axis(config)
     ahead = np.array([0.0, 0.0, 1.0]) - direction[2] * direction
     length = np.linalg.norm(ahead)
     if length < 1e-6:
@@ -135,8 +133,9 @@ def make_rig(config: SimulationConfig) -> TrueRig:
     return TrueRig(config, rays, sheets, direction, point, base)
 
 
-def turning_axis(spec: TurntableSpec) -> tuple[np.ndarray, np.ndarray]:
-    """Unit direction of the axis, in either sense, and its point nearest the camera [m]."""
+def turning_axis(config: SimulationConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Unit direction of the axis, upwards, and its point nearest the camera [m], camera frame."""
+    spec = config.turntable
     if spec.tr is None:
         direction, point = np.array(spec.direction), np.array(spec.point_m)
         direction = direction / np.linalg.norm(direction)
@@ -156,7 +155,8 @@ def turning_axis(spec: TurntableSpec) -> tuple[np.ndarray, np.ndarray]:
         if abs(theta) < 1e-9:
             raise ConfigError("`tr` of the turntable does not turn.")
         point = (shift + np.cross(direction, shift) / np.tan(theta / 2)) / 2
-    return direction, point - (direction @ point) * direction
+    point = point - (direction @ point) * direction
+    return (-direction if direction @ np.array(_UP[config.camera.up]) < 0 else direction), point
 
 
 def _sheet(spec: LaserSpec, config: SimulationConfig, rays: RayTable) -> Sheet:
