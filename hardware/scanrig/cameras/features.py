@@ -42,9 +42,7 @@ def require(found: Features, expected: Features, *, name: str) -> None:
         CameraError: With all differences, and the remedy.
     """
     if wrong := differences(found, expected):
-        raise CameraError(
-            f"{name}: did not take its settings: {'; '.join(wrong)}. Set supported values in [camera]."
-        )
+        raise CameraError(f"{name}: did not take its settings: {'; '.join(wrong)}. Set supported values in [camera].")
 
 
 def _same(name: str, found: float | int | str, expected: float | int | str) -> bool:
