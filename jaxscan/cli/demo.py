@@ -102,9 +102,7 @@ def _check_folder(output: Path) -> None:
 
 
 def _read_truth(path: Path) -> dict[str, Any]:
-    return parse_json(
-        read_bounded(path, MEGABYTE, name=str(path), error=CaptureError), name=str(path), error=CaptureError
-    )
+    return parse_json(read_bounded(path, MEGABYTE, error=CaptureError), name=str(path), error=CaptureError)
 
 
 def _render(config: SimulationConfig, folder: Path, out: Console, seconds: dict[str, float]) -> api.SimulatedCaptures:
