@@ -58,13 +58,13 @@ def _drawn(path: Path) -> tuple["Calibration", str, bool | None]:
         return stored, "The observations are not beside the calibration file, so residuals are not shown.", None
     again = solve_again(stored, name=str(path))
     if again.reproduced is None:
-        return again.calibration, "Solved again from the stored observations: the solve did not converge.", None
-    if again.reproduced:
-        return again.calibration, "Solved again from the stored observations: the stored parameters came out.", True
-    return (
-        again.calibration,
-        f"Not reproduced: solved again from the stored observations, {again.parameter} is {again.departure:.3g} "
-        "standard deviations from the stored value. The file was changed since, or made by another version; "
-        "this report shows the new solution.",
-        False,
-    )
+        note = "Solved again from the stored observations: the solve did not converge."
+    elif again.reproduced:
+        note = "Solved again from the stored observations: the result agrees with the stored parameters."
+    else:
+        note = (
+            f"Not reproduced: solved again from the stored observations, {again.parameter} is {again.departure:.3g} "
+            "standard deviations from the stored value. The file was changed since, or another version made it; this "
+            "report shows the new solution."
+        )
+    return again.calibration, note, again.reproduced

@@ -149,7 +149,7 @@ class TestReport:
         text = page.read_text()
         for title in ("Parameters", "Residuals over the image", "Stripe and table", "Correlations"):
             assert f"<h2>{title}</h2>" in text
-        assert "the stored parameters came out" in text
+        assert "the result agrees with the stored parameters" in text
 
     def test_changed_parameters_are_called_out(self, calibrated, run, tmp_path, monkeypatch):
         # The figures are those of the page above; drawing them is most of the time.
