@@ -152,7 +152,7 @@ def second_look(calibration: Calibration) -> list[str]:
     if look is None:
         return []
     if not look.kept:
-        return ["The second look at the images explained them no better than the first, and was dropped."]
+        return ["The second look at the images explained them no better than the first, and was not kept."]
     counts = {"views": look.views_gained, "corners": look.corners_gained, "stripe points": look.stripe_points_gained}
     gains = ", ".join(f"{gained:+d} {name}" for name, gained in counts.items() if gained)
     return [f"The second look at the images: {gains or 'nothing more'}."]
