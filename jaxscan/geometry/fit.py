@@ -116,9 +116,7 @@ def fit_axis(motion: Array) -> AxisFit:
     Source: PAPER.md equations (9), (10), for a motion with 4 degrees of freedom.
     """
     motion = np.asarray(motion, np.float64)
-    if motion.ndim == 2:
-        return _axis_of_arc(motion)
-    return _axis_of_motions(motion)
+    return _axis_of_arc(motion) if motion.ndim == 2 else _axis_of_motions(motion)
 
 
 def _axis_of_arc(points: np.ndarray) -> AxisFit:

@@ -69,30 +69,27 @@ def measure_distance(
     variance = sum(float(np.sum(patch.sigma_across(along) ** 2)) / len(patch.p) ** 2 for patch in patches)
     shares = [np.full(len(patch.p), sign / len(patch.p)) for sign, patch in zip((-1, 1), patches, strict=True)]
     weights = np.outer(np.concatenate(shares), along)
-    together = Samples.joined(patches)
-    systematic = systematic_sigma(scanner, together, weights)
-    between = _between_planes(patches)
+    systematic = systematic_sigma(scanner, Samples.joined(patches), weights)
+    apart, apart_sigma = _between_planes(*(_flat(patch) for patch in patches))
     return DistanceMeasurement(
         value_m=value,
         sigma_m=float(np.hypot(np.sqrt(variance), systematic)),
         sigma_random_m=float(np.sqrt(variance)),
         sigma_systematic_m=systematic,
-        plane_to_plane_m=None if between is None else between[0],
-        plane_to_plane_sigma_m=None if between is None else between[1],
+        plane_to_plane_m=apart,
+        plane_to_plane_sigma_m=apart_sigma,
         a_m=means[0],
         b_m=means[1],
         points=(len(patches[0].p), len(patches[1].p)),
     )
 
 
-def _between_planes(patches: list[Samples]) -> tuple[float, float] | None:
-    planes = [_flat(patch) for patch in patches]
-    first, second = planes
+def _between_planes(first: Plane | None, second: Plane | None) -> tuple[float | None, float | None]:
     if first is None or second is None:
-        return None
+        return None, None
     second = facing(second, first.normal)
     if first.normal @ second.normal < np.cos(np.radians(PARALLEL_DEG)):
-        return None
+        return None, None
     normal = first.normal + second.normal
     normal = normal / np.linalg.norm(normal)
     middle = 0.5 * (first.centre + second.centre)

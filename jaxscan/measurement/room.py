@@ -89,14 +89,13 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
             "a room must be scanned from within, all around, in steps of a few degrees."
         )
     centre = _centre(found)
-    level = [abs(pair[0].plane.normal[2]) > 0.5 for pair in found]
-    horizontal = [_dimension(p, centre, scanner, rng) for p, up in zip(found, level, strict=True) if not up]
-    vertical = [_dimension(p, centre, scanner, rng) for p, up in zip(found, level, strict=True) if up]
-    horizontal.sort(key=lambda dimension: -dimension.value_m)
+    dimensions = sorted((_dimension(pair, centre, scanner, rng) for pair in found), key=lambda each: -each.value_m)
+    height = next((each for each in dimensions if abs(each.direction[2]) > 0.5), None)
+    horizontal = [each for each in dimensions if each is not height]
     return RoomBox(
         length=horizontal[0] if horizontal else None,
         width=horizontal[1] if len(horizontal) > 1 else None,
-        height=vertical[0] if vertical else None,
+        height=height,
         centre_m=centre,
         walls=tuple(wall for pair in pairs for wall in pair),
     )

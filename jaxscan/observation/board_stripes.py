@@ -9,7 +9,7 @@ from jaxscan.geometry import AbstractBoard, across_and_along
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.prediction import SolvedRig, lift_to_board, predict_stripe
 from jaxscan.observation.records import BoardSource, SeenRecord
-from jaxscan.observation.stripes_on_board import BoardStripe, FoundStripe, select_board_stripe
+from jaxscan.observation.stripes_on_board import FoundStripe, select_board_stripe
 from jaxscan.stripes import (
     FrameFormat,
     LaserLine,
@@ -39,7 +39,7 @@ def learn_colours(capture: BoardSource) -> tuple[LaserLine, ...]:
     Raises:
         CaptureError: If a colour cannot be learned.
     """
-    return tuple(_with_colour(capture, laser) for laser in range(len(capture.lasers)))
+    return tuple(_learn_colour(capture, laser) for laser in range(len(capture.lasers)))
 
 
 def find_stripes(
@@ -68,13 +68,17 @@ def find_stripes(
                 continue
             noise, stripes = _extract([views[i] for i in group], capture, line, rig)
             for row, i in enumerate(group):
-                found = FoundStripe.of(stripes, row, line.stripe_axis)
-                stripe = _board_stripe(found, views[i], board, rig)
-                views[i] = views[i]._replace(stripe=stripe, noise=noise)
+                found, view = FoundStripe.of(stripes, row, line.stripe_axis), views[i]
+                board_xy = None
+                if rig is not None and view.pose is not None:
+                    board_xy = lift_to_board(rig, view.pose, found.pixels())
+                off, corners = None if view.off is None else view.grey, cast(FoundCorners, view.corners)
+                stripe = select_board_stripe(found, corners, board, off=off, board_xy=board_xy)
+                views[i] = view._replace(stripe=stripe, noise=noise)
     return views
 
 
-def _with_colour(capture: BoardSource, laser: int) -> LaserLine:
+def _learn_colour(capture: BoardSource, laser: int) -> LaserLine:
     line = capture.lasers[laser]
     lit = [i for i, record in enumerate(capture.records) if record.lasers == (laser,) and record.on]
     if line.colour != "auto" or not lit:
@@ -102,9 +106,7 @@ def _extract(
     off = np.stack(dark) if dark else None
     frames = FrameFormat(capture.pixel_format, capture.response)
     # From whole frames: a frame of which only a band is left shows no noise elsewhere.
-    noise = views[0].noise
-    if noise is None:
-        noise = estimate_noise(on, off, **vars(frames), line=line)
+    noise = views[0].noise or estimate_noise(on, off, **vars(frames), line=line)
     if rig is not None and off is not None:
         near = np.stack([_band(view, rig, line) for view in padded])
         on = np.where(near if on.ndim == 3 else near[..., None], on, off)
@@ -121,11 +123,3 @@ def _band(view: SeenRecord, rig: SolvedRig, line: LaserLine) -> np.ndarray:
     samples = np.arange(across_and_along(camera.width, camera.height, line.stripe_axis)[0])
     near = stripe.on_board[:, None] & (np.abs(samples - stripe.u[:, None]) <= _BAND_PX)
     return near if line.stripe_axis == "rows" else near.T
-
-
-def _board_stripe(found: FoundStripe, view: SeenRecord, board: AbstractBoard, rig: SolvedRig | None) -> BoardStripe:
-    board_xy = None
-    if rig is not None and view.pose is not None:
-        board_xy = lift_to_board(rig, view.pose, found.pixels())
-    off = None if view.off is None else view.grey
-    return select_board_stripe(found, cast(FoundCorners, view.corners), board, off=off, board_xy=board_xy)

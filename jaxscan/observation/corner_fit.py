@@ -189,8 +189,7 @@ def _linearised(window: _Window, unknowns: np.ndarray) -> tuple[np.ndarray, np.n
     jacobian = np.empty((len(unknowns), _UNKNOWNS, window.u.shape[1]), np.float32)
     jacobian[:, 0] = sine[0] * by[0] + sine[1] * by[1]
     jacobian[:, 1] = -cosine[0] * by[0] - cosine[1] * by[1]
-    for k in (0, 1):
-        jacobian[:, 2 + k] = -(cosine[k] * du + sine[k] * dv) * by[k]
+    jacobian[:, 2:4] = np.swapaxes(-(cosine * du + sine * dv) * by, 0, 1)
     jacobian[:, 4], jacobian[:, 5] = light, pattern * light
     jacobian[:, 6] = -(across[0] * by[0] + across[1] * by[1]) / width
     bright = window.weight * seen
