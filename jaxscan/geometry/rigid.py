@@ -1,4 +1,4 @@
-"""Rigid motions as 4 x 4 matrices: `T_ab` carries coordinates of frame b into frame a.
+"""Rigid motions as 4 x 4 matrices: `T_ab` maps coordinates of frame b to frame a.
 
 Exponentials come from jaxlie; chains of known motions are plain matrix products.
 """
