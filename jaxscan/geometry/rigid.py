@@ -11,7 +11,7 @@ from jaxscan.geometry.arrays import Array
 
 def exponential(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
     """The motion exp(twist) of a twist (v, omega) [m, rad], in jaxlie's order."""
-    # Imported here: `import jaxscan` is to be light.
+    # Imported here, so that `import jaxscan` does not load jaxlie.
     import jaxlie
 
     return jaxlie.SE3.exp(jnp.asarray(twist)).as_matrix()

@@ -12,7 +12,7 @@ from jaxscan.measurement.systematic import systematic_sigma
 
 
 PARALLEL_DEG = 10.0
-"""Largest angle between two patches whose plane-to-plane distance still means something."""
+"""Largest angle between two patches that have a plane-to-plane distance."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class DistanceMeasurement:
     sigma_random_m: float
     sigma_systematic_m: float
     plane_to_plane_m: float | None
-    """Distance of the two patches' planes along their mean normal, midway between the patches;
+    """Distance of the planes of the two patches along their mean normal, midway between the patches;
     None unless both are planar and parallel within 10 degrees."""
     plane_to_plane_sigma_m: float | None
     """Random part of its standard deviation [m]."""
@@ -51,7 +51,7 @@ def measure_distance(
         scanner: The scanner the cloud was made with; its covariance gives the systematic part.
 
     Returns:
-        The distance [m] with its predicted standard deviation, and that between the patches' planes.
+        The distance [m] with its predicted standard deviation, and the distance of the patches' planes.
 
     Raises:
         MeasurementError: If a patch has too few points, or the patches are one.
@@ -94,13 +94,13 @@ def _between_planes(first: Plane | None, second: Plane | None) -> tuple[float | 
     normal = normal / np.linalg.norm(normal)
     middle = 0.5 * (first.centre + second.centre)
     feet = [(plane.distance - plane.normal @ middle) / (plane.normal @ normal) for plane in (first, second)]
-    # Each plane at the foot of the line between them, which lies close to its own patch.
+    # Each plane is evaluated at its own end of the line between the planes, near its own patch.
     sigma = [plane.sigma_at(middle + foot * normal) for plane, foot in zip((first, second), feet, strict=True)]
     return float(abs(feet[1] - feet[0])), float(np.hypot(sigma[0], sigma[1]))
 
 
 def _flat(patch: Samples) -> Plane | None:
-    """The patch's plane, if it has one: extended, and no rougher than twice its noise."""
+    """Plane of the patch; None if it is too narrow, or rougher than twice its noise."""
     sigma = patch.sigma_across(weighted_plane(patch.p, patch.sigma**-2).normal)
     plane = weighted_plane(patch.p, sigma**-2)
     apart = patch.p - plane.centre
