@@ -61,11 +61,10 @@ def _hypotheses(voters: Samples, rng: np.random.Generator) -> tuple[np.ndarray, 
     for seed_point, group in zip(origin, groups, strict=True):
         if len(group) < 6 or len(np.unique(voters.profile[group])) < profiles:
             continue
-        p = voters.p[group]
-        centre = p.mean(0)
-        normal = np.linalg.eigh((p - centre).T @ (p - centre))[1][:, 0]
-        normals.append(normal)
-        distances.append(normal @ centre)
+        centre = voters.p[group].mean(0)
+        apart = voters.p[group] - centre
+        normals.append(np.linalg.eigh(apart.T @ apart)[1][:, 0])
+        distances.append(normals[-1] @ centre)
         kept.append(seed_point)
     return np.array(normals).reshape(-1, 3), np.array(distances), np.array(kept, int)
 

@@ -16,7 +16,8 @@ BLOCK = 4096
 def systematic_sigma(scanner: Scanner | None, samples: Samples, weights: np.ndarray) -> float:
     r"""Standard deviation of $f = \sum_i w_i \cdot p_i$ from `scanner.covariance`.
 
-    With a changed calibration every point keeps its pixel q and its table angle, and moves to $p_i(\delta) = \mathrm{point}(q_i;\,\mathrm{retract}(\delta))$. With
+    With a changed calibration every point keeps its pixel q and its table angle, and moves to
+    $p_i(\delta) = \mathrm{point}(q_i;\,\mathrm{retract}(\delta))$. With
     $J = \partial f / \partial \delta$ the variance is $J C J^T$.
 
     Args:

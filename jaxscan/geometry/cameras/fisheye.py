@@ -150,8 +150,5 @@ def _sine_and_cosine(square: Array) -> tuple[Array, Array]:
     sinc = 1.0 - s / 6 * (1.0 - s / 20 * (1.0 - s / 42 * (1.0 - s / 72)))
     cosine = 1.0 - s / 2 * (1.0 - s / 12 * (1.0 - s / 30 * (1.0 - s / 56 * (1.0 - s / 90))))
     theta = jnp.sqrt(jnp.where(near, 1.0, square).astype(square.dtype))
-    far_sinc = jnp.sin(theta) / theta
-    return (
-        jnp.where(near, sinc, far_sinc).astype(square.dtype),
-        jnp.where(near, cosine, jnp.cos(theta)).astype(square.dtype),
-    )
+    pick = lambda series, far: jnp.where(near, series, far).astype(square.dtype)
+    return pick(sinc, jnp.sin(theta) / theta), pick(cosine, jnp.cos(theta))
