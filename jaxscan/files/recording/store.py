@@ -1,4 +1,4 @@
-"""Where a capture's writer puts images: a PNG file each, or raw in shards of many."""
+"""Storage of images in a capture: a PNG file each, or raw frames in shards."""
 
 import hashlib
 import io
@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple, Protocol, get_args, runtime_checkable
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.disk import sync_to_disk, write_atomically
+from jaxscan.files.disk import reported, sync_to_disk, write_atomically
 
 
 Storage = Literal["png", "npy"]
@@ -34,15 +34,15 @@ class ImageStore(Protocol):
         ...
 
     def take(self, side: str, count: int) -> None:
-        """Make those names taken."""
+        """Reserve those names."""
         ...
 
     def write(self, name: str, image: np.ndarray) -> str:
-        """Write an image under its name; when this returns, the journal may speak of it.
+        """Write an image under its name; after this the journal may name it.
 
         Returns:
-            The sha256 of what was written for this image, in hexadecimal digits; "" where the store
-            makes no digests.
+            The sha256 of the image as it is stored, in hexadecimal digits; "" where the store makes no
+            digests.
 
         Raises:
             CaptureError: If it cannot be written.
@@ -50,7 +50,7 @@ class ImageStore(Protocol):
         ...
 
     def close(self) -> None:
-        """End, when nothing is being written any more.
+        """End, after all calls of `write` have returned.
 
         Raises:
             CaptureError: If a file cannot be written.
@@ -70,7 +70,7 @@ class WriteSettings:
 def image_store(path: Path, shape: tuple[int, ...], settings: WriteSettings) -> ImageStore:
     """The store for images of `shape` in the capture at `path`.
 
-    With `digests`, writing an image also tells its sha256: of the file, or of the frame in a shard.
+    With `digests`, `write` returns the sha256 of the file, or of the frame in a shard.
 
     Raises:
         ValueError: If the kind of storage is unknown.
@@ -118,8 +118,8 @@ class ShardStore:
     """Shards `on/000000.npy`, `off/000000.npy`, ... of raw frames, in the order in which they are appended.
 
     A shard has its full length from the beginning, and images are written into it one by one; so
-    it is a readable file whatever happens, and what the journal names in it is complete. Shards
-    of an earlier session are never written to.
+    it is readable at any moment, and every frame that the journal names in it is complete. Shards
+    of an earlier session are never changed.
     """
 
     def __init__(self, path: Path, shape: tuple[int, ...], durable: bool, digests: bool) -> None:
@@ -150,7 +150,7 @@ class ShardStore:
 
     def write(self, name: str, image: np.ndarray) -> str:
         shard, _, index = name.partition("#")
-        try:
+        with reported(f"{self._path / shard}: cannot be written", error=CaptureError):
             with self._lock:
                 self._make(shard)
             with open(self._path / shard, "r+b", buffering=0) as file:
@@ -161,8 +161,6 @@ class ShardStore:
                     data = data[file.write(data) :]
                 if self._durable:
                     os.fsync(file.fileno())
-        except OSError as problem:
-            raise CaptureError(f"{self._path / shard}: cannot be written: {problem.strerror or problem}.") from problem
         return digest
 
     def _make(self, shard: str) -> None:
@@ -180,20 +178,16 @@ class ShardStore:
     def close(self) -> None:
         for side, place in self._place.items():
             shard = _shard_name(side, place.shard)
-            if shard in self._made and place.used < place.length:
-                self._trim(shard, place.used)
-
-    def _trim(self, shard: str, length: int) -> None:
-        try:
-            with open(self._path / shard, "r+b") as file:
-                # First what is promised, then what is there: between the two the file is readable.
-                file.write(_header(length, self._shape))
+            if shard not in self._made or place.used >= place.length:
+                continue
+            file_path = self._path / shard
+            with reported(f"{file_path}: cannot be written", error=CaptureError), open(file_path, "r+b") as file:
+                # The header shrinks before the file, so the file is readable at any moment.
+                file.write(_header(place.used, self._shape))
                 file.flush()
                 if self._durable:
                     os.fsync(file.fileno())
-                file.truncate(_HEADER_BYTES + length * self._bytes)
-        except OSError as problem:
-            raise CaptureError(f"{self._path / shard}: cannot be written: {problem.strerror or problem}.") from problem
+                file.truncate(_HEADER_BYTES + place.used * self._bytes)
 
 
 def _shard_name(side: str, number: int) -> str:
@@ -211,7 +205,7 @@ def _header(length: int, shape: Sequence[int]) -> bytes:
     """The beginning of an `.npy` file of uint8 [length, *shape], of the same size for every length."""
     text = io.BytesIO()
     np.lib.format.write_array_header_1_0(
-        text, {"descr": "|u1", "fortran_order": False, "shape": (length, *(int(n) for n in shape))}
+        text, {"descr": "|u1", "fortran_order": False, "shape": (length, *map(int, shape))}
     )
     found = text.getvalue()
     if len(found) != _HEADER_BYTES:
