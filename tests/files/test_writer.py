@@ -1,4 +1,4 @@
-"""Writing captures: what the journal says is on the disk."""
+"""Writing captures: every image that the journal names is on the disk."""
 
 import errno
 import json

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple, Protocol, get_args, runtime_checkable
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -25,39 +25,6 @@ SHARD_RECORDS = 32
 _HEADER_BYTES = 128
 
 
-@runtime_checkable
-class ImageStore(Protocol):
-    """Names images and writes them; `names` and `take` are called by one thread, `write` by many."""
-
-    def names(self, side: str, stem: str, count: int) -> list[str]:
-        """References for `count` images of one frame; `side` is "on" or "off". Changes nothing."""
-        ...
-
-    def take(self, side: str, count: int) -> None:
-        """Reserve those names."""
-        ...
-
-    def write(self, name: str, image: np.ndarray) -> str:
-        """Write an image under its name; after this the journal may name it.
-
-        Returns:
-            The sha256 of the image as it is stored, in hexadecimal digits; "" where the store makes no
-            digests.
-
-        Raises:
-            CaptureError: If it cannot be written.
-        """
-        ...
-
-    def close(self) -> None:
-        """End, after all calls of `write` have returned.
-
-        Raises:
-            CaptureError: If a file cannot be written.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class WriteSettings:
     """How a capture is written; `create_capture` describes each."""
@@ -67,23 +34,11 @@ class WriteSettings:
     digests: bool = False
 
 
-def image_store(path: Path, shape: tuple[int, ...], settings: WriteSettings) -> ImageStore:
-    """The store for images of `shape` in the capture at `path`.
-
-    With `digests`, `write` returns the sha256 of the file, or of the frame in a shard.
-
-    Raises:
-        ValueError: If the kind of storage is unknown.
-    """
-    if settings.storage not in STORAGES:
-        raise ValueError(f"Unknown storage {settings.storage!r}; known: {', '.join(STORAGES)}.")
-    if settings.storage == "png":
-        return PngStore(path, settings.durable, settings.digests)
-    return ShardStore(path, shape, settings.durable, settings.digests)
-
-
 class PngStore:
-    """One PNG file per image, named after the record."""
+    """One PNG file per image, named after the record.
+
+    As in `ShardStore`, one thread calls `names` and `take`, and many call `write`.
+    """
 
     def __init__(self, path: Path, durable: bool, digests: bool) -> None:
         self._path, self._durable, self._digests = path, durable, digests
@@ -131,10 +86,12 @@ class ShardStore:
         self._lock = threading.Lock()
 
     def names(self, side: str, stem: str, count: int) -> list[str]:
+        """References for `count` images of one frame; `side` is "on" or "off". Changes nothing."""
         place = self._room(side, count)
         return [f"{_shard_name(side, place.shard)}#{place.used + k}" for k in range(count)]
 
     def take(self, side: str, count: int) -> None:
+        """Reserve those names."""
         place = self._room(side, count)
         self._place[side] = place._replace(used=place.used + count)
         self._length[_shard_name(side, place.shard)] = place.length
@@ -149,6 +106,14 @@ class ShardStore:
         return _Place(place.shard + 1, 0, count * (1 << (frames.bit_length() - 1)))
 
     def write(self, name: str, image: np.ndarray) -> str:
+        """Write an image under its name; after this the journal may name it.
+
+        Returns:
+            The sha256 of the image as it is stored, in hexadecimal digits; "" without `digests`.
+
+        Raises:
+            CaptureError: If it cannot be written.
+        """
         shard, _, index = name.partition("#")
         with reported(f"{self._path / shard}: cannot be written", error=CaptureError):
             with self._lock:
@@ -176,6 +141,11 @@ class ShardStore:
         self._made.add(shard)
 
     def close(self) -> None:
+        """Shorten the last shards to their frames, after all calls of `write` have returned.
+
+        Raises:
+            CaptureError: If a file cannot be written.
+        """
         for side, place in self._place.items():
             shard = _shard_name(side, place.shard)
             if shard not in self._made or place.used >= place.length:
@@ -188,6 +158,21 @@ class ShardStore:
                 if self._durable:
                     os.fsync(file.fileno())
                 file.truncate(_HEADER_BYTES + place.used * self._bytes)
+
+
+def image_store(path: Path, shape: tuple[int, ...], settings: WriteSettings) -> PngStore | ShardStore:
+    """The store for images of `shape` in the capture at `path`.
+
+    With `digests`, `write` returns the sha256 of the file, or of the frame in a shard.
+
+    Raises:
+        ValueError: If the kind of storage is unknown.
+    """
+    if settings.storage not in STORAGES:
+        raise ValueError(f"Unknown storage {settings.storage!r}; known: {', '.join(STORAGES)}.")
+    if settings.storage == "png":
+        return PngStore(path, settings.durable, settings.digests)
+    return ShardStore(path, shape, settings.durable, settings.digests)
 
 
 def _shard_name(side: str, number: int) -> str:
