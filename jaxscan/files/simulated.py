@@ -66,14 +66,14 @@ def write_simulation(
 ) -> SimulatedCaptures:
     """Write rendered records as captures, and the truth beside them.
 
-    The folder appears when everything in it is whole.
+    The folder appears when all its files are complete.
 
     Args:
         config: The rig, its surroundings, its boards and its plan.
         folder: Must not exist, or be empty.
         boards: The records of the boards, rendered as they are asked for.
         sweep: The records of the sweep.
-        every: Only every n-th step of the sweep is there.
+        every: The sweep has only every n-th step.
         progress: Called with (pairs done, pairs in all).
 
     Raises:

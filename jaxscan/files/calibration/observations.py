@@ -40,7 +40,7 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "stripes.view": (np.signedinteger, ("stripes",)),
     "stripes.laser": (np.signedinteger, ("stripes",)),
 }
-# Fields that are stored under their own names, beside the arrays.
+# Fields of `Observations` that are stored as they are, as JSON.
 _PLAIN = ("width", "height", "laser_names", "up", "carries")
 
 
@@ -69,7 +69,7 @@ def observations_path(path: Path) -> Path:
 
 
 def write_observations(observations: Observations, path: Path) -> None:
-    """Write the observations, whole or not at all.
+    """Write the observations atomically.
 
     Raises:
         CalibrationError: If another file has this name, the board is of an unknown kind, or the file cannot be

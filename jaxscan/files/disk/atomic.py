@@ -1,4 +1,4 @@
-"""Writing files whole or not at all: under a temporary name, then renamed."""
+"""Writing files atomically: under a temporary name, then renamed."""
 
 import contextlib
 import errno

@@ -20,9 +20,9 @@ def resume_capture(
 
     Args:
         path: The folder.
-        storage: As of `create_capture`; by default that of the last record, "png" before the first.
-        durable: As of `create_capture`.
-        digests: As of `create_capture`.
+        storage: See `create_capture`; by default as in the last record, "png" without records.
+        durable: See `create_capture`.
+        digests: See `create_capture`.
 
     Returns:
         The writer; its next number follows the largest in the journal.
@@ -34,10 +34,10 @@ def resume_capture(
     require_no_links(path)
     texts = read_texts(path)
     lines = [line + b"\n" for line in texts.journal_bytes.split(b"\n") if line.strip()]
-    whole = b"".join(lines[:-1] if texts.notes else lines)
-    if whole != texts.journal_bytes:
-        write_atomically(path / JOURNAL_NAME, whole, durable=durable, error=CaptureError)
-    taken = Counter(value["i"] for _, value in journal_objects(whole) if "i" in value)
+    journal = b"".join(lines[:-1] if texts.notes else lines)
+    if journal != texts.journal_bytes:
+        write_atomically(path / JOURNAL_NAME, journal, durable=durable, error=CaptureError)
+    taken = Counter(value["i"] for _, value in journal_objects(journal) if "i" in value)
     with reported(f"{path}: cannot be written", error=CaptureError):
         for folder in ("on", "off"):
             (path / folder).mkdir(exist_ok=True)

@@ -137,7 +137,7 @@ class CaptureWriter:
                 copied, so they must not change any more.
 
         Raises:
-            CaptureError: As of `append`.
+            CaptureError: For the reasons of `append`.
         """
         self._check_alive()
         number = fields["i"]
