@@ -8,12 +8,18 @@ from jaxtyping import Float
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.extract import extract_stripes
-from jaxscan.stripes.fitting.albedo import DarkWindow
-from jaxscan.stripes.frames.flicker import lamp_ratio
-from jaxscan.stripes.frames.formats import FrameFormat, LaserLine, decode_table, laser_plane, laser_sites
-from jaxscan.stripes.frames.noise import estimate_noise
-from jaxscan.stripes.frames.planes import sample_pair
+from jaxscan.stripes.fitting import DarkWindow
+from jaxscan.stripes.frames import (
+    FrameFormat,
+    LaserLine,
+    decode_table,
+    estimate_noise,
+    lamp_ratio,
+    laser_plane,
+    laser_sites,
+)
 from jaxscan.stripes.leak import frame_leak, leak
+from jaxscan.stripes.search import sample_pair
 
 
 _MONO = FrameFormat()

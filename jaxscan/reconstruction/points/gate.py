@@ -2,7 +2,6 @@
 
 import functools
 import math
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +12,7 @@ from jaxscan.geometry import Scanner, StripeAxis, across_and_along, stripe_pixel
 from jaxscan.stripes import LineGate
 
 
+Cells = tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]
 _PITCH_PX = 8.0
 """Largest distance between the points at which rays meet the sheet [px]."""
 _SAFETY = 8.0
@@ -64,7 +64,7 @@ def line_gate(
     distance = float(np.asarray(sheet.distance))
     least = distance / max_range_m
     most = distance / min_range_m if min_range_m > 0 else math.inf
-    places = _Cells.of(np.arange(float(lines)), along), _Cells.of(np.arange(-1.0, length + 1.0), across)
+    places = _cells(np.arange(float(lines)), along), _cells(np.arange(-1.0, length + 1.0), across)
     return _gate(incidence, places, (least, most), math.ceil(margin_px))
 
 
@@ -104,10 +104,7 @@ def _error(incidence: Float[np.ndarray, "a b"]) -> Float[np.ndarray, "a b"]:
 
 
 def _gate(
-    incidence: Float[np.ndarray, "a b"],
-    places: tuple["_Cells", "_Cells"],
-    limits: tuple[float, float],
-    grown: int,
+    incidence: Float[np.ndarray, "a b"], places: tuple[Cells, Cells], limits: tuple[float, float], grown: int
 ) -> LineGate:
     error, (least, most) = _error(incidence), limits
     (row, down), (index, fraction) = places
@@ -135,17 +132,11 @@ def _gate(
     return LineGate(low, high, 1 if rise >= 0 else -1)
 
 
-class _Cells(NamedTuple):
+def _cells(x: Float[np.ndarray, " n"], nodes: Float[np.ndarray, " m"]) -> Cells:
     """In which cell of evenly spaced nodes each coordinate lies, and how far from its start."""
-
-    number: Int[np.ndarray, " n"]
-    fraction: Float[np.ndarray, " n"]
-
-    @classmethod
-    def of(cls, x: Float[np.ndarray, " n"], nodes: Float[np.ndarray, " m"]) -> "_Cells":
-        position = (x - nodes[0]) / (nodes[1] - nodes[0]) if nodes[1] > nodes[0] else np.zeros_like(x)
-        index = np.clip(np.floor(position).astype(int), 0, len(nodes) - 2)
-        return cls(index, position - index)
+    position = (x - nodes[0]) / (nodes[1] - nodes[0]) if nodes[1] > nodes[0] else np.zeros_like(x)
+    index = np.clip(np.floor(position).astype(int), 0, len(nodes) - 2)
+    return index, position - index
 
 
 def _between(a: np.ndarray, b: np.ndarray, fraction: np.ndarray) -> np.ndarray:

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from jaxscan.geometry import Array
+from jaxscan.reconstruction.ahead import workers
 from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.reconstruction.streaming.ahead import workers
 from jaxscan.reconstruction.sweep import SweepSource
 
 

@@ -7,9 +7,8 @@ from jaxtyping import Float
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.fitting.gaussian_fit import UNUSED_VARIANCE, Start, Window, sample_places
-from jaxscan.stripes.frames.formats import Response, decode_table
-from jaxscan.stripes.search.candidates import Candidates, reach
-from jaxscan.stripes.search.search import Search
+from jaxscan.stripes.frames import Response, decode_table
+from jaxscan.stripes.search import Candidates, Search, reach
 from jaxscan.stripes.setup import ExtractionSetup
 
 

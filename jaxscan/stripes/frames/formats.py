@@ -45,6 +45,22 @@ def frame_rank(pixel_format: PixelFormat) -> int:
     return 3 if pixel_format == "rgb8" else 2
 
 
+def check_frames(on: Array, off: Array | None, pixel_format: PixelFormat, *, exposures: int = 1) -> None:
+    """Refuse arrays that are not stacks of frames of this format, with a second axis where there are exposures.
+
+    Raises:
+        ValueError: If shapes or types do not fit the pixel format.
+    """
+    rank = 1 + (exposures > 1) + frame_rank(pixel_format)
+    if on.ndim != rank or on.dtype != np.uint8:
+        raise ValueError(
+            f"`on` must be uint8 with {rank} dimensions for {pixel_format}, "
+            f"got {on.dtype} with shape {tuple(on.shape)}."
+        )
+    if off is not None and (off.shape != on.shape or off.dtype != np.uint8):
+        raise ValueError(f"`off` must be like `on`, got {off.dtype} with shape {tuple(off.shape)}.")
+
+
 @dataclass(frozen=True)
 class Sites:
     """Which pixels of a frame carry the laser's colour, as a plane [line, sample].
