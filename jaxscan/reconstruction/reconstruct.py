@@ -66,7 +66,7 @@ def extract_sweep(
     noise: NoiseModel | None = None,
     progress: Progress = None,
 ) -> Stripes:
-    """Stripes of a whole sweep, with their colours: what `reconstruct` takes instead of frames.
+    """Stripes of a whole sweep, with their colours; `reconstruct` takes them instead of frames.
 
     Args:
         sweep: Frames at known angles, in memory or on disk.

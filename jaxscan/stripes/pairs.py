@@ -1,4 +1,4 @@
-"""Whether the two frames of a pair show what they should: the same room, one with the laser, one without."""
+"""Whether the two frames of a pair show the same room, one with the laser and one without."""
 
 from typing import NamedTuple
 
@@ -35,7 +35,7 @@ class PairQuality(NamedTuple):
     leak_sigma: Float[np.ndarray, " frames"]
     """Standard deviation of `leak` [1]."""
     unrest: Float[np.ndarray, " frames"]
-    """What differs between the frames beside the laser, in the root mean square of the noise [1]."""
+    """Difference between the frames beside the laser, over the root mean square of the noise [1]."""
 
 
 def judge_pairs(on: Array, off: Array, *, frames: FrameFormat = _MONO, line: LaserLine) -> PairQuality:

@@ -1,4 +1,4 @@
-"""Stripe centres on the grid [profile, line], and what governs their extraction."""
+"""Stripe centres on the grid [profile, line], and the settings of their extraction."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -115,13 +115,13 @@ class StripeSettings:
     """Whether the width of the first frames' stripes is a prior for all: it helps the faint ones."""
     guard_edges: bool = True
     """Whether an edge of the surface's reflectance under the stripe, as the laser-off frame shows
-    it, widens a centre's sigma by what it may have moved it."""
+    it, widens a centre's sigma by the shift that it may have caused."""
     speckle: float = 0.0
     """Contrast of the laser's speckle within a pixel: standard deviation over mean of the signal [1]."""
     saturation: int = 254
     """Pixels at or above this level [DN] are taken as clipped and left out of the fit."""
     iterations: int = 4
-    """Steps of the fit: what is then left is a fiftieth of the noise."""
+    """Steps of the fit; the error that is left is a fiftieth of the noise."""
     clipped_iterations: int = 8
     """Steps of the fit where pixels are saturated, of which the start is worse."""
 

@@ -31,15 +31,15 @@ def line_gate(
     r"""The part of every line on which the rays meet a laser's sheet between two ranges.
 
     The incidence $m = d / \mathrm{range}$ (`LaserSheet.intersect`) is smooth over the image. It is
-    computed on a coarse lattice and interpolated; what that may be wrong by, from the lattice's
-    second differences, counts as accepted, and so does what lies between two pixels of which one
+    computed on a coarse lattice and interpolated. Values within the error of that, bounded by the lattice's
+    second differences, count as accepted, and so does an interval between two pixels of which one
     is too near and the other too far. Where the accepted part of a line falls apart, the gate spans all of
     it. No centre that `triangulate` accepts with the same limits is outside.
 
     Args:
         scanner: Camera and lasers.
         laser: Which of the lasers.
-        stripe_axis: What a line is: an image row, or an image column.
+        stripe_axis: Whether a line is an image row or an image column.
         min_range_m: Smallest distance along the ray [m].
         max_range_m: Largest distance along the ray [m]; may be infinite.
         margin_px: How far the gate reaches beyond [px].

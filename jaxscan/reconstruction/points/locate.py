@@ -14,7 +14,7 @@ from jaxscan.reconstruction.points.uncertainty import RangeTable, range_table
 
 
 class Rig(eqx.Module):
-    """What every chunk needs of the scanner, in float32."""
+    """The scanner and its range table, in float32; the same for all chunks."""
 
     scanner: Scanner
     table: RangeTable
@@ -36,7 +36,7 @@ class Aim(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Fields of `PointCloud` for the profiles of a chunk, and what goes beside it."""
+    """Fields of `PointCloud` for the profiles of a chunk, and their camera centres."""
 
     xyz: Float[Array, "profiles lines 3"]
     sigma_random: Float[Array, "profiles lines"]

@@ -15,7 +15,7 @@ def choose(
 
     Args:
         candidates: The candidates of every line.
-        near_side: +1 where what is nearer has the larger centre, else -1.
+        near_side: +1 where the nearer of two stripes has the larger centre, else -1.
         settings: The rule, and the signal-to-noise ratios that it asks for.
     """
     if settings.choice == "path":

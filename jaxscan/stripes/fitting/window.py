@@ -13,8 +13,8 @@ from jaxscan.stripes.setup import ExtractionSetup
 
 
 _FILTER_VARIANCE = {1: 3.1, 2: 2.8}
-"""What the fine filter, its lattice and the pixel add to the square of the width that half-maximum
-points speak of, by pitch, for widths of 0.7 to 3 px [px^2]."""
+"""Addition of the fine filter, its lattice and the pixel to the square of the width between half-maximum
+points, by pitch, for widths of 0.7 to 3 px [px^2]."""
 
 
 def prepare_window(

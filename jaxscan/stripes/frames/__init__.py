@@ -1,4 +1,4 @@
-"""What the arrays of a frame hold: pixel format, colour of the laser, noise, lamps that flicker."""
+"""The reading of a frame: pixel format, colour of the laser, noise, lamps that flicker."""
 
 from jaxscan.stripes.frames.flicker import applied_ratio, lamp_ratio
 from jaxscan.stripes.frames.formats import (

@@ -1,4 +1,4 @@
-"""What the arrays of a frame mean: pixel format, response, and which laser to look for."""
+"""How a frame is to be read: pixel format, response, and the laser to look for."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -128,7 +128,7 @@ def laser_plane(frames: Array, *, pixel_format: PixelFormat, line: LaserLine) ->
 
 
 def decode_table(response: Response) -> tuple[Float[np.ndarray, "256"], Float[np.ndarray, "256"]]:
-    """What each code of a pixel means on a linear scale.
+    """The linear level of each code of a pixel.
 
     Returns:
         level: Linear level [DN], 0 to 255.

@@ -26,22 +26,22 @@ _BINS = 256 // _BIN_DN
 _BIN_STEPS = 4 * _UNITS * _BIN_DN
 """Width of a bin for levels that are sums of four samples."""
 _REACH = 1024
-"""Steps on either side of zero that are counted apart; what lies beyond is no noise."""
+"""Steps on either side of zero that are counted apart; larger values are no noise."""
 _LAG = 8
 """Distance of the samples that are compared: noise of neighbours is alike in compressed or
 demosaiced pictures."""
 _BOX = 5
-"""Samples over which differences are added up to find what stands out."""
+"""Samples over which differences are added up to find places that stand out."""
 _OUTSTANDING = 5.0
 """Robust standard deviations of such a sum from which on it is no noise."""
 _MARGIN = 24
-"""Samples on either side of what stands out that are left out too: the foot of a stripe."""
+"""Samples on either side of such a place that are left out too: the foot of a stripe."""
 _EDGE_DN = 10
 """Steps of the scene from which the flicker of its light is told."""
 _MIN_COUNT = 200
 _MIN_SHARE = 0.01
-"""Share of the samples below which a level is not believed: what is left of reflections, or what
-moved between the frames, may be all that has it."""
+"""Share of the samples below which a level is not believed: only a rest of reflections, or an
+object that moved, may have it."""
 _DARK_DN = 3.0
 """Below this level the noise is cut off at zero."""
 _BRIGHT_DN = 240.0
@@ -70,8 +70,8 @@ def estimate_noise(
     $$\mathrm{var} = 2\,\mathrm{read}^2 + 2\,\mathrm{level}/K + 2/12,$$
 
     a straight line over the level. Samples a few pixels apart are compared, so that scattered
-    light, which is smooth, cancels; the laser-off frame is scaled by what its light flickered.
-    Places that stand out (the stripe, its reflections, what moved) are left out with a margin.
+    light, which is smooth, cancels; the laser-off frame is scaled by the flicker of its light.
+    Places that stand out (the stripe, its reflections, moved objects) are left out with a margin.
     Without laser-off frames the second difference along a line takes the place of the pair; fine
     texture then counts as noise.
 
@@ -80,7 +80,7 @@ def estimate_noise(
         off: Laser-off frames of the same shape, or None.
         pixel_format: How a frame is to be read.
         response: "linear", or "srgb".
-        line: The laser, which says what channel is looked at.
+        line: The laser, which says which channel is looked at.
 
     Returns:
         The model, in linear DN. Where the frames do not tell one of its numbers (all of one
@@ -219,7 +219,7 @@ def _points(
 
 
 def _clipped_variances(counts: Counts, value: Float[np.ndarray, " values"]) -> tuple[PerBin, PerBin]:
-    """Variance of what lies within 4 standard deviations, found by iteration from quantiles, and how many do."""
+    """Variance of the values within 4 standard deviations, by iteration from quantiles, and their number."""
     step = value[1] - value[0]
     middle, deviation = (step * a for a in _centre_and_scale(counts))
     deviation = np.maximum(deviation, 0.5)

@@ -1,4 +1,4 @@
-"""Where a stripe is looked for, from which signal on, and what is known of its width beforehand."""
+"""The search: where a stripe is looked for, from which signal on, and the prior of its width."""
 
 from typing import NamedTuple
 
