@@ -1,11 +1,11 @@
-"""Is the covariance true? Hundreds of full calibrations with fresh noise against the covariance that each states.
+"""Compares the errors of hundreds of full calibrations with fresh noise with the covariance that each states.
 
 Thirty board views and four placements seen at nine table angles each, all with a stripe.
 
-Gain and harmonics of the table are held by a prior alone. They would look too good if their true
-values stood at the prior's mean in every run: the prior would then be better than it says. So the
-true values, and the ratio of the focal lengths, are drawn from their priors in every run, as the
-covariance has it. The share of the priors in all other parameters is printed and is next to nothing.
+Gain and harmonics of the table are held by their priors alone. With their true values at the
+prior's mean in every run, their errors would be too small. So in every run these true values and
+the ratio of the focal lengths are drawn from their priors. The share of the priors in all other
+parameters is printed; it is close to zero.
 
     python experiments/calibration_honesty.py [--runs 200] [--noise white] [--quick] [--json FILE]
 """

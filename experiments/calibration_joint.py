@@ -1,10 +1,10 @@
-"""One joint solve against the usual sequence on the same data: how far off is the laser plane at 2.5 m?
+"""Depth error of the laser plane at 2.5 m: one joint solve against the usual sequence, on the same data.
 
-The usual sequence: the camera from board corners alone, then a plane through the stripe points,
-each lifted to its board; by total least squares and as the linear fit a X + b Y + Z = c, of which
-the better one counts. Its camera and board poses are ours without stripes, with the same priors
-and the board's bow, so that only the sequence differs. Two views of each set are one board before and after a
-turn by 10 degrees, which the joint solve needs to be a solve of the whole rig.
+The usual sequence solves the camera from board corners alone, lifts the stripe points to their
+boards, and fits a plane: by total least squares and as a X + b Y + Z = c, of which the better one
+counts. Its camera and board poses come from our solve without stripes, with the same priors and the
+board's bow, so that only the sequence differs. Two views of each set show one board before and
+after a turn by 10 degrees, which the joint solve of the whole rig needs.
 
 Every pose set and every draw of noise counts alike. The depth error of a draw is the root mean
 square over all rows of the image of the depth found at the pixel where the true depth is 2.5 m.

@@ -1,8 +1,8 @@
 """Gross errors in a calibration: 3 % of the corners and 10 % of the stripe points are wrong.
 
-Every draw is calibrated clean and spoiled, so that the two differ by nothing but the outliers.
-They are 3 to 50 px large, in any direction for corners and across the stripe for its points: to
-both sides, or all to one side, as reflections are.
+Each draw is calibrated with and without the outliers. They are 3 to 50 px large: in any direction
+for corners, across the stripe for stripe points, either to both sides or, like reflections, all to
+one side.
 
     python experiments/calibration_outliers.py [--draws 40] [--quick] [--json FILE]
 """

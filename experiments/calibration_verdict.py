@@ -1,8 +1,8 @@
-"""Does the verdict of a calibration accept good data, and does it notice models that do not suffice?
+"""Tests the verdict of a calibration: it must accept good data and reject insufficient models.
 
-On the rig of configs/reference.toml, with the sigmas that the detector states: clean data with
-white and with correlated stripe noise, then a lens term that the model does not have, a bowed
-board held flat, and a table with once-per-turn errors whose harmonics are held at zero.
+The rig is configs/reference.toml, with the sigmas of the detector. Clean data have white or
+correlated stripe noise. The faults are a lens term that the model lacks, a bowed board with the
+warp held at zero, and a table with once-per-turn errors with the harmonics held at zero.
 """
 
 import sys
@@ -29,8 +29,8 @@ AROUND_DEG = (0.0, 90.0, 180.0, 270.0)
 def covering_poses(config: SimulationConfig, seed: int, around_deg: tuple[float, ...]) -> BoardPoses:
     """30 free views and 4 placements of 9 angles, of which the free views without stripe fill the image.
 
-    As people are told to: the board goes into every corner. From many random poses those are
-    taken, one after the other, that show most corners where there were the fewest.
+    As in the instructions for people, the board goes into every corner. From many random poses the
+    one is taken, again and again, whose corners are where the fewest were.
     """
     poses = draw_poses(config, seed, PosePlan(free_views=LIT_VIEWS, placements=4, angles=9, around_deg=around_deg))
     pool = draw_poses(config, seed + 1000, PosePlan(free_views=POOL, placements=0, angles=1, lit=0))

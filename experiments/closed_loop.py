@@ -1,10 +1,10 @@
-"""The whole way with no hardware: boards and a sweep through host, serial line, firmware, trigger wire and GigE camera.
+"""A whole scan without hardware: boards and a sweep through host, serial line, firmware, trigger wire and GigE camera.
 
-Calibrated from the boards alone, and the walls of the room that comes out of it against the truth.
+The rig is calibrated from the boards alone, and the walls of the cloud are compared with the truth.
 
-The firmware runs in a simulated processor and the camera serves rendered pictures on loopback
-(hardware/bench). Everything on the host's side is done by the command line. The truth - what was
-rendered for which frame, and where the walls stand - is read for the comparison at the end.
+The firmware runs in a simulated processor, and the camera serves rendered pictures on loopback
+(hardware/bench). The host is driven by the command line. The truth (the view of each frame, and
+the walls) is read only for the comparison at the end.
 
     python experiments/closed_loop.py [--two-lasers] [--json FILE] [--keep DIR]
 
@@ -48,7 +48,7 @@ def jaxscan_verb(*words: str) -> dict[str, Any]:
 
 
 def shots_right(capture: Path, ledger: Path, microsteps_per_turn: int) -> tuple[int, int]:
-    """How many records show what they say, by the camera's own ledger: records, and right ones.
+    """Number of records, and of those that agree with the camera's own ledger.
 
     A record is right if both of its frames were rendered at the microstep that it names, the first
     in the light of its laser alone and the second without any.

@@ -1,18 +1,17 @@
-"""Stripes and points on an accelerator: equal to the CPU's, and how near to the speed of its memory.
+"""Stripes and points on an accelerator: differences from the CPU, and speed as a share of its memory's.
 
-The stacks lie in the device's memory already. Its speed is that of a copy there, counted one way:
-bytes read over time. What the stages reach is the frames' bytes over their time; the frames are
-all that has to be read once. The choice of a path over the rows, which is sequential by nature, is
-reported apart. What is compiled is compiled before the clock starts.
+The stacks are in the device's memory from the start. The memory's speed is that of a copy, counted
+one way: bytes read over time. The speed of the stages is the bytes of the frames over their time.
+The choice of a path over the rows is sequential and reported separately. Compilation is not timed.
 
-A stage's time includes what it hands to the next one through memory; the function of all stages
-has no such detours. Its results are compared, field by field, with those of the CPU, whose search
+A stage's time includes handing its result over through memory; the function of all stages has no
+such step. Its results are compared, field by field, with those of the CPU, whose search
 is native, with those of the stages, and with the cloud of `reconstruct` as called on this machine.
 
     python experiments/gpu_speed.py [--dry] [--pairs 1024] [--chunk 128] [--json FILE]
 
 Without an accelerator --dry runs everything on the CPU with few pairs, to see that it works: the
-times then say nothing, the differences are those between XLA's search and the native one.
+times then mean nothing; the differences are those between XLA's search and the native one.
 """
 
 import argparse
@@ -94,9 +93,9 @@ def differences(name: str, found: dict[str, Any], expected: dict[str, Any]) -> l
         if key == "u":
             scaled = apart / expected["sigma"][both]
             values["nearly all, in sigmas"] = np.quantile(scaled, NEARLY_ALL) if scaled.size else 0.0
-        for what, value in values.items():
-            unit, asked = ("1", ASKED_SIGMAS) if "sigmas" in what else (UNITS.get(key, "1"), None)
-            figures.append(Figure(f"{name}, {key}: {what}", float(value), unit, "lower", 1.0, asked))
+        for kind, value in values.items():
+            unit, asked = ("1", ASKED_SIGMAS) if "sigmas" in kind else (UNITS.get(key, "1"), None)
+            figures.append(Figure(f"{name}, {key}: {kind}", float(value), unit, "lower", 1.0, asked))
     stripes = max(int(np.count_nonzero(expected["valid"])), 1)
     alone = int(np.count_nonzero(found["valid"] != expected["valid"])) / stripes
     return [
@@ -165,7 +164,7 @@ def compare(here: dict[str, Any], staged: dict[str, Any], first: Chunk, scanner:
 
 
 def main() -> int:
-    """Print the figures; exit code 1 if one misses what is asked of it."""
+    """Print the figures; exit code 1 if one misses its limit."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--dry", action="store_true", help="on the CPU, few pairs")
     parser.add_argument("--pairs", type=int, default=1024)

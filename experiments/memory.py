@@ -1,15 +1,16 @@
-"""Memory of a reconstruction: it must grow by the cloud alone, however long the sweep is.
+"""Memory of a reconstruction: only the cloud may grow with the length of the sweep.
 
-Every sweep is reconstructed at n, 2n and 4n records, each in a process of its own that looks at
-its anonymous memory (`RssAnon` in /proc/self/status) every two milliseconds and reports the
-largest value. Pages of mapped files, which the system drops when it needs room, are not in it;
-JAX, the compiled code and the compiler are. What the compiler takes varies from run to run by more
-than a cloud, so the same process reconstructs the sweep once, gives back what is free, and
-reconstructs it again: "needed" is what the peak lies above what was left (the least of three
-passes: how many chunks wait for each other is chance), and growth is what 2n and 4n records need
-more than n, per cell of the cloud's grid. That asks for chunks so small that as many as ever wait
-for each other do so at n records already; chunks of the default size are watched for their peak
-alone. The frames are synthetic stripes on noise, some distinct ones in turn.
+Each sweep is reconstructed at n, 2n and 4n records, each in a separate process that reads its
+anonymous memory (`RssAnon` in /proc/self/status) every two milliseconds and reports the largest
+value. This includes JAX, the compiled code and the compiler, but not pages of mapped files, which
+the system drops when it needs room.
+
+The compiler's memory varies between runs by more than a cloud. So the process reconstructs the
+sweep once, returns free memory, and reconstructs it again. "needed" is the peak above the memory
+left before: the least of three passes, because the number of waiting chunks varies. "growth" is
+the additional memory of 2n and 4n records over n, per cell of the cloud's grid. For this the
+chunks are so small that the largest number of waiting chunks is reached at n records. With chunks
+of the default size only the peak is checked. The frames are synthetic stripes on noise.
 
     python experiments/memory.py [--quick] [--json FILE]
 """
@@ -40,7 +41,7 @@ LIMIT_BYTES = 2e9
 GROWTH_BYTES = 60.0
 """Most that a cell of the grid may take: 40 for the cloud's fields, the rest for its records."""
 ALLOCATOR = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_ARENA_MAX": "2"}
-"""Arrays are mapped one by one and unmapped when they are free, so that what is seen is what is used."""
+"""Arrays are mapped one by one and unmapped when they are free, so that resident memory is used memory."""
 PASSES = 3
 DISTINCT = 8
 """Different pairs of frames."""
@@ -147,7 +148,7 @@ def anonymous_bytes() -> int:
 
 
 def child(folder: Path, chunk_records: int | None) -> None:
-    """Reconstruct a capture a few times and print what it took."""
+    """Reconstruct a capture a few times and print memory and time."""
     settings = ReconstructSettings(chunk_records=chunk_records)
     with Watch() as compiling:
         sweep = open_capture(folder)
@@ -193,7 +194,7 @@ def measure(case: Case) -> list[dict[str, Any]]:
 
 
 def main() -> int:
-    """Print a table and the verdict; exit code 1 if memory is not what it should be."""
+    """Print a table and the verdict; exit code 1 if memory is above its limit."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--quick", action="store_true", help="fewer records")
     parser.add_argument("--json", metavar="FILE", help="write the figures as JSON too")

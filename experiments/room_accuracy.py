@@ -1,7 +1,7 @@
-"""How true a room is: board images to a calibration, frames to a cloud, a cloud to wall distances, over several seeds.
+"""Accuracy of wall distances in a room, from board images to calibration, frames to cloud, over several seeds.
 
 Every seed draws its own board poses and all of its noise. The room without noise is rendered
-once and exposed once per seed. Nothing but the comparison at the end sees the truth.
+once and exposed once per seed. Only the comparison at the end uses the truth.
 
     python experiments/room_accuracy.py [configs/paper.toml] [--every 10] [--seeds 5] [--json FILE]
 
@@ -24,7 +24,7 @@ from jaxscan.simulation import ExpectedRecord, PlanSpec, SimulationConfig, devel
 
 
 CHUNK = 24
-"""Records that are rendered together: what is held in memory."""
+"""Records that are rendered together and held in memory."""
 QUICK_CONFIG = Path(jaxscan.__file__).parent / "data" / "demo.toml"
 AMPLITUDE_SIGMAS = 5.0
 """A stripe counts as visible from this many standard deviations of a difference pixel on."""

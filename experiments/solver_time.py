@@ -1,9 +1,9 @@
 """Time and memory of the joint solve against optimistix' own solvers, and of the camera alone against OpenCV.
 
 The joint problem has 40 views of 88 corners and 40 stripes of 1000 points, about 47 000 residuals,
-everything free that is free by default. All solvers minimise the same function from the same start,
-which is off by tens of pixels, and stop at the same tolerance. Each runs in a process of its own, so
-that its peak memory is its own. Times are those of processes that have compiled; look at the ratios.
+with the default free parameters. All solvers minimise the same function from the same start, which
+is off by tens of pixels, and stop at the same tolerance. Each runs in a separate process, so that
+its peak memory can be measured. Times exclude compilation; only their ratios mean much.
 """
 
 import json
@@ -56,7 +56,7 @@ def joint_problem() -> Problem:
     views[: len(fit.pose)] = fit.pose
     boards = average_placements(views, data, scanner.turntable)
     problem = make_problem(scanner.camera, scanner.lasers, scanner.turntable, boards, data, settings)
-    # Padding would be work for the others that is not theirs.
+    # Padding would be additional work for the other solvers.
     shapes = {
         "poses": (int(data.placement.max()) + 1,),
         "board": (observed.corners.q.shape[1],),
@@ -69,7 +69,7 @@ def joint_problem() -> Problem:
         cut = getattr(problem, name)[tuple(slice(0, n) for n in shape)]
         problem = eqx.tree_at(lambda p, name=name: getattr(p, name), problem, cut)
     corner = observed.corners.valid / trials.CORNER_PX
-    # About what one pixel across the stripe is worth [m]: the weights must only be the same for all.
+    # About the width of one pixel across the stripe [m]; the weights need only be the same for all.
     stripe = observed.stripes.valid / (trials.STRIPE_PX * 1.5e-3)
     problem = eqx.tree_at(lambda p: (p.corner_weight, p.stripe_weight), problem, (corner, stripe))
     random, step = np.random.default_rng(1), zero_step(problem)

@@ -1,11 +1,11 @@
-"""Speed of a whole reconstruction, beside other pipelines and beside what the machine can do, in one run.
+"""Speed of a whole reconstruction beside other pipelines and the limits of the machine, in one run.
 
-All contestants get the same stacks in memory and take turns. Ours and the pipelines end in
-coloured points; ours gives sub-pixel centres by a weighted fit with their noise, a choice among
-several reflections, normals and two sigmas per point beside. "fused" is the least that a processor
-needs for peak and centroid, "read" for the bytes alone. Then whole sweeps from files: PNG against
-decoding them, shards of many pairs, other lengths, and again from stripes that are known.
-What is compiled is compiled before the clock starts. Frames: `speed_scene.py`.
+All contestants get the same stacks in memory and take turns. Ours and the other pipelines end in
+coloured points. Ours also fits sub-pixel centres with their noise, chooses among several
+reflections, and gives normals and two sigmas per point. "fused" is the least work for peak and
+centroid, "read" the least for the bytes alone. Then whole sweeps from files: PNG against decoding
+alone, shards of many pairs, other lengths, and clouds from known stripes. Compilation is not
+timed. The frames come from `speed_scene.py`.
 
     python experiments/speed.py [--quick] [--only memory|stages|png|shards] [--scratch DIR]
                                 [--json FILE] [--results DIR]
@@ -29,7 +29,7 @@ import numpy as np
 from measuring import speed_disk
 from measuring import speed_peers as peers
 from measuring.speed_stages import stages
-from measuring.speed_times import Figure, Times, load, machine, take_turns
+from measuring.speed_times import Contestant, Figure, Times, load, machine, take_turns
 from tables.speed_table import write_results
 from worlds.speed_scene import (
     DISTINCT,
@@ -67,19 +67,6 @@ class Size(NamedTuple):
 
 FULL = Size(512, 5, 512, (100, 400, 1200, 3600), 2)
 QUICK = Size(48, 2, 24, (50, 100), 1)
-
-
-class Contestant(NamedTuple):
-    """A row of the table."""
-
-    name: str
-    what: str
-    times: Times
-    """Of one pair [s]."""
-    points: float | None = None
-    """Share of the lines that got a point."""
-    right: float | None = None
-    """Share of the lines with a stripe whose centre is within 1 px of it."""
 
 
 def own_variants() -> dict[str, dict[str, Any]]:
@@ -130,7 +117,7 @@ def measure_memory(frames: Frames, size: Size) -> list[Contestant]:
     right["ours, centre of gravity"] = _right(np.where(plain.valid, plain.u, np.nan), frames)
     for name in ("horus", "usual", "lean"):
         points[name] = float(np.isfinite(others[name].u).mean())
-    what = {
+    gives = {
         "ours": "points, colours, normals, two sigmas; the noise of the frames, once",
         "ours, noise given": "points, colours, normals, two sigmas",
         "ours, no normals": "noise given; points, colours, two sigmas",
@@ -143,7 +130,7 @@ def measure_memory(frames: Frames, size: Size) -> list[Contestant]:
         "read": "bound: the bytes",
     }
     return [
-        Contestant(name, what[name], Times(*(t / size.pairs for t in times[name])), points.get(name), right.get(name))
+        Contestant(name, gives[name], Times(*(t / size.pairs for t in times[name])), points.get(name), right.get(name))
         for name in runs
     ]
 

@@ -1,7 +1,7 @@
-"""Stripe centres against the Cramer-Rao bound, and how often a row is found, missed, invented or mistaken.
+"""Accuracy of stripe centres against the Cramer-Rao bound, and shares of rows found, missed, invented or mistaken.
 
-All through the public call with its default settings, on frames from an independent renderer
-(`stripe_world.py`), once with the noise known and once estimated from the frames themselves:
+Everything uses the public call with its default settings, on frames from an independent renderer
+(`stripe_world.py`), once with known noise and once with noise estimated from the frames:
 
 - cells: error over the bound, bias over the sub-pixel phase and honesty of sigma, width by amplitude;
 - narrow: the same at 0.7 px; over-exposed: at 2.4 times full scale;
@@ -10,7 +10,7 @@ All through the public call with its default settings, on frames from an indepen
 - peer: the centre of gravity, the plain estimator, beside the Gaussian on the same frames.
 
 Without --only and --quick a table and a plot are written to experiments/results. The exit code is
-1 where a figure misses what is asked.
+1 if a figure misses its limit.
 
     python experiments/stripe_accuracy.py [--only SECTION] [--quick] [--json FILE] [--results DIR]
 """
@@ -59,7 +59,7 @@ def extracted(
 
 
 def models(sensor: Sensor) -> dict[str, NoiseModel | None]:
-    """What the extraction is told about the noise."""
+    """Noise models that the extraction is given; None: it estimates the noise."""
     return {"known": NoiseModel(sensor.read_dn, sensor.electrons_per_dn), "estimated": None}
 
 

@@ -1,7 +1,7 @@
-"""The stages that run on an accelerator, for `gpu_speed.py`: candidates, their fits, a path over the rows, points.
+"""The stages on an accelerator, for `gpu_speed.py`: candidates, their fits, a path over the rows, points.
 
-Each stage takes what the one before it gives. Gathering the candidates of each line belongs to the
-fit and taking the chosen ones to the triangulation, so that the path is the choice and nothing else.
+Each stage takes the result of the stage before it. Gathering the candidates of each line is timed
+with the fit, and taking the chosen ones with the triangulation, so that the path is the choice alone.
 """
 
 from collections.abc import Callable
@@ -37,7 +37,7 @@ class Chunk(NamedTuple):
 
 
 class Job(NamedTuple):
-    """What every chunk needs beside its frames."""
+    """Shared by all chunks."""
 
     engine: StripeEngine
     aim: Aim
@@ -51,7 +51,7 @@ class Found(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """Which candidate of every line is the stripe, -1 for none, and all of them."""
+    """Number of the candidate that is the stripe, -1 for none, and the fits of all candidates."""
 
     number: Int8[Array, "pairs lines"]
     fits: Measured
@@ -66,13 +66,13 @@ class Finished(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """A part of the way from frames to points."""
+    """A stage of a reconstruction."""
 
     name: str
     run: Callable[..., Any]
-    """`run(job, chunk, given)`: `given` is what the stage before returned."""
+    """`run(job, chunk, given)`: `given` is the result of the stage before."""
     is_path: bool = False
-    """Whether it is the path over the rows, which is reported apart."""
+    """Whether it is the path over the rows, which is reported separately."""
 
 
 def prepare(first: Chunk, scanner: Scanner, noise: NoiseModel) -> Job:
@@ -112,7 +112,7 @@ def to_path(job: Job, chunk: Chunk, given: Measured) -> Chosen:
 
 
 def to_points(job: Job, chunk: Chunk, given: Chosen) -> Finished:
-    """Triangulate and colour what was chosen."""
+    """Triangulate and colour the chosen candidates."""
     valid: Bool[Array, "pairs lines"] = given.number >= 0
 
     def taken(field):
@@ -136,13 +136,13 @@ STAGES = (
 
 
 def all_of_it(job: Job, chunk: Chunk) -> Finished:
-    """All stages in one function, as a reconstruction on an accelerator has them."""
+    """All stages in one function, as in a reconstruction on an accelerator."""
     then = coloured(job.engine.setup.frames, job.aim, chunk.phi)
     return _finished(compute_at_once(job.engine, chunk.on, chunk.off, then))
 
 
 def natively(job: Job, chunk: Chunk) -> Finished:
-    """The same on the CPU, whose search is native, as a reconstruction there has it; NumPy arrays."""
+    """The same on the CPU with the native search, as in a reconstruction there; NumPy arrays."""
     with jax.default_device(jax.devices("cpu")[0]):
         job, chunk = jax.tree.map(np.asarray, (job, chunk))
         then = coloured(job.engine.setup.frames, job.aim, chunk.phi)

@@ -1,7 +1,7 @@
 """Sweeps from files, for `speed.py`: PNG as the project writes them, and shards in the page cache.
 
-Captures name some distinct files many times (PNG), or hold every frame by itself (shards). What
-is measured on shards runs in a process of its own, whose memory is looked at.
+PNG captures name a few distinct files many times; shards hold every frame. Shards are measured in
+a separate process, so that its memory can be watched.
 """
 
 import argparse
@@ -108,7 +108,7 @@ def measure_png(folder: Path, repeats: int) -> dict[str, Any]:
 
 
 def measure_shards(folder: Path, counts: list[int], repeats: int) -> dict[str, Any]:
-    """All that is measured on shards, by a process of its own."""
+    """Measure everything on shards, in a separate process."""
     words = [sys.executable, "-m", "measuring.speed_disk", "--child", str(folder.resolve()), "--repeats", str(repeats)]
     words += ["--counts", ",".join(str(count) for count in counts)]
     experiments = Path(__file__).resolve().parents[1]
@@ -148,7 +148,7 @@ def _child(folder: Path, counts: list[int], repeats: int) -> None:
 
 
 def _from_cache(capture: Capture, scanner: Scanner) -> PointCloud:
-    """The stripes as they were kept beside the capture, and the cloud from them."""
+    """Cloud from the stripes that are cached beside the capture."""
     kept = cached_stripes(cache_path(capture), {"frames": frames_key(capture)})
     assert kept is not None
     return reconstruct(capture, scanner, stripes=Stripes(**kept))

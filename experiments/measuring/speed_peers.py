@@ -1,4 +1,4 @@
-"""The other side of the speed experiments: NumPy and OpenCV pipelines, and what the processor could do.
+"""Other pipelines for the speed experiments, in NumPy and OpenCV, and bounds of the processor.
 
 All pipelines end in coloured points: `horus` as the well-known desk scanner does it, operation by
 operation; `usual` the same for all rows at once; `lean` the least that gives a centroid. `fused`
@@ -208,7 +208,7 @@ def fused(on: np.ndarray, off: np.ndarray, pool: ThreadPoolExecutor) -> Peer:
 
 
 def read(on: np.ndarray, off: np.ndarray, pool: ThreadPoolExecutor) -> Callable[[], object]:
-    """Add up all bytes, eight at a time, on all cores: what merely touching the frames costs."""
+    """Add up all bytes, eight at a time, on all cores: the cost of reading the frames."""
     words = (stack.reshape(-1).view(np.uint64) for stack in (on, off))
     parts = [part for whole in words for part in np.array_split(whole, 8 * THREADS)]
     return lambda: list(pool.map(_add_up, parts))

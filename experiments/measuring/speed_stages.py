@@ -1,7 +1,7 @@
-"""Ours stage by stage on stacks in memory: what each stage takes, what it touches, and what bounds it.
+"""Our reconstruction stage by stage on stacks in memory: time, memory traffic and bound of each stage.
 
-The stages of a chunk are timed in one thread each on its own; a whole reconstruction computes a
-chunk on every core.
+Each stage of a chunk is timed alone in one thread; a whole reconstruction computes a chunk on
+every core.
 """
 
 import functools
@@ -39,11 +39,11 @@ class Stage(NamedTuple):
     pair_bytes: float
     """Bytes of a pair that it reads and writes in memory."""
     bound: str
-    """What holds it back."""
+    """The resource that limits it."""
 
 
 def stages(frames: Frames, scanner: Scanner, repeats: int) -> list[Stage]:
-    """Every stage by itself, on what the stage before it gives."""
+    """Time each stage alone, on the result of the stage before it."""
     pairs = len(frames.on)
     sweep = Sweep(frames.on, frames.off, make_angles(pairs))
     noise = NoiseModel(READ_DN, ELECTRONS_PER_DN)

@@ -1,4 +1,4 @@
-"""What the speed experiments share: times taken in turn, memory without mapped files, figures with what is asked."""
+"""Shared by the speed experiments: times taken in turn, memory without mapped files, figures with limits."""
 
 import os
 import platform
@@ -12,16 +12,16 @@ from typing import NamedTuple
 
 
 class Times(NamedTuple):
-    """What runs of one thing take [s]."""
+    """Times of several runs of one function [s]."""
 
     best: float
     median: float
     processor: float
-    """Least time of all cores together; unlike the wall's it hardly depends on what else the machine does."""
+    """Least time of all cores together; unlike wall time, it hardly depends on the load of the machine."""
 
 
 class Figure(NamedTuple):
-    """A number, and what is asked of it."""
+    """A number and its limit."""
 
     key: str
     value: float
@@ -29,7 +29,7 @@ class Figure(NamedTuple):
     direction: str
     """Which way is better: "lower", "higher" or "none"."""
     tolerance: float
-    """Relative change that means nothing."""
+    """Relative change that is not significant."""
     asked: float | None = None
     """Limit on the side that `direction` says."""
 
@@ -38,6 +38,20 @@ class Figure(NamedTuple):
         if self.asked is None:
             return None
         return self.value <= self.asked if self.direction == "lower" else self.value >= self.asked
+
+
+class Contestant(NamedTuple):
+    """A pipeline beside others."""
+
+    name: str
+    gives: str
+    """Its results, in words."""
+    times: Times
+    """Of one pair [s]."""
+    points: float | None = None
+    """Share of the lines that got a point."""
+    right: float | None = None
+    """Share of the lines with a stripe whose centre is within 1 px of it."""
 
 
 def take_turns(functions: dict[str, Callable[[], object]], repeats: int) -> dict[str, Times]:
@@ -58,7 +72,7 @@ def summary(walls: tuple[float, ...], processor: tuple[float, ...] = (0.0,)) -> 
 
 
 class Watch:
-    """The largest anonymous memory of this process while it is open: pages of mapped files are not in it."""
+    """Largest anonymous memory of this process while open; pages of mapped files do not count."""
 
     def __init__(self) -> None:
         self.peak = anonymous_bytes()
@@ -86,7 +100,7 @@ def anonymous_bytes() -> int:
 
 
 def machine() -> dict[str, str]:
-    """When and on what this was measured."""
+    """Date, processor, versions and load of this run."""
     with open("/proc/cpuinfo") as info:
         names = [line.split(":", 1)[1].strip() for line in info if line.startswith("model name")]
     packages = ("jax", "numba", "numpy", "opencv-python-headless")
@@ -100,5 +114,5 @@ def machine() -> dict[str, str]:
 
 
 def load() -> str:
-    """How many processes wanted a core lately."""
+    """Load average of the last minute."""
     return f"{os.getloadavg()[0]:.2f}"

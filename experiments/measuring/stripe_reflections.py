@@ -39,7 +39,7 @@ SHARE = 0.2
 
 
 class Reflection(NamedTuple):
-    """What is added to one record."""
+    """Light that is added to one record."""
 
     light: np.ndarray
     """[rows, columns], DN."""
@@ -151,7 +151,7 @@ def reflections_on_single_rows(
 
 
 class Score(NamedTuple):
-    """Rows by what was made of them. Rows count whose stripe is found on the clean frames."""
+    """Counts of rows by outcome. Only rows count whose stripe is found on the clean frames."""
 
     lit: int
     clean: int

@@ -2,23 +2,18 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from measuring.speed_stages import Stage
+from measuring.speed_times import Contestant, Figure
 from tables.speed_plot import draw
-
-
-if TYPE_CHECKING:
-    from measuring.speed_stages import Stage
-    from measuring.speed_times import Figure
-    from speed import Contestant
 
 
 def write_results(
     folder: Path,
     about: dict[str, str],
-    rows: "list[Contestant]",
-    steps: "list[Stage]",
-    figures: "list[Figure]",
+    rows: list[Contestant],
+    steps: list[Stage],
+    figures: list[Figure],
     pairs: int,
 ) -> None:
     """`speed.md`, `speed.json` and `speed.png`."""
@@ -56,7 +51,7 @@ def _table(head: list[str], lines: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(row) + " |" for row in rows) + "\n"
 
 
-def _asked(figures: "list[Figure]") -> str:
+def _asked(figures: list[Figure]) -> str:
     lines = []
     for figure in figures:
         if figure.asked is not None:
@@ -64,16 +59,16 @@ def _asked(figures: "list[Figure]") -> str:
             unit = "" if figure.unit == "1" else f" {figure.unit}"
             verdict = "yes" if figure.met() else "**no**"
             lines.append([figure.key, f"{figure.value:.3g}{unit}", f"{sign} {figure.asked:g}{unit}", verdict])
-    return "## What is asked\n\n" + _table(["figure", "found", "asked", "met"], lines)
+    return "## Limits\n\n" + _table(["figure", "found", "limit", "met"], lines)
 
 
-def _contestants(rows: "list[Contestant]") -> str:
+def _contestants(rows: list[Contestant]) -> str:
     own = next(row.times.best for row in rows if row.name == "ours")
     lines = []
     for row in rows:
         shares = ["" if share is None else f"{100 * share:.1f} %" for share in (row.points, row.right)]
         times = [f"{1e3 * t:.3f}" for t in row.times]
-        lines.append([row.name, row.what, *times, f"{row.times.best / own:.2f}", *shares])
+        lines.append([row.name, row.gives, *times, f"{row.times.best / own:.2f}", *shares])
     head = ["", "gives", "best, ms/pair", "median", "processor", "over ours", "lines with a point", "stripes found"]
     text = """## From frames in memory
 
@@ -84,7 +79,7 @@ reflections too; "stripes found" are the stripes drawn whose centre was found wi
     return text + _table(head, lines)
 
 
-def _stages(steps: "list[Stage]", bandwidth: float | None) -> str:
+def _stages(steps: list[Stage], bandwidth: float | None) -> str:
     lines = []
     for step in steps:
         rate = step.pair_bytes / step.times.best / 1e9
@@ -95,6 +90,6 @@ def _stages(steps: "list[Stage]", bandwidth: float | None) -> str:
     return "## Ours, stage by stage\n\n" + _table(head, lines)
 
 
-def _rest(figures: "list[Figure]") -> str:
+def _rest(figures: list[Figure]) -> str:
     lines = [[figure.key, f"{figure.value:.4g}", "" if figure.unit == "1" else figure.unit] for figure in figures]
     return "## All figures\n\n" + _table(["figure", "value", "unit"], lines)

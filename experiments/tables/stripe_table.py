@@ -1,4 +1,4 @@
-"""Figures of stripe extraction: what is asked of them, as tables and as a plot."""
+"""Figures of stripe extraction with their limits, as tables and as a plot."""
 
 import os
 import platform
@@ -15,7 +15,7 @@ from matplotlib import pyplot as plt
 
 
 class Figure(NamedTuple):
-    """A measured number, and the limits [low, high] that are asked of it, if any."""
+    """A measured number and its limits [low, high], if any."""
 
     key: str
     value: float
@@ -52,7 +52,7 @@ class Cell(NamedTuple):
 
 
 def cell_figures(cells: list[Cell], section: str) -> list[Figure]:
-    """What is asked of each cell."""
+    """The figures of each cell, with their limits."""
     out = []
     for cell in cells:
         key = f"{section}_{cell.width:g}px_{cell.amplitude:g}dn_{cell.noise}"
@@ -127,7 +127,7 @@ def draw(cells: list[Cell], path: Path) -> None:
 
 
 def processor() -> str:
-    """What the machine calls its processor."""
+    """Name of the processor, and its number of cores."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

@@ -1,6 +1,6 @@
-"""Corners and stripe points of calibration boards as a rig sees them, without rendering, to the last digit.
+"""Exact corners and stripe points of calibration boards, without rendering.
 
-Nothing is noisy but by `add_noise`, and nothing here is known to `geometry`: see `ideal_rig`.
+`add_noise` adds noise. The code is independent of `geometry`: see `ideal_rig`.
 """
 
 from collections.abc import Sequence
@@ -23,12 +23,12 @@ _ROLL_DEG = 20.0
 
 
 class BoardPoses(NamedTuple):
-    """Where boards stand, and at which table angles each is seen."""
+    """Poses of the boards, and the table angles at which each is seen."""
 
     boards: list[Motion]
     """T_cam0_board of every placement: in the camera frame at angle 0."""
     placement: np.ndarray
-    """Which of them each view shows [views]."""
+    """Placement of each view [views]."""
     angle: np.ndarray
     """Table angle of each view [views], rad."""
     lit: np.ndarray
@@ -50,14 +50,14 @@ class IdealBoards(NamedTuple):
 
 
 class PosePlan(NamedTuple):
-    """How many poses to draw, and at which angles of the table."""
+    """Number of poses to draw, and their table angles."""
 
     free_views: int
     """Boards seen once."""
     placements: int = 0
     """Boards seen at several angles."""
     angles: int = 1
-    """How many, evenly spread."""
+    """Angles of each placement, evenly spread."""
     span_deg: float = 24.0
     """Range of the angles."""
     around_deg: Sequence[float | int] = (0.0,)

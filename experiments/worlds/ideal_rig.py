@@ -1,7 +1,7 @@
-"""A true rig as a forward model: pixels of points of a board and of the stripe on it, to the last digit.
+"""Forward model of a true rig: exact pixels of board points and of the stripe on the board.
 
-Written in NumPy apart from `geometry` and `calibration` on purpose: an estimator that is tested
-with these cannot share an error with them.
+Written in NumPy, independent of `geometry` and `calibration` on purpose, so that an error in either
+shows.
 """
 
 from collections.abc import Callable
@@ -18,11 +18,10 @@ from jaxscan.simulation import (
     turning_axis,
     undistort,
 )
-from jaxscan.simulation.rig import UP
 
 
 NEAREST_M = 0.05
-"""Nothing is seen nearer to the camera than this."""
+"""Points nearer to the camera than this are not seen."""
 
 
 class IdealRig:
@@ -31,9 +30,7 @@ class IdealRig:
     def __init__(self, config: SimulationConfig, lens_px: float = 0.0) -> None:
         self.config = config
         self.flaw = lens_flaw(config.camera, lens_px)
-        self.direction, self.point = turning_axis(config.turntable)
-        if self.direction @ np.array(UP[config.camera.up]) < 0:
-            self.direction = -self.direction
+        self.direction, self.point = turning_axis(config)
         board = config.boards.board()
         self.outline = board.outline()[[0, 2]]
         corners = board.corners()[:, :2]

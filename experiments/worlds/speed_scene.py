@@ -1,4 +1,4 @@
-"""The rig and the frames of the speed experiments: a room that makes it hard, not one that flatters.
+"""The rig and the frames of the speed experiments: a difficult room.
 
 The background has texture, furniture and a bright window; frames have read and shot noise. The
 stripe comes from depths in the room through the calibrated rig, with a step at every piece of
@@ -25,7 +25,7 @@ _NEAR_M, _FAR_M = 0.9, 7.5
 
 
 class Frames(NamedTuple):
-    """A stack of pairs, and what was drawn into it."""
+    """A stack of pairs and the stripes that were drawn into it."""
 
     on: np.ndarray
     """uint8 [pairs, rows, columns]."""
@@ -59,7 +59,7 @@ def make_angles(pairs: int) -> np.ndarray:
 
 
 class _Stage:
-    """What all pairs share."""
+    """The room and the rig of all pairs."""
 
     def __init__(self, scanner: Scanner) -> None:
         self.random = np.random.default_rng(20)

@@ -1,7 +1,7 @@
-"""Stripes whose truth is known, the sensor that sees them, and how well their centres can be told at all.
+"""Stripes with known truth, their sensor, and the bound of the accuracy of their centres.
 
-Nothing here comes from the code that is judged: pixels are integrated by quadrature, noise is
-drawn from its own law (Poisson electrons, Gaussian read noise, rounding, clipping).
+Nothing here shares code with the extraction under test: pixels are integrated by quadrature; noise
+is Poisson electrons, Gaussian read noise, rounding and clipping.
 """
 
 from typing import NamedTuple
@@ -117,8 +117,8 @@ def centre_bound(width: float, amplitude: float, sensor: Sensor) -> float:
     """Cramer-Rao bound of the centre [px], root mean square over its phase.
 
     Amplitude and width are unknown too; a clipped pixel tells nothing. The variance of a sample of
-    the difference is that of both frames with rounding, and the stripe's own shot noise; what its
-    change with the centre tells besides is less than 1e-3 of the information at 40 e-/DN.
+    the difference is the sum of both frames' with rounding, and the stripe's own shot noise. The
+    information in the change of that variance with the centre is neglected: less than 1e-3 at 40 e-/DN.
     """
     half = int(np.ceil(_REACH * width + 2))
     column = np.arange(-half, half + 1).astype(float)

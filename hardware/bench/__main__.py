@@ -64,7 +64,7 @@ def _carried_out(desk: Desk, text: str) -> str:
 
 
 def run(world: Path, config: str) -> int:
-    """Set the bench up, say what to type, and attend to it."""
+    """Set the bench up, print how to scan with it, and serve the terminal."""
     folder = runtime()
     print("Building, and making a room …", flush=True)
     with set_up(folder, world=world) as desk:

@@ -22,7 +22,7 @@ IMAGES = {
 
 
 def missing_tools() -> list[str]:
-    """What has to be installed before the rig can be built, as Debian's packages."""
+    """Debian packages that are missing for building the rig."""
     needed = {
         "gcc-avr": shutil.which("avr-gcc"),
         "avr-libc": os.path.exists("/usr/lib/avr/include/avr/io.h"),

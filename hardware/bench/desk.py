@@ -1,4 +1,4 @@
-"""The whole bench in one place: rig and camera, and what a person at the terminal may do to them."""
+"""The whole bench: rig and camera, and the commands of a person at the terminal."""
 
 import fcntl
 import os
@@ -38,7 +38,7 @@ class Desk:
     camera: RenderedCamera
 
     def command(self, text: str) -> str:
-        """Carry out one line; what there is to say about it.
+        """Carry out one line, and return its answer.
 
         Raises:
             BenchError: If it is not understood.
@@ -71,9 +71,9 @@ class Desk:
         """Make the cable bad, or good again: "on" or "off"."""
         if switch not in ("on", "off"):
             raise BenchError(f"noise: found {switch!r}, expected on or off.")
-        for what, share in NOISE.items():
+        for fault, share in NOISE.items():
             for way in ("rx", "tx"):
-                self.rig.control(f"{what}_{way} {share if switch == 'on' else 0}")
+                self.rig.control(f"{fault}_{way} {share if switch == 'on' else 0}")
         return f"noise {switch}"
 
     def status(self) -> str:

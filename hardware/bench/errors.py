@@ -1,4 +1,4 @@
-"""What goes wrong on the bench itself, not in the rig that it imitates."""
+"""Errors of the bench itself, not of the rig that it simulates."""
 
 from jaxscan.errors import JaxscanError
 

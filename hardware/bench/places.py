@@ -1,4 +1,4 @@
-"""Where the bench's files are."""
+"""Paths of the bench's files."""
 
 import os
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 WORLD = HERE / "camera" / "world.toml"
-"""What there is to see."""
+"""The world in front of the camera."""
 TWO_LASERS = HERE / "camera" / "world_two_lasers.toml"
 """The same with a second laser."""
 

@@ -16,7 +16,7 @@ def launch(
     Args:
         command: The program with its arguments.
         folder: Its working folder.
-        errors: File to which what it says on stderr is added.
+        errors: File to which its stderr is appended.
         within_s: How long that may take.
         apart: Whether Ctrl-C at the terminal is kept from it, because who started it ends it in order.
 

@@ -25,10 +25,10 @@ READY_S = 10.0
 
 @dataclass(frozen=True)
 class RigOptions:
-    """What rig it is."""
+    """Settings of a simulated rig."""
 
     firmware: str | Path = "scan"
-    """"scan", "scan_hang", "echo" (some other device, which sends back what it gets), or the path of an image."""
+    """"scan", "scan_hang", "echo" (some other device, which sends back all bytes), or the path of an image."""
     speed: float = 1.0
     """Simulated seconds per second; 0: as fast as it goes."""
     microsteps_per_turn: int = 28800
@@ -60,7 +60,7 @@ class SimulatedRig:
 
     Start it from a thread that lives as long as the rig: the kernel ends the runner with it.
 
-    Assertions belong on `edges()` and `plant()`: what the pins and the table did, not what the firmware says.
+    Tests assert on `edges()` and `plant()`, the pins and the table, not on the firmware's own words.
     """
 
     def __init__(self, folder: str | Path, options: RigOptions = RIG_DEFAULTS) -> None:
@@ -68,7 +68,7 @@ class SimulatedRig:
 
         Args:
             folder: Holds port, log, sockets and the EEPROM's content; made if it is not there.
-            options: What rig it is.
+            options: Settings of the rig.
         """
         self.folder = Path(folder)
         self.port = str(self.folder / "port")
@@ -130,7 +130,7 @@ class SimulatedRig:
         if not self.edges_path.exists():
             return []
         if self._control is not None:
-            self.plant()  # What happened before an answer is in the log by then.
+            self.plant()  # Its answer comes after all earlier events are in the log.
         lines = self.edges_path.read_text().split("\n")
         return [json.loads(line) for line in lines[:-1]]
 

@@ -1,1 +1,1 @@
-"""The acquisition layer's host side: drives turntable, laser and camera, and writes captures."""
+"""The host's side of the rig: drives turntable, lasers and camera, and writes captures."""

@@ -1,4 +1,4 @@
-"""Time, behind a name, so that tests of waiting need not wait."""
+"""Clocks, replaceable so that tests of waiting need not wait."""
 
 import time
 from dataclasses import dataclass
@@ -7,10 +7,10 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """What the acquisition layer knows of time."""
+    """The time source of the acquisition layer."""
 
     def now(self) -> float:
-        """Monotonic seconds; only differences mean anything."""
+        """Monotonic seconds; only differences are meaningful."""
         ...
 
     def utc(self) -> str:
@@ -24,7 +24,7 @@ class Clock(Protocol):
 
 @dataclass(frozen=True)
 class SystemClock:
-    """The computer's own time."""
+    """The computer's clock."""
 
     def now(self) -> float:
         """Monotonic seconds."""
@@ -41,7 +41,7 @@ class SystemClock:
 
 @dataclass
 class ManualClock:
-    """A clock that moves only when it is told to, or slept on. For tests."""
+    """A clock that moves only when `sleep` is called or `time_s` is set. For tests."""
 
     time_s: float = 0.0
     start: datetime = datetime(2000, 1, 1, tzinfo=UTC)
@@ -51,7 +51,7 @@ class ManualClock:
         return self.time_s
 
     def utc(self) -> str:
-        """`start` and the seconds since."""
+        """`start` plus the seconds since."""
         return rfc3339(self.start + timedelta(seconds=self.time_s))
 
     def sleep(self, s: float) -> None:
@@ -60,5 +60,5 @@ class ManualClock:
 
 
 def rfc3339(moment: datetime) -> str:
-    """A moment in UTC as RFC 3339 has it, with six decimals and a Z."""
+    """A moment in UTC in RFC 3339 format, with six decimals and a Z."""
     return moment.strftime("%Y-%m-%dT%H:%M:%S.%fZ")

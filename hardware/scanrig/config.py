@@ -1,4 +1,4 @@
-"""A rig's configuration: which controller, table, laser and camera there are, and what is to be captured."""
+"""A rig's configuration: its controller, turntable, lasers and camera, and the plan of a capture."""
 
 import hashlib
 import json
@@ -18,7 +18,7 @@ from scanrig.controllers import ControllerTable
 
 
 MAX_MICROSTEPS = 10_000_000
-"""Largest number of microsteps of a turn: an hour at the fastest a controller steps is half of this."""
+"""Most microsteps of a turn; at the highest step rate such a turn takes 17 minutes."""
 MAX_LASERS = 2
 """Lasers that a controller can switch."""
 
@@ -34,35 +34,35 @@ _RATES = {
     "acceleration_deg_s2": (100.0, 100, 60_000),
     "home_speed_deg_s": (2.5, 20, 10_000),
 }
-"""Key: a moderate value, and what the controller takes in microsteps."""
+"""Key: default, and the range that the controller takes in microsteps."""
 
 
 class TurntableTable(FileModel):
-    """What turns, and how. Speeds that are not given are moderate ones."""
+    """Turntable, gear and motion. Speeds that are not given have moderate defaults."""
 
     carries: Carries = "scanner"
     full_steps: Annotated[Integer, pydantic.Field(ge=4, le=100_000)] = 200
-    """Full steps of the motor in a turn of the motor."""
+    """Full steps per turn of the motor."""
     microsteps: Annotated[Integer, pydantic.Field(ge=1, le=1024)] = 16
-    """Microsteps in a full step, as the driver is set."""
+    """Microsteps per full step, as set at the driver."""
     gear: tuple[Integer, Integer] = (1, 1)
-    """Turns of the motor in a turn of the table, as two integers: [9, 1], or [60, 16] teeth."""
+    """Turns of the motor per turn of the table, as two integers: [9, 1], or [60, 16] teeth."""
     speed_deg_s: Annotated[Number, pydantic.Field(gt=0, le=1000)] | None = None
     start_speed_deg_s: Annotated[Number, pydantic.Field(gt=0, le=1000)] | None = None
-    """Speed at which a ramp may begin."""
+    """Speed at the beginning of a ramp."""
     acceleration_deg_s2: Annotated[Number, pydantic.Field(gt=0, le=10_000)] | None = None
     home_speed_deg_s: Annotated[Number, pydantic.Field(gt=0, le=1000)] | None = None
     """Speed of the slow approach to the home switch."""
     home_within_deg: Annotated[Number, pydantic.Field(gt=0, le=800)] = 400.0
-    """How far the home switch is looked for."""
+    """How far to search for the home switch."""
     backlash_deg: Annotated[Number, pydantic.Field(ge=0, le=30)] = 0.0
-    """How far beyond a target a downward motion goes first, so that all arrive from the same side."""
+    """How far a downward motion overshoots its target, so that every target is approached from below."""
     limits_deg: tuple[_Limit, _Limit] | None = None
-    """Angles that the table may not leave: cables."""
+    """Range of angles that the table may not leave, to protect cables."""
     settle_ms: _Milliseconds = 50
     """Rest before a shot."""
     reverse: bool = False
-    """Turns the sense round."""
+    """Inverts the direction of the motor."""
 
     @pydantic.model_validator(mode="after")
     def _whole(self) -> "TurntableTable":
@@ -85,7 +85,7 @@ class TurntableTable(FileModel):
         return self
 
     def rate(self, name: str) -> int:
-        """A speed or acceleration as the controller takes it.
+        """A speed or acceleration in the controller's units.
 
         Args:
             name: Its key.
@@ -94,7 +94,7 @@ class TurntableTable(FileModel):
             Microsteps per second, or per second squared.
 
         Raises:
-            ValueError: If the controller cannot do that.
+            ValueError: If it is outside the controller's range.
         """
         moderate, low, high = _RATES[name]
         given = getattr(self, name)
@@ -109,26 +109,26 @@ class TurntableTable(FileModel):
 
     @property
     def microsteps_per_turn(self) -> int:
-        """Microsteps in a turn of the table."""
+        """Microsteps per turn of the table."""
         return self.full_steps * self.microsteps * self.gear[0] // self.gear[1]
 
 
 class RigLaser(LaserTable):
-    """The laser as the camera sees it, and how long it takes to switch."""
+    """A laser: how it appears in a frame, and how long it takes to switch."""
 
     on_ms: _Milliseconds = 20
-    """From switching on to the exposure."""
+    """Time from switching on to the exposure."""
     off_ms: _Milliseconds = 20
-    """From switching off to the exposure: also the time the camera needs to read a frame out."""
+    """Time from switching off to the exposure; the camera reads the laser-on frame out meanwhile."""
 
     @property
     def line(self) -> LaserLine:
-        """It as the stripe extraction takes it."""
+        """The laser as the stripe extraction takes it."""
         return LaserLine(self.name, self.colour, self.stripe_axis)
 
     @property
     def table(self) -> LaserTable:
-        """It as a capture's header has it."""
+        """The laser as in a capture's header."""
         return LaserTable(name=self.name, colour=self.colour, stripe_axis=self.stripe_axis)
 
 
@@ -136,23 +136,23 @@ class TriggerTable(FileModel):
     """The wire from the controller to the camera."""
 
     pulse_ms: Annotated[Integer, pydantic.Field(ge=1, le=5000)] | None = None
-    """Length of a trigger pulse; by default that of the exposure, rounded up."""
+    """Length of a trigger pulse; by default the exposure time, rounded up."""
     gap_ms: _Milliseconds = 5
-    """After each exposure."""
+    """Pause after each exposure."""
     ready_ms: _Milliseconds = 0
-    """Longest wait for the camera's ready output before each trigger; 0 where it is not wired."""
+    """Longest wait for the camera's ready output before each trigger; 0 if it is not wired."""
 
 
 class SweepTable(FileModel):
-    """Which angles a sweep has."""
+    """The table angles of a sweep."""
 
     steps: _Count = 3600
-    """Steps of a pass."""
+    """Steps per pass."""
     turn_deg: _Angle = 360.0
-    """Angle of a pass; the last step stands one step before its end. Negative: downwards."""
+    """Angle of a pass; the last step is one step before its end. Negative: downwards."""
     start_deg: _Angle = 0.0
     turns: Annotated[Integer, pydantic.Field(ge=1, le=1000)] = 1
-    """Passes; the table goes home after each, so that no cable winds up."""
+    """Number of passes; the table goes home after each, so that no cable winds up."""
 
     @pydantic.model_validator(mode="after")
     def _turns(self) -> "SweepTable":
@@ -162,7 +162,7 @@ class SweepTable(FileModel):
 
 
 class CalibrationTable(FileModel):
-    """How many views of the board a calibration has."""
+    """The views of the board in a calibration."""
 
     free_views: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 24
     """Views from the home angle, the board held differently in each."""
@@ -181,32 +181,32 @@ class CalibrationTable(FileModel):
 
 
 class ChecksTable(FileModel):
-    """When a pair, a step or a turn is believed. Changing this does not forbid resuming."""
+    """Limits for accepting a pair, a step or a turn. A capture can be resumed after changing them."""
 
     proof: ProofLimits = ProofLimits()
-    """Limits of the proof of every pair."""
+    """Limits for the proof of every pair."""
     retakes: Annotated[Integer, pydantic.Field(ge=0, le=100)] = 3
-    """Times that a step is taken again before the scan ends."""
+    """Retakes of a step before the scan ends."""
     late_s: Annotated[Number, pydantic.Field(gt=0, le=60)] = 2.0
-    """How long after its exposure a frame may come; waited for only where one is missing [s]."""
+    """Longest time from the exposure to the arrival of a frame; waited for only if one is missing [s]."""
     lost_steps_tolerance: Annotated[Integer, pydantic.Field(ge=0, le=100_000)] = 2
-    """Microsteps by which home may be missed before the steps since the last good one are suspect."""
+    """Microsteps by which home may be missed; if more, the steps since home was last found well are suspect."""
     shift_px: Annotated[Number, pydantic.Field(gt=0, le=1000)] = 1.0
-    """How far the line may have moved where a step is taken again and compared."""
+    """How far the line may have moved when a step is taken again and compared."""
     correlation: Annotated[Number, pydantic.Field(gt=0, lt=1)] = 0.75
-    """Least correlation of the laser-off images' structure, 1 for the same view in any light, that such a comparison
-    accepts."""
+    """Least accepted correlation of the laser-off frames' structure in such a comparison; 1 for the same view in any
+    light."""
     camera_reopens: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 10
-    """Times that a lost camera is opened again, with growing pauses, before the scan ends."""
+    """Attempts to open a lost camera again, with growing pauses, before the scan ends."""
 
 
 class RigConfig(FileModel):
-    """All of a rig's configuration file."""
+    """The configuration file of a rig."""
 
     controller: ControllerTable = ControllerTable()
     turntable: TurntableTable = TurntableTable()
     laser: Annotated[tuple[RigLaser, ...], pydantic.Field(min_length=1, max_length=MAX_LASERS)] = (RigLaser(),)
-    """In the order in which the controller numbers them; each step of a sweep is taken with one after the other."""
+    """In the order of the controller's numbers; each step of a sweep is taken with one after the other."""
     camera: CameraSettings
     trigger: TriggerTable = TriggerTable()
     board: BoardTable | None = None
@@ -226,7 +226,7 @@ class RigConfig(FileModel):
         if min(self.camera.width, self.camera.height) < 64:
             raise ValueError(
                 f"camera: found {self.camera.width} x {self.camera.height} px, expected 64 px at least: "
-                "a line needs sides"
+                "a laser line needs background on both sides"
             )
         names = [laser.name for laser in self.laser]
         if len(set(names)) < len(names):
@@ -240,22 +240,22 @@ class RigConfig(FileModel):
 
     @property
     def microsteps_per_turn(self) -> int:
-        """Microsteps in a turn of the table, N."""
+        """Microsteps per turn of the table, N."""
         return self.turntable.microsteps_per_turn
 
     def laser_of(self, record: int) -> int:
-        """Which laser a record shows, counted from 0: they take turns."""
+        """The laser of a record, counted from 0; the lasers take turns."""
         return record % len(self.laser)
 
     def frame_tables(self, kind: Literal["sweep", "calibration"]) -> dict[str, Any]:
-        """All that makes the frames of such a capture what they are, as TOML holds it.
+        """The parts of the configuration that the frames of a capture depend on, as TOML tables.
 
-        The port, the limits of checks and the tables of the other kind may change within a capture.
+        The controller, the limits of checks and the tables of the other kind may change within a capture.
         """
         tables = self.model_dump(mode="json", exclude={"controller", "checks"}, exclude_none=True)
         for name in ("calibration", "board") if kind == "sweep" else ("sweep",):
             tables.pop(name, None)
-        # Where the camera is plugged in does not matter, which one it is is told by its serial number.
+        # The camera may be plugged in elsewhere; its serial number identifies it.
         for name in ("id", "packet_size"):
             tables["camera"].pop(name, None)
         return tables
@@ -270,6 +270,6 @@ def load_rig(path: str | Path) -> RigConfig:
     """The configuration of a rig.
 
     Raises:
-        ConfigError: One line: the file, the key, what was found and what may stand there.
+        ConfigError: One line with the file, the key, the value found and the values allowed.
     """
     return load_toml(path, RigConfig)

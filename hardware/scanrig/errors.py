@@ -1,4 +1,4 @@
-"""What can go wrong between host and rig: what was found, what was expected, and what to do about it."""
+"""Errors of the rig. Each message states the finding, the expectation and the remedy."""
 
 from collections.abc import Sequence
 from enum import StrEnum
@@ -7,7 +7,7 @@ from jaxscan.errors import JaxscanError
 
 
 class Fault(StrEnum):
-    """Why a controller stopped by itself, whatever number its firmware gives it."""
+    """Why a controller stopped by itself, independent of its firmware's numbers."""
 
     EMERGENCY_STOP = "emergency stop"
     LINK_LOST = "the controller lost the host's line"
@@ -26,14 +26,14 @@ CURES = {
     Fault.HOME_NOT_FOUND: "look at the switch and its wiring, then clear the fault and home",
     Fault.ABORTED: "clear the fault, and home again if the table was moving",
     Fault.CAMERA_NOT_READY: "look at the camera and its ready line, then clear the fault",
-    Fault.LIMIT: "see what the table ran into and what limits are set, then clear the fault and home",
+    Fault.LIMIT: "look for an obstacle at the table and check the limits, then clear the fault and home",
     Fault.UNKNOWN: "look at the controller",
 }
-"""What to do about a fault."""
+"""The remedy for each fault."""
 
 
 class Reason(StrEnum):
-    """Why a controller does not carry out a command that it understood."""
+    """Why a controller refuses a command."""
 
     NOT_UNDERSTOOD = "the line was not understood"
     DAMAGED = "the line came damaged"
@@ -53,14 +53,14 @@ class Reason(StrEnum):
 
 
 class RigError(JaxscanError):
-    """Base of everything that goes wrong with the rig."""
+    """Base class of all errors of the rig."""
 
 
 class PortError(RigError):
-    """No serial port to open: none found, missing, without rights, taken.
+    """No serial port can be opened: none found, missing, no permission, in use.
 
     Attributes:
-        candidates: ports that do exist, as a person would name them.
+        candidates: ports that exist, as messages name them.
     """
 
     def __init__(self, message: str, candidates: Sequence[str] = ()):
@@ -69,15 +69,15 @@ class PortError(RigError):
 
 
 class FirmwareError(RigError):
-    """Something else than the controller that this host needs: another device, version or set of settings."""
+    """The port does not lead to the controller that this host needs: another device, version or settings."""
 
 
 class LinkLost(RigError):
-    """No answer any more: a cable, a dead controller, a port that went away. `Controller.reconnect` is the way back."""
+    """No answer any more: a cable, a dead controller, a port that went away. `Controller.reconnect` recovers."""
 
 
 class ControllerReset(LinkLost):
-    """The controller started anew in mid-session: position, settings and driver state are gone."""
+    """The controller was reset during a session: position, settings and driver state are lost."""
 
     def __init__(self, before: int | None, now: int | None):
         was = "" if before is None or now is None else f" (boot {before} → {now})"
@@ -89,11 +89,11 @@ class ControllerReset(LinkLost):
 
 
 class Refused(RigError):
-    """The controller understood a command and did not carry it out.
+    """The controller received a command intact and did not carry it out.
 
     Attributes:
         reason: why.
-        command: the command, as it went over the wire.
+        command: the command as it was sent.
     """
 
     def __init__(self, reason: Reason, command: str, said: str = ""):
@@ -106,8 +106,8 @@ class RigFault(RigError):
     """The controller stopped by itself: laser off, motor stopped.
 
     Attributes:
-        fault: which.
-        position: microsteps from home where it stopped; None where it is not known.
+        fault: the fault.
+        position: where it stopped, microsteps from home; None if not known.
     """
 
     def __init__(self, fault: Fault, position: int | None = None, said: str = ""):
@@ -119,28 +119,28 @@ class RigFault(RigError):
 
 
 class RigTimeout(RigError):
-    """The controller answers, but what was begun did not end in time."""
+    """The controller answers, but a motion or shot did not end in time."""
 
 
 class TranscriptDifference(RigError):
-    """What is written differs from the transcript that is being replayed."""
+    """A write differs from the transcript that is replayed."""
 
 
 class CameraError(RigError):
-    """A camera that is missing, busy, or does not do what it was set to."""
+    """A camera is missing, in use, or does not keep to its settings."""
 
 
 class CameraTimeout(CameraError):
-    """No frame within the time that was given."""
+    """No frame came in time."""
 
 
 class CameraLost(CameraError):
-    """The camera went away; `Camera.reopen` is the way back."""
+    """The camera went away; `Camera.reopen` recovers."""
 
 
 class FrameError(CameraError):
-    """A pair of frames that could not be proven to be one lit and one dark picture of the same place."""
+    """No take of a pair was proven: laser in the laser-on frame, none in the laser-off frame, same place."""
 
 
 class SessionError(RigError):
-    """A session that cannot begin or go on: another configuration, a lock, the disk."""
+    """A session cannot begin or go on: another configuration, a lock, the disk."""

@@ -1,4 +1,4 @@
-"""`jaxscan calibrate`: board captures to a calibrated scanner."""
+"""`jaxscan calibrate`: calibrates a scanner from captures of boards."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -34,18 +34,19 @@ def calibrate(
 ) -> None:
     """Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.
 
-    Exit code 1 where the calibration is not accepted or its solve did not converge; its file is written all the same.
+    The exit code is 1 if the calibration is not accepted or its solve did not converge. The file is written in any
+    case.
 
     Args:
-        captures: One or more calibration captures of the same board and rig.
+        captures: One or more captures of the same board with the same rig.
         output: Calibration file to write; its observations go into `<stem>.npz` beside it.
-        report: Page to write (HTML), with everything by which to judge the calibration.
-        only: `camera`: intrinsics alone, from boards without laser or turning. Such a file
+        report: Report to write: an HTML page by which to judge the calibration.
+        only: `camera` calibrates the camera model alone, from boards without laser or turning. Such a calibration
             cannot reconstruct.
-        lens: Model of the camera's lens.
-        free: Parameters to estimate beside the usual ones.
-        hold: Parameters not to estimate.
-        redetect: Look at the images a second time, where the first solve says that corners and stripes are.
+        lens: Camera model; `fisheye` and `double_sphere` are for wide-angle lenses.
+        free: Blocks of parameters to estimate in addition to the usual ones.
+        hold: Blocks of parameters not to estimate.
+        redetect: Take a second look at the images, where the first solve predicts corners and stripes.
         json: Write the result as JSON too.
     """
     check_calibration_path(output)
@@ -58,18 +59,20 @@ def calibrate(
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
     with progress_bar("Looking for boards") as progress:
-        settings = calibration_settings(lens, free, hold)
         result = api.calibrate(
-            opened, settings=settings, only_camera=only == "camera", redetect=redetect, progress=progress
+            opened,
+            settings=calibration_settings(lens, free, hold),
+            only_camera=only == "camera",
+            redetect=redetect,
+            progress=progress,
         )
     api.save_calibration(result, output)
-    written = [str(output)]
+    files = {"calibration": str(output)}
     if report is not None:
         write_page(result, report)
-        written.append(str(report))
+        files["report"] = str(report)
     print_summary(out, result)
-    out.print(f"written: {', '.join(written)}")
-    files = {"calibration": str(output)} | ({"report": str(report)} if report is not None else {})
+    out.print(f"written: {', '.join(files.values())}")
     emit_json(json, "calibrate", files | summary(result) | {"quality": quality_table(result.quality)})
     first = words.headline(result)
     if first.kind == "bad":
@@ -78,6 +81,5 @@ def calibrate(
 
 def calibration_settings(lens: CameraModel, free: tuple[Block, ...], hold: tuple[Block, ...]) -> CalibrationSettings:
     """The usual settings, with some blocks freed and some held."""
-    usual = CalibrationSettings(camera=lens)
-    wanted = dict.fromkeys((*usual.free, *free))
+    wanted = dict.fromkeys((*CalibrationSettings().free, *free))
     return CalibrationSettings(camera=lens, free=tuple(block for block in wanted if block not in hold))

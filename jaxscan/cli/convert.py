@@ -1,4 +1,4 @@
-"""`jaxscan convert`: one cloud format to another, a calibration for other programs, a capture for another storage."""
+"""`jaxscan convert`: a cloud to another format, a calibration for other programs, a capture to another storage."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +18,7 @@ from jaxscan.files.recording import Storage, check_new_folder, repack_capture
 
 TARGET = (
     f"File to write; the suffix chooses the format: {CLOUD_SUFFIXES} for a cloud, .yaml (OpenCV) or .cameramodel "
-    "(mrcal) for a calibration. Of a capture, the new folder."
+    "(mrcal) for a calibration. For a capture, the new folder."
 )
 
 
@@ -33,13 +33,13 @@ def convert(
 ) -> None:
     """Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.
 
-    Or `jaxscan convert calibration.json camera.yaml`, `jaxscan convert captures/room captures/fast --storage npy`.
+    Also `jaxscan convert calibration.json camera.yaml` and `jaxscan convert captures/room captures/fast --storage npy`.
 
     Args:
         source: Cloud (.ply or .npz), calibration (.json) or capture (a folder) to read.
-        format: Of a calibration, where its suffix does not say it: `ros` is a camera_info .yaml, `kalibr` a
-            camchain .yaml.
-        storage: Of a capture: `npy`, raw frames that are read at once but take more space, or `png`.
+        format: Format of a calibration, if the suffix does not choose it: `ros` writes a camera_info .yaml,
+            `kalibr` a camchain .yaml.
+        storage: Storage of a capture: `npy` are raw frames, which are read faster and take more space; or `png`.
         json: Write the result as JSON too.
     """
     if source.is_dir():

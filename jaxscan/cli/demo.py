@@ -1,4 +1,4 @@
-"""`jaxscan demo`: the whole thing on a simulated rig, judged against its truth."""
+"""`jaxscan demo`: simulates a rig, calibrates, scans and measures, and compares the results with the truth."""
 
 import importlib.resources
 import time
@@ -30,8 +30,8 @@ PATCH_M = 0.1
 def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), json: JsonTarget = None) -> None:
     """Calibrate, scan, reconstruct and measure a simulated room: `jaxscan demo`.
 
-    Writes calibration.json, room.ply, room.png and, in `captures`, the rendered images and their
-    truth. The estimators see the images alone; the truth is read for the comparison at the end.
+    Writes calibration.json, room.ply, room.png, and the rendered images and their truth in `captures`. The truth is
+    read only for the comparison at the end.
 
     Args:
         output: Folder to write to.
@@ -94,25 +94,25 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
 
 
 def _check_folder(output: Path) -> None:
-    """Refuse a folder that holds anything but an earlier demo."""
+    """Refuse a folder with files that are not of an earlier demo."""
     if output.exists() and not output.is_dir():
         raise CaptureError(f"{output}: is a file; choose another folder with -o.")
     if output.exists() and any(output.iterdir()) and not (output / "captures" / "truth.json").is_file():
-        raise CaptureError(f"{output}: holds something else than a demo; choose another folder with -o.")
+        raise CaptureError(f"{output}: holds files that are not of a demo; choose another folder with -o.")
 
 
 def _read_truth(path: Path) -> dict[str, Any]:
-    return parse_json(
-        read_bounded(path, MEGABYTE, name=str(path), error=CaptureError), name=str(path), error=CaptureError
-    )
+    return parse_json(read_bounded(path, MEGABYTE, error=CaptureError), name=str(path), error=CaptureError)
 
 
 def _render(config: SimulationConfig, folder: Path, out: Console, seconds: dict[str, float]) -> api.SimulatedCaptures:
-    """The captures, rendered now or by an earlier run of the same configuration."""
+    """The captures, from an earlier run of the same configuration or rendered now."""
     digest = api.simulation_digest(config)
     if folder.exists():
         if _read_truth(folder / "truth.json").get("configuration") != digest:
-            raise CaptureError(f"{folder}: exists and is not this demo's; delete it or choose another folder with -o.")
+            raise CaptureError(
+                f"{folder}: holds captures of another configuration; delete it or choose another folder with -o."
+            )
         made = api.SimulatedCaptures.of(folder)
         out.print(f"captures of an earlier run: {folder}")
         return made
@@ -142,7 +142,7 @@ def _room_rows(box: RoomBox, config: SimulationConfig) -> list[dict[str, Any]]:
 def _length_rows(
     cloud: api.PointCloud, true_cloud: api.PointCloud, truth: dict[str, Any], scanner: Scanner
 ) -> list[dict[str, Any]]:
-    """Between the same two patches in the cloud and in the true one."""
+    """Lengths between the same two patches in the cloud and in the true cloud."""
     rows = []
     for length in truth["room"]["distances"]:
         a, b = np.array(length["from_m"]), np.array(length["to_m"])
@@ -156,7 +156,7 @@ def _length_rows(
 
 
 def _calibration_rows(found: Scanner, true: Scanner) -> list[tuple[str, ...]]:
-    """Found against true, with the predicted standard deviation."""
+    """Found and true parameters, with the predicted standard deviation."""
     sigma = dict(zip(found.parameter_names(), np.sqrt(np.diag(np.asarray(found.covariance))), strict=True))
     name = found.laser_names[0]
     rows = []

@@ -1,4 +1,4 @@
-"""`jaxscan doctor`: what is installed, and what of a rig or a capture works; what is wrong, and what to do about it."""
+"""`jaxscan doctor`: checks the installation, a rig or the images of a capture, and says how to cure each problem."""
 
 import contextlib
 import importlib
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Check(NamedTuple):
-    """One thing that was tried."""
+    """Result for one part of the installation."""
 
     name: str
     needed: bool
@@ -32,7 +32,7 @@ class Check(NamedTuple):
 
 
 class RigUnwell(JaxscanError):
-    """Something of the rig that a scan needs does not work."""
+    """A part of the rig that a scan needs does not work."""
 
 
 def doctor(
@@ -43,18 +43,21 @@ def doctor(
     capture: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     json: JsonTarget = None,
 ) -> None:
-    """Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config configs/scan.toml`. The table turns and the
-    laser shines then. Exit code 1 where something needed does not work.
+    """Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config configs/scan.toml`.
+
+    With a rig the table turns and the laser shines. The exit code is 1 if something that is needed does not work.
 
     Args:
         port: Examine the controller at this serial port; "auto" takes the only one there is.
         config: Examine the rig that this configuration describes.
-        camera: With --config: look at this camera instead, by its id (see the list).
-        capture: Compare all images of a capture with the sha256 that were noted when they were taken.
+        camera: With --config: examine the camera of this id instead. `jaxscan doctor` lists the ids.
+        capture: Compare all images of this capture with the sha256 in its journal.
         json: Write the result as JSON too.
     """
     if camera is not None and config is None:
-        raise OptionError("--camera: found without --config, expected with it: it says what the camera is set to.")
+        raise OptionError(
+            "--camera: found without --config, expected with it: the configuration holds the settings of the camera."
+        )
     check_json(json)
     out = console(json)
     if capture is not None:
@@ -79,8 +82,8 @@ def _look_at_machine(out: Console, json: str | None) -> None:
     ]
     out.print(f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores")
     rows = [(check.name, "works" if check.works else "missing", check.detail) for check in checks]
-    out.print(table("Installation", ("what", "", "detail"), rows))
-    ports, cameras = _ports(), _cameras()
+    out.print(table("Installation", ("part", "", "detail"), rows))
+    ports, cameras = _found(_ports), _found(_cameras)
     out.print(f"serial ports: {'; '.join(ports) or 'none'}")
     out.print(f"cameras: {'; '.join(cameras) or 'none'}")
     result = {"checks": [check._asdict() for check in checks], "ports": ports, "cameras": cameras}
@@ -99,7 +102,7 @@ def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out:
         if finding.do:
             out.print(f"{'':>11}  → {finding.do}")
 
-    # What was found before an error or Ctrl-C is told in any case.
+    # The findings before an error or Ctrl-C are written in any case.
     with contextlib.ExitStack() as stack:
         stack.callback(lambda: emit_json(json, "doctor", {"rig": findings}))
         examine_rig(port, config, camera, tell, say=lambda text: out.print(f"{'':>11}  {text}", style="dim"))
@@ -124,35 +127,35 @@ def _verify(capture: Path, out: Console, json: str | None) -> None:
 
 
 def _cure(found: Sequence["Problem"]) -> str:
-    """What helps: what is missing can be taken again; a journal that was changed stays changed."""
+    """The cure: missing records can be taken again; a changed journal cannot be restored."""
     cures = []
     if not all(problem.lasting for problem in found):
         cures.append("take the records again with jaxscan scan --resume")
     if any(problem.lasting for problem in found):
         cures.append(
-            "the journal is not as it was written, which taking records again does not mend: compare it with a copy, "
-            "or take the capture anew"
+            "the journal has changed since it was written, and new records do not repair it: compare it with a copy, "
+            "or take the whole capture again"
         )
     return "; ".join(cures)
 
 
-def _ports() -> list[str]:
-    """Serial ports as a person would name them."""
+def _found(look: Callable[[], list[str]]) -> list[str]:
     try:
-        from scanrig.wire import describe, find_ports
-
-        return [describe(info) for info in find_ports()]
+        return look()
     except (ImportError, OSError, JaxscanError) as problem:
         return [f"not looked for ({_first_line(problem)})"]
+
+
+def _ports() -> list[str]:
+    from scanrig.wire import describe, find_ports
+
+    return [describe(info) for info in find_ports()]
 
 
 def _cameras() -> list[str]:
-    try:
-        from scanrig.cameras import list_cameras
+    from scanrig.cameras import list_cameras
 
-        return list_cameras()
-    except (ImportError, OSError, JaxscanError) as problem:
-        return [f"not looked for ({_first_line(problem)})"]
+    return list_cameras()
 
 
 def _try(name: str, needed: bool, look: Callable[[], str]) -> Check:

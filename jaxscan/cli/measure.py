@@ -1,43 +1,50 @@
-"""`jaxscan measure`: a cloud to numbers."""
+"""`jaxscan measure`: lengths, planes and errors of a cloud."""
 
 import dataclasses
-from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import tyro
 
-from jaxscan import api
-from jaxscan.cli.options import CloudPath, finite, positive
+# Loads a name when it is first used, so that `--help` does not load JAX.
+import jaxscan
+from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, finite, positive
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
-from jaxscan.measurement import Dimension, ErrorStatistics
+
+
+if TYPE_CHECKING:
+    from jaxscan.measurement import ErrorStatistics
 
 
 Point = tuple[float, float, float]
-Calibration = Annotated[Path | None, tyro.conf.arg(aliases=["-c"])]
 
 
 def measure() -> None:
     """Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`)."""
 
 
-def room(cloud: CloudPath, /, *, calibration: Calibration = None, json: JsonTarget = None) -> None:
+def room(cloud: CloudPath, /, *, calibration: OptionalCalibrationPath = None, json: JsonTarget = None) -> None:
     """Wall to wall: `jaxscan measure room room.ply -c calibration.json`.
 
     Args:
-        cloud: Cloud of a room, scanned from within.
-        calibration: The scanner it was made with; then sigma includes the calibration's part.
+        cloud: Cloud of a room, scanned from inside.
+        calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
         json: Write the result as JSON too.
     """
     check_json(json)
-    scanner = None if calibration is None else api.load_scanner(calibration)
-    box = api.measure_room(api.load_cloud(cloud), scanner=scanner)
+    scanner = None if calibration is None else jaxscan.load_scanner(calibration)
+    box = jaxscan.measure_room(jaxscan.load_cloud(cloud), scanner=scanner)
     sides = {name: side for name in ("length", "width", "height") if (side := getattr(box, name)) is not None}
     columns = ("", "m", "sigma mm", "wall RMS mm", "points", "not parallel by")
-    console(json).print(table("Room", columns, [_room_row(name, side) for name, side in sides.items()]))
+    rows = [
+        (name, f"{side.value_m:.4f}", f"{1e3 * side.sigma_m:.2f}", f"{1e3 * side.rms_m:.2f}", f"{side.points}")
+        + (f"{side.angle_deg:.3f}°",)
+        for name, side in sides.items()
+    ]
+    out = console(json)
+    out.print(table("Room", columns, rows))
     if scanner is None:
-        console(json).print("sigma is that of the points alone; give --calibration for the whole.")
-    emit_json(json, "measure-room", {name: _dimension(side) for name, side in sides.items()})
+        out.print("sigma covers the noise of the points only; with --calibration it also covers the calibration.")
+    emit_json(json, "measure-room", {name: dataclasses.asdict(side) for name, side in sides.items()})
 
 
 def distance(
@@ -47,7 +54,7 @@ def distance(
     a: Point,
     b: Point,
     radius_mm: float = 20.0,
-    calibration: Calibration = None,
+    calibration: OptionalCalibrationPath = None,
     json: JsonTarget = None,
 ) -> None:
     """Between two picked points: `jaxscan measure distance room.ply --a 1 0.2 0.1 --b 1 -0.8 0.1`.
@@ -56,17 +63,17 @@ def distance(
         cloud: The cloud.
         a: First point, x y z in metres.
         b: Second point, x y z in metres.
-        radius_mm: Points this near to a picked point are averaged.
-        calibration: The scanner it was made with; then sigma includes the calibration's part.
+        radius_mm: The points within this distance of a picked point are averaged.
+        calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
         json: Write the result as JSON too.
     """
     finite("--a", a)
     finite("--b", b)
     positive("--radius-mm", radius_mm)
     check_json(json)
-    scanner = None if calibration is None else api.load_scanner(calibration)
-    found = api.measure_distance(
-        api.load_cloud(cloud), np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner
+    scanner = None if calibration is None else jaxscan.load_scanner(calibration)
+    found = jaxscan.measure_distance(
+        jaxscan.load_cloud(cloud), np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner
     )
     out = console(json)
     out.print(
@@ -76,41 +83,43 @@ def distance(
     if found.plane_to_plane_m is not None and found.plane_to_plane_sigma_m is not None:
         sigma_mm = 1e3 * found.plane_to_plane_sigma_m
         out.print(f"between their planes: {found.plane_to_plane_m:.4f} m, sigma {sigma_mm:.2f} mm")
-    emit_json(json, "measure-distance", _plain(dataclasses.asdict(found)))
+    emit_json(json, "measure-distance", dataclasses.asdict(found))
 
 
 def plane(cloud: CloudPath, /, *, at: Point, radius_mm: float = 200.0, json: JsonTarget = None) -> None:
-    """Flatness round a point: `jaxscan measure plane room.ply --at 1.9 0.2 0.1`.
+    """Flatness around a point: `jaxscan measure plane room.ply --at 1.9 0.2 0.1`.
 
     Args:
         cloud: The cloud.
         at: A point of the plane, x y z in metres.
-        radius_mm: Points this near to it are taken.
+        radius_mm: The plane is fitted to the points within this distance of it.
         json: Write the result as JSON too.
     """
     finite("--at", at)
     positive("--radius-mm", radius_mm)
     check_json(json)
-    found = api.measure_plane(api.load_cloud(cloud), np.array(at), radius_m=radius_mm / 1e3)
+    found = jaxscan.measure_plane(jaxscan.load_cloud(cloud), np.array(at), radius_m=radius_mm / 1e3)
     console(json).print(
         f"RMS {1e3 * found.rms_m:.2f} mm, 95 % of {found.points} points within {1e3 * found.range95_m:.2f} mm, "
         f"normal {np.array2string(found.normal, precision=4)}"
     )
-    emit_json(json, "measure-plane", _plain(dataclasses.asdict(found)))
+    emit_json(json, "measure-plane", dataclasses.asdict(found))
 
 
-def compare(cloud: CloudPath, truth: CloudPath, /, *, calibration: Calibration = None, json: JsonTarget = None) -> None:
+def compare(
+    cloud: CloudPath, truth: CloudPath, /, *, calibration: OptionalCalibrationPath = None, json: JsonTarget = None
+) -> None:
     """Against a true or better cloud: `jaxscan measure compare room.ply truth.npz`.
 
     Args:
         cloud: The cloud.
-        truth: The cloud to compare with; on the same grid, cell is compared with cell.
-        calibration: The scanner it was made with, for errors along the ray.
+        truth: The cloud to compare with. If both have the same grid, cell is compared with cell.
+        calibration: Calibration that the cloud was made with, for errors along the ray.
         json: Write the result as JSON too.
     """
     check_json(json)
-    scanner = None if calibration is None else api.load_scanner(calibration)
-    found = api.compare_clouds(api.load_cloud(cloud), api.load_cloud(truth), scanner=scanner)
+    scanner = None if calibration is None else jaxscan.load_scanner(calibration)
+    found = jaxscan.compare_clouds(jaxscan.load_cloud(cloud), jaxscan.load_cloud(truth), scanner=scanner)
     rows = [_error_row("distance", found.error_m)]
     if found.along_ray_m is not None:
         rows.append(_error_row("along the ray", found.along_ray_m))
@@ -118,31 +127,9 @@ def compare(cloud: CloudPath, truth: CloudPath, /, *, calibration: Calibration =
     out.print(table("Error, mm", ("", "RMS", "mean", "median", "95 %", "largest"), rows))
     out.print(f"{found.points} points compared; {100 * found.completeness:.1f} % of the true ones have a point")
     out.print(f"{found.false_points} points where the truth has none")
-    emit_json(json, "measure-compare", _plain(dataclasses.asdict(found)))
+    emit_json(json, "measure-compare", dataclasses.asdict(found))
 
 
-def _room_row(name: str, side: Dimension) -> tuple[str, ...]:
-    return (
-        name,
-        f"{side.value_m:.4f}",
-        f"{1e3 * side.sigma_m:.2f}",
-        f"{1e3 * side.rms_m:.2f}",
-        f"{side.points}",
-        f"{side.angle_deg:.3f}°",
-    )
-
-
-def _error_row(name: str, error: ErrorStatistics) -> tuple[str, ...]:
+def _error_row(name: str, error: "ErrorStatistics") -> tuple[str, ...]:
     values = (error.rms, error.mean, error.median_abs, error.p95_abs, error.max_abs)
     return (name, *(f"{1e3 * value:.2f}" for value in values))
-
-
-def _dimension(side: Dimension) -> dict[str, Any]:
-    return _plain(dataclasses.asdict(side))
-
-
-def _plain(value: Any) -> Any:
-    """Ready for JSON: arrays as lists."""
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

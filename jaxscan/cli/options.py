@@ -1,4 +1,4 @@
-"""Arguments that several verbs share, and what is asked of them before the work begins."""
+"""Arguments that several verbs share, and checks of their values before the work begins."""
 
 import math
 from pathlib import Path
@@ -7,47 +7,47 @@ from typing import Annotated
 import tyro
 
 from jaxscan.errors import OptionError
-from jaxscan.files.clouds import WRITERS
 
 
 CapturePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
 CloudPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CLOUD")]
+ConfigPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")]
 OutputPath = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-CLOUD_SUFFIXES = " ".join(WRITERS)
-"""Suffixes of the formats that clouds can be written in."""
+CLOUD_SUFFIXES = ".ply .npz .e57 .las .laz .pcd .xyz .ptx"
+"""Suffixes of `jaxscan.files.clouds.WRITERS`, written out so that `--help` does not load the readers and writers."""
 CloudOutputPath = Annotated[
     Path,
     tyro.conf.arg(aliases=["-o"], help=f"Cloud to write; the suffix chooses the format ({CLOUD_SUFFIXES})."),
 ]
 CalibrationPath = Annotated[Path, tyro.conf.arg(aliases=["-c"])]
+OptionalCalibrationPath = Annotated[Path | None, tyro.conf.arg(aliases=["-c"])]
 
 
 def at_least(smallest: int, option: str, value: int | None) -> None:
     """Refuse a count below `smallest`.
 
     Raises:
-        OptionError: With the option's name and what may stand there.
+        OptionError: With the option's name and the values that it accepts.
     """
     if value is not None and value < smallest:
         raise OptionError(f"{option}: found {value}, expected {smallest} or more.")
 
 
-def positive(option: str, *values: float) -> None:
-    """Refuse lengths that are none.
+def positive(option: str, value: float) -> None:
+    """Refuse a length that is not above 0.
 
     Raises:
-        OptionError: With the option's name and what may stand there.
+        OptionError: With the option's name and the values that it accepts.
     """
-    for value in values:
-        if not (math.isfinite(value) and value > 0):
-            raise OptionError(f"{option}: found {value:g}, expected a number above 0.")
+    if not (math.isfinite(value) and value > 0):
+        raise OptionError(f"{option}: found {value:g}, expected a number above 0.")
 
 
 def range_limits(smallest: str, low: float, largest: str, high: float) -> None:
-    """Refuse ranges of distances [m] that hold none.
+    """Refuse range limits [m] between which there is no distance.
 
     Raises:
-        OptionError: With the option's name and what may stand there.
+        OptionError: With the option's name and the values that it accepts.
     """
     for option, value in ((smallest, low), (largest, high)):
         if not (math.isfinite(value) and value >= 0):
@@ -57,10 +57,10 @@ def range_limits(smallest: str, low: float, largest: str, high: float) -> None:
 
 
 def finite(option: str, values: tuple[float, ...]) -> None:
-    """Refuse places that are nowhere.
+    """Refuse coordinates that are not finite.
 
     Raises:
-        OptionError: With the option's name and what may stand there.
+        OptionError: With the option's name and the values that it accepts.
     """
-    if not all(math.isfinite(value) for value in values):
+    if not all(map(math.isfinite, values)):
         raise OptionError(f"{option}: found {' '.join(f'{value:g}' for value in values)}, expected finite numbers.")

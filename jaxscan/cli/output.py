@@ -1,4 +1,4 @@
-"""What a verb leaves behind for machines (`--json`) and for people (tables)."""
+"""Output of a verb: JSON for machines (`--json`), tables for people."""
 
 import json
 import sys
@@ -10,8 +10,6 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from jaxscan.files.disk import check_writable, write_atomically
-
 
 JsonTarget = Annotated[
     str | None, tyro.conf.arg(name="json", metavar="FILE", help="Write the result as JSON too (- for standard output).")
@@ -19,20 +17,26 @@ JsonTarget = Annotated[
 
 
 def check_json(target: str | None) -> None:
-    """See that the JSON can be written, before the work that makes it.
+    """Check that the JSON can be written, before the work begins.
 
     Raises:
         JaxscanError: If its folder is missing or cannot be written.
     """
+    # Imported here and below, so that `--help` does not load JAX.
+    from jaxscan.files.disk import check_writable
+
     if target is not None and target != "-":
         check_writable(target)
 
 
 def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
-    """Write `result` as `jaxscan-<verb>/1` to a file, or to standard output for "-"."""
+    """Write `result` as `jaxscan-<verb>/1` to a file, or to standard output for "-"; arrays become lists."""
+    from jaxscan.files.disk import write_atomically
+
     if target is None:
         return
-    text = json.dumps({"format": f"jaxscan-{verb}/1", **result}, indent=2, allow_nan=False) + "\n"
+    entries = {"format": f"jaxscan-{verb}/1", **result}
+    text = json.dumps(entries, indent=2, allow_nan=False, default=lambda array: array.tolist()) + "\n"
     if target == "-":
         sys.stdout.write(text)
     else:
@@ -40,8 +44,8 @@ def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
 
 
 def console(json_target: str | None = None) -> Console:
-    """Where people read: standard output, unless that is where the JSON goes."""
-    # A path that is wrapped, or of which a part is taken for markup, cannot be used again.
+    """Console for people: standard output, or standard error where the JSON goes to standard output."""
+    # Without wrapping and markup, so that printed paths and commands can be copied.
     made = Console(stderr=json_target == "-", highlight=False, markup=False, soft_wrap=True)
     if not made.is_terminal:
         made.width = 160

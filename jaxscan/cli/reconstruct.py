@@ -1,4 +1,4 @@
-"""`jaxscan reconstruct`: a captured sweep to a coloured cloud."""
+"""`jaxscan reconstruct`: makes a coloured cloud from a captured sweep."""
 
 import time
 
@@ -36,32 +36,30 @@ def reconstruct(
 
     Args:
         capture: Folder of the captured sweep.
-        calibration: Calibration of the scanner, as `jaxscan calibrate` writes it.
+        calibration: Calibration file, as `jaxscan calibrate` writes it or written by hand.
         every: Use every n-th record only.
-        estimator: How a stripe's centre is found on a line: gaussian, a fit; or centre_of_gravity, the plain mean of
-            its light, which knows one candidate a line.
-        choice: Which candidate of a line is the stripe: that on the best path over the lines, the brightest, the
-            nearest, the farthest, or all of them.
+        estimator: Method that finds the centre of a stripe on a line: `gaussian` fits a Gaussian;
+            `centre_of_gravity` takes the centre of gravity of the light, for one candidate per line.
+        choice: Which candidate of a line becomes the stripe: the one on the best path over the lines, the brightest,
+            the nearest, the farthest, or all of them.
         min_range: Smallest distance from the camera [m].
-        max_range: Largest distance from the camera [m]: a little more than the room has leaves out reflections.
-        check_steps: Compare every centre with the neighbouring steps, where a reflection does not go on.
-        cache: Keep the stripes beside the capture, and use those that are kept there already.
+        max_range: Largest distance from the camera [m]; a little more than the size of the room excludes many
+            reflections.
+        check_steps: Compare every centre with the neighbouring steps; most reflections do not continue there.
+        cache: Keep the stripes beside the capture, and use them again next time.
         json: Write the result as JSON too.
     """
     at_least(1, "--every", every)
     range_limits("--min-range", min_range, "--max-range", max_range)
     if check_steps and choice == "all":
-        raise OptionError("--check-steps: found with --choice all, expected with a choice that is one.")
+        raise OptionError("--check-steps: found with --choice all, expected with a choice of one candidate per line.")
     stripes = api.StripeSettings(estimator=estimator, choice=choice)
     try:
         estimator_of(stripes)
     except ValueError as problem:
         raise OptionError(f"--estimator: {problem}") from problem
     settings = api.ReconstructSettings(
-        stripes=stripes,
-        min_range_m=min_range,
-        max_range_m=max_range,
-        check_steps=check_steps,
+        stripes=stripes, min_range_m=min_range, max_range_m=max_range, check_steps=check_steps
     )
     check_cloud_path(output)
     check_json(json)
@@ -75,7 +73,7 @@ def reconstruct(
     with progress_bar("Reconstructing") as progress:
         done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=progress, cache=cache)
     seconds = time.perf_counter() - start
-    cloud, notes = done.cloud, [*before, *done.notes]
+    cloud = done.cloud
     for note in done.notes:
         out.print(f"note: {note}")
     if done.kept:
@@ -83,14 +81,14 @@ def reconstruct(
     api.save_cloud(cloud, output, calibration_digest=calibration_digest(calibration))
     valid = np.asarray(cloud.valid)
     points = int(valid.sum())
-    median_mm = [
-        1e3 * float(np.median(np.asarray(sigma)[valid])) for sigma in (cloud.sigma_random, cloud.sigma_systematic)
-    ]
+    random, systematic = (
+        float(np.median(np.asarray(sigma)[valid])) for sigma in (cloud.sigma_random, cloud.sigma_systematic)
+    )
     out.print(
         f"{points} points from {len(sweep)} records in {seconds:.1f} s "
         f"({1e3 * seconds / len(sweep):.1f} ms a pair, {points / seconds:.0f} points a second)"
     )
-    out.print(f"median sigma along the ray: {median_mm[0]:.2f} mm random, {median_mm[1]:.2f} mm systematic")
+    out.print(f"median sigma along the ray: {1e3 * random:.2f} mm random, {1e3 * systematic:.2f} mm systematic")
     out.print(f"written: {output}")
     emit_json(
         json,
@@ -100,10 +98,10 @@ def reconstruct(
             "records": len(sweep),
             "points": points,
             "seconds_s": seconds,
-            "median_sigma_random_m": median_mm[0] / 1e3,
-            "median_sigma_systematic_m": median_mm[1] / 1e3,
+            "median_sigma_random_m": random,
+            "median_sigma_systematic_m": systematic,
             "stripes_from_cache": done.from_cache,
             "stripes_kept": done.kept,
-            "notes": notes,
+            "notes": [*before, *done.notes],
         },
     )

@@ -1,4 +1,4 @@
-"""`jaxscan report`: the page of a stored calibration."""
+"""`jaxscan report`: draws the report of a stored calibration."""
 
 from pathlib import Path
 from typing import Annotated
@@ -23,12 +23,12 @@ def report(
 ) -> None:
     """Draw a calibration's report: `jaxscan report calibration.json -o report.html`.
 
-    Solves again from the observations beside the file, with the settings that it names, and says whether the
-    stored parameters came out.
+    Solves again from the observations beside the file, with the settings in it, and says whether the result agrees
+    with the stored parameters.
 
     Args:
         calibration: The calibration file.
-        output: Page to write: HTML that needs nothing else.
+        output: Report to write: one HTML file that needs no other files.
         json: Write the result as JSON too.
     """
     check_writable(output)
@@ -46,7 +46,7 @@ def report(
 
 
 def _drawn(path: Path) -> tuple[Calibration, str, bool | None]:
-    """The calibration to draw, a remark on it, and whether the stored parameters came out; None if nobody can know."""
+    """The calibration to draw, a note on it, and whether it agrees with the stored one; None where that is unknown."""
     stored = api.load_calibration(path)
     if stored.observations is None:
         return stored, "The observations are not beside the calibration file, so residuals are not shown.", None

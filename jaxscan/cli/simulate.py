@@ -1,19 +1,16 @@
-"""`jaxscan simulate`: a known rig in a known room, rendered as captures."""
+"""`jaxscan simulate`: renders captures of a known rig in a known room."""
 
 import time
-from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from jaxscan import api
-from jaxscan.cli.options import OutputPath, at_least
+# Loads a name when it is first used, so that `--help` does not load JAX.
+import jaxscan
+from jaxscan.cli.options import ConfigPath, OutputPath, at_least
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
 
 
 def simulate(
-    config: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")],
+    config: ConfigPath,
     /,
     *,
     output: OutputPath,
@@ -23,23 +20,23 @@ def simulate(
 ) -> None:
     """Render a simulated rig: `jaxscan simulate configs/paper.toml -o captures/paper --every 10`.
 
-    Writes the captures `boards` and `sweep`, and beside them `truth.json` and the true cloud
-    `truth.npz`, which nothing but a comparison reads.
+    Writes the captures `boards` and `sweep`, the true values `truth.json` and the true cloud `truth.npz`. Only
+    comparisons read the truth.
 
     Args:
-        config: The rig, its room and its boards (see configs/).
-        output: Folder to make.
+        config: Configuration of the rig, its room and its boards (see configs/).
+        output: Folder to create.
         every: Render every n-th step of the sweep only.
-        seed: Seed of noise and board poses, instead of the one in the configuration.
+        seed: Seed of the noise and of the board poses, instead of the seed in the configuration.
         json: Write the result as JSON too.
     """
     at_least(1, "--every", every)
     at_least(0, "--seed", seed)
     check_json(json)
-    settings = api.load_simulation(config)
+    settings = jaxscan.load_simulation(config)
     start = time.perf_counter()
     with progress_bar("Rendering") as progress:
-        made = api.simulate(settings, output, every=every, seed=seed, progress=progress)
+        made = jaxscan.simulate(settings, output, every=every, seed=seed, progress=progress)
     seconds = time.perf_counter() - start
     console(json).print(
         f"{made.board_pairs} board pairs and {made.sweep_pairs} sweep pairs in {seconds:.0f} s: {output}"

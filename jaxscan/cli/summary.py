@@ -1,4 +1,4 @@
-"""A calibration on the command line: for people, for machines, and as a page."""
+"""Output of a calibration: as text for people, as JSON for machines, and as a page."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ _STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
 
 
 def print_summary(out: Console, calibration: Calibration) -> None:
-    """The verdict first, then lengths, noise, faults, advice, and the parameters."""
+    """Print the verdict first, then lengths, noise, faults, advice and parameters."""
     first = words.headline(calibration)
     out.print(f"{first.headline}. {first.explanation}", style=_STYLE[first.kind])
     lengths = words.lengths(calibration)
@@ -42,7 +42,7 @@ def print_summary(out: Console, calibration: Calibration) -> None:
 
 
 def summary(calibration: Calibration) -> dict[str, Any]:
-    """The same as JSON."""
+    """The same content as JSON."""
     return {
         "verdict": words.headline(calibration)._asdict(),
         "lengths": [line._asdict() for line in words.lengths(calibration)],

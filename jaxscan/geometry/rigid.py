@@ -4,7 +4,6 @@ Exponentials come from jaxlie; chains of known motions are plain matrix products
 """
 
 import jax.numpy as jnp
-import jaxlie
 from jaxtyping import Float
 
 from jaxscan.geometry.arrays import Array
@@ -12,6 +11,9 @@ from jaxscan.geometry.arrays import Array
 
 def exponential(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
     """The motion exp(twist) of a twist (v, omega) [m, rad], in jaxlie's order."""
+    # Imported here: `import jaxscan` is to be light.
+    import jaxlie
+
     return jaxlie.SE3.exp(jnp.asarray(twist)).as_matrix()
 
 

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.errors import MeasurementError
-from jaxscan.geometry import Scanner
-from jaxscan.measurement.centres import camera_centres
+from jaxscan.geometry import Array, Scanner
 from jaxscan.measurement.samples import Cloud
 
 
@@ -84,7 +85,11 @@ def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudCompar
     both = valid & true
     if not both.any():
         raise MeasurementError("The clouds have the same grid but no point in the same cell.")
-    centre = np.zeros((len(valid), 3)) if scanner is None else camera_centres(scanner, np.asarray(cloud.angle))
+    centre = np.zeros((len(valid), 3))
+    if scanner is not None:
+        with jax.enable_x64(True):
+            exact_scanner = scanner.without_covariance().as_dtype(jnp.float64)
+            centre = np.asarray(_camera_centres(exact_scanner, jnp.asarray(cloud.angle, jnp.float64)))
     profile = np.nonzero(both)[0]
     p, exact = np.asarray(cloud.xyz)[both].astype(float), np.asarray(truth.xyz)[both].astype(float)
     ray = exact - centre[profile]
@@ -100,6 +105,12 @@ def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudCompar
         completeness=float(both.sum() / true.sum()),
         false_points=int((valid & ~true).sum()),
     )
+
+
+@jax.jit
+def _camera_centres(scanner: Scanner, angle: Array) -> Array:
+    """Camera centre [n, 3], m, scanner frame, at the table's angles [n], rad from home."""
+    return jax.vmap(scanner.pose)(angle)[:, :3, 3]
 
 
 def _by_neighbour(cloud: Cloud, truth: Cloud) -> CloudComparison:

@@ -130,13 +130,8 @@ def _pair(
     """The walls on both sides of the room across `direction`."""
     limit = LEVEL if direction[2] == 1.0 else np.cos(ALONG)
     mine = [(plane, p) for plane, p in planes if abs(plane.normal @ direction) > limit]
-    walls = (outermost([c for c in mine if _is_on_side(c, side)], side) for side in (direction, -direction))
+    walls = (outermost(mine, side) for side in (direction, -direction))
     return [refine_wall(samples, wall, rng=rng) for wall in walls if wall is not None]
-
-
-def _is_on_side(candidate: tuple[Plane, np.ndarray], side: np.ndarray) -> bool:
-    plane, _ = candidate
-    return bool(plane.distance * (plane.normal @ side) > 0)
 
 
 def _centre(pairs: list[list[Wall]]) -> np.ndarray:

@@ -32,20 +32,20 @@ _MOST_SHARED = 1.5
 _FLOOR_PX = 2e-3
 
 
-class FittedCorners(NamedTuple):
-    """Corners after the fit."""
+class FoundCorners(NamedTuple):
+    """Corners of one board in one image, in the order of `board.corners()`."""
 
     q: np.ndarray
-    """float64 [corners, 2]: (u, v) [px]; where the fit began if not `valid`."""
+    """float64 [corners, 2]: (u, v) [px]; without meaning where not valid."""
     sigma: np.ndarray
-    """float64 [corners]: standard deviation of each coordinate [px]; 1 where not `valid`."""
+    """float64 [corners]: standard deviation of each coordinate [px]; 1 where not valid."""
     valid: np.ndarray
-    """bool [corners]: the model fits there."""
+    """bool [corners]."""
 
 
 def fit_corners(
     image: np.ndarray, start: np.ndarray, edges: np.ndarray, half: np.ndarray, *, clear: np.ndarray | None = None
-) -> FittedCorners:
+) -> FoundCorners:
     r"""Place of chessboard corners, by a least-squares fit of the image of a blurred crossing.
 
     $$I(q) = \Bigl[l + c\, \mathrm{erf}\frac{d_1(q)}{\sqrt2 w}\, \mathrm{erf}\frac{d_2(q)}{\sqrt2 w}\Bigr]
@@ -72,14 +72,12 @@ def fit_corners(
     (2012), for edges of a chessboard as a model; Newey and West (1987) for covariance when
     neighbours share their errors.
     """
-    count = len(start)
-    if count == 0:
-        return FittedCorners(np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool))
+    if len(start) == 0:
+        return FoundCorners(np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool))
     half = np.clip(np.floor(half), _MIN_HALF, _MAX_HALF)
-    angle = np.arctan2(edges[..., 1], edges[..., 0])
-    window = _cut(image, np.asarray(start, np.float64), half, angle, clear)
-    fit = _fit(window, _start(window, angle))
-    return _judged(window, fit, np.asarray(start, np.float64), angle, half)
+    start, angle = np.asarray(start, np.float64), np.arctan2(edges[..., 1], edges[..., 0])
+    window = _cut(image, start, half, angle, clear)
+    return _judged(window, _fit(window, _start(window, angle)), start, angle, half)
 
 
 class _Window(NamedTuple):
@@ -230,7 +228,7 @@ def _edge(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.copysign(1.0 - series * bell, t), 0.79788456 * bell
 
 
-def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, half: np.ndarray) -> FittedCorners:
+def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, half: np.ndarray) -> FoundCorners:
     unknowns, jacobian = fit.unknowns, fit.jacobian
     count = window.weight.sum(1)
     normal = (jacobian @ jacobian.transpose(0, 2, 1)).astype(np.float64)
@@ -252,7 +250,7 @@ def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, ha
         valid &= noise <= _ODD * np.median(np.maximum(noise[valid], _QUANTISED_DN))
     plain = noise**2 * np.einsum("cii->ci", inverse)[:, :2].mean(1)
     sigma = np.sqrt(plain * _shared_noise(window, fit, inverse, valid) + _FLOOR_PX**2)
-    return FittedCorners(np.where(valid[:, None], start + unknowns[:, :2], start), np.where(valid, sigma, 1.0), valid)
+    return FoundCorners(np.where(valid[:, None], start + unknowns[:, :2], start), np.where(valid, sigma, 1.0), valid)
 
 
 def _shared_noise(window: _Window, fit: _Fit, inverse: np.ndarray, valid: np.ndarray) -> float:

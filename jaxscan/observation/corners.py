@@ -1,11 +1,9 @@
 """Corners of one board in one image, and where the model of a blurred crossing puts them."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from jaxscan.geometry import AbstractBoard, Charuco, fixes_plane
-from jaxscan.observation.corner_fit import fit_corners
+from jaxscan.observation.corner_fit import FoundCorners, fit_corners
 
 
 SMALL_SQUARE_PX = 12.0
@@ -14,17 +12,6 @@ WINDOW_SHARE = 0.3
 """A window of this share of a square to either side stays clear of the next corner."""
 # The blur of a marker's edge reaches so far [px].
 _MARKER_BLUR_PX = 1.5
-
-
-class FoundCorners(NamedTuple):
-    """Corners of one board in one image, in the order of `board.corners()`."""
-
-    q: np.ndarray
-    """float64 [corners, 2]: (u, v) [px]; 0 where not valid."""
-    sigma: np.ndarray
-    """float64 [corners]: standard deviation of each coordinate [px]; 1 where not valid."""
-    valid: np.ndarray
-    """bool [corners]."""
 
 
 def fit_found_corners(

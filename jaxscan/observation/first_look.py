@@ -11,6 +11,7 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractBoard, Charuco
 from jaxscan.observation.board_stripes import BATCH_RECORDS, find_stripes, learn_colours
 from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.prediction import SolvedRig
 from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
 from jaxscan.stripes import LaserLine
 
@@ -66,26 +67,33 @@ def look_at_boards(
         view = SeenRecord.read(captures, number, index, eyes.to_grey)
         return view if view.grey is None else view._replace(corners=eyes.find_corners(view.grey, board))
 
-    def stripes(views: list[SeenRecord], number: int) -> list[SeenRecord]:
-        return views if lines is None else find_stripes(views, captures[number], lines[number], board)
-
-    views = go_through(captures, look, stripes, progress)
-    if all(view.corners is None for view in views):
+    seen = go_through(captures, look, Look(board, [], lines), progress=progress)
+    if all(view.corners is None for view in seen.records):
         raise CalibrationError(
-            f"The board ({_describe(board)}) was found in none of {len(views)} records: check the [board] table of "
-            "capture.toml (columns and rows count inner corners for a chessboard, squares for ChArUco), and that the "
-            "board is sharp, well lit and wholly in the image."
+            f"The board ({_describe(board)}) was found in none of {len(seen.records)} records: check the [board] table "
+            "of capture.toml (columns and rows count inner corners for a chessboard, squares for ChArUco), and that "
+            "the board is sharp, well lit and wholly in the image."
         )
-    return Look(board, views, lines)
+    return seen
 
 
 def go_through(
     captures: Sequence[BoardSource],
     look: Callable[[int, int], SeenRecord],
-    stripes: Callable[[list[SeenRecord], int], list[SeenRecord]],
+    like: Look,
+    *,
+    rig: SolvedRig | None = None,
     progress: Progress | None = None,
-) -> list[SeenRecord]:
-    """All records: `look` at each (capture, index) in threads, then `stripes` of a batch of one capture together."""
+) -> Look:
+    """All records: `look` at each (capture, index) in threads, then the stripes of a batch of one capture together.
+
+    Args:
+        captures: The captures.
+        look: Reads a record and finds its corners.
+        like: The board, and the lasers whose stripes are looked for; its records are not used.
+        rig: As in `find_stripes`.
+        progress: Called with (records done, records in all).
+    """
     total = sum(len(capture.records) for capture in captures)
     views: list[SeenRecord] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -93,12 +101,14 @@ def go_through(
             count = len(capture.records)
             for start in range(0, count, BATCH_RECORDS):
                 batch = range(start, min(start + BATCH_RECORDS, count))
-                seen = stripes(list(pool.map(look, [number] * len(batch), batch)), number)
+                seen = list(pool.map(look, [number] * len(batch), batch))
+                if like.lines is not None:
+                    seen = find_stripes(seen, capture, like.lines[number], like.board, rig)
                 # Frames go as soon as they were looked at: a capture may be larger than the memory.
                 views += [view._replace(on=None, off=None, grey=None) for view in seen]
                 if progress is not None:
                     progress(len(views), total)
-    return views
+    return like._replace(records=views)
 
 
 def _describe(board: AbstractBoard) -> str:

@@ -65,12 +65,10 @@ def ink_shift(image: np.ndarray, line: np.ndarray, centre: np.ndarray, width: np
     # Three lines together: the print hardly changes within them, the noise averages out.
     image = np.pad(image, ((1, 1), (_PAD, _PAD)), mode="edge")
     image = (image[:-2] + image[1:-1] + image[2:]) / 3.0
+    spread = _own_width(line, width, 0.7 * _shift(image, line, centre, width, blur))
     shift = np.zeros(len(line))
-    for own in (width, None):
-        spread = _own_width(line, width, shift) if own is None else own
-        shift = np.zeros(len(line))
-        for _ in range(_ROUNDS if own is None else 1):
-            shift = 0.3 * shift + 0.7 * _shift(image, line, centre - shift, spread, blur)
+    for _ in range(_ROUNDS):
+        shift = 0.3 * shift + 0.7 * _shift(image, line, centre - shift, spread, blur)
     believed = shift**2 / (shift**2 + error**2)
     left = np.hypot(error * np.sqrt(believed), _PREDICTION_SHARE * shift)
     return InkShift(shift, believed * shift, left)

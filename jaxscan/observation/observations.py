@@ -63,23 +63,17 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
     """The padded grids that the solve reads, of the views with a board."""
     first = captures[0]
     views = [view for view in look.records if view.corners is not None]
-    corners = [view.corners for view in views if view.corners is not None]
-    # A view that shares its placement with no other, or whose angle is unknown, stands alone.
-    keys = [
-        (view.capture, "alone", view.record.i)
-        if view.record.placement is None or view.record.angle is None
-        else (view.capture, "placement", view.record.placement)
-        for view in views
-    ]
+    q, sigma, valid = map(np.stack, zip(*(view.corners for view in views if view.corners is not None), strict=True))
+    keys = [view.placement or f"alone {index}" for index, view in enumerate(views)]
     number = {key: index for index, key in enumerate(dict.fromkeys(keys))}
     stripes = [(view.stripe, index, view.laser) for index, view in enumerate(views) if view.stripe is not None]
     width, height = first.image_size
     return Observations(
         board=look.board,
         corners=BoardViews(
-            q=np.stack([found.q for found in corners]),
-            sigma=np.stack([found.sigma for found in corners]),
-            valid=np.stack([found.valid for found in corners]),
+            q=q,
+            sigma=sigma,
+            valid=valid,
             angle=np.array([view.record.angle or 0.0 for view in views]),
             placement=np.array([number[key] for key in keys], np.int32),
             record=np.array([view.record.i for view in views], np.int32),
@@ -96,10 +90,8 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
 def stack_stripes(stripes: Sequence[tuple[BoardStripe, int, int]], points: int = 512) -> StripeViews:
     """All stripes of a capture, given as (stripe, row of `BoardViews`, laser); empty ones are left out."""
     kept = [(stripe, view, laser) for stripe, view, laser in stripes if stripe.valid.any()]
-    return StripeViews(
-        q=np.stack([s.q for s, _, _ in kept]) if kept else np.zeros((0, points, 2)),
-        sigma=np.stack([s.sigma for s, _, _ in kept]) if kept else np.zeros((0, points)),
-        valid=np.stack([s.valid for s, _, _ in kept]) if kept else np.zeros((0, points), bool),
-        view=np.array([view for _, view, _ in kept], np.int32),
-        laser=np.array([laser for _, _, laser in kept], np.int32),
-    )
+    q, sigma, valid = np.zeros((0, points, 2)), np.zeros((0, points)), np.zeros((0, points), bool)
+    if kept:
+        q, sigma, valid = map(np.stack, zip(*(stripe for stripe, _, _ in kept), strict=True))
+    view, laser = (np.array([entry[k] for entry in kept], np.int32) for k in (1, 2))
+    return StripeViews(q, sigma, valid, view, laser)

@@ -107,6 +107,12 @@ class SeenRecord(NamedTuple):
         return SeenRecord(number, capture.records[index], on, off, grey)
 
     @property
+    def placement(self) -> tuple[int, int] | None:
+        """Capture and number of its placement; None where it stands alone, as it does at an unknown angle."""
+        number = self.record.placement
+        return None if number is None or self.record.angle is None else (self.capture, number)
+
+    @property
     def laser(self) -> int:
         """The one laser that is lit in the laser-on frame."""
         (laser,) = self.record.lasers

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxscan.observation.board_stripes import find_stripes
 from jaxscan.observation.first_look import Look, Progress, go_through
 from jaxscan.observation.prediction import PredictedCorners, SolvedRig, predict_corners, turn_boards
 from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
@@ -55,32 +54,22 @@ def look_again(
         found = redetect_corners(view.grey, first.board, expected, reach=reach, first=before.corners)
         return view._replace(corners=found)
 
-    def stripes(views: list[SeenRecord], number: int) -> list[SeenRecord]:
-        if first.lines is None:
-            return views
-        return find_stripes(views, captures[number], first.lines[number], first.board, rig)
-
-    return Look(first.board, go_through(captures, look, stripes, progress), first.lines)
+    return go_through(captures, look, first, rig=rig, progress=progress)
 
 
 def _poses(views: Sequence[SeenRecord], rig: SolvedRig) -> list[np.ndarray | None]:
     """T_cam_board of every record as far as the first solve knows it."""
     poses: list[np.ndarray | None] = [None] * len(views)
-    seen: dict[tuple[int, int], tuple[np.ndarray, float]] = {}
+    seen: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
     found = [number for number, view in enumerate(views) if view.corners is not None]
-    for row, number in enumerate(found):
-        view = views[number]
-        if rig.used[row]:
-            poses[number] = rig.poses[row]
-            if view.record.placement is not None and view.record.angle is not None:
-                seen[view.capture, view.record.placement] = rig.poses[row], view.record.angle
-    if rig.scanner is None:
-        return poses
+    for number, pose, used in zip(found, rig.poses, rig.used, strict=True):
+        if used:
+            poses[number] = pose
+            placement = views[number].placement
+            if placement is not None:
+                seen[placement] = pose[None], np.array([views[number].record.angle])
     for number, view in enumerate(views):
-        if poses[number] is None and view.record.placement is not None and view.record.angle is not None:
-            there = seen.get((view.capture, view.record.placement))
-            if there is not None:
-                pose, angle = there
-                angles = np.array([angle]), np.array([view.record.angle])
-                poses[number] = turn_boards(rig.scanner.turntable, pose[None], *angles)[0]
+        there = None if view.placement is None else seen.get(view.placement)
+        if rig.scanner is not None and poses[number] is None and there is not None:
+            poses[number] = turn_boards(rig.scanner.turntable, *there, np.array([view.record.angle]))[0]
     return poses

@@ -1,10 +1,10 @@
-"""A known world to frames."""
+"""Renders frames of a known world, with their truth."""
 
 from jaxscan.simulation.boards import SeenBoard, make_print
 from jaxscan.simulation.planning import Placement, plan_boards
 from jaxscan.simulation.rays import distort, undistort
 from jaxscan.simulation.rig import Motion, TrueRig, make_rig, rodrigues, turning_axis
-from jaxscan.simulation.scene.scene import make_scene
+from jaxscan.simulation.scene import make_scene
 from jaxscan.simulation.sensor import expose, speckled
 from jaxscan.simulation.spec import (
     BoardsSpec,

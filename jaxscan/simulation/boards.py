@@ -1,4 +1,4 @@
-"""Calibration boards: printed, perhaps bowed, sampled at 4 x 4 points per pixel before the lens."""
+"""Calibration boards: printed, flat or bowed, sampled at 4 x 4 points per pixel before the lens."""
 
 from dataclasses import dataclass, replace
 
@@ -18,14 +18,13 @@ _RIM = 64
 """White cells round the picture."""
 _STRIP = 32
 """Rows rendered at a time: their samples stay in the processor's cache."""
-
-
 _FAR_M = 1e6
+"""Board coordinates beyond this are those of rays that miss."""
 
 
 @dataclass(frozen=True, eq=False)
 class Print:
-    """A board's picture as albedo, with a white rim, and where it lies on the board."""
+    """A board's picture as albedo, with a white rim, and its place on the board."""
 
     albedo: np.ndarray
     """float32 [rows, columns]."""
@@ -53,8 +52,8 @@ class Print:
         Only blocks of which a whole number makes a square are averaged, so that edges of
         squares stay on the borders of cells, and in place.
         """
-        factors = [k for k in range(1, _RIM // 2) if self.square_cells % k == 0 and k * self.cell >= 0.9 * step]
-        factor = factors[0] if factors else 1
+        factors = (k for k in range(1, _RIM // 2) if self.square_cells % k == 0 and k * self.cell >= 0.9 * step)
+        factor = next(factors, 1)
         if factor == 1:
             return self
         skip = _RIM % factor
@@ -84,16 +83,20 @@ def make_print(spec: BoardsSpec, texture: np.ndarray) -> Print:
             f"The board's picture has shape {texture.shape}; a grey picture of {high[0] - low[0]:.4g} x "
             f"{high[1] - low[1]:.4g} m with square cells is needed."
         )
-    albedo = INK + (PAPER - INK) * texture.astype(np.float32) / 255
-    # A rim of white cells, of which indices that fall outside take the last.
-    albedo = np.pad(albedo, _RIM, constant_values=PAPER)
-    cell = float(cells[0])
-    margin = spec.border_mm / 1000
-    half = (corners.max(0) - corners.min(0)) / 2
-    middle = (corners.max(0) + corners.min(0)) / 2
-    warp = spec.warp_mm[0] / 1000, spec.warp_mm[1] / 1000
-    square_cells = round(board.square / cell)
-    return Print(albedo, low + (0.5 - _RIM) * cell, cell, low - margin, high + margin, half, middle, warp, square_cells)
+    cell, margin = float(cells[0]), spec.border_mm / 1000
+    first, last = corners.min(0), corners.max(0)
+    return Print(
+        # Places outside the picture take the last cell of the white rim.
+        np.pad(INK + (PAPER - INK) * texture.astype(np.float32) / 255, _RIM, constant_values=PAPER),
+        origin=low + (0.5 - _RIM) * cell,
+        cell=cell,
+        low=low - margin,
+        high=high + margin,
+        half=(last - first) / 2,
+        middle=(last + first) / 2,
+        warp=(spec.warp_mm[0] / 1000, spec.warp_mm[1] / 1000),
+        square_cells=round(board.square / cell),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +108,8 @@ class SeenBoard:
 
     def hit(self, x: np.ndarray, y: np.ndarray, z: Numbers = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Depth along (x, y, z), inf where missed, and board coordinates [m]."""
-        r = self.board_from_camera.rotation.astype(x.dtype)
-        t = self.board_from_camera.translation.astype(x.dtype)
+        motion = self.board_from_camera
+        r, t = motion.rotation.astype(x.dtype), motion.translation.astype(x.dtype)
         r0, r1, r2 = (row[0] * x + row[1] * y + row[2] * z for row in r)
         towards = np.where(np.abs(r2) < 1e-9, x.dtype.type(1e-9), r2)
         depth = -t[2] / towards
@@ -183,15 +186,16 @@ def cover(
         depth: Depth of the board at pixel centres, inf where missed [height, width].
 
     Returns:
-        Where it is (rows, columns); how much of each pixel it fills, and its albedo times that,
-        float32 [rows, columns]; and the board with its picture as fine as the pixels need.
+        Its place in the image (rows, columns); the share of each pixel that it fills, and its albedo
+        times that share, float32 [rows, columns]; and the board with its picture as fine as the pixels need.
     """
     radius = (len(psf_weights(rig.config.sensor.psf_px, SAMPLES)) - 1) // 2
     height, width = rig.rays.shape
     seen = np.isfinite(depth)
     rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
     if len(rows) == 0:
-        return (slice(0, 0), slice(0, 0)), np.zeros((0, 0), np.float32), np.zeros((0, 0), np.float32), board
+        nothing = np.zeros((0, 0), np.float32)
+        return (slice(0, 0), slice(0, 0)), nothing, nothing, board
     top, bottom = max(0, rows[0] - radius - 1), min(height, rows[-1] + radius + 2)
     left, right = max(0, columns[0] - radius - 1), min(width, columns[-1] + radius + 2)
     pixel = float(np.median(depth[seen])) / rig.config.camera.fx
@@ -206,13 +210,12 @@ def cover(
 
 
 def _strip(rig: TrueRig, board: SeenBoard, rows: slice, columns: slice, radius: int) -> tuple[np.ndarray, np.ndarray]:
-    t = rig.rays
-    height, width = t.shape
+    """Share that the board fills of some pixels, and its albedo times that share; `radius` is the lens's blur [px]."""
+    height, width = rig.rays.shape
     # Pixels beyond the border repeat those on it: light from outside the image is unknown.
     i = np.clip(np.arange(rows.start - radius, rows.stop + radius), 0, height - 1)
     j = np.clip(np.arange(columns.start - radius, columns.stop + radius), 0, width - 1)
-    block = np.ix_(i, j)
-    rays = t.at(*block)
+    rays = rig.rays.at(*np.ix_(i, j))
     at = ((np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5).astype(np.float32)
     inside = np.empty((SAMPLES, SAMPLES, len(i), len(j)), np.float32)
     albedo = np.empty_like(inside)

@@ -1,8 +1,8 @@
-"""The lens's blur and the pixels' area: light is spread first and integrated over pixels after.
+"""The lens's blur and the pixels' area: light is spread first, then integrated over pixels.
 
 A stripe drawn by pixel centres, or blurred after it was cut into pixels, locks onto the grid by
-up to 0.3 px. So everything that is measured is sampled finer than pixels, and every sample is
-spread over the pixels around it by the point-spread function integrated over each.
+up to 0.3 px. So stripes and boards are sampled finer than pixels. Every sample is spread over the
+pixels around it by the point-spread function, integrated over each pixel.
 """
 
 import math
@@ -76,28 +76,24 @@ def integrate(samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
     Returns:
         float32 [rows, columns].
     """
-    _, n_v, height, width = samples.shape
-    taps = len(weights)
     # Weight taps - 1 - k is the share that pixel 0 receives from the pixel k - radius beside it.
     kernel = weights[::-1]
-    across = _weighted_sum(samples, kernel, n_v, height, width - taps + 1, axis=2)
-    return _weighted_sum(across, kernel, 1, height - taps + 1, width - taps + 1, axis=0)[0]
+    return _weighted_sum(_weighted_sum(samples, kernel, axis=-1), kernel, axis=-2)
 
 
-def _weighted_sum(
-    samples: np.ndarray, kernel: np.ndarray, layers: int, height: int, width: int, *, axis: int
-) -> np.ndarray:
-    """Sum over taps k and samples m of kernel[k, m] times sample m shifted by k along u (2) or v (0).
+def _weighted_sum(samples: np.ndarray, kernel: np.ndarray, *, axis: int) -> np.ndarray:
+    """Sum over taps k and samples m of kernel[k, m] times samples[m] shifted by k along u (-1) or v (-2).
 
     Plain multiply and add on arrays that fit the cache: a BLAS call here is a product with a
     4 x 7 matrix, and its threads get in the way of those that render other frames.
     """
-    out = np.zeros((layers, height, width) if axis == 2 else (1, height, width), np.float32)
+    size = samples.shape[axis] - len(kernel) + 1
+    parts = [samples[..., k : k + size] if axis == -1 else samples[..., k : k + size, :] for k in range(len(kernel))]
+    out = np.zeros(parts[0].shape[1:], np.float32)
     product = np.empty_like(out)
-    for k, row in enumerate(kernel):
-        for m, weight in enumerate(row):
-            part = samples[m, ..., k : k + width] if axis == 2 else samples[m][None, k : k + height]
-            np.multiply(part, weight, out=product)
+    for part, row in zip(parts, kernel, strict=True):
+        for sample, weight in zip(part, row, strict=True):
+            np.multiply(sample, weight, out=product)
             out += product
     return out
 

@@ -1,6 +1,6 @@
-"""Where a careful person would hold the board: spread over the image, tilted, across the stripe.
+"""Plans the poses of the board as a careful person holds it: spread over the image, tilted, across the stripe.
 
-That person sees a preview, so this may look at the true rig.
+The person sees a preview, so this code may use the true rig.
 """
 
 from typing import NamedTuple
@@ -10,7 +10,7 @@ import numpy as np
 from jaxscan.errors import ConfigError
 from jaxscan.simulation.rays import project
 from jaxscan.simulation.rig import Motion, Sheet, TrueRig, rodrigues
-from jaxscan.simulation.scene.scene import Scene
+from jaxscan.simulation.scene import Scene
 from jaxscan.simulation.spec import CameraSpec
 
 
@@ -27,7 +27,7 @@ class Placement(NamedTuple):
 _MARGIN_PX = 6.0
 _CLEARANCE = 0.03
 _CHOICES = 6
-"""Sound poses among which the one is taken that shows the board where few have yet."""
+"""Sound poses from which the one is chosen that shows the board in the least used part of the image."""
 _TRIES = 2000
 
 
@@ -45,7 +45,8 @@ def plan_boards(rig: TrueRig, scene: Scene, rng: np.random.Generator) -> list[Pl
         crossed = number % 3 < 2
         share = _share(number, spec.free_views)
         choices = [_pose(rig, scene, rng, share, turns=1, crossed=crossed)[0] for _ in range(_CHOICES)]
-        pose = max(choices, key=lambda pose: _novelty(rig, pose, seen))
+        # The pose whose corners are where few have been.
+        pose = max(choices, key=lambda pose: float((_cells(rig, pose) / (1 + seen) ** 2).sum()))
         seen += _cells(rig, pose)
         plan.append(Placement(rig.pose(0.0) @ pose, (0.0,), None))
     for number in range(spec.placements):
@@ -73,7 +74,7 @@ def _pose(
     spec = rig.config.boards
     near, far = np.log(spec.range_m)
     for attempt in range(_TRIES):
-        # Where a share of the range is not to be had, the whole is tried.
+        # Where a share of the range has no sound pose, the whole range is tried.
         low, high = share if attempt < _TRIES // 2 else (0.0, 1.0)
         distance = float(np.exp(near + (far - near) * rng.uniform(low, high)))
         pose = _draw(rig, rng, distance, crossed=crossed)
@@ -93,12 +94,13 @@ def _draw(rig: TrueRig, rng: np.random.Generator, distance: float, *, crossed: b
     """A random pose with its middle at the given depth: beside a sheet, or anywhere in the image."""
     camera, spec = rig.config.camera, rig.config.boards
     sheet = rig.sheets[int(rng.integers(len(rig.sheets)))]
-    size = _extent(rig)
+    outline = spec.board().outline()
+    size = np.ptp(outline, axis=0)
     axis = rng.uniform(0, 2 * np.pi)
     tilt = np.deg2rad(rng.uniform(*spec.tilt_deg))
     rotation = rodrigues(np.array([np.cos(axis), np.sin(axis), 0.0]), tilt)
     rotation = rotation @ rodrigues(np.array([0.0, 0.0, 1.0]), np.deg2rad(rng.uniform(-20, 20)))
-    middle = np.append(spec.board().outline().mean(0), 0.0)
+    middle = np.append(outline.mean(0), 0.0)
     if camera.wide:
         place = _place_around(camera, sheet if crossed else None, rng, distance, size)
         rotation = _facing(place) @ rotation
@@ -134,11 +136,6 @@ def _facing(place: np.ndarray) -> np.ndarray:
     axis = np.cross([0.0, 0.0, 1.0], place)
     length = float(np.linalg.norm(axis))
     return np.eye(3) if length == 0 else rodrigues(axis / length, float(np.arctan2(length, place[2])))
-
-
-def _extent(rig: TrueRig) -> np.ndarray:
-    outline = rig.config.boards.board().outline()
-    return outline.max(0) - outline.min(0)
 
 
 def _pixels(rig: TrueRig, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -195,21 +192,21 @@ def _crossed(rig: TrueRig, pose: Motion) -> bool:
 
 
 def _turns(rig: TrueRig, pose: Motion, count: int) -> tuple[float, ...]:
-    """Angles over which the board stays in the image, evenly spread; fewer than two if it hardly does."""
+    """Angles over which the board stays in the image, evenly spread; none if it hardly does."""
     scanner_from_board = rig.pose(0.0) @ pose
     ends = []
-    for sign in (-1.0, 1.0):
+    for step in (-0.01, 0.01):
         phi = 0.0
         while abs(phi) < np.pi / 4:
-            turned = rig.pose(phi + sign * 0.01).inverse() @ scanner_from_board
+            turned = rig.pose(phi + step).inverse() @ scanner_from_board
             if not _sees(rig, turned) or not _faces(turned):
                 break
-            phi += sign * 0.01
+            phi += step
         ends.append(phi)
     if ends[1] - ends[0] < 0.1:
         return ()
     # Whole hundredths of a degree, which a stepper can be told to go to.
-    return tuple(float(np.deg2rad(round(np.rad2deg(phi), 2))) for phi in np.linspace(ends[0], ends[1], count))
+    return tuple(float(np.deg2rad(round(np.rad2deg(phi), 2))) for phi in np.linspace(*ends, count))
 
 
 def _clear(rig: TrueRig, scene: Scene, pose: Motion, phi: float) -> bool:
@@ -220,7 +217,8 @@ def _clear(rig: TrueRig, scene: Scene, pose: Motion, phi: float) -> bool:
     # Points behind the board by the clearance: an object that hides them would stick through it.
     grid = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, _CLEARANCE)])
     world = (rig.pose(0.0) @ pose).apply(grid).astype(np.float32)
-    eyes = [rig.pose(phi).translation] + [rig.pose(phi).apply(sheet.origin) for sheet in rig.sheets]
+    turned = rig.pose(phi)
+    eyes = [turned.translation, *(turned.apply(sheet.origin) for sheet in rig.sheets)]
     return not any(scene.blocked(eye, world).any() for eye in eyes)
 
 
@@ -232,7 +230,3 @@ def _cells(rig: TrueRig, pose: Motion) -> np.ndarray:
     rows, columns = pixels[inside, 1] * 6 // camera.height, pixels[inside, 0] * 8 // camera.width
     seen[rows.astype(int), columns.astype(int)] = 1
     return seen
-
-
-def _novelty(rig: TrueRig, pose: Motion, seen: np.ndarray) -> float:
-    return float((_cells(rig, pose) / (1 + seen) ** 2).sum())

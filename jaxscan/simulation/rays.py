@@ -1,12 +1,12 @@
-"""Which way the pixels of a camera look: tables, made once per camera.
+"""Rays of the pixels of a camera, as tables that are made once per camera.
 
-The inverse distortion here is a fixed point in NumPy (of a wide-angle lens, a table), independent of the
-inversion in `geometry`, so that an error in either shows as a difference.
+The inverse distortion is a fixed point iteration in NumPy; for a wide-angle lens it is a table. It is
+independent of the inversion in `geometry`, so that an error in either shows as a difference.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +17,14 @@ from jaxscan.simulation.spec import CameraSpec
 Numbers = np.ndarray | float
 
 
-class Directions(NamedTuple):
-    """Ways (x, y, z) that some pixels look, and how they change along u and v.
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Directions (x, y, z) of the rays of some pixels, and their derivatives along u and v [1/px], float32.
 
-    z and its changes are the plain numbers 1 and 0 for a pinhole, which costs nothing.
+    A pinhole has (x, y, 1), normalised image coordinates, along which a depth is z: here z and its
+    derivatives are the plain numbers 1 and 0, which cost nothing. A wide-angle lens has unit
+    vectors, along which a depth is a distance. The linear change holds to 1e-4 px within the
+    pixel, since a lens bends over hundreds of pixels.
     """
 
     x: np.ndarray
@@ -33,33 +37,24 @@ class Directions(NamedTuple):
     z_u: Numbers = 0.0
     z_v: Numbers = 0.0
 
+    def at(self, *index: Any) -> "Directions":
+        """Those of some pixels, by any index into the arrays."""
+        tables: list[Any] = [getattr(self, field.name) for field in fields(Directions)]
+        return Directions(*(table[index] if np.ndim(table) else table for table in tables))
+
     def moved(self, du: Numbers | np.float32, dv: Numbers | np.float32) -> tuple[np.ndarray, np.ndarray, Numbers]:
-        """The same beside the pixels' centres [px]."""
+        """(x, y, z) at (du, dv) px beside the pixels' centres."""
         z = self.z if isinstance(self.z, float) else self.z + self.z_u * du + self.z_v * dv
         return self.x + self.x_u * du + self.x_v * dv, self.y + self.y_u * du + self.y_v * dv, z
 
 
 @dataclass(frozen=True, eq=False)
-class RayTable:
-    """The way (x, y, z) that every pixel's centre looks, and how it changes along u and v.
+class RayTable(Directions):
+    """The rays of all pixels; arrays are [height, width]."""
 
-    All arrays are float32 [height, width]. A pinhole has (x, y, 1), normalised image coordinates,
-    along which a depth is z; a wide-angle lens has unit vectors, along which a depth is a distance.
-    (x + x_u du + x_v dv, …) holds to 1e-4 px within the pixel, since a lens bends over hundreds
-    of pixels.
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    x_u: np.ndarray
-    x_v: np.ndarray
-    y_u: np.ndarray
-    y_v: np.ndarray
-    directions: np.ndarray
+    vectors: np.ndarray = field(kw_only=True)
     """(x, y, z) of all pixels, float32 [height * width, 3]."""
-    third: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
-    """z, z_u, z_v of a wide-angle lens; None for a pinhole."""
-    sees: np.ndarray | None = None
+    sees: np.ndarray | None = field(kw_only=True)
     """Pixels inside the field of view of a wide-angle lens, bool; None where all are."""
 
     @property
@@ -67,16 +62,6 @@ class RayTable:
         """Height and width [px]."""
         height, width = self.x.shape
         return height, width
-
-    @property
-    def z(self) -> Numbers:
-        """1 for a pinhole."""
-        return 1.0 if self.third is None else self.third[0]
-
-    def at(self, *index: Any) -> Directions:
-        """Those of some pixels, by any index into [height, width] arrays."""
-        first = (table[index] for table in (self.x, self.x_u, self.x_v, self.y, self.y_u, self.y_v))
-        return Directions(*first, *(() if self.third is None else (table[index] for table in self.third)))
 
 
 def project(camera: CameraSpec, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -137,15 +122,14 @@ def ray_table(camera: CameraSpec) -> RayTable:
     # One pixel beyond every side, for central differences at the border.
     columns, rows = np.meshgrid(np.arange(-1.0, camera.width + 1), np.arange(-1.0, camera.height + 1))
     seen, ways = look(camera, columns, rows) if camera.wide else (None, undistort(camera, columns, rows))
-    inner = (slice(1, -1), slice(1, -1))
-    along_u = [((a[1:-1, 2:] - a[1:-1, :-2]) / 2).astype(np.float32) for a in ways]
-    along_v = [((a[2:, 1:-1] - a[:-2, 1:-1]) / 2).astype(np.float32) for a in ways]
-    x, y, *rest = (a[inner].astype(np.float32) for a in ways)
-    z = rest[0] if rest else np.ones_like(x)
-    directions = np.stack([x, y, z], -1).reshape(-1, 3)
-    third = (z, along_u[2], along_v[2]) if rest else None
-    sees = None if seen is None else seen[inner]
-    return RayTable(x, y, along_u[0], along_v[0], along_u[1], along_v[1], directions, third, sees)
+    tables = [
+        table.astype(np.float32)
+        for way in ways
+        for table in (way[1:-1, 1:-1], (way[1:-1, 2:] - way[1:-1, :-2]) / 2, (way[2:, 1:-1] - way[:-2, 1:-1]) / 2)
+    ]
+    x, y, z = tables[0], tables[3], tables[6] if camera.wide else np.ones_like(tables[0])
+    vectors = np.stack([x, y, z], -1).reshape(-1, 3)
+    return RayTable(*tables, vectors=vectors, sees=None if seen is None else seen[1:-1, 1:-1])
 
 
 def look(

@@ -1,7 +1,6 @@
-"""The rig as the renderer sees it: poses by Rodrigues' formula, sheets, and where the fans start.
+"""The rig of the renderer: poses by Rodrigues' formula, laser sheets, and origins of the fans.
 
-Written apart from `geometry` on purpose: the two are compared in tests, so an error in either
-cannot cancel against itself.
+It is independent of `geometry` on purpose: tests compare the two, so an error in either shows.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +10,7 @@ import numpy as np
 
 from jaxscan.errors import ConfigError
 from jaxscan.simulation.rays import Numbers, RayTable, ray_table
-from jaxscan.simulation.spec import LaserSpec, SimulationConfig, TurntableSpec
+from jaxscan.simulation.spec import LaserSpec, SimulationConfig
 
 
 WALL_ALBEDO = 0.7
@@ -35,7 +34,7 @@ class Motion:
     def turn(self, vectors: np.ndarray) -> np.ndarray:
         """Vectors [..., 3] turned, in their own precision."""
         r = self.rotation.astype(vectors.dtype)
-        x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+        x, y, z = np.moveaxis(vectors, -1, 0)
         out = np.empty_like(vectors)
         # Three sums beat a matrix product whose matrix is 3 x 3.
         for row in range(3):
@@ -63,7 +62,7 @@ class Sheet:
     normal: np.ndarray
     distance: float
     origin: np.ndarray
-    """Where the fan starts."""
+    """Origin of the fan."""
     ahead: np.ndarray
     """The middle of the fan: the optical axis projected into the sheet."""
     across: np.ndarray
@@ -115,16 +114,14 @@ class TrueRig:
         return self.scanner_from_camera @ Motion(rotation, self.point - rotation @ self.point)
 
 
-UP = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u": (-1.0, 0.0, 0.0)}
+_UP = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u": (-1.0, 0.0, 0.0)}
 
 
 @lru_cache(maxsize=4)
 def make_rig(config: SimulationConfig) -> TrueRig:
     """The rig of a configuration; the last few are kept."""
     rays = ray_table(config.camera)
-    direction, point = turning_axis(config.turntable)
-    if direction @ np.array(UP[config.camera.up]) < 0:
-        direction = -direction
+    direction, point = turning_axis(config)
     ahead = np.array([0.0, 0.0, 1.0]) - direction[2] * direction
     length = np.linalg.norm(ahead)
     if length < 1e-6:
@@ -136,8 +133,9 @@ def make_rig(config: SimulationConfig) -> TrueRig:
     return TrueRig(config, rays, sheets, direction, point, base)
 
 
-def turning_axis(spec: TurntableSpec) -> tuple[np.ndarray, np.ndarray]:
-    """Unit direction of the axis, in either sense, and its point nearest the camera [m]."""
+def turning_axis(config: SimulationConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Unit direction of the axis, upwards, and its point nearest the camera [m], camera frame."""
+    spec = config.turntable
     if spec.tr is None:
         direction, point = np.array(spec.direction), np.array(spec.point_m)
         direction = direction / np.linalg.norm(direction)
@@ -151,16 +149,14 @@ def turning_axis(spec: TurntableSpec) -> tuple[np.ndarray, np.ndarray]:
         shift = tr[:3, 3] / 1000
         shift = shift - (direction @ shift) * direction
         # Half the turn's chord, and the arrow to the centre: p = (t + cot(theta/2) a x t) / 2.
-        theta = np.arctan2(_vee(rotation) @ direction, (np.trace(rotation) - 1) / 2)
+        twice = rotation - rotation.T
+        sine = np.array([twice[2, 1], twice[0, 2], twice[1, 0]]) / 2 @ direction
+        theta = np.arctan2(sine, (np.trace(rotation) - 1) / 2)
         if abs(theta) < 1e-9:
             raise ConfigError("`tr` of the turntable does not turn.")
         point = (shift + np.cross(direction, shift) / np.tan(theta / 2)) / 2
-    return direction, point - (direction @ point) * direction
-
-
-def _vee(rotation: np.ndarray) -> np.ndarray:
-    r = rotation
-    return np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2
+    point = point - (direction @ point) * direction
+    return (-direction if direction @ np.array(_UP[config.camera.up]) < 0 else direction), point
 
 
 def _sheet(spec: LaserSpec, config: SimulationConfig, rays: RayTable) -> Sheet:
@@ -185,6 +181,5 @@ def _sheet(spec: LaserSpec, config: SimulationConfig, rays: RayTable) -> Sheet:
     width_px = width_m * config.camera.fx / r
     seen_px = np.sqrt(width_px**2 + config.sensor.psf_px**2 + 1 / 12)
     power = spec.peak_dn / WALL_ALBEDO * r * np.sqrt(2 * np.pi) * width_m * seen_px / width_px
-    z = rays.z if isinstance(rays.z, float) else rays.z.astype(np.float64)
-    slope = sheet.slope_at(rays.x.astype(np.float64), rays.y.astype(np.float64), z).astype(np.float32)
+    slope = sheet.slope_at(*(np.asarray(part, np.float64) for part in (rays.x, rays.y, rays.z))).astype(np.float32)
     return replace(sheet, slope=slope, power=float(power))

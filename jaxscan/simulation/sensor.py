@@ -42,10 +42,8 @@ def mosaic(image: np.ndarray, pixel_format: PixelFormat) -> np.ndarray:
     if pixel_format == "mono8":
         return image[0]
     out = np.empty(image.shape[1:], image.dtype)
-    for row in (0, 1):
-        for column in (0, 1):
-            colour = _SITES[pixel_format][row][column]
-            out[row::2, column::2] = image[colour, row::2, column::2]
+    for (row, column), colour in np.ndenumerate(_SITES[pixel_format]):
+        out[row::2, column::2] = image[colour, row::2, column::2]
     return out
 
 

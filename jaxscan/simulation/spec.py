@@ -1,4 +1,4 @@
-"""Parts of a simulated rig: the configuration, as frozen models that refuse unknown keys.
+"""Configuration of a simulated rig, as frozen models that refuse unknown keys.
 
 Metres, radians and pixels unless the key says otherwise.
 """
@@ -25,8 +25,8 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-# The simulator draws its lenses by code of its own, so that an error of the estimator's shows; only the
-# names of lenses and coefficients are shared with the estimator.
+# The simulator has its own lens models, so that an error of the estimator's shows; only the names of
+# lenses and coefficients are shared with the estimator.
 _COEFFICIENTS: dict[str, tuple[str, ...]] = {
     "pinhole": ("k1", "k2", "p1", "p2", "k3"),
     "fisheye": ("k1", "k2", "k3", "k4"),
@@ -84,7 +84,7 @@ class CameraSpec(Section):
 
 
 class SensorSpec(Section):
-    """How light becomes numbers."""
+    """The sensor: response and noise."""
 
     pixel_format: PixelFormat = "mono8"
     response: Literal["linear", "srgb"] = "linear"
@@ -123,8 +123,8 @@ class LaserSpec(Section):
     bow: Pair = (0.0, 0.0)
     """b2, b3 of the sheet's bow; see LaserSheet."""
     origin_m: Triple | None = None
-    """Where the fan starts, camera frame; where not given, the point of the sheet on the
-    camera's x axis, or, for a sheet along that axis, the one nearest the camera."""
+    """Origin of the fan, camera frame. Default: the point of the sheet on the camera's x axis, or, for
+    a sheet along that axis, the point nearest the camera."""
     fan_deg: Annotated[float, Field(gt=0, lt=180)] = 90.0
     waist_mm: Positive = 0.5
     """Standard deviation of the sheet's thickness where it is in focus."""

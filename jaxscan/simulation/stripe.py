@@ -1,4 +1,4 @@
-"""The laser's light: where the sheet meets the scene, seen by the camera, through the lens.
+"""The laser's light on the scene, as the camera sees it through the lens.
 
 At a point p at distance r from the laser, with s its distance from the sheet,
 
@@ -6,7 +6,7 @@ At a point p at distance r from the laser, with s its distance from the sheet,
 
 falls off with 1/r (the fan spreads in one direction only) and with the sheet's thickness w(r).
 It is evaluated on a grid finer than pixels in the band round the sheet, each sample by its own
-ray, so depth edges, shadows and printed edges cut the stripe where they do in the world.
+ray, so depth edges, shadows and printed edges cut the stripe at their true places.
 """
 
 import math
@@ -18,7 +18,8 @@ from jaxscan.simulation.boards import SeenBoard
 from jaxscan.simulation.optics import psf_weights, splat
 from jaxscan.simulation.rays import Numbers
 from jaxscan.simulation.rig import Motion, Sheet, TrueRig
-from jaxscan.simulation.scene.scene import Scene
+from jaxscan.simulation.scene import Scene
+from jaxscan.simulation.sensor import COLOURS
 
 
 SAMPLES_ALONG = 2
@@ -27,12 +28,8 @@ _BAND = 5.5
 """Half width of the sampled band, in standard deviations of the sheet: beyond it is 3e-7 of the peak."""
 
 
-Rays = tuple[np.ndarray, np.ndarray, Numbers]
-"""x, y, z of some rays; z is the number 1 for a pinhole."""
-
-
 class RowTruth(NamedTuple):
-    """Where the stripe truly is, one entry per line; entries that are not `valid` are zero."""
+    """The true stripe, one entry per line; entries that are not `valid` are zero."""
 
     u: np.ndarray
     """Centre of the sheet across the line [px], float64."""
@@ -57,7 +54,7 @@ class LitScene(NamedTuple):
 
 
 class Hits(NamedTuple):
-    """Where rays (x, y, z) end, n of them, camera frame."""
+    """First surface on each of n rays, camera frame."""
 
     depth: np.ndarray
     points: np.ndarray
@@ -65,8 +62,8 @@ class Hits(NamedTuple):
     """Towards the camera."""
     triangle: np.ndarray
     on_board: np.ndarray
-    place: tuple[np.ndarray, np.ndarray]
-    """Board coordinates [m]; without meaning beside the board."""
+    place: np.ndarray
+    """Board coordinates [2, n], m; without meaning beside the board."""
 
 
 def laser_image(shot: LitScene, depth: np.ndarray) -> np.ndarray:
@@ -88,9 +85,14 @@ def laser_image(shot: LitScene, depth: np.ndarray) -> np.ndarray:
         return np.zeros((height, width), np.float32)
     dv = ((np.arange(samples_v) + 0.5) / samples_v - 0.5).repeat(samples_u).astype(np.float32)
     du = np.tile((np.arange(samples_u) + 0.5) / samples_u - 0.5, samples_v).astype(np.float32)
-    x, y, z = rig.rays.at(rows, columns, None).moved(du, dv)
-    light = illuminate(shot, (x.ravel(), y.ravel(), z if isinstance(z, float) else z.ravel()))
-    return splat(light.reshape(x.shape), rows, columns, *weights, (height, width))
+    rays = stacked(*rig.rays.at(rows, columns, None).moved(du, dv))
+    light = illuminate(shot, rays.reshape(3, -1)).reshape(rays.shape[1:])
+    return splat(light, rows, columns, *weights, (height, width))
+
+
+def stacked(x: np.ndarray, y: np.ndarray, z: Numbers) -> np.ndarray:
+    """Rays [3, ...] from their coordinates; z may be the number 1 of a pinhole."""
+    return np.stack([x, y, np.broadcast_to(np.asarray(z, x.dtype), x.shape)])
 
 
 def samples_across(rig: TrueRig, sheet: Sheet) -> int:
@@ -105,8 +107,8 @@ def samples_across(rig: TrueRig, sheet: Sheet) -> int:
     return int(np.clip(math.ceil(0.6 / thinnest), 8, 32))
 
 
-def illuminate(shot: LitScene, rays: Rays) -> np.ndarray:
-    """Light of the laser seen along rays (x, y, z), float32 [n], DN on a pixel filled with it."""
+def illuminate(shot: LitScene, rays: np.ndarray) -> np.ndarray:
+    """Light of the laser seen along rays [3, n], float32 [n], DN on a pixel filled with it."""
     sheet, hits = shot.sheet, cast(shot, rays)
     f = np.float32
     beside = hits.depth * sheet.slope_at(*rays).astype(f) - f(sheet.distance)
@@ -124,17 +126,16 @@ def illuminate(shot: LitScene, rays: Rays) -> np.ndarray:
     return light
 
 
-def cast(shot: LitScene, rays: Rays) -> Hits:
-    """Where the rays (x, y, z) of the camera end."""
-    (x, y, z), scene, pose, board = rays, shot.scene, shot.pose, shot.board
-    directions = np.stack([x, y, np.ones_like(x) if isinstance(z, float) else z], -1)
+def cast(shot: LitScene, rays: np.ndarray) -> Hits:
+    """First surface on each of the camera's rays [3, n]."""
+    scene, pose, board = shot.scene, shot.pose, shot.board
+    directions = np.ascontiguousarray(rays.T)
     depth, triangle = scene.cast(pose.translation, pose.turn(directions))
     normal = pose.inverse().turn(scene.normal)[triangle]
-    on_board = np.zeros(len(x), bool)
-    place = np.zeros_like(x), np.zeros_like(x)
+    on_board, place = np.zeros(len(depth), bool), np.zeros((2, len(depth)))
     if board is not None:
-        nearer, bx, by = board.hit(x, y, z)
-        on_board, place = nearer < depth, (bx, by)
+        nearer, bx, by = board.hit(*rays)
+        on_board, place = nearer < depth, np.stack([bx, by])
         depth = np.where(on_board, nearer, depth)
         normal = np.where(on_board[:, None], board.normal().astype(np.float32), normal)
     safe = np.where(np.isfinite(depth), depth, 0).astype(directions.dtype)
@@ -158,23 +159,20 @@ def row_truth(shot: LitScene, depth: np.ndarray, light: np.ndarray) -> RowTruth:
     columns_axis = sheet.spec.stripe_axis == "columns"
     if columns_axis:
         offset, light = offset.T, light.T
-    lines = offset.shape[0]
     found = np.isfinite(offset[:, :-1]) & np.isfinite(offset[:, 1:])
     line, at = np.nonzero(found & ((offset[:, :-1] < 0) != (offset[:, 1:] < 0)))
     t = shot.rig.rays
 
-    def ray(u: np.ndarray) -> Rays:
+    def rays_at(u: np.ndarray) -> np.ndarray:
         fraction = u - at
-        row, column = (at, line) if columns_axis else (line, at)
-        row2, column2 = (at + 1, line) if columns_axis else (line, at + 1)
 
         def between(table: np.ndarray) -> np.ndarray:
-            return table[row, column].astype(np.float64) * (1 - fraction) + table[row2, column2] * fraction
+            table = table.T if columns_axis else table
+            return table[line, at].astype(np.float64) * (1 - fraction) + table[line, at + 1] * fraction
 
-        return between(t.x), between(t.y), t.z if isinstance(t.z, float) else between(t.z)
+        return stacked(between(t.x), between(t.y), t.z if isinstance(t.z, float) else between(t.z))
 
-    def beside(u: np.ndarray) -> np.ndarray:
-        rays = ray(u)
+    def beside(rays: np.ndarray) -> np.ndarray:
         return cast(shot, rays).depth * sheet.slope_at(*rays) - sheet.distance
 
     low, high = at.astype(np.float64), at + 1.0
@@ -182,26 +180,24 @@ def row_truth(shot: LitScene, depth: np.ndarray, light: np.ndarray) -> RowTruth:
     u = low
     for _ in range(4):
         u = low - f_low * (high - low) / np.where(f_high == f_low, 1.0, f_high - f_low)
-        value = beside(u)
+        value = beside(rays_at(u))
         left = (value < 0) == (f_low < 0)
         low, f_low = np.where(left, u, low), np.where(left, value, f_low)
         high, f_high = np.where(left, high, u), np.where(left, f_high, value)
-    rays = ray(u)
+    rays = rays_at(u)
     # At a jump of depth the sheet is crossed nowhere; a lit centre has light of its own.
-    real = (np.abs(beside(u)) < 2e-5) & (illuminate(shot, rays) > 0)
+    real = (np.abs(beside(rays)) < 2e-5) & (illuminate(shot, rays) > 0)
     peak = np.zeros(len(u), np.float32)
     for step in (-1, 0, 1, 2):
         peak = np.maximum(peak, light[line, np.clip(at + step, 0, light.shape[1] - 1)])
     order = np.argsort(np.where(real, peak, -1.0), kind="stable")
-    best = np.full(lines, -1)
+    best = np.full(len(offset), -1)
     best[line[order]] = order
     valid = best >= 0
     valid[valid] &= real[best[valid]]
     chosen = best[valid]
-    x, y, z = rays
-    kept = x[chosen], y[chosen], z if isinstance(z, float) else z[chosen]
-    points = shot.pose.apply(cast(shot, kept).points)
-    truth = RowTruth(np.zeros(lines), np.zeros(lines, np.float32), np.zeros((lines, 3)), valid)
+    points = shot.pose.apply(cast(shot, rays[:, chosen]).points)
+    truth = RowTruth(np.zeros(len(valid)), np.zeros(len(valid), np.float32), np.zeros((len(valid), 3)), valid)
     truth.u[valid], truth.amplitude[valid], truth.xyz[valid] = u[chosen], peak[chosen], points
     return truth
 
@@ -210,17 +206,16 @@ def _band(sheet: Sheet, rig: TrueRig, depth: np.ndarray) -> np.ndarray:
     """Pixels in which the sheet may light something, bool [height, width]."""
     f = np.float32
     z = np.where(np.isfinite(depth), depth, f(1e6))
-    beside = np.abs(z * sheet.slope - f(sheet.distance))
+    signed = z * sheet.slope - f(sheet.distance)
+    beside = np.abs(signed)
     waist, divergence = sheet.spec.waist_mm / 1000, sheet.spec.divergence_mrad / 1000
     # The distance from the laser is bounded by that from the camera and their separation.
     apart, focus = f(np.linalg.norm(sheet.origin)), f(sheet.spec.focus_m)
     blurred = np.maximum(np.abs(z - apart - focus), np.abs(z * f(1.5) + apart - focus))
     limit = f(_BAND) * (f(waist) + f(divergence) * blurred)
-    signed = z * sheet.slope - f(sheet.distance)
     near = beside < limit
-    for axis in (0, 1):
+    for axis, first, second in ((0, np.s_[:-1], np.s_[1:]), (1, np.s_[:, :-1], np.s_[:, 1:])):
         step = np.abs(np.diff(signed, axis=axis))
-        first, second = (np.s_[:-1], np.s_[1:]) if axis == 0 else (np.s_[:, :-1], np.s_[:, 1:])
         reach = np.minimum(beside[first], beside[second]) < limit[first] + step
         near[first] |= reach
         near[second] |= reach
@@ -236,6 +231,7 @@ def _fan(sheet: Sheet, legs: np.ndarray) -> np.ndarray:
 
 
 def _shaded(shot: LitScene, points: np.ndarray, on_board: np.ndarray) -> np.ndarray:
+    """Whether something stands between the laser and each of the points [n, 3]."""
     origin = shot.sheet.origin
     shaded = shot.scene.blocked(shot.pose.apply(origin), shot.pose.apply(points))
     if shot.board is not None:
@@ -244,11 +240,9 @@ def _shaded(shot: LitScene, points: np.ndarray, on_board: np.ndarray) -> np.ndar
 
 
 def _albedo(shot: LitScene, hits: Hits, lit: np.ndarray) -> np.ndarray:
-    channel = np.zeros((3, 1), np.float32)
-    channel[("red", "green", "blue").index(shot.sheet.spec.colour)] = 1
-    albedo = shot.scene.albedo(hits.triangle[lit], shot.pose.apply(hits.points[lit]), channel)[0]
+    channel = np.eye(3, dtype=np.float32)[:, [COLOURS.index(shot.sheet.spec.colour)]]
+    (albedo,), _ = shot.scene.look(hits.triangle[lit], shot.pose.apply(hits.points[lit]), channel)
     if shot.board is not None:
         on_board = hits.on_board[lit]
-        bx, by = hits.place
-        albedo[on_board] = shot.board.albedo(bx[lit][on_board], by[lit][on_board])
+        albedo[on_board] = shot.board.albedo(*hits.place[:, lit[on_board]])
     return albedo

@@ -1,4 +1,4 @@
-"""Frames that the camera records while the table turns, or while a board is shown to it."""
+"""Frames of the camera while the table turns, or while a board is shown to it."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -10,9 +10,9 @@ import numpy as np
 
 from jaxscan.simulation.boards import SeenBoard, cover, make_print
 from jaxscan.simulation.optics import blur
-from jaxscan.simulation.planning import plan_boards
+from jaxscan.simulation.planning import Placement, plan_boards
 from jaxscan.simulation.rig import WALL_ALBEDO, Motion, Sheet, TrueRig, make_rig
-from jaxscan.simulation.scene.scene import Scene, make_scene
+from jaxscan.simulation.scene import Scene, make_scene
 from jaxscan.simulation.sensor import channels, expose, laser_response, mosaic, speckled
 from jaxscan.simulation.spec import SimulationConfig
 from jaxscan.simulation.stripe import LitScene, RowTruth, laser_image, row_truth
@@ -90,21 +90,14 @@ def expect_boards(
     """
     rig, scene = make_rig(config), make_scene(config, boards=config.object is not None)
     picture = make_print(config.boards, texture)
-    seed = config.seed if seed is None else seed
-    jobs = [
-        (placement, phi, index)
-        for placement in plan_boards(rig, scene, _generator(seed, _PLAN, 0))
-        for phi in placement.angles
-        for index in range(len(rig.sheets))
-    ]
+    placements = plan_boards(rig, scene, _generator(config.seed if seed is None else seed, _PLAN, 0))
 
-    def expect(job) -> ExpectedRecord:
+    def expect(job: tuple[Placement, float, int]) -> ExpectedRecord:
         placement, phi, index = job
-        board_from_camera = placement.scanner_from_board.inverse() @ rig.pose(phi)
-        board = SeenBoard(picture, board_from_camera)
+        board = SeenBoard(picture, placement.scanner_from_board.inverse() @ rig.pose(phi))
         return expect_record(rig, scene, phi, laser=index, board=board, placement=placement.number)
 
-    return _ahead(expect, jobs)
+    return _ahead(expect, [(one, phi, n) for one in placements for phi in one.angles for n in range(len(rig.sheets))])
 
 
 def render_sweep(config: SimulationConfig, *, every: int = 1, seed: int | None = None) -> Iterator[RenderedRecord]:
@@ -118,8 +111,7 @@ def render_sweep(config: SimulationConfig, *, every: int = 1, seed: int | None =
     """
     seed = config.seed if seed is None else seed
     rig, scene = make_rig(config), make_scene(config)
-    lasers = len(rig.sheets)
-    angles = sweep_angles(config, every=every)
+    lasers, angles = len(rig.sheets), sweep_angles(config, every=every)
     jobs = [(k * every * lasers + index, float(phi), index) for k, phi in enumerate(angles) for index in range(lasers)]
 
     def render(job: tuple[int, float, int]) -> RenderedRecord:
@@ -146,7 +138,7 @@ def render_boards(
 
 
 def develop(record: ExpectedRecord, config: SimulationConfig, rng: np.random.Generator) -> RenderedRecord:
-    """Both exposures of a record, each with noise of its own."""
+    """Expose both frames of a record, each with its own noise."""
     laser = speckled(record.laser, config.sensor, rng)
     on = expose(record.off + laser, config.sensor, rng)
     off = expose(record.off, config.sensor, rng)
@@ -164,21 +156,19 @@ def expect_record(
 ) -> ExpectedRecord:
     """One pair of frames at the table's angle `phi` [rad], without noise."""
     config, sensor, sheet = rig.config, rig.config.sensor, rig.sheets[laser]
-    pose = rig.pose(phi)
-    shape = rig.rays.shape
-    rays = pose.turn(rig.rays.directions)
-    depth, triangle = scene.cast(pose.translation, rays)
-    sees = rig.rays.sees
-    if sees is not None:
-        depth = np.where(sees.ravel(), depth, np.float32(np.inf))
+    pose, sees = rig.pose(phi), rig.rays.sees
+    rays = pose.turn(rig.rays.vectors)
+
+    def in_view(depth: np.ndarray) -> np.ndarray:
+        return depth if sees is None else np.where(sees, depth, np.float32(np.inf))
+
+    depth, triangle = (part.reshape(rig.rays.shape) for part in scene.cast(pose.translation, rays))
+    depth = in_view(depth)
     white = config.light.white_dn if board is None else config.boards.white_dn
     off = _ambient(rig, scene, pose, rays, depth, triangle) * np.float32(white)
-    depth = depth.reshape(shape)
     scale = 1.0
     if board is not None:
-        in_front, _, _ = board.hit(rig.rays.x, rig.rays.y, rig.rays.z)
-        if sees is not None:
-            in_front = np.where(sees, in_front, np.float32(np.inf))
+        in_front = in_view(board.hit(rig.rays.x, rig.rays.y, rig.rays.z)[0])
         where, fills, albedo, board = cover(rig, board, in_front)
         light = _board_light(rig, scene, pose, board, where) * np.float32(white)
         off[:, *where] = off[:, *where] * (1 - fills) + albedo * light
@@ -196,31 +186,26 @@ def expect_record(
 
 
 def true_cloud(records: Iterable[ExpectedRecord | RenderedRecord]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The cloud that a perfect scanner would find.
+    """The cloud of a perfect scanner.
 
     Returns:
         xyz: float64 [records, lines, 3], m, scanner frame; zero where not valid.
         valid: bool [records, lines].
         angle: float64 [records], rad.
     """
-    angles, truths = [], []
-    for record in records:
-        angles.append(record.angle)
-        truths.append(record.truth)
-    return np.stack([t.xyz for t in truths]), np.stack([t.valid for t in truths]), np.array(angles)
+    angles, points, valid = zip(*((one.angle, one.truth.xyz, one.truth.valid) for one in records), strict=True)
+    return np.stack(points), np.stack(valid), np.array(angles)
 
 
 def _ambient(
     rig: TrueRig, scene: Scene, pose: Motion, rays: np.ndarray, depth: np.ndarray, triangle: np.ndarray
 ) -> np.ndarray:
     """The scene in its own light through the lens, float32 [channels, height, width]; 1 is white."""
-    weights = channels(rig.config.sensor)
     hit = np.isfinite(depth)
-    points = rays * np.where(hit, depth, np.float32(0))[:, None] + pose.translation.astype(np.float32)
-    shape = rig.rays.shape
-    image = scene.ambient(triangle.reshape(shape), points.reshape(*shape, 3), pose.translation, weights)
+    points = rays * np.where(hit, depth, np.float32(0)).reshape(-1, 1) + pose.translation.astype(np.float32)
+    image = scene.ambient(triangle, points.reshape(*hit.shape, 3), pose.translation, channels(rig.config.sensor))
     if not hit.all():
-        image *= hit.reshape(shape)
+        image *= hit
     return blur(image, rig.config.sensor.psf_px)
 
 
@@ -237,10 +222,9 @@ def _board_light(rig: TrueRig, scene: Scene, pose: Motion, board: SeenBoard, whe
 def _board_power(rig: TrueRig, sheet: Sheet, depth: np.ndarray) -> float:
     """Factor on the laser's power that makes its stripe on the board as bright as wanted."""
     spec, laser = rig.config.boards, sheet.spec
-    seen = np.isfinite(depth)
-    if not seen.any():
+    seen = depth[np.isfinite(depth)]
+    if not len(seen):
         return 1.0
-    z = float(np.median(depth[seen]))
     psf2 = rig.config.sensor.psf_px**2 + 1 / 12
 
     def strength(r: float) -> float:
@@ -248,7 +232,9 @@ def _board_power(rig: TrueRig, sheet: Sheet, depth: np.ndarray) -> float:
         # Light per metre of stripe, on pixels of r / f, spread over the seen width.
         return 1 / np.sqrt(width_px**2 + psf2) * rig.config.camera.fx / r**2
 
-    return spec.peak_dn / 0.85 / (laser.peak_dn / WALL_ALBEDO) * strength(laser.range_m) / strength(z)
+    return (
+        spec.peak_dn / 0.85 / (laser.peak_dn / WALL_ALBEDO) * strength(laser.range_m) / strength(float(np.median(seen)))
+    )
 
 
 def _generator(seed: int, stream: int, number: int) -> np.random.Generator:
@@ -256,12 +242,11 @@ def _generator(seed: int, stream: int, number: int) -> np.random.Generator:
 
 
 def _ahead(function: Callable[[Item], Result], items: Iterable[Item], *, workers: int = 2) -> Iterator[Result]:
-    """`map` in order, a few items ahead in threads: NumPy and Open3D let go of the interpreter's lock."""
+    """`map` in order, a few items ahead in threads: NumPy and Open3D release the interpreter's lock."""
     waiting = iter(items)
     with ThreadPoolExecutor(workers) as pool:
         running = deque(pool.submit(function, item) for item in islice(waiting, workers + 1))
         while running:
-            done = running.popleft()
-            result = done.result()
+            result = running.popleft().result()
             running.extend(pool.submit(function, item) for item in islice(waiting, 1))
             yield result

@@ -1,40 +1,37 @@
-"""The truth of a simulated rig: for comparison with an estimate, never for making one."""
+"""The truth of a simulated rig, for comparison with estimates; never an input of one."""
 
 from typing import Any
 
 import jax
 import numpy as np
 
-from jaxscan.geometry import CAMERAS, AbstractCamera, LaserSheet, Scanner, Turntable, point_up, stack_lasers
-from jaxscan.simulation.rig import make_rig
-from jaxscan.simulation.scene.scene import room_from_scanner
-from jaxscan.simulation.spec import CameraSpec, SimulationConfig, TurntableSpec
+from jaxscan.geometry import CAMERAS, LaserSheet, Scanner, Turntable, point_up, stack_lasers
+from jaxscan.simulation.rig import Motion, make_rig
+from jaxscan.simulation.scene import room_from_scanner
+from jaxscan.simulation.spec import RoomSpec, SimulationConfig, TurntableSpec
 
 
 def true_scanner(config: SimulationConfig) -> Scanner:
-    """The scanner that a perfect calibration of this rig would find; it has no covariance."""
+    """The scanner of a perfect calibration of this rig, without covariance."""
     table = config.turntable
     sheets = []
     for laser in config.laser:
         flat = LaserSheet.from_plane(*laser.plane())
         sheets.append(LaserSheet(flat.normal, flat.distance, np.array(laser.bow), flat.basis))
-    axis = point_up(_axis(table), config.camera.up)
+    camera = config.camera
+    centre = (np.asarray(value) for value in (camera.fx, camera.fy, *camera.centre()))
+    lens = np.array(list(camera.coefficients().values()))
+    axis = point_up(_axis(table), camera.up)
     turntable = Turntable(
         axis.direction, axis.point, np.asarray(table.gain), np.array(table.harmonics), axis.basis, table.carries
     )
     return Scanner(
-        camera=_camera(config.camera),
+        camera=CAMERAS[camera.model](*centre, lens, camera.width, camera.height),
         lasers=stack_lasers(sheets),
         turntable=turntable,
         laser_names=tuple(laser.name for laser in config.laser),
-        up=config.camera.up,
+        up=camera.up,
     )
-
-
-def _camera(spec: CameraSpec) -> AbstractCamera:
-    fx, fy, cx, cy = (np.asarray(value) for value in (spec.fx, spec.fy, *spec.centre()))
-    lens = np.array(list(spec.coefficients().values()))
-    return CAMERAS[spec.model](fx, fy, cx, cy, lens, spec.width, spec.height)
 
 
 def truth(config: SimulationConfig) -> dict[str, Any]:
@@ -47,7 +44,6 @@ def truth(config: SimulationConfig) -> dict[str, Any]:
     """
     rig = make_rig(config)
     scanner = true_scanner(config)
-    numbers = {name: _plain(value) for name, value in _parameters(scanner).items()}
     lasers = [
         {
             "name": sheet.spec.name,
@@ -60,7 +56,7 @@ def truth(config: SimulationConfig) -> dict[str, Any]:
     out: dict[str, Any] = {
         "format": "jaxscan-truth/1",
         "seed": config.seed,
-        "parameters": numbers,
+        "parameters": {name: _plain(value) for name, value in _parameters(scanner).items()},
         "lasers": lasers,
         "turntable": {
             "carries": config.turntable.carries,
@@ -71,7 +67,12 @@ def truth(config: SimulationConfig) -> dict[str, Any]:
         },
     }
     if config.room is not None:
-        out["room"] = {"size_m": list(config.room.size_m), "planes": _planes(config), "distances": _distances(config)}
+        room, motion = config.room, room_from_scanner(config)
+        out["room"] = {
+            "size_m": list(room.size_m),
+            "planes": _planes(room, motion),
+            "distances": _distances(room, motion.inverse()),
+        }
     return out
 
 
@@ -100,11 +101,8 @@ def _parameters(scanner: Scanner) -> dict[str, Any]:
     return values
 
 
-def _planes(config: SimulationConfig) -> list[dict[str, Any]]:
-    room = config.room
-    if room is None:
-        return []
-    motion = room_from_scanner(config)
+def _planes(room: RoomSpec, motion: Motion) -> list[dict[str, Any]]:
+    """Walls, floor and ceiling, by the motion from the scanner to the room."""
     planes = []
     for axis, (low, high) in enumerate((("wall x0", "wall x1"), ("wall y0", "wall y1"), ("floor", "ceiling"))):
         for name, sign, at in ((low, 1.0, 0.0), (high, -1.0, room.size_m[axis])):
@@ -116,13 +114,9 @@ def _planes(config: SimulationConfig) -> list[dict[str, Any]]:
     return planes
 
 
-def _distances(config: SimulationConfig) -> list[dict[str, Any]]:
-    """Lengths in the room between points given in the scanner frame."""
-    room = config.room
-    if room is None:
-        return []
+def _distances(room: RoomSpec, motion: Motion) -> list[dict[str, Any]]:
+    """Lengths between points in the scanner frame, by the motion from the room to the scanner."""
     x, y, z = room.size_m
-    motion = room_from_scanner(config).inverse()
     pairs = {
         "length along x": ((0, y / 2, z / 2), (x, y / 2, z / 2)),
         "length along y": ((x / 2, 0, z / 2), (x / 2, y, z / 2)),

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 
 
-_BAYER_TO_GREY = {
+_TO_GREY = {
+    "rgb8": cv2.COLOR_RGB2GRAY,
     "bayer_rggb8": cv2.COLOR_BayerRGGB2GRAY,
     "bayer_bggr8": cv2.COLOR_BayerBGGR2GRAY,
     "bayer_grbg8": cv2.COLOR_BayerGRBG2GRAY,
@@ -24,8 +25,6 @@ def to_grey(frame: np.ndarray, pixel_format: str) -> np.ndarray:
     """
     if pixel_format == "mono8":
         return frame
-    if pixel_format == "rgb8":
-        return np.asarray(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), np.uint8)
-    if pixel_format in _BAYER_TO_GREY:
-        return np.asarray(cv2.cvtColor(frame, _BAYER_TO_GREY[pixel_format]), np.uint8)
-    raise ValueError(f"Unknown pixel format {pixel_format!r}.")
+    if pixel_format not in _TO_GREY:
+        raise ValueError(f"Unknown pixel format {pixel_format!r}.")
+    return np.asarray(cv2.cvtColor(frame, _TO_GREY[pixel_format]), np.uint8)

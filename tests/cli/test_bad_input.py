@@ -357,13 +357,13 @@ class TestSimulate:
 class TestDemo:
     def test_into_a_folder_that_holds_something_else(self, refused, tmp_path):
         (tmp_path / "calibration.json").write_text("mine")
-        assert "holds something else than a demo" in refused("demo", "-o", tmp_path)
+        assert "holds files that are not of a demo" in refused("demo", "-o", tmp_path)
         assert (tmp_path / "calibration.json").read_text() == "mine"
         assert len(list(tmp_path.iterdir())) == 1
 
     def test_into_captures_of_another_rig(self, tiny, refused, tmp_path):
         (tmp_path / "captures").symlink_to(tiny.boards.parent)
-        assert "is not this demo's" in refused("demo", "-o", tmp_path)
+        assert "holds captures of another configuration" in refused("demo", "-o", tmp_path)
 
     def test_into_a_file(self, tiny, refused):
         assert "is a file" in refused("demo", "-o", tiny.config)

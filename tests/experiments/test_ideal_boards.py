@@ -59,7 +59,7 @@ def test_corners_are_where_the_geometry_sees_them(world):
     corners = config.boards.board().corners()
     corners[:, 2] = height(config, corners[:, :2])
     seen = jax.jit(jax.vmap(jax.vmap(lambda T, p: camera.project(transform(T, p)), (None, 0)), (0, None)))
-    # Two forward models in float64: what differs is rounding of some thousand pixels.
+    # Two forward models in float64 differ by the rounding of some thousand pixels.
     np.testing.assert_allclose(seen(board_poses(config, poses), corners), ideal.corner_q, atol=1e-9)
     assert (ideal.corner_q > 0).all()
     assert (ideal.corner_q < np.array([config.camera.width, config.camera.height]) - 1).all()

@@ -290,7 +290,7 @@ def test_the_organised_grid_comes_back(tmp_path, suffix):
 
 
 def test_blocks_do_not_show(tmp_path, monkeypatch):
-    from jaxscan.files.clouds.clouds import points
+    from jaxscan.files.clouds import points
 
     save_cloud(make_cloud(), tmp_path / "whole.ply")
     # One profile per block, of which one is empty.

@@ -29,7 +29,7 @@ def test_a_perfect_sweep_is_reconstructed():
     columns = np.arange(320)
     stripe = 20 + 180 * np.exp(-0.5 * ((columns - 200.5) / 1.5) ** 2)
     on = np.broadcast_to(np.rint(stripe), (4, 256, 320)).astype(np.uint8)
-    sweep = jaxscan.Sweep(on=on, off=np.full_like(on, 20), angle=np.deg2rad([0.0, 90.0, 180.0, 270.0]))
+    sweep = jaxscan.Sweep(on=on, off=np.full_like(on, 20), angles=np.deg2rad([0.0, 90.0, 180.0, 270.0]))
     cloud = jaxscan.reconstruct(sweep, scanner)
     line = 127
     expected = [scanner.point(np.array([200.5, line]), 0, np.asarray(phi))[0] for phi in sweep.angles]

@@ -418,7 +418,7 @@ def test_silence_is_no_controller(fake):
 def test_an_echo_is_no_controller(fake):
     fake.out = b""
     fake.write = lambda data: setattr(fake, "out", fake.out + data)
-    with pytest.raises(FirmwareError, match="echoes what it is told"):
+    with pytest.raises(FirmwareError, match="echoes its input"):
         JxsController(fake, fake.clock).hello()
     assert fake.clock.now() < 1.0
 
@@ -426,7 +426,7 @@ def test_an_echo_is_no_controller(fake):
 def test_another_device_is_quoted(fake):
     fake.out = b""
     fake.write = lambda data: setattr(fake, "out", b"Grbl 1.1h ['$' for help]\r\nerror:1\r\n")
-    with pytest.raises(FirmwareError, match="a device that says 'error:1'"):
+    with pytest.raises(FirmwareError, match="a device that sends 'error:1'"):
         JxsController(fake, fake.clock).hello()
     assert fake.clock.now() < 6.0
 

@@ -204,7 +204,7 @@ def test_laser_that_does_not_switch(desk, tmp_path, fault, says):
 def test_no_wire_to_the_camera(desk, tmp_path):
     desk.controller.broken_wire = True
     found = examined(desk, tmp_path)
-    assert found["trigger"].verdict == "wrong" and "see the wire" in found["trigger"].do
+    assert found["trigger"].verdict == "wrong" and "check the wire" in found["trigger"].do
     assert found["trigger"].values == {"pulses": 6, "frames": 0, "complete": 0}
 
 

@@ -134,7 +134,7 @@ def test_a_port_that_does_not_exist(tmp_path):
 def test_another_device_on_the_port_is_recognised(rig):
     simulated = rig(firmware="echo", speed=1)
     before = time.monotonic()
-    with pytest.raises(FirmwareError, match=r"echoes what it is told .*needed a scanner controller that speaks JXS/1"):
+    with pytest.raises(FirmwareError, match=r"echoes its input .*needed a scanner controller that speaks JXS/1"):
         connect(simulated.port).hello()
     assert time.monotonic() - before < 5.0
 

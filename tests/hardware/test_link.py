@@ -59,7 +59,7 @@ def test_no_rights_and_how_to_get_them(monkeypatch):
         raise serial.SerialException(errno.EACCES, "could not open port /dev/ttyACM0: Permission denied")
 
     monkeypatch.setattr(serial.Serial, "open", refuse)
-    with pytest.raises(PortError, match=r"no right to use /dev/ttyACM0: .*usermod -a -G dialout"):
+    with pytest.raises(PortError, match=r"no permission to use /dev/ttyACM0: .*usermod -a -G dialout"):
         open_serial("/dev/ttyACM0")
 
 

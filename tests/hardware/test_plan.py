@@ -83,7 +83,7 @@ def test_limits_hold_for_every_position_and_for_home():
 
 def test_placements_are_distinct():
     assert placement_positions(rig(turntable={"gear": [9, 1]})) == (-1200, -800, -400, 0, 400, 800, 1200)
-    with pytest.raises(ConfigError, match="found two that are the same microstep"):
+    with pytest.raises(ConfigError, match="found two at the same microstep"):
         placement_positions(rig(calibration={"angles_deg": [0.0, 0.05]}))
 
 

@@ -85,7 +85,7 @@ def test_a_complete_capture_says_so_and_nothing_moves(tmp_path):
 def test_where_nothing_is_resuming_begins(tmp_path):
     desk = Desk()
     assert sweep(desk, tmp_path / "room", resume=True).records == 10
-    assert any("nothing is there to go on with" in sentence for sentence in desk.said)
+    assert any("no capture to resume" in sentence for sentence in desk.said)
 
 
 def test_resuming_between_the_last_step_and_the_end_only_closes(room):
@@ -336,7 +336,7 @@ def test_26_a_record_that_no_session_writes_is_one_clear_error(room, said):
 def test_a_camera_that_was_knocked_in_the_pause_is_refused(room):
     desk = Desk()
     desk.table.moved_px = 4
-    with pytest.raises(SessionError, match=r"record 5, taken again, is not what it was: the line moved \+4"):
+    with pytest.raises(SessionError, match=r"record 5, taken again, has changed: the line moved \+4"):
         sweep(desk, room, resume=True)
     assert len(open_capture(room)) == 6 and not desk.table.contactor
     assert sweep(Desk(), room, resume=True).status == "complete"

@@ -53,7 +53,7 @@ def test_06_cable_pulled_and_back_with_the_same_boot(tmp_path, shot):
     assert back["same_boot"] is True
     # The position was never lost: homed at the start and at the end only.
     assert desk.controller.log.count("home") == 2
-    assert any("the controller is there again" in sentence for sentence in desk.said)
+    assert any("the controller is connected again" in sentence for sentence in desk.said)
 
 
 def test_06_cable_pulled_for_good(tmp_path):
@@ -246,7 +246,7 @@ def test_13_a_session_that_is_killed_right_after_it_missed_home(tmp_path, kept):
 def test_15_dead_laser_stops_after_the_retakes(tmp_path):
     desk = Desk(checks={"retakes": 2})
     desk.controller.before_shot[4] = lambda controller: setattr(desk.table, "dead", True)
-    with pytest.raises(FrameError, match=r"step 3: not believed in 3 takes.*laser is dark"):
+    with pytest.raises(FrameError, match=r"step 3: not proven in 3 takes.*laser is dark"):
         sweep(desk, tmp_path / "room")
     assert desk.controller.shots == [0, 288, 576, 864, 864, 864]
     assert len(open_capture(tmp_path / "room")) == 3
@@ -362,7 +362,7 @@ def test_17_frame_fault_is_retaken_at_the_same_place(tmp_path, fault, exposure):
 def test_17_frame_fault_that_does_not_end(tmp_path, fault):
     desk = Desk(checks={"retakes": 3})
     desk.camera.faults.update(dict.fromkeys(range(7, 100), fault))
-    with pytest.raises(FrameError, match="step 3: not believed in 4 takes"):
+    with pytest.raises(FrameError, match="step 3: not proven in 4 takes"):
         sweep(desk, tmp_path / "room")
     assert len(open_capture(tmp_path / "room")) == 3
 
@@ -495,5 +495,5 @@ def test_27_camera_that_was_knocked_is_said_at_the_end_of_the_pass(tmp_path):
     result = sweep(desk, tmp_path / "room")
     (event,) = events(tmp_path / "room", "closing")
     assert event["good"] is False and event["shift_px"] == pytest.approx(5, abs=0.2)
-    assert any("taken again, is not what it was" in sentence for sentence in desk.said)
+    assert any("taken again, has changed" in sentence for sentence in desk.said)
     assert result.records == 10

@@ -65,7 +65,7 @@ def test_every_rejection_is_told_and_the_last_one_raised():
     ready(desk)
     desk.table.dead = True
     told = []
-    with pytest.raises(FrameError, match="step 1: not believed in 2 takes"):
+    with pytest.raises(FrameError, match="step 1: not proven in 2 takes"):
         take(desk, rejected=told.append)
     assert len(told) == 2 and all("dark" in reason for reason in told)
 

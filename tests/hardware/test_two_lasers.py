@@ -63,7 +63,7 @@ def test_with_one_laser_nothing_is_said_of_it(tmp_path):
 def test_a_dark_laser_is_found_though_the_other_shines(tmp_path):
     desk = Desk(laser=BOTH, checks={"retakes": 1})
     desk.table.dead_lasers = {2}
-    with pytest.raises(FrameError, match=r"step 1: not believed in 2 takes.*the laser is dark"):
+    with pytest.raises(FrameError, match=r"step 1: not proven in 2 takes.*the laser is dark"):
         desk.sweep(tmp_path / "room")
     assert [one["lasers"] for one in records(tmp_path / "room")] == [["left"]]
 

@@ -22,9 +22,7 @@ from jaxscan.simulation.optics import integrate, psf_weights
 from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.rays import distort
 from jaxscan.simulation.rig import Motion, rodrigues
-from jaxscan.simulation.scene.meshes import Mesh
-from jaxscan.simulation.scene.scene import build_scene
-from jaxscan.simulation.scene.textures import Material
+from jaxscan.simulation.scene import Material, Mesh, build_scene
 
 
 BOARD = BoardsSpec(type="chessboard", columns=7, rows=5, square_mm=40.0, range_m=(0.6, 1.4))

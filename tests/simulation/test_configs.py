@@ -1,4 +1,4 @@
-"""The rigs that come with the package, and what happens without Open3D."""
+"""The rigs that come with the package, and the error without Open3D."""
 
 import pathlib
 import sys
@@ -11,7 +11,7 @@ import pytest
 from jaxscan.errors import DependencyError
 from jaxscan.simulation import SimulationConfig, make_rig, make_scene, true_scanner, truth
 from jaxscan.simulation.planning import plan_boards
-from jaxscan.simulation.scene.open3d import load_open3d
+from jaxscan.simulation.scene import load_open3d
 
 
 CONFIGS = pathlib.Path(__file__).parents[2] / "configs"
@@ -48,7 +48,7 @@ def test_the_rigs_that_come_along_can_be_built_and_calibrated(name, views):
     config = config.model_copy(update={"boards": boards})
     assert set(truth(config)["parameters"]) == set(true_scanner(config).parameter_names())
     rig, scene = make_rig(config), make_scene(config, boards=True)
-    # Fewer pixels make the margin at the image's border wider: what is found here exists in full.
+    # Fewer pixels make the margin at the image's border wider: a pose found here exists at full size.
     plan = plan_boards(rig, scene, np.random.default_rng(config.seed))
     assert len(plan) == config.boards.free_views + config.boards.placements
     turned = [placement for placement in plan if placement.number is not None]

@@ -36,7 +36,7 @@ BOARD = BoardsSpec(type="chessboard", columns=7, rows=5, square_mm=60.0, range_m
 def config(**changes):
     base = {
         "camera": CAMERA,
-        # The fan starts behind the camera, so that it lights what is beside it.
+        # The fan starts behind the camera, so that it lights surfaces beside it.
         "laser": LaserSpec(
             baseline_m=0.25, crossing_m=1.6, waist_mm=2.0, fan_deg=175.0, origin_m=(0.296875, 0.0, -0.3)
         ),
@@ -66,7 +66,7 @@ def test_rays_agree_with_the_house():
         look(CAMERA, u + 2, v)[0] & look(CAMERA, u - 2, v)[0] & look(CAMERA, u, v + 2)[0] & look(CAMERA, u, v - 2)[0]
     )
     across = np.cross(moved, exact)[inner]
-    # Within a pixel the table is linear: what that leaves out is 1e-3 px for this lens of 76 px/rad.
+    # Within a pixel the table is linear: the error is 1e-3 px for this lens of 76 px/rad.
     assert np.linalg.norm(across, axis=-1).max() * CAMERA.fx < 2e-3
 
 
@@ -134,7 +134,7 @@ def test_the_stripe_is_drawn_where_its_truth_is(room):
         light = room.laser[row].astype(float)
         near = np.abs(columns - room.truth.u[row]) < 6
         centre = (light * columns)[near].sum() / light[near].sum()
-        # What is left is the pattern of the floor, of which some is in each tail, and the slope of walls.
+        # The rest is the pattern of the floor, of which some is in each tail, and the slope of walls.
         assert centre == pytest.approx(room.truth.u[row], abs=0.04), row
 
 

@@ -17,7 +17,7 @@ from jaxscan.simulation import (
     truth,
 )
 from jaxscan.simulation.rays import distort, ray_table, undistort
-from jaxscan.simulation.scene.scene import room_from_scanner
+from jaxscan.simulation.scene import room_from_scanner
 
 
 CAMERA = CameraSpec(width=96, height=80, fx=70, fy=72, cx=47.3, cy=40.1, k1=-0.2, k2=0.05, p1=1e-3, p2=-2e-3, k3=-0.004)
@@ -56,7 +56,7 @@ def test_rays_agree_with_the_house():
     np.testing.assert_allclose(np.stack([x, y], -1).reshape(-1, 2), unit[:, :2] / unit[:, 2:], atol=1e-11)
     table = ray_table(CAMERA)
     np.testing.assert_allclose(np.stack(distort(CAMERA, x, y), -1).reshape(-1, 2), q, atol=1e-9)
-    # Within a pixel the table is linear. What that leaves out falls with the focal length and
+    # Within a pixel the table is linear. The error falls with the focal length and
     # the distortion: 3e-3 px for this lens of 70 px, 1e-4 px for those in use.
     du, dv = 0.375, -0.25
     moved = np.stack([table.x + table.x_u * du + table.x_v * dv, table.y + table.y_u * du + table.y_v * dv], -1)

@@ -77,7 +77,7 @@ def stripes():
         all_points = select_board_stripe(stripe, seen, board)
         line = all_points.q[all_points.valid, 1].astype(int)
         error = u[line].astype(float) - truth[line]
-        # What is off by pixels is another thing than ink, for the solve to reject.
+        # Errors of whole pixels are not from ink; the solve rejects them.
         line = line[np.abs(error) < 3.0]
         ink = ink_shift(off, line, u[line].astype(float), width[line].astype(float), CONFIG.sensor.psf_px)
         chosen = select_board_stripe(stripe, seen, board, off=off)
@@ -108,7 +108,7 @@ def test_unguarded_every_edge_pulls_by_many_times_the_noise(stripes):
 def test_corrected_it_is_noise_again(stripes):
     use = np.abs(stripes.shift) <= 0.35
     z = stripes.corrected / stripes.total
-    # Of 3700 points the mean is known to 0.016; what is asked of it is a tenth of a standard deviation.
+    # Of 3700 points the mean is known to 0.016; its limit is a tenth of a standard deviation.
     assert abs(z[use].mean()) < 0.1
     assert abs(towards_bright(z, stripes, use)) < 0.1
     assert 0.9 < np.sqrt(np.mean(z[use] ** 2)) < 1.1
@@ -120,7 +120,7 @@ def test_corrected_it_is_noise_again(stripes):
 
 
 def test_nearly_all_points_are_kept(stripes):
-    """Dropping what the print could move by 0.05 px would leave three quarters."""
+    """Dropping the points that the print could move by 0.05 px would leave three quarters."""
     assert stripes.kept > 0.93 * len(stripes.error)
 
 

@@ -1,4 +1,4 @@
-"""The rendered stripe against closed forms: where it is, how it moves, what hides it."""
+"""The rendered stripe against closed forms: position, motion and shadows."""
 
 from functools import partial
 
@@ -17,9 +17,7 @@ from jaxscan.simulation import (
     make_rig,
 )
 from jaxscan.simulation.optics import psf_weights
-from jaxscan.simulation.scene.meshes import Mesh
-from jaxscan.simulation.scene.scene import build_scene
-from jaxscan.simulation.scene.textures import Material, stripes
+from jaxscan.simulation.scene import Material, Mesh, build_scene, stripes
 
 
 GREY = Material(((0.7, 0.7, 0.7),))
@@ -85,7 +83,7 @@ def test_on_a_wall_the_stripe_is_where_the_closed_form_says():
     # The sheet is seen at a slant, so the light's centroid is not its centre exactly: over the
     # stripe's 1 px, depth of illumination 1/(r w) and the pixel's scale change by less than 1 %.
     assert np.abs(error).max() < 0.005
-    # What remains must not follow the place within the pixel (23 places; 1 px locking is 0.3 px).
+    # The rest must not follow the place within the pixel (23 places; 1 px locking is 0.3 px).
     phase = 2 * np.pi * (np.array([column(z) for z in depths]) % 1)
     waves = np.stack([np.cos(phase), np.sin(phase), np.ones_like(phase), depths], -1)
     cosine, sine, *_ = np.linalg.lstsq(waves, error.mean(1), rcond=None)[0]

@@ -24,7 +24,7 @@ from jaxscan.simulation import (
     true_cloud,
     truth,
 )
-from jaxscan.simulation.scene.scene import room_from_scanner
+from jaxscan.simulation.scene import room_from_scanner
 
 
 CONFIG = SimulationConfig(

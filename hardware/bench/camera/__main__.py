@@ -25,7 +25,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="bench.camera", description="A GigE Vision camera that sees a simulated rig.")
     parser.add_argument("--edges", type=Path, required=True, help="the rig's log, edges.jsonl")
     parser.add_argument("--control", type=Path, required=True, help="the socket to make")
-    parser.add_argument("--ledger", type=Path, required=True, help="what each frame truly shows, written as JSONL")
+    parser.add_argument("--ledger", type=Path, required=True, help="file for the true view of each frame, JSONL")
     parser.add_argument("--world", type=Path, default=WORLD, help="a simulated rig, TOML")
     parser.add_argument("--address", default=ADDRESS, help="of a local network interface")
     parser.add_argument("--microsteps-per-turn", type=int, default=28800)

@@ -65,14 +65,14 @@ class GvCamera:
     """A GigE Vision camera on a local address; there can be one per machine, port 3956 is the standard's.
 
     A frame leaves in one of three ways: `deliver` hands over one that a trigger's wire asked for; a client's software
-    trigger, and a client that lets the camera run free, get what `present` returns.
+    trigger, and a client that lets the camera run free, get the frame that `present` returns.
     """
 
     def __init__(self, present: Fill, *, address: str = "127.0.0.1", serial: str = "BENCH") -> None:
         """Start to answer.
 
         Args:
-            present: What the camera sees now, uint8 [rows, columns]; called in a thread of libaravis.
+            present: Returns the view at this moment, uint8 [rows, columns]; called in a thread of libaravis.
             address: Of a local network interface.
             serial: Serial number by which it is found.
 
@@ -135,7 +135,7 @@ class GvCamera:
     def _fill(self, buffer: int, _data: int, _exposure_us: int, _gain: int, _format: int) -> None:
         handed, self._handed = self._handed, None
         try:
-            # The size that libaravis would tell is that of what was received, 0 on this side of the wire.
+            # libaravis would return the size of received data, which is 0 on this side of the wire.
             start = self._library.arv_buffer_get_data(buffer, ctypes.byref(ctypes.c_size_t()))
             window = self._window(handed if handed is not None else self._present())
             ctypes.memmove(start, window.ctypes.data, window.nbytes)

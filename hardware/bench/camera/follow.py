@@ -1,4 +1,4 @@
-"""Follows a rig's log: what the plant did, and each exposure that its trigger wire asked for."""
+"""Follows a rig's log: the state of the plant, and each exposure that its trigger wire asked for."""
 
 import json
 from dataclasses import dataclass, field
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 
 class Exposure(NamedTuple):
-    """One pulse of the trigger wire, and what the plant showed meanwhile."""
+    """One pulse of the trigger wire, with table and lasers during it."""
 
     cycle: int
     """When it began."""

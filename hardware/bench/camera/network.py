@@ -1,4 +1,4 @@
-"""Between log, world and wire: the GigE Vision camera on loopback that sees what a simulated rig's plant shows.
+"""The GigE Vision camera on loopback: it follows the rig's log, renders the world, and sends frames.
 
 Every pulse of the rig's trigger wire gives one frame, in order, of the table's angle at its beginning and with the
 share of laser light that it had. Control socket, one line each: `board N`, `board none`, `poses`, `lose N`, `swap`,
@@ -29,7 +29,7 @@ ADDRESS = "127.0.0.1"
 
 @dataclass
 class Trouble:
-    """What goes wrong with the next frames, as the control socket asks."""
+    """Faults of the next frames, as ordered by the control socket."""
 
     lose: int = 0
     swap: bool = False
@@ -40,7 +40,7 @@ class Trouble:
 
 @dataclass
 class Counts:
-    """Pulses of the trigger wire, and what became of them."""
+    """Counts of the pulses of the trigger wire, by outcome."""
 
     triggers: int = 0
     not_armed: int = 0
@@ -51,7 +51,7 @@ class Counts:
 
 @dataclass
 class BenchCamera:
-    """Between log, world and wire. `ledger` gets a line for each frame: what it truly shows."""
+    """Renders and sends the frames that the log asks for; `ledger` gets the true view of each."""
 
     world: World
     edges: Path
@@ -91,7 +91,7 @@ class BenchCamera:
         self._disappear()
 
     def present(self) -> np.ndarray:
-        """What the camera sees now: for a client that triggers it by software, or lets it run free."""
+        """The view at this moment, for a client that triggers by software or lets the camera run free."""
         lights = tuple(float(light.on) for light in self._plant.lights.values())
         view = self._view(self._plant.from_home(), lights)
         number = self.counts.sent + self.counts.triggers + 1_000_000
@@ -201,7 +201,7 @@ class BenchCamera:
             self.counts.not_armed += 1
 
     def _develop(self) -> None:
-        """Renders what was exposed and sends it, one after the other."""
+        """Render the exposures and send them, one after the other."""
         while not self._stop.is_set():
             try:
                 exposure, view = self._waiting.get(timeout=0.05)

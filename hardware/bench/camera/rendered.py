@@ -24,7 +24,7 @@ READY_S = 90.0
 
 
 class RenderedCamera:
-    """A GigE Vision camera at 127.0.0.1 that sees what the plant of a simulated rig shows."""
+    """A GigE Vision camera at 127.0.0.1 that sees the plant of a simulated rig."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class RenderedCamera:
         Args:
             folder: Holds its control socket and its ledger; made if it is not there.
             edges: The rig's log.
-            world: What there is to see, a simulated rig.
+            world: The world in front of it, a simulated rig.
             microsteps_per_turn: Of the rig's plant.
             apart: Whether Ctrl-C at the terminal is kept from it.
         """
@@ -84,7 +84,7 @@ class RenderedCamera:
         self._control = ControlClient(folder / "camera")
 
     def control(self, text: str) -> Any:
-        """Give the camera one command, see README.md. What it answers, from JSON where it is.
+        """Give the camera one command (see README.md), and return its answer, parsed if it is JSON.
 
         Raises:
             BenchError: If it does not know it, or does not answer.

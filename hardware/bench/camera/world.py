@@ -1,4 +1,4 @@
-"""What the camera on the bench sees: a furnished room, a laser, and a board in a person's hands."""
+"""The world in front of the bench's camera: a furnished room, a laser, and a board in a person's hands."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,7 +35,7 @@ _PLAN, _NOISE = 2, 7
 
 
 class View(NamedTuple):
-    """What is in front of the lens during an exposure."""
+    """The scene in front of the lens during an exposure."""
 
     angle: float
     """The table's true count of its angle, before the world's gain and harmonics [rad]."""
@@ -82,7 +82,7 @@ class World:
         return self._poses
 
     def describe(self, board: int) -> dict[str, Any]:
-        """What a person who holds the board in this pose knows: free view or placement, and where it can be seen from.
+        """A pose of the board, as its holder knows it: free view or placement, and the angles that see it.
 
         Raises:
             BenchError: If there is no such pose.
@@ -113,9 +113,9 @@ class World:
         """One frame, uint8 [rows, columns].
 
         Args:
-            view: What is in front of the lens.
+            view: The scene in front of the lens.
             number: Chooses the noise: the same view and number give the same frame.
-            flash_dn: Light that is added everywhere, as a flash or a door that opens would.
+            flash_dn: Light that is added everywhere, as by a flash or an opened door.
             blur_px: How far the image moves during the exposure, along the rows.
         """
         sensor, rng = self.config.sensor, self._generator(_NOISE, number)

@@ -27,7 +27,7 @@ Mangle = Callable[[bytes], bytes]
 
 
 class GrblBoard:
-    """A board that is switched on from `start` to `close`, in a thread of its own. It may be looked into."""
+    """A board that runs in its own thread from `start` to `close`; tests may read its fields."""
 
     def __init__(self, folder: Path, **settings: float) -> None:
         """Args:
@@ -37,13 +37,13 @@ class GrblBoard:
         self.port = str(folder / "grbl")
         self.settings = SETTINGS | {int(name[1:]): value for name, value in settings.items()}
         self.ledger: list[tuple[float, str, float]] = []
-        """What happened: seconds, "light" or "reset", and whether there is light."""
+        """Events: seconds, "light" or "reset", and whether there is light."""
         self.heard: list[str] = []
         """Lines that were carried out."""
         self.to_board: Mangle = lambda data: data
-        """What the line does to bytes on their way in."""
+        """Faults of the line on bytes to the board."""
         self.to_host: Mangle = lambda data: data
-        """What the line does to a line on its way out."""
+        """Faults of the line on bytes to the host."""
         self.switch = True
         """Whether there is a home switch."""
         self.slipped = 0.0
@@ -125,7 +125,7 @@ class GrblBoard:
         self._forget()
 
     def _forget(self) -> None:
-        """What any reset forgets."""
+        """Clear the state that every reset clears."""
         self._rx = b""
         self._motion, self._feed, self._power = "G0", 0.0, 0.0
         self._critical = False

@@ -1,4 +1,4 @@
-"""A line of G-code, read as GRBL reads it; of its words those that turn an axis X and switch a spindle."""
+"""Parses a line of G-code as GRBL does, with the words that turn an axis X and switch a spindle."""
 
 import re
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ _VALUES = set("XFSP")
 
 @dataclass(frozen=True)
 class Block:
-    """What a line asks for."""
+    """A parsed line."""
 
     motion: str
     """G0 or G1, which stays for the lines after it."""
@@ -34,7 +34,7 @@ def parse(text: str, *, motion: str, feed: float) -> Block | str:
         feed: As it was.
 
     Returns:
-        What it asks for, or GRBL's answer to a line that it does not understand.
+        The parsed line, or GRBL's answer to a line that it does not understand.
     """
     words = _WORD.findall(text)
     if "".join(letter + number for letter, number in words) != text:

@@ -41,7 +41,7 @@ class Ramp:
 
 
 class Axis:
-    """An axis that obeys one motion after the other, may be held on the way, or stopped dead."""
+    """An axis that carries out one motion after the other, and can be held or stopped at once."""
 
     def __init__(self, place: float = 0.0) -> None:
         self.held = False
@@ -56,14 +56,14 @@ class Axis:
 
     @property
     def target(self) -> float:
-        """Where it will be when all is done."""
+        """Position after all motions."""
         if self._queue:
             return self._queue[-1][0]
         return self._place if self._ramp is None else self._ramp.end
 
     @property
     def busy(self) -> bool:
-        """Whether there is anything left to do."""
+        """Whether motions are left."""
         return self._ramp is not None or bool(self._queue)
 
     @property
@@ -72,7 +72,7 @@ class Axis:
         return self._ramp is not None
 
     def go(self, to: float, speed: float, acceleration: float) -> None:
-        """A motion more, after those that there are."""
+        """Append a motion."""
         self._queue.append((to, speed, acceleration))
 
     def hold(self, now: float) -> None:
@@ -93,17 +93,17 @@ class Axis:
         self.held = False
 
     def halt(self, now: float) -> None:
-        """Stop dead, and forget everything."""
+        """Stop at once, and clear the queue."""
         self._place = self.at(now)
         self._ramp, self.held = None, False
         self._queue.clear()
 
     def at(self, now: float) -> float:
-        """Where it is."""
+        """Its position."""
         return self._place if self._ramp is None else self._ramp.at(now)[0]
 
     def run(self, now: float) -> None:
-        """End what is over, begin what is next."""
+        """End a finished motion, and begin the next."""
         if self._ramp is not None and now - self._ramp.start_s >= self._ramp.seconds:
             self._place, self._ramp = self._ramp.end, None
         if self._ramp is None and self._queue and not self.held:

@@ -16,4 +16,4 @@ SETTINGS = {
     120: 20000.0,  # acceleration, units/s²
     130: 400.0,  # travel
 }
-"""A fast board: what is tested is its logic."""
+"""Settings of a fast board: tests are about its logic."""

@@ -25,7 +25,7 @@ class Terminal:
             return False
 
     def read(self) -> bytes:
-        """What has come."""
+        """Received bytes."""
         return os.read(self._ours, 4096)
 
     def write(self, data: bytes) -> None:

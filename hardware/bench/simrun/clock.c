@@ -20,7 +20,7 @@ void clock_begin_at(uint64_t cycles) {
     base = cycles;
 }
 
-// simavr calls back before it puts its counter to 0, if it does: what has passed must be counted by then.
+// simavr calls back before it puts its counter to 0, if it does: the elapsed cycles must be counted by then.
 void clock_notice_reset(void) {
     clock_cycles();
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The control socket: one line in, one line out. What a hand, a bad day or a test does to the rig.
+// The control socket: one line in, one line out. Commands for switches, cables, faults and tests.
 #define _GNU_SOURCE
 #include "control.h"
 

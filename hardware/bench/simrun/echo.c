@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Some other device on the port: sends back what it gets, and knows nothing of scanners.
+// Some other device on the port: sends back every byte, and knows nothing of scanners.
 #include <avr/io.h>
 
 int main(void) {

@@ -80,7 +80,7 @@ static void after_reset(void) {
     line_after_reset();
 }
 
-// What the chip keeps without power is kept in a file, so that a rig that comes back is the same one.
+// The EEPROM is kept in a file, so that a rig that comes back is the same one.
 static void eeprom_load(void) {
     uint8_t bytes[EEPROM];
     FILE *file = eeprom_path ? fopen(eeprom_path, "rb") : NULL;

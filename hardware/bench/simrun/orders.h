@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What is asked of the runner as a whole, by signals, the control socket and the line; the main loop carries it out.
+// Orders to the runner by signals, the control socket and the line; the main loop carries them out.
 #ifndef ORDERS_H
 #define ORDERS_H
 

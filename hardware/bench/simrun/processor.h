@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The simulated ATmega328P. One thread: callbacks of simavr (pin changes, the 50 us tick) only change state and write the
-// log; what touches the processor as a whole, a reset above all, is done between two instructions, in the main loop.
+// log; changes of the whole processor, such as a reset, are made between two instructions, in the main loop.
 #ifndef PROCESSOR_H
 #define PROCESSOR_H
 

@@ -1,4 +1,4 @@
-"""Cameras: GenICam by Aravis, UVC by OpenCV, folders of images, and simulated ones, behind one interface."""
+"""Cameras with one interface: GenICam through Aravis, UVC through OpenCV, folders of images, and simulated ones."""
 
 from scanrig.cameras.frame import Camera, CameraIdentity, Features, Frame
 from scanrig.cameras.opening import list_cameras, open_camera

@@ -21,24 +21,24 @@ from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 Result = TypeVar("Result")
 _BUFFERS = 8
-"""Frames that may wait; the stop-and-go of a sweep has two at a time."""
+"""Frames that may wait; a step of a sweep has two."""
 _SLICE_S = 0.2
-"""How often a waiting call looks whether the camera is still there."""
+"""How often a waiting call checks that the camera is still connected."""
 
 
 class AravisCamera:
     """A camera that speaks GenICam.
 
-    Whether it is still there is seen by its heartbeat, and asked for when a frame is late: a call may take 2.5 s
-    longer than its timeout where the camera is gone.
+    Its heartbeat shows whether it is still connected; it is also queried when a frame is late. If the camera is gone, a
+    call may take 2.5 s longer than its timeout.
     """
 
     def __init__(self, settings: CameraSettings) -> None:
-        """Open it, set all of `settings`, read it back and compare.
+        """Open the camera, apply `settings`, read them back and compare.
 
         Raises:
-            CameraLost: If it is not there.
-            CameraError: If several may be meant, another program has it, or it does not take a setting.
+            CameraLost: If it is not found.
+            CameraError: If several cameras fit, another program uses it, or it does not take a setting.
             DependencyError: If libaravis is not installed.
         """
         self._aravis, self._settings = load_aravis(), settings
@@ -62,7 +62,7 @@ class AravisCamera:
         return self._ask("read its features", lambda camera: read_features(self._aravis, camera, self._settings))
 
     def counts(self) -> dict[str, int]:
-        """As of every camera; "underruns": frames for which no buffer was free."""
+        """The counts of every camera, and "underruns": frames for which no buffer was free."""
         counts = {**self._counts, "missing": self._missing_before + self._numbers.missing, "underruns": 0}
         if self._stream is not None:
             numbers = [ctypes.c_uint64() for _ in range(3)]
@@ -76,7 +76,7 @@ class AravisCamera:
         self._running = self._started = True
 
     def drop(self) -> int:
-        """Throw away what waits; of a free-running camera also what it was exposing at this call."""
+        """Discard waiting frames, and of a free-running camera also the frame being exposed."""
         dropped = 0
         while self._stream is not None and (buffer := self._aravis.stream_try_pop_buffer(self._stream)):
             self._release(buffer)
@@ -121,7 +121,7 @@ class AravisCamera:
             try:
                 self._aravis.camera_stop_acquisition(self._camera)
             except AravisError:
-                # It is gone, or stops by itself when its heartbeat ends; there is nobody left to tell.
+                # It is gone, or it stops by itself when its heartbeat ends.
                 self._lost = True
         self._running = False
         stream, self._stream = self._stream, None
@@ -171,20 +171,20 @@ class AravisCamera:
         self._numbers = FrameNumbers()
         return identity
 
-    def _ask(self, what: str, call: Callable[[int], Result]) -> Result:
-        """The result of a call to the camera, which must be open."""
+    def _ask(self, action: str, call: Callable[[int], Result]) -> Result:
+        """The result of a call to the camera, which must be open; `action` names it in errors."""
         if self._camera is None:
             raise CameraLost(f"{self}: the camera is closed; reopen it.")
         try:
             return call(self._camera)
         except AravisError as problem:
             if self._is_there():
-                raise CameraError(f"{self}: cannot {what}: {problem}") from problem
+                raise CameraError(f"{self}: cannot {action}: {problem}") from problem
             self._lost = True
-            raise CameraLost(f"{self}: the camera is gone: cannot {what}: {problem}") from problem
+            raise CameraLost(f"{self}: the camera is gone: cannot {action}: {problem}") from problem
 
     def _is_there(self) -> bool:
-        """Whether it answers and is still ours."""
+        """Whether it answers and this program still controls it."""
         try:
             self._aravis.camera_get_integer(self._camera, b"Width")
         except AravisError:
@@ -196,7 +196,7 @@ class AravisCamera:
         return not self._aravis.camera_is_gv_device(self._camera) or bool(self._aravis.gv_device_is_controller(device))
 
     def _pop(self, timeout_s: float) -> int:
-        """The next buffer; it has to go back."""
+        """The next buffer; the caller must give it back."""
         if self._camera is None or self._stream is None:
             raise CameraLost(f"{self}: the camera is closed; reopen it.")
         end = time.monotonic() + timeout_s
@@ -214,7 +214,7 @@ class AravisCamera:
             raise CameraLost(f"{self}: the camera is gone: it does not answer.")
         raise CameraTimeout(
             f"{self}: no frame within {timeout_s:g} s"
-            + (", expected one per trigger; see the trigger's wire and trigger_source." * (self.trigger_mode != "free"))
+            + (", expected one per trigger; check the trigger wire and trigger_source." * (self.trigger_mode != "free"))
         )
 
     def _frame(self, buffer: int, arrival: float) -> Frame:
@@ -235,12 +235,12 @@ class AravisCamera:
         return Frame(image, number, stamp * 1e-9 if stamp else None, arrival, complete, "; ".join(notes))
 
     def _release(self, buffer: int) -> None:
-        """Give a buffer back unseen; its frame is not missing."""
+        """Give a buffer back unread; its frame does not count as missing."""
         self._numbers.take(self._aravis.buffer_get_frame_id(buffer))
         self._push(buffer)
 
     def _push(self, buffer: int) -> None:
-        # Emptied, so that what is missing of the next frame is black and not an older frame.
+        # Zeroed, so that missing parts of the next frame are black and do not show an older frame.
         size = ctypes.c_size_t()
         data = self._aravis.buffer_get_data(buffer, ctypes.byref(size))
         if data:
@@ -248,7 +248,7 @@ class AravisCamera:
         self._aravis.stream_push_buffer(self._stream, buffer)
 
     def _flush(self) -> int:
-        """Discard what a free-running camera was exposing or sending: `flush_frames`, and for an exposure's time."""
+        """Discard frames of a free-running camera: at least `flush_frames`, and for at least an exposure time."""
         since, flushed = time.monotonic(), 0
         exposure_s = self._settings.exposure_ms * 1e-3
         while flushed < self._settings.flush_frames or time.monotonic() < since + exposure_s:
@@ -259,7 +259,7 @@ class AravisCamera:
 
 
 def found_by_aravis() -> list[str]:
-    """One line per camera that answers on any interface."""
+    """One line for each camera that answers on any interface."""
     try:
         aravis = load_aravis()
     except DependencyError as problem:

@@ -1,4 +1,4 @@
-"""The part of libaravis-0.8 that a camera needs, by ctypes: every call's GError becomes an exception."""
+"""The functions of libaravis-0.8 that a camera needs, through ctypes; each GError becomes an exception."""
 
 import ctypes
 import functools
@@ -35,13 +35,13 @@ STATUS = {
     7: "aborted",
     8: "of an unknown kind",
 }
-"""What the status of a buffer (ArvBufferStatus) means."""
+"""The meaning of a buffer's status (ArvBufferStatus)."""
 RANGE_CHECK = 1
 ACCESS_CHECK = 1
 
 
 class AravisError(Exception):
-    """What libaravis says went wrong; turned into a camera's error where its name is known."""
+    """An error of libaravis; callers turn it into an error with the camera's name."""
 
 
 class _GError(Structure):
@@ -75,7 +75,7 @@ _WITH_ERROR: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_camera_gv_set_packet_size": (None, (c_void_p, c_int)),
     "arv_camera_gv_get_packet_size": (c_uint, (c_void_p,)),
 }
-"""Functions whose last argument is a GError**, without it: what they return, and what they take."""
+"""Functions whose last argument is a GError**: their results, and their arguments without it."""
 
 _PLAIN: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_update_device_list": (None, ()),
@@ -108,7 +108,7 @@ _PLAIN: dict[str, tuple[Any, tuple[Any, ...]]] = {
 
 
 class Aravis:
-    """Calls by name: `aravis.camera_get_gain(camera)` is `arv_camera_get_gain`, `unref` is `g_object_unref`."""
+    """The functions by short names: `camera_get_gain` is `arv_camera_get_gain`, `unref` is `g_object_unref`."""
 
     def __init__(self, library: CDLL) -> None:
         self._library = library
@@ -140,7 +140,7 @@ def _short(name: str) -> str:
 
 @functools.cache
 def load_aravis() -> Aravis:
-    """The library.
+    """Load the library.
 
     Raises:
         DependencyError: If it is not installed.
@@ -154,6 +154,6 @@ def load_aravis() -> Aravis:
 
 
 def text(value: bytes | None) -> str:
-    """A string of the library, "" for none; a camera's own words may hold anything, and end up on a terminal."""
+    """A string from the library, "" for none. Unprintable characters are replaced, since it may reach a terminal."""
     letters = (value or b"").decode("utf-8", "replace")
     return "".join(letter if letter.isprintable() else "?" for letter in letters)

@@ -1,4 +1,4 @@
-"""Finding a GenICam camera, setting it up, and reading back what it made of that."""
+"""Finds a GenICam camera, sets it up, and reads its settings back."""
 
 import ctypes
 import ipaddress
@@ -19,21 +19,21 @@ PIXEL_FORMATS: dict[PixelFormat, tuple[str, ...]] = {
     "bayer_grbg8": ("BayerGR8",),
     "bayer_gbrg8": ("BayerGB8",),
 }
-"""Names of the pixel formats in GenICam; the second is that of older cameras."""
+"""GenICam's names of the pixel formats; the second name is used by older cameras."""
 
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
-"""What a camera may change by itself, and here may not."""
+"""Automatic functions of a camera, which are switched off."""
 
 
 def connect(aravis: Aravis, wanted: str) -> int:
-    """A camera that this program controls.
+    """Connect to a camera and take control of it.
 
     Args:
-        wanted: Device id, serial number or address; "" for the only one there is.
+        wanted: Device id, serial number or address; "" for the only camera.
 
     Raises:
-        CameraLost: If it is not there.
-        CameraError: If several may be meant, or another program controls it.
+        CameraLost: If it is not found.
+        CameraError: If several cameras fit, or another program controls it.
     """
     name = wanted if _is_address(wanted) else _found(aravis, wanted)
     try:
@@ -47,7 +47,7 @@ def connect(aravis: Aravis, wanted: str) -> int:
 
 
 def _is_address(name: str) -> bool:
-    # An address needs no search, which takes a second and does not cross routers.
+    # An address needs no search; a search takes a second and does not cross routers.
     try:
         ipaddress.ip_address(name)
     except ValueError:
@@ -56,7 +56,7 @@ def _is_address(name: str) -> bool:
 
 
 def _found(aravis: Aravis, wanted: str) -> str:
-    """Device id of the camera that is meant."""
+    """Device id of the wanted camera."""
     aravis.update_device_list()
     kinds = "id", "physical_id", "serial_nbr", "address"
     every = [[text(getattr(aravis, f"get_device_{kind}")(k)) for kind in kinds] for k in range(aravis.get_n_devices())]
@@ -66,15 +66,15 @@ def _found(aravis: Aravis, wanted: str) -> str:
         which = f'camera "{wanted}"' if wanted else "a camera"
         raise CameraLost(f"{which}: not found; found: {listed}. See that it has power and its cable.")
     if len(meant) > 1:
-        raise CameraError(f"found {len(meant)} cameras: {listed}; say in [camera] which `id` is meant.")
+        raise CameraError(f"found {len(meant)} cameras: {listed}; give the `id` of one in [camera].")
     return meant[0][0]
 
 
 def apply_settings(aravis: Aravis, camera: int, settings: CameraSettings, *, name: str) -> None:
-    """Set everything, and nothing automatic.
+    """Apply all settings, and switch automatic functions off.
 
     Raises:
-        CameraError: With the setting that the camera refuses, and why.
+        CameraError: With the setting that the camera refuses, and the reason.
     """
     aravis.camera_set_range_check_policy(camera, RANGE_CHECK)
     aravis.camera_set_access_check_policy(camera, ACCESS_CHECK)
@@ -88,11 +88,11 @@ def apply_settings(aravis: Aravis, camera: int, settings: CameraSettings, *, nam
     def has(feature: str) -> bool:
         return bool(aravis.camera_is_feature_available(camera, feature.encode()))
 
-    def attempt(what: str, call: Callable[..., None], *arguments: float) -> None:
+    def attempt(failure: str, call: Callable[..., None], *arguments: float) -> None:
         try:
             call(camera, *arguments)
         except AravisError as problem:
-            raise CameraError(f"{name}: {what}: {problem}") from problem
+            raise CameraError(f"{name}: {failure}: {problem}") from problem
 
     set_text("AcquisitionMode", "Continuous")
     _set_pixel_format(aravis, camera, settings, name)
@@ -132,7 +132,7 @@ def _set_pixel_format(aravis: Aravis, camera: int, settings: CameraSettings, nam
 
 
 def read_features(aravis: Aravis, camera: int, settings: CameraSettings) -> Features:
-    """What the camera is set to, by its own word; what it cannot say is absent."""
+    """The camera's settings, read back from it; settings that it cannot report are absent."""
     region = [ctypes.c_int() for _ in range(4)]
     aravis.camera_get_region(camera, *(ctypes.byref(one) for one in region))
     pixel_format = text(aravis.camera_get_string(camera, b"PixelFormat"))
@@ -157,7 +157,7 @@ def read_features(aravis: Aravis, camera: int, settings: CameraSettings) -> Feat
 
 
 def _trigger(aravis: Aravis, camera: int, settings: CameraSettings) -> Features:
-    """What makes it expose: "free", "software", or "hardware" if it listens to the line that it should."""
+    """Its trigger mode: "free", "software", or "hardware" if it listens to `trigger_source`."""
     if not aravis.camera_is_feature_available(camera, b"TriggerMode"):
         return {"trigger": "free"}
     aravis.camera_set_string(camera, b"TriggerSelector", b"FrameStart")

@@ -1,4 +1,4 @@
-"""Whether a camera took what it was told, and what keeps every camera's frames comparable."""
+"""Checks that a camera took its settings."""
 
 import math
 
@@ -9,13 +9,13 @@ from scanrig.errors import CameraError
 
 _EXPOSURE_SHARE = 0.02
 _EXPOSURE_S = 50e-6
-"""An exposure is a whole number of the sensor's lines, tens of microseconds each."""
+"""An exposure is a whole number of line times of the sensor, tens of microseconds each."""
 _GAIN_DB = 0.2
-"""Amplifiers step by a tenth of a decibel or so."""
+"""Amplifiers have steps of about a tenth of a decibel."""
 
 
 def wanted(settings: CameraSettings) -> Features:
-    """The features that a camera with these settings has to report."""
+    """The features that a camera with these settings must report."""
     return {
         "width": settings.width,
         "height": settings.height,
@@ -27,7 +27,7 @@ def wanted(settings: CameraSettings) -> Features:
 
 
 def differences(found: Features, expected: Features) -> list[str]:
-    """Features that are there and are not as expected: "name: found ..., expected ..."."""
+    """Reported features that differ from the expected ones: "name: found ..., expected ..."."""
     return [
         f"{name}: found {_show(found[name])}, expected {_show(value)}"
         for name, value in expected.items()
@@ -36,15 +36,13 @@ def differences(found: Features, expected: Features) -> list[str]:
 
 
 def require(found: Features, expected: Features, *, name: str) -> None:
-    """See that a camera is set as it was told.
+    """Check that a camera took its settings.
 
     Raises:
-        CameraError: With all differences, and what to do.
+        CameraError: With all differences, and the remedy.
     """
     if wrong := differences(found, expected):
-        raise CameraError(
-            f"{name}: did not take its settings: {'; '.join(wrong)}. Set what this camera can do in [camera]."
-        )
+        raise CameraError(f"{name}: did not take its settings: {'; '.join(wrong)}. Set supported values in [camera].")
 
 
 def _same(name: str, found: float | int | str, expected: float | int | str) -> bool:

@@ -1,4 +1,4 @@
-"""A camera that plays the images of a folder: of a capture, or any pictures in the order of their names."""
+"""A camera that plays the images of a folder: a capture, or any images in the order of their names."""
 
 import os
 import re
@@ -25,21 +25,21 @@ from scanrig.errors import CameraError, CameraLost
 
 
 MAX_FILES = 100_000
-"""Most entries of a folder that are looked at."""
+"""Most entries that a folder may have."""
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 class FolderCamera:
-    """Gives the images one after another, laser on before laser off, and then no more.
+    """Returns the images one after another, laser-on before laser-off, until none is left.
 
-    It does not expose: nothing waits in it, so `drop` drops nothing, and a trigger has no effect.
+    It does not expose: no frames wait in it, so `drop` discards none, and a trigger has no effect.
     """
 
     def __init__(self, settings: CameraSettings) -> None:
         """The images of `settings.id`.
 
         Raises:
-            CameraError: If there are none, or the capture is of another size or pixel format.
+            CameraError: If there are none, or the capture has another size or pixel format.
         """
         self._settings, self._path = settings, Path(settings.id)
         self.identity = CameraIdentity("folder", self._path.name, "")
@@ -77,7 +77,7 @@ class FolderCamera:
         """The next image.
 
         Raises:
-            CameraError: If there is none left, or the file is missing, damaged or of another size.
+            CameraError: If none is left, or the file is missing, damaged or of another size.
             CameraLost: If the camera is closed.
         """
         del timeout_s
@@ -113,20 +113,20 @@ class FolderCamera:
 
 
 def _of_capture(path: Path) -> tuple[CaptureHeader, Sequence[ImageRef]]:
-    """The images of a capture, record after record, laser on first."""
+    """The images of a capture, record after record, laser-on first."""
     capture = open_capture(path)
     return capture.header, [image for record in capture.records for image in (*record.on, *record.off)]
 
 
 def _of_pictures(path: Path) -> Sequence[ImageRef]:
-    """The pictures of a folder in the order of their names; of two that differ by "on" and "off", on first."""
+    """The images of a folder in the order of their names; "on" comes before "off" where only that differs."""
     try:
         with os.scandir(path) as entries:
             names = [entry.name for entry, _ in zip(entries, range(MAX_FILES + 1), strict=False)]
     except OSError as problem:
         raise CameraError(f"{path}: cannot be read: {problem.strerror}.") from problem
     if len(names) > MAX_FILES:
-        raise CameraError(f"{path}: found more than {MAX_FILES} files; make folders of them.")
+        raise CameraError(f"{path}: found more than {MAX_FILES} files; split them into several folders.")
     pictures = sorted((name for name in names if name.lower().endswith(_SUFFIXES)), key=_order)
     if not pictures:
         raise CameraError(f"{path}: found no images, expected files that end with {', '.join(_SUFFIXES)}.")
@@ -144,6 +144,6 @@ def _order(name: str) -> tuple[str, int, str]:
 
 
 def _header(settings: CameraSettings) -> CaptureHeader:
-    """What the pictures are, as a capture would say it."""
+    """A capture header for plain images."""
     camera = CameraTable(width=settings.width, height=settings.height, pixel_format=settings.pixel_format)
     return CaptureHeader(kind="sweep", camera=camera, laser=(LaserTable(),))

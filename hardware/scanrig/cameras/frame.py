@@ -1,4 +1,4 @@
-"""What a camera is to the rest of the rig: frames, and the few calls that every kind has."""
+"""The interface of every camera, and its frames."""
 
 from dataclasses import dataclass
 from types import TracebackType
@@ -11,31 +11,31 @@ from scanrig.cameras.settings import TriggerMode
 
 
 Features = dict[str, float | int | str]
-"""What a camera is set to, read back from it: "width", "height" [px], "pixel_format", "exposure_s", "gain_db",
-"trigger", and what else a kind has. Keys that a camera cannot read back are absent."""
+"""A camera's settings, read back from it: "width", "height" [px], "pixel_format", "exposure_s", "gain_db", "trigger",
+and further ones of its kind. Settings that a camera cannot read back are absent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture and what is known of how it came."""
+    """One frame, with its number and times."""
 
     image: UInt8[np.ndarray, "rows columns *three"]
-    """uint8 [rows, columns], or RGB [rows, columns, 3]; memory of its own."""
+    """uint8 [rows, columns], or RGB [rows, columns, 3]; owns its memory."""
     number: int
-    """The camera's count of frames, without wraps; −1: unknown. A gap is a lost frame."""
+    """The camera's count of frames, unwrapped; −1: unknown. A gap means lost frames."""
     camera_s: float | None
-    """The camera's own time stamp [s], of no known origin; None: it has none."""
+    """The camera's own time stamp [s], of unknown origin; None: it has none."""
     host_s: float
     """Monotonic time of arrival [s]."""
     complete: bool
-    """Whether every part of the image arrived; what is missing is zero or older."""
+    """Whether the whole image arrived; missing parts are zero or older."""
     note: str = ""
-    """What there is to say about it, for the journal."""
+    """A remark for the journal."""
 
 
 @dataclass(frozen=True)
 class CameraIdentity:
-    """Which camera it is: a sweep that is resumed needs the same."""
+    """Identifies a camera: a sweep can be resumed only with the same one."""
 
     kind: str
     model: str
@@ -46,38 +46,38 @@ class CameraIdentity:
 
 
 class Camera(Protocol):
-    """A camera that is open and set up. Used from one thread; `close` may be called twice."""
+    """An open camera that is set up. Used from one thread; `close` may be called twice."""
 
     @property
     def identity(self) -> CameraIdentity:
-        """Kind, model and serial number, as the device says."""
+        """Kind, model and serial number, as the device reports them."""
 
     @property
     def trigger_mode(self) -> TriggerMode:
-        """What makes it expose."""
+        """How its exposures are triggered."""
 
     def features(self) -> Features:
-        """What it is set to, read back from the device.
+        """Its settings, read back from the device.
 
         Raises:
             CameraLost: If it does not answer.
         """
 
     def counts(self) -> dict[str, int]:
-        """Since it was opened: "frames" delivered, of these "incomplete"; "missing" by their numbers; "dropped"."""
+        """Counts since opening: "frames" delivered, of these "incomplete"; "missing" by their numbers; "dropped"."""
 
     def start(self) -> None:
-        """Let frames come; without effect if they do.
+        """Start the acquisition; no effect if it runs.
 
         Raises:
             CameraError: If it cannot.
         """
 
     def drop(self) -> int:
-        """Throw away what waits; of a free-running camera also what was exposed before this call.
+        """Discard waiting frames, and of a free-running camera also those exposed before this call.
 
         Returns:
-            Frames that were waiting.
+            Number of waiting frames.
         """
 
     def next(self, timeout_s: float) -> Frame:
@@ -85,7 +85,7 @@ class Camera(Protocol):
 
         Raises:
             CameraTimeout: If none came within `timeout_s`.
-            CameraLost: If the camera is gone; `reopen` may bring it back.
+            CameraLost: If the camera is gone; `reopen` may recover it.
         """
 
     def trigger(self) -> None:
@@ -97,15 +97,15 @@ class Camera(Protocol):
         """
 
     def reopen(self) -> None:
-        """Open it anew, set everything, and compare with what it was: then `start` as before.
+        """Open the camera again, apply the settings, check that it is the same one, and `start` it if it was started.
 
         Raises:
-            CameraLost: If it is not there (yet).
+            CameraLost: If it is not found (yet).
             CameraError: If it is another camera, or does not take a setting.
         """
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the camera."""
 
     def __enter__(self) -> "Camera": ...
 

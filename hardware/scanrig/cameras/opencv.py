@@ -1,4 +1,4 @@
-"""UVC cameras and streams, through OpenCV: free-running, read by a thread that lets no frame wait."""
+"""UVC cameras and streams, through OpenCV: free-running, read by a thread so that no frame waits in the driver."""
 
 import os
 import threading
@@ -19,28 +19,28 @@ from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 _OPEN_MS = 5000
 _READ_MS = 10_000
-"""Longest that a stream may stall before OpenCV gives it up."""
+"""Longest stall of a stream before OpenCV gives up."""
 _WAITING = 4
-"""Frames that are kept for `next`; older ones are thrown away."""
+"""Frames that are kept for `next`; older ones are discarded."""
 _ANSWER_S = 2.0
-"""Longest that the reading thread may take to answer."""
+"""Longest wait for the reading thread."""
 _SAME_CLOCK_S = 5.0
-"""A time stamp that is this near to the monotonic clock is of that clock: V4L2 gives such, streams do not."""
+"""A time stamp this near to the monotonic clock comes from that clock: V4L2's do, those of streams do not."""
 
 
 class OpenCVCamera:
-    """A camera that never waits for anyone.
+    """A free-running camera.
 
-    `drop` marks a moment; `next` then gives only frames that were exposed after it: `flush_frames` of those that arrive
-    later are discarded, and all that arrive, or are stamped, before an exposure can have begun and ended.
+    `drop` marks a time; `next` then returns only frames exposed after it. Discarded are the next `flush_frames` frames,
+    and all whose arrival or time stamp is less than an exposure time after the mark.
     """
 
     def __init__(self, settings: CameraSettings) -> None:
-        """Open it, set and lock what it lets be set, read it back and compare.
+        """Open the camera, apply the settings that it supports, read them back and compare.
 
         Raises:
-            CameraLost: If it is not there.
-            CameraError: If it does not take a setting, or its frames are of another size.
+            CameraLost: If it cannot be opened.
+            CameraError: If it does not take a setting, or its frames have another size.
         """
         self._settings = settings
         self.trigger_mode: TriggerMode = "free"
@@ -55,7 +55,7 @@ class OpenCVCamera:
         self._open()
 
     def features(self) -> Features:
-        """What it is set to; asked for by the thread that reads, as OpenCV wants it."""
+        """Its settings; queried by the reading thread, since OpenCV allows only one thread."""
         if self._thread is None:
             return read_features(self._capture, self._settings)
         with self._changed:
@@ -121,7 +121,7 @@ class OpenCVCamera:
         if thread is None:
             self._capture.release()
         else:
-            # It lets go of the camera itself; where it is stuck in a read, that is when the read gives up.
+            # The thread releases the camera itself; if it is stuck in a read, after the read has given up.
             thread.join(_ANSWER_S)
 
     def __enter__(self) -> "OpenCVCamera":
@@ -135,12 +135,12 @@ class OpenCVCamera:
     def _open(self) -> None:
         name = f'opencv "{self._source}"'
         timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_MS]
-        # Only streams have time limits; a driver refuses to open with them.
+        # Timeouts are for streams only; a driver refuses to open with them.
         stream = isinstance(self._source, str) and not os.path.exists(self._source)
         self._capture = cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, timeouts) if stream else _plain(self._source)
         if not self._capture.isOpened():
             self._capture.release()
-            raise CameraLost(f"{name}: cannot be opened; see that it exists, is free, and may be read.")
+            raise CameraLost(f"{name}: cannot be opened; check that it exists, is not in use, and may be read.")
         backend = self._capture.getBackendName()
         self.identity = CameraIdentity("opencv", backend, str(self._source))
         try:
@@ -154,11 +154,11 @@ class OpenCVCamera:
         self._since, self._flush = time.monotonic(), self._settings.flush_frames
 
     def _read(self, capture: cv2.VideoCapture, stop: threading.Event) -> None:
-        """Takes every frame as it comes, until there are no more."""
+        """Read every frame as it comes, until there are no more."""
         try:
             ended = self._take_all(capture, stop)
         except cv2.error as problem:
-            # Whoever waits for a frame is to hear of it, not this thread's end.
+            # Reported to the caller that waits for a frame, instead of ending this thread with an error.
             ended = f"its frames cannot be read: {' '.join(str(problem).split())}"
         capture.release()
         with self._changed:
@@ -167,7 +167,7 @@ class OpenCVCamera:
             self._changed.notify_all()
 
     def _take_all(self, capture: cv2.VideoCapture, stop: threading.Event) -> str:
-        """Why there are no more."""
+        """Read frames until there are no more; returns the reason."""
         while not stop.is_set():
             taken, pixels = capture.read()
             arrival = time.monotonic()
@@ -207,7 +207,7 @@ def _plain(source: int | str) -> cv2.VideoCapture:
 
 
 def _image(pixels: np.ndarray, settings: CameraSettings) -> np.ndarray | None:
-    """A frame as the rest of the rig knows it, in memory of its own; None if it is of another size."""
+    """A frame in the configured pixel format, with its own memory; None if it has another size."""
     if pixels.shape[:2] != (settings.height, settings.width) or pixels.dtype != np.uint8:
         return None
     colours = 1 if pixels.ndim == 2 else pixels.shape[2]
@@ -217,7 +217,7 @@ def _image(pixels: np.ndarray, settings: CameraSettings) -> np.ndarray | None:
 
 
 def found_by_opencv() -> list[str]:
-    """One line per video device of this computer."""
+    """One line for each video device of this computer."""
     listed = []
     for folder in sorted(Path("/sys/class/video4linux").glob("video*")):
         try:

@@ -1,4 +1,4 @@
-"""What OpenCV can set on a camera, and whether the camera took it."""
+"""Sets up a camera through OpenCV, and reads its settings back."""
 
 import cv2
 
@@ -10,27 +10,27 @@ from scanrig.errors import CameraError
 _MANUAL = 1.0
 """V4L2_EXPOSURE_MANUAL."""
 _PER_S = 1e4
-"""V4L2 counts exposure in 100 µs."""
+"""V4L2's unit of exposure is 100 µs."""
 _DRIVER = "V4L2"
-"""The backend whose properties are known; what others mean by theirs differs from camera to camera."""
+"""The backend whose properties are known; for others their meaning differs from camera to camera."""
 
 
 def apply_settings(capture: cv2.VideoCapture, settings: CameraSettings, *, name: str) -> Features:
-    """Set everything that the backend can, and nothing automatic.
+    """Apply the settings that the backend supports, and switch automatic functions off.
 
     Returns:
-        The features that it then has to report.
+        The features that the camera must report then.
 
     Raises:
         CameraError: With the property that cannot be set.
     """
     if capture.getBackendName() != _DRIVER:
         return {"width": settings.width, "height": settings.height}
-    # The size first: it may set the rest back. One buffer, where the driver lets it be set.
+    # The size first, since it may reset the rest. One buffer, if the driver supports that.
     capture.set(cv2.CAP_PROP_FRAME_WIDTH, settings.width)
     capture.set(cv2.CAP_PROP_FRAME_HEIGHT, settings.height)
     capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-    # Cameras that have none of these refuse, which is as good as off; those that are on show up in the comparison.
+    # Cameras without these functions refuse, which is fine; functions that stay on show up in the comparison.
     capture.set(cv2.CAP_PROP_AUTO_WB, 0)
     capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)
     if not capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL):
@@ -50,7 +50,7 @@ def apply_settings(capture: cv2.VideoCapture, settings: CameraSettings, *, name:
 
 
 def read_features(capture: cv2.VideoCapture, settings: CameraSettings) -> Features:
-    """What the backend says that the camera is set to; what it cannot say is absent."""
+    """The camera's settings as the backend reports them; settings that it cannot report are absent."""
     features: Features = {
         "width": int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
         "height": int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
@@ -73,5 +73,5 @@ def read_features(capture: cv2.VideoCapture, settings: CameraSettings) -> Featur
 
 
 def silent(backend: str) -> str:
-    """What is to be noted of frames whose backend cannot say what the camera is set to; "" where it can."""
-    return "" if backend == _DRIVER else f"exposure and gain are not known: {backend} cannot say"
+    """The note for frames whose backend cannot report exposure and gain; "" if it can."""
+    return "" if backend == _DRIVER else f"exposure and gain are not known: {backend} does not report them"

@@ -1,15 +1,15 @@
-"""From settings to an open camera; only the kind that is asked for is loaded."""
+"""Opens the camera of a configuration; only the module of its kind is loaded."""
 
 from scanrig.cameras.frame import Camera
 from scanrig.cameras.settings import CameraSettings
 
 
 def open_camera(settings: CameraSettings) -> Camera:
-    """Open a camera, set it up, and see that it took the settings.
+    """Open a camera, set it up, and check that it took the settings.
 
     Raises:
-        CameraLost: If it is not there.
-        CameraError: If several may be meant, it is taken, or does not take a setting.
+        CameraLost: If it is not found.
+        CameraError: If several cameras fit, it is in use, or it does not take a setting.
         DependencyError: If the library of its kind is not installed.
     """
     match settings.kind:
@@ -32,7 +32,7 @@ def open_camera(settings: CameraSettings) -> Camera:
 
 
 def list_cameras() -> list[str]:
-    """The cameras that are found: one line each, kind, id and name; what could not be looked for says so."""
+    """One line for each camera found, with kind, id and name; and one for each library that is missing."""
     from scanrig.cameras.aravis import found_by_aravis
     from scanrig.cameras.opencv import found_by_opencv
 

@@ -1,4 +1,4 @@
-"""Which camera, and what it is set to: the `[camera]` table of a rig's configuration."""
+"""The `[camera]` table of a rig's configuration: which camera, and its settings."""
 
 from typing import Annotated, Literal
 
@@ -14,12 +14,12 @@ TriggerMode = Literal["hardware", "software", "free"]
 
 
 class CameraSettings(ImageSize):
-    """A camera and all that is set on it; what is not named here is left as the camera has it."""
+    """A camera and its settings; settings that are not listed here are left unchanged."""
 
     kind: CameraKind
-    """"aravis" (GigE Vision and USB3 Vision), "opencv" (UVC), "folder" (plays images), "simulated"."""
+    """"aravis" (GigE Vision and USB3 Vision), "opencv" (UVC), "folder" (plays images), or "simulated"."""
     id: Annotated[str, pydantic.Field(max_length=1024)] = ""
-    """Aravis: device id, serial number or address, "" for the only camera there is. OpenCV: index, path or
+    """Aravis: device id, serial number or address, "" for the only camera. OpenCV: index, path or
     URL. Folder: its path. Simulated: a TOML file of a synthetic scene, or ""."""
     pixel_format: PixelFormat = "mono8"
     """How a frame is to be read."""
@@ -28,17 +28,17 @@ class CameraSettings(ImageSize):
     up: Up = "-v"
     """Which direction of the image is up."""
     exposure_ms: Annotated[Number, pydantic.Field(gt=0, le=10_000)] = 10.0
-    """Time that a frame is exposed [ms]."""
+    """Exposure time of a frame [ms]."""
     gain_db: Annotated[Number, pydantic.Field(ge=-100, le=100)] = 0.0
-    """Gain of the camera's amplifier [dB]; for a camera that counts otherwise, its own number."""
+    """Gain of the camera's amplifier [dB], or in the camera's own unit."""
     trigger: TriggerMode = "hardware"
-    """"hardware" (a wire), "software" (a command per frame), or "free" (frames follow one another)."""
+    """"hardware" (a wire), "software" (a command per frame), or "free" (free-running)."""
     trigger_source: Annotated[str, pydantic.Field(min_length=1, max_length=64, pattern=r"^[\x21-\x7e]+$")] = "Line1"
-    """What GenICam calls the input that the trigger's wire is on."""
+    """GenICam's name of the input of the trigger wire."""
     packet_size: Annotated[Integer, pydantic.Field(ge=200, le=65535)] | None = None
-    """Bytes of a stream packet (GigE Vision); None: as the camera has it."""
+    """Bytes per stream packet (GigE Vision); None: the camera's own value."""
     flush_frames: Annotated[Integer, pydantic.Field(ge=0, le=100)] = 2
-    """Free-running cameras: frames that are discarded at least before one is believed to be new."""
+    """Free-running cameras: least number of frames that are discarded before one counts as new."""
 
     @pydantic.model_validator(mode="after")
     def _meaningful(self) -> "CameraSettings":

@@ -1,4 +1,4 @@
-"""A camera in software: shows what a callable draws, and fails where it is told to."""
+"""A camera in software: a callable draws its frames, and faults can be injected."""
 
 import threading
 from collections import deque
@@ -21,16 +21,16 @@ from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
 Fault = Literal["missing", "duplicate", "incomplete", "stale", "swapped", "late", "lost"]
-"""What can befall an exposure: its frame is not delivered; twice; in half; the one before in its place; changed
-for the one after; only with the one after; and: the camera is gone from here on."""
+"""Faults of an exposure: its frame is not delivered; delivered twice; half delivered; replaced by the one before;
+exchanged with the one after; delivered only with the one after; and: the camera is gone from here on."""
 Scene = Callable[[float, int], UInt8[np.ndarray, "rows columns *three"]]
-"""What the camera sees at a position of the table [microsteps], and with which laser on, from 1; 0: none."""
+"""Draws the frame at a position of the table [microsteps], with a laser on (from 1; 0: none)."""
 
 
 class SimulatedCamera:
     """Exposes when `expose` is called (a wire), `trigger` (software), or `next` (free-running).
 
-    Software triggers and free-running frames ask `world` for position and laser; `expose` is told.
+    Software triggers and free-running frames get position and laser from `world`; for `expose` they are arguments.
     """
 
     def __init__(
@@ -43,24 +43,23 @@ class SimulatedCamera:
         clock: Clock | None = None,
         patience_s: float = float("inf"),
     ) -> None:
-        """A camera that is open.
+        """An open camera.
 
         Args:
-            settings: What it is set to.
-            scene: What it sees; a synthetic scene where not given.
-            world: Position and laser at this moment; laser on and off in turn where not given.
-            faults: What befalls which exposure, counted from 1; may be changed at any time.
+            settings: Its settings.
+            scene: The scene; by default a synthetic one.
+            world: Position and laser at this moment; by default laser on and off in turn.
+            faults: Faults by the number of the exposure, from 1; may be changed at any time.
             clock: For time stamps.
-            patience_s: Longest that `next` really waits, whatever its timeout: 0 where the test exposes
-                before it asks.
+            patience_s: Longest real wait of `next`, whatever its timeout: 0 if the test exposes before it calls `next`.
         """
         self.settings, self.faults = settings, dict(faults or {})
         self.identity = CameraIdentity("simulated", "synthetic", "SIM1")
         self.trigger_mode: TriggerMode = settings.trigger
         self.device: Features = wanted(settings)
-        """What the camera holds; a test may spoil it."""
+        """The camera's features; a test may change them."""
         self.after_reopen: Features = {}
-        """What the camera holds after `reopen` whatever it is told: a setting that it does not take."""
+        """Features that the camera has after `reopen` regardless of its settings."""
         self.reachable = True
         """Whether `reopen` finds it."""
         self.exposures = 0
@@ -119,7 +118,7 @@ class SimulatedCamera:
         self.expose(*self._world())
 
     def expose(self, position: float, lit: int) -> None:
-        """An edge on the trigger's wire: one exposure, and what befalls it. From any thread."""
+        """An edge on the trigger wire: one exposure, with its fault if any. From any thread."""
         with self._changed:
             if not self._running or self._lost:
                 return
@@ -130,14 +129,14 @@ class SimulatedCamera:
             self._changed.notify_all()
 
     def push(self, frame: Frame) -> None:
-        """A frame from anywhere else, as it is. From any thread."""
+        """Append a frame as it is. From any thread."""
         with self._changed:
             self._queue.append(frame)
             self._changed.notify_all()
 
     def reopen(self) -> None:
         if self._closed or not self.reachable:
-            raise CameraLost(f"{self.identity}: not found; see that it has power and its cable.")
+            raise CameraLost(f"{self.identity}: not found; check its power and cable.")
         with self._changed:
             self._queue.clear()
             self._held.clear()
@@ -164,7 +163,7 @@ class SimulatedCamera:
             raise CameraLost(f"{self.identity}: the camera is {'closed' if self._closed else 'gone (simulated)'}.")
 
     def _arrive(self, image: np.ndarray, fault: Fault | None) -> None:
-        """The frame of this exposure into the queue, or what the fault makes of it."""
+        """Append the frame of this exposure, changed by its fault, to the queue."""
         held, self._held = self._held, []
         frame = self._frame(image)
         match fault:
@@ -187,7 +186,7 @@ class SimulatedCamera:
         for waiting in held:
             if self.faults.get(waiting.number) == "late":
                 self._queue.append(waiting)
-            else:  # Swapped: the camera counts in order, the pictures are the wrong way round.
+            else:  # Swapped: the numbers are in order, the images are exchanged.
                 self._queue.append(self._frame(image, number=waiting.number))
                 arriving = [self._frame(waiting.image)]
         self._queue.extend(arriving)
@@ -198,10 +197,10 @@ class SimulatedCamera:
 
 
 def open_simulated(settings: CameraSettings) -> SimulatedCamera:
-    """A camera in front of the synthetic scene that the file `settings.id` describes, or the usual one.
+    """A camera in front of the synthetic scene in the file `settings.id`, or of the default scene.
 
     Raises:
-        ConfigError: If the file is not such a description.
+        ConfigError: If the file does not describe a scene.
     """
     scene = load_toml(Path(settings.id), SyntheticScene) if settings.id else SyntheticScene()
     return SimulatedCamera(settings, scene)
@@ -214,5 +213,5 @@ def _drawn(scene: SyntheticScene, settings: CameraSettings) -> Scene:
 
 
 def _alternation() -> Iterator[tuple[float, int]]:
-    """The laser on, then off, at one position after the other."""
+    """At each position in turn: laser on, then off."""
     return ((float(8 * (k // 2)), 1 - k % 2) for k in count())

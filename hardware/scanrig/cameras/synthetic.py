@@ -15,38 +15,38 @@ _CHANNEL = {"red": 0, "green": 1, "blue": 2}
 
 
 class SyntheticScene(FileModel):
-    """What the simulated camera sees; angles are given as the fraction of a turn."""
+    """The scene of the simulated camera."""
 
     colour: Colour = "red"
-    """The laser's."""
+    """Colour of the laser."""
     stripe_axis: StripeAxis = "rows"
     """One centre per row, or per column."""
     peak_dn: Annotated[Number, pydantic.Field(ge=0)] = 120.0
-    """Height of the line above the wall [DN]."""
+    """Peak of the line above the wall [DN]."""
     width_px: Annotated[Number, pydantic.Field(gt=0, le=100)] = 1.8
     """Standard deviation of the line [px]."""
     share: Annotated[Number, pydantic.Field(ge=0, le=1)] = 1.0
-    """Part of the image's lines that the laser meets."""
+    """Part of the frame's lines that the laser meets."""
     ambient_dn: Annotated[Number, pydantic.Field(ge=0, le=255)] = 30.0
     """Mean level of the wall [DN]."""
     contrast: Annotated[Number, pydantic.Field(ge=0, le=1)] = 0.4
     """Amplitude of the wall's texture over its mean [1]."""
     turn_px: Annotated[Number, pydantic.Field(ge=0)] = 6000.0
-    """How far the wall moves through the image in one turn [px]."""
+    """How far the wall moves through the frame in one turn [px]."""
     apart_px: Number = 40.0
-    """How far beside the first laser's line the second's lies [px]."""
+    """Distance of the second laser's line from the first's [px]."""
     read_dn: Annotated[Number, pydantic.Field(ge=0)] = 1.0
     """Read noise [DN]."""
     electrons_per_dn: Annotated[Number, pydantic.Field(gt=0)] = 40.0
     """Conversion gain [e-/DN]."""
     microsteps_per_turn: Annotated[Integer, pydantic.Field(ge=1)] = 28800
-    """Positions in a turn."""
+    """Microsteps per turn of the table."""
     seed: Annotated[Integer, pydantic.Field(ge=0)] = 0
-    """Of the noise."""
+    """Seed of the noise."""
 
 
 class FrameShape(NamedTuple):
-    """What a frame is."""
+    """Size and pixel format of a frame."""
 
     width: int
     """[px]"""
@@ -56,14 +56,14 @@ class FrameShape(NamedTuple):
 
 
 def stripe_centre(scene: SyntheticScene, position: float, lines: int, samples: int) -> Float[np.ndarray, " lines"]:
-    """Where the first laser's line lies on each line of the image [px]: a bowed wall at the middle of the image."""
+    """Centre of the first laser on each line of the frame [px]: a bowed wall in the middle of the frame."""
     k = np.linspace(-1.0, 1.0, lines)
     phase = 2.0 * np.pi * position / scene.microsteps_per_turn
     return samples * (0.5 + 0.06 * np.sin(3.0 * phase) + 0.05 * k + 0.03 * k**2 * np.cos(5.0 * phase))
 
 
 def wall(scene: SyntheticScene, position: float, lines: int, samples: int) -> Float[np.ndarray, "lines samples"]:
-    """Light of the room [DN]: blocks and waves, which move as the table turns."""
+    """Light of the room [DN]: blocks and waves that move as the table turns."""
     x = np.arange(samples, dtype=np.float32)[None, :] + np.float32(scene.turn_px * position / scene.microsteps_per_turn)
     y = np.arange(lines, dtype=np.float32)[:, None]
     waves = np.sin(x / 23.0) * np.cos(y / 31.0) + 0.5 * np.sin((x + 2.0 * y) / 7.0)
@@ -91,11 +91,11 @@ def draw(
     """One frame.
 
     Args:
-        scene: What is seen.
-        position: Of the table [microsteps].
+        scene: The scene.
+        position: Position of the table [microsteps].
         lit: Which laser is on, from 1; 0: none.
-        shape: Of the frame.
-        generator: Of the noise; goes on.
+        shape: Shape of the frame.
+        generator: Generator of the noise; its state advances.
     """
     width, height, pixel_format = shape
     across = scene.stripe_axis == "columns"
@@ -109,7 +109,7 @@ def draw(
     else:
         light = room[..., None] + laser[..., None] * (np.arange(3) == _CHANNEL[scene.colour])
         light = light if frame_rank(pixel_format) == 3 else _mosaic(light, pixel_format)
-    # Of more than a few electrons the noise is Gaussian, and drawn ten times as fast.
+    # With more than a few electrons the noise is nearly Gaussian, which is drawn ten times as fast.
     variance = light * np.float32(1.0 / scene.electrons_per_dn) + np.float32(scene.read_dn**2)
     noisy = light + np.sqrt(variance) * generator.standard_normal(light.shape, np.float32)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)

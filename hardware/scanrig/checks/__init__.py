@@ -1,8 +1,8 @@
-"""When a pair is believed, when a step is what it was, and what the calibration board should do next.
+"""Checks of frames: the proof of a pair, the comparison of retaken steps, and advice for placing the board.
 
-`proof.py` gives the verdict on a pair, by `frame_pair.py`, `ridges.py` and `measures.py`; `limits.py` is what it keeps
-to. `leaks.py` looks over many pairs, `compare.py` at the same place taken again. `guide.py` and `boardview.py` are
-about boards.
+`proof.py` gives the verdict on a pair, with `frame_pair.py`, `ridges.py` and `measures.py`; `limits.py` has its limits.
+`leaks.py` follows the leak over many pairs, `compare.py` compares two pairs of the same place. `guide.py` and
+`boardview.py` are about boards.
 """
 
 from scanrig.checks.boardview import BoardView, Pose

@@ -1,4 +1,4 @@
-"""One picture of the calibration board without a calibration: where it is, how far, how tilted, where it is lit."""
+"""One view of the calibration board without a calibration: its place, distance and tilt, and the stripe on it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,18 +10,18 @@ from jaxscan.geometry import AbstractBoard, apply_homography, direct_homography,
 
 
 _STRIPE_LINES = 20
-"""Lines on the board from which on the laser crosses it."""
+"""Fewest lines on the board with which the laser counts as crossing it."""
 _CENTRED = 0.25
-"""Offset of the stripe from the board's middle, in boards, up to which it crosses the middle."""
+"""Largest offset of the stripe from the board's middle that counts as the middle, in board widths."""
 _TELLING = 0.05
-"""Sum of squares of the perspective in all views from which on they tell a focal length."""
+"""Least root of the summed squares of the perspective in all views for which a focal length is computed."""
 _FOCAL = (0.3, 6.0)
-"""Focal lengths that are believed, in image widths."""
+"""Plausible focal lengths, in image widths."""
 
 
 @dataclass(frozen=True)
 class BoardView:
-    """One pose of the board as the camera saw it."""
+    """The board in one frame."""
 
     q: Float[np.ndarray, "n 2"]
     """Corners that were found [px]."""
@@ -30,7 +30,7 @@ class BoardView:
     stripe_lines: int
     """Lines of the image on which the laser crosses the board."""
     stripe_offset: float
-    """Where it crosses, from the board's middle, in widths of the board along the image's rows; right positive."""
+    """Offset of the stripe from the board's middle along the image's rows, in board widths; positive to the right."""
 
     @property
     def crossed(self) -> bool:
@@ -39,7 +39,7 @@ class BoardView:
 
     @property
     def where(self) -> str:
-        """Where it crosses, in words."""
+        """Where the stripe crosses the board, in words."""
         if not self.crossed:
             return "beside the board"
         if abs(self.stripe_offset) < _CENTRED:
@@ -49,14 +49,14 @@ class BoardView:
 
 @dataclass(frozen=True)
 class Pose:
-    """How the board stood, with a guessed focal length."""
+    """The pose of the board, with a guessed focal length."""
 
     tilt_deg: float
     """Between the board's normal and the camera's axis."""
     towards_deg: float
-    """Which way it was tilted, in the image; meaningless for small tilts."""
+    """Direction of the tilt in the image; meaningless for small tilts."""
     roll_deg: float
-    """How far it was turned in its plane."""
+    """Rotation in its plane."""
     depth_m: float
     """Distance along the camera's axis."""
 
@@ -68,13 +68,13 @@ def view_board(
     stripe: Float[np.ndarray, "lines 2"] | None,
     image_size: tuple[int, int],
 ) -> BoardView | None:
-    """A view from corners and from points of the laser's line; None where the corners fix no pose.
+    """A view from corners and stripe points; None if the corners fix no pose.
 
     Args:
-        board: The board, whose corners `q` are, in its order.
-        q: Corners in the image [px].
-        valid: Which of them were found, bool [corners].
-        stripe: Centres of the laser's line in the image [px], where there is one.
+        board: The board.
+        q: Its corners in the image, in the board's order [px].
+        valid: Which corners were found, bool [corners].
+        stripe: Stripe centres in the image [px], or None.
         image_size: Width and height [px].
     """
     points = board.corners()[valid, :2]
@@ -87,7 +87,7 @@ def view_board(
 
 
 def pose_of(view: BoardView, focal_px: float) -> Pose | None:
-    """How the board stood; None where no camera of this focal length sees it so."""
+    """The pose of the board; None if no camera of this focal length can see it so."""
     first, second, third = (view.homography / np.array([[focal_px], [focal_px], [1.0]])).T
     scale = 0.5 * (np.linalg.norm(first) + np.linalg.norm(second))
     if third[2] < 0:
@@ -106,7 +106,7 @@ def pose_of(view: BoardView, focal_px: float) -> Pose | None:
 
 
 def guess_focal(views: Sequence[BoardView], image_size: tuple[int, int]) -> float:
-    """A focal length [px] from the perspective of tilted views, and the image's width while there are none.
+    """A focal length [px] from the perspective of tilted views; the image's width if there are none.
 
     With square pixels and the principal point in the middle, the columns of a homography satisfy
     h1 . W h2 = 0 and h1 . W h1 = h2 . W h2 with W = diag(1/f^2, 1/f^2, 1): linear in 1/f^2.
@@ -121,7 +121,7 @@ def guess_focal(views: Sequence[BoardView], image_size: tuple[int, int]) -> floa
     rest = np.concatenate([a[:, 2] * b[:, 2], a[:, 2] ** 2 - b[:, 2] ** 2])
     if np.sum(rest**2) < _TELLING**2:
         return width
-    # Least squares in f^2: the noise is in the perspective, which is small.
+    # Least squares in f^2, since the noise is in the perspective, which is small.
     square = -float(np.sum(factor * rest) / np.sum(rest**2))
     return width * float(np.sqrt(square)) if _FOCAL[0] ** 2 < square < _FOCAL[1] ** 2 else width
 
@@ -133,7 +133,7 @@ def _centre(image_size: tuple[int, int]) -> np.ndarray:
 def _crossing(
     board: AbstractBoard, homography: np.ndarray, stripe: np.ndarray | None, image_size: tuple[int, int]
 ) -> tuple[int, float]:
-    """Lines of the image on which the stripe lies on the board, and where it does."""
+    """Number of image lines on which the stripe lies on the board, and its offset."""
     if stripe is None or len(stripe) == 0:
         return 0, 0.0
     outline = board.outline()

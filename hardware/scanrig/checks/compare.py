@@ -1,4 +1,4 @@
-"""Whether a pair that was taken again shows what it showed the first time."""
+"""Compares a retaken pair with the first one."""
 
 from dataclasses import dataclass
 
@@ -10,30 +10,30 @@ from scanrig.checks.ridges import find_ridges
 
 
 _WINDOW = 8
-"""Samples on either side of a ridge over which its centre of light is formed."""
+"""Samples on either side of a ridge over which its centre is computed."""
 _FEWEST = 5
-"""Lines that both pairs must show the laser on before a shift means anything."""
+"""Fewest lines with the laser in both pairs for which a shift is computed."""
 _BLOCK_PX = 8
-"""Side of the blocks whose means are compared: of so many pixels little noise is left."""
+"""Side of the blocks whose means are compared; the means have little noise."""
 _AROUND = 5
-"""Side of the neighbourhood, in blocks, whose mean is taken out: what is wider may be the light's, not the room's."""
+"""Side of the neighbourhood, in blocks, whose mean is subtracted: wider structure may come from the lamps."""
 _CONTRAST = 4.0
-"""Variance of such means, over that which noise alone has, below which they say nothing of the place."""
+"""Least ratio of the variance of such means to that of noise for which they are compared."""
 _ROUNDING = 1.0 / 12.0
-"""Variance of rounding [DN²]: no frame has less noise."""
+"""Variance of rounding [DN²], the least noise of a frame."""
 
 
 @dataclass(frozen=True)
 class Likeness:
-    """How two pairs differ."""
+    """The difference of two pairs."""
 
     shift_px: float | None
-    """How far the line has moved: median over the lines on which both show it [px]; None where there are too few."""
+    """Shift of the stripe: median over the lines on which both pairs show it [px]; None if these are too few."""
     lines: int
-    """Lines on which both show it."""
+    """Lines on which both pairs show the stripe."""
     correlation: float | None
-    """Correlation of the laser-off frames' structure, 1 for the same view whatever the brightness [1]; None where
-    they show too little of it above noise."""
+    """Correlation of the laser-off frames' structure, 1 for the same view in any light [1]; None if they show too
+    little structure above noise."""
 
     def __str__(self) -> str:
         shift = (
@@ -45,7 +45,7 @@ class Likeness:
         return f"{shift}, the laser-off frames {frames}"
 
     def within(self, shift_px: float, correlation: float) -> bool:
-        """Whether it is the same view; an unknown shift is none, and without contrast the line alone has to tell."""
+        """Whether it is the same view: the shift must be known; an unknown correlation is ignored."""
         seen = self.correlation is None or self.correlation >= correlation
         return seen and self.shift_px is not None and abs(self.shift_px) <= shift_px
 
@@ -61,11 +61,11 @@ def compare_pairs(
     """Compare two pairs (laser-on frame, laser-off frame) of the same view.
 
     Args:
-        first: As it was, uint8 [rows, columns] (rgb8: and 3) each.
-        again: As it is, of the same shape.
+        first: The first pair, uint8 [rows, columns] (rgb8: and 3) each.
+        again: The retaken pair, of the same shape.
         pixel_format: How a frame is to be read.
         response: "linear" or "srgb".
-        line: The laser; of a colour "auto" the green channel is taken.
+        line: The laser; for the colour "auto" the green channel is used.
     """
     if line.colour == "auto":
         line = LaserLine(line.name, "green", line.stripe_axis)
@@ -82,9 +82,9 @@ def compare_pairs(
 
 
 def _correlation(first: np.ndarray, again: np.ndarray, pitch: int) -> float | None:
-    """How alike two views of the room are, lamps and daylight aside, which come and go; None where they show nothing.
+    """Correlation of two views of the room, independent of lamps and daylight; None if they show no structure.
 
-    What noise takes from the correlation is put back, so that dim rooms are judged as bright ones are.
+    Corrected for noise, so that dim and bright rooms are judged alike.
     """
     means, noises = zip(*(_structure(plane, _BLOCK_PX // pitch) for plane in (first, again)), strict=True)
     variances = [float(np.mean(mean**2)) for mean in means]
@@ -95,11 +95,11 @@ def _correlation(first: np.ndarray, again: np.ndarray, pitch: int) -> float | No
 
 
 def _structure(plane: np.ndarray, side: int) -> tuple[np.ndarray, float]:
-    """Means of blocks, less those around them [DN], and the variance that noise has in them [DN²]."""
+    """Means of blocks minus the mean of their neighbourhood [DN], and the variance of their noise [DN²]."""
     rows, columns = (size // side for size in plane.shape)
     blocks = plane[: rows * side, : columns * side].reshape(rows, side, columns, side).astype(np.float64)
     mean = blocks.mean((1, 3))
-    # Half of the pixels against the other half, as on a chessboard: what is seen is the same in both, noise is not.
+    # Black against white fields of a chessboard: structure cancels, noise remains.
     sign = np.where(np.add.outer(np.arange(side), np.arange(side)) % 2, -1.0, 1.0)
     noise = np.mean((blocks * sign[None, :, None, :]).mean((1, 3)) ** 2)
     around = np.pad(mean, _AROUND // 2, mode="reflect")
@@ -108,12 +108,12 @@ def _structure(plane: np.ndarray, side: int) -> tuple[np.ndarray, float]:
 
 
 def _centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centre of the laser's light on each line of its plane [samples], and where there is one."""
+    """Centre of the laser's light on each line of its plane [samples], and whether there is one."""
     difference = np.ascontiguousarray(on - off)
     ridges = find_ridges(difference, np.ascontiguousarray(off)).ridges
     x = np.clip(ridges.at[:, None] + np.arange(-_WINDOW, _WINDOW + 1), 0, difference.shape[1] - 1)
     light = np.take_along_axis(difference, x, 1)
-    # Half of the height: the tails, where noise is all there is, would pull towards the window's middle.
+    # Only above half of the height: noise in the tails would pull the centre towards the middle of the window.
     light = np.maximum(light - 0.5 * light.max(1, keepdims=True), 0.0)
     total = light.sum(1)
     return (light * x).sum(1) / np.where(total > 0, total, 1.0), ridges.clear & (total > 0)

@@ -1,4 +1,4 @@
-"""Two frames made ready to be compared: few lines of each, in linear DN, and what changed between them."""
+"""Prepares two frames for comparison: a subset of their lines in linear DN, and their difference."""
 
 from typing import NamedTuple
 
@@ -10,32 +10,32 @@ from jaxscan.stripes import Colour, LaserLine, PixelFormat, Response, decode_tab
 
 COLOURS: tuple[Colour, ...] = ("red", "green", "blue")
 _LINES = 256
-"""Lines that are looked at; each is evidence of its own."""
+"""Number of lines that are examined; each is independent evidence."""
 STACK = 4
-"""Image lines that are added up to one of them at most: a faint line gains, a leaning one loses little."""
+"""Most image lines that are averaged to one: this helps faint stripes and harms leaning ones little."""
 CLIPPED = 250
-"""Code from which on a pixel is clipped."""
+"""Lowest level of a clipped pixel [DN]."""
 _NEARLY_CLIPPED = 245.0
 
 
 class FramePair(NamedTuple):
-    """The lines that are looked at, in mean DN of the image lines that each is made of."""
+    """The examined lines; each is the mean of some image lines [linear DN]."""
 
     on: Float[np.ndarray, "lines samples"]
     off: Float[np.ndarray, "lines samples"]
     clipped: float
-    """Larger part of clipped pixels of the two frames."""
+    """Fraction of clipped pixels, the larger of the two frames."""
     lit: UInt8[np.ndarray, "all samples"]
-    """Codes of the laser-on frame."""
+    """Levels of the laser-on frame."""
     step: int
-    """Image lines from one to the next."""
+    """Distance of the examined lines, in image lines."""
 
 
 def check_frames(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat) -> None:
-    """Refuse what is no pair of frames.
+    """Check type and shape of two frames.
 
     Raises:
-        ValueError: With what was found.
+        ValueError: If they are not two frames of the same shape.
     """
     rank = frame_rank(pixel_format)
     if on.dtype != np.uint8 or on.ndim != rank or min(on.shape[:2]) < 64:
@@ -45,7 +45,7 @@ def check_frames(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat) -> 
 
 
 def with_colour(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, line: LaserLine) -> LaserLine:
-    """The laser with the colour whose brightest change is greatest."""
+    """The laser; for the colour "auto", with the colour that changes most between the frames."""
     if line.colour != "auto" or pixel_format == "mono8":
         return line
     lines = [LaserLine(line.name, colour, line.stripe_axis) for colour in COLOURS]
@@ -60,7 +60,7 @@ def _brightest_change(on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat
 def lines_of(
     on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, response: Response, line: LaserLine
 ) -> FramePair:
-    """A few lines of two frames, of the laser's colour and along its axis."""
+    """The examined lines of two frames, in the laser's colour and along its axis."""
     lit, dark = (np.asarray(laser_plane(a[None], pixel_format=pixel_format, line=line))[0] for a in (on, off))
     step = max(1, len(lit) // _LINES)
     few = (slice(None, None, 4), slice(None, None, 3))
@@ -81,12 +81,12 @@ def _stacked(
     total = plane[: lines * step : step].astype(np.uint16)
     for k in range(1, stack):
         np.add(total, plane[k : lines * step : step], out=total)
-    # Where stripes lie across, the lines are columns of the image: in order only from here on.
+    # Where the lines are columns of the image, they are contiguous only from here on.
     return np.ascontiguousarray(total).astype(np.float32) * np.float32(unit / stack)
 
 
 def difference_of(pair: FramePair, gain: float) -> Float[np.ndarray, "lines samples"]:
-    """The laser-on frame without the light of the room; nothing where that is clipped."""
+    """The laser-on frame minus the light of the room; 0 where that is clipped."""
     room = pair.off * np.float32(gain)
     np.minimum(room, np.float32(255.0), out=room)
     difference = np.subtract(pair.on, room, out=room)
@@ -95,10 +95,10 @@ def difference_of(pair: FramePair, gain: float) -> Float[np.ndarray, "lines samp
 
 
 def gain_of(pair: FramePair) -> float:
-    """How much brighter the room is in the laser-on frame: the median, narrowed down on the bulk of the pixels."""
+    """Lamp ratio of the pair: the median ratio, refined by a robust fit."""
     few = (slice(None, None, max(1, len(pair.on) // 32)), slice(None, None, 3))
     on, off = pair.on[few].ravel(), pair.off[few].ravel()
-    # By the sum, and weighted by it: chosen by the noise of one of them, the other would seem darker.
+    # Selected and weighted by the sum: a selection by one frame would be biased by its noise.
     usable = (on + off > 8.0) & (on < CLIPPED) & (off < CLIPPED)
     on, off = on[usable], off[usable]
     if len(on) < 200:

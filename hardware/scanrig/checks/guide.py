@@ -1,7 +1,7 @@
-"""Where to hold the calibration board next, in words, from the pictures so far and without a calibration.
+"""Advice where to hold the calibration board next, from the frames so far and without a calibration.
 
 It asks for the same coverage as `jaxscan calibrate` does afterwards, while the board is still at hand. The caller
-finds corners and the laser's line.
+finds corners and stripe.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,9 +16,9 @@ from scanrig.checks.boardview import BoardView, Pose, guess_focal, pose_of, view
 
 
 Detect = Callable[[np.ndarray], "tuple[np.ndarray, np.ndarray] | None"]
-"""A frame to corners [corners, 2] [px], in the board's order, and which of them are valid [corners]; None: no board."""
+"""Finds in a frame the corners [corners, 2] [px], in the board's order, and which are valid; None: no board."""
 FindLine = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Laser-on and laser-off frame to centres of the laser's line [n, 2] [px]."""
+"""Finds in a laser-on and a laser-off frame the stripe's centres [n, 2] [px]."""
 
 _GOOD_SHARE = 0.5
 """Part of the views that should be tilted, and part that should be crossed by the laser."""
@@ -31,14 +31,14 @@ _SIDES_OF_TILT = 4
 
 @dataclass(frozen=True)
 class Look:
-    """One pose of the board, as it was seen."""
+    """One pose of the board as seen by the camera."""
 
     view: BoardView | None
-    """None: the pose is refused."""
+    """None: the pose cannot be used."""
     problem: str = ""
-    """Why it is refused, and the remedy."""
+    """Why it cannot be used, and the remedy."""
     notes: tuple[str, ...] = ()
-    """Things that could be better."""
+    """Suggestions for a better pose."""
     laser: int = 0
     """Which laser it shows, counted from 0."""
 
@@ -49,53 +49,53 @@ class Coverage:
 
     views: int
     corners: Int[np.ndarray, "rows columns"]
-    """Corners in every cell of the image."""
+    """Number of corners in each cell of the image."""
     tilted: int
     """Views tilted by `coverage.MIN_TILT_DEG` or more."""
     tilts_deg: tuple[float, ...]
     tilt_sides: int
-    """Towards how many of the four sides the board was tilted."""
+    """Number of sides, of four, towards which the board was tilted."""
     depth_m: tuple[float, float] | None
-    """Nearest and farthest, by a guessed focal length."""
+    """Smallest and largest depth, with a guessed focal length."""
     stripe_depth_m: tuple[float, float] | None
-    """The same of boards with the laser's line on them; of several lasers, as the next, that with the fewest."""
+    """The same for boards that the laser crosses; this and the next three are for the laser with the fewest."""
     crossed: int
-    """Views that the laser's line crosses."""
+    """Views that the laser crosses."""
     lit: int
     """Views with that laser."""
     laser: str
-    """Its name; "" where there is one laser alone."""
+    """Its name; "" if there is only one laser."""
     roll_deg: float
-    """How far the board was turned in its plane between views."""
+    """Largest rotation of the board in its plane between views."""
     placements: int
-    """Places where it stood while the table turned."""
+    """Number of placements."""
 
     @property
     def empty_cells(self) -> tuple[str, ...]:
-        """Parts of the image with too few corners, the emptiest first, in words."""
+        """Names of the parts of the image with too few corners, the emptiest first."""
         return coverage.empty_parts(self.corners)
 
 
 @dataclass
 class Guide:
-    """Looks at poses, keeps those that are taken, and says which are missing."""
+    """Examines poses, keeps those that were taken, and advises which are missing."""
 
     board: AbstractBoard
     image_size: tuple[int, int]
     """Width and height [px]."""
     detect: Detect
     find_lines: Mapping[str, FindLine] = field(default_factory=dict)
-    """For each laser by its name, in their order; empty: without laser."""
+    """One for each laser, by its name and in their order; empty: without laser."""
     _views: list[BoardView] = field(default_factory=list)
     _lasers: list[int] = field(default_factory=list)
-    """Which laser each view shows."""
+    """The laser of each view."""
     _placements: set[int] = field(default_factory=set)
 
     def look(self, on: UInt8[np.ndarray, "..."] | None, off: UInt8[np.ndarray, "..."], laser: int = 0) -> Look:
-        """Look at one pose; nothing is kept.
+        """Examine one pose without keeping it.
 
         Args:
-            on: Laser-on frame, where there is one.
+            on: Laser-on frame, or None.
             off: Laser-off frame.
             laser: Which laser is on, counted from 0.
         """
@@ -114,8 +114,8 @@ class Guide:
         """Count a pose that was taken.
 
         Args:
-            look: The pose as it was seen.
-            placement: Which place of the board it is, where the table turns while it stands.
+            look: The pose.
+            placement: Number of its placement, if it belongs to one.
         """
         if look.view is not None:
             self._views.append(look.view)
@@ -124,7 +124,7 @@ class Guide:
                 self._placements.add(placement)
 
     def pose(self, look: Look) -> Pose | None:
-        """How the board of a look stands, with the focal length that all poses so far suggest."""
+        """The pose of the board, with a focal length from all poses so far."""
         if look.view is None:
             return None
         return pose_of(look.view, guess_focal([*self._views, look.view], self.image_size))
@@ -156,7 +156,7 @@ class Guide:
         )
 
     def advice(self, kind: Literal["free", "placement"] = "free", most: int = 2) -> list[str]:
-        """Poses that would help most, a sentence each, the most needed first; empty where nothing is missing."""
+        """The most helpful poses, a sentence each, the most needed first; empty if nothing is missing."""
         seen = self.coverage()
         if kind == "placement":
             return _about_placing(seen, laser=bool(self.find_lines))[:most]
@@ -174,7 +174,7 @@ class Guide:
         return coverage.count_cells(q, self.image_size)
 
 
-# Each need: how much is missing, from 0 to 1, and the sentence.
+# Each need: its urgency, from 0 to 1, and the sentence.
 
 
 def _about_image(seen: Coverage) -> list[tuple[float, str]]:
@@ -227,7 +227,7 @@ def _about_placing(seen: Coverage, *, laser: bool) -> list[str]:
 
 
 def _why_not_found(off: np.ndarray) -> str:
-    """Why no board is found, as far as the picture tells."""
+    """The likely reason why no board is found."""
     few = off[::4, ::4]
     if np.percentile(few, 99) < _DARK_DN:
         return "no board found: the picture is dark; switch a light on, or expose longer"
@@ -244,7 +244,7 @@ def _range(values: Sequence[float]) -> tuple[float, float] | None:
 
 
 def _turned(rolls_deg: Sequence[float]) -> float:
-    """Widest difference between two rolls, a board upside down counting as upright [deg]."""
+    """Largest difference of two rolls modulo 180 degrees [deg]."""
     if not rolls_deg:
         return 0.0
     rolls = np.array(rolls_deg)

@@ -1,20 +1,20 @@
-"""Whether the laser shines on in the laser-off frames: what no single pair can say."""
+"""Detects a laser that shines in the laser-off frames too, from several pairs; a single pair cannot show it."""
 
 from collections import deque
 from statistics import median
 
 
 PLACES = 8
-"""Places over which a leak is judged: wallpaper with stripes along the laser's line looks like one at every third."""
+"""Places over which a leak is judged: striped wallpaper along the laser's line looks like a leak at every third."""
 APART_DEG = 2.0
-"""Turn from which on the line falls on something else."""
+"""Least turn after which the laser's line counts as falling on another place."""
 
 
 class LeakWatch:
-    """Follows how much of the line is in the laser-off frame too, from place to place.
+    """Follows the leak of the laser's line into the laser-off frames, from place to place.
 
-    Texture of the room that runs along the line looks like a leak of a tenth to a third, of either sign, at one place.
-    It does not at the next, which the light of a laser that is slow to go out does.
+    Texture along the line looks like a leak of a tenth to a third, of either sign, but only at single places. A laser
+    that goes out slowly leaks at every place.
     """
 
     def __init__(self) -> None:
@@ -22,15 +22,15 @@ class LeakWatch:
         self._last_deg: float | None = None
 
     def add(self, angle_deg: float | None, leak: float) -> float | None:
-        """Take note of a pair.
+        """Add a pair.
 
         Args:
-            angle_deg: Where the table stood; None where the scene is another in each pair, as with boards.
-            leak: Part of the line's light that is in the laser-off frame, `PairProof.leak`.
+            angle_deg: The table's angle; None if every pair shows another scene, as with boards.
+            leak: `PairProof.leak`.
 
         Returns:
-            The median over the last `PLACES` places; None before there are so many, and where the table has hardly
-            moved since the last.
+            The median over the last `PLACES` places; None while there are fewer, and if the table has hardly moved
+            since the last.
         """
         if angle_deg is not None:
             if self._last_deg is not None and abs(angle_deg - self._last_deg) < APART_DEG - 1e-9:

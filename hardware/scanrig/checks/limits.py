@@ -1,4 +1,4 @@
-"""What a pair of frames has to keep to, as a configuration says it."""
+"""The configurable limits for the proof of a pair."""
 
 from typing import Annotated
 
@@ -11,17 +11,17 @@ Share = Annotated[Number, pydantic.Field(ge=0, le=1)]
 
 
 class ProofLimits(FileModel):
-    """What a pair has to keep to."""
+    """Limits for the proof of a pair."""
 
     lit_lines: Share = 0.02
-    """Part of the image's lines that must show the laser at least."""
+    """Least part of the frame's lines that must show the laser."""
     peak_dn: Annotated[Number, pydantic.Field(ge=0, le=255)] = 0.0
-    """Height that the line must have at least [DN]."""
+    """Least height of the stripe [DN]."""
     leak: Share = 0.1
-    """Part of the line's light that the laser-off frames may have, over several places (`leaks`)."""
+    """Largest part of the stripe's light in the laser-off frames, over several places (`leaks`)."""
     unrest: Annotated[Number, pydantic.Field(gt=0)] = 4.0
-    """What may differ beside the laser, in standard deviations of the noise; 6 is the most there is."""
+    """Largest difference beside the laser, in standard deviations of the noise, at most 6."""
     saturated: Share = 1.0
-    """Part of the lit lines that may be clipped."""
+    """Largest part of the lit lines that may be clipped."""
     flooded: Share = 0.25
-    """Part of either frame that may be clipped."""
+    """Largest part of either frame that may be clipped."""

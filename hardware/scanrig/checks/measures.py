@@ -1,4 +1,4 @@
-"""What is measured on two frames: how much of a line is light of its own, how restless the rest is, how much leaks."""
+"""Measures on a pair: how much of a ridge contrast explains, differences beside the laser, leak, clipping."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,26 +9,26 @@ from scanrig.checks.ridges import Relief, Ridges
 
 _BLACK_DN = 32.0
 _FEATURELESS_DN = 3.0
-"""Under a lens cap a frame is darker than the one, and its large features are flatter than the other."""
+"""Under a lens cap a frame is darker than the first, and its large features are flatter than the second."""
 _NOISE_CUT = 6.0
-"""Residual at which a pixel's part in the unrest ends, in standard deviations."""
+"""Residuals are clipped at this many standard deviations when the unrest is computed."""
 _BESIDE = 14
-"""Samples on either side of a ridge within which contrast may explain it."""
+"""Contrast may explain a ridge within this many samples on either side."""
 _EXPLAINS_MOST = 1.5
-"""Part of a contrast that motion changes at most: all of it, and as much again where thin things pass."""
+"""Largest change by motion as a multiple of the contrast; thin moving objects exceed 1."""
 _MOSTLY = 0.4
-"""Part of the ridges that contrast may not explain: of a laser nearly all, of what moves a fifth."""
+"""Least part of the ridges that contrast must not explain: for a laser it is nearly all, for motion a fifth."""
 _MARGIN = 3.0
-"""By how much the largest change of a contrast may exceed that which nine tenths of them keep to."""
+"""Ratio of the largest relative change of a contrast to its 90 % quantile."""
 _ALIKE = 4.0
-"""Neighbouring lines that see the same texture."""
+"""Number of neighbouring lines that see the same texture."""
 
 
 def solid_part(ridges: Ridges, field: np.ndarray, frame: np.ndarray, explains: float) -> float:
-    """Part of the lines whose ridge nothing in the other frame explains; 0 where that is the lesser part of the ridges.
+    """Part of the lines whose ridge contrast of the other frame cannot explain; 0 if that is a minority of the ridges.
 
-    Whatever moves or flickers changes a picture by a part of the contrast that is there. A ridge that is higher than
-    that part of all contrast of the other frame beside it is light of its own.
+    Motion and flicker change a frame by a fraction of its contrast. A ridge that is higher than this fraction of the
+    contrast of the other frame beside it is additional light.
     """
     rows = np.flatnonzero(ridges.clear)
     if len(rows) == 0:
@@ -41,10 +41,10 @@ def solid_part(ridges: Ridges, field: np.ndarray, frame: np.ndarray, explains: f
 
 
 def explained_part(difference: np.ndarray, off: np.ndarray, relief: Relief) -> float:
-    """What part of the contrast of a picture its change may be: near 0 where all is still, 1 where all moved.
+    """Fraction of a frame's contrast by which it may have changed: near 0 if nothing moved, 1 if everything moved.
 
-    From the blocks with contrast themselves, but for those in which the line itself may be: along a door's frame
-    they would be a sixth of all.
+    Estimated from blocks with contrast, without those that may contain the stripe: along a door frame these could be a
+    sixth of all.
     """
     few = slice(None, None, max(1, len(off) // 32))
     change, light = _smooth(difference[few]), _smooth(off[few])
@@ -67,10 +67,10 @@ def _smooth(field: np.ndarray) -> np.ndarray:
 
 
 def unrest_of(difference: Float[np.ndarray, "lines samples"], off: Float[np.ndarray, "lines samples"]) -> float:
-    """Root mean square of the difference where it is negative - a laser only adds light -, in that of the noise.
+    """Root mean square of the negative differences, over that of the noise; a laser makes only positive ones.
 
-    The noise is that of second differences along the lines, in the calmer half of the blocks of equal level: neither
-    smooth light nor edges are in it.
+    The noise is estimated from second differences along the lines, as the median over blocks of similar level, so that
+    smooth light and edges do not contribute.
     """
     few = slice(None, None, max(1, len(off) // 32))
     residual, level = difference[few], off[few]
@@ -83,20 +83,20 @@ def unrest_of(difference: Float[np.ndarray, "lines samples"], off: Float[np.ndar
     variance = (second * second).mean(2).ravel() / 6.0
     light = level[:, : blocks * block].reshape(len(level), blocks, block).mean(2).ravel()
     order = np.argsort(light)
-    # The median of 12 correlated squares lies below their mean.
+    # The median of 12 correlated squares is below their mean.
     table = [
         (np.median(light[part]), np.median(variance[part]) / 0.89) for part in np.array_split(order, 8) if len(part)
     ]
     floor = 2.0 / 12.0 / 4.0
     noise = np.maximum(np.interp(level, *np.array(table).T), floor)
     square = np.minimum(residual * residual / noise, _NOISE_CUT**2)
-    # Darkness is cut off at zero.
+    # Noise of dark samples is cut off at zero.
     darker = (residual < 0) & (level > 2.0)
     return float(np.sqrt(square[darker].mean())) if darker.sum() > 50 else 0.0
 
 
 def peak_heights(difference: Float[np.ndarray, "n samples"], at: np.ndarray) -> Float[np.ndarray, " n"]:
-    """Highest sample near a ridge, over what lies beside it [DN]."""
+    """Highest sample near a ridge minus the median beside it [DN]."""
     rows, last = np.arange(len(at))[:, None], difference.shape[1] - 1
     near = difference[rows, np.clip(at[:, None] + np.arange(-4, 5), 0, last)]
     beside = difference[rows, np.clip(at[:, None] + np.array([-32, -28, -24, -20, 20, 24, 28, 32]), 0, last)]
@@ -104,7 +104,7 @@ def peak_heights(difference: Float[np.ndarray, "n samples"], at: np.ndarray) -> 
 
 
 def leak_of(off: Float[np.ndarray, " n"], difference: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """Part of a line's light that is in the laser-off frame: median over the rows, and its standard deviation."""
+    """Part of the stripe's light that is in the laser-off frame: median over the rows, and its standard deviation."""
     good = difference > 0
     if np.count_nonzero(good) < 3:
         return 0.0, 1.0
@@ -116,7 +116,7 @@ def leak_of(off: Float[np.ndarray, " n"], difference: Float[np.ndarray, " n"]) -
 
 
 def saturated_part(pair: FramePair, rows: np.ndarray, at: np.ndarray) -> float:
-    """Part of the rows whose line is clipped at its peak, at `at` [samples]."""
+    """Part of the rows whose stripe is clipped at its peak, at `at` [samples]."""
     if len(rows) == 0:
         return 0.0
     lines = rows[:, None, None] * pair.step + np.arange(min(pair.step, STACK))[None, :, None]
@@ -125,7 +125,7 @@ def saturated_part(pair: FramePair, rows: np.ndarray, at: np.ndarray) -> float:
 
 
 def is_covered(frame: Float[np.ndarray, "lines samples"]) -> bool:
-    """Dark, and without any large feature: blocks of 16 lines and samples tell it from noise."""
+    """Whether a frame is dark and has no large features, judged by blocks of 16 by 16 samples."""
     lines, samples = (size // 16 for size in frame.shape)
     blocks = frame[: lines * 16, : samples * 16].reshape(lines, 16, samples, 16).mean((1, 3))
     return bool(frame.mean() < _BLACK_DN and np.ptp(blocks) < _FEATURELESS_DN)

@@ -1,4 +1,4 @@
-"""Whether a pair of frames is one: the laser's line in the first, and not in the second."""
+"""The proof of a pair: the laser's line is in the laser-on frame and not in the laser-off frame."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -24,56 +24,56 @@ from scanrig.checks.ridges import Relief, find_ridges, heights
 Verdict = Literal["ok", "swapped", "stays on", "dark laser", "covered", "flooded", "changed", "too faint"]
 
 _LIGHTER = 2.0
-"""Factor between the light of two frames that no flicker of lamps explains."""
+"""Ratio of the light of two frames that is too large for flicker of lamps."""
 _WELDED = 0.25
-"""Part of the lines on which both frames show the same line, from which on it is the laser's and not the scene's."""
+"""Part of the lines with the same stripe in both frames above which it is the laser, not the scene."""
 _CERTAIN = 3.0
-"""Standard deviations by which a leak has to exceed what is allowed."""
+"""Standard deviations by which a leak must exceed its limit."""
 _GLOWS = 0.5
-"""Part of the line in the laser-off frame that no texture along it explains, from which on a single pair is refused."""
+"""Leak above which a single pair is rejected: texture along the stripe does not explain so much."""
 _STRONGER = 4.0
-"""Factor by which all ridges of a pair have to be stronger than all furrows: motion makes as many of both."""
+"""Factor by which the ridges of a pair must be stronger than the furrows; motion makes both alike."""
 _UNSETTLED = 2.5
-"""Unrest from which on a pair without a line is called changed rather than dark."""
+"""Unrest above which a pair without a stripe counts as changed instead of dark."""
 
 
 @dataclass(frozen=True)
 class PairProof:
-    """What a pair of frames shows; levels in linear DN."""
+    """The verdict on a pair, and its measures; levels in linear DN."""
 
     ok: bool
-    """A line in on − off; none, nor its reverse, in off."""
+    """Whether the pair is proven."""
     verdict: Verdict
-    """Which it is, for programs."""
+    """The verdict, for programs."""
     reason: str
-    """Which it is, for people; "" where it is well."""
+    """The verdict, for people; "" if it is "ok"."""
     lit_lines: float
-    """Part of the image's lines that show the laser [1]."""
+    """Part of the frame's lines that show the laser [1]."""
     peak_dn: float
-    """Height of the line, median [DN]; 0 where there is none."""
+    """Height of the stripe, median [DN]; 0 if there is none."""
     saturated: float
     """Part of the lit lines whose peak is clipped [1]."""
     ambient_dn: float
     """Mean level of the laser-off frame [DN]."""
     unrest: float
-    """What differs beside the laser, root mean square in that of the noise, 6 at most: about 1 where all is still."""
+    """Differences beside the laser, root mean square over that of the noise, at most 6; about 1 if nothing changed."""
     leak: float
-    """Part of the line's light that is in the laser-off frame too [1]."""
+    """Part of the stripe's light that is in the laser-off frame too [1]."""
 
 
 class _Seen(NamedTuple):
-    """What the difference of two frames shows."""
+    """Measures on the difference of two frames."""
 
     difference: Float[np.ndarray, "lines samples"]
     """The laser-on frame without the light of the room [DN]."""
     relief: Relief
     explains: float
-    """What part of the contrast of a picture its change may be."""
+    """Fraction of a frame's contrast by which it may have changed; see `explained_part`."""
     few: float
-    """Part of the lines that have to show the laser."""
+    """Least part of the lines that must show the laser."""
     unrest: float
     peak: float
-    """Height of the line, median [DN]; 0 where there is none."""
+    """Height of the stripe, median [DN]; 0 if there is none."""
     saturated: float
     leak: float
     leak_sigma: float
@@ -89,21 +89,21 @@ def prove_pair(
     line: LaserLine,
     limits: ProofLimits | None = None,
 ) -> PairProof:
-    """Look for the laser in the difference of two frames, and for what else may have happened.
+    """Search for the laser in the difference of two frames, and find the cause if it is missing.
 
-    A line counts that stands 4 standard deviations above both sides, has no rival and no furrow on its row, and
-    continues on the rows beside it; noise, texture, flicker and motion do not do that (`ridges`).
+    A ridge counts if it is 4 standard deviations above both sides, has no rival and no furrow on its row, and continues
+    on neighbouring rows; noise, texture, flicker and motion do not make such ridges (`ridges`).
 
     Args:
         on: The frame that should show the laser's line, uint8 [rows, columns] (rgb8: and 3).
         off: The frame that should not, of the same shape.
         pixel_format: How a frame is to be read.
         response: "linear" or "srgb".
-        line: The laser; of a colour "auto" the channel that changed most is taken.
-        limits: What the pair has to keep to.
+        line: The laser; for the colour "auto" the channel that changed most is used.
+        limits: The limits for the pair.
 
     Raises:
-        ValueError: If the frames are not such images, or too small for a line with its sides (64 px).
+        ValueError: If the frames have another type or shape, or fewer than 64 px on a side.
     """
     limits = limits or ProofLimits()
     check_frames(on, off, pixel_format)
@@ -117,7 +117,7 @@ def prove_pair(
         if verdict in ("dark laser", "changed") and _shines_in_both(on, off, pixel_format, response, line):
             verdict, reason = (
                 "stays on",
-                ("the laser stays on: the same line is in both frames; see relay and wiring, open the contactor"),
+                "the laser stays on: the same line is in both frames; check relay and wiring, open the contactor",
             )
     else:
         verdict, reason = _with_line(pair, seen, limits)
@@ -135,7 +135,7 @@ def prove_pair(
 
 
 def _look(pair: FramePair, limits: ProofLimits) -> _Seen:
-    """What the difference of the frames shows."""
+    """Measure the difference of the frames."""
     difference = difference_of(pair, gain_of(pair))
     relief = find_ridges(difference, pair.off)
     ridges = relief.ridges
@@ -157,11 +157,11 @@ def _look(pair: FramePair, limits: ProofLimits) -> _Seen:
 
 
 def _with_line(pair: FramePair, seen: _Seen, limits: ProofLimits) -> tuple[Verdict, str]:
-    """The verdict on a pair with a line in its difference."""
+    """The verdict on a pair with a stripe in its difference."""
     if seen.leak - _CERTAIN * seen.leak_sigma > max(_GLOWS, limits.leak):
         return "stays on", (
             f"the laser stays on: {100 * seen.leak:.0f} % of its line is in the laser-off frame too; "
-            "see relay, wiring and off_ms"
+            "check relay, wiring and off_ms"
         )
     if pair.clipped > limits.flooded:
         return "flooded", _flood(pair)
@@ -183,7 +183,7 @@ def _with_line(pair: FramePair, seen: _Seen, limits: ProofLimits) -> tuple[Verdi
 
 
 def _without_line(pair: FramePair, seen: _Seen, limits: ProofLimits) -> tuple[Verdict, str]:
-    """The verdict on a pair whose difference shows no line: why not."""
+    """The verdict on a pair whose difference shows no stripe, with the cause."""
     if is_covered(pair.on) and is_covered(pair.off):
         return "covered", "both frames are black and flat: the lens is covered, or the room and the laser are dark"
     if pair.clipped > limits.flooded:
@@ -203,12 +203,12 @@ def _without_line(pair: FramePair, seen: _Seen, limits: ProofLimits) -> tuple[Ve
         )
     if max(ridges.seen.mean(), furrows.seen.mean()) >= seen.few:
         return "changed", (
-            "what looks like a line is no brighter than edges beside it that may have moved: see that all stands "
-            "still, or make the laser brighter"
+            "a possible line is no brighter than edges beside it that may have moved: keep everything still, or make "
+            "the laser brighter"
         )
     return "dark laser", (
-        "the frames are alike, without a line that comes and goes: the laser is dark (see supply, relay, interlock), "
-        "or, if it shines, does not go off"
+        "both frames are alike, and no line appears or disappears: the laser is dark (check supply, relay, interlock), "
+        "or, if it shines, it does not go off"
     )
 
 
@@ -217,7 +217,7 @@ def _flood(pair: FramePair) -> str:
 
 
 def _flash(pair: FramePair) -> str:
-    """What to say where one frame has much more light than the other, all in all; "" where it has not."""
+    """The reason if one frame has much more light than the other; "" if not."""
     brighter = (float(pair.on.mean()) + 4.0) / (float(pair.off.mean()) + 4.0)
     if 1.0 / _LIGHTER < brighter < _LIGHTER:
         return ""
@@ -227,7 +227,7 @@ def _flash(pair: FramePair) -> str:
 def _shines_in_both(
     on: np.ndarray, off: np.ndarray, pixel_format: PixelFormat, response: Response, line: LaserLine
 ) -> bool:
-    """Whether the same line runs through both frames; in a colour picture, one of the laser's colour."""
+    """Whether the same stripe is in both frames; in colour frames, a stripe of the laser's colour."""
     fields = []
     for frame in (on, off):
         one = lines_of(frame, frame, pixel_format, response, line).on

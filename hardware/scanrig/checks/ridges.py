@@ -1,4 +1,4 @@
-"""Where a thin bright line runs through a picture, line by line, and how sure that is."""
+"""Finds a thin bright stripe in a frame, line by line, with its significance."""
 
 from typing import NamedTuple
 
@@ -7,36 +7,36 @@ from jaxtyping import Bool, Float, Int
 
 
 CORE = 3
-"""Samples that a ridge is summed over: the middle of a laser's line."""
+"""Samples over which a ridge is summed: the middle of a stripe."""
 FLANK = 9
-"""Samples on either side that it has to stand out from."""
+"""Samples on either side with which it is compared."""
 GAP = 8
-"""From the middle of the core to the middle of a flank [samples]."""
+"""Distance from the middle of the core to the middle of a flank [samples]."""
 COARSE = 4
-"""Samples that are added up for the second look, which finds wide, glowing and clipped lines."""
+"""Samples that are summed for the coarse scale, which finds wide, glowing and clipped stripes."""
 Z = 4.0
-"""Standard deviations from which a ridge counts. Of lines of 1280 samples of noise 4 in 100 have one, but at a place of
-its own: only ridges with company count (`coherent`), by chance one line in a million."""
+"""Least height of a ridge, in standard deviations. Of 100 lines of 1280 samples of noise 4 have one, but at random
+places; only ridges that continue on neighbouring lines count (`coherent`): by chance one line in a million."""
 OTHERS = 0.5
-"""Part of a ridge's height that another ridge of its line, or a furrow, may have at most: texture, motion and uneven
-flicker make many of them, of both signs; a laser makes one, and light only."""
+"""Largest height of another ridge or a furrow on the same line, as a part of the ridge's height: texture, motion and
+uneven flicker make many of both signs; a laser makes one ridge."""
 _AROUND = 24
-"""Samples around a ridge in which there is no other."""
+"""Least distance of two ridges [samples]."""
 _REACH = 3
-"""Lines on either side among which a ridge looks for company."""
+"""Lines on either side on which a ridge must continue."""
 _SLOPE = 8.0
-"""Samples per line that a ridge may lean by: with 4 lines added up, 63 degrees."""
+"""Largest lean of a ridge, samples per line: with 4 lines averaged, 63 degrees."""
 _ROUNDING = (CORE + CORE**2 / FLANK / 2.0) * 2.0 / 12.0
-"""Variance of a height that the rounding of two frames leaves. Noise counts as no less: where it is, single counts
-are most of it, and those are not Gaussian."""
+"""Variance of a height from the rounding of two frames. Noise is taken as at least this, since smaller noise consists
+of single counts and is not Gaussian."""
 _MEASURABLE = (1.0, 240.0)
-"""Levels at which noise is not cut off at zero or at the top [DN, one sample]."""
+"""Levels at which noise is not cut off at 0 or 255 [DN, one sample]."""
 _NORMAL = 0.6745
 _BINS = 8
 _ENOUGH = 200
-"""Samples that a bin of levels needs to tell its noise to 5 %."""
+"""Samples that a bin of levels needs to estimate its noise to 5 %."""
 _PLENTY = 0.5
-"""Part of the lines with a clear ridge from which on no second look is needed."""
+"""Part of the lines with a clear ridge above which the coarse scale is skipped."""
 
 
 class Ridges(NamedTuple):
@@ -47,35 +47,35 @@ class Ridges(NamedTuple):
     z: Float[np.ndarray, " lines"]
     """Its height above the higher of its flanks, in standard deviations."""
     seen: Bool[np.ndarray, " lines"]
-    """It stands out, and has company on the neighbouring lines."""
+    """It is significant and continues on neighbouring lines."""
     clear: Bool[np.ndarray, " lines"]
-    """It is seen, and no other ridge and no furrow of its line comes near it."""
+    """It is seen, and no other ridge or furrow of its line comes near its height."""
 
     @property
     def strength(self) -> float:
-        """Height of all that are seen together, in standard deviations."""
+        """Sum of the heights of all seen ridges, in standard deviations."""
         return float(self.z[self.seen].sum())
 
 
 class Relief(NamedTuple):
-    """What stands out of a field, and what lies below it."""
+    """Ridges and furrows of a field."""
 
     ridges: Ridges
     furrows: Ridges
 
 
 def find_ridges(field: Float[np.ndarray, "lines samples"], level: Float[np.ndarray, "lines samples"]) -> Relief:
-    """The line that brightens a field, and the line that darkens it, at two scales.
+    """The brightest and the darkest thin line of a field, at two scales.
 
     Args:
-        field: What is searched, float32: the difference of two frames, or a frame.
-        level: The light that its noise depends on, float32.
+        field: The field to search, float32: the difference of two frames, or a frame.
+        level: The light on which its noise depends, float32.
     """
     fine = _at_scale(field, level, 1)
     if fine.ridges.clear.mean() > _PLENTY or field.shape[1] < COARSE * (2 * GAP + FLANK + 2):
         return fine
     coarse = _at_scale(_coarse(field), _coarse(level), COARSE)
-    # One look for the whole frame, so that company is measured alike.
+    # One scale for the whole frame, so that all lines are judged alike.
     return coarse if _clear(coarse) > 1.5 * _clear(fine) else fine
 
 
@@ -92,7 +92,7 @@ def _coarse(field: Float[np.ndarray, "lines samples"]) -> Float[np.ndarray, "lin
 
 
 def heights(field: Float[np.ndarray, "lines samples"], at: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Height of a field at one place of each of its lines above the mean of both flanks, per sample of the core."""
+    """Height of the core above the mean of both flanks at one place of each line, per sample of the core."""
     half, x = FLANK // 2, np.arange(field.shape[1], dtype=np.int64)
     rows = np.arange(len(at))[:, None]
 
@@ -119,7 +119,7 @@ def _at_scale(
 
 
 def _best(response: Float[np.ndarray, "lines samples"], scale: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where each line is highest, how high, and how high elsewhere; changes the response."""
+    """Place and height of each line's maximum, and its second maximum; overwrites the response."""
     rows = np.arange(len(response))
     at = np.argmax(response, 1)
     z = response[rows, at]
@@ -141,7 +141,7 @@ def _judged(at: np.ndarray, z: np.ndarray, rival: np.ndarray, opposite: np.ndarr
 def coherent(
     at: Int[np.ndarray, " lines"], chosen: Bool[np.ndarray, " lines"], slope: float
 ) -> Bool[np.ndarray, " lines"]:
-    """Chosen lines with two others nearby, at places that one line can lead through."""
+    """Which chosen ridges continue on two neighbouring lines without leaning too much."""
     company = np.zeros(len(at), np.int8)
     for step in range(1, min(_REACH, len(at) - 1) + 1):
         near = chosen[step:] & chosen[:-step] & (np.abs(at[step:] - at[:-step]) <= slope * step)
@@ -151,7 +151,7 @@ def coherent(
 
 
 def _core_and_flanks(field: Float[np.ndarray, "lines samples"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sum of the core, and the flanks left and right as sums of as many samples, where all three are inside."""
+    """Sum of the core, and of the left and right flank scaled to as many samples, where all three are inside."""
     reach = GAP + FLANK // 2
     inside = field.shape[1] - 2 * reach
     third = field[:, :-2] + field[:, 1:-1] + field[:, 2:]
@@ -166,12 +166,11 @@ def _per_deviation(
     level: Float[np.ndarray, "lines samples"],
     scale: int,
 ) -> Float[np.ndarray, "lines samples"]:
-    """One over the standard deviation of a ridge's height: of its variance the middle half, a line over the level.
+    """One over the standard deviation of a ridge's height: a straight line is fitted to its variance over the level.
 
-    From the heights themselves, so that whatever is everywhere - noise of neighbours that is alike, texture under
-    uneven flicker - is what a line has to stand out from.
+    Estimated from the heights themselves, so that it includes correlated noise and texture under uneven flicker.
     """
-    # Every third sample: neighbours share their sums.
+    # Every third sample, since the sums of neighbours overlap.
     few = slice(None, None, max(1, len(core) // 32)), slice(None, None, 3)
     size = np.abs(core[few] - 0.5 * (left[few] + right[few])).ravel()
     light = level[few].ravel()
@@ -187,7 +186,7 @@ def _per_deviation(
         slope, start = 0.0, _variance(size)
     else:
         variance = [_variance(bins[k]) for k in known]
-        # A variance is as uncertain as it is large.
+        # The uncertainty of a variance is proportional to it.
         weight = np.sqrt([len(bins[k]) for k in known]) / (np.array(variance) + _ROUNDING * scale)
         slope, start = (float(a) for a in np.polyfit(centres[known], variance, 1, w=weight))
         slope = max(slope, 0.0)
@@ -199,10 +198,10 @@ def _per_deviation(
 
 
 def _variance(size: Float[np.ndarray, " n"]) -> float:
-    """Variance of the bulk of some heights, from their absolute values; a quantile alone would be of whole counts."""
+    """Robust variance of heights, from their absolute values; a median alone would be a whole number of counts."""
     variance = (float(np.median(size)) / _NORMAL) ** 2 + _ROUNDING
     square = size * size
     for _ in range(2):
-        # What lies within 3 standard deviations has 0.973 of the variance.
+        # Values within 3 standard deviations have 0.973 of the variance.
         variance = float(square[square <= 9.0 * variance].mean()) / 0.973
     return variance

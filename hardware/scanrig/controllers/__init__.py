@@ -1,6 +1,6 @@
-"""Controllers: what turns the table, switches the laser and may trigger the camera, behind one interface.
+"""Controllers turn the table, switch the lasers and may trigger the camera. All have one interface.
 
-`jxs/` is the scanner's own firmware (PROTOCOL.md), `grbl/` any board that speaks GRBL's G-code.
+`jxs/` is for the scanner's own firmware (PROTOCOL.md), `grbl/` for boards that speak GRBL's G-code.
 """
 
 from scanrig.controllers.controller import UNCONFIRMED, Controller, Guarantees

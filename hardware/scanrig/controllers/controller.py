@@ -1,4 +1,4 @@
-"""What a controller is to the rest of the rig: it turns the table, switches the laser, and may trigger the camera."""
+"""The interface of every controller: it turns the table, switches the lasers, and may trigger the camera."""
 
 import logging
 from dataclasses import dataclass
@@ -17,40 +17,40 @@ UNCONFIRMED = "could not confirm that the laser is off: switch its supply off by
 
 @dataclass(frozen=True)
 class Guarantees:
-    """What a controller does by itself, whatever becomes of the host. What it cannot do is said to people."""
+    """The tasks that a controller carries out even when the host fails. People are told of those that it cannot."""
 
     laser_off_without_host: bool
-    """The laser goes off within a second or so of the host's death, or of a cable that was pulled."""
+    """The laser goes off within about a second after the host fails or the cable is pulled."""
     knows_missed_steps: bool
-    """`Controller.home` says by how many microsteps home was missed."""
+    """`Controller.home` returns by how many microsteps home was missed."""
     hardware_trigger: bool
-    """It triggers the camera by a wire: `Controller.trigger`, `shot` and `wait_shot`."""
+    """It triggers the camera through a wire: `Controller.trigger`, `shot` and `wait_shot`."""
     checked_lines: bool
-    """A line that was damaged on its way is noticed, not carried out."""
+    """A line that was damaged on its way is detected and not carried out."""
 
 
 class Controller(Protocol):
-    """A controller whose port is open. As a context manager it makes everything safe on the way out.
+    """A controller whose port is open. As a context manager it makes the rig safe when it exits.
 
-    Positions are microsteps of the table from home, whatever the controller counts in. Used from one thread. Every
+    Positions are microsteps of the table from home, whatever units the controller uses. Used from one thread. Every
     method that asks the controller may raise:
 
-        LinkLost: no answer any more; `reconnect` is the way back. ControllerReset, a kind of it: it has started anew.
-        RigFault: it stopped by itself, and is in a fault until `clear`.
-        Refused: it will not do that now.
+        LinkLost: no answer any more; call `reconnect`. Its subclass ControllerReset: the controller was reset.
+        RigFault: it stopped by itself and stays in the fault until `clear`.
+        Refused: it does not carry out the command in its present state.
     """
 
     @property
     def name(self) -> str:
-        """The port, as a person calls it."""
+        """The name of the port, for messages."""
 
     @property
     def guarantees(self) -> Guarantees:
-        """What it does without the host."""
+        """What it guarantees without the host."""
 
     @property
     def link_counts(self) -> LinkCounts:
-        """What the line did so far."""
+        """Counts of lines sent, resent and damaged so far."""
 
     # Session
 
@@ -58,17 +58,17 @@ class Controller(Protocol):
         """Begin a session: laser off, contactor open.
 
         Returns:
-            Who answered; a changed `boot` means that position and settings are gone.
+            The firmware that answered; a changed `boot` means that position and settings are lost.
 
         Raises:
-            FirmwareError: silence, another device, or one that this host does not fit.
+            FirmwareError: no answer, another device, or firmware that does not fit this host.
         """
 
     def configure(self, settings: Settings) -> None:
-        """Take over the settings, and see that they hold.
+        """Send the settings and check that the controller took them.
 
         Raises:
-            FirmwareError: the controller is not, and cannot be, set so, or it switches fewer lasers.
+            FirmwareError: the controller does not take them, or it switches fewer lasers.
         """
 
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
@@ -82,32 +82,32 @@ class Controller(Protocol):
 
         Raises:
             LinkLost: it did not come back in time.
-            FirmwareError: something else is there now.
+            FirmwareError: another device is there now.
         """
 
     # Motion
 
     def enable(self, on: bool) -> None:
-        """Switch the motor driver on or off; off forgets home."""
+        """Switch the motor driver on or off; switching it off loses home."""
 
     def home(self, max_steps: int, timeout_s: float = 120.0) -> int | None:
-        """Look for the home switch and call its place 0.
+        """Search for the home switch; its edge becomes position 0.
 
         Args:
-            max_steps: how many microsteps to look for it.
-            timeout_s: how long.
+            max_steps: how far to search, microsteps.
+            timeout_s: how long to wait.
 
         Returns:
-            The position at which it was found by what was known before: 0 where no step was lost. None where the
-            controller cannot say (`Guarantees.knows_missed_steps`).
+            The position of the switch by the counter as it was before: 0 if no step was lost. None if the controller
+            cannot tell (`Guarantees.knows_missed_steps`).
 
         Raises:
-            RigFault: it was not found, or something stopped the motion.
-            RigTimeout: it did not arrive.
+            RigFault: the switch was not found, or a fault stopped the motion.
+            RigTimeout: homing did not end in time.
         """
 
     def move(self, to: int, timeout_s: float = 120.0) -> int:
-        """Turn to a position and wait for it.
+        """Turn to a position and wait until the table is there.
 
         Args:
             to: microsteps from home.
@@ -117,19 +117,19 @@ class Controller(Protocol):
             The position reached.
 
         Raises:
-            RigTimeout: it did not arrive.
+            RigTimeout: the table did not arrive in time.
         """
 
     def stop(self) -> None:
-        """Laser off, motor slowed down; the table stays homed."""
+        """Laser off, motor ramped down; the table stays homed."""
 
     # Light
 
     def arm(self, on: bool) -> None:
-        """Allow the laser to be lit, or forbid it: close or open the contactor in its supply, where there is one."""
+        """Allow or forbid the laser: close or open the contactor in its supply, if there is one."""
 
     def laser(self, on: bool, *, number: int = 1) -> None:
-        """Switch a laser on, renew that, or switch all lasers off.
+        """Switch a laser on, renew its lease, or switch all lasers off.
 
         Args:
             on: on or off.
@@ -139,63 +139,63 @@ class Controller(Protocol):
             Refused: not armed.
         """
 
-    # The camera's wire; without `Guarantees.hardware_trigger` these are refused
+    # The camera's trigger wire; refused without `Guarantees.hardware_trigger`
 
     def trigger(self) -> None:
-        """One exposure. Does not wait for its end."""
+        """Start one exposure. Does not wait for its end."""
 
     def shot(self, to: int, id: int, *, number: int = 1) -> None:
-        """Begin a shot: turn, settle, expose with the laser, expose without. `to` as it stands repeats it.
+        """Begin a shot: turn, settle, expose with the laser, expose without. The present position as `to` repeats it.
 
         Args:
             to: microsteps from home.
-            id: a number to know it by.
+            id: a number that identifies the shot.
             number: which laser, from 1.
         """
 
     def wait_shot(self, id: int, timeout_s: float = 120.0) -> ShotDone:
-        """Wait for the end of a shot that `shot` has begun.
+        """Wait for the end of a shot that `shot` began.
 
         Raises:
-            RigTimeout: it did not end in time; it was stopped.
+            RigTimeout: it did not end in time and was stopped.
         """
 
     # State
 
     def stat(self) -> Status:
-        """Ask for the state; a fault is only told."""
+        """Ask for the state; a fault is reported, not raised."""
 
     def poll(self) -> Status:
-        """Ask for the state: a sign of life, too. A fault is raised."""
+        """Ask for the state, which also feeds the watchdog. A fault is raised."""
 
     def counters(self) -> Counters | None:
-        """The controller's own counters of errors and wear; None where it has none."""
+        """The controller's own counters of errors and wear; None if it has none."""
 
     def clear(self) -> None:
-        """Leave a fault; the laser is not armed then.
+        """Leave a fault; the laser is not armed afterwards.
 
         Raises:
-            Refused: what caused it is still there.
+            Refused: the cause of the fault is still there.
         """
 
-    # The way out
+    # Ending
 
     def abort(self) -> None:
-        """Everything off at once, without waiting for an answer. Raises LinkLost alone."""
+        """Everything off at once, without waiting for an answer. Raises only LinkLost."""
 
     def make_safe(self) -> bool:
-        """Stop, laser off, contactor open; if that is not answered, abort. Raises nothing for the rig's sake.
+        """Stop, laser off, contactor open; if that is not answered, abort. Raises no error of the rig.
 
         Returns:
-            True if the controller confirmed that the laser is off, and nothing runs that could switch it on. False:
-            a person must look.
+            True if the controller confirmed that the laser is off and that nothing runs that could switch it on.
+            False: a person must check.
         """
 
     def close(self) -> None:
-        """Make safe and give the port back; may be called twice.
+        """Make the rig safe and close the port; may be called twice.
 
         Raises:
-            RigError: it could not be confirmed that the laser is off.
+            RigError: the controller did not confirm that the laser is off.
         """
 
     def __enter__(self) -> "Controller": ...

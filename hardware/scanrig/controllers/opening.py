@@ -1,4 +1,4 @@
-"""From a configuration to an open controller; only the type that is asked for is loaded."""
+"""Opens the controller of a configuration; only the module of its type is loaded."""
 
 from jaxscan.errors import ConfigError
 from scanrig.clock import Clock
@@ -9,20 +9,20 @@ from scanrig.controllers.table import ControllerTable
 def open_controller(
     table: ControllerTable, microsteps_per_turn: int, *, port: str | None = None, clock: Clock | None = None
 ) -> Controller:
-    """Open the controller's port. Nothing is said to it before `Controller.hello`.
+    """Open the controller's port. Nothing is sent before `Controller.hello`.
 
     Args:
         table: Which controller, and where.
         microsteps_per_turn: Of the table.
-        port: Instead of the table's: a path, a USB serial number, or "auto" for the only board there is.
+        port: Replaces the table's port: a path, a USB serial number, or "auto" for the only board.
         clock: For every wait.
 
     Returns:
-        A controller whose `reconnect` finds the same board again, even where it comes back under another port number.
+        A controller whose `reconnect` finds the same board again, even under another port number.
 
     Raises:
-        ConfigError: If it may leave the laser on, and that is not allowed.
-        PortError: None, several, missing, taken, or no right to use it.
+        ConfigError: If the controller may leave the laser on and the configuration does not allow that.
+        PortError: No port, several, port missing or in use, or no permission.
     """
     wanted = port or table.port
     match table.type:
@@ -39,10 +39,10 @@ def open_controller(
 
 
 def require_allowed(guarantees: Guarantees, table: ControllerTable) -> None:
-    """See that a laser that stays on without the host is allowed where the controller cannot prevent it.
+    """Check that the configuration allows a controller that cannot switch the laser off without the host.
 
     Raises:
-        ConfigError: With what to write into the configuration.
+        ConfigError: With the key to write into the configuration.
     """
     if not guarantees.laser_off_without_host and not table.allow_laser_without_watchdog:
         raise ConfigError(
@@ -53,7 +53,7 @@ def require_allowed(guarantees: Guarantees, table: ControllerTable) -> None:
 
 
 def shortcomings(guarantees: Guarantees) -> tuple[str, ...]:
-    """What a controller does not guarantee, a sentence each; the first is that on the laser, where it is missing."""
+    """The guarantees that a controller lacks, a sentence each; the one about the laser comes first."""
     says = []
     if not guarantees.laser_off_without_host:
         says.append(
@@ -61,7 +61,7 @@ def shortcomings(guarantees: Guarantees) -> tuple[str, ...]:
             "Do not leave the rig alone, and keep the switch of the laser's supply at hand."
         )
     if not guarantees.checked_lines:
-        says.append("Its lines have no checksum: what was damaged on the way may be carried out.")
+        says.append("Its lines have no checksum: a command that was damaged on its way may be carried out.")
     if not guarantees.knows_missed_steps:
-        says.append("It does not say at home whether steps were lost: that shows in the pictures alone.")
+        says.append("It does not report at home whether steps were lost: only the images show that.")
     return tuple(says)

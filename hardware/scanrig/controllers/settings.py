@@ -1,18 +1,18 @@
-"""What a controller is set to for a session."""
+"""The settings of a controller for a session."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Motion, waits and limits, in microsteps and milliseconds; a controller takes what it knows."""
+    """Motion, waits and limits, in microsteps and milliseconds; a controller ignores those that it does not have."""
 
     watchdog_ms: int = 500
-    """Milliseconds without a good line after which the controller takes the link for lost."""
+    """Milliseconds without a valid line after which the controller treats the link as lost."""
     speed: int = 4000
     """Microsteps per second."""
     start_speed: int = 400
-    """Microsteps per second at which a ramp begins."""
+    """Microsteps per second at the beginning of a ramp."""
     acceleration: int = 8000
     """Microsteps per second squared."""
     home_speed: int = 200
@@ -20,7 +20,7 @@ class Settings:
     backlash: int = 0
     """Microsteps by which a downward motion overshoots, so that every target is approached from below."""
     reverse: bool = False
-    """Turns the sense of the direction pin round."""
+    """Inverts the direction pin."""
     lasers: int = 1
     """How many lasers the controller has to switch."""
     settle_ms: int = 50
@@ -34,6 +34,6 @@ class Settings:
     gap_ms: int = 5
     """After each exposure."""
     ready_ms: int = 0
-    """How long to wait for the camera's ready line before each trigger; 0: not at all."""
+    """Longest wait for the camera's ready line before each trigger; 0: no wait."""
     limits: tuple[int, int] | None = None
     """Soft limits, microsteps from home; None: none."""

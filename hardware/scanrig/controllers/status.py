@@ -1,4 +1,4 @@
-"""What any controller says of itself: firmware, state, counters."""
+"""The answers of every controller: firmware, state, counters."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -11,29 +11,29 @@ State = Literal["idle", "move", "home", "shot", "fault"]
 
 @dataclass(frozen=True)
 class Firmware:
-    """Who answered."""
+    """The firmware that answered."""
 
     proto: int | str
-    """The protocol that it speaks: its number, or its name."""
+    """Number or name of its protocol."""
     version: str
     boot: int
-    """Counts resets: where it changed, position and settings are gone."""
+    """Counts resets: when it changes, position and settings are lost."""
     lease_ms: int = 0
-    """The longest time for which the laser stays on without a word from the host; 0: for ever."""
+    """Longest time for which the laser stays on without a command from the host; 0: no limit."""
 
 
 @dataclass(frozen=True)
 class Status:
-    """The state at this moment."""
+    """The present state."""
 
     state: State
     fault: Fault | None
-    """Which fault it is in."""
+    """The fault that it is in, or None."""
     position: int
     """Microsteps from home."""
     homed: bool
     armed: bool
-    """Whether the laser may be switched on: the contactor in its supply is closed, where there is one."""
+    """Whether the laser may be switched on: the contactor in its supply is closed, if there is one."""
     enabled: bool
     """Whether the motor driver is on."""
     laser: bool
@@ -47,19 +47,19 @@ class Status:
 
 @dataclass(frozen=True)
 class Counters:
-    """What a controller counts: errors and wear."""
+    """A controller's counters of errors and wear."""
 
     damaged: int
-    """Lines that came to the controller damaged."""
+    """Lines that arrived damaged at the controller."""
     overruns: int
     """Bytes that the controller lost."""
     repeated: int
-    """Lines that came again and were answered, not carried out."""
+    """Lines that arrived again and were answered but not carried out again."""
     laser_cycles: int
-    """Times the laser was switched on since boot: wear."""
+    """Times that the laser was switched on since boot."""
     up_ms: int
     watchdog_resets: int
-    """Times the processor hung, ever."""
+    """Resets by the processor's watchdog since it was programmed."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class ShotDone:
     position: int
     """Microsteps from home, as reached."""
     exposures: int
-    """Exposures since boot, modulo 65536: must have grown by the frames that were asked for."""
+    """Exposures since boot, modulo 65536: must have grown by the number of frames asked for."""
 
 
 @dataclass(frozen=True)
@@ -77,23 +77,23 @@ class Reconnection:
     """How the controller was found again."""
 
     same_boot: bool
-    """It was not reset: its position is the one from before."""
+    """It was not reset: its position is still valid."""
     must_home: bool
     status: Status
 
 
 @dataclass
 class LinkCounts:
-    """What the line did to what was sent over it."""
+    """Counts of the lines sent to and received from the controller."""
 
     sent: int = 0
-    """Lines, resent ones counted again."""
+    """Lines sent, including resent ones."""
     resent: int = 0
     naks: int = 0
     damaged: int = 0
-    """Lines that came to the host damaged."""
+    """Lines that arrived damaged at the host."""
     strays: int = 0
-    """Answers that nobody was waiting for: the second ones to lines that were resent."""
+    """Unexpected answers: second answers to lines that were resent."""
     events: int = 0
     events_missed: int = 0
     events_by_name: dict[str, int] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Which controller, and what it is told: the `[controller]` table of a rig's configuration."""
+"""The `[controller]` table of a rig's configuration: which controller, and its commands."""
 
 from typing import Annotated, Literal
 
@@ -9,30 +9,30 @@ from jaxscan.files.disk import FileModel, Integer, Number
 
 _Command = Annotated[str, pydantic.Field(max_length=70, pattern=r"^[\x20-\x7e]*$")]
 _REALTIME = set("?!~")
-"""Characters that GRBL takes out of a line and obeys at once."""
+"""Characters that GRBL removes from a line and obeys at once."""
 
 
 class GrblTable(FileModel):
-    """What a board is told that speaks GRBL's G-code or a dialect of it."""
+    """Commands and units of a board that speaks GRBL's G-code or a dialect of it."""
 
     greeting: Annotated[str, pydantic.Field(min_length=1, max_length=40)] = "Grbl"
-    """How the line begins that it says after a reset."""
+    """Beginning of the line that the board sends after a reset."""
     axis: Literal["X", "Y", "Z", "A", "B", "C"] = "X"
     """The axis that turns the table."""
     units_per_turn: Annotated[Number, pydantic.Field(gt=0, le=1e6)] = 360.0
-    """What the axis counts in a turn of the table, in what the board calls millimetres: 360 for degrees."""
+    """Length of one turn of the table in the board's "millimetres": 360 for degrees."""
     laser_on: Annotated[tuple[_Command, ...], pydantic.Field(min_length=1, max_length=8)] = ("M3 S1000",)
-    """Switches a laser on, a command for each laser."""
+    """Commands that switch a laser on, one for each laser."""
     laser_off: Annotated[_Command, pydantic.Field(min_length=1)] = "M5"
-    """Switches all lasers off."""
+    """Command that switches all lasers off."""
     home: _Command = "$H"
-    """Looks for the home switch; "" where there is none: home is where the table stands when a scan begins."""
+    """Command for homing; "" without a home switch: home is then the table's position when a scan begins."""
     enable: _Command = ""
-    """Switches the motor on; "" where it always is."""
+    """Command that switches the motor on; "" if it is always on."""
     disable: _Command = ""
-    """Switches the motor off."""
+    """Command that switches the motor off."""
     check_settings: bool = True
-    """Whether the board's own settings ($$) are read and compared with the configuration."""
+    """Whether to read the board's own settings ($$) and compare them with the configuration."""
 
     @pydantic.field_validator("laser_on", mode="before")
     @classmethod
@@ -52,19 +52,18 @@ class GrblTable(FileModel):
 
 
 class ControllerTable(FileModel):
-    """The controller and the wire to it."""
+    """The controller and its port."""
 
     type: Literal["jaxscan", "grbl"] = "jaxscan"
     """"jaxscan": the firmware of hardware/firmware. "grbl": a board that speaks GRBL's G-code."""
     port: Annotated[str, pydantic.Field(min_length=1, max_length=1024)] = "auto"
-    """Serial port; "auto": the only one that looks like a controller."""
+    """Serial port; "auto": the only port that looks like a controller."""
     baud: Annotated[Integer, pydantic.Field(ge=1200, le=4_000_000)] | None = None
-    """Bits per second; by default what its type is built with: 250000, for GRBL 115200."""
+    """Bits per second; by default that of its type: 250000, for GRBL 115200."""
     watchdog_ms: Annotated[Integer, pydantic.Field(ge=100, le=60_000)] = 500
-    """Time without a good line from the host after which laser and motor are switched off; GRBL has nothing of the
-    kind."""
+    """Time without a valid line from the host after which laser and motor are switched off; GRBL has no watchdog."""
     reconnects: Annotated[Integer, pydantic.Field(ge=0, le=1000)] = 10
-    """Times that a lost controller is looked for, with growing pauses, before the scan ends."""
+    """Attempts to find a lost controller again, with growing pauses, before the scan ends."""
     allow_laser_without_watchdog: bool = False
     """Scan with a controller that leaves the laser on when the host dies or the cable is pulled."""
     grbl: GrblTable = GrblTable()

@@ -1,4 +1,4 @@
-"""The examination of a rig, part after part: what works, what does not, what to do."""
+"""Examines a rig, part after part: reports faults and remedies."""
 
 from scanrig.doctor.doctor import Patient, examine
 from scanrig.doctor.findings import Finding

@@ -1,4 +1,4 @@
-"""Examines a rig, part after part: what works, what does not, what to do. Ends with the laser off on every way."""
+"""Examines a rig, part after part. The laser is off at the end in every case."""
 
 import tempfile
 import time
@@ -34,25 +34,25 @@ def _silent(text: str) -> None:
 
 @dataclass(frozen=True)
 class Patient:
-    """The parts of a rig that there are. Nothing of it is closed by the examination."""
+    """The parts of a rig that can be examined. The examination closes none of them."""
 
     controller: Controller | None
-    """Open; is left safe."""
+    """Open; left safe."""
     camera: Camera | None
-    """Open; is started."""
+    """Open; the examination starts it."""
     config: RigConfig | None
-    """Without it the controller is looked at with usual settings, and no camera."""
+    """Without it the controller is examined with default settings, and the camera is not examined."""
     clock: Clock = field(default_factory=SystemClock)
 
 
 def examine(patient: Patient, *, folder: Path, tell: Tell, say: Callable[[str], None] = _silent) -> None:
-    """Look at all parts of a rig that are there; the table turns and the laser shines.
+    """Examine all parts of a rig; the table turns and the laser shines.
 
     Args:
-        patient: What there is.
-        folder: Where captures would be written.
+        patient: The parts.
+        folder: Folder for captures.
         tell: Called with each finding.
-        say: Called with what is going on where it takes long.
+        say: Called with a sentence about the progress of long examinations.
     """
     controller, camera, config = patient.controller, patient.camera, patient.config
     pair: ProvenPair | None = None
@@ -70,7 +70,7 @@ def examine(patient: Patient, *, folder: Path, tell: Tell, say: Callable[[str], 
 
 
 def _storage(config: RigConfig, folder: Path, pair: ProvenPair | None) -> Finding:
-    """Free space, and how long a pair takes until it is on the disk."""
+    """Check free space, and the time to write a pair to the disk."""
     targets, _ = plan_sweep(config)
     needed = estimate(config, [target.position for target in targets])
     free = free_bytes(folder)

@@ -1,4 +1,4 @@
-"""What an examination of a rig says: one finding per thing that was looked at."""
+"""The findings of an examination, one for each part."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -12,24 +12,24 @@ Verdict = Literal["works", "note", "wrong", "not checked"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at."""
+    """The finding about one part."""
 
     name: str
     verdict: Verdict
-    """"note": works, but a person should know; "wrong": a scan would fail or be spoilt."""
+    """"note": works, with a remark; "wrong": a scan would fail or be spoilt."""
     found: str
     do: str = ""
-    """What to do about it."""
+    """The remedy."""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """The same for programs, units in the names."""
+    """The measured values, for programs; units in the names."""
 
 
 Tell = Callable[[Finding], None]
-"""Called with every finding as soon as it is made."""
+"""Called with each finding at once."""
 
 
 def looked_at(name: str, look: Callable[[], Finding], tell: Tell) -> Finding:
-    """Look at one thing; what the rig raises is a finding too, and says itself what to do."""
+    """Examine one part. An error of the rig becomes a finding; its message contains the remedy."""
     try:
         finding = look()
     except RigError as problem:

@@ -1,4 +1,4 @@
-"""How many microsteps a turn really has, measured from home switch to home switch."""
+"""Measures the microsteps of a turn, from home switch to home switch."""
 
 from collections.abc import Callable
 from fractions import Fraction
@@ -8,9 +8,9 @@ from scanrig.errors import RigError
 
 
 TOLERANCE = 8
-"""Microsteps by which a switch may be found at another place in another turn."""
+"""Microsteps by which the place of the switch may vary from turn to turn."""
 _PART = 36
-"""Motions begin this part of a turn above the switch, which is wide."""
+"""Motions begin at 1/36 of a turn above the switch, since the switch is wide."""
 _DOUBLINGS = 6
 _LARGEST_DENOMINATOR = 200
 _MOST_EDGES = 64
@@ -25,25 +25,24 @@ def measure_turn(
     highest: int | None = None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> int:
-    """Turn until the home switch comes again, and come back the same way, so that no cable winds up.
+    """Turn until the home switch comes again, and turn back the same way, so that no cable winds up.
 
-    The switch is looked for downwards, so a motion that ends a little above one turn finds the
-    edge of that turn, and what the counter says there is a turn, or several: on the way back it is
-    looked for in between.
+    Homing searches downwards. A motion that ends a little above one turn therefore finds the edge of that turn, and the
+    counter there is the length of one turn or of several; on the way back the edges in between are searched for.
 
     Args:
         controller: Enabled and homed.
-        guess: What a turn should have [microsteps].
-        speed: Of motions [microsteps/s], to know how long to wait.
-        highest: How far up the table may turn, at least `needed(guess)`; None: as far as it takes.
-        tell: Called with what is done now.
+        guess: Expected length of a turn [microsteps].
+        speed: Speed of motions, for timeouts [microsteps/s].
+        highest: Highest allowed position, at least `needed(guess)`; None: no limit.
+        tell: Called with a sentence about each motion.
 
     Returns:
         Microsteps of a turn.
 
     Raises:
-        RigError: If the switch does not come again within `2**_DOUBLINGS` times what it should.
-        RigFault, LinkLost: As the controller has it.
+        RigError: If the switch does not come again within `2**_DOUBLINGS` times the expected turn.
+        RigFault, LinkLost: From the controller.
     """
     above = needed(guess) - guess
 
@@ -51,7 +50,7 @@ def measure_turn(
         controller.move(position, _LEAST_S + 2.0 * (abs(position) + reach) / speed)
         was = controller.home(reach, _LEAST_S + 4.0 * reach / speed)
         if was is None:
-            raise RigError("the controller does not say where it found the home switch: no turn can be measured by it")
+            raise RigError("the controller does not report where it found the home switch: a turn cannot be measured")
         return was
 
     top = guess + above
@@ -69,7 +68,7 @@ def measure_turn(
     else:
         raise RigError(
             f"the home switch did not come again within {reached} microsteps, {2 ** (_DOUBLINGS - 1)} times a turn; "
-            "see whether the table turns at all"
+            "check whether the table turns at all"
         )
     rest = turns
     for _ in range(_MOST_EDGES):
@@ -82,17 +81,17 @@ def measure_turn(
         rest -= edge
     raise RigError(
         f"the home switch was found at {edge} microsteps on the way back, expected at {rest} or before: steps are "
-        "lost, or the switch is not where it was; see belt, motor current and speed"
+        "lost, or the switch has moved; check belt, motor current and speed"
     )
 
 
 def needed(guess: int) -> int:
-    """How far above home the table turns at least to measure a turn of so many microsteps."""
+    """Least height above home to which the table must turn to measure a turn of `guess` microsteps."""
     return guess + max(guess // _PART, 8)
 
 
 def fitting_gear(turn: int, motor_turn: int) -> tuple[int, int] | None:
-    """The simplest ratio of two integers that gives a turn within `TOLERANCE`; None where none does.
+    """The simplest ratio of two integers that gives the turn within `TOLERANCE`; None if there is none.
 
     Args:
         turn: Microsteps of a turn of the table, as measured.

@@ -1,4 +1,4 @@
-"""The examination of camera, trigger and laser: as many frames as pulses, a proven pair, levels that suit."""
+"""Examines camera, trigger and lasers: one frame per pulse, a proven pair, suitable levels."""
 
 from functools import partial
 
@@ -24,7 +24,7 @@ _LIT_DN = 12.0
 
 
 def examine_camera(controller: Controller | None, camera: Camera, config: RigConfig, tell: Tell, clock: Clock) -> None:
-    """Look at the camera and at what makes it expose."""
+    """Examine the camera and its trigger."""
     looked_at("camera", lambda: _camera(camera), tell)
     looked_at("trigger", lambda: _trigger(controller, camera, config, clock), tell)
 
@@ -32,14 +32,17 @@ def examine_camera(controller: Controller | None, camera: Camera, config: RigCon
 def examine_light(
     controller: Controller, camera: Camera, config: RigConfig, tell: Tell, clock: Clock
 ) -> ProvenPair | None:
-    """Look at each laser, and at how bright its line is; a proven pair, where there is one.
+    """Examine each laser and the brightness of its line.
 
     Args:
-        controller: Homed; its contactor is closed for the pair, and opened again.
+        controller: Homed; its contactor is closed for each pair and opened again.
         camera: Started.
         config: The rig.
         tell: Called with each finding.
         clock: For waiting.
+
+    Returns:
+        The first proven pair, or None.
     """
     pairs: list[ProvenPair] = []
     station = Station(_with_one_retake(config), controller, camera, clock)
@@ -51,9 +54,9 @@ def examine_light(
     return pairs[0] if pairs else None
 
 
-def _named(what: str, config: RigConfig, number: int) -> str:
-    """What a finding is about; where there are several lasers, with the laser's name."""
-    return what if len(config.laser) == 1 else f"{what} {config.laser[number].name}"
+def _named(part: str, config: RigConfig, number: int) -> str:
+    """The name of a finding; with several lasers it includes the laser's name."""
+    return part if len(config.laser) == 1 else f"{part} {config.laser[number].name}"
 
 
 def _camera(camera: Camera) -> Finding:
@@ -65,10 +68,10 @@ def _camera(camera: Camera) -> Finding:
 
 
 def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, clock: Clock) -> Finding:
-    """As many frames as pulses."""
+    """Check that each pulse gives one frame."""
     mode = camera.trigger_mode
     if mode == "hardware" and controller is None:
-        return Finding("trigger", "not checked", "its wire comes from the controller, which was not looked at")
+        return Finding("trigger", "not checked", "its wire comes from the controller, which was not examined")
     camera.drop()
     frames: list[Frame] = []
     pulse_s = controller_settings(config).exposure_ms / 1000
@@ -95,16 +98,16 @@ def _trigger(controller: Controller | None, camera: Camera, config: RigConfig, c
         if counted != PULSES:
             return Finding("trigger", "wrong", f"the controller counted {counted} of {PULSES} pulses", "", values)
     if count == 0 and mode == "hardware":
-        do = f"see the wire from TRIG to the camera, and its input: trigger_source is {config.camera.trigger_source}"
+        do = f"check the wire from TRIG to the camera, and its input: trigger_source is {config.camera.trigger_source}"
         return Finding("trigger", "wrong", found, do, values)
     if count < PULSES:
         do = "the camera misses triggers: expose shorter, or make trigger.gap_ms and laser.off_ms longer"
         return Finding("trigger", "wrong", found, do, values)
     if count > PULSES:
-        do = "the camera exposes by itself, or the wire catches noise: see camera.trigger and the wire's shield"
+        do = "the camera exposes by itself, or the wire picks up noise: check camera.trigger and the wire's shield"
         return Finding("trigger", "wrong", found, do, values)
     if whole < len(frames):
-        do = "frames come in part: see network card and cable; try camera.packet_size = 1400 or 8192"
+        do = "frames arrive incomplete: check network card and cable; try camera.packet_size = 1400 or 8192"
         return Finding("trigger", "wrong", found, do, values)
     return Finding("trigger", "works", found, values=values)
 
@@ -115,7 +118,7 @@ def _laser(station: Station, number: int, pairs: list[ProvenPair]) -> Finding:
     try:
         pair = take_pair(station, Step(0, number, number))
     except FrameError as problem:
-        # It says itself what is wrong: dark, swapped, on all the time, covered, flooded.
+        # The message names the problem: dark, swapped, always on, covered, flooded.
         return Finding(name, "wrong", " ".join(str(problem).split()))
     finally:
         station.controller.arm(False)
@@ -135,7 +138,7 @@ def _with_one_retake(config: RigConfig) -> RigConfig:
 
 
 def _exposure(pair: ProvenPair, config: RigConfig) -> Finding:
-    """Where the brightest of the line lies between noise and clipping."""
+    """Check that the peak of the line is bright and not clipped."""
     name = _named("exposure", config, pair.laser)
     peak, clipped = stripe_level(pair.on.image, pair.off.image, config, pair.laser)
     ambient = pair.proof.ambient_dn
@@ -160,13 +163,13 @@ def _exposure(pair: ProvenPair, config: RigConfig) -> Finding:
 
 
 def stripe_level(on: np.ndarray, off: np.ndarray, config: RigConfig, laser: int = 0) -> tuple[float, float]:
-    """The level that the brighter tenth of the lit lines reaches [DN], and the part of lit lines that is clipped.
+    """90 % quantile of the peak levels of the lit lines [DN], and the part of lit lines that is clipped.
 
     Args:
         on: Laser-on frame.
         off: Laser-off frame.
-        config: What camera and lasers are.
-        laser: Which laser the pair shows, counted from 0.
+        config: The rig.
+        laser: The laser of the pair, counted from 0.
     """
     line = config.laser[laser].line
     planes = (laser_plane(frame[None], pixel_format=config.camera.pixel_format, line=line) for frame in (on, off))

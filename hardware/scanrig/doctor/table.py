@@ -1,4 +1,4 @@
-"""The examination of the controller and of what it turns: firmware, inputs, settings, home, a whole turn."""
+"""Examines controller and turntable: firmware, inputs, settings, home, a whole turn."""
 
 import dataclasses
 from collections.abc import Callable
@@ -13,22 +13,22 @@ from scanrig.session.plan import controller_settings, nearest
 
 _REPEATS = 2
 _REPEATABLE = 2
-"""Microsteps within which the home switch should be found again."""
+"""Microsteps by which the place of the home switch may vary."""
 _UNKNOWN_TURN = 3200
-"""Microsteps with which the search for a turn begins where no configuration says: 200 full steps of 16."""
+"""First guess for a turn without a configuration [microsteps]: 200 full steps of 16."""
 
 
 def examine_table(controller: Controller, config: RigConfig | None, tell: Tell, say: Callable[[str], None]) -> bool:
-    """Look at the controller and turn its table.
+    """Examine the controller and turn its table.
 
     Args:
         controller: Open.
-        config: The rig; without it usual settings are taken, and a turn is measured only.
+        config: The rig; without it default settings are used, and a turn is measured without comparison.
         tell: Called with each finding.
-        say: Called with what is going on where it takes long.
+        say: Called with a sentence about the progress of long examinations.
 
     Returns:
-        Whether the table is homed and may be used.
+        Whether the table is homed and can be used.
     """
     if looked_at("firmware", lambda: _firmware(controller), tell).verdict == "wrong":
         return False
@@ -42,7 +42,7 @@ def examine_table(controller: Controller, config: RigConfig | None, tell: Tell, 
     if looked_at("home", lambda: _home(controller, config), tell).verdict == "wrong":
         return False
     looked_at("steps per turn", lambda: _turn(controller, config, settings, say), tell)
-    # What was found wrong may have left a fault; a pair can be taken all the same.
+    # The examination may have left a fault; after clearing it a pair can still be taken.
     return looked_at("at rest", lambda: _rest(controller, config), lambda finding: None).verdict == "works"
 
 
@@ -88,7 +88,7 @@ def _settings(controller: Controller, settings: Settings) -> Finding:
 
 
 def _within(config: RigConfig | None) -> int:
-    """How far the home switch is looked for [microsteps]."""
+    """How far to search for the home switch [microsteps]."""
     if config is None:
         return 64 * _UNKNOWN_TURN
     return nearest(config.turntable.home_within_deg, config.microsteps_per_turn)
@@ -107,21 +107,21 @@ def _home(controller: Controller, config: RigConfig | None) -> Finding:
             "home",
             "wrong",
             f"the switch was not found within {within} microsteps, or does not open",
-            "see that the table turns, in the right sense (turntable.reverse), and that the switch closes by hand: "
-            "then the inputs above say active",
+            "check that the table turns, in the right direction (turntable.reverse), and the switch closes by hand: "
+            "the inputs above then say active",
         )
     if not controller.guarantees.knows_missed_steps:
-        return Finding("home", "works", "found; the controller does not say whether at the same place again")
+        return Finding("home", "works", "found; the controller does not report whether at the same place again")
     turn = _UNKNOWN_TURN if config is None else config.microsteps_per_turn
     missed: list[int] = []
     for _ in range(_REPEATS):
-        # Away from the switch, by less than limits would forbid.
+        # Away from the switch, within the limits.
         controller.move(_some_way(turn, config))
         missed.append(controller.home(within) or 0)
     values = {"missed_microsteps": max(missed, key=abs)}
     found = f"found, and found again {' and '.join(f'{was:+d}' for was in missed)} microsteps beside it"
     if max(map(abs, missed)) > _REPEATABLE:
-        do = "see belt, motor current, speed and the switch: steps are lost, or it does not close in the same place"
+        do = "check belt, motor current, speed and the switch: steps are lost, or it does not close at the same place"
         return Finding("home", "wrong", found, do, values)
     return Finding("home", "works", found, values=values)
 
@@ -137,7 +137,7 @@ def _turn(controller: Controller, config: RigConfig | None, settings: Settings, 
         return Finding(
             "steps per turn",
             "not checked",
-            "the controller does not say where it found the home switch",
+            "the controller does not report where it found the home switch",
             "measure an angle by hand: 90 degrees by the configuration must be 90 degrees of the table",
         )
     expected = None if config is None else config.microsteps_per_turn
@@ -150,7 +150,7 @@ def _turn(controller: Controller, config: RigConfig | None, settings: Settings, 
             f"turntable.limits_deg forbids a turn and {360 * (needed(guess) - guess) / guess:.0f} degrees",
             "measure an angle by hand: 90 degrees by the configuration must be 90 degrees of the table",
         )
-    # The way back begins at the home of the next turn, from which limits are counted wrongly.
+    # The way back begins at the home of the next turn, where the limits would be wrong.
     free = dataclasses.replace(settings, limits=None)
     try:
         controller.configure(free)
@@ -170,7 +170,7 @@ def _turn(controller: Controller, config: RigConfig | None, settings: Settings, 
 
 
 def _fitting(measured: int, config: RigConfig) -> str:
-    """What in the configuration would give the turn that was measured."""
+    """The change of the configuration that gives the measured turn."""
     table = config.turntable
     cures = []
     gear = fitting_gear(measured, table.full_steps * table.microsteps)
@@ -185,7 +185,7 @@ def _fitting(measured: int, config: RigConfig) -> str:
     ):
         cures.append(f"microsteps = {microsteps}, if the driver is set so")
     if not cures:
-        return "no gear of two whole numbers fits: see whether steps are lost, or the belt slips"
+        return "no gear of two whole numbers fits: check whether steps are lost, or the belt slips"
     return f"under [turntable] set {', or '.join(cures)}"
 
 

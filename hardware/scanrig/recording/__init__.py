@@ -1,4 +1,4 @@
-"""What a session leaves on the disk: the journal of a capture, the lock of its folder, the room there is for it."""
+"""A session's files: the journal of a capture, the lock of its folder, and the free space on the disk."""
 
 from scanrig.recording.ledger import Ledger
 from scanrig.recording.lock import FolderLock

@@ -1,4 +1,4 @@
-"""The capture that a session writes: a pair is on the disk, and the journal knows it, before the next is taken."""
+"""Writes a session's capture: a pair and its journal line are on the disk before the next pair is taken."""
 
 import contextlib
 import json
@@ -15,12 +15,12 @@ from scanrig.clock import Clock
 
 
 class Ledger:
-    """Appends pairs and events; before `create` or `resume`, events wait."""
+    """Appends pairs and events; events before `create` or `resume` are held back until then."""
 
     def __init__(self, folder: Path, clock: Clock) -> None:
         self.folder = folder
         self.events: list[dict[str, Any]] = []
-        """All that were noted, in order."""
+        """All events noted, in order."""
         self._clock = clock
         self._writer: CaptureWriter | None = None
         self._waiting: list[dict[str, Any]] = []
@@ -34,12 +34,12 @@ class Ledger:
         """Begin the capture.
 
         Raises:
-            CaptureError: If the folder holds something, or cannot be written.
+            CaptureError: If the folder is not empty or cannot be written.
         """
         self._attach(create_capture(self.folder, header, digests=True))
 
     def resume(self) -> None:
-        """Go on with the capture, without what a crash left half written.
+        """Continue the capture; files that a crash left half written are removed.
 
         Raises:
             CaptureError: If it cannot be read or written, or a link leads out of it.
@@ -52,7 +52,7 @@ class Ledger:
         self._attach(resume_capture(self.folder, digests=True))
 
     def note(self, name: str, **fields: Any) -> None:
-        """An event, on the disk when this returns if the capture has begun.
+        """Note an event; it is on the disk when this returns, if the capture has begun.
 
         Raises:
             CaptureError: If it cannot be written.
@@ -66,32 +66,32 @@ class Ledger:
             self._writer.flush()
 
     def add(self, number: int, on: np.ndarray, off: np.ndarray, fields: dict[str, Any]) -> None:
-        """A record, on the disk when this returns.
+        """Add a record; it is on the disk when this returns.
 
         Args:
-            number: The record's.
+            number: Number of the record.
             on: Laser-on image, uint8.
             off: Laser-off image, uint8.
-            fields: What else the record says.
+            fields: The other fields of the record.
 
         Raises:
             CaptureError: If it cannot be written; the capture ends with the record before it.
         """
         if self._writer is None:
-            raise CaptureError(f"{self.folder}: nothing was begun that a record could be added to.")
+            raise CaptureError(f"{self.folder}: no capture was begun; begin or resume one before adding records.")
         self._writer.append(i=number, on=on, off=off, **fields)
         self._writer.flush()
 
     def end(self, status: str, **fields: Any) -> str:
-        """Note the end with the seal of the journal, and close; what cannot be written is no reason to fail.
+        """Note the end with the seal of the journal, and close; never raises if that cannot be written.
 
         Returns:
-            Why the end could not be noted; "" if it was.
+            The reason why the end could not be noted; "" if it was.
         """
         writer, self._writer = self._writer, None
         if writer is None:
             return ""
-        with contextlib.suppress(CaptureError):  # Whoever appended what cannot be written was told.
+        with contextlib.suppress(CaptureError):  # The caller whose append failed has had the error.
             writer.close()
         try:
             event = self._event("end", {"status": status, **fields, SEAL: seal(self.folder)})
@@ -113,7 +113,7 @@ class Ledger:
 
 
 def _append_whole(path: Path, line: bytes) -> None:
-    """Append a line, or nothing."""
+    """Append a whole line, or nothing."""
     handle = os.open(path, os.O_RDWR | os.O_APPEND)
     try:
         before = os.fstat(handle).st_size

@@ -1,4 +1,4 @@
-"""One program per folder: a lock file that says who holds it, and that a dead one does not hold for ever."""
+"""A lock file that admits one program per folder; a program that has died holds it no longer."""
 
 import contextlib
 import errno
@@ -20,35 +20,35 @@ except ImportError:  # Not on Windows; there the file's content alone decides.
     fcntl = None  # type: ignore[assignment]
 
 _MAX_BYTES = 4096
-# A link in a folder that somebody else made may point anywhere.
+# A link in a folder made by somebody else may point anywhere.
 _OPEN = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
 _NO_LOCKS = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
 
 
 @dataclass(frozen=True)
 class Holder:
-    """Who holds a folder."""
+    """The process that holds a folder."""
 
     pid: int
     host: str
     start: str
-    """When the process began, in the system's own words: its number may be used again after it."""
+    """Start of the process, as the system tells it: process numbers are used again."""
 
     def __str__(self) -> str:
         return f"process {self.pid} on {self.host}"
 
 
 class FolderLock:
-    """Holds a folder from `with` to its end, or to the end of the process.
+    """Holds a folder until the end of `with`, or of the process.
 
-    The file is created with O_EXCL; where it is there already, its holder is looked for. The system's own
-    lock on the file decides between two that find the same dead one.
+    The file is created with O_EXCL; if it exists already, its holder is looked up. The system's lock on the file
+    decides between two programs that find the file of the same dead process.
     """
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / LOCK_NAME
         self.note = ""
-        """Whose lock was taken over, where one was."""
+        """Whose lock was taken over; "" if none."""
         self._file: int | None = None
 
     def __enter__(self) -> "FolderLock":
@@ -66,14 +66,14 @@ class FolderLock:
     ) -> None:
         if self._file is None:
             return
-        # While it is still ours: who opened it meanwhile sees that the name is gone, and begins anew.
+        # Unlinked while still locked: a program that opened it meanwhile sees that the name is gone and starts again.
         with contextlib.suppress(OSError):
             self.path.unlink()
         os.close(self._file)
         self._file = None
 
     def _take(self) -> bool:
-        """Take the lock; False where the file vanished meanwhile."""
+        """Take the lock; False if the file vanished meanwhile."""
         created = True
         try:
             file = os.open(self.path, _OPEN | os.O_CREAT | os.O_EXCL, 0o644)
@@ -112,7 +112,7 @@ class FolderLock:
 
 
 def _lock(file: int) -> Literal["ours", "theirs", "unknown"]:
-    """Take the system's lock on a file; "unknown" where the file system has none."""
+    """Take the system's lock on a file; "unknown" if the file system has no locks."""
     if fcntl is None:
         return "unknown"
     try:
@@ -127,7 +127,7 @@ def _lock(file: int) -> Literal["ours", "theirs", "unknown"]:
 
 
 def _read(file: int) -> Holder | None:
-    """Who wrote the file; None where it is empty or unreadable: its writer died before it had written."""
+    """The holder named in the file; None if it is empty or unreadable: its writer died while writing."""
     try:
         value: Any = json.loads(os.pread(file, _MAX_BYTES, 0))
         return Holder(int(value["pid"]), str(value["host"]), str(value["start"]))
@@ -150,22 +150,22 @@ def _gone(holder: Holder, state: str) -> bool:
     if holder.host != socket.gethostname():
         return False
     if state == "ours":
-        return True  # A holder that lived would have the system's lock.
+        return True  # A living holder would have the system's lock.
     try:
         os.kill(holder.pid, 0)
     except ProcessLookupError:
         return True
     except PermissionError:
-        pass  # It is there, and somebody else's.
+        pass  # The process exists and belongs to another user.
     start = _start_of(holder.pid)
     return bool(start and holder.start) and start != holder.start
 
 
 def _start_of(pid: int) -> str | None:
-    """When a process began, and in which run of the system; None where the system does not say."""
+    """Boot id and start time of a process; None if the system does not tell."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-        # The name of the program may hold anything, also brackets and spaces.
+        # The program's name may contain brackets and spaces.
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         return f"{boot} {fields[19]}"
     except (OSError, IndexError, UnicodeDecodeError):

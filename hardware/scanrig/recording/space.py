@@ -1,4 +1,4 @@
-"""Room on the disk: asked for before a capture, watched while it grows."""
+"""Free space on the disk, checked before a capture and before every pair."""
 
 import errno
 import shutil
@@ -9,20 +9,20 @@ from scanrig.errors import SessionError
 
 _FULL = {errno.ENOSPC, errno.EDQUOT} if hasattr(errno, "EDQUOT") else {errno.ENOSPC}
 KEPT_PAIRS = 2
-"""Pairs for which there has to be room before one is taken."""
+"""There must be space for this many pairs before one is taken."""
 
 
 class DiskFull(SessionError):
-    """No room for the next pair; the capture is whole and can be resumed."""
+    """No space for the next pair; the capture is whole and can be resumed."""
 
 
-def require_space(folder: Path, needed: int, *, what: str) -> None:
-    """See that there is room.
+def require_space(folder: Path, needed: int, *, purpose: str) -> None:
+    """Check that there is enough space.
 
     Args:
-        folder: Where.
-        needed: How much [bytes].
-        what: What it is for.
+        folder: A folder on the disk.
+        needed: Space needed [bytes].
+        purpose: Its use, for the message.
 
     Raises:
         DiskFull: If there is less.
@@ -30,18 +30,18 @@ def require_space(folder: Path, needed: int, *, what: str) -> None:
     free = free_bytes(folder)
     if free < needed:
         raise DiskFull(
-            f"{folder}: {readable(free)} are free, {what} needs {readable(needed)}; "
+            f"{folder}: {readable(free)} are free, {purpose} needs {readable(needed)}; "
             "make room, then go on with --resume."
         )
 
 
 def free_bytes(folder: Path) -> int:
-    """What this user may still write [bytes]."""
+    """Space that this user may still write [bytes]."""
     return shutil.disk_usage(folder).free
 
 
 def is_full(problem: BaseException) -> bool:
-    """Whether an error, or what caused it, is that no room is left."""
+    """Whether an error, or one of its causes, is a full disk."""
     cause: BaseException | None = problem
     while cause is not None:
         if isinstance(cause, DiskFull):

@@ -1,8 +1,8 @@
-"""Sessions: a sweep or a calibration from beginning to end, every pair proven and on the disk before the next.
+"""Sessions: a sweep or a calibration from beginning to end; every pair is proven and on the disk before the next.
 
-`run.py` has the two sessions that a caller may run; `lifecycle.py` is what both go through, from the lock to the seal,
-and `ending.py` how they end. In between a `Session` (`session.py`) decides which record is taken next and which is in
-doubt, by `recovery.py`, which brings the rig back after a fault, and `step.py`, which takes one pair.
+`run.py` has the two sessions that a caller may run. `lifecycle.py` runs either from the lock to the seal, and
+`ending.py` ends it. A `Session` (`session.py`) takes records and tracks which are suspect. It uses `recovery.py`, which
+recovers the rig after a fault, and `step.py`, which takes one pair.
 """
 
 from scanrig.session.job import Devices, Hooks, SessionResult

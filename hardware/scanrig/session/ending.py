@@ -1,4 +1,4 @@
-"""How sessions end: what an error means for the capture, and the laser off whatever happened."""
+"""Ends sessions: classifies errors, and switches the laser off in every case."""
 
 import contextlib
 import logging
@@ -18,16 +18,16 @@ class Ending:
     """The end of a session."""
 
     status: str
-    """As of `SessionResult`; or "aborted" or "failed", where `error` is raised."""
+    """As in `SessionResult`; or "aborted" or "failed", and then `error` is raised."""
     message: str
-    """Why."""
+    """The reason."""
     error: BaseException | None = None
 
 
 def ended_by(problem: BaseException, controller: Controller) -> Ending:
-    """What an error means: an end that can be gone on from, or an error to raise.
+    """Classify an error: a regular end, or an error to raise.
 
-    After an interrupt everything is off before this returns from its first line.
+    After an interrupt everything is switched off first.
     """
     if isinstance(problem, KeyboardInterrupt):
         with contextlib.suppress(LinkLost):
@@ -41,14 +41,14 @@ def ended_by(problem: BaseException, controller: Controller) -> Ending:
 
 
 def counted(controller: Controller, *, answers: bool) -> dict[str, Any]:
-    """What the controller and the link to it have counted: wear of the laser's switch, trouble of the wires.
+    """The counters of the controller and of its link: wear of the laser's switch, line errors.
 
     Args:
-        controller: Made safe.
-        answers: Whether it answered then; one that did not is not asked for more.
+        controller: A controller that was made safe.
+        answers: Whether it answered then; otherwise it is not asked again.
 
     Returns:
-        Fields for the journal; without those of a controller that cannot be asked.
+        Fields for the journal; without the controller's counters if they cannot be read.
     """
     link: dict[str, Any] = {"link": asdict(controller.link_counts)}
     if not answers:
@@ -62,16 +62,16 @@ def counted(controller: Controller, *, answers: bool) -> dict[str, Any]:
 
 
 def leave_safe(controller: Controller) -> str:
-    """Laser off and contactor open, whatever else happens.
+    """Laser off and contactor open, in every case.
 
     Returns:
-        "" if the controller confirmed it, else what a person has to do.
+        "" if the controller confirmed it, else the instruction to a person.
     """
     for _ in range(2):
         try:
             return "" if controller.make_safe() else _warning()
         except KeyboardInterrupt:
-            # Somebody is in a hurry; off comes first.
+            # A further interrupt: switch off first.
             with contextlib.suppress(LinkLost):
                 controller.abort()
         except (RigError, OSError) as problem:

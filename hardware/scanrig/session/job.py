@@ -1,4 +1,4 @@
-"""What a session is asked to do, and what it answers."""
+"""The inputs and the result of a session."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,19 +14,19 @@ from scanrig.controllers import Controller
 
 
 Kind = Literal["sweep", "calibration"]
-"""What a capture is for."""
+"""The purpose of a capture."""
 
 Status = Literal["complete", "suspect", "interrupted", "e-stop", "disk full"]
-"""How a session ended: all that was planned; the same, but steps were lost and some records are suspect; the
-operator asked; the e-stop was pressed; no space. All but "complete" may be resumed."""
+"""How a session ended: all records taken; the same, but steps were lost and some records are suspect; stopped by the
+operator; e-stop pressed; no space. All but "complete" may be resumed."""
 
 OnPair = Callable[[int, float, np.ndarray, np.ndarray], None]
-"""Called with (record's number, angle [rad], laser-on image, laser-off image) when the pair is on the disk."""
+"""Called with (record number, angle [rad], laser-on frame, laser-off frame) when the pair is on the disk."""
 
 
 @dataclass(frozen=True)
 class SessionResult:
-    """What a session has done."""
+    """The result of a session."""
 
     status: Status
     message: str
@@ -34,15 +34,15 @@ class SessionResult:
     records: int
     """Records in the capture, of this and earlier sessions."""
     planned: int
-    """Records that it will have."""
+    """Records of the complete capture."""
     taken: int
-    """Records that this session took."""
+    """Records taken by this session."""
     retakes: int
-    """Pairs that were taken and not believed."""
+    """Takes that were not proven."""
     suspect: tuple[tuple[int, int], ...]
-    """Ranges of records, first and last, that were taken after steps were lost."""
+    """Ranges of suspect records, first and last: steps may have been lost before them."""
     events: tuple[dict[str, Any], ...]
-    """What was noted in the journal."""
+    """The events noted in the journal."""
     laser_off: bool
     """Whether the controller confirmed at the end that the laser is off."""
 
@@ -57,35 +57,35 @@ def _never() -> bool:
 
 @dataclass(frozen=True)
 class Devices:
-    """What a session drives, all of it open. Nothing of it is closed by a session."""
+    """The open devices that a session drives. A session closes none of them."""
 
     controller: Controller
-    """Is configured, homed and armed by the session, and left safe."""
+    """The session configures, homes and arms it, and leaves it safe."""
     camera: Camera
-    """Is started by the session."""
+    """The session starts it."""
     clock: Clock = field(default_factory=SystemClock)
     """For waiting and for time stamps."""
 
 
 @dataclass(frozen=True)
 class Hooks:
-    """What a session calls while it runs."""
+    """Callbacks of a running session."""
 
     on_pair: OnPair | None = None
-    """After each pair is on the disk."""
+    """Called when a pair is on the disk."""
     progress: Callable[[int, int], None] | None = None
-    """With (records there, records planned)."""
+    """Called with (records on the disk, records planned)."""
     notify: Callable[[str], None] = _silent
-    """With a sentence where something happened that a person should know."""
+    """Called with each sentence that people should read."""
     should_stop: Callable[[], bool] = _never
-    """Asked after each step; `Interrupts` is one."""
+    """Asked before each step whether to stop; `Interrupts` is one."""
     advise: Callable[[], Sequence[str]] | None = None
-    """Asked before each placing of the calibration board for what would help most, a sentence each."""
+    """Asked for advice before the board is placed: the most helpful poses, a sentence each."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a session is asked to do, and with what."""
+    """The inputs of a session."""
 
     config: RigConfig
     folder: Path
@@ -96,4 +96,4 @@ class Job:
     hooks: Hooks
     resume: bool
     calibration_digest: str | None = None
-    """Of the calibration that is used along with the scan."""
+    """Digest of the calibration that is used during the scan."""

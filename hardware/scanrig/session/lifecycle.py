@@ -1,4 +1,4 @@
-"""The life of any session: folder locked, rig made ready, records taken, laser off, journal sealed."""
+"""Runs any session: lock the folder, make the rig ready, take records, laser off, seal the journal."""
 
 import contextlib
 from collections.abc import Callable
@@ -19,11 +19,11 @@ def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
     """Run a session from the lock to the seal.
 
     Args:
-        job: What is asked.
-        work: Takes what is missing; returns False where the operator asked to stop.
+        job: The inputs.
+        work: Takes the missing records; returns False if the operator asked to stop.
 
     Raises:
-        JaxscanError: As `run_sweep` says. The laser is off, or the message says that this is not certain.
+        JaxscanError: As for `run_sweep`. The laser is off, or the message says that this is not confirmed.
     """
     guarantees = job.devices.controller.guarantees
     require_allowed(guarantees, job.config.controller)
@@ -38,7 +38,7 @@ def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
             if found is not None and found.status == "complete" and not found.damaged and not found.suspect:
                 return _complete_already(job, found)
             if job.resume and found is None:
-                job.hooks.notify(f"{job.folder}: nothing is there to go on with; the capture begins.")
+                job.hooks.notify(f"{job.folder}: no capture to resume; a new one begins.")
             session = Session(job, found)
             if lock.note:
                 job.hooks.notify(f"{job.folder}: {lock.note}.")
@@ -46,7 +46,7 @@ def run_job(job: Job, work: Callable[[Session], bool]) -> SessionResult:
             return _run(session, work)
     finally:
         if made:
-            # Only if nothing came of it: a folder that holds something is not removed by this.
+            # Removes only an empty folder.
             with contextlib.suppress(OSError):
                 job.folder.rmdir()
 
@@ -74,7 +74,7 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
             job.hooks.notify(sentence)
     if ending.error is not None:
         if unsafe and ending.error.args:
-            # One line is all that many see of an error.
+            # Many programs show only one line of an error.
             ending.error.args = (f"{str(ending.error).rstrip('.')}. {unsafe}", *ending.error.args[1:])
         if session.ledger.events and session.done:
             job.hooks.notify(
@@ -85,7 +85,7 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
 
 
 def _folder(folder: Path) -> bool:
-    """Make the folder; True where it was not there."""
+    """Make the folder; True if it did not exist."""
     try:
         if folder.is_dir():
             return False
@@ -96,14 +96,12 @@ def _folder(folder: Path) -> bool:
 
 
 def _look(job: Job) -> Found | None:
-    """What is there, if it may be gone on with."""
+    """The capture in the folder, if there is one and it may be continued."""
     if not is_capture(job.folder):
         return None
     if not job.resume:
-        raise SessionError(
-            f"{job.folder}: holds a capture already; go on with it by --resume, or choose another folder."
-        )
-    job.hooks.notify(f"{job.folder}: verifying what is there.")
+        raise SessionError(f"{job.folder}: holds a capture already; go on with --resume, or choose another folder.")
+    job.hooks.notify(f"{job.folder}: verifying the capture.")
     found = find_capture(job.folder)
     for problem in found.altered:
         job.hooks.notify(str(problem))

@@ -1,4 +1,4 @@
-"""A calibration's views of the board: somebody places it, the table turns, pairs are taken."""
+"""The board views of a calibration: the operator places the board, the table turns, pairs are taken."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from scanrig.session.session import Session
 
 @dataclass(frozen=True)
 class PlacementRequest:
-    """What the operator is asked to do with the calibration board."""
+    """A request to the operator to place the calibration board."""
 
     kind: Literal["free", "placement"]
     """"free": hold it anywhere; "placement": stand it where it will not move while the table turns."""
@@ -20,32 +20,32 @@ class PlacementRequest:
     """Counted from 0 within its kind."""
     total: int
     advice: list[str]
-    """What would help most, a sentence each."""
+    """The most helpful poses, a sentence each."""
     look: Callable[[], np.ndarray]
-    """What the camera sees now, without laser: uint8 [rows, columns] (rgb8: and 3). Comes back from what the rig
-    recovers from, as every step does, and keeps the contactor open."""
+    """Takes a frame without laser: uint8 [rows, columns] (rgb8: and 3). Recovers from faults as every step does, and
+    keeps the contactor open."""
 
 
 class Operator(Protocol):
-    """Who moves the board."""
+    """The person who moves the board."""
 
     def place(self, request: PlacementRequest) -> bool:
-        """Return when the board is placed; False: enough of this kind."""
+        """Return when the board is placed; False: no more of this kind."""
 
 
 def take_placements(session: Session, positions: Sequence[int], operator: Operator) -> bool:
-    """Free views from home, then placements from all positions.
+    """Take the free views at home, then each placement at all positions.
 
-    Every placing of the board gets a number of its own: one that was half done when a session ended
-    is begun anew under another, and its old records stay true of the old one.
+    Every placement gets a new number. A placement that was half done when a session ended is begun again under another
+    number; its old records keep the old one.
 
     Args:
-        session: Begun.
-        positions: Where the table stops for each placement [microsteps].
-        operator: Places the board.
+        session: A session that has begun.
+        positions: Positions of the table for each placement [microsteps].
+        operator: The person who places the board.
 
     Returns:
-        False where the operator asked to stop, or had enough before there was anything.
+        False if the operator asked to stop, or ended before any view was taken.
     """
     views, stands = placed_targets(session.config, positions)
     session.start(compare=False)
@@ -72,7 +72,7 @@ def take_placements(session: Session, positions: Sequence[int], operator: Operat
 
 def _take_placement(session: Session, targets: Sequence[Target]) -> bool:
     label = session.next_placement()
-    # What is left of the last time was seen from another place.
+    # Records of an interrupted placement show the board at another place.
     for target in targets:
         session.done.discard(target.record)
     for target in targets:

@@ -1,4 +1,4 @@
-"""What a capture will be: positions, angles, number of frames, space and time; and what the controller is set to."""
+"""The plan of a capture: positions, frames, space and time; and the controller's settings."""
 
 import math
 from collections.abc import Sequence
@@ -12,26 +12,26 @@ from scanrig.controllers import Settings
 
 
 RESERVE = 1.1
-"""Space that is asked for, over what the frames need uncompressed."""
+"""Space required, as a multiple of the uncompressed size of the frames."""
 _OVERHEAD_S = 0.03
-"""Of a step, beside motion and exposures: the wire, and the disk."""
+"""Time of a step beside motion and exposures: link and disk."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """One record that is to be taken."""
+    """A record to take."""
 
     record: int
-    """Its number; with several lasers `RigConfig.laser_of` says which it shows."""
+    """Its number; with several lasers `RigConfig.laser_of` gives its laser."""
     position: int
     """Microsteps from home."""
     turn: int
-    """Which pass it belongs to, or which placement."""
+    """Its pass, or its placement."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a capture needs."""
+    """Frames, space and time of a capture."""
 
     frames: int
     bytes: int
@@ -40,32 +40,32 @@ class Estimate:
 
 
 def nearest(angle_deg: Fraction | float, microsteps_per_turn: int) -> int:
-    """The position next to an angle [microsteps]; halves go up."""
+    """The position nearest to an angle [microsteps]; halves are rounded up."""
     return math.floor(exactly(angle_deg) * microsteps_per_turn / 360 + Fraction(1, 2))
 
 
 def exactly(angle: Fraction | float) -> Fraction:
-    """The number that a person wrote: 0.1 is a tenth."""
+    """A decimal number as an exact fraction: 0.1 is one tenth."""
     return angle if isinstance(angle, Fraction) else Fraction(repr(float(angle)))
 
 
 def angle_deg(position: int, microsteps_per_turn: int) -> float:
-    """The table's angle at a position, as reached, unwrapped [deg from home]."""
+    """The table's angle at a position, unwrapped [deg from home]."""
     return 360 * position / microsteps_per_turn
 
 
 def plan_sweep(config: RigConfig) -> tuple[tuple[Target, ...], tuple[str, ...]]:
-    """The records of a sweep in the order in which they are taken: at each step one for each laser.
+    """The records of a sweep in order: at each step one for each laser.
 
-    Step k of K of a full turn of N microsteps stands at (2 k N + K) div (2 K): every target is
-    computed anew, so rounding never adds up.
+    Step k of K in a full turn of N microsteps is at (2 k N + K) div (2 K): each position is computed by itself, so that
+    rounding errors do not add up.
 
     Returns:
         targets: One per record.
-        notes: What a person should know, a sentence each.
+        notes: Sentences that people should read.
 
     Raises:
-        ConfigError: If steps fall together, or the table would leave its limits.
+        ConfigError: If two steps have the same position, or the table would leave its limits.
     """
     sweep, n = config.sweep, config.microsteps_per_turn
     step = exactly(sweep.turn_deg) / sweep.steps
@@ -80,23 +80,23 @@ def plan_sweep(config: RigConfig) -> tuple[tuple[Target, ...], tuple[str, ...]]:
     in_microsteps = abs(step) * n / 360
     if in_microsteps.denominator != 1:
         notes.append(
-            f"A step of {float(abs(step)):g} deg is {float(in_microsteps):.4f} microsteps: steps are taken up to "
-            f"{180 / n:.4f} deg beside the plan, and recorded where they are taken."
+            f"A step of {float(abs(step)):g} deg is {float(in_microsteps):.4f} microsteps: steps are up to "
+            f"{180 / n:.4f} deg off the plan; their true angles are recorded."
         )
     each = [(turn, to) for turn in range(sweep.turns) for to in pass_ for _ in config.laser]
     return tuple(Target(record, to, turn) for record, (turn, to) in enumerate(each)), tuple(notes)
 
 
 def placement_positions(config: RigConfig) -> tuple[int, ...]:
-    """Where the table stops for each placement of the board [microsteps].
+    """Positions of the table for each placement of the board [microsteps].
 
     Raises:
-        ConfigError: If angles fall together, or the table would leave its limits.
+        ConfigError: If two angles have the same position, or the table would leave its limits.
     """
     n = config.microsteps_per_turn
     positions = tuple(nearest(angle, n) for angle in config.calibration.angles_deg)
     if len(set(positions)) < len(positions):
-        raise ConfigError("calibration.angles_deg: found two that are the same microstep, expected different ones.")
+        raise ConfigError("calibration.angles_deg: found two at the same microstep, expected different ones.")
     _within_limits(config, positions, "calibration")
     return positions
 
@@ -104,15 +104,15 @@ def placement_positions(config: RigConfig) -> tuple[int, ...]:
 def placed_targets(
     config: RigConfig, positions: Sequence[int]
 ) -> tuple[tuple[tuple[Target, ...], ...], tuple[tuple[Target, ...], ...]]:
-    """The records of a calibration, placing after placing of the board; at each position one for each laser.
+    """The records of a calibration, grouped by free view and by placement; at each position one for each laser.
 
     Args:
         config: The rig.
-        positions: Of `placement_positions`.
+        positions: From `placement_positions`.
 
     Returns:
-        free: Those of each free view.
-        stands: Those of each place where the board stands while the table turns.
+        free: The records of each free view.
+        stands: The records of each placement.
     """
     plan, record = config.calibration, count()
     places = [(0,)] * plan.free_views + [tuple(positions)] * plan.placements
@@ -123,7 +123,7 @@ def placed_targets(
     return targets[: plan.free_views], targets[plan.free_views :]
 
 
-def _within_limits(config: RigConfig, positions: Sequence[int], what: str) -> None:
+def _within_limits(config: RigConfig, positions: Sequence[int], kind: str) -> None:
     limits = controller_settings(config).limits
     if limits is None:
         return
@@ -131,13 +131,13 @@ def _within_limits(config: RigConfig, positions: Sequence[int], what: str) -> No
     if not limits[0] <= low <= high <= limits[1]:
         n = config.microsteps_per_turn
         raise ConfigError(
-            f"{what}: goes from {angle_deg(low, n):g} to {angle_deg(high, n):g} deg, but turntable.limits_deg allows "
+            f"{kind}: goes from {angle_deg(low, n):g} to {angle_deg(high, n):g} deg, but turntable.limits_deg allows "
             f"{angle_deg(limits[0], n):g} to {angle_deg(limits[1], n):g}."
         )
 
 
 def controller_settings(config: RigConfig) -> Settings:
-    """What the controller is set to, in its own units."""
+    """The controller's settings, in its own units."""
     table, n = config.turntable, config.microsteps_per_turn
     trigger = config.trigger
     limits = None
@@ -169,7 +169,7 @@ def frame_bytes(config: RigConfig) -> int:
 
 
 def move_s(config: RigConfig, microsteps: int) -> float:
-    """How long a motion takes: a ramp up, a ramp down, and full speed between where it is long enough [s]."""
+    """Duration of a motion: ramp up, full speed if it is long enough, ramp down [s]."""
     settings = controller_settings(config)
     distance, v0, v, a = abs(microsteps), settings.start_speed, settings.speed, settings.acceleration
     ramps = (v * v - v0 * v0) / a
@@ -179,20 +179,20 @@ def move_s(config: RigConfig, microsteps: int) -> float:
 
 
 def longest_s(config: RigConfig) -> float:
-    """Time after which a motion, homing included, has failed: twice what the longest takes, and some [s]."""
+    """Timeout of any motion, homing included: twice the duration of the longest, plus 30 s [s]."""
     turns = max(2.0, config.turntable.home_within_deg / 360)
     return 2 * move_s(config, round(turns * config.microsteps_per_turn)) + 30
 
 
 def shot_s(config: RigConfig) -> float:
-    """How long a shot takes at rest, the waits for the camera's ready line included [s]."""
+    """Duration of a shot without motion, including the longest waits for the camera's ready line [s]."""
     s = controller_settings(config)
     exposures = 2 * (s.exposure_ms + s.gap_ms + s.ready_ms)
     return (s.settle_ms + s.laser_on_ms + s.laser_off_ms + exposures) / 1000
 
 
 def estimate(config: RigConfig, positions: Sequence[int]) -> Estimate:
-    """What it takes to take pairs at these positions, one after the other, from home."""
+    """Frames, space and time for pairs at these positions, one after the other, from home."""
     frames = 2 * len(positions)
     moves = sum(move_s(config, to - at) for at, to in zip((0, *positions), positions, strict=False))
     ready = 2 * config.trigger.ready_ms / 1000  # A camera is usually ready.

@@ -1,4 +1,4 @@
-"""What a capture says of how it was taken: in its header, and with each record."""
+"""The header of a session's capture, and the fields of each record."""
 
 from importlib.metadata import version
 from typing import Any
@@ -14,7 +14,7 @@ from scanrig.session.step import ProvenPair
 
 
 def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureHeader:
-    """The header of a new capture, with what a resumed one must be equal to."""
+    """The header of a new capture, with the settings that must not change when it is resumed."""
     config, kind, identity = job.config, job.kind, job.devices.camera.identity
     acquisition: dict[str, Any] = {
         "software": f"jaxscan {version('jaxscan')}",
@@ -49,7 +49,7 @@ def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureH
 
 
 def record_fields(pair: ProvenPair, config: RigConfig, features: Features, clock: Clock) -> dict[str, Any]:
-    """What a record says beside its images and their digests."""
+    """The fields of a record, without its images and their digests."""
     n, proof = config.microsteps_per_turn, pair.proof
     exposure = features.get("exposure_s", config.camera.exposure_ms / 1000)
     fields: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""The rig in the hands of a session: made ready, homed, and brought back after what can be recovered from."""
+"""A session's rig: made ready, homed, and recovered after faults."""
 
 import contextlib
 from collections.abc import Callable
@@ -31,45 +31,45 @@ Note = Callable[..., None]
 """Called with the name of an event and its fields."""
 
 _TEMPORARY = {Fault.LINK_LOST, Fault.LEASE_RAN_OUT, Fault.CAMERA_NOT_READY}
-"""Faults that need no person."""
+"""Faults that can be cleared without a person."""
 _AFTER_RESET = {Reason.NOT_HOMED, Reason.NO_SESSION, Reason.DRIVER_OFF, Reason.NOT_ARMED}
-"""Refusals of a controller that has forgotten."""
+"""Refusals of a controller that has lost its state."""
 _ABOVE_HOME_DEG = 3.0
 _STILL_S = 10.0
 _RECOVERIES = 5
-"""Recoveries from one failed step, of any kind, before the session ends."""
+"""Recoveries of one step before the session ends."""
 _LONGEST_PAUSE_S = 5.0
 
 T = TypeVar("T")
 
 
 class RecoveringRig:
-    """Controller and camera of a session, brought back after whatever can be recovered from."""
+    """Controller and camera of a session; recovers from lost links, resets, lost cameras and temporary faults."""
 
     def __init__(self, config: RigConfig, devices: Devices, note: Note) -> None:
-        """Nothing is sent yet; `note` is told of faults, retakes and homings."""
+        """Nothing is sent yet; `note` gets faults, retakes and homings."""
         self.controller, self.camera, self.config = devices.controller, devices.camera, config
         self.features: Features = {}
         self.position_known = False
-        """Whether the controller was homed when it was made ready, so that its counter says where home is missed."""
+        """Whether the counter is valid, so that the next homing shows by how much home is missed."""
         self.homings = 0
         self.rejected = 0
-        """Takes that were dropped."""
+        """Takes that were rejected."""
         self.tolerance = config.checks.lost_steps_tolerance
         """Microsteps by which home may be missed."""
         self._clock, self._note = devices.clock, note
         self._numbers = FrameNumbers()
         self._homing = False
-        """Whether a homing was begun whose result was not heard: it may have set the counter to 0."""
+        """Whether a homing was begun whose result did not arrive: it may have set the counter to 0."""
         self._dark = False
-        """Whether the contactor stays open, whatever has to be recovered from: somebody is in front of the laser."""
+        """Whether the contactor stays open even after a recovery, because somebody is in front of the laser."""
 
     def prepare(self) -> Firmware:
-        """Begin a session with both: at rest, out of a fault, set up; not homed yet.
+        """Begin a session: table at rest, faults cleared, controller and camera set up; not homed yet.
 
         Raises:
             RigFault: If the e-stop is pressed.
-            RigError: If one of them is not what it should be.
+            RigError: If controller or camera is not the expected one or does not take its settings.
         """
         controller = self.controller
         firmware = controller.hello()
@@ -87,11 +87,11 @@ class RecoveringRig:
         return firmware
 
     def home(self, why: str) -> int | None:
-        """Enable, find home, and close the contactor.
+        """Enable the motor, find home, and close the contactor.
 
         Returns:
-            By how many microsteps home was missed; None where the counter did not say, because the
-            controller had not been homed, or had been by a homing whose result was not heard.
+            By how many microsteps home was missed; None if the counter was not valid, because the
+            controller had not been homed, or the result of its homing did not arrive.
         """
         controller, n = self.controller, self.config.microsteps_per_turn
         known = self.position_known
@@ -110,7 +110,7 @@ class RecoveringRig:
         return missed
 
     def _come_from_above(self) -> None:
-        """Home is looked for downwards; from below it would be found a turn further down, and wind up the cables."""
+        """Move above home, since homing searches downwards: from below it would end a turn lower and wind up cables."""
         above = nearest(_ABOVE_HOME_DEG, self.config.microsteps_per_turn)
         limits = controller_settings(self.config).limits
         if limits is not None:
@@ -122,7 +122,7 @@ class RecoveringRig:
         """Close or open the contactor."""
         self.controller.arm(on)
         if not on:
-            # Without the laser somebody may look through the camera: its next frame may have any number.
+            # With the contactor open, frames are taken without a shot, so the next frame number is not known.
             self._numbers.next = None
 
     def dark(self) -> None:
@@ -136,11 +136,11 @@ class RecoveringRig:
         self.doing(lambda: self.arm(True), "closing the contactor")
 
     def look(self) -> np.ndarray:
-        """What the camera sees now, without laser: uint8 [rows, columns] (rgb8: and 3).
+        """Take a frame without laser: uint8 [rows, columns] (rgb8: and 3).
 
         Raises:
-            CameraTimeout: If no whole frame came, however often it was asked for.
-            RigError: If the rig did not come back.
+            CameraTimeout: If no complete frame came in any try.
+            RigError: If the rig did not recover.
         """
         for _ in range(self.config.checks.retakes):
             try:
@@ -164,13 +164,13 @@ class RecoveringRig:
         return frame.image
 
     def take(self, to: int, number: int) -> ProvenPair:
-        """Take one record, of the laser that its number says; come back from a lost link, a reset, a lost camera and
+        """Take one record, with the laser of its number; recover from a lost link, a reset, a lost camera and
         temporary faults.
 
         Raises:
             FrameError: If the step could not be proven.
             RigFault: After an e-stop, or another fault that needs a person.
-            RigError: If the rig did not come back.
+            RigError: If the rig did not recover.
         """
         return self.doing(
             lambda: take_pair(
@@ -181,23 +181,23 @@ class RecoveringRig:
             f"step {number}",
         )
 
-    def doing(self, work: Callable[[], T], what: str) -> T:
-        """Do something that may be repeated, and repeat it after a recovery."""
+    def doing(self, work: Callable[[], T], action: str) -> T:
+        """Do some repeatable work, and repeat it after each recovery; `action` names it."""
         for _ in range(_RECOVERIES):
             try:
                 return work()
             except (LinkLost, RigFault, CameraLost, Refused, RigTimeout) as problem:
-                self._recover(problem, what)
+                self._recover(problem, action)
         return work()
 
     def _rejected(self, number: int, reason: str) -> None:
         self.rejected += 1
         self._note("retake", step=number, reason=reason)
 
-    def _recover(self, problem: Exception, what: str) -> None:
-        """Make the rig as it was, or raise what cannot be helped."""
+    def _recover(self, problem: Exception, action: str) -> None:
+        """Recover the rig, or raise the error that needs a person."""
         self._numbers.next = None
-        self._note("fault", at=what, problem=str(problem))
+        self._note("fault", at=action, problem=str(problem))
         if isinstance(problem, RigFault) and problem.fault not in _TEMPORARY:
             raise problem
         if isinstance(problem, Refused) and problem.reason not in _AFTER_RESET:
@@ -210,15 +210,15 @@ class RecoveringRig:
                 self._reopen(problem)
             self._make_ready()
         except (LinkLost, RigFault) as again:
-            # It went away once more, while it was brought back; the next try has the same cure.
+            # It failed again during the recovery: reconnect once more.
             if isinstance(again, RigFault) and again.fault not in _TEMPORARY:
                 raise
             self._reconnect(again)
             self._make_ready()
-        self._note("recovered", at=what)
+        self._note("recovered", at=action)
 
     def _quieten(self) -> None:
-        """No light while the camera is looked for; a lease or a watchdog that runs out would be a fault of its own."""
+        """Switch the laser off before the camera is reopened, so that no lease runs out meanwhile."""
         with contextlib.suppress(Refused):
             self.controller.stop()
         self.controller.laser(False)
@@ -231,13 +231,13 @@ class RecoveringRig:
             raise RigFault(Fault.EMERGENCY_STOP, found.status.position) from problem
         if not found.same_boot:
             self.position_known = False
-            # Its settings are gone with the rest.
+            # A reset loses the settings too.
             self._await_rest()
             self.controller.configure(controller_settings(self.config))
         self._note("reconnected", same_boot=found.same_boot)
 
     def _reopen(self, problem: Exception) -> None:
-        """Open the camera again, and see that it is set as it was."""
+        """Open the camera again, and check that its settings are unchanged."""
         last: Exception = problem
         for attempt in range(self.config.checks.camera_reopens):
             self._clock.sleep(min(0.25 * 2**attempt, _LONGEST_PAUSE_S) if attempt else 0.0)
@@ -255,7 +255,7 @@ class RecoveringRig:
         ) from problem
 
     def require_features(self, expected: Features) -> None:
-        """See that the camera is set as it was.
+        """Check that the camera's settings are those of the beginning.
 
         Raises:
             CameraError: With all differences.
@@ -263,11 +263,11 @@ class RecoveringRig:
         if wrong := differences(self.camera.features(), expected):
             raise CameraError(
                 f"{self.camera.identity}: is not set as it was when the capture began: {'; '.join(wrong)}. "
-                "Set it so, or begin a new capture."
+                "Restore these settings, or begin a new capture."
             )
 
     def _make_ready(self) -> None:
-        """Out of a fault, enabled, homed if it has to be, armed."""
+        """Clear a fault, enable the motor, home if necessary, arm."""
         status = self._await_rest()
         if status.estop:
             raise RigFault(Fault.EMERGENCY_STOP, status.position)
@@ -277,17 +277,19 @@ class RecoveringRig:
             self.controller.clear()
             status = self.controller.stat()
         if not (status.enabled and status.homed):
-            # Where it was stopped while it ran, its counter may be wrong for that reason alone.
+            # If it was stopped during a motion, its counter is not valid.
             self.position_known = False
             self.home("after a fault")
         elif not status.armed and not self._dark:
             self.arm(True)
 
     def _await_rest(self) -> Status:
-        """Ask until nothing moves any more."""
+        """Poll until nothing moves any more."""
         end = self._clock.now() + _STILL_S
         while (status := self.controller.stat()).state not in ("idle", "fault"):
             if self._clock.now() > end:
-                raise SessionError(f'the controller is in the state "{status.state}" for {_STILL_S:g} s; restart it.')
+                raise SessionError(
+                    f'the controller is still in the state "{status.state}" after {_STILL_S:g} s; restart it.'
+                )
             self._clock.sleep(0.05)
         return status

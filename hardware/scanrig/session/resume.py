@@ -1,4 +1,4 @@
-"""What is there of a capture that was interrupted, and whether it may be gone on with."""
+"""Reads an interrupted capture, and checks whether it may be continued."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,23 +36,23 @@ class Found:
 
     header: CaptureHeader
     records: dict[int, dict[str, Any]]
-    """Records that are whole and not suspect, the last take of each."""
+    """Whole records that are not suspect; of each the last take."""
     order: tuple[int, ...]
     """Their numbers in the order in which they were taken."""
     since_home: tuple[int, ...]
-    """Those taken since home was last found where it should be."""
+    """Records taken since home was last found well."""
     unjudged: bool
-    """Whether home was found since they were taken, and the counter could not say where it was missed."""
+    """Whether home was found after these records without a valid counter, so that lost steps would not show."""
     damaged: tuple[Problem, ...]
-    """What is wrong with others."""
+    """Problems of damaged records."""
     altered: tuple[Problem, ...]
-    """What is wrong with the journal itself."""
+    """Problems of the journal itself."""
     suspect: tuple[int, ...]
-    """Records that were taken while steps were being lost, and not again since."""
+    """Records that may have lost steps before them, and were not retaken since."""
     placements: int
-    """Placements of a calibration's board so far, the half done ones too."""
+    """Placements of a calibration's board so far, including half done ones."""
     status: str | None
-    """How the last session ended, if it came to an end after its last record."""
+    """How the last session ended, if it noted an end after its last record."""
 
 
 def is_capture(folder: Path) -> bool:
@@ -61,11 +61,11 @@ def is_capture(folder: Path) -> bool:
 
 
 def find_capture(folder: Path) -> Found:
-    """Read and verify all of a capture.
+    """Read and verify a whole capture.
 
     Raises:
-        CaptureError: If header or journal are damaged in a way that no interruption leaves behind, or hold
-            what no session writes.
+        CaptureError: If header or journal are damaged in a way that no interruption causes, or hold values
+            that no session writes.
     """
     texts = read_texts(folder)
     problems = verify_capture(folder)
@@ -76,7 +76,7 @@ def find_capture(folder: Path) -> Found:
     for _, value in journal_objects(texts.journal_bytes):
         if "i" in value:
             number, status = value["i"], None
-            records.pop(number, None)  # So that the order is that of the last takes.
+            records.pop(number, None)  # Keeps the order of the last takes.
             records[number] = value
             since_home.append(number)
             suspect.discard(number)
@@ -85,7 +85,7 @@ def find_capture(folder: Path) -> Found:
             continue
         match value.get("event"):
             case "home" if value.get("good") is False:
-                # The session may have ended before it could note what follows from this.
+                # The session may have ended before it noted these records as suspect.
                 suspect.update(since_home)
                 since_home.clear()
                 unjudged = False
@@ -120,24 +120,24 @@ def find_capture(folder: Path) -> Found:
 
 
 def _checked(folder: Path, event: dict[str, Any], key: str, kind: pydantic.TypeAdapter[T]) -> T:
-    """What an event says; other programs may have written any into the journal."""
+    """A checked value of an event; other programs may have written into the journal."""
     try:
         return kind.validate_python(event.get(key), strict=True)
     except pydantic.ValidationError as problem:
         raise CaptureError(
             f"{folder / JOURNAL_NAME}: the event {event['event']!r:.20} holds {key} = {event.get(key)!r:.40}, "
-            "which no session writes; it cannot be gone on with."
+            "which no session writes; the capture cannot be continued."
         ) from problem
 
 
 def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
-    """The frames of one record, whatever has become of the others.
+    """The frames of one record; other records may be damaged.
 
     Returns:
         on, off: uint8 [rows, columns] (rgb8: and 3).
 
     Raises:
-        CaptureError: If they are not there, or damaged.
+        CaptureError: If they are missing or damaged.
     """
     texts = read_texts(folder)
     reader = ImageReader(folder, texts.header)
@@ -146,23 +146,23 @@ def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
             on, off = reader.frame(record.on), reader.frame(record.off)
             if on is not None and off is not None:
                 return on, off
-    raise CaptureError(f"{folder}: record {number} has not both frames, so nothing can be compared with it.")
+    raise CaptureError(f"{folder}: record {number} lacks a frame, so nothing can be compared with it.")
 
 
 def require_same_plan(
     found: Found, config: RigConfig, kind: Kind, *, folder: Path, calibration_digest: str | None
 ) -> None:
-    """See that nothing changed that the frames depend on.
+    """Check that nothing changed that the frames depend on.
 
     Raises:
-        SessionError: With what changed.
+        SessionError: With the changes.
     """
     header = found.header
     if header.kind != kind:
         raise SessionError(f"{folder}: found a capture of kind {header.kind}, expected {kind}; choose another folder.")
     was, now = header.acquisition, config.frame_tables(kind)
     if "config_sha256" not in was:
-        raise SessionError(f"{folder}: was not captured by this program, so it cannot be gone on with.")
+        raise SessionError(f"{folder}: was not captured by this program, so it cannot be continued.")
     _require_own_words(found, folder)
     changed = list(_changes(was.get("config", {}), now))
     if was.get("microsteps_per_turn") != config.microsteps_per_turn:
@@ -174,13 +174,13 @@ def require_same_plan(
         changed.append("the configuration's digest")
     if changed:
         raise SessionError(
-            f"{folder}: cannot be gone on with, since it was begun differently: {'; '.join(changed)}. "
-            "Set it as it was, or choose another folder."
+            f"{folder}: cannot be continued, since it was begun with other settings: {'; '.join(changed)}. "
+            "Restore them, or choose another folder."
         )
 
 
 def _require_own_words(found: Found, folder: Path) -> None:
-    """See that what is read of header and records is what a session writes: anybody can edit them."""
+    """Check the values that are used of header and records: anybody can edit these files."""
     odd = [
         f"[acquisition.{key}] = {found.header.acquisition[key]!a:.40}"
         for key in ("camera", "features")
@@ -195,14 +195,14 @@ def _require_own_words(found: Found, folder: Path) -> None:
         if type(record.get("microsteps")) is not int
     ]
     if odd:
-        raise SessionError(f"{folder}: found {odd[0]}, which no session writes; it cannot be gone on with.")
+        raise SessionError(f"{folder}: found {odd[0]}, which no session writes; the capture cannot be continued.")
 
 
 def require_same_camera(found: Found, identity: Mapping[str, str], *, folder: Path) -> None:
-    """See that it is the camera that the capture was begun with.
+    """Check that it is the camera with which the capture was begun.
 
     Raises:
-        SessionError: With both.
+        SessionError: With both cameras.
     """
     was = found.header.acquisition.get("camera", {})
     changed = [f"{key}: was {was.get(key)!r}, is {value!r}" for key, value in identity.items() if was.get(key) != value]
@@ -214,7 +214,7 @@ def require_same_camera(found: Found, identity: Mapping[str, str], *, folder: Pa
 
 
 def _changes(was: Any, now: Any, path: str = "") -> Iterator[str]:
-    """Keys whose values differ, with both."""
+    """Keys whose values differ, with both values."""
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for key in dict.fromkeys((*was, *now)):
             yield from _changes(was.get(key), now.get(key), f"{path}.{key}" if path else str(key))

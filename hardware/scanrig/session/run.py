@@ -26,12 +26,12 @@ def run_sweep(
 
     Args:
         config: The rig.
-        folder: Where the capture goes; new, or one to go on with.
+        folder: Folder of the capture: new, or one to continue.
         devices: Controller and camera, open.
-        hooks: What is called while it runs.
-        resume: Go on with a capture that is there. Without one, begin it.
-        calibration_digest: Of the calibration that is used along with the scan; noted, and refused
-            where it changed.
+        hooks: Callbacks.
+        resume: Continue the capture in the folder; if there is none, begin it.
+        calibration_digest: Digest of the calibration that is used during the scan; noted, and refused
+            if it changed.
 
     Returns:
         How it ended. The laser is off, or the result says that this could not be confirmed.
@@ -39,10 +39,9 @@ def run_sweep(
     Raises:
         ConfigError: If the plan does not fit the table, or the controller cannot switch the laser off without the
             host and the configuration does not allow that.
-        SessionError: If the folder is in use, or cannot be resumed, or has not the space; or if the rig
-            has moved since.
+        SessionError: If the folder is in use, cannot be resumed or lacks space, or if the rig has moved since.
         FrameError: If a step could not be proven.
-        RigError: If the rig failed in another way and did not come back. In all cases the capture is
+        RigError: If the rig failed in another way and did not recover. In all cases the capture is
             whole and can be resumed.
         KeyboardInterrupt: After an abort.
     """
@@ -54,7 +53,7 @@ def run_sweep(
 
 
 def _take_turns(session: Session, targets: Sequence[Target]) -> bool:
-    """All records that are missing, each pass closed with a check; False where the operator asked to stop."""
+    """Take all missing records, each pass closed with a check; False if the operator asked to stop."""
     session.start()
     for _, group in groupby(targets, key=lambda target: target.turn):
         turn = tuple(group)
@@ -83,9 +82,9 @@ def run_calibration(
     """Capture a calibration: free views at the home angle, then placements at several angles each.
 
     Args:
-        operator: Places the board.
+        operator: The person who places the board.
 
-    The other arguments, the result and the errors are those of `run_sweep`.
+    For the other arguments, the result and the errors see `run_sweep`.
     """
     if config.board is None:
         raise ConfigError("[board]: missing, a calibration needs one; see configs/scan.toml.")

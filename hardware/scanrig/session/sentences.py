@@ -1,4 +1,4 @@
-"""What people are told of a session: of an event, and of its end."""
+"""The sentences that people read about a session: about events, and about its end."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,9 +13,9 @@ def say_end(ending: Ending, folder: Path, *, count: int, planned: int, suspect: 
     Args:
         ending: The end.
         folder: Of the capture.
-        count: Records that are there.
-        planned: Records that there will be.
-        suspect: Ranges of records in doubt.
+        count: Records on the disk.
+        planned: Records of the complete capture.
+        suspect: Ranges of suspect records.
     """
     again = "go on with --resume"
     there = f"{count} of {planned} records"
@@ -26,23 +26,23 @@ def say_end(ending: Ending, folder: Path, *, count: int, planned: int, suspect: 
         "e-stop": f"{ending.message}. {there} are there; release the e-stop, then {again}",
         "disk full": f"{ending.message} {there} are there",
     }[ending.status]
-    # What failed may have named the folder already.
+    # The message of an error may already begin with the folder.
     return f"{folder}: {says.removeprefix(f'{folder}: ').rstrip('.')}."
 
 
 def say_event(name: str, fields: Mapping[str, Any]) -> str:
-    """What people are told of an event; "" of most."""
+    """The sentence about an event; "" for most events."""
     match name:
         case "retake":
-            what = f"step {fields['step']}" if "step" in fields else "a look"
-            return f"{what} is taken again: {fields['reason']}"
+            action = f"step {fields['step']}" if "step" in fields else "a look"
+            return f"{action} is taken again: {fields['reason']}"
         case "fault":
             return f"{fields['at']}: {fields['problem']}"
         case "reconnected":
-            stands = "knows where it stands" if fields["same_boot"] else "was reset"
-            return f"the controller is there again, and {stands}"
+            position = "kept its position" if fields["same_boot"] else "was reset"
+            return f"the controller is connected again and {position}"
         case "camera":
-            return f"the camera is there again, at attempt {fields['reopened']}"
+            return f"the camera is open again, after {fields['reopened']} attempts"
         case "suspect":
             runs = _spoken([(first, last) for first, last in fields["records"]])
             return f"records {runs} are suspect: {fields['why']}"

@@ -1,4 +1,4 @@
-"""A session at work: which records are on the disk, which are in doubt, and how one more is taken."""
+"""A running session: takes records, and tracks which are on the disk and which are suspect."""
 
 import math
 from collections.abc import Sequence
@@ -19,21 +19,21 @@ from scanrig.session.step import ProvenPair
 
 
 class Session:
-    """A session at work: what is done, what is suspect, and how one more is taken."""
+    """A running session: takes records, and tracks which are done and which are suspect."""
 
     def __init__(self, job: Job, found: Found | None) -> None:
-        """Nothing moves yet; `found` is what an earlier session left."""
+        """Nothing moves yet; `found` is the capture that an earlier session left."""
         self.job, self.config = job, job.config
         self.ledger = Ledger(job.folder, job.devices.clock)
         self.rig = RecoveringRig(job.config, job.devices, self._note)
         self.done: set[int] = set() if found is None else set(found.records)
-        """Records that are on the disk and not in doubt."""
+        """Records that are on the disk and not suspect."""
         self.suspect: set[int] = set()
-        """Records of this session that are in doubt."""
+        """Records of this session that are suspect."""
         self.since_home: list[int] = [] if found is None else list(found.since_home)
-        """Records since home was last found where it should be."""
+        """Records taken since home was last found well."""
         self._unjudged = found is not None and found.unjudged
-        """Whether home was found since they were taken, and the counter could not say where it was missed."""
+        """Whether home was found after these records without a valid counter, so that lost steps would not show."""
         self.taken = 0
         self._found = found
         self._last = found.order[-1] if found is not None and found.order else None
@@ -48,7 +48,7 @@ class Session:
         return self.job.hooks.should_stop()
 
     def begin(self) -> None:
-        """Make the rig ready and the capture open."""
+        """Make the rig ready and open the capture."""
         job, rig = self.job, self.rig
         firmware = rig.prepare()
         if lacking := shortcomings(job.devices.controller.guarantees):
@@ -56,7 +56,7 @@ class Session:
             job.hooks.notify(lacking[0])
         missing = job.planned - len(self.done)
         needed = math.ceil(2 * missing * frame_bytes(self.config) * RESERVE)
-        require_space(job.folder, needed, what=f"the capture of {missing} more pairs")
+        require_space(job.folder, needed, purpose=f"the capture of {missing} more pairs")
         identity = job.devices.camera.identity
         if self._found is None:
             self.ledger.create(capture_header(job, firmware, rig.features))
@@ -71,7 +71,7 @@ class Session:
         self._note("start", firmware=firmware.version, boot=firmware.boot, missing=missing, camera=str(identity))
 
     def start(self, *, compare: bool = True) -> None:
-        """Home the table, and see that it stands as it did when the last record was taken.
+        """Home the table, and take the last record again to check that nothing moved.
 
         Raises:
             SessionError: If the last record, taken again, looks different.
@@ -83,17 +83,17 @@ class Session:
         if not self._is_like(likeness):
             checks = self.config.checks
             raise SessionError(
-                f"{self.job.folder}: record {self._last}, taken again, is not what it was: {likeness}; expected at "
+                f"{self.job.folder}: record {self._last}, taken again, has changed: {likeness}; expected at "
                 f"most {checks.shift_px:g} px and at least {checks.correlation:g}. The rig or the room changed, or "
                 "steps were lost before. Begin a new capture, or allow more in [checks] shift_px and correlation."
             )
         self._believe()
 
     def take(self, record: int, to: int, *, placement: int | None = None) -> None:
-        """Take one record and see it onto the disk."""
+        """Take one record and write it to the disk."""
         job = self.job
         room = math.ceil(KEPT_PAIRS * 2 * frame_bytes(self.config) * RESERVE)
-        require_space(job.folder, room, what="the next pair")
+        require_space(job.folder, room, purpose="the next pair")
         homings = self.rig.homings
         pair = self.rig.take(to, record)
         # Another placement of the board looks different whatever the table does.
@@ -120,35 +120,35 @@ class Session:
         return not {target.record for target in turn}.isdisjoint(self.since_home)
 
     def close_turn(self, turn: Sequence[Target]) -> None:
-        """Take the first step of a pass again, compare it, and look for home."""
+        """Take the first step of a pass again, compare it, and search for home."""
         first = turn[0].record
         if first in self.done:
             likeness = self._again(first, "closing")
             if not self._is_like(likeness):
-                self.job.hooks.notify(f"The first step of the pass, taken again, is not what it was: {likeness}.")
+                self.job.hooks.notify(f"The first step of the pass, taken again, has changed: {likeness}.")
         self._find_home("end of a pass", in_place=True)
 
     def close_placement(self, *, in_place: bool) -> None:
-        """Look for home after a placement of the board; `in_place`: it still stands where the last record saw it."""
+        """Search for home after a placement of the board; `in_place`: the board has not moved since the last record."""
         self._find_home("end of a placement", in_place=in_place)
 
     def dark(self) -> None:
-        """Open the contactor while somebody is at the board."""
+        """Open the contactor while somebody moves the board."""
         self.rig.dark()
 
     def light(self) -> None:
-        """Close the contactor again: whoever was at the board is ready."""
+        """Close the contactor again when the operator is ready."""
         self.rig.light()
 
     def next_placement(self) -> int:
-        """A number that no placement of the board has had."""
+        """A new number for a placement of the board."""
         number = self._placements
         self._placements += 1
         self._note("placed", placement=number)
         return number
 
     def result(self, ending: Ending, unsafe: str) -> SessionResult:
-        """What the session has done."""
+        """The result of the session."""
         job, count = self.job, len(self.done)
         suspect = tuple(ranges(tuple(self.suspect)))
         says = say_end(ending, job.folder, count=count, planned=job.planned, suspect=suspect)
@@ -167,7 +167,7 @@ class Session:
     def _note(self, name: str, **fields: Any) -> None:
         self.ledger.note(name, **fields)
         if name == "home":
-            # Here, since homing may be repeated after this for another reason: what is found then is no news.
+            # Judged at once: a homing that is repeated for another reason always finds home well.
             self._judge_home(fields.get("missed"))
         if sentence := say_event(name, fields):
             self.job.hooks.notify(sentence)
@@ -181,7 +181,7 @@ class Session:
                 self._believe()
 
     def _judge_home(self, missed: int | None) -> None:
-        """Home was found: elsewhere, what was taken since it was last found well is in doubt."""
+        """Judge a homing: if home was missed, the records since it was last found well are suspect."""
         if missed is None:
             self._unjudged = bool(self.since_home)
         elif abs(missed) > self.rig.tolerance:
@@ -190,7 +190,7 @@ class Session:
             self._believe()
 
     def _compare_last(self) -> None:
-        """The table was homed after a fault, and its counter said nothing: the last record has to."""
+        """Judge the table's position by taking the last record again, after a homing without a valid counter."""
         if self._last is None or self._last not in self.done:
             return
         likeness = self._again(self._last, "compared")
@@ -212,7 +212,7 @@ class Session:
             self.done.difference_update(records)
 
     def _again(self, record: int, event: str) -> Likeness:
-        """Take a record again, only to compare it."""
+        """Take a record again only to compare it."""
         pair = self.rig.take(self._positions[record], record)
         likeness = self._compare(record, pair)
         shift = {} if likeness.shift_px is None else {"shift_px": round(likeness.shift_px, 3)}
@@ -220,8 +220,8 @@ class Session:
         self._note(event, record=record, **shift, **seen, good=self._is_like(likeness))
         if likeness.correlation is None:
             self.job.hooks.notify(
-                f"record {record}, taken again, was compared by the laser's line alone: without it the frames show too "
-                "little. More light in the room lets lost steps be seen."
+                f"record {record}, taken again, was compared by the laser's line alone: the laser-off frames have too "
+                "little contrast. With more light in the room, lost steps are found more surely."
             )
         return likeness
 
@@ -240,19 +240,19 @@ class Session:
         return likeness.within(self.config.checks.shift_px, self.config.checks.correlation)
 
     def _watch_laser(self, record: int, pair: ProvenPair, angle_deg: float | None) -> None:
-        """Stop where the laser shines on in laser-off frames, here and there and everywhere."""
+        """Stop if the laser shines in the laser-off frames of many places."""
         leak, allowed = self._leaks[pair.laser].add(angle_deg, pair.proof.leak), self.config.checks.proof.leak
         if leak is None or leak <= allowed:
             return
         self.job.devices.controller.arm(False)
         raise FrameError(
             f"step {record}: the laser stays on: {100 * leak:.0f} % of its line is in the laser-off frames of "
-            f"the last {PLACES} places too, expected at most {100 * allowed:.0f} %; let it go out "
-            "for longer ([[laser]] off_ms), and see relay and wiring. The contactor has been opened."
+            f"the last {PLACES} places too, expected at most {100 * allowed:.0f} %; give it more time to go out "
+            "([[laser]] off_ms), and check relay and wiring. The contactor has been opened."
         )
 
     def _watch_light(self, record: int, pair: ProvenPair) -> None:
-        """Say it once when the light in the room is not what it was at the beginning."""
+        """Report a change of the room's light by a factor of two."""
         ambient = pair.proof.ambient_dn
         if self._ambient is None:
             self._ambient = ambient

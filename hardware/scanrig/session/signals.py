@@ -1,4 +1,4 @@
-"""Signals that ask a session to end: once, after the step; twice, at once."""
+"""Signals that end a session: the first after the step, the second at once."""
 
 import os
 import signal
@@ -10,18 +10,17 @@ NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class Interrupts:
-    """While in `with`, the first SIGINT, SIGTERM or SIGHUP only sets a mark, and the second raises KeyboardInterrupt.
+    """Within `with`, the first SIGINT, SIGTERM or SIGHUP is only noted, and the second raises KeyboardInterrupt.
 
-    Pass it as `should_stop`. Further signals do nothing, so that nothing disturbs switching the laser off.
-    Only for the main thread, as Python has it.
+    Pass it as `should_stop`. Further signals do nothing, so that switching the laser off is not interrupted.
+    Works only in the main thread, as all signal handlers of Python.
 
-    With the terminal that hung up goes everything that is printed; it goes nowhere from then on, rather than being an
-    error where the session is to end in order.
+    After the terminal has hung up, output is discarded, so that printing raises no error and the session ends in order.
     """
 
     def __init__(self) -> None:
         self.received: list[str] = []
-        """Names of the signals that came."""
+        """Names of the signals received."""
         self._before: dict[int, Any] = {}
         self._terminals: list[int] = []
 
@@ -52,7 +51,7 @@ class Interrupts:
 
     def _let_go_of_dead_terminals(self) -> None:
         for number in self._terminals:
-            # One that hung up is none any more; one that lives stays what it is.
+            # A terminal that hung up is no terminal any more.
             if not os.isatty(number):
                 nowhere = os.open(os.devnull, os.O_RDWR)
                 os.dup2(nowhere, number)

@@ -1,4 +1,4 @@
-"""One step: the table at its place, one frame with the laser and one without, proven to be that."""
+"""One step: the table at its position, a laser-on and a laser-off frame, and the proof of the pair."""
 
 import logging
 from collections.abc import Callable
@@ -18,11 +18,11 @@ from scanrig.session.plan import longest_s, shot_s
 log = logging.getLogger(__name__)
 
 LOOK_S = 0.1
-"""Longest wait for a frame between two signs of life to the controller: its link watchdog allows 500 ms."""
+"""Longest wait for a frame between two polls of the controller: its watchdog allows 500 ms."""
 QUIET_S = 0.2
-"""Silence after which no late frame is expected any more."""
+"""After this much silence no late frame is expected."""
 _COUNT = 65536
-"""The controller counts exposures modulo this."""
+"""The controller counts exposures modulo this number."""
 _MOST_LATE = 64
 
 
@@ -34,16 +34,16 @@ class ProvenPair:
     off: Frame
     proof: PairProof
     position: int
-    """Where the controller says it was taken [microsteps from home]."""
+    """Position reported by the controller [microsteps from home]."""
     rejected: tuple[str, ...]
-    """Why earlier takes were not believed."""
+    """Why earlier takes were rejected."""
     laser: int = 0
-    """Which laser it shows, counted from 0."""
+    """Its laser, counted from 0."""
 
 
 @dataclass
 class FrameNumbers:
-    """Which number the camera's next frame will have, as far as that is known."""
+    """The number of the camera's next frame, if known."""
 
     next: int | None = None
 
@@ -55,12 +55,12 @@ class _Take(NamedTuple):
 
 
 class _Unbelievable(Exception):
-    """A take that is dropped; why."""
+    """The take is rejected; the message says why."""
 
 
 @dataclass(frozen=True)
 class Station:
-    """With what steps are taken."""
+    """The devices and settings with which steps are taken."""
 
     config: RigConfig
     controller: Controller
@@ -69,37 +69,37 @@ class Station:
     """Started."""
     clock: Clock = field(default_factory=SystemClock)
     numbers: FrameNumbers = field(default_factory=FrameNumbers)
-    """Kept from step to step: a gap between two pairs is noticed, too."""
+    """Kept from step to step, so that a gap between two pairs is noticed too."""
 
 
 class Step(NamedTuple):
-    """Which pair is to be taken."""
+    """The pair to take."""
 
     to: int
-    """Where [microsteps from home]."""
+    """Position [microsteps from home]."""
     number: int
-    """What to call the shot."""
+    """Number of the shot."""
     laser: int = 0
     """Which laser, counted from 0."""
 
 
 def take_pair(station: Station, step: Step, rejected: Callable[[str], None] | None = None) -> ProvenPair:
-    """Take one step, again and again at the same place until it is proven.
+    """Take one step, and retake it at the same position until it is proven.
 
-    With a camera that is triggered by a wire the controller runs the whole shot; of its two exposures
-    exactly two complete frames with consecutive numbers must come. Otherwise the laser is switched
-    from here, its lease renewed while the frame is awaited.
+    With a camera that is triggered by a wire the controller runs the whole shot: exactly two complete frames with
+    consecutive numbers must come from its two exposures. Otherwise the host switches the laser and renews its lease
+    while it waits for the frame.
 
     Args:
-        station: With what.
-        step: Which.
-        rejected: Called with the reason each time a take is dropped.
+        station: The devices.
+        step: The pair to take.
+        rejected: Called with the reason for each rejected take.
 
     Raises:
-        FrameError: If no take in `1 + config.checks.retakes` was believed; where the laser stays on, the
+        FrameError: If none of `1 + config.checks.retakes` takes was proven; if the laser stays on, the
             contactor has been opened.
         CameraError: If frames have the wrong size.
-        CameraLost, LinkLost, RigFault, RigError: As camera and controller have it.
+        CameraLost, LinkLost, RigFault, RigError: From camera and controller.
     """
     camera, number = station.camera, step.number
     take = _by_wire if camera.trigger_mode == "hardware" else _by_hand
@@ -126,11 +126,11 @@ def take_pair(station: Station, step: Step, rejected: Callable[[str], None] | No
             f"step {number}: {reasons[-1]}. The contactor has been opened; do not look into the beam, "
             "and cut the laser's supply before working on it."
         )
-    raise FrameError(f"step {number}: not believed in {len(reasons)} takes, the last time because: {reasons[-1]}.")
+    raise FrameError(f"step {number}: not proven in {len(reasons)} takes; reason of the last: {reasons[-1]}.")
 
 
 def _by_wire(station: Station, step: Step) -> _Take:
-    """The controller runs the shot; frames are matched by their count."""
+    """Take a pair by a shot of the controller; frames are matched by their count."""
     controller, camera, config = station.controller, station.camera, station.config
     clock, numbers = station.clock, station.numbers
     waiting = camera.drop()
@@ -170,7 +170,7 @@ def _by_wire(station: Station, step: Step) -> _Take:
 
 
 def _by_hand(station: Station, step: Step) -> _Take:
-    """Laser and exposures are commanded from here, for cameras that no wire triggers."""
+    """Take a pair by switching the laser from the host, for cameras without a trigger wire."""
     controller, clock, laser = station.controller, station.clock, station.config.laser[step.laser]
     lit = 1 + step.laser
     controller.laser(False)
@@ -184,7 +184,7 @@ def _by_hand(station: Station, step: Step) -> _Take:
         rest(laser.on_ms / 1000, controller, clock, lit=lit)
         on = _fresh_frame(station, lit=lit)
     except (_Unbelievable, CameraError):
-        # After anything else the controller is not there, or is to be aborted at once.
+        # After any other error the controller is gone or is about to be aborted.
         controller.laser(False)
         raise
     controller.laser(False)
@@ -195,7 +195,7 @@ def _by_hand(station: Station, step: Step) -> _Take:
 
 
 def _armed(controller: Controller) -> Status:
-    """The state, with the contactor closed: after a long silence the controller has opened it, which is no fault."""
+    """The state, with the contactor closed; after a long silence the controller opens it without a fault."""
     status = controller.stat()
     if not status.armed and status.fault is None:
         log.info("%s: the contactor was open, as it is after a long silence; it is closed again", controller.name)
@@ -204,7 +204,7 @@ def _armed(controller: Controller) -> Status:
 
 
 def _fresh_frame(station: Station, *, lit: int | None = None) -> Frame:
-    """A frame that was exposed after this call began; `lit`: the number of the laser that shines."""
+    """A frame exposed after this call began; `lit`: the number of the laser that is on."""
     controller, camera, config, clock = station.controller, station.camera, station.config, station.clock
     camera.drop()
     if camera.trigger_mode == "software":
@@ -221,11 +221,11 @@ def _fresh_frame(station: Station, *, lit: int | None = None) -> Frame:
 
 
 def next_frame(camera: Camera, controller: Controller | None, timeout_s: float, clock: Clock) -> Frame:
-    """A frame that is on its way, awaited with signs of life: in an exposure, too, the controller's watchdog waits.
+    """Wait for the next frame and poll the controller meanwhile, since its watchdog runs during exposures too.
 
     Raises:
         CameraTimeout: If none came within `timeout_s`.
-        CameraLost, LinkLost, RigFault: As camera and controller have it.
+        CameraLost, LinkLost, RigFault: From camera and controller.
     """
     give_up = clock.now() + timeout_s
     while True:
@@ -239,7 +239,7 @@ def next_frame(camera: Camera, controller: Controller | None, timeout_s: float, 
 
 
 def rest(seconds: float, controller: Controller, clock: Clock, *, lit: int | None = None) -> None:
-    """Wait with signs of life to the controller, and with a renewed lease for the laser that is lit (from 1)."""
+    """Wait and poll the controller meanwhile; renew the lease of the laser that is on, `lit` (from 1)."""
     end = clock.now() + seconds
     while (left := end - clock.now()) > 0:
         clock.sleep(min(left, LOOK_S))
@@ -247,7 +247,7 @@ def rest(seconds: float, controller: Controller, clock: Clock, *, lit: int | Non
 
 
 def _keep_alive(controller: Controller, *, lit: int | None) -> None:
-    """A sign of life; while a laser is on, for its lease too."""
+    """Poll the controller; renew the lease of the laser that is on."""
     controller.poll()
     if lit is not None:
         controller.laser(True, number=lit)
@@ -280,7 +280,7 @@ def _prove(taken: _Take, config: RigConfig, laser: int) -> PairProof:
 
 
 def _let_late_frames_come(camera: Camera) -> None:
-    """What was on its way when a take was dropped must not be taken for a part of the next."""
+    """Discard frames that were on their way when a take was rejected, so that the next take does not get them."""
     if camera.trigger_mode != "free":
         for _ in range(_MOST_LATE):
             try:

@@ -1,4 +1,4 @@
-"""The line to a controller: serial ports, finding them again, recording what goes over them and playing it again."""
+"""The link to a controller: serial ports, finding them again, recording and replaying their traffic."""
 
 from scanrig.wire.link import Link
 from scanrig.wire.ports import PortInfo, choose_port, describe, find_again, find_ports, identify

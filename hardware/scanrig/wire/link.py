@@ -1,14 +1,14 @@
-"""A line to the controller, whatever carries its bytes."""
+"""The interface of a link to the controller."""
 
 from typing import Protocol
 
 
 class Link(Protocol):
-    """A two-way stream of bytes that can be lost."""
+    """A two-way stream of bytes; the connection may be lost."""
 
     @property
     def name(self) -> str:
-        """What a person calls it: the port's path."""
+        """Its name for messages: the port's path."""
         ...
 
     def write(self, data: bytes) -> None:
@@ -16,9 +16,9 @@ class Link(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come, as soon as something has; b"" after timeout_s without anything. Raises LinkLost."""
+        """The bytes received, as soon as there are any; b"" after timeout_s without any. Raises LinkLost."""
         ...
 
     def close(self) -> None:
-        """Give the port back. Never raises."""
+        """Close the port. Never raises."""
         ...

@@ -1,4 +1,4 @@
-"""Which serial ports there are, and which of them is the one that was here before."""
+"""Lists serial ports, chooses the controller's, and finds it again after it was unplugged."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ BOARDS = {
 """USB numbers under which an ATmega328P board usually appears."""
 
 _LONGEST = 126
-"""Letters of a USB string."""
+"""Longest USB string, in characters."""
 
 
 @dataclass(frozen=True)
@@ -32,15 +32,15 @@ class PortInfo:
 
     device: str
     by_id: str
-    """Its path under /dev/serial/by-id, the same at every plug; "" where there is none."""
+    """Its path under /dev/serial/by-id, which stays the same when it is plugged in again; "" if there is none."""
     description: str
     vid_pid: str
-    """USB vendor and product, four hexadecimal digits each: `2341:0043`; "" where it is not a USB port."""
+    """USB vendor and product, four hexadecimal digits each: `2341:0043`; "" if it is not a USB port."""
     serial_number: str
 
 
 def find_ports(by_id_folder: Path = BY_ID) -> list[PortInfo]:
-    """All serial ports of USB and the like, usual controller boards first, then by path."""
+    """All serial ports: usual controller boards first, then other USB ports, then the rest, each by path."""
     names = by_id_names(by_id_folder)
     found = []
     for port in list_ports.comports():
@@ -58,7 +58,7 @@ def find_ports(by_id_folder: Path = BY_ID) -> list[PortInfo]:
 
 
 def printable(text: str) -> str:
-    """What a device says of itself, without what could steer a terminal, and not longer than a line."""
+    """A device's own text without control characters, shortened to one line."""
     return "".join(letter if letter.isprintable() else "?" for letter in text[:_LONGEST])
 
 
@@ -70,9 +70,8 @@ def by_id_names(folder: Path) -> dict[str, str]:
 
 
 def describe(info: PortInfo) -> str:
-    """A port as it stands in a message."""
-    what = info.description if info.description and info.description != "n/a" else ""
-    words = [word for word in (what, info.vid_pid, info.serial_number) if word]
+    """A port as messages name it."""
+    words = [word for word in (info.description, info.vid_pid, info.serial_number) if word not in ("", "n/a")]
     return (info.by_id or info.device) + (f" ({', '.join(words)})" if words else "")
 
 
@@ -80,14 +79,14 @@ def choose_port(wanted: str = "", ports: Iterable[PortInfo] | None = None) -> st
     """The path of the port to open.
 
     Args:
-        wanted: a path, which is taken as it stands; a USB serial number; "" or "auto" for the only board there is.
-        ports: where to choose from; by default what `find_ports` finds.
+        wanted: a path, which is used as it is; a USB serial number; "" or "auto" for the only board.
+        ports: the ports to choose from; by default those of `find_ports`.
 
     Returns:
-        The path, under /dev/serial/by-id where there is one.
+        The path, under /dev/serial/by-id if possible.
 
     Raises:
-        PortError: none, or several, so that a person must choose.
+        PortError: no port fits, or several do and a person must choose.
     """
     if "/" in wanted or wanted.upper().startswith("COM"):
         return wanted
@@ -108,7 +107,7 @@ def choose_port(wanted: str = "", ports: Iterable[PortInfo] | None = None) -> st
 
 
 def identify(path: str, ports: Iterable[PortInfo] | None = None) -> PortInfo:
-    """What is known of the port at `path`, to know it again by; of a pseudo terminal nothing but its path."""
+    """The properties of the port at `path`, by which to find it again; a pseudo terminal has only its path."""
     real = str(Path(path).resolve())
     for info in find_ports() if ports is None else ports:
         if real in (info.device, str(Path(info.device).resolve())):
@@ -117,12 +116,12 @@ def identify(path: str, ports: Iterable[PortInfo] | None = None) -> PortInfo:
 
 
 def find_again(known: PortInfo, ports: Iterable[PortInfo] | None = None) -> str:
-    """The path of a port that was known before, even if it came back under another number.
+    """The present path of a known port, even if its number changed.
 
-    By USB numbers and serial number if it has one, else by its path under /dev/serial/by-id, else by its old path.
+    Found by USB ids and serial number if it has one, else by its path under /dev/serial/by-id, else by its old path.
 
     Raises:
-        PortError: it has a serial number, and no port there is has it: what is at its old path now is another board.
+        PortError: no port has its serial number; the port at its old path belongs to another board.
     """
     found = list(find_ports() if ports is None else ports)
     if known.serial_number:

@@ -1,4 +1,4 @@
-"""Bytes to and from the controller: a serial port, opened for one program alone."""
+"""A serial port as a link, opened for exclusive use."""
 
 import errno
 from pathlib import Path
@@ -12,7 +12,7 @@ from scanrig.wire.ports import describe, find_ports
 
 try:
     from termios import error as _TerminalError
-except ImportError:  # Not on Windows, whose ports raise nothing of the kind.
+except ImportError:  # Windows has no termios; its ports do not raise this error.
     _TerminalError = OSError  # type: ignore[assignment, misc]
 
 POLL_S = 0.02
@@ -20,7 +20,7 @@ WRITE_TIMEOUT_S = 1.0
 
 
 class SerialLink:
-    """A serial port as a Link. Every trouble of it, of whatever type, is a LinkLost."""
+    """A serial port as a Link. Every failure of the port is a LinkLost."""
 
     def __init__(self, port: serial.Serial, clock: Clock):
         self._port = port
@@ -40,10 +40,10 @@ class SerialLink:
             raise LinkLost(lost(self.name, problem)) from problem
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come, as soon as something has; b"" after timeout_s. Raises LinkLost."""
+        """The bytes received, as soon as there are any; b"" after timeout_s. Raises LinkLost."""
         self._require_open()
         end = self._clock.now() + timeout_s
-        # Trouble of a port is a SerialException, or a bare OSError from in_waiting; the former is one of the latter.
+        # A port raises SerialException, which is an OSError, or a plain OSError from in_waiting.
         try:
             while not (first := self._port.read(1)):
                 if self._clock.now() >= end:
@@ -58,32 +58,32 @@ class SerialLink:
             raise LinkLost(f"{self.name} is closed") from OSError(errno.EBADF, "closed")
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         try:
             self._port.close()
         except OSError:
-            # A port that went away cannot be closed properly, and need not be.
+            # A port that went away cannot be closed and need not be.
             return
 
 
 def lost(name: str, problem: OSError) -> str:
-    """What to say of a port that stopped working."""
+    """The message about a port that stopped working."""
     return f"{name} went away ({reason(problem)}); check cable and power"
 
 
 def open_serial(port: str, baud: int = 250_000, clock: Clock | None = None) -> SerialLink:
-    """Open a serial port for this program alone, asking for neither DTR nor RTS.
+    """Open a serial port for exclusive use, with DTR and RTS off.
 
     Args:
-        port: its path, better the one under /dev/serial/by-id, which does not change from plug to plug.
+        port: its path, preferably the one under /dev/serial/by-id, which stays the same when it is plugged in again.
         baud: bits per second.
-        clock: whose seconds reading waits.
+        clock: for the waits of reading.
 
     Returns:
         The open link.
 
     Raises:
-        PortError: it is missing, taken, no serial port, or there is no right to use it; each with what to do.
+        PortError: it is missing, in use, no serial port, or there is no permission; the message says how to mend it.
     """
     device = serial.Serial()
     device.port = port
@@ -96,13 +96,13 @@ def open_serial(port: str, baud: int = 250_000, clock: Clock | None = None) -> S
     try:
         device.open()
     except (OSError, ValueError, _TerminalError) as problem:
-        # A port that goes away while it is set up is a termios.error, which is no OSError and comes through pyserial.
+        # A port that goes away during setup raises termios.error through pyserial, which is no OSError.
         raise port_error(port, problem) from problem
     return SerialLink(device, clock or SystemClock())
 
 
 def port_error(port: str, problem: Exception) -> PortError:
-    """A failure to open, sorted by what is to be done about it."""
+    """The error for a failure to open, with its remedy."""
     candidates = [describe(info) for info in find_ports()]
     there = "; ports found: " + ", ".join(candidates) if candidates else "; no serial port was found at all"
     code = getattr(problem, "errno", None)
@@ -115,8 +115,8 @@ def port_error(port: str, problem: Exception) -> PortError:
         says = f"there is no port {port}{there}"
     elif code in (errno.EACCES, errno.EPERM):
         says = (
-            f"no right to use {port}: add yourself to its group ('sudo usermod -a -G dialout $USER' on most systems), "
-            "then log in again"
+            f"no permission to use {port}: add yourself to its group "
+            "('sudo usermod -a -G dialout $USER' on most systems), then log in again"
         )
     elif code in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK) or "exclusively lock" in str(problem):
         says = f"{port} is taken: another program has it open; end that one first"
@@ -128,7 +128,7 @@ def port_error(port: str, problem: Exception) -> PortError:
 
 
 def reason(problem: Exception) -> str:
-    """The system's own words, in one line, without pyserial's around them."""
+    """The system's own message, in one line, without pyserial's additions."""
     strerror = getattr(problem, "strerror", None)
     if isinstance(problem, _TerminalError) and len(problem.args) > 1:
         strerror = str(problem.args[1])

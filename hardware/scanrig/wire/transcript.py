@@ -1,4 +1,4 @@
-"""What went over a link, kept as JSON lines, and played again without the device."""
+"""Records the traffic of a link as JSON lines, and replays it without the device."""
 
 import json
 from pathlib import Path
@@ -10,9 +10,9 @@ from scanrig.wire.link import Link
 
 
 class RecordingLink:
-    """A link that writes down what goes over it: `{"t": seconds, "write" | "read": text}`, one object per line.
+    """A link that records its traffic: `{"t": seconds, "write" | "read": text}`, one object per line.
 
-    Bytes stand as the characters of the same number, so that the file reads as what was said.
+    Each byte is stored as the character with the same number, so that the file is readable.
     """
 
     def __init__(self, link: Link, path: Path | str, clock: Clock | None = None):
@@ -23,16 +23,16 @@ class RecordingLink:
 
     @property
     def name(self) -> str:
-        """That of the link below."""
+        """The name of the recorded link."""
         return self._link.name
 
     def write(self, data: bytes) -> None:
-        """Send, and write down what was sent."""
+        """Send and record the bytes."""
         self._keep("write", data)
         self._link.write(data)
 
     def read(self, timeout_s: float) -> bytes:
-        """Receive, and write down what came."""
+        """Receive and record the bytes."""
         data = self._link.read(timeout_s)
         if data:
             self._keep("read", data)
@@ -43,16 +43,16 @@ class RecordingLink:
         self._link.close()
         self._file.close()
 
-    def _keep(self, what: str, data: bytes) -> None:
-        entry = {"t": round(self._clock.now() - self._start, 4), what: data.decode("latin-1")}
+    def _keep(self, action: str, data: bytes) -> None:
+        entry = {"t": round(self._clock.now() - self._start, 4), action: data.decode("latin-1")}
         self._file.write(json.dumps(entry) + "\n")
         self._file.flush()
 
 
 class TranscriptLink:
-    """A link that plays a transcript: answers as the device did, and insists on being told the same.
+    """A link that replays a transcript: it answers as the device did and requires the same writes.
 
-    Where the transcript has nothing to read, a read takes its time on the clock and brings nothing.
+    If the transcript has nothing to read, a read waits for its timeout and returns nothing.
     """
 
     def __init__(self, path: Path | str, clock: Clock | None = None):
@@ -61,8 +61,8 @@ class TranscriptLink:
         self._entries: list[tuple[str, bytes]] = []
         for line in Path(path).read_text(encoding="utf-8").splitlines():
             entry = json.loads(line)
-            what = "write" if "write" in entry else "read"
-            self._entries.append((what, entry[what].encode("latin-1")))
+            action = "write" if "write" in entry else "read"
+            self._entries.append((action, entry[action].encode("latin-1")))
         self._next = 0
 
     @property
@@ -71,10 +71,10 @@ class TranscriptLink:
         return self._name
 
     def write(self, data: bytes) -> None:
-        """Compare with what was sent then.
+        """Compare the bytes with those in the transcript.
 
         Raises:
-            TranscriptDifference: it was something else, or nothing.
+            TranscriptDifference: the transcript has other bytes here, or none.
         """
         expected = self._entries[self._next] if self._next < len(self._entries) else ("end", b"")
         if expected != ("write", data):
@@ -84,7 +84,7 @@ class TranscriptLink:
         self._next += 1
 
     def read(self, timeout_s: float) -> bytes:
-        """What came then; b"" where nothing did before the next line was sent."""
+        """The bytes in the transcript; b"" if none came before the next write."""
         if self._next < len(self._entries) and self._entries[self._next][0] == "read":
             self._next += 1
             return self._entries[self._next - 1][1]
@@ -92,14 +92,16 @@ class TranscriptLink:
         return b""
 
     def close(self) -> None:
-        """Nothing to give back; `finish` says whether all was played."""
+        """Does nothing; `finish` checks whether all was replayed."""
 
     def finish(self) -> None:
-        """Insist that the transcript was played to its end.
+        """Check that the transcript was replayed to its end.
 
         Raises:
-            TranscriptDifference: something is left.
+            TranscriptDifference: entries are left.
         """
         if self._next < len(self._entries):
-            what, data = self._entries[self._next]
-            raise TranscriptDifference(f"{self._name}, entry {self._next + 1}: expected {what} {data!r}, it never came")
+            action, data = self._entries[self._next]
+            raise TranscriptDifference(
+                f"{self._name}, entry {self._next + 1}: expected {action} {data!r}, it never came"
+            )

@@ -1,4 +1,4 @@
-"""`jaxscan scan --boards`: poses of the calibration board, looked at as soon as they are taken."""
+"""`jaxscan scan --boards`: takes poses of the calibration board, and checks each at once."""
 
 import math
 from collections.abc import Callable
@@ -30,7 +30,7 @@ def scan_boards(
     place_command: str | None,
     out: Console,
 ) -> "SessionResult":
-    """Capture a calibration, the board placed by a person or by a command."""
+    """Take a capture of the board, which a person or a command places."""
     from scanrig.session import Hooks, run_calibration
 
     guide, lines = make_guide(rig), None
@@ -58,30 +58,30 @@ def scan_boards(
         if not turning:
             out.print(coverage_text(guide.coverage()))
 
+    def should_stop() -> bool:
+        return interrupted() or (lines is not None and lines.ended)
+
     with ScanDisplay() as display:
         return run_calibration(
             rig,
             folder.path,
             devices,
             operator,
-            Hooks(
-                on_pair, notify=display.say, should_stop=lambda: interrupted() or (lines is not None and lines.ended)
-            ),
+            Hooks(on_pair, notify=display.say, should_stop=should_stop),
             resume=folder.resume,
         )
 
 
 def make_guide(rig: "RigConfig") -> "Guide":
-    """The guide, with OpenCV for corners and the stripe extraction for the laser's line."""
+    """The guide. OpenCV finds the corners, `extract_stripes` finds the laser's line."""
     from scanrig.checks.guide import Guide
 
     from jaxscan.vision import find_corners, to_grey
 
     camera = rig.camera
     if rig.board is None:
-        raise OptionError("The configuration has no [board] table.")
+        raise OptionError("The configuration has no [board] table, which --boards needs.")
     board = rig.board.board()
-
     frames = FrameFormat(camera.pixel_format, camera.response)
 
     def detect(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

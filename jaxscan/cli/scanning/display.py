@@ -1,24 +1,25 @@
-"""What a person sees while the rig scans: how far, how long, how bright; and what happened, a line each."""
+"""Shows the progress of a scan: records, remaining time, brightness, and one line for each event."""
 
 import math
 from collections.abc import Callable
-from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from jaxscan.cli.scanning.live import LiveStatus
+
+if TYPE_CHECKING:
+    from jaxscan.cli.scanning.live import LiveStatus
 
 
 class ScanDisplay:
-    """A bar on standard error where that is a terminal; sentences in any case."""
+    """Sentences on standard error; with a progress bar if that is a terminal."""
 
-    def __init__(self, live: Callable[[], LiveStatus] | None = None, *, total: int | None = None) -> None:
-        """Nothing is shown before `with`.
+    def __init__(self, live: "Callable[[], LiveStatus] | None" = None, *, total: int | None = None) -> None:
+        """Prepare the display; it is shown inside `with`.
 
         Args:
-            live: Says what the live cloud has.
+            live: Gives the status of the live cloud.
             total: Records of the scan; None for no bar.
         """
         self.retakes = 0
@@ -43,14 +44,12 @@ class ScanDisplay:
             self._bars.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._bars is not None:
             self._bars.stop()
 
     def pair(self, angle: float, peak_dn: float) -> None:
-        """A pair was taken, at an angle [rad], of a line that reaches a level [DN]."""
+        """Show a pair that was taken: the table's angle [rad] and the peak level of the laser's line [DN]."""
         self._fields["angle"] = f"{math.degrees(angle):7.2f}°"
         self._fields["peak"] = f"line {peak_dn:3.0f} DN"
         self._fields["retakes"] = f", {self.retakes} retaken" if self.retakes else ""
@@ -62,12 +61,12 @@ class ScanDisplay:
                 self.say(f"the live cloud stopped: {status.problem}; the scan goes on")
 
     def progress(self, done: int, planned: int) -> None:
-        """So many records are on the disk."""
+        """Show the number of records on the disk."""
         if self._bars is not None:
             self._bars.update(self._task, completed=done, total=planned, **self._fields)
 
     def say(self, sentence: str) -> None:
-        """Something happened that a person should know."""
+        """Print a sentence on an event."""
         if sentence.startswith("retake:"):
             self.retakes += 1
         (self._console if self._bars is None else self._bars.console).print(sentence)

@@ -1,4 +1,4 @@
-"""Opens what there is of a rig, has it examined, and closes it with the laser off."""
+"""Opens the parts of a rig that are there, has them examined, and closes them with the laser off."""
 
 import contextlib
 from collections.abc import Callable
@@ -25,11 +25,11 @@ def examine_rig(
     """Examine a rig, or a controller alone.
 
     Args:
-        port: Serial port instead of that of the configuration.
+        port: Serial port instead of the port in the configuration.
         config: The rig's configuration, where there is one.
-        camera: Id of the camera instead of that of the configuration.
+        camera: Id of the camera instead of the id in the configuration.
         tell: Called with every `scanrig.doctor.findings.Finding`.
-        say: Called with what is going on where it takes long.
+        say: Called with a sentence on each check that takes long.
 
     Raises:
         ConfigError: If the configuration cannot be read.

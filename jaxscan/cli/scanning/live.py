@@ -1,4 +1,4 @@
-"""The cloud while it is being scanned: stripes are found beside the rig, which does not wait for them."""
+"""The live cloud: stripes are found in a thread while the rig scans; the rig never waits for them."""
 
 import queue
 import threading
@@ -13,33 +13,27 @@ from jaxscan.cli.scanning.turns import LasersInTurn, stripes_to_come
 from jaxscan.errors import CaptureError, JaxscanError
 from jaxscan.files.capture import Capture, CaptureHeader, open_capture
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction import (
-    DEFAULTS,
-    IncomingStripes,
-    Progress,
-    ReconstructSettings,
-    RecordedPair,
-)
+from jaxscan.reconstruction import DEFAULTS, IncomingStripes, Progress, ReconstructSettings, RecordedPair
 
 
 _PATIENCE_S = 5.0
-"""Age from which a chunk that is not full is computed all the same."""
+"""A chunk that is not full is computed after this time."""
 _TICK_S = 0.1
 """Longest wait for a pair."""
 _END_S = 600.0
-"""Longest wait for what is still to be computed at the end, which is one queue of pairs."""
+"""Longest wait at the end for the pairs in the queue."""
 
 
 class LiveStatus(NamedTuple):
-    """What is known so far."""
+    """State of the live cloud."""
 
     records: int
     """Records whose stripes are found."""
     points: int
     later: int
-    """Records that are read from the disk when there is time."""
+    """Records that will be read from the disk when there is time."""
     problem: str
-    """Why nothing is computed any more; empty while all is well."""
+    """Why the computation stopped; empty while it runs."""
 
 
 class LiveResult(NamedTuple):
@@ -47,15 +41,15 @@ class LiveResult(NamedTuple):
 
     cloud: api.PointCloud
     live: bool
-    """Whether its stripes were found while it was scanned."""
+    """Whether its stripes were found during the scan."""
     notes: tuple[str, ...]
 
 
 class LiveCloud:
-    """Finds stripes while pairs come in; a context manager, which ends its thread.
+    """Finds stripes in a thread while pairs come in. The context manager ends the thread.
 
-    `add` never waits: where the computer does not keep up, a pair is left on the disk, and read
-    when there is time or at the end.
+    `add` never waits. If the computer is too slow, a pair stays on the disk and is read when there is time, or at
+    the end.
     """
 
     def __init__(
@@ -67,17 +61,17 @@ class LiveCloud:
         steps: int,
         settings: ReconstructSettings = DEFAULTS,
     ) -> None:
-        """Check that the sweep fits the scanner, and begin to wait for pairs.
+        """Check that the sweep fits the scanner, and start the thread.
 
         Args:
-            folder: Where the capture is, or will be.
-            header: Of the capture.
+            folder: The folder of the capture; it may be created later.
+            header: The header of the capture.
             scanner: The calibrated rig.
-            steps: Records of the whole sweep.
-            settings: As of `reconstruct`.
+            steps: Number of records of the whole sweep.
+            settings: As for `reconstruct`.
 
         Raises:
-            CalibrationError: If the scanner is not that of the sweep.
+            CalibrationError: If the sweep does not fit the scanner.
         """
         self._stripes = stripes_to_come(header, scanner, steps, settings)
         self._folder, self._scanner, self._settings, self._steps = folder, scanner, settings, steps
@@ -96,17 +90,17 @@ class LiveCloud:
         self._thread.start()
 
     def add(self, number: int, angle: float, on: np.ndarray, off: np.ndarray) -> None:
-        """Take a pair that is on the disk; returns at once.
+        """Take a pair that is on the disk. Returns at once.
 
         Args:
-            number: Of the record; one that was there before is a retake.
+            number: Number of the record; a number that came before is a retake.
             angle: The table's angle [rad from home].
             on: Laser-on frame, uint8 [rows, columns(, 3)].
             off: Laser-off frame.
         """
         if self._problem is not None or not 0 <= number < self._steps:
             return
-        # The camera may use its memory again.
+        # Copies: the camera may use the memory of its frames again.
         pair = RecordedPair(number, angle, np.array(on), np.array(off))
         with self._lock:
             self._notice(number)
@@ -118,13 +112,13 @@ class LiveCloud:
                 self._changes += 1
 
     def add_from_disk(self) -> int:
-        """Take the records that the capture holds already; they are read beside the scan.
+        """Take the records that are in the capture already. The thread reads them during the scan.
 
         Returns:
-            How many there are.
+            Their number.
 
         Raises:
-            CaptureError: If it cannot be read.
+            CaptureError: If the capture cannot be read.
         """
         capture = open_capture(self._folder)
         numbers = {record.i for record in capture.records if record.i < self._steps}
@@ -136,7 +130,7 @@ class LiveCloud:
         return len(numbers)
 
     def status(self) -> LiveStatus:
-        """What is known so far."""
+        """The state of the live cloud."""
         points = self._stripes.points.copy()
         with self._lock:
             later = len(self._later | self._unread)
@@ -146,19 +140,19 @@ class LiveCloud:
     def finish(self, progress: Progress = None) -> LiveResult:
         """The cloud of the capture as it is on the disk now.
 
-        Where what was learned at the start has changed since, or something went wrong, it is
-        reconstructed from the disk as `jaxscan reconstruct` does it.
+        If the first records have changed since the search learned from them, or the computation stopped, the capture is
+        reconstructed from the disk as `jaxscan reconstruct` does.
 
         Args:
-            progress: Called with (records done, records in all) of what is read from the disk.
+            progress: Called with (records done, records in all) while records are read from the disk.
 
         Raises:
-            CaptureError, CalibrationError: As of `reconstruct`.
+            CaptureError, CalibrationError: As for `reconstruct`.
         """
         self._ending.set()
         self._thread.join(_END_S)
         if self._thread.is_alive():
-            raise CaptureError(f"{self._folder}: the live cloud does not end; reconstruct the capture.")
+            raise CaptureError(f"{self._folder}: the thread of the live cloud does not end; run jaxscan reconstruct.")
         capture = open_capture(self._folder)
         numbers = [record.i for record in capture.records]
         found = self._usable(capture, numbers)
@@ -171,7 +165,7 @@ class LiveCloud:
         return LiveResult(cloud, True, ())
 
     def close(self) -> None:
-        """End the thread; what is not computed is dropped."""
+        """End the thread. Pairs in the queue are dropped."""
         self._stopped.set()
         self._thread.join(_END_S)
 
@@ -182,13 +176,13 @@ class LiveCloud:
         self.close()
 
     def _notice(self, number: int) -> None:
-        """Whether a record from which was learned comes a second time."""
+        """Note whether one of the first records, from which the search learns, comes a second time."""
         if number < self._stripes.needed:
             self._learned_again |= number in self._given
             self._given.add(number)
 
     def _usable(self, capture: Capture, numbers: list[int]) -> IncomingStripes | str:
-        """The stripes found so far, or why they are not those of the finished capture."""
+        """The stripes found so far, or a sentence why they do not belong to the finished capture."""
         if isinstance(self._problem, JaxscanError):
             return f"the live cloud stopped ({' '.join(str(self._problem).split())}); reconstructed from the disk"
         if self._problem is not None:
@@ -196,11 +190,11 @@ class LiveCloud:
         if isinstance(self._stripes, LasersInTurn):
             return "with several lasers the cloud is reconstructed from the disk"
         if self._learned_again or not self._stripes.are_of(capture, numbers):
-            return "the first records are not those at the start of the scan; reconstructed from the disk"
+            return "the first records have changed since the scan began; reconstructed from the disk"
         return self._stripes
 
     def _catch_up(self, capture: Capture, progress: Progress) -> None:
-        """Compute what was left on the disk."""
+        """Compute the records that were left on the disk."""
         stale, points = self._later | self._unread, self._stripes.points
         missing = [n for n, record in enumerate(capture.records) if points[record.i] < 0 or record.i in stale]
         for start in range(0, len(missing), self._stripes.size):
@@ -213,7 +207,7 @@ class LiveCloud:
         try:
             self._collect()
         except Exception as problem:
-            # `status` and `finish` tell; the scan goes on, and its pairs are on the disk.
+            # `status` and `finish` report it. The scan continues, and its pairs are on the disk.
             self._problem = problem
 
     def _collect(self) -> None:
@@ -234,7 +228,7 @@ class LiveCloud:
                 stripes.compute(list(chunk.values()))
                 chunk = {}
             elif full and not stripes.learned:
-                # Memory has an end; without its first records nothing is known of the sweep.
+                # The search cannot learn before the first records are there; pairs in memory would pile up.
                 with self._lock:
                     self._later |= chunk.keys() - self._first.keys()
                     self._changes += 1
@@ -243,7 +237,7 @@ class LiveCloud:
                 return
 
     def _next(self) -> RecordedPair | None:
-        """A pair as it comes, or one from the disk where none comes."""
+        """The next pair of the queue, or else one from the disk."""
         try:
             return self._queue.get_nowait()
         except queue.Empty:
@@ -256,7 +250,7 @@ class LiveCloud:
         try:
             return self._read(number)
         except CaptureError:
-            # Perhaps it is being replaced; at the end it is read, or said to be damaged.
+            # Its images may be replaced just now. `finish` reads it again.
             with self._lock:
                 self._unread.add(number)
             return None
@@ -281,7 +275,7 @@ class LiveCloud:
         raise CaptureError(f"{self._folder}: record {number} is not in the journal.")
 
     def _learn(self, pair: RecordedPair) -> bool:
-        """Learn as soon as the first records are there; whether that was now."""
+        """Learn once the first records are complete; returns whether that was now."""
         needed = self._stripes.needed
         if self._stripes.learned or pair.number >= needed:
             return False

@@ -1,4 +1,4 @@
-"""Asks a person to place the calibration board, and says at once whether a pose will do."""
+"""Asks a person, or runs a command, to place the calibration board."""
 
 import os
 import select
@@ -25,86 +25,79 @@ KEYS = "Enter: take it · s: enough of these · q: enough of all"
 
 
 class Lines:
-    """Lines of standard input, terminal or not, awaited in small pieces so that a signal ends the wait."""
+    """Lines of standard input, read with short waits so that a signal can end the wait."""
 
     def __init__(self, file: int | None = None) -> None:
-        """Reads a file descriptor; standard input by default."""
+        """Read from a file descriptor; standard input by default."""
         self._file = sys.stdin.fileno() if file is None else file
         self._waiting = b""
         self.ended = False
-        """Whether there is no more input."""
+        """Whether the input has ended."""
 
     def forget(self) -> None:
-        """Drop what was typed before it was asked for; a file or a pipe, which asks for nothing, is left alone."""
+        """Drop lines that were typed before the question. Input from a file or a pipe is kept."""
         if not os.isatty(self._file):
             return
         self._waiting = b""
         while not self.ended and select.select([self._file], [], [], 0.0)[0]:
-            try:
-                self.ended = not os.read(self._file, 4096)
-            except OSError:
-                self.ended = True
+            self._read()
 
     def next(self, should_stop: Callable[[], bool]) -> str | None:
-        """The next line without its end; None where the input ended or the wait was to stop."""
+        """The next line without its end; None if the input ended or `should_stop` said so."""
         while b"\n" not in self._waiting and not self.ended:
             if should_stop():
                 return None
             if not select.select([self._file], [], [], _TICK_S)[0]:
                 continue
-            try:
-                data = os.read(self._file, 4096)
-            except OSError:
-                data = b""  # A terminal that hung up, whose signal is still on its way.
-            self.ended = not data
-            self._waiting += data
+            self._waiting += self._read()
         if b"\n" not in self._waiting:
             return None
         line, self._waiting = self._waiting.split(b"\n", 1)
         return line.decode(errors="replace").strip()
 
+    def _read(self) -> bytes:
+        try:
+            data = os.read(self._file, 4096)
+        except OSError:
+            data = b""  # The terminal hung up; its signal comes later.
+        self.ended = not data
+        return data
+
 
 class TerminalOperator:
     """An `Operator` of `scanrig.session.run`: a person at the terminal."""
 
-    def __init__(
-        self,
-        guide: "Guide",
-        lines: Lines,
-        *,
-        should_stop: Callable[[], bool],
-        console: Console,
-    ) -> None:
-        """Asks by `console` and hears by `lines`.
+    def __init__(self, guide: "Guide", lines: Lines, *, should_stop: Callable[[], bool], console: Console) -> None:
+        """Ask on `console` and read the answers from `lines`.
 
         Args:
-            guide: Knows what is missing.
-            lines: What the person types.
+            guide: Knows which poses are missing.
+            lines: Answers of the person.
             should_stop: Whether the session is to end.
-            console: What the person reads.
+            console: Where the questions are printed.
         """
         self._guide, self._lines = guide, lines
         self._should_stop, self._console = should_stop, console
         self._enough = False
         self.placing: PlacementRequest | None = None
-        """What the board is placed for now."""
+        """The request for which the board is placed now."""
 
     def place(self, request: "PlacementRequest") -> bool:
-        """Ask until the board is where the camera sees it, or it is enough."""
+        """Ask until the camera sees the board, or the person says that it is enough."""
         if self._enough:
             return False
         self.placing = request
-        what = "Pose" if request.kind == "free" else "Standing place"
-        self._console.print(f"\n{what} {request.number + 1} of {request.total}")
+        place = "Pose" if request.kind == "free" else "Standing place"
+        self._console.print(f"\n{place} {request.number + 1} of {request.total}")
         for sentence in self._guide.advice(request.kind):
             self._console.print(f"  → {sentence}")
         while True:
-            # An Enter of impatience would take the board on its way to the next pose.
+            # An Enter typed too early would take the board while it is moved to the next pose.
             self._lines.forget()
             self._console.print(f"  {KEYS}", style="dim")
             answer = self._lines.next(self._should_stop)
             if answer is None:
-                # No more input is no consent: what is there can be gone on with.
+                # The end of the input is not an Enter. The capture can be resumed.
                 return False
             if answer.lower() in ("s", "q"):
                 self._enough = answer.lower() == "q"
@@ -120,10 +113,10 @@ class TerminalOperator:
 
 
 class CommandOperator:
-    """An `Operator` that runs a command with the pose's number: a robot, or the bench."""
+    """An `Operator` that runs a command with the number of the pose, for a robot or the bench."""
 
     def __init__(self, command: str, *, free_views: int, console: Console) -> None:
-        """The command, split as a shell would split it, but run without one.
+        """Split the command as a shell does; it runs without a shell.
 
         Raises:
             OptionError: If it cannot be split, or is empty.
@@ -138,11 +131,11 @@ class CommandOperator:
         self.placing: PlacementRequest | None = None
 
     def place(self, request: "PlacementRequest") -> bool:
-        """Run the command: free views are numbered from 0, standing places follow them."""
+        """Run the command. Free poses are numbered from 0, standing places follow."""
         self.placing = request
         number = request.number + (0 if request.kind == "free" else self._free_views)
-        what = "pose" if request.kind == "free" else "standing place"
-        self._console.print(f"{what} {request.number + 1} of {request.total}: {self._words[0]} … {number}")
+        place = "pose" if request.kind == "free" else "standing place"
+        self._console.print(f"{place} {request.number + 1} of {request.total}: {self._words[0]} … {number}")
         try:
             done = subprocess.run(
                 [*self._words, str(number)], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=COMMAND_S
@@ -157,7 +150,7 @@ class CommandOperator:
 
 
 def coverage_text(seen: "Coverage", *, laser: bool = True) -> str:
-    """What the poses so far have covered, for a terminal: the image's cells with corners, and the rest beside them."""
+    """Coverage by the poses so far, as text: the cells of the image that have corners, and three facts beside them."""
     from jaxscan.geometry.coverage import MIN_IN_CELL, MIN_TILT_DEG
 
     cells = [" ".join("■" if count >= MIN_IN_CELL else "·" for count in row) for row in seen.corners]

@@ -1,4 +1,4 @@
-"""What a scan is going to be, said before it begins: records, time, space, and what a person should know."""
+"""The plan of a scan, shown before it begins: records, time, disk space and notes."""
 
 import math
 from pathlib import Path
@@ -14,25 +14,29 @@ if TYPE_CHECKING:
 
 
 class CaptureFolder(NamedTuple):
-    """Where a capture goes."""
+    """The folder of a capture."""
 
     path: Path
     resume: bool
-    """Whether to go on with a capture that is there."""
+    """Whether to continue the capture in it."""
 
 
-class ScanPlan:
-    """How many records, how long, how large."""
+class ScanPlan(NamedTuple):
+    """The records of a scan, and its need of time and disk space."""
 
-    def __init__(self, records: int, what: str, seconds: float, size: int, notes: tuple[str, ...]) -> None:
-        self.records, self._what, self._seconds, self._size, self._notes = records, what, seconds, size, notes
+    records: int
+    targets: str
+    """The targets in words."""
+    seconds: float
+    bytes: int
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, rig: "RigConfig", *, boards: bool) -> "ScanPlan":
-        """The plan of a sweep, or of views of the board.
+        """The plan of a sweep, or of a capture of boards.
 
         Raises:
-            ConfigError: If the table cannot stand where it is asked to.
+            ConfigError: If the table cannot reach a target.
         """
         from scanrig.session.plan import estimate, placed_targets, placement_positions, plan_sweep
 
@@ -40,26 +44,26 @@ class ScanPlan:
             targets, notes = plan_sweep(rig)
             needed = estimate(rig, [target.position for target in targets])
             step = abs(rig.sweep.turn_deg) / rig.sweep.steps
-            what = f"{rig.sweep.steps * rig.sweep.turns} steps of {step:.4g}°{_each(rig)}"
-            return cls(len(targets), what, needed.seconds, needed.bytes, notes)
+            steps = f"{rig.sweep.steps * rig.sweep.turns} steps of {step:.4g}°{_each(rig)}"
+            return cls(len(targets), steps, needed.seconds, needed.bytes, notes)
         positions, views = placement_positions(rig), rig.calibration
         free, stands = placed_targets(rig, positions)
         records = [target.position for one in (*free, *stands) for target in one]
         needed = estimate(rig, records)
-        what = (
+        places = (
             f"{views.free_views} poses of the board, then {views.placements} places where it stands while the table "
             f"turns to {len(positions)} angles{_each(rig)}"
         )
-        return cls(len(records), what, needed.seconds, needed.bytes, ())
+        return cls(len(records), places, needed.seconds, needed.bytes)
 
     def show(self, out: Console, rig: "RigConfig", folder: Path) -> None:
-        """Say what is going to happen."""
+        """Print the plan."""
         from scanrig.recording.space import readable
 
-        out.print(f"{self._what}: {2 * self.records} images of {rig.camera.width} x {rig.camera.height} to {folder}")
+        out.print(f"{self.targets}: {2 * self.records} images of {rig.camera.width} x {rig.camera.height} to {folder}")
         turn = f"{rig.microsteps_per_turn} microsteps per turn"
-        out.print(f"about {_duration(self._seconds)}, up to {readable(self._size)}, {turn}")
-        for note in self._notes:
+        out.print(f"about {_duration(self.seconds)}, up to {readable(self.bytes)}, {turn}")
+        for note in self.notes:
             out.print(f"note: {note}")
 
 
@@ -76,7 +80,7 @@ def _duration(seconds: float) -> str:
 
 
 def sweep_header(rig: "RigConfig") -> CaptureHeader:
-    """What the capture's header will say of its frames."""
+    """The header that the capture is going to have, as far as it describes the frames."""
     camera = rig.camera
     size = {"width": camera.width, "height": camera.height}
     table = CameraTable(**size, pixel_format=camera.pixel_format, response=camera.response, up=camera.up)

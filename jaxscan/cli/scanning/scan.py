@@ -1,4 +1,4 @@
-"""`jaxscan scan`: drives a rig, turns the table, takes the pictures, and may show the cloud while it grows."""
+"""`jaxscan scan`: drives a rig and takes a sweep, or a capture of boards; with a calibration also a live cloud."""
 
 import contextlib
 import shlex
@@ -10,30 +10,24 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from jaxscan import api
-from jaxscan.cli.options import CLOUD_SUFFIXES, OutputPath
+import jaxscan
+from jaxscan.cli.options import CLOUD_SUFFIXES, ConfigPath, OptionalCalibrationPath, OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.scanning.boards import scan_boards
 from jaxscan.cli.scanning.display import ScanDisplay
-from jaxscan.cli.scanning.live import LiveCloud
-from jaxscan.cli.scanning.plan import CaptureFolder, ScanPlan, sweep_header
 from jaxscan.errors import CaptureError, JaxscanError, OptionError
-from jaxscan.files.calibration import calibration_digest
-from jaxscan.files.capture import HEADER_NAME
-from jaxscan.files.clouds import check_cloud_path
 
 
 if TYPE_CHECKING:
     from scanrig.config import RigConfig
     from scanrig.session import Devices, SessionResult
 
-
-ConfigPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")]
+    from jaxscan.cli.scanning.live import LiveCloud
+    from jaxscan.cli.scanning.plan import CaptureFolder
 
 
 class ScanError(JaxscanError):
-    """A scan that ended before its end, or whose records are in doubt."""
+    """A scan that is not complete, or whose records are suspect."""
 
 
 def scan(
@@ -44,7 +38,7 @@ def scan(
     boards: bool = False,
     resume: bool = False,
     port: str | None = None,
-    calibration: Annotated[Path | None, tyro.conf.arg(aliases=["-c"])] = None,
+    calibration: OptionalCalibrationPath = None,
     cloud: Annotated[
         Path | None, tyro.conf.arg(help=f"With --calibration: cloud to write at the end ({CLOUD_SUFFIXES}).")
     ] = None,
@@ -53,23 +47,28 @@ def scan(
 ) -> None:
     """Scan with a rig: `jaxscan scan configs/scan.toml -o captures/room`.
 
-    Ctrl-C ends after the step and switches the laser off; a second one does so at once.
+    Ctrl-C ends the scan after the current step and switches the laser off. A second Ctrl-C does so at once.
 
     Args:
-        config: The rig: controller, turntable, laser, camera, and what is to be taken.
+        config: Configuration of the rig and of the scan (see configs/scan.toml).
         output: Folder of the capture.
-        boards: Capture the calibration board instead of a sweep; says what is still missing.
-        resume: Go on with a capture that was interrupted.
-        port: Serial port instead of that of the configuration; "auto" takes the only controller there is.
-        calibration: Calibration of the rig: points are counted while it scans.
-        place_command: With --boards: command that places the board, run with the number of the pose after it.
+        boards: Take a capture of the calibration board instead of a sweep; shows which poses are missing.
+        resume: Continue a capture that was interrupted.
+        port: Serial port instead of the port in the configuration; "auto" takes the only controller there is.
+        calibration: Calibration of the rig; with it points are counted during the scan.
+        place_command: With --boards: command that places the board; the number of the pose is appended to it.
         json: Write the result as JSON too.
     """
-    # Here, so that no other verb loads what drives hardware.
+    # Imported here, so that other verbs and `--help` load neither hardware drivers nor JAX.
     from scanrig.cameras import open_camera
     from scanrig.config import load_rig
     from scanrig.controllers import open_controller
     from scanrig.session import Devices, Interrupts
+
+    from jaxscan.cli.scanning.boards import scan_boards
+    from jaxscan.cli.scanning.live import LiveCloud
+    from jaxscan.cli.scanning.plan import CaptureFolder, ScanPlan, sweep_header
+    from jaxscan.files.capture import HEADER_NAME
 
     _check_options(boards=boards, calibration=calibration, cloud=cloud, place_command=place_command)
     check_json(json)
@@ -82,10 +81,12 @@ def scan(
     with contextlib.ExitStack() as stack:
         live = None
         if calibration is not None:
-            scanner = api.load_scanner(calibration)
+            scanner = jaxscan.load_scanner(calibration)
             live = stack.enter_context(LiveCloud(output, sweep_header(rig), scanner, steps=plan.records))
             if resume and (output / HEADER_NAME).exists():
-                _take_along(live)
+                # A capture without records cannot be opened, and has none to add.
+                with contextlib.suppress(CaptureError):
+                    live.add_from_disk()
         # Signals ask for an end only while the rig is in use.
         with (
             Interrupts() as interrupts,
@@ -105,43 +106,38 @@ def scan(
     if result.status == "interrupted" and interrupts():
         raise KeyboardInterrupt
     if result.status != "complete":
-        again = _resume_command(
-            config,
-            output,
-            boards,
-            {"--port": port, "-c": calibration, "--cloud": cloud, "--place-command": place_command},
-        )
-        raise ScanError(f"{output}: {result.status}; go on with: {again}")
+        given = {"--port": port, "-c": calibration, "--cloud": cloud, "--place-command": place_command}
+        words = ["jaxscan", "scan", str(config), "-o", str(output), *(["--boards"] if boards else [])]
+        words += [str(word) for option in given.items() if option[1] is not None for word in option]
+        raise ScanError(f"{output}: {result.status}; go on with: {shlex.join([*words, '--resume'])}")
 
 
 def _check_options(*, boards: bool, calibration: Path | None, cloud: Path | None, place_command: str | None) -> None:
     if place_command is not None and not boards:
         raise OptionError("--place-command: found without --boards, expected with it.")
     if boards and calibration is not None:
-        raise OptionError("--calibration: found with --boards, expected for a sweep: boards are what it is made of.")
+        raise OptionError("--calibration: found with --boards, expected for a sweep only.")
     if cloud is not None:
         if calibration is None:
             raise OptionError("--cloud: found without --calibration, expected with it.")
+        from jaxscan.files.clouds import check_cloud_path
+
         check_cloud_path(cloud)
-
-
-def _take_along(live: LiveCloud) -> None:
-    """The records of an earlier session; a capture without any is none yet."""
-    with contextlib.suppress(CaptureError):
-        live.add_from_disk()
 
 
 def _scan_sweep(
     rig: "RigConfig",
-    folder: CaptureFolder,
+    folder: "CaptureFolder",
     devices: "Devices",
     should_stop: Callable[[], bool],
     calibration: Path | None,
-    live: LiveCloud | None,
+    live: "LiveCloud | None",
 ) -> "SessionResult":
     from scanrig.doctor import stripe_level
     from scanrig.session import Hooks, run_sweep
     from scanrig.session.plan import plan_sweep
+
+    from jaxscan.files.calibration import calibration_digest
 
     with ScanDisplay(None if live is None else live.status, total=len(plan_sweep(rig)[0])) as display:
 
@@ -161,32 +157,26 @@ def _scan_sweep(
 
 
 def _finish_cloud(
-    live: LiveCloud | None, result: "SessionResult", cloud: Path | None, calibration: Path | None, out: Console
+    live: "LiveCloud | None", result: "SessionResult", cloud: Path | None, calibration: Path | None, out: Console
 ) -> dict[str, Any]:
-    """Write the cloud, where one is asked for and the sweep is whole."""
+    """Write the cloud, if one was asked for and all records are there."""
     if live is None or cloud is None or calibration is None or result.status not in ("complete", "suspect"):
         return {}
+    from jaxscan.files.calibration import calibration_digest
+
     with progress_bar("Finishing the cloud") as progress:
         done = live.finish(progress)
     for note in done.notes:
         out.print(f"note: {note}")
-    api.save_cloud(done.cloud, cloud, calibration_digest=calibration_digest(calibration))
+    jaxscan.save_cloud(done.cloud, cloud, calibration_digest=calibration_digest(calibration))
     points = int(np.count_nonzero(done.cloud.valid))
     out.print(f"{points} points, written: {cloud}")
     return {"cloud": str(cloud), "points": points, "live": done.live}
 
 
 def _as_json(result: "SessionResult") -> dict[str, Any]:
-    return {
-        "status": result.status,
-        "message": result.message,
-        "records": result.records,
-        "planned": result.planned,
-        "taken": result.taken,
-        "retakes": result.retakes,
-        "suspect": [list(run) for run in result.suspect],
-        "laser_off": result.laser_off,
-    }
+    names = ("status", "message", "records", "planned", "taken", "retakes", "suspect", "laser_off")
+    return {name: getattr(result, name) for name in names}
 
 
 def _next_command(boards: bool, folder: Path, calibration: Path | None, cloud: Path | None) -> str:
@@ -195,10 +185,3 @@ def _next_command(boards: bool, folder: Path, calibration: Path | None, cloud: P
     if cloud is not None:
         return f"jaxscan measure room {cloud} -c {calibration}"
     return f"jaxscan reconstruct {folder} -c {calibration or 'calibration.json'} -o {folder.name}.ply"
-
-
-def _resume_command(config: Path, folder: Path, boards: bool, given: dict[str, str | Path | None]) -> str:
-    words = ["jaxscan", "scan", str(config), "-o", str(folder), *(["--boards"] if boards else [])]
-    for option, value in given.items():
-        words += [] if value is None else [option, str(value)]
-    return shlex.join([*words, "--resume"])

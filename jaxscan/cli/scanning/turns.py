@@ -1,4 +1,4 @@
-"""Stripes of a sweep whose lasers take turns, while it is being taken: as many engines as there are lasers."""
+"""Stripes of a growing sweep whose lasers take turns: one engine per laser."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,13 +13,13 @@ from jaxscan.reconstruction import IncomingStripes, PlannedSweep, ReconstructSet
 def stripes_to_come(
     header: CaptureHeader, scanner: Scanner, steps: int, settings: ReconstructSettings
 ) -> "IncomingStripes | LasersInTurn":
-    """What finds the stripes of a sweep while it is taken.
+    """The engine, or engines, that find the stripes of a sweep while it is taken.
 
     Args:
-        header: Of its capture.
+        header: The header of its capture.
         scanner: The calibrated rig.
         steps: Records of the whole sweep.
-        settings: As of `reconstruct`.
+        settings: As for `reconstruct`.
 
     Raises:
         CaptureError, CalibrationError, ValueError: As of `IncomingStripes`.
@@ -32,14 +32,14 @@ def stripes_to_come(
 
 
 class LasersInTurn:
-    """`IncomingStripes` of several lasers: record r shows laser r modulo their number.
+    """`IncomingStripes` for n lasers: record r shows laser r modulo n.
 
-    Each laser's search learns from its own first records. The finished sweep learns from the first of all, so this
-    counts points while the sweep is taken, and the cloud is reconstructed from the disk in the end.
+    The search of each laser learns from its own first records, but the finished sweep learns from the first records
+    of all lasers. Therefore this class only counts points; in the end the cloud is reconstructed from the disk.
     """
 
     def __init__(self, sweep: PlannedSweep, scanner: Scanner, settings: ReconstructSettings) -> None:
-        """Check that sweep and scanner fit together.
+        """Check that the sweep fits the scanner.
 
         Raises:
             CaptureError, CalibrationError, ValueError: As of `IncomingStripes`.
@@ -52,12 +52,12 @@ class LasersInTurn:
 
     @property
     def size(self) -> int:
-        """Records computed at a time."""
+        """The number of records that are computed at once."""
         return self._engines[0].size
 
     @property
     def needed(self) -> int:
-        """Records at the start of the sweep from which is learned."""
+        """The number of records at the start of the sweep from which the search learns."""
         return self._turns * self._engines[0].needed
 
     @property
@@ -67,14 +67,14 @@ class LasersInTurn:
 
     @property
     def points(self) -> np.ndarray:
-        """Points of each record; -1 where its stripes are not known [records]."""
+        """Number of points of each record [records]; -1 where its stripes are not found yet."""
         return np.stack([engine.points for engine in self._engines], axis=1).ravel()
 
     def learn(self, pairs: Sequence[RecordedPair]) -> None:
         """Prepare each laser's search from the first `needed` records, in their order.
 
         Raises:
-            CaptureError: If they do not tell a laser's colour.
+            CaptureError: If they do not show the colour of a laser.
         """
         for engine, theirs in zip(self._engines, self._shared(pairs), strict=True):
             engine.learn(theirs)
@@ -83,13 +83,13 @@ class LasersInTurn:
         """Find the stripes of some records, and count their points.
 
         Raises:
-            ValueError: If nothing was learned yet.
+            ValueError: Before `learn`.
         """
         for engine, theirs in zip(self._engines, self._shared(pairs), strict=True):
             engine.compute(theirs)
 
     def _shared(self, pairs: Sequence[RecordedPair]) -> list[list[RecordedPair]]:
-        """The pairs of each laser, numbered by its own records."""
+        """The pairs of each laser, renumbered from 0."""
         return [
             [pair._replace(number=pair.number // self._turns) for pair in pairs if pair.number % self._turns == laser]
             for laser in range(self._turns)

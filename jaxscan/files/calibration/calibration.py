@@ -1,8 +1,9 @@
-"""Calibrations on disk: JSON that suffices to reconstruct, the observations in an NPZ beside it."""
+"""Calibrations on disk: a JSON file that suffices to reconstruct, and an NPZ file with the observations."""
 
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxscan.calibration.result import Calibration
@@ -25,7 +26,7 @@ from jaxscan.files.disk import (
     readable_json,
     write_atomically,
 )
-from jaxscan.geometry import Scanner, point_up, stack_lasers
+from jaxscan.geometry import Scanner
 
 
 MAX_CALIBRATION_BYTES = 16 * MEGABYTE
@@ -35,7 +36,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     """Write a calibration as `path`, and its observations, where it has any, as `<stem>.npz`.
 
     Args:
-        calibration: Of a whole scanner, or of a camera alone.
+        calibration: Calibration of a whole scanner, or of a camera alone.
         path: Ends in `.json`. Existing files are replaced when the new ones are whole.
 
     Raises:
@@ -47,22 +48,22 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
         text = readable_json(_tables(calibration))
     except (TypeError, ValueError) as problem:
         raise CalibrationError(f"{path}: cannot be written: {problem}.") from problem
-    # What is written can be read: the same checks, on the same bytes.
+    # The same checks as on reading, on the same bytes, so that every written file can be read.
     _parse(text.encode(), name=str(path))
     beside = observations_path(path)
     if calibration.observations is not None:
         write_observations(calibration.observations, beside)
     write_atomically(path, text.encode(), error=CalibrationError)
     if calibration.observations is None and is_observations(beside):
-        # Those of the calibration that was just replaced.
+        # They belong to the calibration that was just replaced.
         beside.unlink()
 
 
 def check_calibration_path(path: str | Path) -> None:
-    """See that a calibration can be written under this name, before the work that makes it.
+    """Check that a calibration can be written under this name, before the solve.
 
     Raises:
-        CalibrationError: If the suffix is that of the file beside it, or nothing can be written there.
+        CalibrationError: If the suffix is `.npz`, which the observations have, or the file cannot be written.
     """
     if Path(path).suffix.lower() == ".npz":
         raise CalibrationError(
@@ -82,19 +83,18 @@ def load_calibration(path: str | Path) -> Calibration:
         is None where there are none.
 
     Raises:
-        CalibrationError: One line with the key, what was found and what may stand there.
+        CalibrationError: One line with the key, the value found and the values allowed.
     """
     path = Path(path)
     table = _read(path)
-    scanner = _scanner(table) if table.turntable is not None else None
+    scanner, covariance = table.scanner(), table.covariance
     beside = observations_path(path)
     observations = read_observations(beside) if beside.exists() and is_observations(beside) else None
-    covariance = _covariance(table)
     return Calibration(
         camera=table.camera.camera() if scanner is None else scanner.camera,
         scanner=scanner,
-        order=() if table.covariance is None else table.covariance.order,
-        covariance=np.zeros((0, 0)) if covariance is None else covariance,
+        order=() if covariance is None else covariance.order,
+        covariance=np.zeros((0, 0)) if covariance is None else covariance.array(),
         quality=read_quality(table.quality),
         observations=observations,
         provenance=table.provenance,
@@ -113,24 +113,22 @@ def load_scanner(path: str | Path) -> Scanner:
     Raises:
         CalibrationError: If the file is missing or wrong, or holds a camera alone.
     """
-    path = Path(path)
-    table = _read(path)
-    if table.turntable is None:
+    scanner = _read(Path(path)).scanner()
+    if scanner is None:
         raise CalibrationError(
             f"{path}: holds a camera alone, without lasers and turntable, so it cannot reconstruct; "
             f"calibrate with a capture that has laser images at several table angles."
         )
-    return _scanner(table)
+    return scanner
 
 
 def calibration_notes(path: str | Path) -> list[str]:
-    """Remarks on a calibration file for those who use its scanner.
+    """Warnings for users of a calibration file.
 
     Raises:
         CalibrationError: If the file is missing or wrong.
     """
-    path = Path(path)
-    if read_quality(_read(path).quality).converged is False:
+    if read_quality(_read(Path(path)).quality).converged is False:
         return [f"{path}: its solve did not converge, so points and their sigmas may be wrong; calibrate again."]
     return []
 
@@ -145,40 +143,19 @@ def calibration_digest(path: str | Path) -> str:
 
 
 def _read(path: Path) -> CalibrationTable:
-    return _parse(read_bounded(path, MAX_CALIBRATION_BYTES, name=str(path), error=CalibrationError), name=str(path))
+    return _parse(read_bounded(path, MAX_CALIBRATION_BYTES, error=CalibrationError), name=str(path))
 
 
 def _parse(data: bytes, *, name: str) -> CalibrationTable:
     value = parse_json(data, name=name, error=CalibrationError)
     table = check(CalibrationTable, value, name=name, error=CalibrationError)
     if table.covariance is not None:
-        camera = table.camera.camera() if table.turntable is None else _scanner(table)
-        expected = camera.parameter_names()
-        if table.covariance.order != expected:
+        found, expected = table.covariance.order, (table.scanner() or table.camera.camera()).parameter_names()
+        if found != expected:
             raise CalibrationError(
-                f"{name}: covariance.order: found {', '.join(table.covariance.order)}, expected {', '.join(expected)}."
+                f"{name}: covariance.order: found {', '.join(found)}, expected {', '.join(expected)}."
             )
     return table
-
-
-def _scanner(table: CalibrationTable) -> Scanner:
-    if table.turntable is None:
-        raise CalibrationError("The calibration holds a camera alone.")
-    return Scanner(
-        camera=table.camera.camera(),
-        lasers=stack_lasers([one.sheet() for one in table.lasers]),
-        turntable=point_up(table.turntable.turntable(), table.camera.up),
-        covariance=_covariance(table),
-        laser_names=tuple(one.name for one in table.lasers),
-        up=table.camera.up,
-    )
-
-
-def _covariance(table: CalibrationTable) -> np.ndarray | None:
-    if table.covariance is None:
-        return None
-    count = len(table.covariance.order)
-    return np.array(table.covariance.matrix, np.float64).reshape(count, count)
 
 
 def _tables(calibration: Calibration) -> dict[str, Any]:
@@ -186,36 +163,26 @@ def _tables(calibration: Calibration) -> dict[str, Any]:
     up = scanner.up if scanner is not None else observations.up if observations is not None else "-v"
     tables: dict[str, Any] = {"format": CALIBRATION_FORMAT, "camera": CameraTable.of(calibration.camera, up)}
     if scanner is not None:
-        tables["lasers"] = [_laser_table(scanner, index) for index in range(len(scanner.laser_names))]
+        # The numbers of the file are those of float64.
+        scanner = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), scanner)
+        sheets, turntable = scanner.lasers, scanner.turntable
+        tables["lasers"] = [
+            {"name": name, "normal": normal, "distance_m": distance, "bow": bow, "basis": basis}
+            for name, normal, distance, bow, basis in zip(
+                scanner.laser_names, sheets.normal, sheets.distance, sheets.bow, sheets.basis, strict=True
+            )
+        ]
         tables["turntable"] = {
-            "carries": scanner.turntable.carries,
-            "direction": _double(scanner.turntable.direction),
-            "point_m": _double(scanner.turntable.point),
-            "gain": _double(scanner.turntable.gain),
-            "harmonics": _double(scanner.turntable.harmonics),
-            "basis": _double(scanner.turntable.basis),
+            "carries": turntable.carries,
+            "direction": turntable.direction,
+            "point_m": turntable.point,
+            "gain": turntable.gain,
+            "harmonics": turntable.harmonics,
+            "basis": turntable.basis,
         }
     tables["quality"] = quality_table(calibration.quality)
     tables["provenance"] = finite(calibration.provenance)
     if len(calibration.order) > 0:
-        tables["covariance"] = {
-            "order": calibration.order,
-            "scale": 1.0,
-            "matrix": _double(calibration.covariance),
-        }
+        matrix = np.asarray(calibration.covariance, np.float64)
+        tables["covariance"] = {"order": calibration.order, "scale": 1.0, "matrix": matrix}
     return tables
-
-
-def _laser_table(scanner: Scanner, index: int) -> dict[str, Any]:
-    sheets = scanner.lasers
-    return {
-        "name": scanner.laser_names[index],
-        "normal": _double(sheets.normal[index]),
-        "distance_m": _double(sheets.distance[index]),
-        "bow": _double(sheets.bow[index]),
-        "basis": _double(sheets.basis[index]),
-    }
-
-
-def _double(value: Any) -> Any:
-    return np.asarray(value, np.float64).tolist()

@@ -1,4 +1,4 @@
-"""What a calibration file holds, key by key, and the conditions on the numbers."""
+"""The contents of a calibration file, key by key, and the conditions on the numbers."""
 
 import dataclasses
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
@@ -7,14 +7,14 @@ import numpy as np
 import pydantic
 
 from jaxscan.files.disk import FileModel, ImageSize, Number
-from jaxscan.geometry import CAMERAS, AbstractCamera, LaserSheet, Turntable
+from jaxscan.geometry import CAMERAS, AbstractCamera, LaserSheet, Scanner, Turntable, point_up, stack_lasers
 from jaxscan.geometry.scanner import UP_VECTORS, Up
 from jaxscan.geometry.turntable import Carries
 
 
 CALIBRATION_FORMAT: Literal["jaxscan-calibration/1"] = "jaxscan-calibration/1"
 UNIT_TOLERANCE = 1e-6
-"""How far from unit length, and from perpendicular, a written vector may be: digits lost by hand."""
+"""Accepted departure of a vector from unit length and from perpendicular: digits are lost when written by hand."""
 
 Pair = tuple[Number, Number]
 Triple = tuple[Number, Number, Number]
@@ -119,7 +119,7 @@ class LaserTable(FileModel):
         """The sheet of the geometry.
 
         Raises:
-            ValueError: If the plane is said twice or not at all, or what is said is no plane.
+            ValueError: If the plane is given twice or not at all, or the numbers are no plane.
         """
         if self.abc is not None:
             if self.normal is not None or self.distance_m is not None or self.basis is not None:
@@ -190,14 +190,14 @@ class CovarianceTable(FileModel):
     order: Annotated[tuple[str, ...], pydantic.Field(max_length=200)]
     matrix: Annotated[tuple[tuple[Number, ...], ...], pydantic.Field(max_length=200)]
     scale: Annotated[Number, pydantic.Field(ge=0)] = 1.0
-    """Factor by which the misfit of the solve has already scaled `matrix`; for the record."""
+    """Factor by which the misfit of the solve has already scaled `matrix`; for information only."""
 
     @pydantic.model_validator(mode="after")
     def _semidefinite(self) -> "CovarianceTable":
         count = len(self.order)
         if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
             raise ValueError(f"matrix: expected {count} rows of {count} numbers, as order has names")
-        matrix = np.array(self.matrix, np.float64).reshape(count, count)
+        matrix = self.array()
         variances = np.diag(matrix)
         if (variances < 0).any():
             raise ValueError(f"matrix: the variance of {self.order[int(np.argmin(variances))]} is negative")
@@ -211,9 +211,13 @@ class CovarianceTable(FileModel):
             raise ValueError("matrix: not positive semidefinite")
         return self
 
+    def array(self) -> np.ndarray:
+        """The matrix, float64 [parameters, parameters]."""
+        return np.array(self.matrix, np.float64).reshape(len(self.order), -1 if self.order else 0)
+
 
 class CalibrationTable(FileModel):
-    """All of a calibration file; without lasers and turntable it holds a camera alone."""
+    """A calibration file; without lasers and turntable it holds a camera alone."""
 
     format: Literal["jaxscan-calibration/1"]
     camera: AnyCameraTable
@@ -241,6 +245,19 @@ class CalibrationTable(FileModel):
                 "or leave the covariance out"
             )
         return self
+
+    def scanner(self) -> Scanner | None:
+        """The scanner; None where the file holds a camera alone."""
+        if self.turntable is None:
+            return None
+        return Scanner(
+            camera=self.camera.camera(),
+            lasers=stack_lasers([one.sheet() for one in self.lasers]),
+            turntable=point_up(self.turntable.turntable(), self.camera.up),
+            covariance=None if self.covariance is None else self.covariance.array(),
+            laser_names=tuple(one.name for one in self.lasers),
+            up=self.camera.up,
+        )
 
 
 def _arrays(*values: Any) -> tuple[np.ndarray, ...]:

@@ -1,5 +1,6 @@
 """The observations beside a calibration file, so that anyone can solve again: NPZ."""
 
+import operator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,6 +13,7 @@ from jaxscan.files.disk import (
     FileModel,
     ImageSize,
     check,
+    check_arrays,
     parse_json,
     read_arrays,
     readable_json,
@@ -26,24 +28,23 @@ from jaxscan.observation import BoardViews, Observations, StripeViews
 OBSERVATIONS_FORMAT: Literal["jaxscan-observations/1"] = "jaxscan-observations/1"
 MAX_ARRAY_BYTES = 1 << 30
 
-# The letter is NumPy's for the kind of number; the extents refer to `_About`'s board and each other.
-_ARRAYS = {
-    "corners.q": ("f", ("views", "corners", 2)),
-    "corners.sigma": ("f", ("views", "corners")),
-    "corners.valid": ("b", ("views", "corners")),
-    "corners.angle": ("f", ("views",)),
-    "corners.placement": ("i", ("views",)),
-    "corners.record": ("i", ("views",)),
-    "stripes.q": ("f", ("stripes", "points", 2)),
-    "stripes.sigma": ("f", ("stripes", "points")),
-    "stripes.valid": ("b", ("stripes", "points")),
-    "stripes.view": ("i", ("stripes",)),
-    "stripes.laser": ("i", ("stripes",)),
+_ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
+    "corners.q": (np.floating, ("views", "corners", 2)),
+    "corners.sigma": (np.floating, ("views", "corners")),
+    "corners.valid": (np.bool_, ("views", "corners")),
+    "corners.angle": (np.floating, ("views",)),
+    "corners.placement": (np.signedinteger, ("views",)),
+    "corners.record": (np.signedinteger, ("views",)),
+    "stripes.q": (np.floating, ("stripes", "points", 2)),
+    "stripes.sigma": (np.floating, ("stripes", "points")),
+    "stripes.valid": (np.bool_, ("stripes", "points")),
+    "stripes.view": (np.signedinteger, ("stripes",)),
+    "stripes.laser": (np.signedinteger, ("stripes",)),
 }
 
 
 def _in_millimetres(board: Any) -> Any:
-    """A board as this file has it, lengths in metres, as the table that every other file has."""
+    """A board with lengths in metres, as in this file, as the table of all other files, in millimetres."""
     if not isinstance(board, dict):
         return board
     lengths = {key: board[key] for key in ("square", "marker") if isinstance(board.get(key), int | float)}
@@ -52,13 +53,13 @@ def _in_millimetres(board: Any) -> Any:
 
 
 def _in_metres(table: FileModel) -> dict[str, Any]:
-    """The table of a board as this file has it."""
+    """The table of a board with lengths in metres, as in this file."""
     items = table.model_dump().items()
     return {key.removesuffix("_mm"): value / 1000 if key.endswith("_mm") else value for key, value in items}
 
 
 class _About(ImageSize):
-    """What is not an array, as JSON; lengths in metres, as the board itself has them."""
+    """The fields that are not arrays, as JSON; lengths in metres."""
 
     format: Literal["jaxscan-observations/1"]
     board: Annotated[BoardTable, pydantic.BeforeValidator(_in_millimetres)]
@@ -68,7 +69,7 @@ class _About(ImageSize):
 
 
 def observations_path(path: Path) -> Path:
-    """Where the observations of a calibration file lie."""
+    """The file of the observations that belong to a calibration file."""
     return path.with_suffix(".npz")
 
 
@@ -90,10 +91,8 @@ def write_observations(observations: Observations, path: Path) -> None:
         "up": observations.up,
         "carries": observations.carries,
     }
-    arrays = {"about": np.array(readable_json(about))}
-    for name in _ARRAYS:
-        part, field = name.split(".")
-        arrays[name] = np.asarray(getattr(getattr(observations, part), field))
+    arrays = {name: np.asarray(operator.attrgetter(name)(observations)) for name in _ARRAYS}
+    arrays = {"about": np.array(readable_json(about)), **arrays}
     write_atomically(path, lambda part: write_arrays(part, arrays), error=CalibrationError)
 
 
@@ -113,32 +112,22 @@ def read_observations(path: Path) -> Observations:
         CalibrationError: If they are damaged.
     """
     arrays = read_arrays(path, error=CalibrationError, limit=MAX_ARRAY_BYTES)
-    text = str(arrays.get("about", "null")).encode()
-    about = check(
-        _About, parse_json(text, name=str(path), error=CalibrationError), name=str(path), error=CalibrationError
-    )
+    value = parse_json(str(arrays.get("about", "null")).encode(), name=str(path), error=CalibrationError)
+    about = check(_About, value, name=str(path), error=CalibrationError)
     board = about.board.board()
-    extents: dict[str | int, int] = {"corners": len(board.corners()), 2: 2}
-    for name, (kind, axes) in _ARRAYS.items():
-        array = arrays.get(name)
-        if array is None:
-            raise CalibrationError(f"{path}: {name} is missing.")
-        expected = [extents.setdefault(axis, size) for axis, size in zip(axes, array.shape, strict=False)]
-        if array.dtype.kind != kind or list(array.shape) != expected or array.ndim != len(axes):
-            raise CalibrationError(f"{path}: {name}: found {array.dtype} with shape {array.shape}, expected {axes}.")
-        if kind == "f" and not np.isfinite(array).all():
-            raise CalibrationError(f"{path}: {name} is not finite everywhere.")
-    for name, count in (("stripes.view", extents["views"]), ("stripes.laser", len(about.laser_names))):
+    known = {"corners": len(board.corners())}
+    sizes = check_arrays(arrays, _ARRAYS, known, name=str(path), error=CalibrationError)
+    for name, count in (("stripes.view", sizes["views"]), ("stripes.laser", len(about.laser_names))):
         if ((arrays[name] < 0) | (arrays[name] >= count)).any():
             raise CalibrationError(f"{path}: {name}: found an index outside 0 ... {count - 1}.")
-
-    def group(part: str) -> dict[str, np.ndarray]:
-        return {name.removeprefix(part): arrays[name] for name in _ARRAYS if name.startswith(part)}
-
+    corners, stripes = (
+        {name.removeprefix(part): arrays[name] for name in _ARRAYS if name.startswith(part)}
+        for part in ("corners.", "stripes.")
+    )
     return Observations(
         board=board,
-        corners=BoardViews(**group("corners.")),
-        stripes=StripeViews(**group("stripes.")),
+        corners=BoardViews(**corners),
+        stripes=StripeViews(**stripes),
         width=about.width,
         height=about.height,
         laser_names=about.laser_names,

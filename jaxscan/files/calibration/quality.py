@@ -1,22 +1,23 @@
 """The quality of a calibration as JSON: written key by key, read from files of any origin."""
 
 import dataclasses
+import functools
+import json
 import math
-import types
-import typing
 from typing import Any
 
 import numpy as np
+import pydantic
 
 from jaxscan.calibration import Quality
 
 
-# Beyond these nothing can be meant, and formatting and arithmetic would fail.
-_LARGEST, _LARGEST_INTEGER = 1e100, 2**53
+# Larger numbers are nonsense, and formatting and arithmetic would fail.
+_LARGEST, _LARGEST_INTEGER, _DEEPEST = 1e100, 2**53, 20
 
 
 def quality_table(quality: Quality) -> dict[str, Any]:
-    """The quality as JSON; keys that nothing is known of are left out."""
+    """The quality as JSON; keys without a value are left out."""
     if quality == Quality():
         return {}
     known = lambda items: {key: value for key, value in items if value is not None}
@@ -24,22 +25,36 @@ def quality_table(quality: Quality) -> dict[str, Any]:
 
 
 def read_quality(table: dict[str, Any]) -> Quality:
-    """The quality that a file tells.
+    """The quality from the table of a file.
 
-    A key whose value is not of its kind counts as missing, and unknown keys are ignored: a calibration
-    can be used whatever its file says of its quality.
+    A key whose value has the wrong type counts as missing, and unknown keys are ignored: a calibration
+    can be used even if the quality in its file is damaged.
     """
-    kinds, known = typing.get_type_hints(Quality), {}
-    for key in kinds.keys() & table.keys():
+    known = {}
+    for key, value in table.items():
         try:
-            known[key] = _read(kinds[key], table[key])
-        except _NotOfItsKind:
+            if key in Quality.__dataclass_fields__ and _is_usable(value):
+                # Strict JSON: no number in quotes, no truth value as a number, but a list for a tuple.
+                alone = _adapter().validate_json(json.dumps({key: value}), strict=True)
+                known[key] = getattr(alone, key)
+        except pydantic.ValidationError:
             continue
     return Quality(**known)
 
 
+_adapter = functools.cache(lambda: pydantic.TypeAdapter(Quality))
+
+
+def _is_usable(value: Any, depth: int = 0) -> bool:
+    """Whether a JSON value is not nested too deeply, and its numbers are not too large."""
+    if isinstance(value, dict | list):
+        items = value.values() if isinstance(value, dict) else value
+        return depth < _DEEPEST and all(_is_usable(item, depth + 1) for item in items)
+    return not isinstance(value, int | float) or abs(value) <= (_LARGEST_INTEGER if type(value) is int else _LARGEST)
+
+
 def finite(value: Any) -> Any:
-    """The same with null for a number that is not finite, which JSON cannot hold (a prior switched off)."""
+    """The same value with null for numbers that are not finite, which JSON cannot hold (a prior switched off)."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, dict):
@@ -47,33 +62,3 @@ def finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-class _NotOfItsKind(Exception):
-    """A value that its key cannot have."""
-
-
-def _read(kind: Any, value: Any) -> Any:
-    """A JSON value as an annotated type: dataclasses, tuples, tables of numbers, numbers, text, truth values."""
-    origin, parts = typing.get_origin(kind), typing.get_args(kind)
-    if origin is types.UnionType:
-        return None if value is None else _read(parts[0], value)
-    if isinstance(kind, type) and dataclasses.is_dataclass(kind) and isinstance(value, dict):
-        kinds = typing.get_type_hints(kind)
-        given = {key: _read(kinds[key], value[key]) for key in kinds.keys() & value.keys()}
-        if all(field.name in given or field.default is not dataclasses.MISSING for field in dataclasses.fields(kind)):
-            return kind(**given)
-    elif origin is tuple and isinstance(value, list):
-        if parts[-1] is ...:
-            return tuple(_read(parts[0], item) for item in value)
-        if len(parts) == len(value):
-            return tuple(_read(part, item) for part, item in zip(parts, value, strict=True))
-    elif origin is dict and isinstance(value, dict):
-        return {key: _read(parts[1], item) for key, item in value.items()}
-    elif kind in (bool, str) and isinstance(value, kind):
-        return value
-    elif kind is int and type(value) is int and abs(value) <= _LARGEST_INTEGER:
-        return value
-    elif kind is float and type(value) in (int, float) and abs(value) <= _LARGEST:
-        return float(value)
-    raise _NotOfItsKind

@@ -1,4 +1,4 @@
-"""The settings of a solve as a calibration file remembers them, so that it can be solved again."""
+"""The settings of a solve as stored in a calibration file, so that it can be solved again."""
 
 import math
 from typing import Any
@@ -9,19 +9,19 @@ from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.errors import CalibrationError
 
 
-# Lengths of solves and thresholds are a stranger's choice, but not without end.
+# The file may come from anyone, so the length of the solve is bounded.
 _MAX_STEPS = 10_000
 
 
 def stored_settings(provenance: dict[str, Any], *, name: str) -> CalibrationSettings:
-    """Settings from the provenance of a calibration; what an older file does not say is as usual.
+    """Settings from the provenance of a calibration; keys that an older file lacks have their defaults.
 
     Args:
-        provenance: Of the file.
-        name: What messages call the file.
+        provenance: Provenance in the file.
+        name: Name of the file, for messages.
 
     Raises:
-        CalibrationError: With the key, if a value cannot be meant.
+        CalibrationError: With the key, if a value is not allowed.
     """
     settings = provenance.get("settings", {})
     if not isinstance(settings, dict):

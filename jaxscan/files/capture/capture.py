@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.decode import decode_ahead
-from jaxscan.files.capture.exposures import common_exposures, exposure_levels
+from jaxscan.files.capture.exposures import check_exposures, exposure_levels
 from jaxscan.files.capture.header import CaptureHeader
 from jaxscan.files.capture.images import ImageReader, RecordFrames
 from jaxscan.files.capture.journal import JOURNAL_NAME, Record
@@ -32,7 +32,7 @@ class Capture:
     records: tuple[Record, ...]
     """Sorted by their number, one per number."""
     notes: tuple[str, ...]
-    """What a reader should know, a sentence each: a torn last line that was left out."""
+    """Warnings of the reader, a sentence each: a torn last line that was left out."""
     _digest: str
     _reader: ImageReader = dataclasses.field(repr=False)
 
@@ -59,7 +59,7 @@ class Capture:
 
     @property
     def carries(self) -> Carries | None:
-        """What the table carries, where the header says so."""
+        """Whether the table carries the scanner or the object; None if the header does not say."""
         return None if self.header.turntable is None else self.header.turntable.carries
 
     @property
@@ -79,7 +79,12 @@ class Capture:
         Raises:
             CaptureError: If an angle is unknown, as it may be in a calibration capture.
         """
-        return np.array([self._angle(record) for record in self.records], np.float64)
+        for record in self.records:
+            if record.angle is None:
+                raise CaptureError(
+                    f"{self.path}: record {record.i}: angle_deg is null; only a sweep can be reconstructed."
+                )
+        return np.array([record.angle for record in self.records], np.float64)
 
     @property
     def record(self) -> np.ndarray:
@@ -119,11 +124,6 @@ class Capture:
         """
         images = [image for record in self.records for image in (*record.on, *record.off)]
         return exposure_levels(images) or (1.0,)
-
-    def _angle(self, record: Record) -> float:
-        if record.angle is None:
-            raise CaptureError(f"{self.path}: record {record.i}: angle_deg is null; only a sweep can be reconstructed.")
-        return record.angle
 
     def digest(self) -> str:
         """The sha256 of header and journal, as "sha256:<hex>"; the same for every `every(n)`."""
@@ -190,19 +190,19 @@ class Capture:
         levels = len(self.exposures)
         shape = (levels, *self._reader.shape) if levels > 1 else self._reader.shape
         on = RecordFrames(self._reader, [record.on for record in self.records])
-        with_off = bool(self.records) and all(record.off for record in self.records)
-        off = RecordFrames(self._reader, [record.off for record in self.records]) if with_off else None
+        offs = [record.off for record in self.records]
+        off = RecordFrames(self._reader, offs) if offs and all(offs) else None
         return decode_ahead(len(self), min(size, max(1, len(self))), shape, on, off)
 
 
 def open_capture(path: str | Path) -> Capture:
-    """Open a capture and check all of it but the contents of its images.
+    """Open a capture and check everything except the contents of its images.
 
     Args:
         path: The folder.
 
     Returns:
-        The capture; its `notes` say what was left out.
+        The capture; its `notes` name any line that was left out.
 
     Raises:
         CaptureError: With the file, and the line or key, that is missing or wrong.
@@ -223,7 +223,7 @@ def open_capture(path: str | Path) -> Capture:
             f"a sweep needs them all, or none."
         )
     if header.kind == "sweep":
-        common_exposures(records, name=journal_name)
+        check_exposures(records, name=journal_name)
     reader = ImageReader(path, header)
     reader.check(records)
     return Capture(path, header, records, texts.notes, texts.digest(), reader)

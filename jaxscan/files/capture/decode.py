@@ -1,4 +1,4 @@
-"""Decoding ahead: frames into chunks, in threads that never wait for the caller to compute."""
+"""Decoding ahead: threads decode frames into chunks while the caller computes."""
 
 import os
 import sys
@@ -13,13 +13,13 @@ from jaxscan.reconstruction import FrameChunk
 
 
 AHEAD = 2
-"""Chunks in decoding, or decoded, while the caller computes with those it was given."""
+"""Chunks that are decoded ahead while the caller computes."""
 _KEPT = 2 * (AHEAD + 4)
 
 
 @runtime_checkable
 class FrameSource(Protocol):
-    """Where the laser-on, or the laser-off, frames of a sweep come from."""
+    """Source of the laser-on, or the laser-off, frames of a sweep."""
 
     def mapped(self, start: int, stop: int) -> np.ndarray | None:
         """Frames of records start ... stop - 1 where they lie in memory in this order; else None."""
@@ -35,20 +35,20 @@ def decode_ahead(
 ) -> Iterator[FrameChunk]:
     """Records 0 ... count - 1 in chunks, the next ones in decoding while the caller computes.
 
-    At most `AHEAD` + 1 chunks exist beside those that the caller holds. A caller may keep what it
-    was given; the memory of a chunk that nobody refers to any more, also not through a part of
-    it, is used again, which saves the system the work of clearing 20 000 pages per chunk.
+    At most `AHEAD` + 1 chunks exist beside those that the caller holds. A caller may keep a chunk. When
+    neither the chunk nor a part of it is referred to any more, its memory is used again: this spares the
+    system the clearing of 20 000 pages per chunk.
 
     Args:
         count: Number of records.
         size: Records in a chunk; the last may have fewer.
-        shape: Of one record's frame.
+        shape: Shape of one record's frame.
         on: Laser-on frames.
-        off: Laser-off frames, where there are.
+        off: Laser-off frames, if there are any.
 
     Yields:
-        The chunks in order, read-only where nothing had to be copied. An error of a source is
-        raised where its chunk would have come.
+        The chunks in order, read-only if nothing had to be copied. An error of a source is raised in place
+        of its chunk.
     """
     pool = ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-decode")
     buffers = Buffers((size, *shape))
@@ -79,7 +79,7 @@ def decode_ahead(
                 future.result()
             del futures
             yield chunk
-            # Else this frame would refer to it, and its memory could not be used again.
+            # Drop the reference of this function, so that the memory can be used again.
             del chunk
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
@@ -91,16 +91,16 @@ def _load(wanted: list[tuple[FrameSource, np.ndarray]], start: int, row: int) ->
 
 
 class Buffers:
-    """Memory of one shape, used again when only this object refers to it."""
+    """Arrays of one shape; each is used again when only this object refers to it."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self._shape = shape
         self._made: list[np.ndarray] = []
-        # Every view of an array, however it was made, refers to the array that owns the memory.
+        # Every view refers to the array that owns the memory.
         self._unused = _references([np.empty(0, np.uint8)], 0)
 
     def take(self) -> np.ndarray:
-        """Memory with any content."""
+        """An array with arbitrary contents."""
         for number in range(len(self._made)):
             if _references(self._made, number) == self._unused:
                 return self._made[number]
@@ -115,5 +115,5 @@ def _references(buffers: list[np.ndarray], number: int) -> int:
 
 
 def cores() -> int:
-    """Cores that this process may use: a container may own fewer than the machine has."""
+    """Number of cores that this process may use; in a container it may be fewer than the machine has."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -10,24 +10,21 @@ from jaxscan.files.capture.references import ImageRef
 
 
 def exposure_levels(images: Sequence[ImageRef]) -> tuple[float, ...]:
-    """The different exposures of a frame [s], ascending; empty where the record does not say."""
+    """The different exposures of a frame [s], ascending; empty where the record names none."""
     return tuple(sorted({one.exposure_s for one in images if one.exposure_s is not None}))
 
 
-def common_exposures(records: Sequence[Record], *, name: str) -> tuple[float, ...]:
-    """The exposures that every frame of a sweep has [s], ascending.
+def check_exposures(records: Sequence[Record], *, name: str) -> None:
+    """Check that all frames of a sweep have the same exposures.
 
     Args:
-        records: Of the sweep.
-        name: What messages call the journal.
-
-    Returns:
-        `(1.0,)` where the records name single images and no exposures.
+        records: All records of the sweep.
+        name: Name of the journal, for messages.
 
     Raises:
-        CaptureError: With the first record that differs from the one before it, or in itself.
+        CaptureError: With the first record that differs from the first one, or in itself.
     """
-    expected = exposure_levels(records[0].on) if records else ()
+    expected = exposure_levels(records[0].on)
     for record in records:
         for side, images in (("on", record.on), ("off", record.off)):
             if images and exposure_levels(images) != expected:
@@ -35,14 +32,13 @@ def common_exposures(records: Sequence[Record], *, name: str) -> tuple[float, ..
                     f"{name}: record {record.i}: {side}: found {_said(exposure_levels(images))}, but the sweep began "
                     f"with {_said(expected)}; all frames of a sweep need the same exposures."
                 )
-    return expected or (1.0,)
 
 
 def load_levels(images: Sequence[ImageRef], target: np.ndarray, load: Callable[[ImageRef], np.ndarray]) -> None:
-    """Read a frame, its exposures ascending, and average where there are repetitions.
+    """Read a frame, exposures ascending, and average repetitions.
 
     Args:
-        images: Of the frame.
+        images: Images of the frame.
         target: uint8 [exposures, rows, columns(, 3)], filled.
         load: Reads one image.
     """
@@ -52,7 +48,7 @@ def load_levels(images: Sequence[ImageRef], target: np.ndarray, load: Callable[[
 
 
 def average(images: Sequence[ImageRef], target: np.ndarray, load: Callable[[ImageRef], np.ndarray]) -> None:
-    """The mean of images, rounded to whole DN, halves to the even one so that no level is favoured.
+    """The mean of images, rounded to whole DN, halves to even so that the rounding has no bias.
 
     Args:
         images: One or more.
@@ -62,7 +58,7 @@ def average(images: Sequence[ImageRef], target: np.ndarray, load: Callable[[Imag
     if len(images) == 1:
         target[...] = load(images[0])
         return
-    # 16 images of 255 DN fit; their sum over their number is exact in single precision where it is a half.
+    # The sum of 16 images of 255 DN fits; in float32 the mean is exact where it is a half.
     total = np.zeros(target.shape, np.uint16)
     for one in images:
         total += load(one)

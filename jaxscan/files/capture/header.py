@@ -11,14 +11,7 @@ from jaxscan.files.disk import FileModel, ImageSize, Integer, check, parse_toml
 from jaxscan.geometry import StripeAxis
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
-from jaxscan.stripes import (
-    PIXEL_FORMATS,
-    LaserColour,
-    LaserLine,
-    PixelFormat,
-    Response,
-    frame_rank,
-)
+from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank
 
 
 CAPTURE_FORMAT: Literal["jaxscan-capture/1"] = "jaxscan-capture/1"
@@ -40,7 +33,7 @@ def _listed(tables: Any) -> Any:
 
 
 class CameraTable(ImageSize):
-    """What the images are."""
+    """Size and kind of the images."""
 
     pixel_format: Annotated[PixelFormat, pydantic.BeforeValidator(_supported)]
     """How an image is to be read."""
@@ -51,7 +44,7 @@ class CameraTable(ImageSize):
 
 
 class TurntableTable(FileModel):
-    """What turns."""
+    """The turntable."""
 
     carries: Carries = "scanner"
     """"scanner", or "object" where the camera stands still."""
@@ -61,22 +54,22 @@ class LaserTable(FileModel):
     """One laser as the camera sees it."""
 
     name: Annotated[str, pydantic.Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")] = "laser"
-    """What calibrations and messages call it."""
+    """Its name in calibrations and messages."""
     colour: LaserColour = "red"
-    """Which channel of a colour camera holds it; "auto": whichever shows it best."""
+    """Which channel of a colour camera sees it; "auto": the channel that shows it best."""
     stripe_axis: StripeAxis = "rows"
     """One stripe centre per image row ("rows"), or per image column ("columns")."""
 
 
 class PlanTable(FileModel):
-    """What the acquisition set out to do."""
+    """Plan of the acquisition."""
 
     steps: Annotated[Integer, pydantic.Field(ge=1)] | None = None
     """Planned number of records."""
 
 
 class CaptureHeader(FileModel):
-    """All of `capture.toml`."""
+    """The contents of `capture.toml`."""
 
     format: Literal["jaxscan-capture/1"] = CAPTURE_FORMAT
     kind: Literal["sweep", "calibration"]
@@ -86,7 +79,7 @@ class CaptureHeader(FileModel):
     board: BoardTable | None = None
     plan: PlanTable | None = None
     acquisition: dict[str, Any] = pydantic.Field(default_factory=dict)
-    """Whatever the acquisition wants to remember."""
+    """Free entries of the acquisition."""
 
     @pydantic.model_validator(mode="after")
     def _complete(self) -> "CaptureHeader":
@@ -116,7 +109,7 @@ def parse_header(data: bytes, *, name: str) -> CaptureHeader:
     """A header from the bytes of its file.
 
     Raises:
-        CaptureError: One line with the key, what was found and what may stand there.
+        CaptureError: One line with the key, the value found and the values allowed.
     """
     tables = parse_toml(data, name=name, error=CaptureError)
     for key in ("format", "kind"):
@@ -129,7 +122,7 @@ def header_toml(header: CaptureHeader) -> bytes:
     """The bytes of the file of a header.
 
     Raises:
-        CaptureError: If `acquisition` holds what TOML cannot.
+        CaptureError: If `acquisition` holds a value that TOML cannot hold.
     """
     tables = header.model_dump(exclude_none=True)
     lasers = tables.pop("laser")

@@ -1,4 +1,4 @@
-"""The frames of a capture, wherever its records say that they are."""
+"""The frames of a capture, from image files and shards."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,7 +25,7 @@ class ImageReader:
         self.shards = Shards(path, self.shape)
 
     def check(self, records: Sequence[Record]) -> None:
-        """See that every image exists inside the folder, and that the shards reach far enough.
+        """Check that every image exists inside the folder, and that the shards are long enough.
 
         Raises:
             CaptureError: With the record and the file.
@@ -56,7 +56,7 @@ class ImageReader:
         name = str(self._path / reference.path)
         # An uncompressed 32-bit image with a megabyte of metadata still fits.
         limit = 4 * camera.width * camera.height + MEGABYTE
-        data = read_bounded(name, limit, name=name, error=CaptureError)
+        data = read_bounded(name, limit, error=CaptureError)
         return decode_image(data, name=name, rank=frame_rank(camera.pixel_format), size=(camera.width, camera.height))
 
     def frame(self, images: Sequence[ImageRef]) -> np.ndarray | None:
@@ -70,10 +70,10 @@ class ImageReader:
 
 
 class RecordFrames:
-    """The laser-on, or the laser-off, frames of the records of a sweep, as `decode_ahead` asks for them."""
+    """The laser-on, or the laser-off, frames of a sweep: a `FrameSource`."""
 
     def __init__(self, reader: ImageReader, images: Sequence[tuple[ImageRef, ...]]) -> None:
-        """`images` of each record; all have the same exposures."""
+        """`images` are those of each record; all records have the same exposures."""
         self._reader = reader
         self._images = images
         self._levels = max(1, len(exposure_levels(images[0]))) if images else 1

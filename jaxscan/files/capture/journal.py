@@ -42,7 +42,7 @@ class _Line(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
     i: Annotated[Integer, pydantic.Field(ge=0, lt=1 << 53)]
-    # Its square and its sum with others are still finite; no table turns a million degrees.
+    # No table turns a million degrees, and squares and sums of such angles are finite.
     angle_deg: Annotated[Number, pydantic.Field(ge=-1e6, le=1e6)] | None = None
     placement: Annotated[Integer, pydantic.Field(ge=0, lt=1 << 31)] | None = None
     lasers: list[Integer | str] | None = None
@@ -60,39 +60,36 @@ def read_journal(
 
     Args:
         data: The whole file.
-        name: What messages call it.
-        kind: Of the capture: a sweep needs angles and `on` images, a calibration may lack them.
+        name: Name of the file, for messages.
+        kind: Kind of the capture: a sweep needs angles and `on` images, a calibration may lack them.
         laser_names: The lasers in the header's order.
 
     Returns:
         records: One per number.
-        notes: What was dropped, a sentence each.
+        notes: A sentence for each line that was dropped.
 
     Raises:
-        CaptureError: With the number of the line that is broken or does not mean a record.
+        CaptureError: With the number of the line that is broken or not a record.
     """
     latest: dict[int, tuple[str, _Line]] = {}
-    torn: _TornLine | None = None
+    torn = ""
     for number, line in enumerate(io.BytesIO(data), 1):
         if not line.strip():
             continue
-        if torn is not None:
+        if torn:
             raise CaptureError(f"{torn}; repair or remove this line, it is not the last.")
         where = f"{name}: line {number}"
-        try:
-            value = _parse(line, where)
-        except _TornLine as problem:
-            torn = problem
-            continue
-        if "i" not in value:
+        value = _parse(line, where)
+        if value is None:
+            torn = f"{where}: not a complete JSON object"
+        if value is None or "i" not in value:
             continue
         record = check(_Line, value, name=where, error=CaptureError)
         latest[record.i] = (where, record)
         if len(latest) > MAX_RECORDS:
             raise CaptureError(f"{where}: more than {MAX_RECORDS} records; split the capture.")
     records = [_complete(latest[i][1], latest[i][0], kind, laser_names) for i in sorted(latest)]
-    notes = () if torn is None else (f"{torn}: the last line was cut off and is left out.",)
-    return tuple(records), notes
+    return tuple(records), (f"{torn}: the last line was cut off and is left out.",) if torn else ()
 
 
 def journal_objects(journal: bytes) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -113,19 +110,16 @@ def journal_objects(journal: bytes) -> Iterator[tuple[int, dict[str, Any]]]:
         start += len(line) + 1
 
 
-class _TornLine(Exception):
-    pass
-
-
-def _parse(line: bytes, where: str) -> dict[str, Any]:
+def _parse(line: bytes, where: str) -> dict[str, Any] | None:
+    """The object of a line; None if the line is torn."""
     if len(line) > MAX_LINE_BYTES:
         raise CaptureError(f"{where}: longer than {MAX_LINE_BYTES >> 10} KiB, so it is no record.")
     try:
         value = json.loads(line.decode("utf-8"))
     except RecursionError:
         raise CaptureError(f"{where}: nested too deeply to be a record.") from None
-    except ValueError as problem:
-        raise _TornLine(f"{where}: not a complete JSON object") from problem
+    except ValueError:
+        return None
     if not isinstance(value, dict):
         raise CaptureError(f"{where}: found {str(value)[:40]}, expected a JSON object.")
     return value
@@ -150,7 +144,7 @@ def _complete(line: _Line, where: str, kind: str, laser_names: tuple[str, ...]) 
 
 
 def _lit(lasers: list[int | str] | None, where: str, laser_names: tuple[str, ...]) -> tuple[int, ...]:
-    """Indices of the lasers that are lit; the journal may name them or count them, and means all if it is silent."""
+    """Indices of the lasers that are lit; the journal gives names or indices, and without either all are lit."""
     lit: set[int] = set()
     known = ", ".join(laser_names) or "none in the header"
     for one in range(len(laser_names)) if lasers is None else lasers:

@@ -24,7 +24,7 @@ class ImageRef:
     index: int | None = None
     """Which image of a shard; None for an image file."""
     exposure_s: float | None = None
-    """How long it was exposed [s]; None where the record names one image and does not say."""
+    """Exposure [s]; None where the record names one image without it."""
 
     def __str__(self) -> str:
         return self.path if self.index is None else f"{self.path}#{self.index}"
@@ -34,7 +34,7 @@ def parse_images(value: Any) -> tuple[ImageRef, ...]:
     """The images of one frame as they stand in a record: none, one, or a list with exposures.
 
     Raises:
-        ValueError: If it is no such thing, is too long, or could lead out of the folder.
+        ValueError: If it is of another kind, is too long, or could lead out of the folder.
     """
     if value is None:
         return ()
@@ -50,9 +50,8 @@ def _exposed(value: Any) -> ImageRef:
         raise ValueError(f'found {value!r:.60} in a list, expected {{"file": ..., "exposure_s": ...}}')
     exposure = value["exposure_s"]
     # A bool counts as an integer in Python, and an integer may be too large for a float.
-    if isinstance(exposure, bool) or not isinstance(exposure, int | float) or not 0 < exposure <= 1e6:
-        raise ValueError(f"exposure_s: found {exposure!r:.60}, expected a number of seconds above 0")
-    if not math.isfinite(1.0 / exposure):
+    number = isinstance(exposure, int | float) and not isinstance(exposure, bool)
+    if not number or not 0 < exposure <= 1e6 or not math.isfinite(1.0 / exposure):
         raise ValueError(f"exposure_s: found {exposure!r:.60}, expected a number of seconds above 0")
     return replace(parse_reference(value["file"]), exposure_s=float(exposure))
 
@@ -90,7 +89,7 @@ def _unsafe(path: str) -> str | None:
 
 
 class Folder:
-    """The folder of a capture as references see it: nothing outside it exists."""
+    """Finds referenced files in the folder of a capture, and refuses all files outside it."""
 
     def __init__(self, root: Path) -> None:
         self._root = Path(os.path.realpath(root))

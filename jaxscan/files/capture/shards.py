@@ -1,4 +1,4 @@
-"""Shards: `.npy` files of many frames, mapped into memory when they are read."""
+"""Shards: `.npy` files of many frames, memory-mapped for reading."""
 
 import contextlib
 import math
@@ -25,24 +25,24 @@ class _Shard(NamedTuple):
     """uint8 [n, rows, columns(, 3)], read-only."""
     file: mmap.mmap
     start: int
-    """Where in the file the first frame begins [bytes]."""
+    """Offset of the first frame in the file [bytes]."""
 
 
 class Shards:
     """The shards of one capture: checked when it is opened, mapped while they are read."""
 
     def __init__(self, folder: Path, shape: tuple[int, ...]) -> None:
-        """`shape` is that of one frame."""
+        """`shape` is the shape of one frame."""
         self._folder, self._shape = folder, shape
         self._length: dict[str, int] = {}
         self._mapped: OrderedDict[str, _Shard] = OrderedDict()
         self._lock = threading.Lock()
 
     def check(self, reference: ImageRef, located: Path) -> None:
-        """See that a shard has frames of the right size and reaches far enough.
+        """Check that a shard has frames of the right size and is long enough.
 
         Raises:
-            CaptureError: If it does not.
+            CaptureError: If it has not.
         """
         if reference.path not in self._length:
             self._length[reference.path] = len(_open_shard(located, name=reference.path, shape=self._shape).frames)
@@ -89,7 +89,7 @@ class Shards:
             if shard is None:
                 name = str(self._folder / path)
                 shard = _open_shard(Path(name), name=name, shape=self._shape)
-            # What is left out here stays mapped for as long as a view of it is in use.
+            # A shard that is dropped here stays mapped as long as a view of it is in use.
             self._mapped[path] = shard
             while len(self._mapped) > _MAPPED:
                 self._mapped.popitem(last=False)
@@ -111,7 +111,7 @@ def _open_shard(path: Path, *, name: str, shape: tuple[int, ...]) -> _Shard:
             expected = " x ".join(map(str, shape))
             raise CaptureError(f"{name}: found {dtype} with shape {found}, expected uint8 with shape (n, {expected}).")
         count = math.prod(found)
-        # NumPy maps nothing where there is nothing.
+        # `frombuffer` refuses an empty buffer.
         frames = np.frombuffer(mapped, np.uint8, count, start) if count else np.empty(0, np.uint8)
         return _Shard(frames.reshape(found, order="F" if column_major else "C"), mapped, start)
     except NPY_DAMAGE as problem:
@@ -119,7 +119,7 @@ def _open_shard(path: Path, *, name: str, shape: tuple[int, ...]) -> _Shard:
 
 
 def _read_ahead(file: mmap.mmap, begin: int, size: int) -> None:
-    """Ask for a part of a file before it is needed; where the system takes no advice it is read when it is."""
+    """Advise the system to read a part of a file ahead, where it takes such advice."""
     if hasattr(mmap, "MADV_WILLNEED"):
         page = begin // mmap.PAGESIZE * mmap.PAGESIZE
         with contextlib.suppress(OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Stripes that were extracted before: arrays in one file, under a key that says what they came from."""
+"""Cache of extracted stripes: arrays in one file, with a key that identifies their source."""
 
 import functools
 import hashlib
@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.capture import Capture
-from jaxscan.files.disk import MEGABYTE, parse_json, read_arrays, write_arrays, write_atomically
+from jaxscan.files.disk import MEGABYTE, parse_json, read_arrays, reported, write_arrays, write_atomically
 
 
 CACHE_FORMAT = "jaxscan-stripes/1"
@@ -44,10 +44,8 @@ def frames_key(capture: Capture) -> str:
     root = str(capture.path)
     images = {image.path: None for record in capture.records for image in (*record.on, *record.off)}
     for path in images:
-        try:
+        with reported(f"{root}/{path}: cannot be read", error=CaptureError):
             status = os.stat(f"{root}/{path}")
-        except OSError as problem:
-            raise CaptureError(f"{root}/{path}: cannot be read: {problem.strerror or problem}.") from problem
         digest.update(f"{path}\0{status.st_size}\0{status.st_mtime_ns}\n".encode())
     return "sha256:" + digest.hexdigest()
 
@@ -56,9 +54,8 @@ def frames_key(capture: Capture) -> str:
 def code_digest() -> str:
     """Digest of the code that finds stripes, so that better code never takes the stripes of worse."""
     root = Path(str(resources.files("jaxscan")))
-    files = sorted(file for room in ("stripes", "reconstruction") for file in (root / room).rglob("*.py"))
     digest = hashlib.sha256()
-    for file in files:
+    for file in sorted(file for room in ("stripes", "reconstruction") for file in (root / room).rglob("*.py")):
         digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
     return "sha256:" + digest.hexdigest()
 
@@ -68,8 +65,8 @@ def save_stripes(path: str | Path, arrays: Mapping[str, np.ndarray], key: Mappin
 
     Args:
         path: The file, `.npz`; one that exists is replaced.
-        arrays: Of numbers or booleans, by name.
-        key: What they came from, as JSON holds it: settings, versions, `frames_key`.
+        arrays: Arrays of numbers or booleans, by name.
+        key: Their source, as JSON values: settings, versions, `frames_key`.
 
     Raises:
         CaptureError: If the file cannot be written.
@@ -78,19 +75,18 @@ def save_stripes(path: str | Path, arrays: Mapping[str, np.ndarray], key: Mappin
     wrong = [name for name, array in arrays.items() if name == _KEY or np.asarray(array).dtype.kind not in _KINDS]
     if wrong:
         raise ValueError(f"`arrays` must hold numbers, and none may be called {_KEY!r}, got {wrong[0]!r}.")
-    said = {"format": CACHE_FORMAT, "key": dict(key), "arrays": _described(arrays)}
-    text = json.dumps(said, allow_nan=False).encode()
-    about = {_KEY: np.frombuffer(text, np.uint8)}
-    # It can be computed again, so it does not wait for the disk: what a loss of power leaves is refused.
-    write_atomically(path, lambda part: write_arrays(part, {**about, **arrays}), durable=False, error=CaptureError)
+    about = {"format": CACHE_FORMAT, "key": dict(key), "arrays": _described(arrays)}
+    text = {_KEY: np.frombuffer(json.dumps(about, allow_nan=False).encode(), np.uint8)}
+    # It can be computed again, so it does not wait for the disk; a file damaged by a loss of power is refused.
+    write_atomically(path, lambda part: write_arrays(part, {**text, **arrays}), durable=False, error=CaptureError)
 
 
 def load_stripes(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read what `save_stripes` wrote.
+    """Read a file that `save_stripes` wrote.
 
     Returns:
         arrays: By name.
-        key: As it was given, after a way through JSON.
+        key: As it was given, with the types of JSON.
 
     Raises:
         CaptureError: If the file is missing, damaged, too large, or another kind of file.
@@ -105,9 +101,9 @@ def load_stripes(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any
 
 
 def cached_stripes(path: str | Path, key: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
-    """The arrays that were saved under this very key; None where there are none that can be read.
+    """The arrays that were saved with exactly this key; None if there are none or they cannot be read.
 
-    The arrays of another key are not read.
+    Arrays with another key are not read.
     """
     try:
         wanted = json.loads(json.dumps(dict(key), allow_nan=False))
@@ -121,33 +117,31 @@ def _described(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _about(path: str | Path) -> dict[str, Any]:
-    """The key and what arrays there are, from a file of which every array is as large as it says."""
+    """The key and the list of arrays, from a file in which nothing is compressed."""
     _check_stored(path)
     found = read_arrays(path, error=CaptureError, limit=MEGABYTE, only=_KEY).get(_KEY)
-    if found is None or found.dtype != np.uint8 or found.ndim != 1:
-        raise CaptureError(f"{path}: holds no stripes ({CACHE_FORMAT}).")
-    about = parse_json(found.tobytes(), name=str(path), error=CaptureError)
-    if not isinstance(about, dict) or about.get("format") != CACHE_FORMAT:
-        raise CaptureError(f"{path}: holds no stripes ({CACHE_FORMAT}).")
-    if not all(isinstance(about.get(part), dict) for part in ("key", "arrays")):
-        raise CaptureError(f"{path}: holds no stripes ({CACHE_FORMAT}).")
-    return about
+    if found is not None and found.dtype == np.uint8 and found.ndim == 1:
+        about = parse_json(found.tobytes(), name=str(path), error=CaptureError)
+        if isinstance(about, dict) and about.get("format") == CACHE_FORMAT:
+            if all(isinstance(about.get(part), dict) for part in ("key", "arrays")):
+                return about
+    raise CaptureError(f"{path}: holds no stripes ({CACHE_FORMAT}).")
 
 
 def _check_stored(path: str | Path) -> None:
-    """See that nothing is compressed, so that no more memory is taken than the file has bytes."""
+    """Check that nothing is compressed, so that reading takes no more memory than the size of the file."""
+    if not os.path.isfile(path):
+        raise CaptureError(f"{path}: no such file.")
     try:
-        if not os.path.isfile(path):
-            raise CaptureError(f"{path}: no such file.")
         size = os.path.getsize(path)
         if size > MAX_CACHE_BYTES:
             raise CaptureError(f"{path}: larger than the {MAX_CACHE_BYTES >> 30} GiB that such a file may have.")
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            names = {member.filename for member in members}
-            packed = [member.filename for member in members if member.compress_type != zipfile.ZIP_STORED]
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError) as problem:
         raise CaptureError(f"{path}: not a readable .npz file: {problem}.") from problem
+    stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
     # Members may overlap in the file, or share a name, and be read more than once.
-    if packed or len(names) < len(members) or sum(member.file_size for member in members) > size:
+    repeated = len({member.filename for member in members}) < len(members)
+    if not stored or repeated or sum(member.file_size for member in members) > size:
         raise CaptureError(f"{path}: not a readable .npz file: found compressed, repeated or overlapping arrays.")

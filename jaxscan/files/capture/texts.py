@@ -11,13 +11,13 @@ from jaxscan.files.disk import MEGABYTE, read_bounded
 
 
 class CaptureTexts(NamedTuple):
-    """Header and journal of a capture, as they stand on the disk and as they are understood."""
+    """Header and journal of a capture, as bytes and parsed."""
 
     header: CaptureHeader
     records: tuple[Record, ...]
     """Sorted by their number, one per number."""
     notes: tuple[str, ...]
-    """A sentence where a torn last line was left out."""
+    """A sentence if a torn last line was left out."""
     header_bytes: bytes
     journal_bytes: bytes
 
@@ -32,10 +32,10 @@ def read_texts(folder: Path) -> CaptureTexts:
     Raises:
         CaptureError: With the file, and the line or key, that is missing or wrong.
     """
-    header_name, journal_name = str(folder / HEADER_NAME), str(folder / JOURNAL_NAME)
-    header_bytes = read_bounded(header_name, MEGABYTE, name=header_name, error=CaptureError)
-    header = parse_header(header_bytes, name=header_name)
-    journal_bytes = read_bounded(journal_name, MAX_JOURNAL_BYTES, name=journal_name, error=CaptureError)
+    header_path, journal_path = folder / HEADER_NAME, folder / JOURNAL_NAME
+    header_bytes = read_bounded(header_path, MEGABYTE, error=CaptureError)
+    header = parse_header(header_bytes, name=str(header_path))
+    journal_bytes = read_bounded(journal_path, MAX_JOURNAL_BYTES, error=CaptureError)
     names = tuple(laser.name for laser in header.laser)
-    records, notes = read_journal(journal_bytes, name=journal_name, kind=header.kind, laser_names=names)
+    records, notes = read_journal(journal_bytes, name=str(journal_path), kind=header.kind, laser_names=names)
     return CaptureTexts(header, records, notes, header_bytes, journal_bytes)

@@ -36,7 +36,7 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {".ply": read_ply, ".npz": re
 
 
 def check_cloud_path(path: Path) -> None:
-    """See that a cloud can be written under this name, before the work that makes it.
+    """Check that a cloud can be written under this name, before it is computed.
 
     Raises:
         CloudError: If the suffix is not one of `WRITERS`, or nothing can be written there.
@@ -52,7 +52,7 @@ def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str =
     Args:
         cloud: Points [m], scanner frame.
         path: Its suffix is one of `WRITERS`. An existing file is replaced when the new one is whole.
-        calibration_digest: Digest of the calibration file, kept where the format has room.
+        calibration_digest: Digest of the calibration file, stored where the format has room for it.
 
     Raises:
         CloudError: If the suffix is unknown, the cloud has no valid point, or the file cannot
@@ -76,8 +76,8 @@ def load_cloud(path: str | Path) -> PointCloud:
         path: Its suffix is one of `READERS`.
 
     Returns:
-        The cloud on its grid, NumPy arrays. A PLY of another program has one profile, in the
-        unit and frame it came in; an unknown value is zero.
+        The cloud on its grid, NumPy arrays. A PLY of another program has one profile, in its own
+        unit and frame; values that it lacks are zero.
 
     Raises:
         CloudError: If the suffix is unknown, or the file is missing or damaged.

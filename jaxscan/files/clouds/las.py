@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.errors import DependencyError
-from jaxscan.files.clouds.points import all_points
+from jaxscan.files.clouds.points import columns
 from jaxscan.reconstruction import PointCloud
 
 
@@ -38,7 +38,8 @@ def write_las(cloud: PointCloud, path: Path, digest: str) -> None:
         raise missing from problem
     if path.suffix.lower() == ".laz" and not laspy.LazBackend.detect_available():
         raise missing
-    points = all_points(cloud)
+    points = cloud.points()
+    values = columns(points)
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.scales = np.full(3, SCALE_M)
     header.offsets = np.zeros(3)
@@ -56,8 +57,6 @@ def write_las(cloud: PointCloud, path: Path, digest: str) -> None:
     las.return_number = np.ones(len(points.step), np.uint8)
     las.number_of_returns = np.ones(len(points.step), np.uint8)
     las.user_data = points.laser
-    for field in ("sigma", "sigma_random", "sigma_systematic", "step", "row"):
-        las[field] = getattr(points, field)
-    for axis, name in enumerate(("normal_x", "normal_y", "normal_z")):
-        las[name] = points.normals[:, axis]
+    for name in _EXTRA:
+        las[name] = values[name]
     las.write(str(path))

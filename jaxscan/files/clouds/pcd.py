@@ -4,13 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxscan.files.clouds.points import blocks
+from jaxscan.files.clouds.points import blocks, columns, table
 from jaxscan.reconstruction import PointCloud
 
 
-_FLOATS = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
 _POINT = np.dtype(
-    [(name, "<f4") for name in _FLOATS]
+    [(name, "<f4") for name in ("x", "y", "z", "normal_x", "normal_y", "normal_z")]
     # The library packs a colour as 0x00rrggbb and calls the four bytes a float.
     + [("rgb", "<u4")]
     + [(name, "<f4") for name in ("intensity", "sigma", "sigma_random", "sigma_systematic")]
@@ -38,12 +37,6 @@ def write_pcd(cloud: PointCloud, path: Path, digest: str) -> None:
     with open(path, "wb") as file:
         file.write("\n".join(header).encode("ascii"))
         for points in blocks(cloud):
-            table = np.empty(len(points.step), _POINT)
-            for axis in range(3):
-                table[_FLOATS[axis]] = points.xyz[:, axis]
-                table[_FLOATS[axis + 3]] = points.normals[:, axis]
             red, green, blue = points.rgb.astype(np.uint32).T
-            table["rgb"] = red << np.uint32(16) | green << np.uint32(8) | blue
-            for field in ("intensity", "sigma", "sigma_random", "sigma_systematic"):
-                table[field] = getattr(points, field)
-            file.write(table.data)
+            packed = red << np.uint32(16) | green << np.uint32(8) | blue
+            file.write(table({**columns(points), "rgb": packed}, _POINT).data)

@@ -1,9 +1,8 @@
-"""PLY, read: our own back into the organised grid, anybody else's as a single row of points."""
+"""Reading PLY: files of this library on their grid, others as a single row of points."""
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -17,28 +16,22 @@ MAX_CELLS = 1 << 28
 """Largest accepted grid, 13 GB: 18 000 steps of two lasers on 7000 lines."""
 
 _TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("int", "int32"), "i4"),
-    **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"),
-    **dict.fromkeys(("double", "float64"), "f8"),
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2"},
+    **{"int": "i4", "uint": "u4", "float": "f4", "double": "f8"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
+    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
 }
 _ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
-@dataclass(frozen=True)
-class _Element:
+class _Element(NamedTuple):
     name: str
-    count: int
+    rows: int
     dtype: np.dtype | None
     """None where a property is a list."""
 
 
-@dataclass(frozen=True)
-class _Header:
+class _Header(NamedTuple):
     encoding: str
     comments: tuple[str, ...]
     elements: tuple[_Element, ...]
@@ -49,8 +42,8 @@ class _Header:
 def read_ply(path: Path) -> PointCloud:
     """A cloud from a PLY file, ASCII or binary.
 
-    One that this library wrote comes back on its grid. Of any other, `x y z` and, where there
-    are, colours, normals, intensity and sigmas are read, as a single profile.
+    A file of this library is read onto its grid. Of other files, `x y z` and, where present,
+    colours, normals, intensity and sigmas are read, as a single profile.
 
     Raises:
         CloudError: If it is damaged or has no points.
@@ -66,7 +59,7 @@ def read_ply(path: Path) -> PointCloud:
     versions = [comment for comment in header.comments if comment.startswith("jaxscan-cloud/")]
     if versions and versions[0] != CLOUD_FORMAT:
         raise CloudError(f"{path}: found {versions[0]}, expected {CLOUD_FORMAT}; a newer version of jaxscan reads it.")
-    # Another program may have kept the comments and dropped what belongs to them.
+    # Another program may have kept the comments but dropped the columns.
     if versions and set(VERTEX.names or ()) <= set(vertices.dtype.names or ()):
         return _organised(vertices, tables.get("profile"), header.comments, path)
     return _unorganised(vertices, path)
@@ -95,7 +88,7 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
             case ["property", "list", *_] if elements:
                 elements[-1] = (*elements[-1][:2], None)
             case ["property", kind, name] if elements and kind in _TYPES:
-                # Where a list stands, the size of an item is open and the rest does not matter.
+                # After a list the size of an item is unknown, so its other properties are not used.
                 if (fields := elements[-1][2]) is not None:
                     fields.append((name, _ORDERS.get(encoding, "=") + _TYPES[kind]))
             case _:
@@ -116,9 +109,9 @@ def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> dict
     for element in header.elements:
         if element.dtype is None:
             break
-        tables[element.name] = _read_table(file, element, header.encoding == "ascii", size, path)
-        if element.name not in ("vertex", "profile"):
-            del tables[element.name]
+        table = _read_table(file, element, header.encoding == "ascii", size, path)
+        if element.name in ("vertex", "profile"):
+            tables[element.name] = table
     vertices = tables.get("vertex")
     if vertices is None:
         raise CloudError(f"{path}: has no vertices that can be read; lists in or before them are not supported.")
@@ -130,9 +123,9 @@ def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> dict
 
 
 def _read_table(file: BinaryIO, element: _Element, ascii_text: bool, size: int, path: Path) -> np.ndarray:
-    dtype, count = element.dtype or np.dtype([]), element.count
+    dtype, count = element.dtype or np.dtype([]), element.rows
     properties = len(dtype.names or ())
-    # Written out, a number takes a digit and a separator. Nothing is allocated on the header's word.
+    # As text, a number takes a digit and a separator. Nothing is allocated before this check.
     needed = count * (2 * properties if ascii_text else dtype.itemsize) - (1 if ascii_text and count else 0)
     if needed > size - file.tell():
         raise CloudError(
@@ -149,19 +142,13 @@ def _read_table(file: BinaryIO, element: _Element, ascii_text: bool, size: int, 
         raise CloudError(f"{path}: {element.name}: not a table of numbers: {problem}.") from problem
     if values.shape != (count, properties):
         raise CloudError(f"{path}: {element.name}: found {values.shape}, expected {(count, properties)}.")
-    return _typed(values, dtype)
-
-
-def _typed(values: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    table = np.empty(len(values), dtype)
-    for column, name in enumerate(dtype.names or ()):
-        kind = dtype[name]
-        finite = values[:, column]
-        if kind.kind in "iu":
-            limits = np.iinfo(kind)
-            finite = np.clip(np.nan_to_num(finite), limits.min, limits.max)
+    table = np.empty(count, dtype)
+    for name, column in zip(dtype.names or (), values.T, strict=True):
+        if dtype[name].kind in "iu":
+            limits = np.iinfo(dtype[name])
+            column = np.clip(np.nan_to_num(column), limits.min, limits.max)
         with np.errstate(over="ignore"):
-            table[name] = finite
+            table[name] = column
     return table
 
 
@@ -182,14 +169,14 @@ def _organised(
     if np.count_nonzero(valid) != len(vertices):
         raise CloudError(f"{path}: two points have the same step and row.")
 
-    def spread(names: tuple[str, ...], dtype: type) -> np.ndarray:
+    def spread(dtype: type, *names: str) -> np.ndarray:
         field: np.ndarray = np.zeros((profiles, lines, len(names)), dtype)
         for k, name in enumerate(names):
             values = vertices[name]
             if not np.isfinite(values).all():
                 raise CloudError(f"{path}: {name} of a point is not finite.")
             field[step, row, k] = values
-        return field
+        return field if len(names) > 1 else field[..., 0]
 
     if per_profile is not None and set(PROFILE.names or ()) <= set(per_profile.dtype.names or ()):
         if len(per_profile) != profiles or not np.isfinite(per_profile["angle"]).all():
@@ -200,12 +187,12 @@ def _organised(
         angle, record, laser = np.zeros(profiles), np.arange(profiles, dtype=np.int32), np.zeros(profiles, np.int32)
         laser[step] = vertices["laser"]
     return PointCloud(
-        xyz=spread(("x", "y", "z"), np.float32),
-        rgb=spread(("red", "green", "blue"), np.uint8),
-        intensity=spread(("intensity",), np.float32)[..., 0],
-        normals=spread(("nx", "ny", "nz"), np.float32),
-        sigma_random=spread(("sigma_random",), np.float32)[..., 0],
-        sigma_systematic=spread(("sigma_systematic",), np.float32)[..., 0],
+        xyz=spread(np.float32, "x", "y", "z"),
+        rgb=spread(np.uint8, "red", "green", "blue"),
+        intensity=spread(np.float32, "intensity"),
+        normals=spread(np.float32, "nx", "ny", "nz"),
+        sigma_random=spread(np.float32, "sigma_random"),
+        sigma_systematic=spread(np.float32, "sigma_systematic"),
         valid=valid,
         record=record,
         laser=laser,
@@ -221,7 +208,7 @@ def _unorganised(vertices: np.ndarray, path: Path) -> PointCloud:
     def column(*spellings: str) -> np.ndarray:
         for name in spellings:
             if name in names:
-                # What does not fit becomes infinite, and is dropped below.
+                # Values out of range become infinite, and are dropped below.
                 with np.errstate(over="ignore"):
                     return vertices[name].astype(dtype)
         return np.zeros(len(vertices), dtype)

@@ -1,19 +1,20 @@
-"""From the organised cloud to lists of points, as file formats hold them, and back."""
+"""From the cloud on its grid to lists and tables of points, as file formats hold them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.reconstruction import CloudPoints as Points
-from jaxscan.reconstruction import PointCloud
+from jaxscan.reconstruction import CloudPoints, PointCloud
 
 
 BLOCK_POINTS = 1 << 20
-"""Grid cells worked on at a time: enough to be fast, little enough for any memory."""
+"""Grid cells that are processed at a time: enough to be fast, few enough for any memory."""
+
+_LONG_NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}
 
 
-def blocks(cloud: PointCloud) -> Iterator[Points]:
+def blocks(cloud: PointCloud) -> Iterator[CloudPoints]:
     """The valid points, some profiles at a time; blocks without points are left out."""
     profiles, lines = cloud.valid.shape
     stride = max(1, BLOCK_POINTS // max(1, lines))
@@ -23,13 +24,27 @@ def blocks(cloud: PointCloud) -> Iterator[Points]:
             yield points
 
 
-def all_points(cloud: PointCloud) -> Points:
-    """The valid points of the whole cloud."""
-    return cloud.points()
+def columns(points: CloudPoints) -> dict[str, np.ndarray]:
+    """The values of points, one array [n] per name in file formats."""
+    scalars = ("intensity", "sigma", "sigma_random", "sigma_systematic", "step", "row", "laser")
+    return {
+        **dict(zip(("x", "y", "z"), points.xyz.T, strict=True)),
+        **dict(zip(("normal_x", "normal_y", "normal_z"), points.normals.T, strict=True)),
+        **dict(zip(("red", "green", "blue"), points.rgb.T, strict=True)),
+        **{name: getattr(points, name) for name in scalars},
+    }
+
+
+def table(values: Mapping[str, np.ndarray], dtype: np.dtype) -> np.ndarray:
+    """Columns as an array of records with the fields of `dtype`; a normal is "nx" or "normal_x"."""
+    records = np.empty(len(values["step"]), dtype)
+    for name in dtype.names or ():
+        records[name] = values[_LONG_NAMES.get(name, name)]
+    return records
 
 
 def check_cloud(cloud: PointCloud, name: str) -> None:
-    """See that a cloud can be written.
+    """Check that a cloud can be written.
 
     Raises:
         CloudError: If it has no point, or one that is not finite, or too many lasers.
@@ -41,7 +56,7 @@ def check_cloud(cloud: PointCloud, name: str) -> None:
         raise CloudError(f"{name}: found laser {np.max(cloud.laser)}, expected 0 to 255.")
     for field in ("xyz", "normals", "intensity", "sigma_random", "sigma_systematic"):
         values = np.asarray(getattr(cloud, field))
-        # One pass without a copy; where it fails, see whether a valid point is meant.
+        # First one pass without a copy; only if it fails, look at the valid points alone.
         with np.errstate(invalid="ignore"):
             finite = np.isfinite(values.sum(dtype=np.float64))
         if not finite and not np.isfinite(values[valid]).all():

@@ -9,7 +9,7 @@ from jaxscan.files.clouds.points import blocks
 from jaxscan.reconstruction import PointCloud
 
 
-# A micrometre is far below any scanner's noise, and a float32 holds little more.
+# A micrometre is far below any scanner's noise, and near the resolution of float32.
 _XYZ_LINE = "%.6f %.6f %.6f %d %d %d\n"
 _PTX_LINE = "%.6f %.6f %.6f %.4f %d %d %d\n"
 _PTX_HOLE = "0 0 0 0.500000 0 0 0\n"
@@ -19,14 +19,15 @@ def write_xyz(cloud: PointCloud, path: Path, digest: str) -> None:
     """Write `x y z r g b` of the valid points, a line each; metres."""
     with open(path, "w", encoding="ascii", newline="\n") as file:
         for points in blocks(cloud):
-            _write_lines(file, _XYZ_LINE, points.xyz, points.rgb)
+            rows = zip(points.xyz.tolist(), points.rgb.tolist(), strict=True)
+            file.writelines(_XYZ_LINE % (*position, *colour) for position, colour in rows)
 
 
 def write_ptx(cloud: PointCloud, path: Path, digest: str) -> None:
     """Write the whole grid, a block per laser: `x y z intensity r g b`, holes as zeros.
 
-    Columns are profiles; a column runs upwards, from the last line to the first, as scanners of
-    the makers of this format have it. The pose is the identity: scanner frame.
+    Columns are profiles; a column runs upwards, from the last line to the first, as in files of
+    other scanners. The pose is the identity: scanner frame.
     """
     lines = cloud.valid.shape[1]
     axes = "1 0 0\n0 1 0\n0 0 1\n"
@@ -48,8 +49,3 @@ def _write_column(file: TextIO, cloud: PointCloud, profile: int) -> None:
     intensity = np.clip(column(cloud.intensity) / 255, 0, 1)
     rows = zip(valid, column(cloud.xyz).tolist(), intensity.tolist(), column(cloud.rgb).tolist(), strict=True)
     file.writelines(_PTX_LINE % (*xyz, level, *rgb) if seen else _PTX_HOLE for seen, xyz, level, rgb in rows)
-
-
-def _write_lines(file: TextIO, line: str, xyz: np.ndarray, rgb: np.ndarray) -> None:
-    rows = zip(xyz.tolist(), rgb.tolist(), strict=True)
-    file.writelines(line % (*position, *colour) for position, colour in rows)

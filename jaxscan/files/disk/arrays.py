@@ -1,4 +1,4 @@
-"""NPZ files of plain arrays, read so that a hostile file can neither run code nor fill memory."""
+"""NPZ files of plain arrays; reading is safe: a hostile file can neither run code nor fill the memory."""
 
 import io
 import lzma
@@ -17,15 +17,15 @@ from jaxscan.errors import JaxscanError
 
 
 MAX_ARRAY_BYTES = 1 << 36
-"""Largest accepted array; what is really read is bounded by the size of the file."""
+"""Largest accepted array; the bytes that are really read are bounded by the size of the file."""
 MAX_EXPANSION = 200
 """Largest accepted ratio of an array to its compressed form; deflate reaches 1000."""
 
 _BLOCK = 1 << 22
 
-# What NumPy's reader raises on damaged headers, which are Python literals.
+# Errors of NumPy's reader for damaged headers, which are Python literals.
 NPY_DAMAGE = (OSError, ValueError, EOFError, SyntaxError, tokenize.TokenError, OverflowError, TypeError, RecursionError)
-# And what the archive's reader raises; `RuntimeError` where a member is encrypted.
+# Errors of the reader of archives; `RuntimeError` where a member is encrypted.
 _ZIP_DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, struct.error)
 
 
@@ -44,11 +44,10 @@ def read_arrays(
         path: The file.
         error: Type of the error raised.
         limit: Largest accepted array [bytes].
-        only: Read no other than the array of this name.
+        only: Read only the array of this name.
 
     Raises:
-        JaxscanError: Of type `error`, if it is missing, damaged, no NPZ file, or holds Python
-            objects.
+        JaxscanError: Of type `error`, if the file is missing, damaged, not an NPZ file, or holds Python objects.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -68,21 +67,65 @@ def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, limit: int) 
     with archive.open(member) as opened:
         stream = cast(io.BufferedIOBase, opened)
         shape, column_major, dtype = read_npy_header(stream)
-        # The archive says how many bytes there are; only then is memory taken for them.
+        # The size in the archive is checked before memory is allocated.
         if math.prod(shape) * dtype.itemsize > member.file_size:
             raise ValueError(f"{member.filename} announces {dtype} with shape {shape}, which it cannot hold")
         array = np.empty(shape, dtype, order="F" if column_major else "C")
-        # To the end, where the archive compares its checksum.
+        # Read to the end, where the archive compares its checksum.
         if _fill(stream, array) < array.nbytes or stream.read(1):
             raise ValueError(f"{member.filename} does not hold {dtype} with shape {shape} and nothing else")
     return array
 
 
-def read_npy_header(stream: io.BufferedIOBase) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Shape, whether columns come first, and type of the array that follows; it holds no Python objects.
+def check_arrays(
+    arrays: Mapping[str, np.ndarray],
+    expected: Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]],
+    sizes: Mapping[str, int],
+    *,
+    name: str,
+    error: type[JaxscanError],
+) -> dict[str, int]:
+    """Check types and shapes of arrays, and that floats (float32 or float64) are finite.
+
+    Args:
+        arrays: By key.
+        expected: Type and axes of each array; an axis is a size, or a name that stands for the same size everywhere.
+        sizes: Sizes of axes that are known beforehand, by name.
+        name: Name of the file, for messages.
+        error: Type of the error raised.
+
+    Returns:
+        The size of every named axis.
 
     Raises:
-        ValueError: Or another of `NPY_DAMAGE`, if there is no such array.
+        JaxscanError: Of type `error`, with the array that is missing or wrong.
+    """
+    sizes = dict(sizes)
+    for key, (kind, axes) in expected.items():
+        array = arrays.get(key)
+        if array is None:
+            raise error(f"{name}: {key} is missing.")
+        for axis, size in zip(axes, array.shape, strict=False):
+            if isinstance(axis, str):
+                sizes.setdefault(axis, size)
+        shape = tuple(sizes.get(axis, axis) if isinstance(axis, str) else axis for axis in axes)
+        single_or_double = array.dtype in (np.dtype(np.float32), np.dtype(np.float64))
+        fits = single_or_double if kind is np.floating else np.issubdtype(array.dtype, kind)
+        if array.shape != shape or not fits:
+            raise error(
+                f"{name}: {key}: found {array.dtype} with shape {array.shape}, "
+                f"expected {kind.__name__} with shape {shape}."
+            )
+        if kind is np.floating and not np.isfinite(array).all():
+            raise error(f"{name}: {key} is not finite everywhere.")
+    return sizes
+
+
+def read_npy_header(stream: io.BufferedIOBase) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether the order is column-major, and type of the array that follows; Python objects are refused.
+
+    Raises:
+        ValueError: Or another error of `NPY_DAMAGE`, if no such array follows.
     """
     version = np.lib.format.read_magic(stream)
     if version not in ((1, 0), (2, 0)):
@@ -95,7 +138,7 @@ def read_npy_header(stream: io.BufferedIOBase) -> tuple[tuple[int, ...], bool, n
 
 
 def _fill(stream: io.BufferedIOBase, array: np.ndarray) -> int:
-    """Read the bytes of an array into its memory; how many came."""
+    """Read bytes into the memory of an array; returns the number of bytes read."""
     if array.nbytes == 0:
         return 0
     target = array.reshape(-1, order="A").view(np.uint8).data

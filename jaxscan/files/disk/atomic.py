@@ -1,4 +1,4 @@
-"""Files appear whole or not at all: written beside, then renamed."""
+"""Writing files whole or not at all: under a temporary name, then renamed."""
 
 import contextlib
 import errno
@@ -23,8 +23,8 @@ def write_atomically(
 
     Args:
         path: The file; its folder must exist. A link is followed.
-        content: The bytes, or a function that writes the file it is given the path of (which
-            has the same suffix and lies in the same folder).
+        content: The bytes, or a function that writes the file at a given path; that path has the same
+            suffix and lies in the same folder.
         durable: Wait until the content is on the disk, so that it survives a loss of power.
         error: Type of the error raised.
 
@@ -51,7 +51,7 @@ def write_atomically(
 
 
 def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError) -> None:
-    """See that a file can be written under this name, before the work that makes its content.
+    """Check that a file can be written, before its content is computed.
 
     Args:
         path: The file.
@@ -70,7 +70,7 @@ def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError
 
 
 def append_whole(file: io.FileIO, data: bytes, *, durable: bool) -> None:
-    """Append to a file all of `data`, or nothing where the disk still lets a part be taken back.
+    """Append all of `data` to a file, or nothing; a part that was written is removed where the disk allows it.
 
     Raises:
         OSError: If it cannot be written.
@@ -89,16 +89,16 @@ def append_whole(file: io.FileIO, data: bytes, *, durable: bool) -> None:
 
 
 def _check_target(target: Path) -> None:
-    # Foreign libraries have errors of their own for this.
+    # Other libraries raise errors of their own for a missing folder.
     if not target.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
-    # Renaming over a device or a folder would replace what the user only meant to write to.
+    # Renaming would replace a device or a folder, although the user only meant to write into it.
     if target.exists() and not stat.S_ISREG(target.stat().st_mode):
         raise OSError("it exists and is not a regular file")
 
 
 def sync_to_disk(path: Path) -> None:
-    """Wait until a file, or the names in a folder, would survive a loss of power."""
+    """Wait until a file, or the list of names in a folder, is safe from a loss of power."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

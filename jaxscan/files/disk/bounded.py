@@ -1,9 +1,11 @@
-"""Reading files that others wrote: never more than a bound, never anything but a regular file."""
+"""Reading files of any origin: only regular files, and at most a given number of bytes."""
 
+import contextlib
 import hashlib
 import json
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +15,25 @@ from jaxscan.errors import JaxscanError
 MEGABYTE = 1 << 20
 
 
-def read_bounded(path: str | Path, limit: int, *, name: str, error: type[JaxscanError]) -> bytes:
+@contextlib.contextmanager
+def reported(failure: object, *, error: type[JaxscanError]) -> Iterator[None]:
+    """Report an `OSError` in one line: `failure`, such as "<file>: cannot be written", and the reason.
+
+    Raises:
+        JaxscanError: Of type `error`.
+    """
+    try:
+        yield
+    except OSError as problem:
+        raise error(f"{failure}: {problem.strerror or problem}.") from problem
+
+
+def read_bounded(path: str | Path, limit: int, *, error: type[JaxscanError]) -> bytes:
     """All bytes of a regular file of at most `limit` bytes.
 
     Args:
         path: The file.
         limit: Largest accepted size [bytes].
-        name: What messages call the file.
         error: Type of the error raised.
 
     Raises:
@@ -28,21 +42,26 @@ def read_bounded(path: str | Path, limit: int, *, name: str, error: type[Jaxscan
     try:
         # Opening a pipe would wait for ever, so look first.
         if not stat.S_ISREG(os.stat(path).st_mode):
-            raise error(f"{name}: found {'a folder' if os.path.isdir(path) else 'a device or pipe'}, expected a file.")
+            raise error(f"{path}: found {'a folder' if os.path.isdir(path) else 'a device or pipe'}, expected a file.")
         with open(path, "rb") as file:
             # As large as it is now: a journal may grow, and Python allocates all that is asked for.
             size = os.fstat(file.fileno()).st_size
             if size > limit:
-                raise error(f"{name}: larger than the {limit / MEGABYTE:g} MiB that such a file may have.")
+                raise error(f"{path}: larger than the {limit / MEGABYTE:g} MiB that such a file may have.")
             return file.read(size)
     except FileNotFoundError as problem:
-        raise error(f"{name}: no such file.") from problem
+        raise error(f"{path}: no such file.") from problem
     except (OSError, ValueError) as problem:
-        raise error(f"{name}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
+        raise error(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
 
 
 def parse_json(data: bytes, *, name: str, error: type[JaxscanError]) -> Any:
     """The value of a JSON text; `NaN` and `Infinity`, which are not JSON, are refused.
+
+    Args:
+        data: The text, UTF-8.
+        name: Name of the file, for messages.
+        error: Type of the error raised.
 
     Raises:
         JaxscanError: Of type `error`, with the line where there is one.
@@ -67,8 +86,5 @@ def file_digest(path: str | Path, *, error: type[JaxscanError] = JaxscanError) -
     Raises:
         JaxscanError: Of type `error`, if it cannot be read.
     """
-    try:
-        with open(path, "rb") as file:
-            return "sha256:" + hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as problem:
-        raise error(f"{path}: cannot be read: {problem.strerror or problem}.") from problem
+    with reported(f"{path}: cannot be read", error=error), open(path, "rb") as file:
+        return "sha256:" + hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""Configuration: TOML into frozen pydantic models that reject what they do not know."""
+"""Configuration: TOML into frozen pydantic models that reject unknown keys."""
 
 import tomllib
 from pathlib import Path
@@ -23,18 +23,18 @@ def load_toml(path: str | Path, model: type[Model]) -> Model:
         The validated model.
 
     Raises:
-        ConfigError: One line: the file, the line or the key, what was found and what may stand
-            there; for an unknown key the closest known one.
+        ConfigError: One line: the file, the line or the key, the value found and the values allowed; for an
+            unknown key the closest known one.
     """
-    data = read_bounded(path, MAX_CONFIG_BYTES, name=str(path), error=ConfigError)
-    return check(model, parse_toml(data, name=str(path), error=ConfigError), name=str(path), error=ConfigError)
+    name, data = str(path), read_bounded(path, MAX_CONFIG_BYTES, error=ConfigError)
+    return check(model, parse_toml(data, name=name, error=ConfigError), name=name, error=ConfigError)
 
 
 def parse_toml(data: bytes, *, name: str, error: type[JaxscanError]) -> dict[str, Any]:
     """The tables of a TOML text.
 
     Raises:
-        JaxscanError: Of type `error`, with the line where the syntax breaks.
+        JaxscanError: Of type `error`, with the line of the first syntax error.
     """
     try:
         return tomllib.loads(data.decode("utf-8"))

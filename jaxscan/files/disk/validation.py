@@ -1,4 +1,4 @@
-"""Data from files into frozen pydantic models, and pydantic's errors into one line for people."""
+"""Data from files into frozen pydantic models, and pydantic's errors as one readable line."""
 
 import difflib
 import json
@@ -13,12 +13,12 @@ from jaxscan.geometry import MAX_PIXELS
 
 
 class FileModel(pydantic.BaseModel):
-    """Base of what is written in files: frozen, finite, and no key that is not known."""
+    """Base of the models of file contents: frozen, finite numbers, unknown keys refused."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-# Files have types of their own: a quoted number is a mistake, not a number.
+# TOML and JSON have types: a number in quotes is a mistake, not a number.
 Number = Annotated[float, pydantic.Strict()]
 Integer = Annotated[int, pydantic.Strict()]
 
@@ -46,24 +46,22 @@ def check(model: type[Model], data: Any, *, name: str, error: type[JaxscanError]
 
     Args:
         model: A pydantic model.
-        data: What TOML or JSON gave.
-        name: What messages call the file.
+        data: Parsed TOML or JSON.
+        name: Name of the file, for messages.
         error: Type of the error raised.
 
     Returns:
         The validated model.
 
     Raises:
-        JaxscanError: Of type `error`; one line with the key, what was found and what may stand
-            there, for an unknown key the closest known one.
+        JaxscanError: Of type `error`; one line with the key, the value found and the values allowed, for an
+            unknown key the closest known one.
     """
     try:
         return model.model_validate(data)
     except pydantic.ValidationError as problem:
-        # An unknown key first: what is missing is usually the same key, spelt right.
-        details = sorted(
-            problem.errors(include_url=False, include_context=True), key=lambda e: e["type"] != "extra_forbidden"
-        )
+        # Unknown keys first: a missing key is usually the same key, misspelt.
+        details = sorted(problem.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
         more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
         raise error(f"{name}: {_explain(model, data, details[0])}{more}.") from None
 
@@ -75,24 +73,23 @@ def _explain(model: type[pydantic.BaseModel], data: Any, detail: Mapping[str, An
         return f"{path}: unknown key{_suggest(str(location[-1]), _known_keys(model, location[:-1]))}"
     if kind == "missing":
         return f"{path}: missing"
-    if kind == "union_tag_not_found":
-        return f"{_join(path, detail['ctx']['discriminator'].strip(chr(39)))}: missing"
-    if kind == "union_tag_invalid":
+    if kind in ("union_tag_not_found", "union_tag_invalid"):
         context = detail["ctx"]
         where = _join(path, context["discriminator"].strip("'"))
+        if kind == "union_tag_not_found":
+            return f"{where}: missing"
         return f"{where}: found {_show(context['tag'])}, expected {context['expected_tags'].replace(chr(39), chr(34))}"
     message = detail["msg"].removeprefix("Value error, ").removesuffix(".")
     if kind == "value_error":
         return f"{path}: {message}" if path else message
-    message = message.replace("Input should be ", "expected ").replace("a valid dictionary", "a table")
-    message = message.replace("a valid tuple", "a list")
-    if message.startswith("expected a table"):
+    message = message.replace("Input should be ", "expected ").replace("a valid tuple", "a list")
+    if message.startswith("expected a valid dictionary"):
         message = "expected a table"
     return f"{path or 'the file'}: found {_show(found)}, {message.replace(chr(39), chr(34))}"
 
 
 def _key_path(data: Any, location: tuple[Any, ...], *, missing: bool) -> str:
-    """The keys as they stand in the file; pydantic's location also names branches of unions."""
+    """The keys as in the file; pydantic's location also names branches of unions."""
     path = ""
     for depth, item in enumerate(location):
         absent = missing and depth == len(location) - 1
@@ -118,8 +115,7 @@ def _show(value: Any) -> str:
 
 
 def _suggest(key: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-    if close:
+    if close := difflib.get_close_matches(key, known, n=1, cutoff=0.5):
         return f'; the closest known one is "{close[0]}"'
     return f"; known here: {', '.join(known)}" if known else ""
 

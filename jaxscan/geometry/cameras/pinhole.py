@@ -47,8 +47,8 @@ class Pinhole(AbstractCamera):
         """
         # A harmless 1 where z is 0, so that neither value nor gradient is NaN there.
         z = jnp.where(p[2] == 0, 1.0, p[2]).astype(p.dtype)
-        x = _distort(p[:2] / z, self.distortion)
-        return jnp.stack([self.fx * x[0] + self.skew * x[1] + self.cx, self.fy * x[1] + self.cy])
+        x, y = _distort(p[0] / z, p[1] / z, self.distortion)
+        return jnp.stack([self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy])
 
     def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """Unit ray of a pixel, by Newton's method: 1e-10 px in float64, 1e-3 px in float32."""
@@ -68,20 +68,10 @@ class Pinhole(AbstractCamera):
     def matrix(self) -> Float[Array, "3 3"]:
         """The paper's camera matrix A [px]. Source: PAPER.md equation (1)."""
         zero, one = jnp.zeros_like(self.fx), jnp.ones_like(self.fx)
-        return jnp.stack(
-            [
-                jnp.stack([self.fx, self.skew, self.cx]),
-                jnp.stack([zero, self.fy, self.cy]),
-                jnp.stack([zero, zero, one]),
-            ]
-        )
+        return jnp.stack([self.fx, self.skew, self.cx, zero, self.fy, self.cy, zero, zero, one]).reshape(3, 3)
 
 
-def _distort(x: Float[Array, "2"], k: Float[Array, " k"]) -> Float[Array, "2"]:
-    return jnp.stack(_distort_xy(x[0], x[1], k))
-
-
-def _distort_xy(x: Array, y: Array, k: Float[Array, " k"]) -> tuple[Array, Array]:
+def _distort(x: Array, y: Array, k: Float[Array, " k"]) -> tuple[Array, Array]:
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
     if k.shape[0] == 8:
@@ -91,7 +81,7 @@ def _distort_xy(x: Array, y: Array, k: Float[Array, " k"]) -> tuple[Array, Array
 
 
 def _undistort(target: Float[Array, "2"], k: Float[Array, " k"]) -> Float[Array, "2"]:
-    """Solve `_distort(x, k) = target`.
+    """Solve `_distort(x, y, k) = target`.
 
     The coordinates are kept apart: as the fastest axis of an array of millions of points, a pair
     would keep the loop from being vectorised (3.5 times slower).
@@ -99,8 +89,8 @@ def _undistort(target: Float[Array, "2"], k: Float[Array, " k"]) -> Float[Array,
 
     def newton(x, y, k, target_x, target_y):
         one, zero = jnp.ones_like(x), jnp.zeros_like(x)
-        (distorted_x, distorted_y), (a, c) = jax.jvp(lambda x, y: _distort_xy(x, y, k), (x, y), (one, zero))
-        _, (b, d) = jax.jvp(lambda x, y: _distort_xy(x, y, k), (x, y), (zero, one))
+        (distorted_x, distorted_y), (a, c) = jax.jvp(lambda x, y: _distort(x, y, k), (x, y), (one, zero))
+        _, (b, d) = jax.jvp(lambda x, y: _distort(x, y, k), (x, y), (zero, one))
         error_x, error_y = distorted_x - target_x, distorted_y - target_y
         det = a * d - b * c
         det = jnp.where(det == 0, 1.0, det).astype(det.dtype)

@@ -1,46 +1,32 @@
-"""The furniture: a room that a person recognises, and a small object on a plate.
+"""The furniture of a living room, and a small object on a plate.
 
 Room coordinates: origin in a corner on the floor, x and y along the walls, z up. Pieces stand
-along the walls or in corners and scale with nothing, so small rooms are simply fuller; each
-wall stays visible for more than 40 % of its area.
+along the walls or in corners. Their sizes are fixed, so small rooms are fuller; of each wall more
+than 40 % stays visible.
 """
 
 from functools import partial
 
 import numpy as np
 
+from jaxscan.simulation.scene import textures
 from jaxscan.simulation.scene.meshes import Mesh
-from jaxscan.simulation.scene.textures import (
-    Material,
-    bands,
-    books,
-    checker,
-    dots,
-    framed,
-    panes,
-    planks,
-    plaster,
-    rings,
-    stripes,
-    tiles,
-    weave,
-    wood,
-)
+from jaxscan.simulation.scene.textures import Material, framed
 from jaxscan.simulation.spec import ObjectSpec, RoomSpec
 
 
 LAMP_HEIGHT_SHARE = 0.93
 """Height of the lamp under the ceiling, as a share of the room's."""
 
-_OAK = Material(((0.52, 0.34, 0.18), (0.42, 0.26, 0.13)), wood)
+_OAK = Material(((0.52, 0.34, 0.18), (0.42, 0.26, 0.13)), textures.wood)
 _WHITE = Material(((0.80, 0.79, 0.76),))
 _DARK = Material(((0.16, 0.15, 0.15),))
 _BRASS = Material(((0.66, 0.52, 0.22),))
-_SOFA = Material(((0.20, 0.34, 0.56), (0.26, 0.42, 0.64)), weave)
-_CUSHION = Material(((0.80, 0.50, 0.16), (0.86, 0.78, 0.62)), partial(stripes, period=0.08))
-_LEAF = Material(((0.14, 0.40, 0.13), (0.22, 0.52, 0.18)), partial(checker, size=0.05))
+_SOFA = Material(((0.20, 0.34, 0.56), (0.26, 0.42, 0.64)), textures.weave)
+_CUSHION = Material(((0.80, 0.50, 0.16), (0.86, 0.78, 0.62)), partial(textures.stripes, period=0.08))
+_LEAF = Material(((0.14, 0.40, 0.13), (0.22, 0.52, 0.18)), partial(textures.checker, size=0.05))
 _POT = Material(((0.66, 0.34, 0.22),))
-_BALL = Material(((0.82, 0.18, 0.14), (0.86, 0.84, 0.80)), partial(stripes, period=0.12))
+_BALL = Material(((0.82, 0.18, 0.14), (0.86, 0.84, 0.80)), partial(textures.stripes, period=0.12))
 _BOOKS = (
     (0.14, 0.10, 0.07),
     (0.62, 0.16, 0.14),
@@ -68,14 +54,15 @@ def furnish(room: RoomSpec) -> Mesh:
 
 def _shell(mesh: Mesh, room: RoomSpec) -> None:
     x, y, z = room.size_m
-    floor = Material(((0.60, 0.42, 0.25), (0.46, 0.30, 0.17)), partial(planks, width=0.14, length=1.3))
+    floor = Material(((0.60, 0.42, 0.25), (0.46, 0.30, 0.17)), partial(textures.planks, width=0.14, length=1.3))
     mesh.quad(np.zeros(3), np.array([x, 0, 0]), np.array([0, y, 0]), floor)
-    mesh.quad(np.array([0, y, z]), np.array([x, 0, 0]), np.array([0, -y, 0]), Material(((0.78, 0.78, 0.76),), plaster))
+    ceiling = Material(((0.78, 0.78, 0.76),), textures.plaster)
+    mesh.quad(np.array([0, y, z]), np.array([x, 0, 0]), np.array([0, -y, 0]), ceiling)
     walls = (
-        Material(((0.76, 0.70, 0.56),), plaster),
-        Material(((0.66, 0.74, 0.62), (0.57, 0.68, 0.56)), partial(stripes, period=0.2)),
-        Material(((0.62, 0.70, 0.76),), plaster),
-        Material(((0.78, 0.68, 0.64), (0.68, 0.48, 0.44)), partial(dots, period=0.24, radius=0.035)),
+        Material(((0.76, 0.70, 0.56),), textures.plaster),
+        Material(((0.66, 0.74, 0.62), (0.57, 0.68, 0.56)), partial(textures.stripes, period=0.2)),
+        Material(((0.62, 0.70, 0.76),), textures.plaster),
+        Material(((0.78, 0.68, 0.64), (0.68, 0.48, 0.44)), partial(textures.dots, period=0.24, radius=0.035)),
     )
     corners = np.array([[0, 0, 0], [x, 0, 0], [x, y, 0], [0, y, 0]], float)
     height = np.array([0, 0, z])
@@ -93,12 +80,13 @@ def _shell(mesh: Mesh, room: RoomSpec) -> None:
 def _openings(mesh: Mesh, room: RoomSpec) -> None:
     """A door in the wall y = 0, a window in the wall x = 0."""
     x, y, _ = room.size_m
-    door = framed((0.9, 2.02), ((0.50, 0.30, 0.16), (0.40, 0.23, 0.12), (0.78, 0.76, 0.72)), wood, 0.05)
+    door = framed((0.9, 2.02), ((0.50, 0.30, 0.16), (0.40, 0.23, 0.12), (0.78, 0.76, 0.72)), textures.wood, 0.05)
     at = 0.27 * x
     mesh.box((at, 0.015, 0), (0.9, 0.03, 2.02), _OAK, yaw=np.pi, front=door)
     mesh.sphere((at + 0.33, 0.07, 1.0), 0.03, _BRASS)
-    width, height, bar = 1.3, 1.1, 0.07
-    window = Material(((0.55, 0.72, 0.90), (0.84, 0.84, 0.82)), partial(panes, size=(width, height), bar=bar), glow=0.3)
+    width, height = 1.3, 1.1
+    panes = partial(textures.panes, size=(width, height), bar=0.07)
+    window = Material(((0.55, 0.72, 0.90), (0.84, 0.84, 0.82)), panes, glow=0.3)
     mesh.box((0.02, 0.62 * y, 0.95), (width, 0.04, height), _WHITE, yaw=np.pi / 2, front=window)
     mesh.box((0.08, 0.62 * y, 0.90), (width + 0.2, 0.16, 0.04), _WHITE, yaw=np.pi / 2)
 
@@ -108,10 +96,10 @@ def _pictures(mesh: Mesh, room: RoomSpec) -> None:
     gold, black = (0.70, 0.55, 0.22), (0.10, 0.10, 0.10)
     sizes = ((0.8, 0.6), (0.6, 0.6), (0.7, 0.5), (0.5, 0.7))
     inner = (
-        ((0.86, 0.82, 0.70), (0.70, 0.20, 0.14), gold, partial(rings, period=0.12, centre=(0.4, 0.3))),
-        ((0.88, 0.88, 0.86), (0.08, 0.10, 0.14), black, partial(checker, size=0.1)),
-        ((0.86, 0.74, 0.22), (0.16, 0.28, 0.56), black, partial(stripes, period=0.1)),
-        ((0.84, 0.84, 0.80), (0.24, 0.46, 0.40), gold, partial(dots, period=0.14, radius=0.05)),
+        ((0.86, 0.82, 0.70), (0.70, 0.20, 0.14), gold, partial(textures.rings, period=0.12, centre=(0.4, 0.3))),
+        ((0.88, 0.88, 0.86), (0.08, 0.10, 0.14), black, partial(textures.checker, size=0.1)),
+        ((0.86, 0.74, 0.22), (0.16, 0.28, 0.56), black, partial(textures.stripes, period=0.1)),
+        ((0.84, 0.84, 0.80), (0.24, 0.46, 0.40), gold, partial(textures.dots, period=0.14, radius=0.05)),
     )
     places = (
         ((x - 0.012, 0.45 * y, 1.35), -np.pi / 2),
@@ -151,13 +139,13 @@ def _shelf(mesh: Mesh, room: RoomSpec) -> None:
         mesh.box((middle, front, float(level)), (width, depth, 0.03), _OAK)
     gap = float(levels[1] - levels[0])
     for number, level in enumerate(levels[:-1]):
-        spines = Material(_BOOKS, partial(books, width=0.035 + 0.006 * number, height=gap, colours=len(_BOOKS)))
+        spines = partial(textures.books, width=0.035 + 0.006 * number, height=gap, colours=len(_BOOKS))
         length = width - 0.07 - 0.2 * (number % 2)
         mesh.box(
             (middle - 0.1 * (number % 2), front + 0.03, float(level) + 0.03),
             (length, 0.18, 0.75 * gap),
             _DARK,
-            front=spines,
+            front=Material(_BOOKS, spines),
         )
 
 
@@ -165,7 +153,7 @@ def _table(mesh: Mesh, room: RoomSpec) -> None:
     """In the corner x = 0, y = Y, with two chairs and a vase on it."""
     _, y, _ = room.size_m
     cx, cy, top = 0.62, y - 0.85, 0.74
-    cloth = Material(((0.74, 0.70, 0.62), (0.62, 0.28, 0.24)), partial(checker, size=0.09))
+    cloth = Material(((0.74, 0.70, 0.62), (0.62, 0.28, 0.24)), partial(textures.checker, size=0.09))
     mesh.box((cx, cy, top - 0.03), (0.8, 1.1, 0.03), _OAK, front=None)
     mesh.box((cx, cy, top), (0.5, 0.7, 0.004), cloth)
     for dx in (-0.35, 0.35):
@@ -175,7 +163,7 @@ def _table(mesh: Mesh, room: RoomSpec) -> None:
     mesh.lathe(
         (cx, cy + 0.1, top + 0.004),
         profile,
-        Material(((0.22, 0.40, 0.62), (0.84, 0.82, 0.76)), partial(bands, period=0.05)),
+        Material(((0.22, 0.40, 0.62), (0.84, 0.82, 0.76)), partial(textures.bands, period=0.05)),
     )
     _chair(mesh, cx + 0.62, cy - 0.15, np.pi / 2)
     _chair(mesh, cx - 0.05, cy - 0.85, 0.0)
@@ -196,14 +184,14 @@ def _chair(mesh: Mesh, x: float, y: float, yaw: float) -> None:
         part(0.0, -0.19, z, (0.36, 0.02, 0.06))
 
 
-_CHAIR = Material(((0.58, 0.22, 0.16), (0.50, 0.18, 0.13)), wood)
+_CHAIR = Material(((0.58, 0.22, 0.16), (0.50, 0.18, 0.13)), textures.wood)
 
 
 def _small_things(mesh: Mesh, room: RoomSpec) -> None:
     """A rug, a floor lamp, a plant, a ball, and a low chest of drawers."""
     x, y, _ = room.size_m
     colours = (0.62, 0.20, 0.18), (0.76, 0.64, 0.42), (0.22, 0.24, 0.36)
-    rug = framed((1.8, 1.3), colours, partial(dots, period=0.26, radius=0.09), 0.1)
+    rug = framed((1.8, 1.3), colours, partial(textures.dots, period=0.26, radius=0.09), 0.1)
     mesh.quad(np.array([0.5 * x - 0.9, 0.36 * y - 0.65, 0.008]), np.array([1.8, 0, 0]), np.array([0, 1.3, 0]), rug)
     shade = Material(((0.84, 0.76, 0.56),), glow=0.25)
     mesh.cylinder((x - 0.32, y - 0.9, 0), 0.14, 0.025, _DARK)
@@ -214,9 +202,8 @@ def _small_things(mesh: Mesh, room: RoomSpec) -> None:
     for dx, dy, z, radius in leaves:
         mesh.sphere((x - 0.35 + dx, 0.38 + dy, z), radius, _LEAF)
     mesh.sphere((0.55, 0.30 * y + 0.75, 0.13), 0.13, _BALL)
-    drawers = framed(
-        (0.9, 0.7), ((0.70, 0.68, 0.62), (0.40, 0.38, 0.34), (0.56, 0.54, 0.48)), partial(tiles, size=0.23), 0.03
-    )
+    colours = (0.70, 0.68, 0.62), (0.40, 0.38, 0.34), (0.56, 0.54, 0.48)
+    drawers = framed((0.9, 0.7), colours, partial(textures.tiles, size=0.23), 0.03)
     mesh.box((0.25, 0.25 * y, 0), (0.9, 0.42, 0.7), Material(((0.60, 0.58, 0.52),)), yaw=np.pi / 2, front=drawers)
 
 
@@ -224,16 +211,16 @@ def set_table(spec: ObjectSpec, *, empty: bool = False) -> Mesh:
     """A vase, a block and a ball on the turntable's plate, or the plate alone; scanner coordinates."""
     mesh = Mesh()
     z, h = spec.base_z_m, spec.height_m
-    plate = Material(((0.34, 0.34, 0.36), (0.46, 0.46, 0.48)), partial(rings, period=0.04, centre=(0.0, 0.0)))
+    plate = Material(((0.34, 0.34, 0.36), (0.46, 0.46, 0.48)), partial(textures.rings, period=0.04, centre=(0.0, 0.0)))
     r = spec.plate_radius_m
     mesh.cylinder((0, 0, z - 0.02), r, 0.02, plate)
     if empty:
         return mesh
     radius = [0, 0.20, 0.30, 0.36, 0.33, 0.20, 0.14, 0.18, 0.24, 0]
     outline = np.column_stack([radius, [0, 0, 0.12, 0.30, 0.48, 0.66, 0.80, 0.93, 1.0, 0.97]])
-    vase = Material(((0.22, 0.42, 0.60), (0.80, 0.76, 0.66)), partial(bands, period=0.22 * h))
+    vase = Material(((0.22, 0.42, 0.60), (0.80, 0.76, 0.66)), partial(textures.bands, period=0.22 * h))
     mesh.lathe((0.0, 0.0, z), h * outline, vase, sides=96)
-    block = Material(((0.78, 0.58, 0.22), (0.56, 0.20, 0.16)), partial(checker, size=0.1 * h))
+    block = Material(((0.78, 0.58, 0.22), (0.56, 0.20, 0.16)), partial(textures.checker, size=0.1 * h))
     mesh.box((0.62 * r, 0.1 * r, z), (0.3 * h, 0.3 * h, 0.35 * h), block, yaw=0.4)
     mesh.sphere((-0.55 * r, 0.45 * r, z + 0.15 * h), 0.15 * h, Material(((0.70, 0.72, 0.66),)))
     return mesh

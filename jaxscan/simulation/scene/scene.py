@@ -1,4 +1,4 @@
-"""A scene to look at: triangles for ray casting, and the light at the points that are hit."""
+"""The scene: triangles for ray casting, and the room's light at the points that are hit."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,9 +11,6 @@ from jaxscan.simulation.scene.meshes import Mesh
 from jaxscan.simulation.scene.open3d import load_open3d
 from jaxscan.simulation.scene.room import LAMP_HEIGHT_SHARE, furnish, set_table
 from jaxscan.simulation.spec import SimulationConfig
-
-
-NO_HIT = np.uint32(0xFFFFFFFF)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +41,7 @@ class Scene:
             t: float32 [rays]: hit = origin + t direction; inf where nothing is hit.
             triangle: int64 [rays]; the last index of `normal` where nothing is hit.
         """
-        tensor = load_open3d().core.Tensor
-        hits = self.caster.cast_rays(tensor.from_numpy(_pack(origin, directions)))
+        hits = self.caster.cast_rays(_pack(origin, directions))
         triangle = hits["primitive_ids"].numpy()
         nothing = len(self.normal) - 1
         return hits["t_hit"].numpy(), np.minimum(triangle, np.uint32(nothing)).astype(np.int64)
@@ -59,12 +55,7 @@ class Scene:
         distance = np.sqrt(np.einsum("ij,ij->i", legs, legs))
         # The leg is scaled so that its skin begins at 1, one far limit for all rays.
         legs = legs * np.maximum(1 - skin / np.maximum(distance, 1e-9), 0)[:, None]
-        tensor = load_open3d().core.Tensor
-        return self.caster.test_occlusions(tensor.from_numpy(_pack(origin, legs)), tnear=0.0, tfar=1.0).numpy()
-
-    def albedo(self, triangle: np.ndarray, points: np.ndarray, channels: np.ndarray) -> np.ndarray:
-        """Albedo float32 [channels, n] at hit points [n, 3]; `channels` [3, channels] weighs R, G, B."""
-        return self._evaluate(triangle, points, channels)[0]
+        return self.caster.test_occlusions(_pack(origin, legs), tnear=0.0, tfar=1.0).numpy()
 
     def ambient(self, triangle: np.ndarray, points: np.ndarray, view: np.ndarray, channels: np.ndarray) -> np.ndarray:
         """A picture in the room's own light, float32 [channels, rows, columns]; white in mean light is 1.
@@ -75,7 +66,7 @@ class Scene:
             view: Where the camera is [3]; surfaces are seen from this side.
             channels: [3, channels], weights of R, G, B.
         """
-        colour, glow = self._evaluate(triangle.ravel(), points.reshape(-1, 3), channels)
+        colour, glow = self.look(triangle.ravel(), points.reshape(-1, 3), channels)
         colour *= self.light(points, self.normal[triangle], view).ravel()
         colour += glow
         return colour.reshape(-1, *triangle.shape)
@@ -103,10 +94,11 @@ class Scene:
         share = np.where(dark, np.float32(0.25), np.float32(1))
         return share.repeat(2, 0).repeat(2, 1)[:rows, :columns]
 
-    def _evaluate(
-        self, triangle: np.ndarray, points: np.ndarray, channels: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Albedo [channels, n] and glow [n]: points are sorted by surface, each evaluated at once."""
+    def look(self, triangle: np.ndarray, points: np.ndarray, channels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Albedo [channels, n] and glow [n], float32, at hit points [n, 3]; `channels` [3, channels] weighs R, G, B.
+
+        Points are sorted by surface, and each surface is evaluated at once.
+        """
         surface = self.surface[triangle]
         order = np.argsort(surface.astype(np.uint16), kind="stable")
         counts = np.bincount(surface, minlength=len(self.mesh.surfaces) + 1)
@@ -163,7 +155,7 @@ def build_scene(mesh: Mesh, lamp: np.ndarray, reach: float, *, shadows: bool) ->
     caster = o3d.t.geometry.RaycastingScene()
     vertices = np.ascontiguousarray(corners.reshape(-1, 3), np.float32)
     indices = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
-    caster.add_triangles(o3d.core.Tensor.from_numpy(vertices), o3d.core.Tensor.from_numpy(indices))
+    caster.add_triangles(*map(o3d.core.Tensor.from_numpy, (vertices, indices)))
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     surface = np.repeat(np.arange(len(mesh.triangles)), [len(part) for part in mesh.triangles])
@@ -193,8 +185,9 @@ def _carry(mesh: Mesh, motion: Motion) -> Mesh:
     return Mesh([motion.apply(part) for part in mesh.triangles], surfaces)
 
 
-def _pack(origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def _pack(origin: np.ndarray, directions: np.ndarray) -> Any:
+    """Rays as Open3D's tensor [n, 6], float32."""
     rays = np.empty((len(directions), 6), np.float32)
     rays[:, :3] = origin
     rays[:, 3:] = directions
-    return rays
+    return load_open3d().core.Tensor.from_numpy(rays)

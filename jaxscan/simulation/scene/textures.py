@@ -1,7 +1,7 @@
-"""Looks of surfaces: procedural patterns over (u, v) in metres, and materials made of them.
+"""Procedural patterns over (u, v) in metres, and materials made of them.
 
-A pattern says, for each point, where between two colours it lies and how bright it is; so one
-evaluation serves a colour camera, a mono camera and the laser's single wavelength alike.
+A pattern gives two colours, their mixture and a brightness for each point. So one evaluation serves
+a colour camera, a mono camera and the laser's single wavelength.
 """
 
 from collections.abc import Callable

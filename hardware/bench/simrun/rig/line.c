@@ -176,7 +176,7 @@ void line_connect(void) {
         if (!strcmp(io->kind, "uart")) uart = (avr_uart_t *)io;
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_GET_FLAGS('0'), &flags);
-    // simavr would print what is sent, and sleep whenever the firmware polls.
+    // By default simavr prints the sent bytes, and sleeps whenever the firmware polls.
     flags &= ~(uint32_t)(AVR_UART_FLAG_STDIO | AVR_UART_FLAG_POLL_SLEEP);
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
     input = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);

@@ -12,7 +12,7 @@ struct noise {
 extern struct noise noise[2];
 void noise_seed(uint64_t seed);
 double noise_uniform(void);
-// Puts what arrives of a byte into out[2] and returns how many bytes that is: 0, 1 or 2.
+// Puts the bytes that arrive for one sent byte into out[2] and returns their number: 0, 1 or 2.
 int noise_apply(enum direction direction, uint8_t byte, uint8_t out[2]);
 
 #endif

@@ -36,7 +36,7 @@ static uint64_t bounce_until, bounce_next;
 static uint64_t last_step;
 
 void plant_set_pin(char port, int bit, int value) {
-    // What drives a pin wins over its pull-up; simavr has to be told so, or every write to the port raises it again.
+    // A driven pin wins over its pull-up; simavr has to be told so, or every write to the port raises it again.
     static uint8_t driven_mask['D' - 'A' + 1], driven_value['D' - 'A' + 1];
     uint8_t *mask = &driven_mask[port - 'A'], *level = &driven_value[port - 'A'];
     *mask |= (uint8_t)(1u << bit);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What hangs on the pins: table, home switch, lasers with their contactor, e-stop, camera ready.
+// The devices on the pins: table, home switch, lasers with their contactor, e-stop, camera ready.
 #ifndef PLANT_H
 #define PLANT_H
 
@@ -10,7 +10,7 @@ enum laser_health { LASER_GOOD, LASER_WELDED, LASER_DEAD };
 enum { LASERS = 2 };
 struct laser {
     bool gate;   // as the pin drives it
-    bool light;  // what shines
+    bool light;  // whether it shines
     enum laser_health health;
 };
 struct plant {
@@ -18,7 +18,7 @@ struct plant {
     long microsteps_per_turn;
     long home_width;           // the switch is closed at positions (-home_width, 0] of every turn
     unsigned bounce_us;        // how long it chatters at each change
-    int home_forced;           // -1: as the plant is; else what the pin reads
+    int home_forced;           // -1: as the plant is; else the level of the pin
     long drop;                 // steps still to lose
     bool stalled;              // the rotor does not follow at all
     double torque_limit;       // steps/s above which steps are lost; 0: none

@@ -1,4 +1,4 @@
-"""The table as an axis of a GRBL board: where it stands, where home is, motions and their ends."""
+"""The table as an axis of a GRBL board: position, home, motions and their ends."""
 
 from scanrig.controllers.grbl.lines import HOLD, POLL_S, GrblLines
 from scanrig.controllers.grbl.report import ALARMS, Report
@@ -8,18 +8,18 @@ from scanrig.errors import Fault, LinkLost, Reason, Refused, RigError, RigFault,
 
 
 REST_S = 10.0
-"""How long a table may take to slow down."""
+"""Longest time that the table may take to stop."""
 _STILL = 3
-"""Reports of rest after which a motion is over, wherever it ended."""
+"""Reports of standstill after which a motion is over, wherever it ended."""
 
 
 class TableAxis:
     """The axis that turns the table, in microsteps from home.
 
     Attributes:
-        units: how the axis counts.
-        zero: what the axis says at home; None while home is not known.
-        lost: whether home was known and is not any more.
+        units: units of the axis.
+        zero: coordinate of the axis at home; None while home is not known.
+        lost: whether home was known and was lost.
     """
 
     def __init__(self, lines: GrblLines, table: GrblTable, units: TableUnits) -> None:
@@ -29,20 +29,20 @@ class TableAxis:
         self._lines, self._table = lines, table
 
     def position(self, report: Report) -> int:
-        """Where a report says that the table stands; from wherever the axis counts, while home is not known."""
+        """The table's position in a report; counted from the axis's own zero while home is not known."""
         return self.units.microsteps(self._reported(report) - (self.zero or 0.0))
 
     def forget_home(self) -> None:
-        """Home is known no more."""
+        """Mark home as lost."""
         self.lost = self.lost or self.zero is not None
         self.zero = None
 
     def find_home(self, speed: int, timeout_s: float) -> None:
-        """Look for the home switch; without one, home is where the table stood when it was asked for first.
+        """Search for the home switch; without a switch, home is the position at the first call.
 
         Raises:
-            Refused: there is no switch, and where the table stands is not known any more.
-            RigFault, RigTimeout: as of `go`.
+            Refused: there is no switch, and the table's position was lost.
+            RigFault, RigTimeout: as for `go`.
         """
         lines = self._lines
         if self._table.home:
@@ -59,7 +59,7 @@ class TableAxis:
         self.zero, self.lost = self._reported(lines.report()), False
 
     def go(self, to: int, speed: int, timeout_s: float) -> int:
-        """Turn to a position and wait until the table rests.
+        """Turn to a position and wait until the table stands still.
 
         Args:
             to: Microsteps from home.
@@ -67,11 +67,11 @@ class TableAxis:
             timeout_s: How long to wait.
 
         Returns:
-            Where it rests.
+            The position where it stands.
 
         Raises:
-            RigFault: An alarm ended it.
-            RigTimeout: It was stopped.
+            RigFault: An alarm ended the motion.
+            RigTimeout: The motion did not end in time and was stopped.
         """
         target = (self.zero or 0.0) + self.units.units(to)
         feed = 60 * speed / self.units.steps_per_unit
@@ -79,7 +79,7 @@ class TableAxis:
         return self._await_rest(f"moving to {to}", timeout_s, at=to)
 
     def come_to_rest(self) -> bool:
-        """Slow the table down; whether it turned, or was held on its way."""
+        """Stop the table; returns whether it was turning or held on its way."""
         report = self._lines.report()
         turned = report.moving or report.state == "Hold"
         give_up = self._lines.clock.now() + REST_S
@@ -92,7 +92,7 @@ class TableAxis:
         return turned
 
     def fault(self, report: Report) -> Fault | None:
-        """The fault that a report tells of; home is forgotten where it is not certain after that."""
+        """The fault in a report, or None; home is lost after most faults."""
         number = self._lines.alarm
         if report.state == "Door":
             fault = Fault.EMERGENCY_STOP
@@ -105,13 +105,13 @@ class TableAxis:
         return fault
 
     def raise_fault(self, report: Report) -> None:
-        """Raise the fault that a report tells of."""
+        """Raise the fault in a report, if there is one."""
         if (fault := self.fault(report)) is not None:
             number = self._lines.alarm
             raise RigFault(fault, self.position(report), "" if number is None else f"ALARM:{number}")
 
-    def _await_rest(self, what: str, timeout_s: float, at: int | None = None) -> int:
-        """Wait until the table rests; elsewhere than `at`, until it has been seen at rest several times."""
+    def _await_rest(self, motion: str, timeout_s: float, at: int | None = None) -> int:
+        """Wait until the table stands still; at another position than `at`, in several reports."""
         clock = self._lines.clock
         give_up = clock.now() + timeout_s
         still = 0
@@ -125,7 +125,7 @@ class TableAxis:
             if clock.now() >= give_up:
                 self.come_to_rest()
                 self._lines.reset()
-                raise RigTimeout(f"{what} did not end within {timeout_s:.1f} s; it was stopped")
+                raise RigTimeout(f"{motion} did not end within {timeout_s:.1f} s; it was stopped")
             clock.sleep(POLL_S)
 
     def _reported(self, report: Report) -> float:

@@ -1,4 +1,4 @@
-"""From a port's name to a GRBL board that can be found again."""
+"""Opens the port of a GRBL board."""
 
 from scanrig.clock import Clock, SystemClock
 from scanrig.controllers.grbl.controller import GrblController
@@ -14,16 +14,16 @@ BAUD = 115_200
 def connect_grbl(
     table: ControllerTable, microsteps_per_turn: int, *, port: str | None = None, clock: Clock | None = None
 ) -> GrblController:
-    """Open a board's port. Nothing is said to it before `hello`.
+    """Open a board's port. Nothing is sent before `hello`.
 
     Args:
-        table: What the board is told.
+        table: Port and commands of the board.
         microsteps_per_turn: Of the table.
-        port: Instead of the table's: a path, a USB serial number, or "auto".
+        port: Replaces the table's port: a path, a USB serial number, or "auto".
         clock: For every wait.
 
     Raises:
-        PortError: None, several, missing, taken, or no right to use it.
+        PortError: No port, several, port missing or in use, or no permission.
     """
     clock = clock or SystemClock()
     path = choose_port(port or table.port)

@@ -1,4 +1,4 @@
-"""A board that speaks GRBL's G-code as a controller: what the table and the laser are told, and how it is made safe."""
+"""A `Controller` for boards that speak GRBL's G-code."""
 
 import dataclasses
 import logging
@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 class GrblController:
-    """A session with a GRBL board; a `Controller`, which says what its methods do."""
+    """A session with a GRBL board; `Controller` documents the methods."""
 
     guarantees = Guarantees(
         laser_off_without_host=False, knows_missed_steps=False, hardware_trigger=False, checked_lines=False
@@ -62,7 +62,7 @@ class GrblController:
         self._settings = settings
 
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
-        """Find the board again, with longer and longer pauses. Many boards are reset when their port is opened."""
+        """Find the board again, with growing pauses. Many boards are reset when their port is opened."""
         before = self._boot
         give_up = self._lines.clock.now() + timeout_s
         pause = 0.1
@@ -92,7 +92,7 @@ class GrblController:
             self._axis.forget_home()
 
     def home(self, max_steps: int, timeout_s: float = 120.0) -> None:
-        """Look for the home switch, as far as the board's own settings allow."""
+        """Search for the home switch, as far as the board's own settings allow."""
         self._require(self._enabled, Reason.DRIVER_OFF, "home")
         self._axis.find_home((self._settings or Settings()).speed, timeout_s)
 
@@ -110,7 +110,7 @@ class GrblController:
     def stop(self) -> None:
         self._lines.raise_reset()
         if self._axis.come_to_rest():
-            # What it was told to go to is forgotten in a reset; from rest the place is kept.
+            # A reset cancels the motion; at standstill it keeps the position.
             self._reset()
         self._off()
 
@@ -132,7 +132,7 @@ class GrblController:
         self._lit = True
         self._lines.ask(self._table.laser_on[number - 1])
 
-    # The camera's wire, which there is none of
+    # There is no trigger wire to the camera
 
     def trigger(self) -> None:
         raise Refused(Reason.NO_SUCH_PART, "trigger")
@@ -152,7 +152,7 @@ class GrblController:
             self._armed = self._lit = False
         state: State = STATES[report.state]
         if state == "fault" and fault is None:
-            # Alarm without a number is the lock after power on, which homing ends.
+            # Alarm without a number is the lock after power on; homing ends it.
             state = "idle"
         return Status(
             state=state,
@@ -181,7 +181,7 @@ class GrblController:
         if self._lines.report().state == "Alarm":
             self._lines.ask("$X")
 
-    # The way out
+    # Ending
 
     def abort(self) -> None:
         self._armed = self._lit = False
@@ -189,7 +189,7 @@ class GrblController:
 
     def make_safe(self) -> bool:
         self._armed = False
-        # That it began anew is no reason not to switch the laser off.
+        # Switch the laser off even after an unexpected reset.
         self._lines.forget_reset()
         for way in (self.stop, self._reset):
             try:
@@ -223,7 +223,7 @@ class GrblController:
     # Within
 
     def _begin(self) -> None:
-        """At rest, laser off, out of the lock that needs no home switch; whether home is known is known then."""
+        """Stop the table, switch the laser off, unlock a board without a home switch; note whether home is known."""
         if self._boot != 1 + self._lines.resets:
             self._boot = 1 + self._lines.resets
             self._axis.forget_home()
@@ -246,7 +246,7 @@ class GrblController:
         self._lit = False
 
     def _off(self) -> None:
-        """All lasers off; in an alarm the board has done so itself, and refuses to be told."""
+        """All lasers off; in an alarm the board has switched them off itself and refuses the command."""
         try:
             self._lines.ask(self._table.laser_off)
         except Refused as problem:
@@ -255,7 +255,7 @@ class GrblController:
         self._lit = False
 
     def _is_dark(self) -> bool:
-        """Whether the board says that the laser is off; of a laser that is no spindle, that it was told so."""
+        """Whether the board confirms that the laser is off; if it is not the spindle, that it took the command."""
         spindle = any(command.startswith(("M3", "M4")) for command in self._table.laser_on)
         if not spindle:
             self._lines.ask(self._table.laser_off)

@@ -1,4 +1,4 @@
-"""Who is on the port, and whether the board is set as the configuration says."""
+"""Checks which device is on the port, and whether the board's settings fit the configuration."""
 
 from scanrig.controllers.grbl.lines import BOOT_S, QUERY, GrblLines
 from scanrig.controllers.grbl.report import read_report, read_settings
@@ -14,10 +14,10 @@ _TOLERANCE = 1e-4
 
 
 def wake(lines: GrblLines) -> None:
-    """Wait until the board listens: at once if it is awake, after its boot loader if it was reset by opening the port.
+    """Wait until the board answers: at once, or after its boot loader if opening the port has reset it.
 
     Raises:
-        LinkLost: nobody answers.
+        LinkLost: no answer.
     """
     lines.write(b"\n" + QUERY)
     give_up = lines.clock.now() + AWAKE_S
@@ -32,13 +32,13 @@ def wake(lines: GrblLines) -> None:
 
 
 def greet(lines: GrblLines) -> str:
-    """Wait until the board listens, and see who it is.
+    """Wait until the board answers, and check its greeting.
 
     Returns:
         Its version.
 
     Raises:
-        FirmwareError: silence, or another device; with what was found.
+        FirmwareError: no answer, or another device; the message names it.
         LinkLost: the port went away.
     """
     try:
@@ -47,7 +47,7 @@ def greet(lines: GrblLines) -> str:
     except LinkLost as problem:
         if lines.broken:
             raise
-        found = f"a device that says {lines.odd[-1][:60]!r}" if lines.odd else "silence"
+        found = f"a device that sends {lines.odd[-1][:60]!r}" if lines.odd else "silence"
         raise FirmwareError(
             f"{lines.link.name}: found {found}, needed a board that begins with '{lines.expected_greeting}'; "
             "check port, power, controller.baud and controller.grbl.greeting"
@@ -57,10 +57,10 @@ def greet(lines: GrblLines) -> str:
 
 
 def require_fit(lines: GrblLines, table: GrblTable, units: TableUnits, settings: Settings) -> None:
-    """See that the board's own settings fit the configuration; they are its owner's, and are not changed from here.
+    """Check that the board's own settings fit the configuration. They belong to its owner and are never changed here.
 
     Raises:
-        FirmwareError: with what to type.
+        FirmwareError: with the settings to type on the board.
     """
     says = read_settings(lines.ask("$$"))
     axis = "XYZABC".index(table.axis)

@@ -1,4 +1,4 @@
-"""Stop-and-wait with a GRBL board: a line is sent and answered by "ok" or "error:n"; single bytes work at any time."""
+"""Stop-and-wait with a GRBL board: each line is answered by "ok" or "error:n"; single bytes work at any time."""
 
 import logging
 import re
@@ -19,15 +19,15 @@ HOLD = b"!"
 QUERY = b"?"
 
 ANSWER_S = 1.0
-"""The longest wait for an answer to what is done at once."""
+"""Longest wait for the answer to a command that is carried out at once."""
 TRIES = 3
-"""A line that is not answered, or not understood, may have come damaged; all lines of this host may be sent again."""
+"""A line without an answer, or with an error, may have arrived damaged. Every line of this host is safe to resend."""
 POLL_S = 0.05
 _STILL = 3
 QUIET_S = 0.15
-"""Silence after which no late answer is expected any more."""
+"""After this much silence no late answer is expected."""
 BOOT_S = 2.5
-"""A board that is reset when its port is opened needs this long."""
+"""Time that a board needs if opening its port resets it."""
 
 _KEPT = 4
 _LONGEST = 256
@@ -38,16 +38,16 @@ _REFUSALS = {2: Reason.NOT_UNDERSTOOD, 5: Reason.NO_SUCH_PART, 8: Reason.BUSY, 9
 
 
 class GrblLines:
-    """A link to a board, as lines.
+    """Sends lines to a board and receives its lines.
 
     Attributes:
-        counts: what the line did.
-        alarm: the number of the alarm that it is in; None: none.
-        resets: how often the board began anew without being asked to.
-        greeting: what it said of itself when it began.
-        expected_greeting: how that has to begin.
+        counts: of lines sent, resent and damaged.
+        alarm: number of the board's alarm; None: none.
+        resets: unrequested resets of the board.
+        greeting: its first line after a reset.
+        expected_greeting: how that line has to begin.
         broken: whether the port itself failed, so that it must be opened again.
-        odd: the last lines that were none of GRBL's.
+        odd: the last lines that are not GRBL's.
     """
 
     def __init__(self, link: Link, clock: Clock, *, greeting: str, reopen: Callable[[], Link]):
@@ -61,19 +61,19 @@ class GrblLines:
         self.expected_greeting, self._reopen = greeting, reopen
         self._rest = b""
         self._expected = False
-        """Whether a greeting is on its way that was asked for."""
+        """Whether this host asked for a reset whose greeting has not come yet."""
         self._told_reset = 0
 
     def ask(self, command: str) -> list[str]:
-        """Send a line that is carried out at once, until it is answered.
+        """Send a line that is carried out at once, and repeat it until it is answered.
 
         Returns:
-            What it said before "ok".
+            The lines before "ok".
 
         Raises:
-            Refused: the board answered an error each time.
-            RigFault: it is in an alarm, and answers nothing.
-            ControllerReset: it began anew meanwhile.
+            Refused: the board answered with an error each time.
+            RigFault: the board is in an alarm and does not answer.
+            ControllerReset: the board was reset meanwhile.
             LinkLost: no answer.
         """
         error = ""
@@ -96,14 +96,14 @@ class GrblLines:
         raise Refused(_REFUSALS.get(number, Reason.UNKNOWN), command, error)
 
     def ask_long(self, command: str, timeout_s: float) -> bool:
-        """Send a line that is answered when its motion is over; GRBL says nothing while it looks for home.
+        """Send a line that is answered when its motion is over; GRBL is silent during homing.
 
         Returns:
-            Whether it ended, by an answer, an alarm, or rest that is reported where the answer was lost.
+            Whether it ended: by an answer, by an alarm, or, if the answer was lost, by reports of standstill.
 
         Raises:
-            Refused: the board answered an error.
-            ControllerReset, LinkLost: as of `ask`.
+            Refused: the board answered with an error.
+            ControllerReset, LinkLost: as for `ask`.
         """
         self.send(command)
         give_up = self.clock.now() + timeout_s
@@ -136,7 +136,7 @@ class GrblLines:
         """Ask for the state.
 
         Raises:
-            ControllerReset: it began anew.
+            ControllerReset: the board was reset.
             LinkLost: no answer.
         """
         for _ in range(TRIES):
@@ -149,10 +149,10 @@ class GrblLines:
         raise LinkLost(f"no answer from {self.link.name} to '?'; check cable and power")
 
     def reset(self) -> None:
-        """Soft reset: laser off, motion stopped, everything that waits forgotten; the place is kept if it was at rest.
+        """Soft reset: laser off, motion stopped, queue emptied; the position is kept if the table stood still.
 
         Raises:
-            LinkLost: it does not say that it has begun anew.
+            LinkLost: no greeting came.
         """
         for _ in range(TRIES):
             self.abort()
@@ -162,12 +162,12 @@ class GrblLines:
         raise LinkLost(f"{self.link.name} does not answer a reset; check cable and power")
 
     def abort(self) -> None:
-        """The byte of a soft reset, without waiting for what it does."""
+        """Send the soft-reset byte without waiting for its effect."""
         self._expected = True
         self.write(RESET)
 
     def await_greeting(self, timeout_s: float) -> bool:
-        """Whether it begins anew within a time."""
+        """Whether the board's greeting comes in time."""
         self.greeting = ""
         give_up = self.clock.now() + timeout_s
         while not self.greeting and (left := give_up - self.clock.now()) > 0:
@@ -177,10 +177,10 @@ class GrblLines:
         return bool(self.greeting)
 
     def read(self, timeout_s: float, *, tell_reset: bool = True) -> list[str]:
-        """Lines that came, as soon as something came; greetings and alarms are taken note of.
+        """The lines received, as soon as there are any; greetings and alarms are noted.
 
         Raises:
-            ControllerReset: the board began anew, and nobody had asked it to.
+            ControllerReset: the board was reset without being asked to.
             LinkLost: the port failed.
         """
         try:
@@ -198,21 +198,21 @@ class GrblLines:
         return texts
 
     def raise_reset(self) -> None:
-        """Raise a reset that was noticed and not told yet."""
+        """Raise ControllerReset if a reset was noticed and not yet raised or forgotten."""
         if self.resets > self._told_reset:
             raise ControllerReset(self._told_reset, self.resets)
 
     def forget_reset(self) -> None:
-        """A reset that was noticed is known now."""
+        """Mark the resets so far as known."""
         self._told_reset = self.resets
 
     def drain(self) -> None:
-        """Let late answers come, and forget them."""
+        """Read late answers and discard them."""
         while self.read(QUIET_S):
             continue
 
     def open_again(self) -> None:
-        """Open the port again where it failed. Raises PortError."""
+        """Open the port again if it failed. Raises PortError."""
         if self.broken:
             self.link.close()
             self.link = self._reopen()
@@ -235,7 +235,7 @@ class GrblLines:
             log.info("%s: a line that is none of GRBL's: %r", self.link.name, text[:80])
 
     def _answer(self) -> tuple[list[str], str]:
-        """What was said before the answer, and the answer: "ok", "error:n", or "" where none came."""
+        """The lines before the answer, and the answer: "ok", "error:n", or "" if none came."""
         said: list[str] = []
         give_up = self.clock.now() + ANSWER_S
         while (left := give_up - self.clock.now()) > 0:

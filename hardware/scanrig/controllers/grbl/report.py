@@ -1,4 +1,4 @@
-"""What a GRBL board says, line by line: reports of its state, alarms, settings."""
+"""Reads the lines of a GRBL board: state reports, alarms, settings."""
 
 import re
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ STATES: dict[str, State] = {
     "Door": "fault",
     "Sleep": "fault",
 }
-"""What GRBL's states are to a session. "Alarm" alone, as after power on, means no more than that home is not known."""
+"""GRBL's states as a session's. "Alarm" without a number, as after power on, only means that home is not known."""
 
 ALARMS = {
     1: Fault.LIMIT,
@@ -29,7 +29,7 @@ ALARMS = {
     8: Fault.HOME_NOT_FOUND,
     9: Fault.HOME_NOT_FOUND,
 }
-"""What GRBL means by the number of an alarm."""
+"""GRBL's alarm numbers as faults."""
 
 _REPORT = re.compile(r"<([A-Z][a-z]+)(?::(\d))?((?:\|[A-Za-z]+:[^|<>]*)*)>")
 _SETTING = re.compile(r"\$(\d+)=(-?[\d.]+)")
@@ -43,9 +43,9 @@ class Report:
     state: str
     """Idle, Run, Hold, Jog, Home, Alarm, Door, Check or Sleep."""
     part: int
-    """What stands after the state: Hold:0 is at rest, Hold:1 slows down; 0 where nothing does."""
+    """The number after the state: Hold:0 stands still, Hold:1 slows down; 0 if there is none."""
     positions: tuple[float, ...] | None
-    """Of the machine's axes; None where the board reports other ones ($10)."""
+    """Machine coordinates of the axes; None if the board reports others ($10)."""
 
     @property
     def moving(self) -> bool:
@@ -53,13 +53,13 @@ class Report:
         return self.state in ("Run", "Jog", "Home") or (self.state == "Hold" and self.part != 0)
 
     def position(self, axis: str) -> float | None:
-        """Of one axis; None where it is not reported."""
+        """Coordinate of one axis; None if it is not reported."""
         at = _AXES.index(axis)
         return None if self.positions is None or at >= len(self.positions) else self.positions[at]
 
 
 def read_report(line: str) -> Report | None:
-    """A report of the state; None where the line is none, or is damaged."""
+    """The state report in a line; None if it is no report, or damaged."""
     match = _REPORT.fullmatch(line)
     if match is None or match[1] not in STATES:
         return None
@@ -72,5 +72,5 @@ def read_report(line: str) -> Report | None:
 
 
 def read_settings(lines: list[str]) -> dict[int, float]:
-    """The settings among the lines that `$$` was answered with."""
+    """The settings among the lines of the answer to `$$`."""
     return {int(match[1]): float(match[2]) for line in lines if (match := _SETTING.fullmatch(line))}

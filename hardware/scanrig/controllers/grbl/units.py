@@ -1,21 +1,21 @@
-"""Microsteps of the table, and what a GRBL board counts in."""
+"""Microsteps of the table, and the units of a GRBL board."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class TableUnits:
-    """How a board's axis counts a turn of the table."""
+    """Converts between microsteps of the table and units of a board's axis."""
 
     microsteps_per_turn: int
     units_per_turn: float
-    """In what the board calls millimetres."""
+    """In the board's "millimetres"."""
     reverse: bool = False
-    """Whether the table turns upwards where the axis counts downwards."""
+    """Whether the table's angle grows while the axis counts downwards."""
 
     @property
     def steps_per_unit(self) -> float:
-        """As the board's setting $100 has to be."""
+        """The value that the board's setting $100 must have."""
         return self.microsteps_per_turn / self.units_per_turn
 
     def units(self, microsteps: float) -> float:

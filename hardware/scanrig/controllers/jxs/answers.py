@@ -1,4 +1,4 @@
-"""The answers of the wire, read: firmware, state and counters from their fields, faults and refusals from numbers."""
+"""Reads answers: firmware, state and counters from their fields, faults and refusals from their numbers."""
 
 from collections.abc import Mapping
 
@@ -14,7 +14,7 @@ FAULTS = {
     5: Fault.ABORTED,
     6: Fault.CAMERA_NOT_READY,
 }
-"""What the firmware means by the number of a fault (PROTOCOL.md, section 4)."""
+"""The firmware's fault numbers (PROTOCOL.md, section 4)."""
 
 REFUSALS = {
     1: Reason.NOT_UNDERSTOOD,
@@ -30,7 +30,7 @@ REFUSALS = {
     13: Reason.BEYOND_LIMIT,
     14: Reason.NOT_ARMED,
 }
-"""What it means by the number of a refusal (PROTOCOL.md, section 4)."""
+"""The firmware's refusal numbers (PROTOCOL.md, section 4)."""
 
 STATES: dict[str, State] = {"idle": "idle", "move": "move", "home": "home", "shot": "shot", "fault": "fault"}
 
@@ -41,7 +41,7 @@ def read_fault(number: int) -> Fault:
 
 
 def read_refusal(number: int, verb: str) -> Reason:
-    """Why a verb was refused, by the number of the refusal."""
+    """The reason for a refusal, by its number and the refused verb."""
     if number == 6 and verb == "CLEAR":
         return Reason.STILL_PRESSED
     return REFUSALS.get(number, Reason.UNKNOWN)

@@ -1,4 +1,4 @@
-"""From a port's name to a controller that can be found again."""
+"""Opens the port of a controller with the scanner's own firmware."""
 
 from scanrig.clock import Clock
 from scanrig.controllers.jxs.controller import JxsController
@@ -6,19 +6,19 @@ from scanrig.wire import Link, choose_port, find_again, identify, open_serial
 
 
 def connect(port: str = "auto", baud: int = 250_000, clock: Clock | None = None) -> JxsController:
-    """Open the controller's port. Nothing is said to it before `hello`.
+    """Open the controller's port. Nothing is sent before `hello`.
 
     Args:
-        port: a path, a USB serial number, or "auto" for the only board there is.
+        port: a path, a USB serial number, or "auto" for the only board.
         baud: bits per second.
         clock: for every wait.
 
     Returns:
         A controller whose `reconnect` finds the same board again, by its USB serial number or its path under
-        /dev/serial/by-id, even where it comes back under another port number.
+        /dev/serial/by-id, even under another port number.
 
     Raises:
-        PortError: none, several, missing, taken, or no right to use it.
+        PortError: no port, several, port missing or in use, or no permission.
     """
     path = choose_port(port)
     link = open_serial(path, baud, clock)

@@ -1,4 +1,4 @@
-"""The scanner's own firmware as a controller: the verbs of PROTOCOL.md, and how all of it is made safe."""
+"""A `Controller` for the scanner's own firmware, with the verbs of PROTOCOL.md."""
 
 import secrets
 from collections.abc import Callable
@@ -20,11 +20,11 @@ from scanrig.wire.link import Link
 
 
 REST_S = 5.0
-"""How long a table may take to slow down."""
+"""Longest time that the table may take to stop."""
 
 
 class JxsController:
-    """A session with the scanner's own firmware over a link; a `Controller`, which says what its methods do."""
+    """A session with the scanner's own firmware over a link; `Controller` documents the methods."""
 
     guarantees = Guarantees(
         laser_off_without_host=True, knows_missed_steps=True, hardware_trigger=True, checked_lines=True
@@ -46,8 +46,8 @@ class JxsController:
             link: to the controller.
             clock: for every wait.
             timeout_s: the longest wait for one answer.
-            tries: the link is lost after this many times timeout_s without an answer.
-            reopen: opens the port again for `reconnect`, wherever it is now.
+            tries: the link counts as lost after `tries * timeout_s` without an answer.
+            reopen: opens the port again for `reconnect`, even under another number.
             session: the number of this session, 1 … 2³¹−1; by default a random one.
         """
         self._clock = clock or SystemClock()
@@ -66,12 +66,12 @@ class JxsController:
 
     @property
     def link(self) -> Link:
-        """What is below, at present."""
+        """The present link."""
         return self._wire.link
 
     @property
     def settings(self) -> Settings | None:
-        """What was configured last."""
+        """The settings configured last."""
         return self._settings
 
     @property
@@ -109,7 +109,7 @@ class JxsController:
         self._settings = settings
 
     def lasers(self) -> int:
-        """How many lasers it switches; an earlier firmware does not know the question."""
+        """How many lasers it switches; earlier firmware does not know the question and switches one."""
         try:
             return integer(self._talk.ask("HAS"), "las")
         except Refused as problem:
@@ -118,10 +118,10 @@ class JxsController:
             return 1
 
     def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
-        """Find the controller again, with longer and longer pauses.
+        """Find the controller again, with growing pauses.
 
-        A link fault is cleared, and the settings are sent again. If it is still the same boot, its position is good;
-        otherwise it must be enabled and homed anew.
+        A link fault is cleared, and the settings are sent again. If the boot number is the same, its position is valid;
+        otherwise it must be enabled and homed again.
         """
         before = self._talk.firmware
         give_up = self._clock.now() + timeout_s
@@ -180,12 +180,12 @@ class JxsController:
         self._talk.ask("ARM", on=on)
 
     def laser(self, on: bool, ms: int | None = None, *, number: int = 1) -> None:
-        """Switch the laser on for a while, renew that, or switch it off.
+        """Switch a laser on, renew its lease, or switch all lasers off.
 
         Args:
             on: on or off.
-            ms: how long it may stay on, at most the lease of `hello`; by default all of that.
-            number: which one.
+            ms: lease [ms], at most that of `hello`; by default all of it.
+            number: which laser, from 1.
         """
         if on:
             lease = 1000 if self._talk.firmware is None else self._talk.firmware.lease_ms
@@ -201,12 +201,12 @@ class JxsController:
             self._talk.ask("TRIG", ms=ms)
 
     def shot(self, to: int, id: int, *, number: int = 1, lit: bool = True, dark: bool = True) -> None:
-        """Begin a shot: turn, settle, expose with the laser, expose without. `to` as it stands repeats it.
+        """Begin a shot: turn, settle, expose with the laser, expose without. The present position as `to` repeats it.
 
         Args:
             to: microsteps from home.
-            id: a number to know it by.
-            number: which laser.
+            id: a number that identifies the shot.
+            number: which laser, from 1.
             lit: expose with the laser.
             dark: expose without.
         """
@@ -236,7 +236,7 @@ class JxsController:
     def clear(self) -> None:
         self._talk.clear()
 
-    # The way out
+    # Ending
 
     def abort(self) -> None:
         self._wire.abort()
@@ -273,7 +273,7 @@ class JxsController:
         return firmware
 
     def _come_to_rest(self) -> Status:
-        """A cable that was pulled for less than the link watchdog's time has stopped nothing."""
+        """Stop the table: a cable that was pulled for less than the watchdog's time has not stopped it."""
         give_up = self._clock.now() + REST_S
         self.stop()
         while (status := self.stat()).state not in ("idle", "fault"):
@@ -290,5 +290,5 @@ class JxsController:
 
 
 def _named(number: int) -> dict[str, int]:
-    """A laser's name on the wire. The first has none: an earlier firmware knows no other."""
+    """The laser's number as a field. The first laser is sent without it, since earlier firmware knows no numbers."""
     return {} if number == 1 else {"n": number}

@@ -1,4 +1,4 @@
-"""Commands, state and waiting within a session: what an answer means for what the controller was known to be."""
+"""Commands, state and waiting within a session; finds faults, resets and a lost link in the answers."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -12,17 +12,17 @@ from scanrig.errors import ControllerReset, Fault, LinkLost, Reason, Refused, Ri
 
 
 POLL_S = 0.1
-"""Between two questions while something runs: well under the controller's link watchdog, 500 ms by default."""
+"""Time between two polls while something runs: well below the controller's watchdog, 500 ms by default."""
 
 T = TypeVar("T")
 
 
 class Conversation:
-    """An exchange whose refusals, events and silences are turned into faults, resets and a lost link.
+    """An exchange that turns refusals, events and silence into RigFault, ControllerReset and LinkLost.
 
     Attributes:
-        firmware: who answered HELLO last.
-        enabled: whether the motor driver was switched on; if it is off all the same, there was a reset.
+        firmware: the firmware that answered HELLO last.
+        enabled: whether the motor driver was switched on; if it is off now, the controller was reset.
         broken: whether the port itself failed, so that it must be opened again.
     """
 
@@ -38,16 +38,16 @@ class Conversation:
         """The fields of a command's answer.
 
         Raises:
-            Refused: the controller will not.
-            RigFault: because it is in a fault.
-            ControllerReset: because it has been reset and knows of no session.
+            Refused: the controller refused the command.
+            RigFault: it refused because it is in a fault.
+            ControllerReset: it was reset and knows no session.
             LinkLost: no answer.
         """
         self.raise_reset()
         try:
             return self.wire.ask(verb, **args)
         except LinkLost as problem:
-            # A port that fails must be opened again; one that is silent must not yet: opening it resets an Uno.
+            # A port that fails must be opened again. A silent one is kept open, since opening it resets an Uno.
             self.broken = problem.__cause__ is not None
             raise
         except Refused as refusal:
@@ -71,13 +71,13 @@ class Conversation:
             if status.state == "fault":
                 self.enabled = False
             else:
-                # Nobody switched the driver off, so it is the state after a reset whose event was lost.
+                # The host did not switch the driver off, so there was a reset whose event was lost.
                 self._note_reset()
         self.raise_reset()
         return status
 
     def poll(self) -> Status:
-        """Ask for the state, and raise the fault that it is in."""
+        """Ask for the state, and raise its fault if it is in one."""
         status = self.stat()
         if status.state == "fault":
             raise RigFault(status.fault or Fault.UNKNOWN, status.position)
@@ -88,7 +88,7 @@ class Conversation:
 
         Raises:
             Refused: the emergency stop is still pressed.
-            RigFault: another fault came at the same moment, of which nobody has been told yet.
+            RigFault: another fault came at the same moment and was not reported yet.
         """
         try:
             self.ask("CLEAR")
@@ -97,12 +97,12 @@ class Conversation:
                 self.poll()
             raise
         self.wire.events.clear()
-        # The emergency stop has switched the driver off; that is no sign of a reset.
+        # The emergency stop switches the driver off; that does not mean a reset.
         self.enabled = read_status(self.ask("STAT")).enabled
 
     def begin(self, verb: str, **args: int) -> None:
-        """A command whose end is an event."""
-        # What is left of earlier commands must not be taken for the end of this one.
+        """Send a command whose end is an event."""
+        # Events of earlier commands must not count as the end of this one.
         kept = [event for event in self.wire.events if event.name == "FAULT"]
         self.wire.events.clear()
         self.wire.events.extend(kept)
@@ -110,24 +110,24 @@ class Conversation:
         self._begun = self.wire.seq
 
     def is_end(self, event: Event, name: str) -> bool:
-        """Whether an event is the end of what was begun last, and not of what was begun earlier."""
+        """Whether an event ends the command that was begun last, not an earlier one."""
         return event.name == name and event.fields.get("seq") == str(self._begun)
 
-    def wait(self, what: str, timeout_s: float, told: Callable[[Event], T | None], idle: Callable[[Status], T]) -> T:
-        """Wait for an event, and ask for the state meanwhile: the event may be lost, and the link must stay alive.
+    def wait(self, action: str, timeout_s: float, told: Callable[[Event], T | None], idle: Callable[[Status], T]) -> T:
+        """Wait for an event, and poll meanwhile: the event may be lost, and the watchdog must be fed.
 
         Args:
-            what: what is waited for, for the message.
-            timeout_s: how long.
-            told: what the event says; None for any other event.
-            idle: what the state says once nothing runs any more.
+            action: the action that is to end, for the message.
+            timeout_s: how long to wait.
+            told: reads the result from the event; None for any other event.
+            idle: reads the result from the state once nothing runs any more.
 
         Returns:
-            What `told` or `idle` said.
+            The result of `told` or `idle`.
 
         Raises:
-            RigFault, ControllerReset: the end that it took instead.
-            RigTimeout: it did not end; it was stopped.
+            RigFault, ControllerReset: a fault or a reset ended it.
+            RigTimeout: it did not end in time and was stopped.
         """
         give_up = self._clock.now() + timeout_s
         next_poll = self._clock.now() + POLL_S
@@ -139,7 +139,7 @@ class Conversation:
             now = self._clock.now()
             if now >= give_up:
                 self.ask("STOP")
-                raise RigTimeout(f"{what} did not end within {timeout_s:.1f} s; it was stopped")
+                raise RigTimeout(f"{action} did not end within {timeout_s:.1f} s; it was stopped")
             if now < next_poll:
                 self._listen(next_poll - now)
                 continue
@@ -150,7 +150,7 @@ class Conversation:
                 return idle(status) if done is None else done
 
     def raise_reset(self) -> None:
-        """Raise a reset that was noticed, until HELLO."""
+        """Raise ControllerReset if a reset was noticed since HELLO."""
         if self.wire.restarted is not None:
             self.enabled = False
             raise self.wire.restarted

@@ -1,4 +1,4 @@
-"""Stop-and-wait over a link: a line is sent until it is answered, and carried out once (PROTOCOL.md, section 1)."""
+"""Stop-and-wait over a link: each line is repeated until answered, and carried out once (PROTOCOL.md, section 1)."""
 
 from collections import deque
 
@@ -24,31 +24,31 @@ from scanrig.wire.link import Link
 
 
 FIRST_WAIT = 0.25
-"""The first wait for an answer, as a part of the longest. An answer takes milliseconds, and two lines that go missing
-one after the other must not starve the controller's link watchdog; every further wait is twice as long."""
+"""The first wait for an answer, as a fraction of the longest wait; each further wait is twice as long. An answer takes
+milliseconds, and two lost lines in a row must not trip the controller's watchdog."""
 
 AFTER_DAMAGE = 0.1
-"""How long to go on waiting after a damaged line, as a part of the longest wait: it probably was the answer."""
+"""How long to wait after a damaged line, which probably was the answer; as a fraction of the longest wait."""
 
 MOST_SENDS = 8
-"""A line is sent at most this many times as often as there are tries, however fast it is refused as damaged."""
+"""A line is sent at most this many times per try, however fast it is refused as damaged."""
 
 KEPT_RAW = 4
 
 MOST_MISSED = 1000
-"""More events than this are never lost between two questions: a number that far ahead is an older one."""
+"""Most events that may be lost between two commands: a number farther ahead than this is an older one."""
 
 
 class Exchange:
-    """Questions and answers, events and their gaps. Knows lines, not what they mean.
+    """Sends commands, receives answers and events, and counts gaps. Knows lines, not their meaning.
 
     Attributes:
-        events: what came and was not looked at yet.
-        counts: what the line did.
-        seq: the number of the last line that was sent.
-        boot: of the controller that answered HELLO last.
-        restarted: set where the controller was reset since.
-        odd_lines: the last lines that were none of this protocol's, to tell a person what is on the port.
+        events: events received and not looked at yet.
+        counts: of lines sent, resent and damaged.
+        seq: number of the last line sent.
+        boot: boot number in the last answer to HELLO.
+        restarted: the error to raise if the controller was reset since; else None.
+        odd_lines: the last lines that are not of this protocol; they tell a person which device is on the port.
     """
 
     def __init__(self, link: Link, clock: Clock, *, timeout_s: float, tries: int):
@@ -69,30 +69,30 @@ class Exchange:
         self._hello: int | None = None
 
     def attach(self, link: Link) -> None:
-        """Go on over another link; what had come over the old one is forgotten."""
+        """Continue over another link; lines and events of the old one are discarded."""
         self.link = link
         self.forget()
 
     def forget(self) -> None:
-        """Forget events and half lines; gaps in the events' numbers mean nothing until HELLO is answered."""
+        """Discard events and half lines; gaps in the events' numbers are ignored until HELLO is answered."""
         self.events.clear()
         self._reader = LineReader()
         self._half_line = True
         self._last_event = None
 
     def ask(self, verb: str, *, tries: int | None = None, **args: int) -> dict[str, str]:
-        """Send a command until it is answered.
+        """Send a command and repeat it until it is answered.
 
         Args:
             verb, args: the command.
-            tries: instead of the usual ones.
+            tries: replaces the usual number of tries.
 
         Returns:
             The fields of the answer.
 
         Raises:
-            Refused: the controller answered that it will not.
-            LinkLost: no answer after `tries` times the longest wait, or the link broke.
+            Refused: the controller refused the command.
+            LinkLost: no answer after `tries` times the longest wait, or the port failed.
         """
         self.seq = seq = next_sequence(self.seq)
         line = encode(seq, verb, **args)
@@ -118,23 +118,23 @@ class Exchange:
         )
 
     def listen(self, timeout_s: float) -> None:
-        """Wait for whatever comes unasked; return as soon as anything did."""
+        """Wait for events; return as soon as anything came."""
         for message in self._receive(timeout_s):
             if not isinstance(message, Event | Damaged):
                 self.counts.strays += 1
 
     def abort(self) -> None:
-        """Send the byte that works outside of lines."""
+        """Send the abort byte, which works outside of lines."""
         self.link.write(ABORT)
 
     def note_last_event(self, number: int) -> None:
-        """The answer just received says how many events there were; what has not come by now never will."""
+        """Take the number of events from the answer just received; events that have not come by now are lost."""
         if self._last_event is None or self._event_when_asked is None:
             return
         if number < self._event_when_asked and not _went_round(self._event_when_asked, number):
-            # It counts anew, and nobody here asked it to.
+            # It counts from the beginning again without a HELLO: it was reset.
             self.restarted = self.restarted or ControllerReset(self.boot, None)
-        # An answer that was repeated is as old as the first time it was sent; events may have overtaken it.
+        # A repeated answer has the contents of the first one; newer events may have come before it.
         missed = (number - self._last_event) % LAST_SEQUENCE
         if missed < MOST_MISSED:
             self.counts.events_missed += missed
@@ -142,7 +142,7 @@ class Exchange:
 
     def _send(self, line: bytes, again: bool) -> None:
         start = b"\n" if again or self._half_line else b""
-        # An interrupt between here and the end of writing leaves half a line behind, which the next one must end.
+        # An interrupt during the write leaves half a line; the next line must end it first.
         self._half_line = True
         self.link.write(start + line)
         self._half_line = False
@@ -150,7 +150,7 @@ class Exchange:
         self.counts.resent += again
 
     def _answer(self, seq: int, wait_s: float) -> Reply | Refusal | None:
-        """The answer to seq; None where it is time to send again."""
+        """The answer to seq; None when it is time to send again."""
         deadline = self.clock.now() + wait_s
         while True:
             answer: Reply | Refusal | None = None
@@ -176,7 +176,7 @@ class Exchange:
             if isinstance(message, Event):
                 self._file(message)
             elif isinstance(message, Reply) and message.seq == self._hello:
-                # A session begins here: what came before belongs to another, and events count from 1 again.
+                # A session begins: earlier events belong to another one, and events count from 1 again.
                 self.events.clear()
                 self._last_event = 0
             elif isinstance(message, Damaged):
@@ -200,5 +200,5 @@ class Exchange:
 
 
 def _went_round(before: int, after: int) -> bool:
-    """Whether an event's number is smaller than an earlier one's because after 65535 comes 1."""
+    """Whether an event's number is smaller than an earlier one's because 65535 is followed by 1."""
     return (after - before) % LAST_SEQUENCE < MOST_MISSED

@@ -1,4 +1,4 @@
-"""HELLO: finding out who is on the port, whatever it is."""
+"""HELLO: begins a session and finds out which device is on the port."""
 
 import logging
 
@@ -13,30 +13,30 @@ from scanrig.errors import FirmwareError, LinkLost, Refused
 log = logging.getLogger(__name__)
 
 BOOT_S = 2.5
-"""An Uno is reset when its port is opened, and its boot loader takes this long to let go."""
+"""Opening its port resets an Uno; its boot loader takes this long."""
 
 
 class Silence(Exception):
-    """Nobody answered HELLO."""
+    """No answer to HELLO."""
 
 
 def greet(wire: Exchange, clock: Clock, session: int) -> Firmware:
     """Begin a session.
 
-    Whoever is there and awake answers at once. One that has just been reset by opening its port sends BOOT before long,
-    and is greeted again then.
+    A running controller answers at once. One that was reset by opening its port sends BOOT first and is then greeted
+    again.
 
     Args:
         wire: to the controller.
-        clock: for the boot loader's time.
+        clock: for the wait for the boot loader.
         session: 1 … 2³¹−1.
 
     Returns:
-        What firmware it is.
+        The firmware that answered.
 
     Raises:
-        Silence: no answer; `what_is_there` says what came instead.
-        FirmwareError: it answers, and speaks another protocol.
+        Silence: no answer; `what_is_there` describes the lines that came instead.
+        FirmwareError: it answers but speaks another protocol.
         LinkLost: the port went away.
     """
     wire.forget()
@@ -63,19 +63,19 @@ def greet(wire: Exchange, clock: Clock, session: int) -> Firmware:
 
 
 def hello(wire: Exchange, session: int, tries: int) -> dict[str, str]:
-    """One HELLO, sent for as long as `tries` allow."""
+    """Send HELLO, at most `tries` times."""
     try:
         return wire.ask("HELLO", ses=session, tries=tries)
     except Refused as problem:
         raise FirmwareError(f"{wire.link.name} does not begin a session: {problem}") from problem
     except LinkLost as problem:
         if problem.__cause__ is not None:
-            raise  # The port itself failed: that is not silence.
+            raise  # The port itself failed, which is not silence.
         raise Silence(str(problem)) from problem
 
 
 def wait_for_boot(wire: Exchange, clock: Clock, until: float) -> bool:
-    """Listen until BOOT has come, or it is `until`."""
+    """Listen until BOOT comes or the time `until` is reached; returns whether BOOT came."""
     while not any(event.name == "BOOT" for event in wire.events):
         left = until - clock.now()
         if left <= 0:
@@ -85,11 +85,11 @@ def wait_for_boot(wire: Exchange, clock: Clock, until: float) -> bool:
 
 
 def what_is_there(wire: Exchange) -> str:
-    """In a person's words, what a port said instead of answering HELLO."""
+    """Describes, for messages, the lines that came from the port instead of an answer to HELLO."""
     if not wire.odd_lines:
         return "silence"
     says = repr(wire.odd_lines[-1][:60])[1:]
-    return f"a device that echoes what it is told ({says})" if _echoes(wire) else f"a device that says {says}"
+    return f"a device that echoes its input ({says})" if _echoes(wire) else f"a device that sends {says}"
 
 
 def _echoes(wire: Exchange) -> bool:

@@ -1,4 +1,4 @@
-"""The wire, host side: bytes to messages and back (PROTOCOL.md, section 1). Nothing here waits or knows a session."""
+"""Bytes to messages and back, on the host's side (PROTOCOL.md, section 1). Nothing here waits or knows a session."""
 
 import binascii
 import re
@@ -9,7 +9,8 @@ PROTOCOL = 1
 """The number of the protocol that this host speaks."""
 
 ABORT = b"\x1b"
-"""Esc works outside of lines: laser off, no further step, at once. No flipped bit makes it of a byte of a line."""
+"""Esc, which works outside of lines: laser off and motor stopped at once. No single flipped bit turns a byte of a line
+into it."""
 
 LONGEST_COMMAND = 96
 """Bytes of a line to the controller, its newline not counted."""
@@ -22,7 +23,7 @@ LAST_SEQUENCE = 65535
 
 @dataclass(frozen=True)
 class Reply:
-    """A command that was carried out, and what it says."""
+    """The answer to a command that was carried out, with its fields."""
 
     seq: int
     fields: dict[str, str]
@@ -30,7 +31,7 @@ class Reply:
 
 @dataclass(frozen=True)
 class Refusal:
-    """A command that came through and was not carried out."""
+    """The answer to a command that arrived intact and was not carried out."""
 
     seq: int
     code: int
@@ -38,14 +39,14 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Nak:
-    """A line of ours came damaged (2) or too long (10): to be sent again. Says not which; it could not be trusted."""
+    """A line of the host arrived damaged (2) or too long (10) and must be sent again; its number is not known."""
 
     code: int
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened, told once."""
+    """An event at the controller, sent once."""
 
     number: int
     name: str
@@ -54,7 +55,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Damaged:
-    """A line that is not one of this protocol's, or did not arrive as it was sent."""
+    """A line that is not of this protocol, or was damaged on its way."""
 
     raw: bytes
 
@@ -73,21 +74,21 @@ _KEY = re.compile(r"[a-z]+")
 
 
 def crc(data: bytes) -> int:
-    """CRC-16/CCITT-FALSE: polynomial 0x1021, from 0xFFFF, no reflection; of "123456789" it is 0x29B1."""
+    """CRC-16/CCITT-FALSE: polynomial 0x1021, initial value 0xFFFF, no reflection; for "123456789" it is 0x29B1."""
     return binascii.crc_hqx(data, 0xFFFF)
 
 
 def seal(text: str) -> bytes:
-    """A line's text with its CRC and newline, as it goes over the wire."""
+    """A line's text with its CRC and newline, as bytes."""
     body = text.encode("ascii")
     return b"%s*%04X\n" % (body, crc(body))
 
 
 def command_text(verb: str, **args: int) -> str:
-    """A command as a person would type it: `SHOT to=1200 id=150`.
+    """A command as readable text: `SHOT to=1200 id=150`.
 
     Raises:
-        ValueError: no verb or key of the protocol's form, or no 32-bit integer: a mistake of the program.
+        ValueError: a verb, key or value that the protocol does not allow: a mistake of the program.
     """
     if not _VERB.fullmatch(verb):
         raise ValueError(f"verb {verb!r}: upper case letters only")
@@ -113,7 +114,7 @@ def encode(seq: int, verb: str, **args: int) -> bytes:
         The line with CRC and newline.
 
     Raises:
-        ValueError: what this says is no line of the protocol.
+        ValueError: the command is no valid line of the protocol.
     """
     if not 1 <= seq <= LAST_SEQUENCE:
         raise ValueError(f"sequence number {seq}: 1 … {LAST_SEQUENCE}")
@@ -129,24 +130,24 @@ def next_sequence(seq: int) -> int:
 
 
 class LineReader:
-    """Puts the controller's lines together from whatever pieces the port hands over."""
+    """Joins the pieces that the port returns to the controller's lines."""
 
     def __init__(self) -> None:
         self._pending = b""
 
     def feed(self, data: bytes) -> list[Message]:
-        """The messages that are complete with `data`, in order. Never raises, whatever arrives.
+        """The messages that `data` completes, in order. Never raises, whatever arrives.
 
-        How a stream is cut into pieces changes nothing in what comes out.
+        The result does not depend on how the stream is cut into pieces.
         """
         *lines, pending = (self._pending + data.replace(b"\r", b"")).split(b"\n")
-        # A line without an end takes no memory without an end: one byte more than the longest tells it apart.
+        # An endless line must not fill the memory: one byte more than the longest line is enough to reject it.
         self._pending = pending[: LONGEST_LINE + 1]
         return [decode(line[: LONGEST_LINE + 1]) for line in lines if line]
 
 
 def decode(line: bytes) -> Message:
-    """One line, without its newline, as a message; `Damaged` for whatever is not exactly one of the protocol's."""
+    """One line, without its newline, as a message; `Damaged` if it is not exactly a line of the protocol."""
     sealed = _SEALED.fullmatch(line)
     if len(line) > LONGEST_LINE or not sealed or crc(sealed[1]) != int(sealed[2], 16):
         return Damaged(line)
@@ -165,7 +166,7 @@ def decode(line: bytes) -> Message:
 
 
 def _fields(words: bytes) -> dict[str, str] | None:
-    """` a=1 b=2` as a dictionary; None where a key comes twice."""
+    """` a=1 b=2` as a dictionary; None if a key comes twice."""
     pairs = [word.partition("=")[::2] for word in words.decode("ascii").split()]
     fields = dict(pairs)
     return fields if len(fields) == len(pairs) else None

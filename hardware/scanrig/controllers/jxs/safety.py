@@ -1,4 +1,4 @@
-"""Everything off, and certain of it."""
+"""Switches everything off and has it confirmed."""
 
 import logging
 
@@ -10,10 +10,8 @@ from scanrig.errors import Refused, RigError
 
 log = logging.getLogger(__name__)
 
-UNCONFIRMED = "could not confirm that the laser is off: switch its supply off by hand"
-
 TRIES = 3
-"""Less patience than elsewhere: after this the abort byte, which needs no line to come through."""
+"""Fewer tries than usual; then the abort byte is sent, which works without a valid line."""
 
 STOPPING_S = 0.5
 """How long a shot may take to end after STOP."""
@@ -22,7 +20,7 @@ STOPPING_S = 0.5
 def make_safe(wire: Exchange, clock: Clock) -> bool:
     """Stop, laser off, contactor open; if that is not answered, abort.
 
-    Never raises for the rig's sake, so that it can stand on every way out.
+    Raises no error of the rig, so that every exit can call it.
 
     Returns:
         True if the controller confirmed that the laser is off, the contactor open, and nothing runs that could switch
@@ -35,7 +33,7 @@ def make_safe(wire: Exchange, clock: Clock) -> bool:
         if is_dark(wire, clock):
             return True
     except RigError as problem:
-        # No answer, or one that does not say what it should: the byte needs neither.
+        # No answer, or an incomplete one: the abort byte needs neither.
         log.warning("%s", problem)
     try:
         wire.abort()
@@ -46,7 +44,7 @@ def make_safe(wire: Exchange, clock: Clock) -> bool:
 
 
 def is_dark(wire: Exchange, clock: Clock) -> bool:
-    """Whether the controller says that the laser is off and stays off. Raises RigError where it does not say."""
+    """Whether the controller confirms that the laser is off and stays off. Raises RigError if it does not answer."""
     end = clock.now() + STOPPING_S
     while True:
         status = read_status(wire.ask("STAT", tries=TRIES))
@@ -58,7 +56,7 @@ def is_dark(wire: Exchange, clock: Clock) -> bool:
 
 
 def _insist(wire: Exchange, verb: str, **args: int) -> None:
-    """Ask; a refusal is no reason not to go on with the next."""
+    """Send a command; a refusal is logged, so that the next command follows."""
     try:
         wire.ask(verb, tries=TRIES, **args)
     except Refused as problem:

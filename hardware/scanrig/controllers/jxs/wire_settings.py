@@ -1,14 +1,14 @@
-"""The settings as the wire has them."""
+"""Settings as fields of the protocol."""
 
 from scanrig.controllers.settings import Settings
 
 
 UNLIMITED = (-(2**31), 2**31 - 1)
-"""Soft limits that limit nothing."""
+"""Soft limits that allow every position."""
 
 
 def wire_settings(settings: Settings) -> dict[str, dict[str, int]]:
-    """The settings as the wire has them, in groups that fit one line each and are checked together there."""
+    """Settings as fields of the protocol, in groups that fit one line each and that the firmware checks together."""
     low, high = UNLIMITED if settings.limits is None else settings.limits
     return {
         "motion": {
