@@ -75,7 +75,7 @@ class TestCalibrate:
         )
         print_summary(console(), dataclasses.replace(stored, quality=quality))
         lines = capsys.readouterr().out.splitlines()
-        assert lines[0].startswith("Not accepted. The solve ended, but the light sheet is not of the shape")
+        assert lines[0].startswith("Not accepted. The solve ended, but the light sheet does not have the shape")
         assert lines[2].split() == "0.053 mm 300 mm along the stripe at 2.5 m".split()
         assert lines[3].startswith("Corners: ") and lines[4].startswith("Stripes: ")
         assert "warning: [bold]not markup[/bold]" in lines
