@@ -1,6 +1,6 @@
 """The controller in a few lines of Python, on a clock that tests move: for the host's logic, not for the rig's truth.
 
-Assertions about what a rig does belong on `SimulatedRig`, which runs the real firmware.
+Assertions about a rig belong on `SimulatedRig`, which runs the real firmware.
 """
 
 from collections.abc import Callable

@@ -97,16 +97,16 @@ def dark(simulated, since, within_ms):
 
 
 @pytest.mark.parametrize("doing", ["lease", "shot"])
-@pytest.mark.parametrize("what", ["estop", "abort", "hello"])
-def test_what_puts_one_off_puts_the_other_off(rig, what, doing):
+@pytest.mark.parametrize("event", ["estop", "abort", "hello"])
+def test_what_puts_one_off_puts_the_other_off(rig, event, doing):
     simulated = rig()
     with ready(simulated, speed=1, laser_on_ms=5000) as controller:
         light(simulated, controller, doing)
         simulated.control("speed 0.05")
         since = simulated.plant()["cycle"]
-        if what == "estop":
+        if event == "estop":
             simulated.control("estop 1")
-        elif what == "abort":
+        elif event == "abort":
             controller.link.write(ABORT)
         else:
             controller.link.write(encode(60001, "HELLO", ses=9))

@@ -48,7 +48,7 @@ class Controller(Protocol):
 
     @property
     def guarantees(self) -> Guarantees:
-        """What it guarantees without the host."""
+        """Its guarantees without the host."""
 
     @property
     def link_counts(self) -> LinkCounts:
