@@ -14,6 +14,7 @@ from jaxscan.calibration.solve import (
     carrying,
     determine,
     not_converged,
+    undetermined_shares,
 )
 from jaxscan.calibration.verdict import (
     ModelTest,
@@ -32,6 +33,10 @@ from jaxscan.calibration.verdict import (
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Scanner, make_layout
 from jaxscan.observation import Observations
+
+
+# Unknowns with less than this of the largest part in the undetermined directions are not named.
+_LEAST_SHARE = 0.1
 
 
 def conclude(
@@ -94,10 +99,12 @@ def conclude(
 
 
 def _determined(result: Adjustment, names: tuple[str, ...]) -> Determination:
-    found = determine(result.linearised, np.asarray(result.problem.scales), names)
-    if isinstance(found, Determination):
-        return found
-    # This holds wherever a solve stopped; it is even why one does not converge.
+    """Raised also where the solve did not converge: undetermined parameters are a cause of that."""
+    scales = np.asarray(result.problem.scales)
+    shares = undetermined_shares(result.linearised, scales)
+    found = {name: float(share) for name, share in zip(names, shares, strict=True) if share > _LEAST_SHARE * shares.max()}
+    if not found:
+        return determine(result.linearised, scales, names)
     wanted = "; ".join(cures([found])) or "boards tilted by 20 to 45 degrees all over the image"
     raise CalibrationError(
         f"The observations say nothing about a combination of {', '.join(found)}: capture {wanted}, or hold "

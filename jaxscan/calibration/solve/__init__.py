@@ -2,5 +2,5 @@
 
 from jaxscan.calibration.solve.adjust import Adjustment, adjust, not_converged
 from jaxscan.calibration.solve.assemble import carrying, make_problem
-from jaxscan.calibration.solve.covariance import Determination, determine
+from jaxscan.calibration.solve.covariance import Determination, determine, undetermined_shares
 from jaxscan.calibration.solve.prepare import Prepared, prepare

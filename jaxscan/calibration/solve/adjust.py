@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.covariance import Linearised, linearise
+from jaxscan.calibration.solve.covariance import Linearised, linearise, undetermined_shares
 from jaxscan.calibration.solve.levenberg_marquardt import Solution, solve
 from jaxscan.calibration.solve.noise import (
     correlation_along,
@@ -107,7 +107,9 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
     """Solve robustly, drop outliers, estimate the noise of each group, solve to the end.
 
     Plain least squares at the end keeps the estimate that of maximum likelihood, and its
-    covariance meaningful. With `rejection` False only the robust part runs.
+    covariance meaningful. With `rejection` False only the robust part runs. Nothing is rejected
+    where the observations leave parameters undetermined: further solves would drift along those,
+    and their residuals would condemn good views.
 
     Raises:
         CalibrationError: If the solve breaks down.
@@ -130,7 +132,7 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
         )
         if largest < settings.reject_any:
             break
-    if rejection:
+    if rejection and not undetermined_shares(state.linearised, np.asarray(problem.scales)).any():
         state = _reject(state, settings)
     return replace(state, problem=jax.tree.map(np.asarray, state.problem))
 

@@ -177,25 +177,33 @@ class Determination(NamedTuple):
     """Largest share of the information in any one direction that is the priors' own."""
 
 
-def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]) -> Determination | dict[str, float]:
-    """Covariance of the shared unknowns from their information.
+def undetermined_shares(linearised: Linearised, scales: np.ndarray) -> np.ndarray:
+    """Length of each shared unknown's part in the null space of the information [shared], 0 ... 1.
 
-    Where that is singular, the largest components of the direction of which it says least.
+    All 0 where the information is regular. The whole null space counts: which of its vectors come
+    out of a decomposition is a matter of rounding.
     """
+    free = np.flatnonzero(scales)
+    # The information after the poses are eliminated is compared with that before: where nothing
+    # is left, rounding error remains.
+    known = np.sqrt(np.asarray(linearised.known_poses)[free])
+    shares = np.zeros(len(scales))
+    if np.any(known == 0):
+        shares[free] = known == 0
+        return shares
+    values, vectors = np.linalg.eigh(np.asarray(linearised.reduced)[np.ix_(free, free)] / np.outer(known, known))
+    shares[free] = np.linalg.norm(vectors[:, values <= _SINGULAR], axis=1)
+    return shares
+
+
+def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]) -> Determination:
+    """Covariance of the shared unknowns from their information, which must be regular."""
     reduced, prior = np.asarray(linearised.reduced), np.asarray(linearised.prior)
     free = np.flatnonzero(scales)
     covariance = np.zeros_like(reduced)
     if len(free) == 0:
         return Determination(covariance, 1.0, (), 0.0)
     information = reduced[np.ix_(free, free)]
-    # The information after the poses are eliminated is compared with that before: where nothing
-    # is left, rounding error remains.
-    known = np.sqrt(np.asarray(linearised.known_poses)[free])
-    if np.any(known == 0):
-        return {names[free[i]]: 1.0 for i in np.flatnonzero(known == 0)}
-    values, vectors = np.linalg.eigh(information / np.outer(known, known))
-    if values[0] <= _SINGULAR:
-        return _components(vectors[:, 0], free, names)
     size = np.sqrt(np.diag(information))
     eigenvalues = np.linalg.eigvalsh(information / np.outer(size, size))
     inverse = np.linalg.inv(information / np.outer(size, size)) / np.outer(size, size)
