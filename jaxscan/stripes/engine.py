@@ -173,8 +173,8 @@ def compute_at_once(engine: StripeEngine, on: Array, off: Array | None, then: Co
 
 def compute_natively(engine: StripeEngine, planes: Planes, off: Array | None, then: Continuation) -> ChunkStripes:
     """The search natively, the rest by XLA."""
-    assert engine.estimator.locate_natively is not None
-    located = engine.estimator.locate_natively(planes, engine.search, engine.setup)
+    locate = engine.estimator.locate_natively or engine.estimator.locate
+    located = locate(planes, engine.search, engine.setup)
     return _from_located(engine, (located, planes.lamp_ratio), off if then.needs_frames else None, then)
 
 
