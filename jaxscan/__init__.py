@@ -1,7 +1,7 @@
 """A camera, a line laser and a turntable as a precise 3D scanner for rooms.
 
-The public names stand in `__init__.pyi`, with their homes. A name is loaded when it is first asked for, so that
-`import jaxscan` itself takes no time.
+`__init__.pyi` lists the public names and their modules. A name is loaded at its first use, so `import jaxscan` itself
+is fast.
 """
 
 import importlib

@@ -1,4 +1,4 @@
-"""The public names and their homes. `jaxscan/__init__.py` reads this list, so a name stands here and nowhere else."""
+"""The public names and their modules; `jaxscan/__init__.py` reads this list."""
 
 from jaxscan.api import Reconstruction as Reconstruction
 from jaxscan.api import calibrate as calibrate

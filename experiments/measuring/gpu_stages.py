@@ -16,16 +16,15 @@ from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction import ReconstructSettings, Sweep
 from jaxscan.reconstruction.plan import make_plan
 from jaxscan.reconstruction.points.colour import stripe_colours
-from jaxscan.reconstruction.points.coloured import Aim, Coloured, coloured, points_of_centres
-from jaxscan.reconstruction.points.locate import Centres, Points
+from jaxscan.reconstruction.points.coloured import Coloured, coloured
+from jaxscan.reconstruction.points.locate import Aim, Centres, Points, locate_points
 from jaxscan.stripes import ChunkStripes, FrameStripes, NoiseModel, StripeEngine
 from jaxscan.stripes.choosing.rules import choose
 from jaxscan.stripes.engine import compute_at_once, compute_natively
 from jaxscan.stripes.fitting.fit_blocks import fit_candidates
-from jaxscan.stripes.frames.planes import host_planes, read_planes
-from jaxscan.stripes.measured import LineCandidates, Measured
 from jaxscan.stripes.search.candidates import Located
 from jaxscan.stripes.search.locate import locate
+from jaxscan.stripes.search.planes import host_planes, read_planes
 
 
 class Chunk(NamedTuple):
@@ -54,7 +53,7 @@ class Chosen(NamedTuple):
     """Number of the candidate that is the stripe, -1 for none, and the fits of all candidates."""
 
     number: Int8[Array, "pairs lines"]
-    fits: Measured
+    fits: FrameStripes
 
 
 class Finished(NamedTuple):
@@ -94,7 +93,7 @@ def to_candidates(job: Job, chunk: Chunk, given: None) -> Found:
     return Found(found, planes.lamp_ratio)
 
 
-def to_fits(job: Job, chunk: Chunk, given: Found) -> Measured:
+def to_fits(job: Job, chunk: Chunk, given: Found) -> FrameStripes:
     """Every candidate fitted and judged: fields [pairs, lines, candidates]."""
     del chunk
     fits = fit_candidates(given.located.lists, given.lamp_ratio, job.engine.search, job.engine.setup)
@@ -104,11 +103,10 @@ def to_fits(job: Job, chunk: Chunk, given: Found) -> Measured:
     return fits._replace(valid=fits.valid & (slots >= 0))
 
 
-def to_path(job: Job, chunk: Chunk, given: Measured) -> Chosen:
+def to_path(job: Job, chunk: Chunk, given: FrameStripes) -> Chosen:
     """The best path over the rows."""
     del chunk
-    candidates = LineCandidates(given.u, given.snr, given.amplitude, given.width, given.valid)
-    return Chosen(choose(candidates, job.engine.search.near_side, job.engine.setup.settings), given)
+    return Chosen(choose(given, job.engine.search.near_side, job.engine.setup.settings), given)
 
 
 def to_points(job: Job, chunk: Chunk, given: Chosen) -> Finished:
@@ -119,10 +117,9 @@ def to_points(job: Job, chunk: Chunk, given: Chosen) -> Finished:
         one = jnp.take_along_axis(field, jnp.maximum(given.number, 0).astype(jnp.int32)[:, :, None], 2)[:, :, 0]
         return jnp.where(valid, one, jnp.zeros_like(one))
 
-    fields = {name: taken(getattr(given.fits, name)) for name in FrameStripes._fields if name != "valid"}
-    stripes, setup = FrameStripes(**fields, valid=valid), job.engine.setup
+    stripes, setup = jax.tree.map(taken, given.fits)._replace(valid=valid), job.engine.setup
     axis = setup.line.stripe_axis
-    points = points_of_centres(Centres(stripes.u, stripes.sigma, valid), job.aim, chunk.phi, stripe_axis=axis)
+    points = locate_points(job.aim, Centres(stripes.u, stripes.sigma, valid), chunk.phi, stripe_axis=axis)
     # The fit knows the grey level already.
     return Finished(stripes, points, stripe_colours(stripes, None, frames=setup.frames, stripe_axis=axis))
 

@@ -15,14 +15,12 @@ from worlds.speed_scene import ELECTRONS_PER_DN, HEIGHT, READ_DN, WIDTH, Frames,
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
 from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan
-from jaxscan.reconstruction.points.coloured import points_alone
-from jaxscan.reconstruction.points.locate import Centres
+from jaxscan.reconstruction.points.locate import Centres, points_alone
 from jaxscan.stripes import NoiseModel, estimate_noise
 from jaxscan.stripes.choosing.rules import choose
 from jaxscan.stripes.engine import choose_stripes
 from jaxscan.stripes.fitting.fit_blocks import fit_candidates
-from jaxscan.stripes.frames.planes import host_planes
-from jaxscan.stripes.measured import LineCandidates, Measured
+from jaxscan.stripes.search.planes import host_planes
 
 
 FRAME = WIDTH * HEIGHT
@@ -92,10 +90,10 @@ def chunk_stages(frames: Frames, sweep: Sweep, scanner: Scanner, noise: NoiseMod
     fits = fit(located.lists, ratio, search)
 
     @jax.jit
-    def path(fits: Measured, slots: np.ndarray):
+    def path(fits: FrameStripes, slots: np.ndarray):
         index = jax.numpy.maximum(slots, 0)
-        u, snr, amplitude, width, valid = (getattr(fits, name)[index] for name in LineCandidates._fields)
-        candidates = LineCandidates(u, snr, amplitude, width, valid & (slots >= 0))
+        candidates = jax.tree.map(lambda field: field[index], fits)
+        candidates = candidates._replace(valid=candidates.valid & (slots >= 0))
         return choose(candidates, search.near_side, setup.settings)
 
     stripes = jax.jit(
@@ -117,6 +115,6 @@ def chunk_stages(frames: Frames, sweep: Sweep, scanner: Scanner, noise: NoiseMod
         "fit (one thread)": single(fit, located.lists, ratio, search),
         "path over the rows (one thread)": single(path, fits, located.slots),
         "fit, path and choice (one thread)": single(stripes, located, ratio),
-        "triangulate (one thread)": single(points, centres, plan.aim(0), np.zeros(CHUNK, np.float32)),
+        "triangulate (one thread)": single(points, plan.aim(0), centres, np.zeros(CHUNK, np.float32)),
     }
     return runs, sum(int(one.total) for one in located.lists) / CHUNK

@@ -52,7 +52,7 @@ void machine_feed(void) {
     watch_feed((uint16_t)settings[WD], armed_idle_ms());
 }
 
-/* With interrupts off. What commands.c allowed a moment ago may be forbidden by now: an interrupt came in between. */
+/* With interrupts off. Checked again, since an interrupt may have come after the check in commands.c. */
 static uint8_t still_idle(void) {
     if (estop_pressed() && fault != F_ESTOP) fault_enter(F_ESTOP);
     if (state == FAULTED) return 6;
@@ -96,7 +96,7 @@ uint8_t machine_laser(uint8_t number, uint16_t ms) {
 uint8_t machine_laser_off(void) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         laser_off();
-        if (state == SHOOTING && shot_kind == A_SHOT) machine_stop(); /* It would end with a dark lit exposure. */
+        if (state == SHOOTING && shot_kind == A_SHOT) machine_stop(); /* Its lit exposure would be dark. */
     }
     return 0;
 }
@@ -171,7 +171,7 @@ uint8_t machine_selftest(uint16_t seq) {
 
 uint8_t machine_set(const int32_t *candidate) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        if (candidate[DIR_SENSE] != settings[DIR_SENSE]) { /* What was up is down now. */
+        if (candidate[DIR_SENSE] != settings[DIR_SENSE]) { /* Up and down are exchanged. */
             homed = false;
             motion_forget();
         }
@@ -184,7 +184,7 @@ uint8_t machine_set(const int32_t *candidate) {
 uint8_t machine_clear(void) {
     uint8_t refusal = 0;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        if (estop_pressed() || fault_unsaid) /* A fault newer than the line must not be cleared by it. */
+        if (estop_pressed() || fault_unsaid) /* The line must not clear a fault newer than itself. */
             refusal = 6;
         else if (state == FAULTED) {
             state = IDLE;
@@ -200,7 +200,7 @@ void machine_stop(void) {
         if (state == MOVING || state == HOMING || state == SHOOTING) {
             shot_cancel();
             motion_slow();
-            state = MOVING; /* ends with DONE, as soon as it is at rest */
+            state = MOVING; /* ends with DONE as soon as it is at rest */
         }
     }
 }

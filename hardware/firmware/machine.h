@@ -1,6 +1,6 @@
-/* What commands may ask of the machine. machine.c does it on the controller; host/fake.c pretends to.
+/* The functions through which commands reach the hardware: machine.c on the controller, host/fake.c in tests.
  *
- * A function that starts something answers with an error of the protocol, and has done nothing then.
+ * A function that starts something returns 0, or an error of the protocol; then it has done nothing.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -29,14 +29,14 @@ struct machine_status {
 struct machine_counters {
     uint32_t laser, up_ms;
     uint16_t lost_bytes, watchdog_resets;
-    int32_t home_was; /* what HOMED said last: the event may be lost */
+    int32_t home_was; /* `was` of the last HOMED, since the event may be lost */
 };
 
 void machine_status(struct machine_status *status);
 void machine_counters(struct machine_counters *counters);
 uint16_t machine_boot(void);
 
-void machine_feed(void); /* a good line came: the link lives */
+void machine_feed(void); /* a good line came: feeds the link watchdog */
 uint8_t machine_enable(bool on);
 uint8_t machine_arm(bool on);
 uint8_t machine_laser(uint8_t number, uint16_t ms); /* lights this one alone */
@@ -55,7 +55,7 @@ uint8_t machine_selftest(uint16_t seq);
 uint8_t machine_set(const int32_t *candidate); /* all settings at once */
 uint8_t machine_clear(void);
 void machine_stop(void);
-void machine_session(void); /* another host may be there: laser off, contactor open, and a shot ends as by machine_stop */
+void machine_session(void); /* a session begins: laser off, contactor open, and a shot ends as by machine_stop */
 
 uint16_t machine_current_seq(void); /* of the command that is being carried out */
 

@@ -1,4 +1,4 @@
-/* The scanner's controller: what it says and obeys is in ../PROTOCOL.md, how it is wired in README.md.
+/* The scanner's controller. Its protocol is in ../PROTOCOL.md, its wiring in README.md.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -18,7 +18,7 @@ static void sleep_until_something_happens(void) {
         return;
     }
     sleep_enable();
-    sei(); /* The instruction after this one is carried out before any interrupt: none is slept through. */
+    sei(); /* The next instruction runs before any interrupt, so that none is missed in sleep. */
     sleep_cpu();
     sleep_disable();
 }

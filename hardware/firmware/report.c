@@ -36,7 +36,7 @@ bool report_pending(void) {
     return fault_unsaid;
 }
 
-/* Back to idle, unless a fault came first: then that is what is said. */
+/* Back to idle, unless a fault came first, which is then sent instead. */
 static bool ended(uint8_t in_state) {
     bool idle = false;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) if (state == in_state) {

@@ -1,4 +1,4 @@
-/* What the controller says unasked: boot, ends of motions and shots, faults. And the counts that outlive a reset.
+/* Events: boot, ends of motions and shots, faults. And the counts that survive a reset.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -8,8 +8,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-void report_begin(uint8_t reset_cause); /* counts this boot and says it */
-bool report_pending(void);              /* with interrupts off: is there a fault to say */
+void report_begin(uint8_t reset_cause); /* counts this boot and sends BOOT */
+bool report_pending(void);              /* with interrupts off: whether a fault is to be sent */
 void report_poll(void);                 /* main loop */
 uint16_t report_boot(void);
 uint16_t report_watchdog_resets(void);

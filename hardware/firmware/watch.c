@@ -14,7 +14,7 @@ volatile uint8_t state, fault;
 volatile bool fault_unsaid, homed, enabled;
 volatile uint32_t clock_ms;
 static volatile uint16_t link_ms; /* until the link counts as lost */
-static volatile uint16_t armed_ms; /* until nobody is thought to be there who would want the contactor closed */
+static volatile uint16_t armed_ms; /* until the contactor opens at rest */
 static volatile bool ticked;
 
 /* Optiboot clears MCUSR and leaves it in r2; both are read before anything else can run. */
@@ -29,7 +29,7 @@ void reset_begin(void) {
 }
 
 uint8_t watch_begin(void) {
-    PORTB = EN_N | HOME_N; /* levels first, directions after: lasers and trigger are never driven high on the way */
+    PORTB = EN_N | HOME_N; /* levels before directions, so that lasers and trigger are never driven high */
     PORTD = ESTOP;
     PORTC = 0;
     DDRB = EN_N | LASERS_ALL | TRIG | LED;
@@ -108,6 +108,6 @@ ISR(TIMER0_COMPA_vect) {
     shot_tick();
     if (laser_expired()) fault_enter(F_LEASE);
     if (!link_ms && (laser_lit() || (state != IDLE && state != FAULTED))) fault_enter(F_LINK);
-    if (!armed_ms && state == IDLE) contactor_open(); /* A MOSFET that has failed would shine for nobody. */
+    if (!armed_ms && state == IDLE) contactor_open(); /* A MOSFET may have failed closed. */
     show();
 }

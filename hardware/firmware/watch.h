@@ -1,4 +1,4 @@
-/* What ends everything: faults, the e-stop, the link watchdog, the processor's own watchdog, and the clock that they share.
+/* Faults, the e-stop, the link watchdog, the processor's watchdog, and their common clock.
  *
  * SPDX-License-Identifier: Apache-2.0
  */

@@ -23,7 +23,7 @@ def observe_boards(
     """Find the board's corners, and the stripes on it, in calibration captures.
 
     Corners are looked for in the laser-off image where there is one. Views with the same
-    placement share a board pose; a view of unknown table angle is a placement of its own.
+    placement share a board pose; a view without a table angle is a placement of its own.
 
     Args:
         captures: Calibration captures of the same board, camera and rig.
@@ -54,35 +54,35 @@ def calibrate(
 
     Args:
         captures: Calibration captures of the same board, camera and rig.
-        settings: Of the solve.
-        only_camera: Intrinsics alone; lasers and turntable are left out of the result.
-        redetect: Look at the images a second time, where the first solve says that corners and
-            stripes are, and solve again; `quality.redetected` says how much it gained.
-        progress: Called with (records done, records in all), over both looks.
+        settings: Settings of the solve.
+        only_camera: Calibrate the camera alone, without lasers and turntable.
+        redetect: Look for corners and stripes again at the places that the first solve predicts,
+            and solve again; `quality.redetected` holds the gain.
+        progress: Called with (records done, records in all), of both looks together.
 
     Returns:
         The calibration, with its covariance, quality and observations.
 
     Raises:
         CaptureError: If a capture is not a calibration capture, or they do not belong together.
-        CalibrationError: If something cannot be determined; the message says what to capture.
+        CalibrationError: If a parameter cannot be determined; the message names the missing images.
     """
     captures = [captures] if isinstance(captures, Capture) else list(captures)
     if not captures:
         raise CaptureError("No capture was given; a calibration needs at least one capture of a board.")
     if not only_camera and not captures[0].lasers:
         raise CalibrationError(
-            f"{captures[0].path}: lists no [[laser]], so there is no laser plane to be found: capture the board with "
+            f"{captures[0].path}: lists no [[laser]], so no laser sheet can be found: capture the board with "
             "the laser on and off, or calibrate the camera alone (`--only camera`, `only_camera=True`)."
         )
     settings = settings or CalibrationSettings()
     solve = calibrate_camera if only_camera else calibrate_observations
     board, eyes, looks = common_board(captures, single_lasers=not only_camera), _eyes(), 2 if redetect else 1
     seen = look_at_boards(captures, board, eyes, with_stripes=not only_camera, progress=_part(progress, 0, looks))
-    # The first of two looks is there to know where to look; only the last is judged.
+    # The first of two solves only predicts places; the verdict is for the last one.
     first = replace(settings, judge=settings.judge and not redetect)
     result = solve(to_observations(captures, seen), settings=first)
-    # A solve that did not converge cannot say where to look.
+    # A solve that did not converge predicts nothing.
     if redetect and result.quality.converged:
         progress = _part(progress, 1, looks)
         again = look_again(captures, seen, solved_rig(result), eyes.to_grey, progress=progress)
@@ -99,7 +99,7 @@ def calibrate(
 
 
 def _part(progress: Progress | None, look: int, looks: int) -> Progress | None:
-    """Progress of one of several looks at the same records."""
+    """Progress of one of several looks, as a part of all of them."""
     return None if progress is None else lambda done, total: progress(look * total + done, looks * total)
 
 

@@ -1,4 +1,4 @@
-"""A simulated rig as captures on disk, with the truth beside them."""
+"""Simulated captures, written to disk with their true values."""
 
 from pathlib import Path
 
@@ -20,19 +20,19 @@ def simulate(
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> SimulatedCaptures:
-    """Render a simulated rig into captures, with the truth beside them.
+    """Render captures of a simulated rig, and write them with their true values.
 
-    The folder appears when everything in it is whole.
+    The folder appears once everything in it is complete.
 
     Args:
         config: The rig, its surroundings, its boards and its plan.
         folder: Must not exist, or be empty.
         every: Only every n-th step of the sweep.
-        seed: Of noise and board poses, instead of the configuration's.
+        seed: Seed of noise and board poses, instead of the configuration's.
         progress: Called with (pairs done, pairs in all).
 
     Returns:
-        Where everything was written, and how many pairs.
+        The paths of everything written, and the number of pairs.
 
     Raises:
         CaptureError: If the folder exists and is not empty, or cannot be written.

@@ -40,11 +40,9 @@ def reconstruct(
         every: Use every n-th record only.
         estimator: Method that finds the centre of a stripe on a line: `gaussian` fits a Gaussian;
             `centre_of_gravity` takes the centre of gravity of the light, for one candidate per line.
-        choice: Which candidate of a line becomes the stripe: the one on the best path over the lines, the brightest,
-            the nearest, the farthest, or all of them.
+        choice: Candidate of a line that becomes the stripe; `path` takes the best path over all lines.
         min_range: Smallest distance from the camera [m].
-        max_range: Largest distance from the camera [m]; a little more than the size of the room excludes many
-            reflections.
+        max_range: Largest distance from the camera [m]; a limit that fits the room excludes many reflections.
         check_steps: Compare every centre with the neighbouring steps; most reflections do not continue there.
         cache: Keep the stripes beside the capture, and use them again next time.
         json: Write the result as JSON too.

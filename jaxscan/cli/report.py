@@ -1,17 +1,17 @@
 """`jaxscan report`: draws the report of a stored calibration."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from jaxscan import api
-from jaxscan.api.again import solve_again
-from jaxscan.calibration import Calibration
+import jaxscan
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
-from jaxscan.cli.summary import summary, write_page
-from jaxscan.files.disk import check_writable
+
+
+if TYPE_CHECKING:
+    from jaxscan.calibration import Calibration
 
 
 def report(
@@ -31,6 +31,10 @@ def report(
         output: Report to write: one HTML file that needs no other files.
         json: Write the result as JSON too.
     """
+    # Imported here, so that `--help` does not load JAX.
+    from jaxscan.cli.summary import summary, write_page
+    from jaxscan.files.disk import check_writable
+
     check_writable(output)
     check_json(json)
     drawn, note, reproduced = _drawn(calibration)
@@ -45,20 +49,22 @@ def report(
     )
 
 
-def _drawn(path: Path) -> tuple[Calibration, str, bool | None]:
+def _drawn(path: Path) -> tuple["Calibration", str, bool | None]:
     """The calibration to draw, a note on it, and whether it agrees with the stored one; None where that is unknown."""
-    stored = api.load_calibration(path)
+    from jaxscan.api.again import solve_again
+
+    stored = jaxscan.load_calibration(path)
     if stored.observations is None:
         return stored, "The observations are not beside the calibration file, so residuals are not shown.", None
     again = solve_again(stored, name=str(path))
     if again.reproduced is None:
-        return again.calibration, "Solved again from the stored observations: the solve did not converge.", None
-    if again.reproduced:
-        return again.calibration, "Solved again from the stored observations: the stored parameters came out.", True
-    return (
-        again.calibration,
-        f"Not reproduced: solved again from the stored observations, {again.parameter} is {again.departure:.3g} "
-        "standard deviations from the stored value. The file was changed since, or made by another version; "
-        "this report shows the new solution.",
-        False,
-    )
+        note = "Solved again from the stored observations: the solve did not converge."
+    elif again.reproduced:
+        note = "Solved again from the stored observations: the result agrees with the stored parameters."
+    else:
+        note = (
+            f"Not reproduced: solved again from the stored observations, {again.parameter} is {again.departure:.3g} "
+            "standard deviations from the stored value. The file was changed since, or another version made it; this "
+            "report shows the new solution."
+        )
+    return again.calibration, note, again.reproduced

@@ -14,7 +14,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CaptureHeader, open_capture
 from jaxscan.files.clouds import save_cloud
-from jaxscan.files.disk import write_atomically
+from jaxscan.files.disk import reported, write_atomically
 from jaxscan.files.recording import create_capture
 from jaxscan.reconstruction import PointCloud
 from jaxscan.simulation import RenderedRecord, SimulationConfig, board_pairs, sweep_angles, true_cloud
@@ -30,7 +30,7 @@ class SimulatedCaptures(NamedTuple):
 
     @staticmethod
     def of(folder: Path) -> "SimulatedCaptures":
-        """Those in a folder that `simulate` made."""
+        """The captures in a folder that `simulate` wrote."""
         pairs = [len(open_capture(folder / name)) if (folder / name).is_dir() else 0 for name in ("boards", "sweep")]
         return SimulatedCaptures(folder, *pairs)
 
@@ -66,14 +66,14 @@ def write_simulation(
 ) -> SimulatedCaptures:
     """Write rendered records as captures, and the truth beside them.
 
-    The folder appears when everything in it is whole.
+    The folder appears when all its files are complete.
 
     Args:
         config: The rig, its surroundings, its boards and its plan.
         folder: Must not exist, or be empty.
         boards: The records of the boards, rendered as they are asked for.
         sweep: The records of the sweep.
-        every: Of which every n-th step is there.
+        every: The sweep has only every n-th step.
         progress: Called with (pairs done, pairs in all).
 
     Raises:
@@ -96,41 +96,38 @@ def write_simulation(
                 progress(next(done), pairs + steps)
 
     try:
-        partial.mkdir(parents=True)
-        if pairs:
-            _write_capture(config, "calibration", made.boards, count(boards))
-        truths = _write_capture(config, "sweep", made.sweep, count(sweep))
-        true = {**simulation_truth(config), "configuration": simulation_digest(config)}
-        write_atomically(made.truth, json.dumps(true, indent=2).encode(), error=CaptureError)
-        save_cloud(_cloud_of_truth(truths), made.true_cloud)
-        if folder.exists():
-            target.rmdir()
-        partial.rename(target)
-    except OSError as problem:
-        raise CaptureError(f"{folder}: cannot be written: {problem.strerror or problem}.") from problem
+        with reported(f"{folder}: cannot be written", error=CaptureError):
+            partial.mkdir(parents=True)
+            if pairs:
+                _write_capture(config, "calibration", made.boards, count(boards))
+            truths = _write_capture(config, "sweep", made.sweep, count(sweep))
+            true = {**simulation_truth(config), "configuration": simulation_digest(config)}
+            write_atomically(made.truth, json.dumps(true, indent=2).encode(), error=CaptureError)
+            save_cloud(_cloud_of_truth(truths), made.true_cloud)
+            if folder.exists():
+                target.rmdir()
+            partial.rename(target)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return made._replace(folder=folder)
 
 
 def simulation_digest(config: SimulationConfig) -> str:
-    """Digest of a configuration, by which its captures are known again: "sha256:<hex>"."""
+    """Digest of a configuration, which identifies its captures: "sha256:<hex>"."""
     return "sha256:" + hashlib.sha256(config.model_dump_json().encode()).hexdigest()
 
 
 def _write_capture(
     config: SimulationConfig, kind: Literal["calibration", "sweep"], folder: Path, records: Iterator[RenderedRecord]
 ) -> list[RenderedRecord]:
-    """Write records as a capture; the records that are returned have no frames."""
-    camera = {**config.camera.model_dump(include={"width", "height", "up"})}
-    camera |= {"pixel_format": config.sensor.pixel_format, "response": config.sensor.response}
-    board = config.boards.model_dump(include={"type", "columns", "rows", "square_mm"})
-    if config.boards.type == "charuco":
-        board |= config.boards.model_dump(include={"marker_mm", "dictionary"})
+    """Write records as a capture; returns them without their frames."""
+    sensor = config.sensor.model_dump(include={"pixel_format", "response"})
+    markers = {"marker_mm", "dictionary"} if config.boards.type == "charuco" else set()
+    board = config.boards.model_dump(include={"type", "columns", "rows", "square_mm"} | markers)
     header = CaptureHeader.model_validate(
         {
             "kind": kind,
-            "camera": camera,
+            "camera": config.camera.model_dump(include={"width", "height", "up"}) | sensor,
             "turntable": {"carries": config.turntable.carries},
             "laser": [laser.model_dump(include={"name", "colour", "stripe_axis"}) for laser in config.laser],
             "board": board if kind == "calibration" else None,
@@ -138,7 +135,7 @@ def _write_capture(
         }
     )
     bare = []
-    # A rendering can be made again, so it does not wait for the disk.
+    # A simulation can be run again, so it does not wait for the disk.
     with create_capture(folder, header, durable=False) as writer:
         for record in records:
             writer.append(

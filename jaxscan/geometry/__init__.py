@@ -1,4 +1,4 @@
-"""Nouns: what the rig is."""
+"""Geometry of the rig: cameras, laser sheets, turntable, scanner, boards."""
 
 from jaxscan.geometry.arrays import MAX_PIXELS, Array
 from jaxscan.geometry.board import AbstractBoard, BowedBoard, Charuco, Chessboard, corner_frame

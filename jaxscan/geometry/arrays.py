@@ -1,7 +1,6 @@
-"""The array type of the house: JAX arrays inside compiled code, NumPy arrays on the host.
+"""The array type: JAX arrays inside compiled code, NumPy arrays on the host.
 
-`Scanner` holds NumPy float64 on the host, so that its precision does not depend on whether
-the caller enabled 64-bit JAX.
+`Scanner` holds NumPy float64 on the host, so its precision does not depend on the 64-bit mode of JAX.
 """
 
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 Array = jax.Array | np.ndarray
 
 MAX_PIXELS = 100_000_000
-"""Largest image that is decoded, announced by a file or asked of a camera."""
+"""Largest image that is decoded, accepted from a header, or set on a camera."""
 
 
 def real(value: Any) -> Array:

@@ -1,4 +1,4 @@
-"""Calibration boards: where the corners are on the board.
+"""Calibration boards: their corners and their surface.
 
 The board frame has its origin at a corner, x along the rows of squares, y down the columns, z
 into the board, so a board seen upright has the camera's axes. Corner k stands at column
@@ -16,7 +16,7 @@ from jaxscan.geometry.arrays import Array
 
 
 _ROUNDS = 4
-"""Of finding where a ray meets a bowed board: each leaves a hundredth of the error before, or less."""
+"""Iterations of the intersection of a ray and a bowed board; each divides the error by a hundred or more."""
 
 
 class AbstractBoard(eqx.Module):
@@ -68,7 +68,7 @@ class Chessboard(AbstractBoard):
 class Charuco(AbstractBoard):
     """A chessboard with ArUco markers in its white squares; `columns` and `rows` count squares.
 
-    Origin at the corner of the printed area beside marker 0, as OpenCV has it.
+    Origin at the corner of the printed area beside marker 0, as in OpenCV.
     """
 
     columns: int = eqx.field(static=True)
@@ -87,9 +87,9 @@ class Charuco(AbstractBoard):
 
 
 class BowedBoard(eqx.Module):
-    """The surface of a board as it is: bowed, and of its true pitch.
+    """The true surface of a board, with its bow and its true pitch.
 
-    (x, y) are coordinates on the board as it was drawn [m].
+    (x, y) are coordinates on the board as drawn [m].
     """
 
     frame: Float[Array, "4"]
@@ -106,7 +106,7 @@ class BowedBoard(eqx.Module):
         return self.shape[0] * rise[0] + self.shape[1] * rise[1]
 
     def rise(self, xy: Float[Array, "2"]) -> Float[Array, "2"]:
-        """How the height grows with kx and with ky [1]."""
+        """Derivatives of the height by kx and ky [1]."""
         a = (xy - self.frame[:2]) / self.frame[2:]
         return 1.0 - a * a
 
@@ -115,23 +115,23 @@ class BowedBoard(eqx.Module):
         return jnp.append(xy * (1.0 + self.shape[2]), self.height(xy))
 
     def normal(self, xy: Float[Array, "2"]) -> Float[Array, "3"]:
-        """The surface's normal, whose z is 1, board frame; the error of the pitch is left out."""
+        """The surface's normal, scaled to z = 1, board frame; the error of the pitch is neglected."""
         half = self.frame[2:]
         slope = 2.0 * self.shape[:2] * (xy - self.frame[:2]) / (half * half)
         return jnp.stack([slope[0], slope[1], jnp.ones_like(slope[0])])
 
     def meet(self, pose: Float[Array, "4 4"], ray: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
-        """Where a ray from the camera meets the board.
+        """Intersection of a ray from the camera and the board.
 
         Args:
             pose: T_cam_board.
             ray: Unit ray, camera frame.
 
         Returns:
-            range_m: Along the ray [m]; without meaning where it runs along the board.
+            range_m: Distance along the ray [m]; undefined for a ray parallel to the board.
             point: In the board frame [m].
         """
-        # Sums are written out: products of 3 x 3 matrices by the ten thousand are slow.
+        # Sums are written out: many thousands of 3 x 3 matrix products are slow.
         turn = lambda p: jnp.stack([pose[0, i] * p[0] + pose[1, i] * p[1] + pose[2, i] * p[2] for i in range(3)])
         origin, direction = -turn(pose[:3, 3]), turn(ray)
         along_z = jnp.where(direction[2] == 0, 1.0, direction[2]).astype(direction.dtype)

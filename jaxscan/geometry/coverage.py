@@ -1,19 +1,19 @@
-"""Coverage that a calibration asks of views of a board: parts of the image, tilts, depths."""
+"""Coverage that a calibration needs of the views of a board: parts of the image, tilts, depths."""
 
 import numpy as np
 from jaxtyping import Float, Int
 
 
 ROWS, COLUMNS = 3, 4
-"""Cells of the image that should all have seen corners."""
+"""Grid of image cells, all of which should contain corners."""
 MIN_IN_CELL = 8
 MIN_TILT_DEG = 20.0
 MIN_DEPTH_RATIO = 1.5
-"""Of the farthest board with a stripe to the nearest."""
+"""Smallest ratio of the depths of the farthest and the nearest board with a stripe."""
 MIN_STRIPES = 4
 MIN_PLACEMENTS = 3
 
-# Sentences that are the same before and after a calibration, each with a place for the views so far.
+# Requests for more views; the braces take the state so far.
 ASK_FOR_PARTS = "bring the board into the {} of the image: too few corners lie there"
 ASK_FOR_TILT = "tilt the board by 20 to 45 degrees: {}"
 ASK_FOR_STRIPES = "capture the stripe on more boards: it was seen on {}"
@@ -24,13 +24,13 @@ _VERTICAL, _HORIZONTAL = ("upper", "middle", "lower"), ("left", "centre", "centr
 
 
 def count_cells(q: Float[np.ndarray, "n 2"], image_size: tuple[int, int]) -> Int[np.ndarray, "rows columns"]:
-    """Corners in every cell of an image of this width and height [px]."""
+    """Number of corners in every cell of an image of this width and height [px]."""
     width, height = image_size
     limits = ((-0.5, height - 0.5), (-0.5, width - 0.5))
     return np.histogram2d(q[:, 1], q[:, 0], bins=(ROWS, COLUMNS), range=limits)[0].astype(int)
 
 
 def empty_parts(counts: Int[np.ndarray, "rows columns"]) -> tuple[str, ...]:
-    """Parts of the image with too few corners, the emptiest first, in words."""
+    """Names of the parts of the image with too few corners, the emptiest first."""
     cells = sorted(np.argwhere(counts < MIN_IN_CELL).tolist(), key=lambda cell: counts[tuple(cell)])
     return tuple(dict.fromkeys(f"{_VERTICAL[row]} {_HORIZONTAL[column]}" for row, column in cells))

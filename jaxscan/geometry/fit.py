@@ -1,4 +1,4 @@
-"""Closed-form fits: a plane through points, the axis of a turn."""
+"""Closed-form fits: a plane through points, the axis of a rotation."""
 
 from typing import NamedTuple
 
@@ -17,12 +17,12 @@ class PlaneFit(NamedTuple):
     rms: float
     """Root mean square distance of the points from the plane."""
     spread: np.ndarray
-    """RMS extent of the points in the plane and across it [3], largest first: a second value
-    near the third means that the points are a line and determine no plane."""
+    """RMS extent of the points in the plane and across it [3], largest first; if the second is about
+    as small as the third, the points lie on a line and determine no plane."""
 
 
 class AxisFit(NamedTuple):
-    """Axis of a turn: unit `direction` [3], `point` [3] of it nearest the origin, `rms` misfit."""
+    """Axis of a rotation: unit `direction` [3], its `point` [3] nearest the origin, `rms` misfit."""
 
     direction: np.ndarray
     point: np.ndarray
@@ -60,9 +60,8 @@ def plane_sigma(points: Array, at: Array) -> float:
     $$\sigma(x) = \mathrm{rms} \sqrt{(1 + x_1^2 / s_1^2 + x_2^2 / s_2^2) / n}$$
 
     with x in the plane's own axes from the centre of the points, s their extents, and n the number
-    of points that err independently: points that follow each other in the given order often share
-    an error (of the board they lay on, of speckle), which the autocorrelation of their residuals
-    shows. Far beyond the points a plane is a guess, and this says how good a one.
+    of independent points. Points that follow each other in the given order often share an error
+    (of their board, of speckle), so n is reduced by the autocorrelation of the residuals.
 
     Args:
         points: The points [n, 3] in the order of their measurement; n is 3 or more.
@@ -85,7 +84,7 @@ def plane_sigma(points: Array, at: Array) -> float:
 
 
 def _shared_errors(residual: np.ndarray) -> float:
-    """How many neighbours share one error: 1 + 2 * (sum of autocorrelations), to where they are lost in noise."""
+    """Number of neighbours that share one error: 1 + 2 * (sum of autocorrelations), cut off at the noise."""
     count = len(residual)
     power = np.abs(np.fft.rfft(residual, 2 * count)) ** 2
     sums = np.fft.irfft(power)[:count]
@@ -99,16 +98,16 @@ def _shared_errors(residual: np.ndarray) -> float:
 
 
 def fit_axis(motion: Array) -> AxisFit:
-    """Axis of a turn, from positions of one point or from poses.
+    """Axis of a rotation, from positions of one point or from motions.
 
     Args:
-        motion: Positions [n, 3] of a point carried round by the turn (an arc: plane, then
-            circle), or rigid motions [n, 4, 4], each mapping coordinates at one angle to those
-            at another (as the paper's Tr does). Motions by larger angles weigh more.
+        motion: Positions [n, 3] of a point that turns with the table (an arc: plane, then
+            circle), or rigid motions [n, 4, 4], each from coordinates at one angle to coordinates
+            at another (like the paper's Tr). Motions by larger angles weigh more.
 
     Returns:
         The axis; its direction has no preferred sense. `rms` is the distance of the positions
-        from the circle, or that by which the motions move the axis, in the unit of the input.
+        from the circle, or the distance by which the motions move the axis, in the input's unit.
 
     Raises:
         ValueError: If there are fewer than 3 positions, no motion, or nothing turns.
@@ -116,9 +115,7 @@ def fit_axis(motion: Array) -> AxisFit:
     Source: PAPER.md equations (9), (10), for a motion with 4 degrees of freedom.
     """
     motion = np.asarray(motion, np.float64)
-    if motion.ndim == 2:
-        return _axis_of_arc(motion)
-    return _axis_of_motions(motion)
+    return _axis_of_arc(motion) if motion.ndim == 2 else _axis_of_motions(motion)
 
 
 def _axis_of_arc(points: np.ndarray) -> AxisFit:
@@ -143,7 +140,7 @@ def _axis_of_motions(motions: np.ndarray) -> AxisFit:
     turn = motions[:, :3, :3] - np.eye(3)
     if np.abs(turn).max() < 1e-9:
         raise ValueError("The motions do not turn.")
-    # The axis is what every rotation leaves alone: (R - I) a = 0.
+    # Rotations leave the axis unchanged: (R - I) a = 0.
     direction = np.linalg.svd(turn.reshape(-1, 3), full_matrices=False)[2][2]
     shift = motions[:, :3, 3]
     shift = shift - np.outer(shift @ direction, direction)

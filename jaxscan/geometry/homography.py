@@ -8,11 +8,11 @@ _MIN_POINTS = 6
 
 
 def direct_homography(points: Float[np.ndarray, "n 2"], seen: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3 3"]:
-    """Homography from points of one plane to those of another, by the normalised direct linear transformation.
+    """Homography between points of two planes, by the normalised direct linear transformation.
 
     Args:
         points: Points of the first plane, at least four, no three of them on one line.
-        seen: Where each of them is on the second plane.
+        seen: The corresponding points of the second plane.
 
     Returns:
         The map in homogeneous coordinates; its first two columns together have length 1.
@@ -32,7 +32,7 @@ def direct_homography(points: Float[np.ndarray, "n 2"], seen: Float[np.ndarray, 
 def apply_homography(
     homography: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 2"]:
-    """Points carried to the other plane; one that goes to infinity becomes a large number."""
+    """Points mapped to the other plane; a point at infinity becomes a large number."""
     mapped = _homogeneous(points) @ homography.T
     return mapped[:, :2] / np.where(np.abs(mapped[:, 2:]) < 1e-12, 1e-12, mapped[:, 2:])
 

@@ -18,8 +18,8 @@ class LaserSheet(eqx.Module):
 
     $\rho = \mathrm{hypot}(g \cdot p, e \cdot p)$ and $\tau = \mathrm{atan2}(e \cdot p, g \cdot p)$,
     where $g$ is the optical axis projected into the sheet and $e = n \times g$. The bow is
-    homogeneous in $p$, so a ray still meets the sheet in closed form. With `bow` zero this is
-    the plane of the paper.
+    homogeneous in $p$, so the intersection with a ray keeps its closed form. With `bow` zero this
+    is the plane of the paper.
     """
 
     normal: Float[Array, "3"] = eqx.field(converter=real)
@@ -29,7 +29,7 @@ class LaserSheet(eqx.Module):
     bow: Float[Array, "2"] = eqx.field(converter=real)
     """b2, b3 [rad per rad^2, rad per rad^3]."""
     basis: Float[Array, "2 3"] = eqx.field(converter=real)
-    """Tangent vectors that the minimal coordinates n1, n2 of the normal refer to."""
+    """Tangent vectors of the minimal coordinates n1, n2 of the normal."""
 
     @staticmethod
     def from_plane(normal: ArrayLike | Sequence[float], distance: ArrayLike) -> "LaserSheet":
@@ -37,7 +37,7 @@ class LaserSheet(eqx.Module):
 
         Args:
             normal: Three numbers; neither sign nor length matters.
-            distance: In metres, where the normal has length 1; else so many times more.
+            distance: Distance [m], times the length of the normal.
 
         Raises:
             ValueError: If the normal is zero, or the plane contains the camera centre.
@@ -59,7 +59,7 @@ class LaserSheet(eqx.Module):
         return jnp.stack([self.normal[0], self.normal[1], jnp.asarray(self.distance)]) / self.normal[2]
 
     def intersect(self, ray: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        r"""Where a unit ray meets the sheet.
+        r"""Intersection of a unit ray and the sheet.
 
         $$\text{range} = d / m, \qquad m = n \cdot v - \rho_v (b_2 \tau^2 + b_3 \tau^3)$$
 
@@ -73,7 +73,7 @@ class LaserSheet(eqx.Module):
         """
         incidence = jnp.dot(self.normal, ray) - self._bow_slope(ray)
         hits = incidence > 0
-        # A harmless 1 where the result is masked: no NaN in the value or its gradient.
+        # 1 where the result is masked, so that neither value nor gradient is NaN.
         range_m = self.distance / jnp.where(hits, incidence, 1.0).astype(incidence.dtype)
         return jnp.where(hits, range_m, 0.0).astype(range_m.dtype), incidence
 
@@ -100,7 +100,7 @@ LASER_BLOCKS = (
     ParameterBlock("laser", ("n1", "n2", "d"), 0.01, "rad, m"),
     ParameterBlock("bow", ("b2", "b3"), 0.001, "rad / rad^2, rad / rad^3", prior="bow", sigma=1e-2),
 )
-"""Minimal coordinates of a sheet, in the order that `LaserSheet.retract` takes them."""
+"""Minimal coordinates of a sheet, in the order of `LaserSheet.retract`."""
 
 
 def stack_lasers(lasers: list[LaserSheet]) -> LaserSheet:

@@ -1,4 +1,4 @@
-"""Where the minimal coordinates of each part of a scanner stand in one vector."""
+"""Positions of the minimal coordinates of each part of a scanner in one vector."""
 
 from itertools import accumulate, chain
 from typing import NamedTuple
@@ -31,10 +31,10 @@ def make_layout(
     """The layout of a rig.
 
     Args:
-        camera: For its minimal coordinates.
+        camera: The camera.
         lasers: Names of the lasers.
         turns: Whether there is a turntable.
-        board: Blocks of the board, where it is solved for too.
+        board: Blocks of the board, if it is solved for too.
     """
     names = camera.parameter_names()
     parts = (

@@ -1,4 +1,4 @@
-"""Rigid motions as 4 x 4 matrices: `T_ab` carries coordinates of frame b into frame a.
+"""Rigid motions as 4 x 4 matrices: `T_ab` maps coordinates of frame b to frame a.
 
 Exponentials come from jaxlie; chains of known motions are plain matrix products.
 """
@@ -11,7 +11,7 @@ from jaxscan.geometry.arrays import Array
 
 def exponential(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
     """The motion exp(twist) of a twist (v, omega) [m, rad], in jaxlie's order."""
-    # Imported here: `import jaxscan` is to be light.
+    # Imported here, so that `import jaxscan` does not load jaxlie.
     import jaxlie
 
     return jaxlie.SE3.exp(jnp.asarray(twist)).as_matrix()

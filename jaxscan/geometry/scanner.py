@@ -23,7 +23,7 @@ UP_VECTORS = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.
 
 
 class Scanner(eqx.Module):
-    """What a calibration finds, and all that a reconstruction needs.
+    """The result of a calibration and the input of a reconstruction.
 
     Held as NumPy float64 on the host; `as_dtype` casts it for computing.
     """
@@ -36,7 +36,7 @@ class Scanner(eqx.Module):
     """Covariance of the minimal coordinates (`parameter_names`; px, rad, m), where known."""
     laser_names: tuple[str, ...] = eqx.field(static=True, default=("laser",))
     up: Up = eqx.field(static=True, default="-v")
-    """Which image direction is up; it fixes the sense of the axis."""
+    """The image direction that is up; it fixes the sense of the axis."""
 
     @staticmethod
     def from_parts(
@@ -52,9 +52,9 @@ class Scanner(eqx.Module):
         Args:
             camera: Any model.
             lasers: One sheet, or several.
-            turntable: Its axis in either sense; it is turned to the image's up side, with the signs of its angles.
+            turntable: Its axis in either sense; it is flipped to the image's up side, with the signs of its angles.
             laser_names: One for each sheet; without any, "laser", or "laser1", "laser2" and so on.
-            up: Which image direction is up.
+            up: The image direction that is up.
 
         Returns:
             The scanner, without a covariance.
@@ -103,16 +103,16 @@ class Scanner(eqx.Module):
     def point(
         self, q: Float[Array, "2"], laser: int | Int[Array, ""], phi: Float[Array, ""]
     ) -> tuple[Float[Array, "3"], Float[Array, ""]]:
-        """Where the stripe seen at pixel `q` [px] lies in the room.
+        """Point in the room of the stripe seen at pixel `q`.
 
         Args:
             q: Stripe centre (u, v) [px].
-            laser: Which of the sheets lit it.
+            laser: Index of the sheet.
             phi: The table's angle [rad from home].
 
         Returns:
             p_scanner: Point [m], scanner frame.
-            incidence: As of `LaserSheet.intersect`: positive where the point exists.
+            incidence: See `LaserSheet.intersect`; positive where the point exists.
         """
         ray = self.camera.unproject(q)
         range_m, incidence = self.laser(laser).intersect(ray)
@@ -123,7 +123,7 @@ class Scanner(eqx.Module):
         return self.layout().names
 
     def layout(self) -> Layout:
-        """Where the minimal coordinates of each part stand."""
+        """Positions of the minimal coordinates of each part."""
         return make_layout(self.camera, self.laser_names)
 
     def retract(self, step: Float[Array, " params"]) -> "Scanner":
@@ -141,7 +141,7 @@ class Scanner(eqx.Module):
 def point_up(turntable: Turntable, up: Up) -> Turntable:
     """The same axis and motion with the axis on the image's up side.
 
-    Turning the axis round changes the sign of every angle, so gain and harmonics change theirs.
+    Flipping the axis changes the sign of every angle, and so of gain and harmonics.
     """
     if np.dot(turntable.direction, UP_VECTORS[up]) >= 0:
         return turntable

@@ -1,4 +1,4 @@
-"""What a line of a laser's stripe is: an image row, or an image column."""
+"""The lines of a stripe: image rows or image columns."""
 
 from typing import Literal
 
@@ -21,7 +21,7 @@ def stripe_pixel(
     Args:
         u: Coordinate across the line [px].
         line: Number of the line: image row, or image column for `stripe_axis` "columns" [px].
-        stripe_axis: What a line is.
+        stripe_axis: Whether a line is an image row or an image column.
 
     Returns:
         q = (column, row) [px]; a NumPy array where `u` and `line` are.

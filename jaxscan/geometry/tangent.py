@@ -1,4 +1,4 @@
-"""Unit vectors in minimal coordinates: a direction, and two tangent vectors that steps refer to."""
+"""Unit vectors in minimal coordinates: a direction, and two tangent vectors for its steps."""
 
 import math
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ from jaxscan.geometry.arrays import Array
 
 def tangent_basis(direction: np.ndarray) -> np.ndarray:
     """Two orthonormal vectors, float64 [2, 3], perpendicular to the unit vector `direction`."""
-    # The coordinate axis after the largest component is safe to cross with. The least parallel one
-    # would be too, but which of two that is, changes with the last digits of an upright axis.
+    # The cross product with the coordinate axis after the largest component is safe. The least parallel
+    # axis would be safe too, but for an upright direction the last digits would decide which one it is.
     first = np.cross(direction, np.eye(3)[(np.argmax(np.abs(direction)) + 1) % 3])
     first = first / np.linalg.norm(first)
     return np.stack([first, np.cross(direction, first)])
@@ -24,11 +24,11 @@ def unit_vector(vector: ArrayLike | Sequence[float], name: str) -> tuple[np.ndar
 
     Args:
         vector: Three numbers.
-        name: What messages call it.
+        name: Its name in messages.
 
     Returns:
         unit: float64 [3].
-        length: Of `vector`.
+        length: Length of `vector`.
 
     Raises:
         ValueError: If there are not three finite numbers, or all are 0.
@@ -47,7 +47,7 @@ def move_direction(
 
     Returns:
         direction: The moved unit vector.
-        basis: The tangent vectors carried along: orthonormal and perpendicular to it again.
+        basis: The tangent vectors moved along: orthonormal and perpendicular to it again.
     """
     moved = direction + step[0] * basis[0] + step[1] * basis[1]
     moved = moved / jnp.linalg.norm(moved)

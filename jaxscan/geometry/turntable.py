@@ -32,13 +32,13 @@ class Turntable(eqx.Module):
     point: Float[Array, "3"] = eqx.field(converter=real)
     """Point p of the axis nearest the camera centre [m], camera frame at angle 0; a . p = 0."""
     gain: Float[Array, ""] = eqx.field(converter=real)
-    """Turned angle per commanded angle [1], about +1 or -1: its sign is the table's sense."""
+    """Turned angle per commanded angle [1], about +1 or -1; the sign is the table's sense."""
     harmonics: Float[Array, "4"] = eqx.field(converter=real)
     """c1, s1, c2, s2 [rad]."""
     basis: Float[Array, "2 3"] = eqx.field(converter=real)
-    """Tangent vectors that the minimal coordinates d1, d2 (and p1, p2) refer to."""
+    """Tangent vectors of the minimal coordinates d1, d2 (and p1, p2)."""
     carries: Carries = eqx.field(static=True, default="scanner")
-    """What turns: the scanner, or the object in front of a scanner that stands still."""
+    """Whether the scanner turns, or the object in front of a fixed scanner."""
 
     @staticmethod
     def from_axis(
@@ -54,7 +54,7 @@ class Turntable(eqx.Module):
             direction: Three numbers, of any length. The table turns right-handed about it where `gain` is positive.
             point: Any point of the axis [m].
             gain: Turned angle per commanded angle [1].
-            carries: What turns.
+            carries: Whether the scanner or the object turns.
 
         Raises:
             ValueError: If the direction is zero, the point is not finite, or the gain is 0.
@@ -71,8 +71,8 @@ class Turntable(eqx.Module):
     def from_tr(tr: Float[Array, "4 4"]) -> "Turntable":
         """The axis of the paper's Tr, the motion of the camera in one step [m].
 
-        Tr is a fitted rigid motion; what it moves along its axis is dropped. Its rotation is
-        first made orthonormal. Source: PAPER.md equations (10)-(12).
+        Tr is a fitted rigid motion; its shift along the axis is dropped. Its rotation is first
+        made orthonormal. Source: PAPER.md equations (10)-(12).
 
         Raises:
             ValueError: If Tr does not turn.
@@ -92,7 +92,7 @@ class Turntable(eqx.Module):
         return Turntable.from_axis(axis, point)
 
     def angle(self, phi: Float[Array, ""]) -> Float[Array, ""]:
-        """Angle of turning theta [rad] at the table's angle `phi` [rad from home]."""
+        """Turned angle theta [rad] at the table's angle `phi` [rad from home]."""
         c1, s1, c2, s2 = (self.harmonics[i] for i in range(4))
         first = c1 * (jnp.cos(phi) - 1.0) + s1 * jnp.sin(phi)
         second = c2 * (jnp.cos(2.0 * phi) - 1.0) + s2 * jnp.sin(2.0 * phi)
@@ -103,7 +103,7 @@ class Turntable(eqx.Module):
         return jnp.concatenate([jnp.cross(self.point, self.direction), jnp.asarray(self.direction)])
 
     def motion(self, phi: Float[Array, ""]) -> Float[Array, "4 4"]:
-        """T_cam0_cam(phi): camera coordinates at table angle `phi` [rad] to those at angle 0.
+        """T_cam0_cam(phi): from camera coordinates at table angle `phi` [rad] to those at angle 0.
 
         Where the table carries the object, the camera frame at angle 0 is the frame of the
         object, and the same chain runs with -theta.
@@ -133,7 +133,7 @@ class Turntable(eqx.Module):
 
 
 ANGLE_BLOCKS = (
-    # The prior is the accuracy of the table's gears and step count, and speaks of |gain|.
+    # The prior is for |gain|: the accuracy of the table's gears and step count.
     ParameterBlock("gain", ("gain",), 0.001, prior="gain", sigma=1e-3, expected=1.0),
     ParameterBlock("harmonics", ("c1", "s1", "c2", "s2"), 0.001, "rad", prior="harmonics", sigma=3e-4),
 )
@@ -142,4 +142,4 @@ AXIS_BLOCKS = (
     ParameterBlock("axis", ("axis.d1", "axis.d2", "axis.p1", "axis.p2"), 0.01, "rad, m"),
     *ANGLE_BLOCKS,
 )
-"""Minimal coordinates of a turntable, in the order that `Turntable.retract` takes them."""
+"""Minimal coordinates of a turntable, in the order of `Turntable.retract`."""

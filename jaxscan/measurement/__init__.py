@@ -1,4 +1,4 @@
-"""Clouds to numbers."""
+"""Measurements in clouds: rooms, distances, planes, comparison with a true cloud."""
 
 from jaxscan.measurement.compare import CloudComparison, ErrorStatistics, compare_clouds
 from jaxscan.measurement.distances import DistanceMeasurement, measure_distance

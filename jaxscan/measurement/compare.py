@@ -1,4 +1,4 @@
-"""A cloud against a true or a better one."""
+"""Comparison of a cloud with a true or a better one."""
 
 from dataclasses import dataclass
 
@@ -17,10 +17,10 @@ class ErrorStatistics:
 
     rms: float
     mean: float
-    """Signed where the error has a sign."""
+    """Mean error, signed if the error has a sign."""
     median_abs: float
     p95_abs: float
-    """95 % of the points have a smaller absolute error."""
+    """95th percentile of the absolute error."""
     max_abs: float
 
     @staticmethod
@@ -37,21 +37,21 @@ class ErrorStatistics:
 
 @dataclass(frozen=True)
 class CloudComparison:
-    """How far a cloud is from another. Errors in metres."""
+    """Differences of two clouds. Errors in metres."""
 
     points: int
-    """Points that were compared."""
+    """Number of compared points."""
     error_m: ErrorStatistics
     """Distance to the true point (same grid) or to the nearest one (no common grid)."""
     along_ray_m: ErrorStatistics | None
     """Signed error along the ray, positive where too far; None without a common grid."""
     whitened: ErrorStatistics | None
-    """Error along the ray in units of its own `sigma_random`: its RMS is 1 where sigma is honest
-    and the calibration perfect; None without a common grid."""
+    """Error along the ray divided by the point's `sigma_random`: RMS 1 if sigma is correct and the
+    calibration perfect; None without a common grid."""
     completeness: float
-    """Share of true points that the cloud has: in the same cell, or within 1 cm."""
+    """Share of true points with a point of the cloud in the same cell, or within 1 cm."""
     false_points: int
-    """Points where the truth has none: in that cell, or within 5 cm."""
+    """Points without a true point in the same cell, or within 5 cm."""
 
 
 NEAR_M, FALSE_M = 0.01, 0.05
@@ -61,13 +61,13 @@ def compare_clouds(cloud: Cloud, truth: Cloud, *, scanner: Scanner | None = None
     """Compare a cloud with the truth, cell by cell where both have one grid.
 
     Args:
-        cloud: The cloud to be judged.
+        cloud: The cloud.
         truth: The true cloud in the same frame.
-        scanner: Gives the camera's place for the direction of the rays; without it they are taken
-            from the origin, which stands within a few decimetres.
+        scanner: Gives the camera centres for the direction of the rays; without it rays start at
+            the origin, which is within a few decimetres of them.
 
     Returns:
-        Error statistics, and how much of the truth was found.
+        Error statistics and completeness.
 
     Raises:
         MeasurementError: If either cloud is empty, or they have no cell in common.
@@ -114,7 +114,7 @@ def _camera_centres(scanner: Scanner, angle: Array) -> Array:
 
 
 def _by_neighbour(cloud: Cloud, truth: Cloud) -> CloudComparison:
-    # Imported here: `import jaxscan` is to be light.
+    # Imported here, so that `import jaxscan` does not load SciPy.
     from scipy.spatial import cKDTree  # type: ignore[import-untyped]
 
     p = np.asarray(cloud.xyz)[np.asarray(cloud.valid)].astype(float)

@@ -12,7 +12,7 @@ from jaxscan.measurement.systematic import systematic_sigma
 
 
 PARALLEL_DEG = 10.0
-"""Largest angle between two patches whose plane-to-plane distance still means something."""
+"""Largest angle between two patches that have a plane-to-plane distance."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class DistanceMeasurement:
     sigma_random_m: float
     sigma_systematic_m: float
     plane_to_plane_m: float | None
-    """Distance of the two patches' planes along their mean normal, midway between the patches;
+    """Distance of the planes of the two patches along their mean normal, midway between the patches;
     None unless both are planar and parallel within 10 degrees."""
     plane_to_plane_sigma_m: float | None
     """Random part of its standard deviation [m]."""
@@ -51,7 +51,7 @@ def measure_distance(
         scanner: The scanner the cloud was made with; its covariance gives the systematic part.
 
     Returns:
-        The distance [m] with its predicted standard deviation, and that between the patches' planes.
+        The distance [m] with its predicted standard deviation, and the distance of the patches' planes.
 
     Raises:
         MeasurementError: If a patch has too few points, or the patches are one.
@@ -69,41 +69,38 @@ def measure_distance(
     variance = sum(float(np.sum(patch.sigma_across(along) ** 2)) / len(patch.p) ** 2 for patch in patches)
     shares = [np.full(len(patch.p), sign / len(patch.p)) for sign, patch in zip((-1, 1), patches, strict=True)]
     weights = np.outer(np.concatenate(shares), along)
-    together = Samples.joined(patches)
-    systematic = systematic_sigma(scanner, together, weights)
-    between = _between_planes(patches)
+    systematic = systematic_sigma(scanner, Samples.joined(patches), weights)
+    apart, apart_sigma = _between_planes(*(_flat(patch) for patch in patches))
     return DistanceMeasurement(
         value_m=value,
         sigma_m=float(np.hypot(np.sqrt(variance), systematic)),
         sigma_random_m=float(np.sqrt(variance)),
         sigma_systematic_m=systematic,
-        plane_to_plane_m=None if between is None else between[0],
-        plane_to_plane_sigma_m=None if between is None else between[1],
+        plane_to_plane_m=apart,
+        plane_to_plane_sigma_m=apart_sigma,
         a_m=means[0],
         b_m=means[1],
         points=(len(patches[0].p), len(patches[1].p)),
     )
 
 
-def _between_planes(patches: list[Samples]) -> tuple[float, float] | None:
-    planes = [_flat(patch) for patch in patches]
-    first, second = planes
+def _between_planes(first: Plane | None, second: Plane | None) -> tuple[float | None, float | None]:
     if first is None or second is None:
-        return None
+        return None, None
     second = facing(second, first.normal)
     if first.normal @ second.normal < np.cos(np.radians(PARALLEL_DEG)):
-        return None
+        return None, None
     normal = first.normal + second.normal
     normal = normal / np.linalg.norm(normal)
     middle = 0.5 * (first.centre + second.centre)
     feet = [(plane.distance - plane.normal @ middle) / (plane.normal @ normal) for plane in (first, second)]
-    # Each plane at the foot of the line between them, which lies close to its own patch.
+    # Each plane is evaluated at its own end of the line between the planes, near its own patch.
     sigma = [plane.sigma_at(middle + foot * normal) for plane, foot in zip((first, second), feet, strict=True)]
     return float(abs(feet[1] - feet[0])), float(np.hypot(sigma[0], sigma[1]))
 
 
 def _flat(patch: Samples) -> Plane | None:
-    """The patch's plane, if it has one: extended, and no rougher than twice its noise."""
+    """Plane of the patch; None if it is too narrow, or rougher than twice its noise."""
     sigma = patch.sigma_across(weighted_plane(patch.p, patch.sigma**-2).normal)
     plane = weighted_plane(patch.p, sigma**-2)
     apart = patch.p - plane.centre

@@ -1,4 +1,4 @@
-"""Planes in a cloud: the weighted fit with its covariance, and the flatness of a patch."""
+"""Planes in a cloud: weighted fit with covariance, and flatness of a patch."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Plane(NamedTuple):
     """Covariance [3, 3] of the offset at `centre` [m] and of the slopes along `axes` [1]."""
 
     def height_weights(self, at: np.ndarray) -> np.ndarray:
-        """h [3] such that the plane moves by h . (offset, slopes) at the point `at`."""
+        """h [3]: at the point `at` the plane moves by h . (offset, slopes)."""
         return np.concatenate([[1.0], self.axes @ (at - self.centre)])
 
     def sigma_at(self, at: np.ndarray) -> float:
@@ -42,7 +42,7 @@ class Plane(NamedTuple):
 def weighted_plane(p: np.ndarray, weight: np.ndarray) -> Plane:
     """Total least squares plane through points [n, 3] with weights 1/sigma^2 [n].
 
-    The covariance is scaled by the misfit where that exceeds the weights' own promise.
+    The covariance is scaled by the misfit where it is larger than the weights predict.
     """
     total = weight.sum()
     centre = weight @ p / total
@@ -60,7 +60,7 @@ def facing(plane: Plane, direction: np.ndarray) -> Plane:
     """The same plane with its normal on the side of `direction`."""
     if plane.normal @ direction >= 0:
         return plane
-    # Turning the normal round changes the sign of the offset and of both slopes alike.
+    # Flipping the normal changes the signs of the offset and of both slopes, so the covariance stays.
     return plane._replace(normal=-plane.normal, distance=-plane.distance)
 
 
@@ -75,7 +75,7 @@ class PlaneMeasurement:
     rms_m: float
     """Root mean square distance of the points from their plane [m]."""
     range95_m: float
-    """Width of the band that holds the middle 95 % of those distances [m]."""
+    """Width of the band with the middle 95 % of those distances [m]."""
     points: int
 
 
@@ -88,7 +88,7 @@ def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> Plane
         radius_m: Points within this distance of it belong to the patch [m].
 
     Returns:
-        RMS, 95 % range and normal of the plane with the least sum of squared distances.
+        RMS, 95 % range and normal of the least-squares plane.
 
     Raises:
         MeasurementError: If the patch has too few points, or they determine no plane.

@@ -1,4 +1,4 @@
-"""The large planes of a room: hypotheses from small patches, voted for by all points."""
+"""The large planes of a room, by RANSAC with hypotheses from small patches."""
 
 import numpy as np
 
@@ -11,12 +11,12 @@ HYPOTHESES = 500
 PATCH_M = 0.3
 """Radius of the patch behind one hypothesis [m]."""
 MIN_PROFILES = 3
-"""Profiles in a patch, at least: a sheet of light is a plane itself, so the points of one profile,
-or of two that face each other, lie on a plane wherever they are."""
+"""Smallest number of profiles in a patch: a sheet is a plane itself, so the points of one profile,
+or of two opposite ones, lie on a plane in any case."""
 GROWN = 8
-"""Best hypotheses of a round that are grown over their inliers before the winner is chosen."""
+"""Number of best hypotheses per round that are refitted to their inliers before one is chosen."""
 MIN_SHARE = 0.008
-"""Smallest share of all points that makes a plane."""
+"""Smallest share of all points on a plane."""
 MAX_PLANES = 24
 NEAREST_M, FARTHEST_M = 0.004, 0.02
 """Limits of the distance from a plane up to which a point votes for it (3 sigma between) [m]."""
@@ -43,29 +43,28 @@ def find_planes(samples: Samples, *, seed: int) -> list[tuple[Plane, np.ndarray]
             break
         planes.append((best[1], voters.p[best[2]]))
         left &= ~best[2]
-        # A hypothesis lives as long as the point that it was built around.
+        # A hypothesis is dropped once the point that it was built around is used.
         alive = left[origin]
         normals, distances, origin = normals[alive], distances[alive], origin[alive]
     return planes
 
 
 def _hypotheses(voters: Samples, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    # Imported here: `import jaxscan` is to be light.
+    # Imported here, so that `import jaxscan` does not load SciPy.
     from scipy.spatial import cKDTree  # type: ignore[import-untyped]
 
     origin = spread_out(len(voters.p), HYPOTHESES, rng)
     groups = cKDTree(voters.p).query_ball_point(voters.p[origin], PATCH_M)
-    # The clouds of other programs know no profiles.
+    # Clouds of other programs have no profiles.
     profiles = min(MIN_PROFILES, len(np.unique(voters.profile)))
     normals, distances, kept = [], [], []
     for seed_point, group in zip(origin, groups, strict=True):
         if len(group) < 6 or len(np.unique(voters.profile[group])) < profiles:
             continue
-        p = voters.p[group]
-        centre = p.mean(0)
-        normal = np.linalg.eigh((p - centre).T @ (p - centre))[1][:, 0]
-        normals.append(normal)
-        distances.append(normal @ centre)
+        centre = voters.p[group].mean(0)
+        apart = voters.p[group] - centre
+        normals.append(np.linalg.eigh(apart.T @ apart)[1][:, 0])
+        distances.append(normals[-1] @ centre)
         kept.append(seed_point)
     return np.array(normals).reshape(-1, 3), np.array(distances), np.array(kept, int)
 

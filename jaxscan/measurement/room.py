@@ -47,14 +47,14 @@ class Dimension:
 
 @dataclass(frozen=True)
 class RoomBox:
-    """A room's dimensions; None where one of the two walls was not seen."""
+    """A room's dimensions; None if one of the two walls was not seen."""
 
     length: Dimension | None
     """The longer horizontal dimension (the only one where just one was seen)."""
     width: Dimension | None
     height: Dimension | None
     centre_m: np.ndarray
-    """Middle between the walls [3], m, scanner frame: where distances are taken."""
+    """Middle between the walls [3], m, scanner frame; distances are taken there."""
     walls: tuple[Wall, ...] = field(repr=False)
     """Every bounding plane that was found, with its points, normals pointing out of the room."""
 
@@ -64,13 +64,13 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
 
     The walls are the outermost large planes in each direction, not those with the most points,
     fitted by weighted least squares. As opposite walls are never quite parallel, a dimension is
-    the distance between them along their mean normal through the room's centre, the point in
-    the middle of all pairs of walls (of the scanner's origin, where a pair is missing).
+    the distance between them along their mean normal through the room's centre: the point midway
+    between the walls of every pair, and nearest the origin where a pair is missing.
 
     Args:
         cloud: The room, scanned from within; z of the scanner frame is vertical within 10 degrees.
         scanner: The scanner it was made with; its covariance gives the systematic part of sigma.
-        seed: Of the random hypotheses; the result is deterministic.
+        seed: Seed of the random hypotheses; the result is deterministic.
 
     Returns:
         Length, width and height [m] as far as they were seen, each with its standard deviation.
@@ -89,14 +89,13 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
             "a room must be scanned from within, all around, in steps of a few degrees."
         )
     centre = _centre(found)
-    level = [abs(pair[0].plane.normal[2]) > 0.5 for pair in found]
-    horizontal = [_dimension(p, centre, scanner, rng) for p, up in zip(found, level, strict=True) if not up]
-    vertical = [_dimension(p, centre, scanner, rng) for p, up in zip(found, level, strict=True) if up]
-    horizontal.sort(key=lambda dimension: -dimension.value_m)
+    dimensions = sorted((_dimension(pair, centre, scanner, rng) for pair in found), key=lambda each: -each.value_m)
+    height = next((each for each in dimensions if abs(each.direction[2]) > 0.5), None)
+    horizontal = [each for each in dimensions if each is not height]
     return RoomBox(
         length=horizontal[0] if horizontal else None,
         width=horizontal[1] if len(horizontal) > 1 else None,
-        height=vertical[0] if vertical else None,
+        height=height,
         centre_m=centre,
         walls=tuple(wall for pair in pairs for wall in pair),
     )
@@ -110,8 +109,7 @@ def _directions(planes: list[tuple[Plane, np.ndarray]]) -> list[np.ndarray]:
         return [vertical]
     azimuth = np.array([np.arctan2(plane.normal[1], plane.normal[0]) for plane, _ in upright])
     support = np.array([count for _, count in upright], float)
-    # Walls stand at right angles, more or less: of all directions modulo 90 degrees the one that
-    # the most points agree with.
+    # Walls are roughly at right angles: the direction modulo 90 degrees that most points agree with.
     gap = np.abs(_modulo_right_angle(azimuth[:, None] - azimuth[None, :]))
     best = int(np.argmax((support[None, :] * (gap < np.radians(10.0))).sum(1)))
     close = gap[best] < np.radians(10.0)
@@ -140,7 +138,7 @@ def _centre(pairs: list[list[Wall]]) -> np.ndarray:
     middles = np.zeros(len(pairs))
     centre = np.zeros(3)
     for _ in range(5):
-        # The middle along one pair depends a little on where across it is taken.
+        # The middle of one pair depends a little on the position along its walls.
         for i, pair in enumerate(pairs):
             ahead, behind = _distances(pair, normals[i], centre)
             middles[i] = normals[i] @ centre + 0.5 * (ahead - behind)
@@ -183,7 +181,7 @@ def _dimension(pair: list[Wall], centre: np.ndarray, scanner: Scanner | None, rn
 
 
 def _wall_weights(wall: Wall, at: np.ndarray, rng: np.random.Generator) -> tuple[Samples, np.ndarray]:
-    """Some of the wall's points, and w [n, 3] such that the wall at `at` moves by sum w . dp."""
+    """Some of the wall's points, and weights w [n, 3]: at `at` the wall moves by sum w . dp."""
     part = wall.samples.take(spread_out(len(wall.samples.p), SYSTEMATIC_POINTS, rng))
     plane = wall.plane
     weight = part.sigma_across(plane.normal) ** -2

@@ -1,4 +1,4 @@
-"""A cloud as measurements read it: its points as a list, with their noise and their origin."""
+"""The points of a cloud as a list, with noise, laser, angle and profile."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -10,8 +10,8 @@ from jaxscan.geometry import Array
 
 
 SIGMA_FLOOR_M = 1e-4
-"""Noise that every point is taken to have at least [m]: surfaces are no smoother, and a cloud
-without noise of its own can be measured too."""
+"""Smallest assumed noise of a point [m]: surfaces are no smoother, and clouds without sigma can be
+measured too."""
 
 
 @runtime_checkable

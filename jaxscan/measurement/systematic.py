@@ -1,4 +1,4 @@
-"""The uncertainty that the calibration's covariance gives to a number measured in the cloud."""
+"""Uncertainty of a measured number by the covariance of the calibration."""
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +16,8 @@ BLOCK = 4096
 def systematic_sigma(scanner: Scanner | None, samples: Samples, weights: np.ndarray) -> float:
     r"""Standard deviation of $f = \sum_i w_i \cdot p_i$ from `scanner.covariance`.
 
-    Every point is scanned anew with a changed calibration: it is seen at the same pixel q, at the
-    same angle, and moves to $p_i(\delta) = \mathrm{point}(q_i;\,\mathrm{retract}(\delta))$. With
+    With a changed calibration every point keeps its pixel q and its table angle, and moves to
+    $p_i(\delta) = \mathrm{point}(q_i;\,\mathrm{retract}(\delta))$. With
     $J = \partial f / \partial \delta$ the variance is $J C J^T$.
 
     Args:

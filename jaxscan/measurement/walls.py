@@ -9,14 +9,14 @@ from jaxscan.measurement.samples import Samples, spread_out
 
 
 REFINED = 200_000
-"""Points on which a wall is refined at most."""
+"""Largest number of points in the refinement of a wall."""
 NEIGHBOURHOOD_M = 0.05
 """Points within this distance and 6 sigma of the plane take part in its refinement [m]."""
 KEPT = 2.5
 """Residuals beyond this many (robust) standard deviations are left out, on both sides alike."""
 SHARE, SPAN = 0.1, 0.5
-"""A plane is a wall rather than something behind a door if it has at least these parts of the
-largest support and of the largest width of all planes on its side of the room."""
+"""A wall has at least these shares of the largest support and of the largest width of all planes on
+its side of the room; smaller planes are things behind a door."""
 
 
 class Wall(NamedTuple):
@@ -24,7 +24,7 @@ class Wall(NamedTuple):
 
     plane: Plane
     samples: Samples
-    """The points that determine it."""
+    """Points of the fit."""
     scale: float
     """Robust standard deviation of the residuals in units of the predicted one [1]."""
 
@@ -38,7 +38,7 @@ class Wall(NamedTuple):
 def outermost(candidates: list[tuple[Plane, np.ndarray]], outward: np.ndarray) -> Plane | None:
     """The outermost large plane on the side `outward` (unit [3]) of the room, or None.
 
-    Furniture stands in front of a wall and may well show more points than the wall.
+    Furniture in front of a wall may have more points than the wall.
     """
     side = [(facing(plane, outward), p) for plane, p in candidates]
     side = [(plane, p) for plane, p in side if plane.distance > 0]
@@ -60,9 +60,9 @@ def _width(plane: Plane, p: np.ndarray) -> float:
 def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> Wall:
     """Weighted least squares on the wall's points alone.
 
-    Skirting, pictures and furniture stand in front of a wall and nothing behind it, so the width
-    of the residuals is taken from the outer side, and both tails are cut at the same distance:
-    things in front do not pull the plane.
+    Skirting, pictures and furniture are in front of a wall, and nothing is behind it. So the scale
+    of the residuals is estimated from the outer side, and both tails are cut at the same distance:
+    things in front do not shift the plane.
     """
     normal, distance = plane.normal, plane.distance
     residual = samples.p @ normal - distance

@@ -1,4 +1,4 @@
-"""Captures of a board to observations: corners, stripes on the board, and a second look at both."""
+"""Captures of a board to observations: corners and stripes on the board, in a first and a second look."""
 
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.first_look import Eyes, Look, Progress, look_at_boards

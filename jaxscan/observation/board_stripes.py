@@ -1,4 +1,4 @@
-"""Frames of board records to the stripes that lie on their boards, a batch at a time."""
+"""Stripes on the boards of a batch of records."""
 
 from typing import cast
 
@@ -9,7 +9,7 @@ from jaxscan.geometry import AbstractBoard, across_and_along
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.prediction import SolvedRig, lift_to_board, predict_stripe
 from jaxscan.observation.records import BoardSource, SeenRecord
-from jaxscan.observation.stripes_on_board import BoardStripe, FoundStripe, select_board_stripe
+from jaxscan.observation.stripes_on_board import FoundStripe, select_board_stripe
 from jaxscan.stripes import (
     FrameFormat,
     LaserLine,
@@ -23,23 +23,23 @@ from jaxscan.stripes import (
 
 
 BATCH_RECORDS = 8
-"""Board records looked at together: enough for all cores, little against any memory."""
+"""Records per batch: enough for all cores, and small in memory."""
 _COLOUR_RECORDS = 8
-"""Records from which the colour of a laser is learned where the header leaves it open."""
-# How far from where the stripe should be it is looked for [px]: its tails must be in.
+"""Records from which the colour of a laser is learned where the header has "auto"."""
+# Half width of the band around the predicted stripe [px]; it must hold the tails of the profile.
 _BAND_PX = 24.0
-# The pull of a board's ink is predicted and corrected afterwards. So sigmas must be those of noise
-# alone, and every line is fitted by itself.
+# The shift by the board's ink is predicted and corrected afterwards. So sigma must be of noise alone,
+# and every line is fitted by itself.
 _SETTINGS = StripeSettings(guard_edges=False, learn_width=False)
 
 
 def learn_colours(capture: BoardSource) -> tuple[LaserLine, ...]:
-    """The lasers of a capture of a board, with colours from a few of its pairs where they are "auto".
+    """The lasers of a capture of a board; where a colour is "auto" it is learned from a few pairs.
 
     Raises:
         CaptureError: If a colour cannot be learned.
     """
-    return tuple(_with_colour(capture, laser) for laser in range(len(capture.lasers)))
+    return tuple(_learn_colour(capture, laser) for laser in range(len(capture.lasers)))
 
 
 def find_stripes(
@@ -49,15 +49,15 @@ def find_stripes(
     board: AbstractBoard,
     rig: SolvedRig | None = None,
 ) -> list[SeenRecord]:
-    """The records of one batch with the stripes that lie on their boards.
+    """Find the stripes on the boards of one batch of records.
 
     Args:
-        views: At most BATCH_RECORDS, with frames and corners.
-        capture: The capture that they are from.
+        views: At most BATCH_RECORDS records, with frames and corners.
+        capture: Their capture.
         lines: Its lasers, their colours learned.
         board: The board in it.
-        rig: Of a first solve: stripes are then looked for only where they should be, and the
-            poses of the records say which points lie on the print.
+        rig: Result of a first solve: stripes are then looked for near their predictions only, and
+            the poses of the records decide which points lie on the print.
     """
     views = list(views)
     lit = [i for i, view in enumerate(views) if view.corners is not None and view.on is not None]
@@ -68,18 +68,22 @@ def find_stripes(
                 continue
             noise, stripes = _extract([views[i] for i in group], capture, line, rig)
             for row, i in enumerate(group):
-                found = FoundStripe.of(stripes, row, line.stripe_axis)
-                stripe = _board_stripe(found, views[i], board, rig)
-                views[i] = views[i]._replace(stripe=stripe, noise=noise)
+                found, view = FoundStripe.of(stripes, row, line.stripe_axis), views[i]
+                board_xy = None
+                if rig is not None and view.pose is not None:
+                    board_xy = lift_to_board(rig, view.pose, found.pixels())
+                off, corners = None if view.off is None else view.grey, cast(FoundCorners, view.corners)
+                stripe = select_board_stripe(found, corners, board, off=off, board_xy=board_xy)
+                views[i] = view._replace(stripe=stripe, noise=noise)
     return views
 
 
-def _with_colour(capture: BoardSource, laser: int) -> LaserLine:
+def _learn_colour(capture: BoardSource, laser: int) -> LaserLine:
     line = capture.lasers[laser]
     lit = [i for i, record in enumerate(capture.records) if record.lasers == (laser,) and record.on]
     if line.colour != "auto" or not lit:
         return line
-    # Pairs, where there are any.
+    # Pairs are preferred.
     lit = [i for i in lit if capture.records[i].off] or lit
     chosen = np.unique(np.linspace(0, len(lit) - 1, _COLOUR_RECORDS).astype(int))
     on, off = zip(*(capture.frames(lit[i]) for i in chosen), strict=True)
@@ -94,17 +98,15 @@ def _with_colour(capture: BoardSource, laser: int) -> LaserLine:
 def _extract(
     views: list[SeenRecord], capture: BoardSource, line: LaserLine, rig: SolvedRig | None
 ) -> tuple[NoiseModel, Stripes]:
-    """The stripes of one laser in records that all have a laser-off frame, or all have none."""
-    # Padded to the batch's size, so that the extraction compiles once.
+    """Noise and stripes of one laser; all records have a laser-off frame, or none has."""
+    # Padded to the batch size, so that the extraction compiles once.
     padded = [views[min(k, len(views) - 1)] for k in range(BATCH_RECORDS)]
     on = np.stack([view.on for view in padded if view.on is not None])
     dark = [view.off for view in padded if view.off is not None]
     off = np.stack(dark) if dark else None
     frames = FrameFormat(capture.pixel_format, capture.response)
-    # From whole frames: a frame of which only a band is left shows no noise elsewhere.
-    noise = views[0].noise
-    if noise is None:
-        noise = estimate_noise(on, off, **vars(frames), line=line)
+    # Estimated from whole frames: outside the band there would be no noise.
+    noise = views[0].noise or estimate_noise(on, off, **vars(frames), line=line)
     if rig is not None and off is not None:
         near = np.stack([_band(view, rig, line) for view in padded])
         on = np.where(near if on.ndim == 3 else near[..., None], on, off)
@@ -113,7 +115,7 @@ def _extract(
 
 
 def _band(view: SeenRecord, rig: SolvedRig, line: LaserLine) -> np.ndarray:
-    """The pixels near which the stripe should be on the board, bool [rows, columns]; all where the pose is unknown."""
+    """Pixels near the predicted stripe, bool [rows, columns]; all where the pose is unknown."""
     camera = rig.camera
     if view.pose is None:
         return np.ones((camera.height, camera.width), bool)
@@ -121,11 +123,3 @@ def _band(view: SeenRecord, rig: SolvedRig, line: LaserLine) -> np.ndarray:
     samples = np.arange(across_and_along(camera.width, camera.height, line.stripe_axis)[0])
     near = stripe.on_board[:, None] & (np.abs(samples - stripe.u[:, None]) <= _BAND_PX)
     return near if line.stripe_axis == "rows" else near.T
-
-
-def _board_stripe(found: FoundStripe, view: SeenRecord, board: AbstractBoard, rig: SolvedRig | None) -> BoardStripe:
-    board_xy = None
-    if rig is not None and view.pose is not None:
-        board_xy = lift_to_board(rig, view.pose, found.pixels())
-    off = None if view.off is None else view.grey
-    return select_board_stripe(found, cast(FoundCorners, view.corners), board, off=off, board_xy=board_xy)

@@ -1,34 +1,35 @@
-"""Corners of a chessboard to thousandths of a pixel: a picture of two crossing edges, fitted."""
+"""Chessboard corners to thousandths of a pixel: a model of two crossing edges is fitted to the image."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 
-# The fit works on so many pixels to either side at the least and at the most: fewer do not hold
-# the nine unknowns, and farther out lens and board bend the edges.
+# Smallest and largest half side of the window [px]: fewer pixels do not hold the nine unknowns, and
+# farther out lens and board bend the edges.
 _MIN_HALF, _MAX_HALF = 4, 10
 _UNKNOWNS = 9
 _STEPS = 15
-# A corner has arrived when a step moves it by less than this [px].
+# A fit has converged when a step moves the corner by less than this [px].
 _SETTLED = 1e-3
-# Residuals of more than this share of the step from ink to paper are no chessboard corner, ...
+# Residuals larger than this share of the contrast between ink and paper mean: no chessboard corner.
 _MAX_MISFIT = 0.25
-# ... nor are those so many times as large as is usual in the picture; and a step of fewer DN is none.
+# The same holds for residuals this many times the median of the image, and for a lower contrast.
 _ODD = 3.0
 _MIN_CONTRAST_DN = 2.0
-# The edges must cross at this angle at least, and be where they were said to be to this angle [rad].
+# The edges must cross at this angle at least, and stay within this angle of their first directions [rad].
 _MIN_CROSSING = 0.25
 _MAX_TURN = 0.35
+# Smallest share of the window that must lie inside the image.
 _MIN_SEEN = 0.6
-# No picture of whole numbers has less noise [DN].
+# An image of whole numbers has no less noise than this [DN].
 _QUANTISED_DN = 0.3
-# Blocks of so many pixels squared show whether neighbours err together, in so many corners of a
-# picture; the variance is raised by no more than this.
+# Side of the blocks [px] that show whether neighbours share their errors, the number of corners that
+# are looked at for that, and the largest factor by which the variance is raised.
 _BLOCK = 3
 _SAMPLE = 16
 _MOST_SHARED = 1.5
-# Error of the model itself [px]: bent edges, quantised pictures.
+# Error of the model itself [px]: bent edges, quantised images.
 _FLOOR_PX = 2e-3
 
 
@@ -46,7 +47,7 @@ class FoundCorners(NamedTuple):
 def fit_corners(
     image: np.ndarray, start: np.ndarray, edges: np.ndarray, half: np.ndarray, *, clear: np.ndarray | None = None
 ) -> FoundCorners:
-    r"""Place of chessboard corners, by a least-squares fit of the image of a blurred crossing.
+    r"""Chessboard corners by a least-squares fit of two blurred crossing edges.
 
     $$I(q) = \Bigl[l + c\, \mathrm{erf}\frac{d_1(q)}{\sqrt2 w}\, \mathrm{erf}\frac{d_2(q)}{\sqrt2 w}\Bigr]
       \,\bigl(1 + g \cdot (q - q_0)\bigr)$$
@@ -58,15 +59,15 @@ def fit_corners(
 
     Args:
         image: uint8 or float [rows, columns].
-        start: Where to begin [corners, 2], px.
+        start: First values [corners, 2], px.
         edges: Unit vectors along the two edges [corners, 2 (edge), 2 (u, v)].
         half: Half the window's side [corners], px; taken as 4 ... 10. The window must not reach
             the next corner.
-        clear: Pixels farther than this from both edges are not looked at [corners], px: where
-            there are markers. None: all count.
+        clear: Pixels farther than this from both edges are left out [corners], px, because of
+            markers. None: all count.
 
     Returns:
-        The corners. Not valid where the model does not fit, or the fit went astray.
+        The corners; not valid where the model does not fit or the fit diverged.
 
     Source: Geiger et al., Automatic camera and range sensor calibration using a single shot
     (2012), for edges of a chessboard as a model; Newey and West (1987) for covariance when
@@ -81,11 +82,11 @@ def fit_corners(
 
 
 class _Window(NamedTuple):
-    """Pixels round the corners, each window made flat: float32 [corners, pixels], which is twice as fast."""
+    """Pixels around the corners, windows flattened: float32 [corners, pixels], for speed."""
 
     level: np.ndarray
     u: np.ndarray
-    """From where the fit begins [px]."""
+    """From the first value of the corner [px]."""
     v: np.ndarray
     weight: np.ndarray
     """1 where the pixel counts, else 0."""
@@ -133,7 +134,7 @@ def _across(angle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _start(window: _Window, angle: np.ndarray) -> np.ndarray:
-    """Level and contrast by a straight line from the expected pattern to the image."""
+    """First values; level and contrast by linear regression of the image on the expected pattern."""
     unknowns = np.zeros((len(angle), _UNKNOWNS))
     unknowns[:, 2:4], unknowns[:, 6] = angle, 1.0
     pattern = np.prod(_edge(_across(angle, window.u, window.v))[0], axis=0)
@@ -147,7 +148,7 @@ def _start(window: _Window, angle: np.ndarray) -> np.ndarray:
 
 
 def _fit(window: _Window, unknowns: np.ndarray) -> _Fit:
-    """Levenberg-Marquardt on all corners; those that have arrived drop out."""
+    """Levenberg-Marquardt on all corners; those that have converged drop out."""
     fit = _Fit(unknowns, *_linearised(window, unknowns))
     damping = np.full(len(unknowns), 1e-3)
     active = np.arange(len(unknowns))
@@ -157,7 +158,7 @@ def _fit(window: _Window, unknowns: np.ndarray) -> _Fit:
         slope = jacobian @ residual[..., None]
         damped = normal + np.eye(_UNKNOWNS) * (damping[active, None] * np.einsum("cii->ci", normal) + 1e-9)[:, None]
         step = -np.linalg.solve(damped, slope)[..., 0]
-        # From far away a full step may leave the basin.
+        # Far from the solution a full step may diverge.
         moved = np.hypot(step[:, 0], step[:, 1])
         step /= np.maximum(np.maximum(moved / 1.5, np.abs(step[:, 2:4]).max(1) / 0.3), 1.0)[:, None]
         trial = fit.unknowns[active] + step
@@ -189,8 +190,7 @@ def _linearised(window: _Window, unknowns: np.ndarray) -> tuple[np.ndarray, np.n
     jacobian = np.empty((len(unknowns), _UNKNOWNS, window.u.shape[1]), np.float32)
     jacobian[:, 0] = sine[0] * by[0] + sine[1] * by[1]
     jacobian[:, 1] = -cosine[0] * by[0] - cosine[1] * by[1]
-    for k in (0, 1):
-        jacobian[:, 2 + k] = -(cosine[k] * du + sine[k] * dv) * by[k]
+    jacobian[:, 2:4] = np.swapaxes(-(cosine * du + sine * dv) * by, 0, 1)
     jacobian[:, 4], jacobian[:, 5] = light, pattern * light
     jacobian[:, 6] = -(across[0] * by[0] + across[1] * by[1]) / width
     bright = window.weight * seen
@@ -201,13 +201,13 @@ def _linearised(window: _Window, unknowns: np.ndarray) -> tuple[np.ndarray, np.n
 def _crossing(t: np.ndarray, overlap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     r"""Two crossing edges under a Gaussian blur, -1 ... 1, and the derivatives by their distances.
 
-    The mean of two signs of correlated normal variables: edges at a slant share part of the
-    blur, $\rho$ = `overlap`, the cosine of their angle,
+    The mean of the product of the signs of two normal variables, whose correlation $\rho$ =
+    `overlap` is the cosine of the angle between the edges:
 
     $$\mathrm{erf}\,\mathrm{erf} + 4 \varphi(t_1) \varphi(t_2)
       \sum_{n \ge 1} \tfrac{\rho^n}{n!} He_{n-1}(t_1) He_{n-1}(t_2)$$
 
-    of which three terms are taken. Source: Kendall, the tetrachoric series.
+    Three terms are taken. Source: Kendall, the tetrachoric series.
     """
     (e1, e2), (g1, g2) = _edge(t)
     a, b = t
@@ -232,8 +232,8 @@ def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, ha
     unknowns, jacobian = fit.unknowns, fit.jacobian
     count = window.weight.sum(1)
     normal = (jacobian @ jacobian.transpose(0, 2, 1)).astype(np.float64)
-    # Scaled to be well conditioned, with a little damping so that the matrix of a window outside the
-    # image can be inverted too; such corners are dropped below.
+    # Scaled for good conditioning, and damped so that windows outside the image give an invertible
+    # matrix too; their corners are dropped below.
     scale = np.sqrt(np.maximum(np.einsum("cii->ci", normal), 1e-12))
     both = scale[:, :, None] * scale[:, None, :]
     inverse = np.linalg.inv(normal / both + 1e-6 * np.eye(_UNKNOWNS)) / both
@@ -254,12 +254,12 @@ def _judged(window: _Window, fit: _Fit, start: np.ndarray, angle: np.ndarray, ha
 
 
 def _shared_noise(window: _Window, fit: _Fit, inverse: np.ndarray, valid: np.ndarray) -> float:
-    """Variance of the corners over that by white noise of the size of the residuals.
+    """Ratio of the corners' variance to the variance that white noise would give.
 
-    Pixels that lie together err together (demosaicing, JPEG). So the squared shifts of the
-    corners by blocks of pixels are compared with those that white noise would give. One
-    number for the picture, as that of one corner is itself uncertain; and a bounded one, as
-    pictures weighted by a rough number are worse off than pictures that are not.
+    Neighbouring pixels share errors (demosaicing, JPEG). So the squared shifts of the corners by
+    blocks of pixels are compared with the shifts by white noise of the same size. The ratio is one
+    number per image, because that of a single corner is too uncertain. It is bounded, because
+    weights from a poor estimate are worse than equal weights.
     """
     some = np.flatnonzero(valid)
     if len(some) == 0:
@@ -269,7 +269,7 @@ def _shared_noise(window: _Window, fit: _Fit, inverse: np.ndarray, valid: np.nda
     influence = part[:, :2] @ jacobian
     moved = _blocks(influence * residual[:, None], window.side)
     alone = _blocks(influence**2, window.side).sum(-1)
-    # Part of every block's noise has gone into the nine unknowns.
+    # The nine unknowns have absorbed part of every block's noise.
     taken = _blocks((influence[:, :, None] * jacobian[:, None]).reshape(len(some), 2 * _UNKNOWNS, -1), window.side)
     taken = taken.reshape(len(some), 2, _UNKNOWNS, -1)
     lost = np.einsum("ckib,cij,ckjb->ck", taken, part, taken, optimize=True)

@@ -1,4 +1,4 @@
-"""Corners of one board in one image, and where the model of a blurred crossing puts them."""
+"""Corners of one board in one image: their refinement, their edges and the size of their squares."""
 
 import numpy as np
 
@@ -7,17 +7,17 @@ from jaxscan.observation.corner_fit import FoundCorners, fit_corners
 
 
 SMALL_SQUARE_PX = 12.0
-"""Squares that are projected smaller than this [px] hold fewer edge pixels than a corner needs."""
+"""Smaller projected squares [px] have fewer edge pixels than a corner needs."""
 WINDOW_SHARE = 0.3
-"""A window of this share of a square to either side stays clear of the next corner."""
-# The blur of a marker's edge reaches so far [px].
+"""Half side of a window, in squares: such a window stays clear of the next corner."""
+# Reach of the blur of a marker's edge [px].
 _MARKER_BLUR_PX = 1.5
 
 
 def fit_found_corners(
     image: np.ndarray, found: FoundCorners, board: AbstractBoard, half_window: int | None = None
 ) -> FoundCorners:
-    """Corners placed anew by the model of a blurred crossing, where it fits; the others as they were.
+    """Corners refined by `fit_corners` where its model fits; the others unchanged.
 
     Args:
         image: uint8 [rows, columns].
@@ -36,7 +36,7 @@ def fit_found_corners(
 
 
 def clear_of_markers(board: AbstractBoard, sizes: np.ndarray) -> np.ndarray | None:
-    """How far [px] from both edges pixels may lie and show no marker, for squares of `sizes` [px]; None: anywhere."""
+    """Distance from both edges [px] within which no marker lies, for squares of `sizes` [px]; None without markers."""
     return np.maximum(marker_gap(board) * sizes - _MARKER_BLUR_PX, 2.0) if isinstance(board, Charuco) else None
 
 
@@ -80,11 +80,11 @@ def square_sizes(q: np.ndarray, valid: np.ndarray, board: AbstractBoard) -> np.n
 
 
 def _neighbours(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Every corner that has a next one along an axis of the grid, and that next one."""
+    """Slices of all corners that have a next one along an axis of the grid, and of those next ones."""
     whole, first, second = slice(None), slice(None, -1), slice(1, None)
     return ((first, whole), (second, whole)) if axis == 0 else ((whole, first), (whole, second))
 
 
 def is_enough(board: AbstractBoard, valid: np.ndarray) -> bool:
-    """Whether the corners that are valid [corners] fix a pose."""
+    """Whether the valid corners suffice for a pose; `valid` is [corners]."""
     return fixes_plane(board.corners()[valid, :2])

@@ -1,4 +1,4 @@
-"""The first look at captures of a board: its corners, and the stripe on it, in every record."""
+"""The first look at captures of a board: corners and stripes in every record."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -18,11 +18,11 @@ from jaxscan.stripes import LaserLine
 
 Progress = Callable[[int, int], None]
 FindCorners = Callable[[np.ndarray, AbstractBoard], FoundCorners | None]
-"""A grey image to the corners of a board in it; None where it is not found."""
+"""Finds the corners of a board in a grey image; None where the board is not found."""
 
 
 class Eyes(NamedTuple):
-    """How images are read; made for OpenCV in `vision`."""
+    """The functions that read images; `vision` has them, by OpenCV."""
 
     to_grey: ToGrey
     find_corners: FindCorners
@@ -50,7 +50,7 @@ def look_at_boards(
     Args:
         captures: Captures of the same board by the same rig, with one laser lit in a record.
         board: That board.
-        eyes: How images are read.
+        eyes: The functions that read images.
         with_stripes: Look for stripes too; they are not needed for a camera alone.
         progress: Called with (records done, records in all).
 
@@ -104,7 +104,7 @@ def go_through(
                 seen = list(pool.map(look, [number] * len(batch), batch))
                 if like.lines is not None:
                     seen = find_stripes(seen, capture, like.lines[number], like.board, rig)
-                # Frames go as soon as they were looked at: a capture may be larger than the memory.
+                # Frames are dropped at once: a capture may be larger than the memory.
                 views += [view._replace(on=None, off=None, grey=None) for view in seen]
                 if progress is not None:
                     progress(len(views), total)

@@ -1,4 +1,4 @@
-"""How far a printed edge under a stripe draws its centre aside, from the image without the laser."""
+"""Shift of stripe centres by the print under them, predicted from the laser-off image."""
 
 from typing import NamedTuple
 
@@ -6,16 +6,16 @@ import numpy as np
 
 
 _REACH = 12
-"""Samples to either side of the centre that are looked at."""
+"""Samples used on either side of the centre."""
 _PAD = _REACH + 4
-# The stripe's true place and the shift that it brings about are found in turn so many times.
+# Rounds of the alternation between true centre and shift, and Gauss-Newton steps of the Gaussian fit.
 _ROUNDS = 6
 _STEPS = 6
-# Lines whose centre moves by less than this [px] show the stripe's own width; it is the median of so many.
+# The stripe's own width is the median of this many lines with a shift smaller than this [px].
 _EVEN_PX = 0.02
 _EVEN_LINES = 15
-# The prediction itself errs by so much [px], by this share of itself, and by this share of the
-# stripe's width times the noise of the image over its level.
+# Errors of the prediction: a constant [px], a share of the shift, and a share of the stripe's width
+# times the relative noise of the image.
 _PREDICTION_PX = 0.07
 _PREDICTION_SHARE = 0.25
 _PREDICTION_NOISE = 1.0
@@ -25,11 +25,11 @@ class InkShift(NamedTuple):
     """Shift of a stripe's centre by the print under it."""
 
     predicted: np.ndarray
-    """float64 [lines]: measured less true centre, as the image has it [px]."""
+    """float64 [lines]: predicted difference of measured and true centre [px]."""
     correction: np.ndarray
-    """float64 [lines]: the part of it to take off the measured centre [px]."""
+    """float64 [lines]: part of it to subtract from the measured centre [px]."""
     sigma: np.ndarray
-    """float64 [lines]: standard deviation that is left after that [px]."""
+    """float64 [lines]: standard deviation after the correction [px]."""
 
 
 def ink_shift(image: np.ndarray, line: np.ndarray, centre: np.ndarray, width: np.ndarray, blur: float) -> InkShift:
@@ -42,18 +42,18 @@ def ink_shift(image: np.ndarray, line: np.ndarray, centre: np.ndarray, width: np
     $$D(u) = G_w(u - c)\; (a * G_\tau)\bigl(c + \rho (u - c)\bigr),
       \qquad \rho = w_l^2 / w^2, \quad \tau^2 = \rho b^2,$$
 
-    exactly, while the image without the laser shows $a * G_b$, so its blur is first taken from $b$
-    back to $\tau$. (To multiply the image itself by the stripe would predict a shift several
-    times too large where the stripe is little wider than the blur.) A Gaussian is fitted to $D$ as
-    the extraction does, and its centre less $c$ is the shift.
+    exactly. The laser-off image shows $a * G_b$, so its blur is first reduced from $b$ to $\tau$.
+    (The product of the image itself and the stripe would predict a shift several times too large
+    where the stripe is little wider than the blur.) A Gaussian is fitted to $D$ as in the
+    extraction; its centre minus $c$ is the shift.
 
-    Most lines lie on even paper, and the prediction errs by some hundredths of a pixel: small
-    shifts are mostly error, so they are taken off in part only.
+    Most lines lie on plain paper, and the prediction has errors of some hundredths of a pixel:
+    small shifts are mostly error, so only a part of them is subtracted.
 
     Args:
-        image: Without the laser [lines, samples], DN.
-        line: Which of its lines [points].
-        centre: Measured centre of the stripe there [points], px.
+        image: Laser-off image [lines, samples], DN.
+        line: Line of each point [points].
+        centre: Measured centre of the stripe [points], px.
         width: Measured standard deviation of its profile [points], px.
         blur: Standard deviation of the lens's blur [px].
 
@@ -62,7 +62,7 @@ def ink_shift(image: np.ndarray, line: np.ndarray, centre: np.ndarray, width: np
     """
     image = np.asarray(image, np.float64)
     error = np.hypot(_PREDICTION_PX, _PREDICTION_NOISE * width * _relative_noise(image, line, centre))
-    # Three lines together: the print hardly changes within them, the noise averages out.
+    # The mean of three lines: the print hardly changes within them, and the noise is averaged.
     image = np.pad(image, ((1, 1), (_PAD, _PAD)), mode="edge")
     image = (image[:-2] + image[1:-1] + image[2:]) / 3.0
     spread = _own_width(line, width, 0.7 * _shift(image, line, centre, width, blur))
@@ -75,19 +75,19 @@ def ink_shift(image: np.ndarray, line: np.ndarray, centre: np.ndarray, width: np
 
 
 def _relative_noise(image: np.ndarray, line: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Noise of the mean of three lines over the level under the stripe [points]."""
+    """Noise of the mean of three lines, divided by the level under the stripe [points]."""
     first, last = np.clip(line - 1, 0, len(image) - 1), np.clip(line + 1, 0, len(image) - 1)
     sample = np.clip(np.rint(centre).astype(int)[:, None] + np.arange(-2, 3), 0, image.shape[1] - 1)
     above, here, below = (image[at[:, None], sample] for at in (first, line, last))
-    # Where there is no edge, at half of the places and more, a line differs from the mean of those
-    # above and below by noise alone. Small numbers of DN are rounded: 0.3 DN at the least.
+    # At least half of the points lie on no edge: there a line differs from the mean of its neighbours
+    # by noise alone. Rounding to whole DN gives at least 0.3 DN.
     noise = 1.4826 * np.median(np.abs(here - 0.5 * (above + below))) / np.sqrt(1.5)
     level = (above + here + below).mean(1) / 3.0
     return max(float(noise), 0.3) / np.sqrt(3.0) / np.maximum(level, 1.0)
 
 
 def _own_width(line: np.ndarray, width: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """The stripe's width, of which ink takes a part, from even lines near by."""
+    """The stripe's width without the effect of ink, from lines on plain paper near by."""
     even = np.flatnonzero(np.abs(shift) < _EVEN_PX)
     if len(even) < _EVEN_LINES:
         return width
@@ -97,7 +97,7 @@ def _own_width(line: np.ndarray, width: np.ndarray, shift: np.ndarray) -> np.nda
 
 
 def _shift(image: np.ndarray, line: np.ndarray, centre: np.ndarray, width: np.ndarray, blur: float) -> np.ndarray:
-    """Where a Gaussian is fitted to a stripe whose true centre is given, less that centre."""
+    """Centre of the Gaussian fitted to a stripe, minus its given true centre [points], px."""
     first = np.rint(centre).astype(int)
     u = first[:, None] + np.arange(-_REACH, _REACH + 1) - centre[:, None]
     share = np.clip(1.0 - np.square(blur / width), 0.0, 1.0)[:, None]
@@ -124,11 +124,11 @@ def _paper(image: np.ndarray, line: np.ndarray, first: np.ndarray, variance: np.
     index = first[:, None] + np.arange(-_PAD, _PAD + 1) + _PAD
     level = image[line[:, None], np.clip(index, 0, image.shape[1] - 1)]
     second = level[:, 2:] - 2.0 * level[:, 1:-1] + level[:, :-2]
-    # A blur grows a picture by half its variance times the second derivative; this takes it back.
+    # To first order a blur adds half its variance times the second derivative; this undoes it.
     level = level[:, 1:-1] - 0.5 * variance * second
     x = np.clip(at + _PAD - 1, 1.0, level.shape[1] - 3.001)
     before = np.floor(x).astype(int)
     f, row = x - before, np.arange(len(line))[:, None]
     a, b, c, d = (level[row, before + k] for k in (-1, 0, 1, 2))
-    # By a cubic: straight lines between pixels would blur it again. Source: Keys (1981).
+    # Cubic interpolation: linear interpolation would blur it again. Source: Keys (1981).
     return b + 0.5 * f * (c - a + f * (2 * a - 5 * b + 4 * c - d + f * (3 * (b - c) + d - a)))

@@ -1,4 +1,4 @@
-"""Observations: board corners and stripe points on padded grids of views, as a calibration reads them."""
+"""Observations: board corners and stripe points on padded grids of views."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ from jaxscan.observation.stripes_on_board import BoardStripe
 class BoardViews(eqx.Module):
     """Corners of the board, one view per record in which it was found.
 
-    The corner axis is the board's own (`board.corners()`); corners not seen are not valid.
+    Corners are in the order of `board.corners()`; corners that were not found are not valid.
     """
 
     q: Float[Array, "views corners 2"]
@@ -47,7 +47,7 @@ class StripeViews(eqx.Module):
 
 
 class Observations(eqx.Module):
-    """Corners and stripes of boards, and the rig that saw them: all that the joint solve reads."""
+    """Corners and stripes of boards, and the rig that saw them: the input of the joint solve."""
 
     board: AbstractBoard
     corners: BoardViews
@@ -60,7 +60,7 @@ class Observations(eqx.Module):
 
 
 def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations:
-    """The padded grids that the solve reads, of the views with a board."""
+    """The observations of the records in which the board was found."""
     first = captures[0]
     views = [view for view in look.records if view.corners is not None]
     q, sigma, valid = map(np.stack, zip(*(view.corners for view in views if view.corners is not None), strict=True))

@@ -1,4 +1,4 @@
-"""Where a rig that was solved once will see a board: its corners, and the stripe on it."""
+"""Predicted pixels of the corners of a board and of the stripe on it, from a first solve."""
 
 from typing import NamedTuple
 
@@ -23,14 +23,14 @@ from jaxscan.geometry import (
 )
 
 
-# Points along the stripe on a board; between them it is straight to far less than its noise.
+# Points along the stripe on a board; between them it is straight to much less than its noise.
 _SAMPLES = 128
-# A ray that comes back within this angle [rad] was projected, not folded over or from behind.
+# Largest angle [rad] between a point and the ray of its pixel; beyond it the lens folds or the point is behind.
 _SAME_RAY = 1e-3
 
 
 class SolvedRig(NamedTuple):
-    """A rig and its boards as a first solve has them."""
+    """Result of a first solve: the rig and the poses of the board."""
 
     camera: AbstractCamera
     scanner: Scanner | None
@@ -39,14 +39,14 @@ class SolvedRig(NamedTuple):
     shape: np.ndarray
     """Bow kx, ky [m] and relative error of the pitch [1]; see `BowedBoard`."""
     poses: np.ndarray
-    """T_cam_board of every view that was solved from [views, 4, 4]."""
+    """T_cam_board of every view in the observations [views, 4, 4]."""
     used: np.ndarray
-    """bool [views]: the solve kept corners of that view."""
+    """bool [views]: the solve used corners of that view."""
     corner_rms_px: float
-    """Root mean square distance of the corners from where the solve has them."""
+    """Root mean square residual of the corners."""
 
     def surface(self) -> BowedBoard:
-        """The board as it is; call in 64 bit."""
+        """The bowed board; call in 64 bit."""
         return BowedBoard(jnp.asarray(corner_frame(self.board.corners())), jnp.asarray(self.shape))
 
 
@@ -77,9 +77,9 @@ def turn_boards(table: Turntable, poses: np.ndarray, at: np.ndarray, to: np.ndar
 
     Args:
         table: The turntable.
-        poses: T_cam_board as seen [n, 4, 4].
-        at: Angle of the table at which each was seen [n], rad from home.
-        to: Angle at which it is wanted [n], rad from home.
+        poses: T_cam_board [n, 4, 4].
+        at: The table's angles of these poses [n], rad from home.
+        to: The table's angles of the new poses [n], rad from home.
 
     Returns:
         Poses [n, 4, 4].
@@ -91,7 +91,7 @@ def turn_boards(table: Turntable, poses: np.ndarray, at: np.ndarray, to: np.ndar
 
 
 def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
-    """Where the corners of the board are seen.
+    """Predict the corners of the board.
 
     Args:
         rig: The rig and its board.
@@ -112,16 +112,16 @@ def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
 
 
 def predict_stripe(rig: SolvedRig, pose: np.ndarray, laser: int, stripe_axis: StripeAxis = "rows") -> PredictedStripe:
-    """Where the stripe of a laser lies on a board, for every line of the image.
+    """Predict the stripe of a laser on a board, for every line of the image.
 
     Args:
         rig: The rig, with a scanner, and its board.
         pose: T_cam_board [4, 4].
-        laser: Which of its sheets.
+        laser: Index of the sheet.
         stripe_axis: Whether a line is an image row or an image column.
 
     Returns:
-        The stripe; lines that it passes beside the printed area are not `on_board`.
+        The stripe; lines where it misses the printed area are not `on_board`.
     """
     if rig.scanner is None:
         raise ValueError("A camera alone predicts no stripe.")
@@ -143,14 +143,14 @@ def predict_stripe(rig: SolvedRig, pose: np.ndarray, laser: int, stripe_axis: St
 
 
 def lift_to_board(rig: SolvedRig, pose: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Coordinates (x, y) [n, 2], m, on the board as drawn, of its points that pixels `q` [n, 2] see."""
+    """Board coordinates (x, y) [n, 2], m, on the board as drawn, of the points seen at pixels `q` [n, 2]."""
     with jax.enable_x64(True):
         camera = jax.tree.map(jnp.asarray, rig.camera)
         return np.asarray(_lift(camera, rig.surface(), jnp.asarray(pose), jnp.asarray(q)))
 
 
 def _seen(camera: AbstractCamera, p: Float[Array, "3"]) -> tuple[Float[Array, "2"], Array]:
-    """Pixel of a point, and whether that pixel looks at the point."""
+    """Pixel of a point, and whether the ray of that pixel leads to the point."""
     q = camera.project(p)
     return q, jnp.linalg.norm(camera.unproject(q) - p / jnp.linalg.norm(p)) < _SAME_RAY
 

@@ -1,4 +1,4 @@
-"""Records of a board: where they come from, and the board and the stripe that were seen in them."""
+"""Records of a board: their source, and the corners and stripes found in them."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -13,7 +13,7 @@ from jaxscan.stripes import LaserLine, NoiseModel, PixelFormat, Response
 
 
 ToGrey = Callable[[np.ndarray, PixelFormat], np.ndarray]
-"""A frame as it is captured to uint8 [rows, columns], every pixel where it was."""
+"""Converts a captured frame to uint8 [rows, columns] of the same size."""
 
 
 @runtime_checkable
@@ -34,7 +34,7 @@ class BoardRecord(Protocol):
 
     @property
     def lasers(self) -> tuple[int, ...]:
-        """The laser that is lit in the laser-on frame; no more than one. Empty without such a frame."""
+        """The laser that is lit in the laser-on frame, one at most; empty without such a frame."""
 
     @property
     def on(self) -> Sequence[object]:
@@ -61,7 +61,7 @@ class BoardSource(Protocol):
     def response(self) -> Response: ...
     @property
     def lasers(self) -> tuple[LaserLine, ...]:
-        """The lasers, in the order that `lasers` of a record counts them."""
+        """The lasers, in the order of the numbers in `BoardRecord.lasers`."""
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -74,28 +74,28 @@ class BoardSource(Protocol):
         """Whether the table carries the scanner or the object, where known."""
 
     def frames(self, index: int) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """The laser-on and the laser-off frame of one of the records, each where there is one."""
+        """The laser-on and the laser-off frame of a record; None where there is none."""
         ...
 
 
 class SeenRecord(NamedTuple):
-    """One record on its way to an observation."""
+    """One record, with the corners and the stripe found in it."""
 
     capture: int
-    """Which of the captures it is from."""
+    """Index of its capture."""
     record: BoardRecord
     on: np.ndarray | None = None
-    """Laser-on frame; frames go as soon as they were looked at, for a capture may be larger than the memory."""
+    """Laser-on frame; frames are dropped after use, since a capture may be larger than the memory."""
     off: np.ndarray | None = None
     """Laser-off frame."""
     grey: np.ndarray | None = None
-    """The laser-off frame in grey; the laser-on frame where there is no other."""
+    """The laser-off frame in grey, or the laser-on frame where there is no other."""
     corners: FoundCorners | None = None
     stripe: BoardStripe | None = None
     noise: NoiseModel | None = None
-    """Of its frames, once the stripes were looked for."""
+    """Noise of its frames, known once stripes were looked for."""
     pose: np.ndarray | None = None
-    """T_cam_board [4, 4], where a first solve knows it."""
+    """T_cam_board [4, 4] from a first solve."""
 
     @staticmethod
     def read(captures: Sequence[BoardSource], number: int, index: int, to_grey: ToGrey) -> "SeenRecord":
@@ -108,7 +108,7 @@ class SeenRecord(NamedTuple):
 
     @property
     def placement(self) -> tuple[int, int] | None:
-        """Capture and number of its placement; None where it stands alone, as it does at an unknown angle."""
+        """Capture and number of its placement; None without a placement or without an angle."""
         number = self.record.placement
         return None if number is None or self.record.angle is None else (self.capture, number)
 

@@ -1,4 +1,4 @@
-"""Corners of a board whose place is nearly known: found where they should be, or not at all."""
+"""Corners of a board at predicted places."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from jaxscan.observation.corners import WINDOW_SHARE, FoundCorners, clear_of_mar
 from jaxscan.observation.prediction import PredictedCorners
 
 
-# A square must be projected at least this large [px] for its corners to be looked for again.
+# Smallest projected square [px] whose corners are looked for.
 _SMALLEST_PX = 8.0
 
 
@@ -20,15 +20,15 @@ def redetect_corners(
     reach: float,
     first: FoundCorners | None = None,
 ) -> FoundCorners | None:
-    """Fit every corner that should be visible, beginning where it should be.
+    """Fit every corner that should be visible, starting from its prediction.
 
     Args:
         image: uint8 [rows, columns].
         board: The board in it.
-        predicted: Where its corners should be, in this one view.
-        reach: A corner found farther than this from where it should be is not believed [px].
-        first: Corners found without knowing where to look. They stand where nothing better is
-            found: a corner that disagrees with the prediction is for the solve to judge.
+        predicted: Its predicted corners in this view.
+        reach: A corner found farther than this from its prediction is rejected [px].
+        first: Corners of the first look. They are kept where the fit fails: the solve decides
+            about corners that disagree with the prediction.
 
     Returns:
         The corners, or None where too few are found.

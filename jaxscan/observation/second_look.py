@@ -1,4 +1,4 @@
-"""The second look at a capture: boards and stripes where a first solve says that they are."""
+"""The second look at captures: corners and stripes at the places that a first solve predicts."""
 
 from collections.abc import Sequence
 
@@ -10,9 +10,9 @@ from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
 from jaxscan.observation.redetect import redetect_corners
 
 
-# A corner is believed within so many standard deviations of the first solve's residuals, ...
+# A corner is accepted within this many standard deviations of the first solve's residuals,
 _REACH_SIGMA = 5.0
-# ... and this much more [px]: in a view that helped to predict itself, and in one that did not.
+# plus this margin [px]: for views that the first solve used, and for views that it did not.
 _REACH_PX = 0.3
 _REACH_UNSEEN_PX = 1.5
 
@@ -25,17 +25,17 @@ def look_again(
     *,
     progress: Progress | None = None,
 ) -> Look:
-    """Every record once more, with the geometry of a first solve.
+    """Look at every record again, with the geometry of a first solve.
 
-    Corners are fitted from where they should be, those that were missed are looked for, and so
-    are boards that were not found but were seen from other angles. Stripes are extracted from a
-    band round where the sheet meets the board, if they were looked for before.
+    All predicted corners are fitted, also those that the first look missed, and also on boards
+    that it missed but saw at another angle of the same placement. If the first look extracted
+    stripes, they are extracted again from a band around the predicted stripe.
 
     Args:
-        captures: As of the first look.
+        captures: The captures of the first look.
         first: The first look.
-        rig: Solved from it.
-        to_grey: How images are read.
+        rig: The rig solved from it.
+        to_grey: Converts frames to grey.
         progress: Called with (records done, records in all).
     """
     poses = _poses(first.records, rig)
@@ -58,7 +58,7 @@ def look_again(
 
 
 def _poses(views: Sequence[SeenRecord], rig: SolvedRig) -> list[np.ndarray | None]:
-    """T_cam_board of every record as far as the first solve knows it."""
+    """T_cam_board of every record; None where the first solve does not give it."""
     poses: list[np.ndarray | None] = [None] * len(views)
     seen: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
     found = [number for number, view in enumerate(views) if view.corners is not None]

@@ -1,4 +1,4 @@
-"""Which points of an extracted stripe lie on the board, and can be trusted there."""
+"""Selection of the stripe points that lie on the board."""
 
 from typing import NamedTuple
 
@@ -10,19 +10,19 @@ from jaxscan.observation.ink import ink_shift
 from jaxscan.stripes import Stripes
 
 
-# A stripe closer to the edge of the printed area than this share of a square is left out, and so
-# is one farther than this from any corner that was found: there the map to the board is a guess.
+# Margin inside the printed area, and largest distance from the found corners, both in squares: farther
+# away the map to the board is a guess.
 _EDGE_MARGIN = 0.1
 _REACH = 1.2
-# Where the print moves the centre of a stripe by more than this [px], it is lost.
+# Points with a larger shift by the print [px] are dropped.
 _MAX_INK_SHIFT = 0.35
-# Blur of the lens and the pixels [px] where nothing is known of it.
+# Assumed blur of lens and pixels [px].
 _BLUR_PX = 0.8
 _MIN_POINTS = 8
 
 
 class FoundStripe(NamedTuple):
-    """The stripe of one laser in one image, wherever it lies: one entry per line of the image."""
+    """The stripe of one laser in one image, one entry per line."""
 
     u: np.ndarray
     """Centre across the line [lines], px."""
@@ -70,20 +70,20 @@ def select_board_stripe(
     board_xy: np.ndarray | None = None,
     points: int = 512,
 ) -> BoardStripe:
-    """Keep the stripe points that lie on the board, and put right the shift that its print brings about.
+    """Keep the stripe points that lie on the board, and correct the shift by its print.
 
-    A point is on the board where its pose puts it inside the printed area; as long as that is not
-    known, a map fitted to the corners (homography, and a cubic for the lens).
-    Brighter paper draws the stripe's centre towards it. Where there is a laser-off image the
-    shift is predicted and taken off, and the error of the prediction is added to `sigma`; points
-    that it would move by more than 0.35 px are dropped.
+    A point is on the board if its board coordinates lie inside the printed area. They come from
+    the pose, or before it is known from a map fitted to the corners (homography, and a cubic for
+    the lens). Brighter paper shifts the stripe's centre towards it. With a laser-off image the
+    shift is predicted and subtracted, and the error of the prediction is added to `sigma`; points
+    with a shift of more than 0.35 px are dropped.
 
     Args:
         stripe: The stripe in one image.
         corners: Corners found on the same board pose.
         board: The board they belong to.
         off: Laser-off image [rows, columns], grey, or None.
-        board_xy: Where the board's pose puts every point [lines, 2], m; None: by the corners.
+        board_xy: Board coordinates of every point from the pose [lines, 2], m; None: by the corners.
         points: Number of points to return; longer stripes are thinned evenly.
 
     Returns:
@@ -135,7 +135,7 @@ def _board_map(corners: np.ndarray, xy: np.ndarray, q: np.ndarray) -> np.ndarray
     centre, size = corners.mean(0), max(float(np.abs(corners - corners.mean(0)).max()), 1e-12)
     a, b = (corners - centre) / size, (q - centre) / size
     fit = np.linalg.lstsq(_cubic(a), xy - apply_homography(homography, corners), rcond=None)[0]
-    # Beyond the corners the cubic runs away; the lens's part at the edge is kept there.
+    # Beyond the corners the cubic diverges; its value at their edge is used there.
     return mapped + _cubic(np.clip(b, a.min(0), a.max(0))) @ fit
 
 

@@ -13,11 +13,9 @@ import numpy as np
 
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan
-from jaxscan.reconstruction.points.coloured import coloured, points_alone
-from jaxscan.reconstruction.points.locate import Centres
+from jaxscan.reconstruction.points import Centres, coloured, points_alone
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.streaming.batches import chunk_records, padded
-from jaxscan.reconstruction.streaming.grid import GrowingStripes
+from jaxscan.reconstruction.streaming import GrowingStripes, chunk_records, padded
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
 from jaxscan.stripes import LEARNED_FRAMES, LaserLine, PixelFormat, Response, StripeEngine, Stripes
 
@@ -106,9 +104,7 @@ class IncomingStripes:
         """
         self._sweep.first = FrameChunk(np.stack([pair.on for pair in pairs]), np.stack([pair.off for pair in pairs]))
         (engine,) = self._plan.engines().values()
-        some = pairs[: self.size]
-        on, off = self._frames([pair.on for pair in some]), self._frames([pair.off for pair in some])
-        self._engine = engine.learn_width(on, off, coloured(self._plan.frames))
+        self._engine = engine.learn_width(*self._frames(pairs[: self.size]), coloured(self._plan.frames))
         self._sweep.first = None
 
     def compute(self, pairs: Sequence[RecordedPair]) -> None:
@@ -123,14 +119,13 @@ class IncomingStripes:
         ordered = sorted(pairs, key=lambda pair: pair.number)
         for start in range(0, len(ordered), self.size):
             some = ordered[start : start + self.size]
-            numbers = np.array([pair.number for pair in some])
-            on, off = self._frames([pair.on for pair in some]), self._frames([pair.off for pair in some])
+            numbers, (on, off) = np.array([pair.number for pair in some]), self._frames(some)
             phi = padded(np.array([pair.angle for pair in some], np.float32), self.size)
             found, _, (rgb, _) = self._engine.extract(on, off, coloured(plan.frames))
             centres = Centres(found.u, found.sigma, found.valid)
             # JAX keeps this setting per thread.
             with jax.enable_x64(False):
-                points = points_alone(centres, plan.aim(0), phi, stripe_axis=plan.stripe_axis)
+                points = points_alone(plan.aim(0), centres, phi, stripe_axis=plan.stripe_axis)
                 valid = np.asarray(points.valid)
             self._stripes.store(numbers, found, rgb)
             self.points[numbers] = np.count_nonzero(valid[: len(some)], axis=1)
@@ -155,5 +150,6 @@ class IncomingStripes:
         record, laser = np.arange(count, dtype=np.int32), np.zeros(count, np.int32)
         return Stripes(**fields, record=record, laser=laser)
 
-    def _frames(self, frames: Sequence[np.ndarray]) -> np.ndarray:
-        return padded(np.stack(frames), self.size)
+    def _frames(self, pairs: Sequence[RecordedPair]) -> tuple[np.ndarray, np.ndarray]:
+        on, off = (np.stack(frames) for frames in ([pair.on for pair in pairs], [pair.off for pair in pairs]))
+        return padded(on, self.size), padded(off, self.size)

@@ -1,4 +1,4 @@
-"""Stripes of an earlier reconstruction: what they depend on, and whether another calibration may use them."""
+"""Stripes of an earlier reconstruction: the settings they depend on, and whether another calibration may use them."""
 
 import dataclasses
 from typing import Any

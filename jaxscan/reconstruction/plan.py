@@ -10,12 +10,9 @@ import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Scanner, StripeAxis, across_and_along
-from jaxscan.reconstruction.points.coloured import Aim
-from jaxscan.reconstruction.points.gate import line_gate
-from jaxscan.reconstruction.points.locate import Rig
-from jaxscan.reconstruction.points.triangulate import Limits
+from jaxscan.reconstruction.points import Aim, Limits, Rig, line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.reconstruction.streaming.batches import chunk_records
+from jaxscan.reconstruction.streaming import chunk_records
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
 from jaxscan.stripes import (
     ExtractionSetup,

@@ -9,15 +9,12 @@ import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Array, Scanner, StripeAxis
+from jaxscan.reconstruction.ahead import map_ahead, workers
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan
-from jaxscan.reconstruction.points.colour import sample_colours
-from jaxscan.reconstruction.points.coloured import coloured, points_alone
-from jaxscan.reconstruction.points.locate import Centres, Points, line_step
+from jaxscan.reconstruction.points import Centres, Points, coloured, line_step, points_alone, sample_colours
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.streaming.ahead import map_ahead, workers
-from jaxscan.reconstruction.streaming.batches import Batch, batches, padded
-from jaxscan.reconstruction.streaming.grid import GrowingCloud, GrowingStripes
+from jaxscan.reconstruction.streaming import Batch, GrowingCloud, GrowingStripes, batches, padded
 from jaxscan.reconstruction.sweep import SweepSource
 from jaxscan.stripes import ChunkStripes, Continuation, NoiseModel, PixelFormat, Stripes, pick_by_steps
 
@@ -69,7 +66,7 @@ def extract_sweep(
     noise: NoiseModel | None = None,
     progress: Progress = None,
 ) -> Stripes:
-    """Stripes of a whole sweep, with their colours: what `reconstruct` takes instead of frames.
+    """Stripes of a whole sweep, with their colours; `reconstruct` takes them instead of frames.
 
     Args:
         sweep: Frames at known angles, in memory or on disk.
@@ -100,22 +97,22 @@ def cloud_of_plan(
         check_stripes(plan, stripes)
         each = len(stripes.u) // len(sweep.record)
     # Before threads ask for it.
-    rig = plan.rig
+    camera = plan.rig.scanner.camera
     # Single precision throughout, so that the result does not depend on the caller's setting.
     with jax.enable_x64(False):
         if stripes is None:
             each, chunks = _extracted(plan, noise, progress, with_points=True)
-            cloud = GrowingCloud(each * len(sweep.record), plan.lines)
-            for rows, result in chunks:
-                found, (rgb, points) = result.stripes, result.more
-                cloud.store(rows, points, found.amplitude, rgb, found.valid)
+            parts: Iterator[tuple] = (
+                (rows, found.more.points, found.stripes.amplitude, found.more.rgb, found.stripes.valid)
+                for rows, found in chunks
+            )
         else:
-            cloud = GrowingCloud(each * len(sweep.record), plan.lines)
-            for rows, points, rgb in _from_stripes(plan, stripes, each, progress):
-                amplitude, valid = (np.asarray(field)[rows] for field in (stripes.amplitude, stripes.valid))
-                cloud.store(rows, points, amplitude, rgb, valid)
+            parts = _from_stripes(plan, stripes, each, progress)
+        cloud = GrowingCloud(each * len(sweep.record), plan.lines)
+        for part in parts:
+            cloud.store(*part)
         _check_result(cloud, settings)
-        between_lines = line_step(rig.scanner.camera, plan.stripe_axis) if settings.normals else None
+        between_lines = line_step(camera, plan.stripe_axis) if settings.normals else None
         profile, rank = np.divmod(np.arange(each * len(sweep.record)), each)
         record = sweep.record[profile]
         return cloud.finish(record, plan.sheet[profile], sweep.angles[record], rank, between_lines)
@@ -182,8 +179,8 @@ def _extracted(
 
 def _from_stripes(
     plan: Plan, stripes: Stripes, each: int, progress: Progress
-) -> Iterator[tuple[np.ndarray, Points, np.ndarray]]:
-    """Points and colours of known stripes, with the profiles that they are."""
+) -> Iterator[tuple[np.ndarray, Points, np.ndarray, np.ndarray, np.ndarray]]:
+    """The arguments of `GrowingCloud.store`, chunk by chunk, of known stripes."""
     sweep, size, axis = plan.sweep, plan.size, plan.stripe_axis
     angles = sweep.angles.astype(np.float32)
 
@@ -196,22 +193,20 @@ def _from_stripes(
         phi = padded(np.repeat(angles[sweep.record[profiles]], each), size * each)
         # JAX keeps this setting per thread.
         with jax.enable_x64(False):
-            points = points_alone(centres, plan.aim(int(profiles[0])), phi, stripe_axis=axis)
-            if stripes.rgb is not None:
-                rgb = np.asarray(stripes.rgb)[rows]
+            points = points_alone(plan.aim(int(profiles[0])), centres, phi, stripe_axis=axis)
+            if stripes.rgb is None:
+                rgb = _colours_alone(centres.u, centres.valid, off, pixel_format=sweep.pixel_format, stripe_axis=axis)
             else:
-                pixel_format = sweep.pixel_format
-                rgb = np.asarray(
-                    _colours_alone(centres.u, centres.valid, off, pixel_format=pixel_format, stripe_axis=axis)
-                )
-            return rows, jax.tree.map(np.asarray, points), rgb
+                rgb = np.asarray(stripes.rgb)[rows]
+            return rows, jax.tree.map(np.asarray, points), np.asarray(rgb)
 
     if stripes.rgb is not None:
         items: Iterator[tuple[np.ndarray, Array | None]] = ((profiles, None) for profiles in _blocks(plan))
     else:
-        items = ((batch.profiles, _one_exposure(batch.off, plan)) for batch in batches(sweep, size))
+        one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, -1]
+        items = ((batch.profiles, None if batch.off is None else batch.off[one]) for batch in batches(sweep, size))
     for rows, points, rgb in map_ahead(compute, items, workers()):
-        yield rows, points, rgb
+        yield rows, points, np.asarray(stripes.amplitude)[rows], rgb, np.asarray(stripes.valid)[rows]
         if progress is not None:
             progress(int(sweep.record[rows[-1] // each]) + 1, len(sweep))
 
@@ -221,10 +216,6 @@ def _blocks(plan: Plan) -> Iterator[np.ndarray]:
     for laser in np.unique(plan.sweep.laser):
         profiles = np.flatnonzero(plan.sweep.laser == laser)
         yield from (profiles[start : start + plan.size] for start in range(0, len(profiles), plan.size))
-
-
-def _one_exposure(off: Array | None, plan: Plan) -> Array | None:
-    return off if off is None or len(plan.sweep.exposures) == 1 else off[:, -1]
 
 
 @functools.partial(jax.jit, static_argnames=("pixel_format", "stripe_axis"))
@@ -244,7 +235,7 @@ def _check_result(cloud: GrowingCloud, settings: ReconstructSettings) -> None:
             "No stripe was found in any record of the sweep; check that the laser was lit in the on images, "
             "the exposure, and the laser's colour in the capture."
         )
-    if not cloud.valid.any():
+    if not cloud.fields["valid"].any():
         raise CalibrationError(
             f"{cloud.stripes} stripe centres were found, but none gives a point between {settings.min_range_m} m "
             f"and {settings.max_range_m} m; check that the calibration belongs to this rig."

@@ -1,4 +1,4 @@
-"""What governs a reconstruction."""
+"""Settings of a reconstruction."""
 
 from dataclasses import dataclass, field
 
@@ -38,7 +38,7 @@ class ReconstructSettings:
             raise ValueError(f"`min_incidence` must be positive, got {self.min_incidence}.")
         estimator_of(self.stripes)
         if self.check_steps and self.stripes.choice == "all":
-            raise ValueError('`check_steps` compares what was chosen; with `choice` "all" nothing is.')
+            raise ValueError('`check_steps` compares chosen candidates; with `choice` "all" there are none.')
         if self.chunk_records is not None and self.chunk_records < 1:
             raise ValueError(f"`chunk_records` must be at least 1, got {self.chunk_records}.")
 

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from jaxscan.geometry import Array
-from jaxscan.stripes import PIXEL_FORMATS, LaserLine, PixelFormat, Response, frame_rank
+from jaxscan.stripes import PIXEL_FORMATS, LaserLine, PixelFormat, Response, check_frames
 
 
 class FrameChunk(NamedTuple):
@@ -99,16 +99,8 @@ class Sweep:
     def __post_init__(self) -> None:
         if self.pixel_format not in PIXEL_FORMATS:
             raise ValueError(f"Unknown pixel format {self.pixel_format!r}; known: {', '.join(PIXEL_FORMATS)}.")
-        bracket = len(self.exposures) > 1
-        rank = 1 + bracket + frame_rank(self.pixel_format)
-        if self.on.ndim != rank or self.on.dtype != np.uint8:
-            raise ValueError(
-                f"`on` must be uint8 with {rank} dimensions for {self.pixel_format}, "
-                f"got {self.on.dtype} with shape {tuple(self.on.shape)}."
-            )
-        if self.off is not None and (self.off.shape != self.on.shape or self.off.dtype != np.uint8):
-            raise ValueError(f"`off` must be like `on`, got {self.off.dtype} with shape {tuple(self.off.shape)}.")
-        if bracket and self.on.shape[1] != len(self.exposures):
+        check_frames(self.on, self.off, self.pixel_format, exposures=len(self.exposures))
+        if len(self.exposures) > 1 and self.on.shape[1] != len(self.exposures):
             raise ValueError(f"`on` must have {len(self.exposures)} exposures, got shape {tuple(self.on.shape)}.")
         record = np.arange(len(self.on)) if self.record is _NOT_GIVEN else self.record
         laser = np.zeros(len(record)) if self.laser is _NOT_GIVEN else self.laser

@@ -1,4 +1,4 @@
-"""A calibration in words, tables and on a page; pictures of clouds."""
+"""The calibration report: sentences, tables, figures and the page. Pictures of clouds."""
 
 from jaxscan.report.page import calibration_page
 from jaxscan.report.picture import View, draw_cloud

@@ -1,4 +1,4 @@
-"""Figures as SVG inside a page: real text, few bytes, nothing referred to outside."""
+"""Figures as small SVG elements, with text as text and without external references."""
 
 import io
 import re
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Of Okabe and Ito: told apart with any colour vision.
+# Colours of Okabe and Ito, which people with any colour vision can tell apart.
 BLUE, ORANGE, GREEN, RED, SKY, PURPLE = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"
 SERIES = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 INK, SOFT, LINE = "#1c2530", "#5b6672", "#dfe3e8"
 RASTER_DPI = 180
-"""Resolution of marks by the thousand, which are drawn as pixels."""
+"""Resolution of figure parts with thousands of marks, which are drawn as pixels."""
 
 _STYLE: Any = {
     "font.size": 9.0,
@@ -45,8 +45,8 @@ _PATHS = re.compile(r' (?:d|x|y)="[^"]*"')
 
 
 def new_figure(width: float = 5.4, height: float = 3.3, *, fitted: bool = True) -> "Figure":
-    """An empty figure [inch] in the report's style, its axes fitted into it; no state outside it is touched."""
-    # Here, so that only those who draw wait for matplotlib.
+    """An empty figure of a size [inch] in the report's style. Global settings of matplotlib do not change."""
+    # Imported here, so that only drawing loads matplotlib.
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -55,7 +55,7 @@ def new_figure(width: float = 5.4, height: float = 3.3, *, fitted: bool = True) 
 
 
 def new_axes(figure: "Figure", *, grid: bool = True, **options: Any) -> Any:
-    """The one pair of axes of a figure, in the report's style."""
+    """The only axes of a figure, in the report's style."""
     import matplotlib
 
     with matplotlib.rc_context(_STYLE):
@@ -66,7 +66,7 @@ def new_axes(figure: "Figure", *, grid: bool = True, **options: Any) -> Any:
 
 
 def add_legend(axes: Any, *, inside: bool = False) -> None:
-    """A legend above the axes, or in their upper left; names are shown as they are written."""
+    """A legend above the axes, or inside in their upper left. Names are not read as formulas."""
     style: Any = {"frameon": False, "fontsize": 8.5, "handletextpad": 0.5, "borderaxespad": 0.2}
     if inside:
         shown = axes.legend(loc="upper left", **style)
@@ -82,12 +82,12 @@ def as_svg(figure: "Figure", name: str, description: str) -> Html:
 
     Args:
         figure: The figure.
-        name: Unlike that of any other figure on the page.
-        description: For those who cannot see it.
+        name: A name that no other figure of the page has.
+        description: Text for screen readers.
     """
     import matplotlib
 
-    # Text stays text, and the same figure gives the same bytes.
+    # "none" keeps text as text; the fixed salt gives the same bytes for the same figure.
     style = _STYLE | {"svg.fonttype": "none", "svg.hashsalt": name}
     written = io.StringIO()
     with matplotlib.rc_context(style):
@@ -97,24 +97,24 @@ def as_svg(figure: "Figure", name: str, description: str) -> Html:
     view = re.search(r'viewBox="([^"]*)"', text)
     body = text[text.index(">") + 1 : text.rindex("</svg>")]
     body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
-    # Groups have names that no one refers to and that every figure has again.
+    # Ids of groups are not referred to, and they repeat in every figure.
     body = _GROUP_ID.sub("", body)
     body = _PATHS.sub(lambda match: _NUMBER.sub(_short, match[0]), body)
     body = re.sub(r"\s*\n\s*", "\n", body).replace('style="stroke-linejoin: miter"', "")
     box = view[1] if view else "0 0 1 1"
-    # Not larger than drawn: a pixel and a third for every point, and a little more.
+    # At most 1.6 pixels per point: slightly larger than the size of the drawing.
     width = f"max-width:{1.6 * float(box.split()[2]):.0f}px"
     return element("svg", Html(body.strip()), viewBox=box, style=width, role="img", aria_label=description)
 
 
 def plain(text: str, longest: int = 28) -> str:
-    """A name as figures can show it: letters that their font surely has, and no more than fit."""
+    """A name for figures: letters that are not in every font become "?", and long names are cut."""
     shown = "".join(letter if " " <= letter <= "~" or "\xa1" <= letter <= "\xff" else "?" for letter in text)
     return shown if len(shown) <= longest else shown[: longest - 1] + "…"
 
 
 def arrows(start: np.ndarray, vector: np.ndarray) -> Any:
-    """Arrows [n, 2] from `start` along `vector` as one path: a fraction of the bytes of a quiver's polygons."""
+    """Arrows from `start` along `vector` [n, 2] as one path, which is much smaller than the polygons of a quiver."""
     from matplotlib.path import Path
 
     tip = start + vector
@@ -126,5 +126,5 @@ def arrows(start: np.ndarray, vector: np.ndarray) -> Any:
 
 
 def _short(match: re.Match[str]) -> str:
-    # A hundredth of a point is far below a screen's pixel.
+    # 0.01 points are much less than a pixel of a screen.
     return f"{float(match[0]):.2f}".rstrip("0").rstrip(".")

@@ -1,4 +1,4 @@
-"""The sections of a calibration report that have figures; each is None where there is nothing to draw."""
+"""The sections of a calibration report that have figures. Each is None if there is nothing to draw."""
 
 from typing import TYPE_CHECKING
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 
 
 OPEN_PANELS = 11
-"""Views that are drawn for all to see ..."""
+"""Number of views that are drawn openly."""
 MAX_PANELS = 59
-"""... and with those that unfold; the table lists all."""
+"""Number of views that are drawn, including those in the part that unfolds. The table lists all views."""
 
 
 def uncertainty(calibration: Calibration) -> Html | None:
-    """Depth uncertainty against depth, drawn and in numbers."""
+    """Depth uncertainty against depth, as a figure and a table."""
     lasers = calibration.quality.lasers()
     curves = []
     for laser in lasers:
-        # On logarithmic axes.
+        # Logarithmic axes need values above 0.
         pairs = [(at.depth_m, at.sigma_depth_mm) for at in laser.depths if min(at.depth_m, at.sigma_depth_mm) > 0]
         if pairs:
             depth, sigma = np.array(pairs, np.float64).T
@@ -38,9 +38,8 @@ def uncertainty(calibration: Calibration) -> Html | None:
     noise = _stripe_noise_mm(calibration, curves[0][0], curves[0][1])
     figure = uncertainty_plots.depth_against_distance(curves, noise)
     caption = (
-        "The part of the uncertainty of a depth that the calibration causes, as root mean square over the lit lines of "
-        "the image. It is shared by neighbouring points and does not average out; the noise of a point's own stripe "
-        "does."
+        "The uncertainty of the depth that the calibration causes, as root mean square over the lit lines of the "
+        "image. Neighbouring points share it, so it does not average out; the noise of a point's own stripe does."
     )
     rows = [
         (
@@ -59,7 +58,7 @@ def uncertainty(calibration: Calibration) -> Html | None:
 
 
 def _stripe_noise_mm(calibration: Calibration, name: str, depths: np.ndarray) -> np.ndarray:
-    """Standard deviation of a point's depth from the noise of its own stripe, mid-stripe [mm]; 0 where unknown."""
+    """Sigma of a point's depth from the noise of its own stripe, in the middle of the stripe [mm]; 0 where unknown."""
     scanner, fit, observations = calibration.scanner, calibration.fit, calibration.observations
     noise = np.zeros(len(depths))
     if fit is None or observations is None or scanner is None or name not in scanner.laser_names:
@@ -82,7 +81,7 @@ def _stripe_noise_mm(calibration: Calibration, name: str, depths: np.ndarray) ->
 
 
 def residuals_over_image(observations: Observations, fit: Fit) -> Html | None:
-    """Where in the image corners and stripes lie, and the directions of the residuals."""
+    """Coverage of the image by corners and stripes, and the directions of the residuals."""
     if not fit.corner_kept.any():
         return None
     striped = residual_plots.has_stripes(observations, fit)
@@ -92,16 +91,16 @@ def residuals_over_image(observations: Observations, fit: Fit) -> Html | None:
             image_plots.coverage_map(observations, fit),
             "coverage",
             "Corners and stripes over the image",
-            f"<b>Coverage.</b> {seen} that were used. The lens is known only where there are corners: the edges and "
-            "corners of the image should be full too.",
+            f"<b>Coverage.</b> {seen} that were used. The lens is known only where there are board corners, so the "
+            "edges of the image should be covered too.",
         ),
         _figure(
             image_plots.direction_map(observations, fit),
             "directions",
             "Direction of the corner residuals over the image",
-            "<b>Directions.</b> Each corner has the colour of its residual's direction. Colours should be mixed "
-            "everywhere: patches of one colour are errors of a model. Arrows: the mean of a cell, where it is more "
-            "than noise (of a hundred cells, one by chance).",
+            "<b>Directions.</b> The colour of each corner is the direction of its residual. Colours should be mixed "
+            "everywhere: patches of one colour are errors of a model. Arrows show the mean of a cell if it is larger "
+            "than noise (one cell in a hundred by chance).",
         ),
     ]
     return section("Residuals over the image", element("div", *figures, class_="figures"))
@@ -117,8 +116,8 @@ def along_stripe_and_angle(observations: Observations, fit: Fit, *, turns: bool)
                 residual_plots.along_stripe(observations, fit),
                 "along",
                 "Stripe residuals along the image",
-                "<b>Along the stripe.</b> Every point, and the mean of pieces with two standard deviations. "
-                "A curve means a sheet that is not flat, or a lens model that is too simple.",
+                "<b>Along the stripe.</b> All points, and means of short pieces with two standard deviations. "
+                "A curve means that the sheet is not flat or the lens model is too simple.",
             )
         )
     if turns and residual_plots.turned_views(observations).any():
@@ -128,7 +127,7 @@ def along_stripe_and_angle(observations: Observations, fit: Fit, *, turns: bool)
                     residual_plots.stripes_against_angle(observations, fit),
                     "angle-stripes",
                     "Stripe residuals against the table's angle",
-                    "<b>Stripes against the table's angle.</b> Mean of every stripe.",
+                    "<b>Stripes against the table's angle.</b> The mean of each stripe.",
                 )
             )
         figures.append(
@@ -136,15 +135,15 @@ def along_stripe_and_angle(observations: Observations, fit: Fit, *, turns: bool)
                 residual_plots.corners_against_angle(observations, fit),
                 "angle-corners",
                 "Corner residuals against the table's angle",
-                "<b>Corners against the table's angle.</b> Mean of every view of a board that stood still while the "
-                "table turned. A curve means a table that turns unevenly or wobbles.",
+                "<b>Corners against the table's angle.</b> The mean of each view of a board that stood still while the "
+                "table turned. A curve means that the table turns unevenly or wobbles.",
             )
         )
     return section("Stripe and table", element("div", *figures, class_="figures")) if figures else None
 
 
 def distributions(fit: Fit) -> Html | None:
-    """Residuals over their standard deviations, beside the Gaussian."""
+    """Whitened residuals compared with the Gaussian."""
     figures = []
     for name, whitened in residual_plots.whitened_residuals(fit).items():
         far = float(np.mean(np.abs(whitened) > 3))
@@ -158,15 +157,15 @@ def distributions(fit: Fit) -> Html | None:
                 residual_plots.quantiles(whitened),
                 f"quantiles-{name}",
                 f"Quantiles of {name}",
-                f"<b>{name.capitalize()}, quantiles.</b> On the line where they are Gaussian; ends that bend away are "
-                "outliers that were kept.",
+                f"<b>{name.capitalize()}, quantiles.</b> Gaussian residuals lie on the line; ends that bend away "
+                "are outliers that were kept.",
             ),
         ]
     if not figures:
         return None
     text = (
-        "Residuals divided by the standard deviation that each should have: its own noise, as estimated from all of "
-        "its group, less the part that the fit takes up."
+        "Residuals divided by their expected standard deviations. These are the noise, estimated from all residuals "
+        "of the same group, less the part that the fit absorbs."
     )
     return section("Are the residuals noise?", element("p", text), element("div", *figures, class_="figures"))
 
@@ -191,24 +190,16 @@ def _panels(judged: list[JudgedView], observations: Observations, fit: Fit) -> H
     def panel(row: int, view: JudgedView) -> Html:
         record, rejected = view.quality.record, view.quality.corners_rejected
         drawn = image_plots.view_residuals(observations, fit, row, scale)
-        return element(
-            "figure",
-            as_svg(drawn, f"view-{row}", f"Corner residuals of record {record}"),
-            element(
-                "figcaption",
-                element("b", f"record {record}"),
-                f" {view.rms_px:.3f} px" + (f", {rejected} rejected" if rejected else ""),
-            ),
-        )
+        size = f" {view.rms_px:.3f} px" + (f", {rejected} rejected" if rejected else "")
+        caption = element("figcaption", element("b", f"record {record}"), size)
+        return element("figure", as_svg(drawn, f"view-{row}", f"Corner residuals of record {record}"), caption)
 
     bar = as_svg(image_plots.scale_bar(scale, observations.width), "scale", f"An arrow of {scale:g} px")
     first = [panel(*view) for view in every[:OPEN_PANELS]]
     more = [panel(*view) for view in every[OPEN_PANELS:MAX_PANELS]]
+    arrows = "Each arrow leads from the detected corner to the predicted corner. Crosses are rejected corners."
     parts = [
-        element(
-            "p",
-            "Arrows lead from the corner that was found to where the calibration expects it; crosses were rejected.",
-        ),
+        element("p", arrows),
         element("div", element("figure", bar, element("figcaption", "scale of all arrows")), *first, class_="panels"),
     ]
     if more:
@@ -223,8 +214,8 @@ def correlations(calibration: Calibration) -> Html | None:
     if not (np.diag(calibration.covariance) > 0).any():
         return None
     caption = (
-        "Of the estimated parameters; numbers where the correlation exceeds one half. Strong ones are no fault: they "
-        "say that only a combination is known, and the lengths above take that into account."
+        "Correlations of the estimated parameters, with numbers above one half. Strong correlations are not a fault: "
+        "only a combination of the parameters is known well, and the lengths above take that into account."
     )
     figure = uncertainty_plots.correlations(calibration.order, calibration.covariance)
     drawn = _figure(figure, "correlations", "Correlation matrix of the shared parameters", caption, class_="wide")
@@ -232,7 +223,7 @@ def correlations(calibration: Calibration) -> Html | None:
 
 
 def spectrum(calibration: Calibration) -> Html | None:
-    """Combinations of parameters that the data hardly determine."""
+    """Combinations of parameters that the data determine badly."""
     directions = sorted(calibration.quality.spectrum, key=lambda row: -row.sigma_over_prior)
     if not directions:
         return None
@@ -247,23 +238,18 @@ def spectrum(calibration: Calibration) -> Html | None:
         if weak
         else "Every combination of parameters is held by the data."
     )
+    drawn = _figure(
+        uncertainty_plots.spectrum(directions),
+        "spectrum",
+        "Standard deviation of every combination of parameters over its prior",
+        "Independent combinations of parameters, named by their largest components. At 1 the data add nothing.",
+    )
     return section(
-        "Combinations that the data do not determine",
-        element("p", text),
-        element(
-            "div",
-            _figure(
-                uncertainty_plots.spectrum(directions),
-                "spectrum",
-                "Standard deviation of every combination of parameters over its prior",
-                "Independent combinations of parameters, named by their largest parts. At 1 the data add nothing.",
-            ),
-            class_="figures",
-        ),
+        "Combinations that the data do not determine", element("p", text), element("div", drawn, class_="figures")
     )
 
 
 def _figure(figure: "Figure", name: str, description: str, caption: str, **attributes: str) -> Html:
-    """A figure with its caption, which is markup of this module's own."""
+    """A figure with its caption. The caption is markup of this module, and is not escaped."""
     drawn = as_svg(figure, name, description)
     return element("figure", drawn, element("figcaption", Html(caption)), **attributes)

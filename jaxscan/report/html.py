@@ -1,14 +1,13 @@
-"""Pages that stand alone: no scripts, no fonts, nothing fetched; text from strangers stays text."""
+"""HTML pages without scripts, fonts or external parts. All text is escaped."""
 
 import html
 from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 
 
 class Html(str):
-    """Markup that is meant as such. Any other string is text, and is escaped."""
+    """Markup. Any other string is text, and is escaped."""
 
-
-Content = str | Html | Iterable["str | Html"]
 
 STYLE = """
 :root{--ink:#1c2530;--soft:#5b6672;--line:#e3e7eb;--paper:#fff;--wash:#f6f7f9;--blue:#0072b2;--good:#00735c;
@@ -68,12 +67,12 @@ figure,.tile,.verdict,tr{break-inside:avoid}h2,h3{break-after:avoid}.scroll{over
 .tiles{grid-template-columns:repeat(4,1fr)}th,td{padding:.16rem .5rem}@page{margin:14mm}}
 """
 
-# Should anything slip through the escaping, a browser still neither runs nor fetches it.
+# A second guard beside the escaping: browsers neither run scripts nor fetch anything.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
 def escaped(text: object) -> Html:
-    """Any text as markup that shows it; control characters are left out."""
+    """Text as markup; control characters become spaces. Markup is returned as it is."""
     if isinstance(text, Html):
         return text
     shown = "".join(letter if letter.isprintable() else " " for letter in str(text))
@@ -81,52 +80,51 @@ def escaped(text: object) -> Html:
 
 
 def element(name: str, *content: object, **attributes: str) -> Html:
-    """An element; strings inside are text unless they are `Html`. `class_` is `class`, `aria_label` `aria-label`."""
+    """An element; content other than `Html` is escaped. `class_` means `class`, `aria_label` means `aria-label`."""
     names = (key.rstrip("_").replace("_", "-") for key in attributes)
     given = "".join(f' {key}="{escaped(value)}"' for key, value in zip(names, attributes.values(), strict=True))
     return Html(f"<{name}{given}>{''.join(map(escaped, content))}</{name}>")
 
 
 def joined(parts: Iterable[str]) -> Html:
-    """Markup after markup."""
+    """Parts joined by newlines."""
     return Html("\n".join(map(escaped, parts)))
 
 
 def table(
     columns: Sequence[str], rows: Sequence[Sequence[object]], *, kind: str = "", worse: Sequence[bool] = ()
 ) -> Html:
-    """A table in a box of its own, which scrolls where the screen is narrow.
+    """A table in a box that scrolls on narrow screens.
 
     Args:
-        columns: Names of the columns; the first holds text, the others numbers.
+        columns: Titles of the columns; the first column has text, the others numbers.
         rows: Cells.
         kind: Classes of the box: "tall", "words", "wrap".
-        worse: Rows to mark.
+        worse: Which rows to mark; rows without an entry are not marked.
     """
     head = element("thead", element("tr", *(element("th", column) for column in columns)))
-    marked = [*worse, *([False] * (len(rows) - len(worse)))]
     body = [
         element("tr", *(element("td", cell) for cell in row), **({"class_": "worse"} if mark else {}))
-        for row, mark in zip(rows, marked, strict=True)
+        for row, mark in zip_longest(rows, worse)
     ]
-    # A box that scrolls must be reached by keyboard.
+    # tabindex: a box that scrolls must be reachable by keyboard.
     return element(
         "div", element("table", head, element("tbody", *body)), class_=f"scroll {kind}".strip(), tabindex="0"
     )
 
 
 def bullets(items: Iterable[str]) -> Html:
-    """A list."""
+    """A bulleted list."""
     return element("ul", *(element("li", item) for item in items))
 
 
 def section(title: str, *content: object) -> Html:
-    """A part of the page under its heading."""
+    """A section of the page with its heading."""
     return element("section", element("h2", title), *content)
 
 
 def page(title: str, *content: object) -> str:
-    """A whole document."""
+    """A complete HTML document."""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

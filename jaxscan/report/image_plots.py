@@ -15,19 +15,19 @@ if TYPE_CHECKING:
 
 
 ARROW_SHARE = 0.075
-"""A residual of the scale's size is drawn as this share of the image's width."""
+"""Length of the arrow of a residual as large as the scale, as a share of the image's width."""
 _CELLS_ACROSS = 12
 
 
 def residual_scale(fit: Fit) -> float:
-    """A round residual [px] by which all arrows of a report are scaled: about the largest of the good ones."""
+    """A round length [px] that scales all arrows of a report: about the 90 % quantile of the kept residuals."""
     length = np.linalg.norm(fit.corner_error, axis=-1)[fit.corner_kept]
     usual = float(np.percentile(length, 90)) if length.size else 0.0
     return _round_number(usual) if usual > 0 else 1.0
 
 
 def view_residuals(observations: Observations, fit: Fit, view: int, scale: float) -> "Figure":
-    """Residual of every corner of one view; rejected ones are crosses."""
+    """The residuals of the corners of one view; rejected corners are crosses."""
     figure = new_figure(2.15, 2.15 * observations.height / observations.width, fitted=False)
     axes = _image_axes(figure, observations, bare=True)
     axes.set_position((0.01, 0.01, 0.98, 0.98))
@@ -41,7 +41,7 @@ def view_residuals(observations: Observations, fit: Fit, view: int, scale: float
 
 
 def scale_bar(scale: float, image_width: int) -> "Figure":
-    """The arrow that the scale of `view_residuals` means, as long as it is there."""
+    """An arrow as long as the scale, drawn as in `view_residuals`."""
     figure = new_figure(2.15, 0.32, fitted=False)
     axes = figure.add_axes((0.01, 0, 0.98, 1))
     axes.set_axis_off()
@@ -55,7 +55,7 @@ def scale_bar(scale: float, image_width: int) -> "Figure":
 
 
 def direction_map(observations: Observations, fit: Fit) -> "Figure":
-    """Corners coloured by the direction of their residual, and the mean of each cell where it is clear."""
+    """Corners coloured by the direction of their residual, and the mean of each cell where it is significant."""
     figure, axes = _whole_image(observations)
     kept = fit.corner_kept
     q, error = np.asarray(observations.corners.q)[kept], fit.corner_error[kept]
@@ -89,8 +89,8 @@ def cell_means(
         height: Of the image [px].
 
     Returns:
-        Middle of each cell that holds anything [cells, 2], the mean residual there [cells, 2], px, and whether
-        that is more than noise, by chance one cell in about a hundred.
+        The centre of each cell that is not empty [cells, 2], px, the mean residual in it [cells, 2], px, and whether
+        the mean is larger than noise [cells]; by chance that is so for one cell in about a hundred.
     """
     size = width / _CELLS_ACROSS
     cell = np.stack([q[:, 0] // size, q[:, 1] // size], -1)
@@ -99,13 +99,13 @@ def cell_means(
     count = np.bincount(member, minlength=len(cells))
     mean = np.stack([np.bincount(member, error[:, i], len(cells)) for i in range(2)], -1) / count[:, None]
     noise = np.sqrt(np.bincount(member, sigma**2, len(cells))) / count
-    # Chi-squared of two dimensions: exp(-x / 2) is the chance, so 9.2 is one in a hundred.
+    # Chi-squared with two degrees of freedom: the probability exp(-x / 2) is one in a hundred at 9.2.
     clear = (np.sum(mean**2, -1) > 9.2 * noise**2) & (count >= 5)
     return (cells + 0.5) * size, mean, clear
 
 
 def coverage_map(observations: Observations, fit: Fit) -> "Figure":
-    """Where in the image corners and stripes were seen."""
+    """The corners and stripe points in the image that were used."""
     figure, axes = _whole_image(observations)
     corners, stripes = observations.corners, observations.stripes
     for laser in range(len(observations.laser_names) if has_stripes(observations, fit) else 0):
@@ -118,14 +118,14 @@ def coverage_map(observations: Observations, fit: Fit) -> "Figure":
 
 
 def _whole_image(observations: Observations) -> tuple["Figure", Any]:
-    """A figure of the image, with room for labels beside it; of a portrait image, no taller than wide."""
+    """A figure of the image with room for labels; the figure of a portrait image is narrower, not taller."""
     width = 5.4 * min(1.0, observations.width / observations.height)
     figure = new_figure(width, (width - 0.4) * observations.height / observations.width + 0.35)
     return figure, _image_axes(figure, observations)
 
 
 def _image_axes(figure: "Figure", observations: Observations, *, bare: bool = False) -> Any:
-    """The image, its first row on top."""
+    """Axes of the image, with its first row on top."""
     axes = new_axes(figure, grid=False)
     axes.set_xlim(-0.5, observations.width - 0.5)
     axes.set_ylim(observations.height - 0.5, -0.5)
@@ -136,8 +136,6 @@ def _image_axes(figure: "Figure", observations: Observations, *, bare: bool = Fa
     if bare:
         axes.set_xticks([])
         axes.set_yticks([])
-    else:
-        axes.tick_params(labelsize=8)
     return axes
 
 
@@ -148,13 +146,13 @@ def _draw(axes: Any, path: Any, colour: str, width: float) -> None:
 
 
 def _round_colours() -> Any:
-    """Colours of a direction: opposite ones differ in hue or in lightness, with any colour vision."""
+    """A cyclic colour map in which people with any colour vision can tell opposite directions apart."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("round", ["#0072b2", "#8fd3e8", "#f2a100", "#6b1f3a", "#0072b2"])
 
 
 def _round_number(value: float) -> float:
-    """The next of 1, 2, 5 times a power of ten."""
+    """The next larger number that is 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * next(step for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * 0.999))

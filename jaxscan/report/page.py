@@ -1,4 +1,4 @@
-"""The calibration report: one page that stands alone, drawn from a `Calibration`."""
+"""The calibration report: one HTML page without external parts, drawn from a `Calibration`."""
 
 from typing import Any
 
@@ -9,17 +9,17 @@ from jaxscan.report.html import Html, bullets, element, joined, page, section, t
 
 
 def calibration_page(calibration: Calibration, *, notes: tuple[str, ...] = ()) -> str:
-    """A calibration as an HTML page.
+    """The report of a calibration.
 
     Args:
-        calibration: With `fit` and `observations`, where residuals are to be drawn; parts without data are left out.
-        notes: Remarks to put first, in plain text.
+        calibration: Residuals are drawn if it has `fit` and `observations`. Sections without data are left out.
+        notes: Remarks that come first, as plain text.
 
     Returns:
-        The document: nothing in it is fetched from anywhere, and nothing runs.
+        An HTML document that fetches nothing and runs no scripts.
     """
     observations, fit = calibration.observations, calibration.fit
-    # From a solve that did not converge only residuals are shown: they tell which views disagree.
+    # Of a solve that did not converge only the residuals are shown; they tell which views disagree.
     concluded = calibration.quality.converged is not False
     parts: list[Html | None] = [
         _head(calibration),
@@ -52,7 +52,7 @@ def _head(calibration: Calibration) -> Html:
     if quality.views is not None and quality.corners is not None:
         lines.append(f"{quality.views} views, {quality.corners} corners")
     if calibration.scanner is None:
-        lines.append("camera alone, without laser and table")
+        lines.append("camera alone, without laser and turntable")
     elif quality.stripe_points is not None:
         lines.append(f"{quality.stripe_points} stripe points")
     names = [str(capture.get("name")) for capture in _captures(calibration)]
@@ -72,13 +72,13 @@ def _verdict(calibration: Calibration) -> Html:
     if not tiles:
         return card
     scale = (
-        "The uncertainty of the board's size is in them."
+        "They include the uncertainty of the board's size."
         if calibration.quality.board_pitch_sigma
-        else "So does any error of the board's size, which is taken as exact: its scale is the scale of everything."
+        else "So does the error of the board's size, which is taken as exact: its scale is the scale of all lengths."
     )
     note = (
-        "Standard deviations that the calibration alone causes in lengths measured with this rig. The noise of the "
-        f"stripe itself comes on top. {scale}"
+        "Standard deviations of lengths measured with this rig, as far as the calibration causes them. The noise of "
+        f"the stripes adds to them. {scale}"
     )
     return joined([card, element("div", *tiles, class_="tiles"), element("p", note, class_="note")])
 
@@ -108,9 +108,9 @@ def _tests(calibration: Calibration) -> Html | None:
         "Tests of the models",
         element(
             "p",
-            "Each statistic is about as large as its degrees of freedom where the model suffices. p says how often "
-            "chance alone gives a larger one, with the noise that the detectors promise; p of structure takes the "
-            "noise that is there. Where only p is small, the residuals are noisy but have no structure.",
+            "If a model suffices, its statistic is about as large as its degrees of freedom. p is the probability that "
+            "chance alone gives a larger statistic, with the noise that the detectors promise; p of structure is the "
+            "same with the noise that was found. If only p is small, the residuals are noisy but have no structure.",
         ),
         table(tables.OUTCOME_COLUMNS, rows, kind="words", worse=[row[6] != "passes" for row in rows]),
     )
@@ -135,6 +135,6 @@ def _provenance(calibration: Calibration) -> Html:
 
 
 def _captures(calibration: Calibration) -> list[dict[str, Any]]:
-    """Name and digest of the captures; a file may hold anything in their place."""
+    """Name and digest of the captures, as far as the provenance in the file is well-formed."""
     captures = calibration.provenance.get("captures")
     return [capture for capture in captures if isinstance(capture, dict)] if isinstance(captures, list) else []

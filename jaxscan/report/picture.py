@@ -1,8 +1,8 @@
 """Pictures of coloured clouds, drawn in software: no display, no OpenGL.
 
-Neighbouring profiles of one surface are joined, points are projected into a depth buffer, splatted
-to about the size of their spacing, and shaded by the depth of their surroundings, which makes a
-cloud without shadows readable (eye-dome lighting; Boucheny 2009). Dark rooms are brightened.
+Points are added between neighbouring profiles of one surface. All points are projected into a depth buffer and drawn
+as large as their spacing. Eye-dome lighting (Boucheny 2009) darkens points behind their surroundings, which shows
+shapes without shadows. Dark clouds are brightened.
 """
 
 from dataclasses import dataclass
@@ -28,19 +28,18 @@ class View:
     """A perspective camera of the picture."""
 
     eye: tuple[float, float, float]
-    """Where it stands [m]."""
+    """Position of the camera [m]."""
     target: tuple[float, float, float]
-    """Where it looks [m]: the middle of the picture."""
+    """Point in the middle of the picture [m]."""
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     fov_deg: float = FOV_DEG
     """Field of view across the picture's width."""
     cut_away: bool = True
-    """Leave out surfaces that turn their back to the eye, and surfaces that hide the room: the ceiling and
-    the walls on the eye's side."""
+    """Leave out surfaces that are seen from behind, and the ceiling and near walls, which hide the room."""
 
 
 def room_view(xyz: np.ndarray, size: tuple[int, int] = (1600, 900)) -> View:
-    """Into a room from above one of its corners.
+    """The view into a room from above one of its corners.
 
     Args:
         xyz: Points [n, 3], m, z up.
@@ -91,10 +90,10 @@ def draw_cloud(
         xyz: Points [..., 3], m; rows that are zero are taken as missing. On the grid [profile, line, 3]
             neighbouring profiles of one surface are joined.
         rgb: Colours [..., 3], uint8.
-        normals: Normals towards the scanner [..., 3], zero where unknown; they tell which surfaces
-            turn their back to the eye.
+        normals: Normals towards the scanner [..., 3], zero where unknown; they tell which surfaces are seen from
+            behind.
         size: Width and height of the picture [px].
-        view: Where to look from; into a room from above a corner where not given.
+        view: The camera of the picture; by default `room_view`.
 
     Returns:
         Picture, uint8 [height, width, 3], RGB.
@@ -117,8 +116,8 @@ def draw_cloud(
 def _between_profiles(
     xyz: np.ndarray, rgb: np.ndarray, normals: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """The existing points as a list, with more between those of neighbouring profiles of a grid
-    that lie on one surface, so that a coarse sweep shows surfaces and not stripes."""
+    """The valid points as a list. On a grid, points are added between neighbouring profiles of one surface, so that a
+    coarse sweep shows surfaces and not stripes."""
     fields = [np.asarray(xyz, np.float32), np.asarray(rgb).astype(np.float32)]
     fields += [] if normals is None else [np.asarray(normals, np.float32)]
     exists = np.asarray(fields[0].any(axis=-1))
@@ -139,40 +138,38 @@ def _between_profiles(
 
 
 def _brightened(colours: np.ndarray) -> np.ndarray:
-    """The same colours, brighter where even the brightest are dark."""
+    """The colours, brightened if even the brightest are dark."""
     brightest = float(np.percentile(colours[:: max(1, len(colours) // 200_000)].max(axis=1), 98))
     gain = np.clip(235.0 / max(brightest, 1.0), 1.0, MAX_GAIN)
     return np.clip(colours.astype(np.float32) * gain, 0, 255).astype(np.uint8)
 
 
 def _room_box(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The upright box of the least area around a cloud: its axes [3, 3] and its ends along them.
+    """The upright box of the smallest area around a cloud: its axes [3, 3], and its ends along them [3].
 
-    The last half per cent of the points is left out on every side.
+    Half a per cent of the points may lie outside on every side.
     """
     some = xyz[:: max(1, len(xyz) // 30_000)].astype(np.float64)
-    best: tuple[float, np.ndarray, np.ndarray, np.ndarray] | None = None
-    for yaw in np.radians(np.arange(0.0, 90.0, 2.0)):
+
+    def box(yaw: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         c, s = np.cos(yaw), np.sin(yaw)
         axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         low, high = np.percentile(some @ axes.T, [0.5, 99.5], axis=0)
-        area = float(np.prod((high - low)[:2]))
-        if best is None or area < best[0]:
-            best = (area, axes, low, high)
-    if best is None:
-        raise ValueError("A box needs at least one point.")
-    return best[1:]
+        return axes, low, high
+
+    boxes = [box(yaw) for yaw in np.radians(np.arange(0.0, 90.0, 2.0))]
+    return min(boxes, key=lambda one: float(np.prod((one[2] - one[1])[:2])))
 
 
 def _in_sight(points: np.ndarray, normals: np.ndarray | None, eye: np.ndarray) -> np.ndarray:
-    """Which points to draw when looking into a room from outside."""
+    """Which points to draw in a view into a room from outside [n]."""
     axes, low, high = _room_box(points)
     axes = axes.astype(np.float32)
     margin = 0.02 * float(np.linalg.norm(high - low))
     local, seen_from = points @ axes.T, axes @ eye
     kept = np.ones(len(points), bool)
     for axis in range(3):
-        # A slab along whatever stands between the eye and the room: ceiling and near walls.
+        # Leave out the ceiling and the walls between the eye and the room.
         if seen_from[axis] < low[axis]:
             kept &= local[:, axis] > low[axis] + margin
         if seen_from[axis] > high[axis]:
@@ -186,7 +183,7 @@ def _in_sight(points: np.ndarray, normals: np.ndarray | None, eye: np.ndarray) -
 def _splat(
     points: np.ndarray, colours: np.ndarray, view: View, focal: float, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest point per pixel: depth (infinite where none) and colour."""
+    """Depth and colour of the nearest point in each pixel; the depth is infinite where there is none."""
     width, height = size
     forward = np.array(view.target) - np.array(view.eye)
     forward = forward / np.linalg.norm(forward)
@@ -200,7 +197,7 @@ def _splat(
     v = np.round(focal * local[:, 1] / local[:, 2] + 0.5 * height).astype(np.int32)
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     pixel = (v[inside] * width + u[inside]).astype(np.int64)
-    # One integer per point whose order is that of the depth and which carries the point's number.
+    # One integer per point: depth in the upper half, so that it sorts by depth, and the point's number below.
     key = (local[inside, 2].view(np.int32).astype(np.int64) << 32) | np.flatnonzero(inside)
     nearest = np.full(width * height, np.iinfo(np.int64).max)
     np.minimum.at(nearest, pixel, key)
@@ -213,7 +210,7 @@ def _splat(
 
 
 def _close_holes(depth: np.ndarray, picture: np.ndarray, focal: float) -> tuple[np.ndarray, np.ndarray]:
-    """Grow every point to its size on the picture, nearest first."""
+    """Enlarge every point to its size in the picture; near points cover far ones."""
     reach = np.clip(0.5 * focal * SPLAT_M / depth, 0.0, MAX_SPLAT_PX)
     reach[~np.isfinite(depth)] = 0.0
     best, source = depth.copy(), np.arange(depth.size).reshape(depth.shape)
@@ -235,7 +232,7 @@ def _close_holes(depth: np.ndarray, picture: np.ndarray, focal: float) -> tuple[
 
 
 def _shade(depth: np.ndarray, picture: np.ndarray) -> np.ndarray:
-    """Darken pixels that lie behind their surroundings, and lay the picture on its background."""
+    """Darken pixels that lie behind their surroundings, and add the background."""
     seen = np.isfinite(depth)
     log = np.log2(np.where(seen, depth, 1.0)).astype(np.float32)
     shadow = np.zeros_like(log)

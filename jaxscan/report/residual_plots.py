@@ -1,4 +1,4 @@
-"""Residuals along the stripe, against the table's angle, and against the Gaussian."""
+"""Residuals along the stripe, against the table's angle, and compared with the Gaussian."""
 
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ _QUANTILES = 400
 
 
 def along_stripe(observations: Observations, fit: Fit) -> "Figure":
-    """Stripe residuals along the image's lines, with the mean of pieces."""
+    """Stripe residuals along the stripe, with the means of short pieces."""
     figure = new_figure()
     axis = stripe_direction(observations)
     axes = new_axes(figure, xlabel=f"image {'row' if axis else 'column'}, px", ylabel="stripe residual, px")
@@ -56,8 +56,7 @@ def stripes_against_angle(observations: Observations, fit: Fit) -> "Figure":
             continue
         error = np.where(kept, fit.stripe_error[mine], 0.0)[some]
         mean = error.sum(1) / count[some]
-        # The standard deviation of a mean of points that share their errors is larger than of independent ones;
-        # the scatter of these means is the point of the figure.
+        # The bars assume independent points. Points that share errors scatter more, which the figure shows.
         spread = np.sqrt(np.where(kept[some], (error - mean[:, None]) ** 2, 0.0).sum(1) / (count[some] - 1))
         place = _beside(angle[mine][some], placement[mine][some])
         colour, name = SERIES[laser % len(SERIES)], plain(observations.laser_names[laser])
@@ -69,8 +68,8 @@ def stripes_against_angle(observations: Observations, fit: Fit) -> "Figure":
 
 
 def corners_against_angle(observations: Observations, fit: Fit) -> "Figure":
-    """Mean corner residual of every view that shares its board's pose, against the table's angle: a table that
-    turns unevenly, or wobbles, shows as a curve."""
+    """Mean corner residual of every view of a placement against the table's angle. A curve means that the table
+    turns unevenly or wobbles."""
     figure = new_figure()
     axes = new_axes(figure, xlabel="table angle, degrees", ylabel="mean corner residual of a view, px")
     views = turned_views(observations) & fit.corner_kept.any(1)
@@ -88,7 +87,7 @@ def corners_against_angle(observations: Observations, fit: Fit) -> "Figure":
 
 
 def histogram(whitened: np.ndarray) -> "Figure":
-    """Residuals over their standard deviation, with the Gaussian that they should follow."""
+    """Histogram of the whitened residuals, with the unit Gaussian."""
     figure = new_figure(5.4, 2.9)
     axes = new_axes(figure, xlabel="residual / its standard deviation", ylabel="density")
     axes.hist(whitened, bins=np.arange(-_LIMIT, _LIMIT + 0.1, 0.2), density=True, color=BLUE, alpha=0.55, linewidth=0)
@@ -100,7 +99,7 @@ def histogram(whitened: np.ndarray) -> "Figure":
 
 
 def quantiles(whitened: np.ndarray) -> "Figure":
-    """Quantiles of the residuals against those of the unit Gaussian: on the line where they follow it."""
+    """Quantiles of the whitened residuals against quantiles of the unit Gaussian."""
     figure = new_figure(5.4, 2.9)
     axes = new_axes(figure, xlabel="quantile of the unit Gaussian", ylabel="quantile of the residuals")
     count = min(len(whitened), _QUANTILES)
@@ -114,30 +113,29 @@ def quantiles(whitened: np.ndarray) -> "Figure":
 
 
 def whitened_residuals(fit: Fit) -> dict[str, np.ndarray]:
-    """Kept residuals over the standard deviation that each should have, by group; a group without any is left out."""
+    """Kept residuals over their expected standard deviations, by group. Empty groups are left out."""
 
     def group(error: np.ndarray, sigma: np.ndarray, leverage: np.ndarray) -> np.ndarray:
-        # The fit takes up a part of each residual; one that is all but taken up says nothing.
+        # The fit absorbs a part of each residual. Residuals that it absorbs almost wholly are left out.
         free = leverage < 0.99
         return (error / (sigma * np.sqrt(np.clip(1.0 - leverage, 0.01, 1.0))))[free]
 
     kept, sigma = fit.corner_kept, fit.corner_sigma[..., None]
+    seen = fit.stripe_kept
     groups = {
         "corners": group(fit.corner_error[kept], sigma[kept], fit.corner_leverage[kept]),
-        "stripes": group(
-            fit.stripe_error[fit.stripe_kept], fit.stripe_sigma[fit.stripe_kept], fit.stripe_leverage[fit.stripe_kept]
-        ),
+        "stripes": group(fit.stripe_error[seen], fit.stripe_sigma[seen], fit.stripe_leverage[seen]),
     }
     return {name: values for name, values in groups.items() if values.size}
 
 
 def has_stripes(observations: Observations, fit: Fit) -> bool:
-    """Whether any stripe was used; a camera is calibrated without those that were seen."""
+    """Whether any stripe was used. A calibration of the camera alone ignores stripes."""
     return fit.stripe_kept.shape == np.shape(observations.stripes.valid) and bool(fit.stripe_kept.any())
 
 
 def stripe_direction(observations: Observations) -> int:
-    """The image axis along which stripes run: 1 where there is a centre per row, 0 per column."""
+    """The image axis along which stripes run: 1 with a centre per row, 0 with a centre per column."""
     valid = np.asarray(observations.stripes.valid)
     spread = np.zeros(2)
     for q, seen in zip(np.asarray(observations.stripes.q), valid, strict=True):
@@ -147,13 +145,13 @@ def stripe_direction(observations: Observations) -> int:
 
 
 def turned_views(observations: Observations) -> np.ndarray:
-    """Which views share their board's pose with a view from another table angle [views]."""
+    """Whether a view has the placement of a view at another table angle [views]."""
     placement, angle = np.asarray(observations.corners.placement), np.asarray(observations.corners.angle)
     return np.array([np.ptp(angle[placement == number]) > 0 for number in placement], bool)
 
 
 def binned(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of y in pieces of x of equal width: middles, means, standard deviations of the means."""
+    """Means of y in bins of x of equal width: centres of the bins, means, standard deviations of the means."""
     edges = np.linspace(x.min(), x.max() + 1e-9, _BINS + 1)
     piece = np.clip(np.digitize(x, edges) - 1, 0, _BINS - 1)
     count = np.bincount(piece, minlength=_BINS)
@@ -170,13 +168,13 @@ def _by_laser(observations: Observations) -> list[tuple[int, np.ndarray]]:
 
 
 def _means(axes: Any, x: np.ndarray, mean: np.ndarray, noise: np.ndarray, colour: str, label: str) -> None:
-    """Means with two standard deviations either way."""
+    """Draw means with error bars of two standard deviations."""
     style = {"fmt": "o", "markersize": 3.4, "markeredgewidth": 0, "elinewidth": 0.8}
     axes.errorbar(x, mean, yerr=2 * noise, color=colour, ecolor=(colour, 0.45), label=label, **style)
 
 
 def _beside(x: np.ndarray, number: np.ndarray) -> np.ndarray:
-    """x moved a little by a number, so that marks at the same place stand side by side."""
+    """x with a small offset by number, so that marks at the same place stand side by side."""
     places = np.unique(x)
     room = float(np.diff(places).min()) if len(places) > 1 else 1.0
     _, rank = np.unique(number, return_inverse=True)

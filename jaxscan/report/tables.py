@@ -1,4 +1,4 @@
-"""A calibration in rows of numbers: parameters, tests, views."""
+"""A calibration as tables: parameters, tests, views, quality."""
 
 import math
 from collections.abc import Sequence
@@ -14,26 +14,26 @@ from jaxscan.report.words import TESTS
 
 
 class Parameter(NamedTuple):
-    """One row: an estimate in the units that are read."""
+    """One row: an estimate in units for people."""
 
     name: str
     value: tuple[float, ...]
     sigma: float
-    """Standard deviation; 0 where it was held."""
+    """Standard deviation; 0 if the parameter was held."""
     unit: str
-    """Of the value; that of sigma too, but for directions, whose sigma is an angle in mrad."""
+    """Unit of value and sigma; the sigma of a direction is an angle in mrad."""
 
     def row(self) -> tuple[str, str, str]:
-        """Name, value and standard deviation as text, with as many digits as mean something."""
+        """Name, value and standard deviation as text, with the significant digits."""
         label = f"{self.name}, {self.unit}" if self.unit else self.name
         if self.unit == "direction":
-            # A milliradian is a thousandth of a unit vector.
+            # 1 mrad moves the end of a unit vector by 0.001.
             shown, label = _digits(self.value, 1e-3 * self.sigma), self.name
             return label, shown, f"{_significant(self.sigma)} mrad" if self.sigma > 0 else "held"
         return label, _digits(self.value, self.sigma), _significant(self.sigma) if self.sigma > 0 else "held"
 
     def as_json(self) -> dict[str, Any]:
-        """For machines: units in the names of the keys; of a direction, sigma is the angle."""
+        """As JSON, with the units in the keys; the sigma of a direction is an angle."""
         value = self.value[0] if len(self.value) == 1 else list(self.value)
         if self.unit == "direction":
             return {"name": self.name, "direction": value, "sigma_mrad": self.sigma}
@@ -44,7 +44,7 @@ class Parameter(NamedTuple):
 def parameters(calibration: Calibration) -> list[Parameter]:
     """All estimates: camera, lasers, axis, angle model, board."""
     diagonal = np.sqrt(np.maximum(np.diag(calibration.covariance), 0.0))
-    # A calibration of unknown uncertainty has none to show.
+    # A calibration without covariance has no sigmas.
     sigma = dict(zip(calibration.order, diagonal.tolist(), strict=True))
     camera = calibration.camera
     with jax.enable_x64(True):
@@ -103,20 +103,12 @@ def _board(quality: Quality) -> list[Parameter]:
     return rows
 
 
-OUTCOME_COLUMNS = (
-    "test",
-    "statistic",
-    "degrees of freedom",
-    "p",
-    "p of structure",
-    "moves a length by",
-    "result",
-    "question",
-)
+_STATISTICS = ("statistic", "degrees of freedom", "p", "p of structure")
+OUTCOME_COLUMNS = ("test", *_STATISTICS, "moves a length by", "result", "question")
 
 
 def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
-    """The tests of the verdict, one each, as `OUTCOME_COLUMNS`."""
+    """The tests of the verdict, one row each; columns as in `OUTCOME_COLUMNS`."""
     verdict = calibration.quality.verdict
     if verdict is None:
         return []
@@ -142,19 +134,19 @@ def _moved(test: ModelTest) -> str:
 
 
 def view_columns(calibration: Calibration) -> tuple[str, ...]:
-    """Titles of the table of views; without stripes where no view has any."""
+    """Column titles of the table of views; without stripe columns if no view has stripes."""
     stripes = ("stripe points", "stripe RMS, px") if _striped(calibration) else ()
     return ("record", "corners", "rejected", "RMS of kept corners, px", "of all corners, px", *stripes, "distance, m")
 
 
 def view_rows(calibration: Calibration) -> list[tuple[str, ...]]:
-    """The views, worst first, as `view_columns`."""
+    """The views, worst first; columns as in `view_columns`."""
     rows, striped = [], _striped(calibration)
     for view in judge_views(calibration.quality, calibration.fit, calibration.observations):
         of = view.quality
         counts = str(of.record), str(of.corners), str(of.corners_rejected)
         corners = _optional(view.kept_rms_px, ".3f"), _optional(of.corner_rms_px, ".3f")
-        # Of no points there is no root mean square.
+        # Zero points have no RMS.
         stripes = str(of.stripe_points), _optional(of.stripe_rms_px if of.stripe_points else None, ".3f")
         rows.append((*counts, *corners, *(stripes if striped else ()), _optional(of.board_z_m, ".2f")))
     return rows
@@ -165,7 +157,7 @@ def _striped(calibration: Calibration) -> bool:
 
 
 def quality_rows(calibration: Calibration) -> list[tuple[str, str]]:
-    """Numbers about the whole solve, as far as they are known."""
+    """The known quality numbers of the whole solve."""
     quality = calibration.quality
     share = quality.prior_share
     values = [
@@ -188,13 +180,15 @@ def quality_rows(calibration: Calibration) -> list[tuple[str, str]]:
 
 
 def _digits(values: Sequence[float], sigma: float) -> str:
-    decimals = 6 if sigma <= 0 else min(max(1 - math.floor(math.log10(sigma)), 0), 9)
-    return " ".join(f"{value:.{decimals}f}" for value in values)
+    return " ".join(f"{value:.{_decimals(sigma) if sigma > 0 else 6}f}" for value in values)
 
 
 def _significant(sigma: float) -> str:
-    decimals = min(max(1 - math.floor(math.log10(sigma)), 0), 9)
-    return f"{sigma:.{decimals}f}" if sigma >= 1e-9 else f"{sigma:.1e}"
+    return f"{sigma:.{_decimals(sigma)}f}" if sigma >= 1e-9 else f"{sigma:.1e}"
+
+
+def _decimals(sigma: float) -> int:
+    return min(max(1 - math.floor(math.log10(sigma)), 0), 9)
 
 
 def _optional(value: float | None, form: str) -> str:

@@ -1,4 +1,4 @@
-"""Uncertainty: of the depth against distance, correlations, weak directions."""
+"""Figures of the uncertainty: depth, correlations, weak combinations of parameters."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -20,9 +20,9 @@ def depth_against_distance(lasers: Sequence[tuple[str, np.ndarray, np.ndarray]],
     """Standard deviation of the depth against the depth itself, both on logarithmic scales.
 
     Args:
-        lasers: Name, depths [n], m, and standard deviations that the calibration causes there [n], mm.
-        noise_mm: Standard deviation of one point from the noise of its own stripe, at the depths of the
-            first laser [n], mm; 0 where it is not known.
+        lasers: For each laser its name, depths [n], m, and standard deviations from the calibration there [n], mm.
+        noise_mm: Standard deviation of one point from the noise of its own stripe, at the depths of the first laser
+            [n], mm; 0 where it is unknown.
     """
     figure = new_figure()
     axes = new_axes(figure, xlabel="depth, m", ylabel="standard deviation of the depth, mm")
@@ -41,7 +41,7 @@ def depth_against_distance(lasers: Sequence[tuple[str, np.ndarray, np.ndarray]],
 
 
 def correlations(names: Sequence[str], covariance: np.ndarray) -> "Figure":
-    """Correlation of the estimated parameters; those that were held are left out."""
+    """Correlations of the estimated parameters. Held parameters are left out."""
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     free = np.flatnonzero(sigma > 0)
     correlation = covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
@@ -66,13 +66,13 @@ def correlations(names: Sequence[str], covariance: np.ndarray) -> "Figure":
 
 
 def spectrum(directions: Sequence[Direction]) -> "Figure":
-    """Standard deviation over that of the prior, for each independent combination of parameters.
+    """Standard deviation over the prior's standard deviation, for each independent combination of parameters.
 
     Args:
         directions: The combinations, worst first.
     """
     figure = new_figure(5.4, min(0.9 + 0.27 * len(directions), 8.0))
-    axes = new_axes(figure, xlabel="standard deviation over that of the prior")
+    axes = new_axes(figure, xlabel="standard deviation over the prior's")
     value = np.array([max(row.sigma_over_prior, 1e-12) for row in directions])
     place = np.arange(len(directions))
     left = 10.0 ** (np.floor(np.log10(value.min())) - 0.15)
@@ -91,17 +91,17 @@ def spectrum(directions: Sequence[Direction]) -> "Figure":
 
 
 def combination(direction: dict[str, float], most: int = 3) -> str:
-    """A direction of parameters in words: its largest components, by name."""
+    """A combination of parameters as text: its largest components, by name."""
     largest = sorted(direction.items(), key=lambda item: -abs(item[1]))[:most]
     kept = [(name, part) for name, part in largest if abs(part) > 0.3 * abs(largest[0][1])]
-    # Its sense has no meaning: the largest component leads and is positive.
+    # The sign of a combination has no meaning; the first component is made positive.
     sense = 1.0 if not kept or kept[0][1] >= 0 else -1.0
     words = [f"{'+' if sense * part > 0 else '−'} {plain(name, 18)}" for name, part in kept]
     return " ".join(words).removeprefix("+ ") or "—"
 
 
 def _plain_ticks(axis: Any, values: np.ndarray) -> None:
-    """Ticks at 1, 2, 5 times powers of ten, written out."""
+    """Ticks at 1, 2 and 5 times powers of ten, as plain numbers."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
     positive = values[values > 0]

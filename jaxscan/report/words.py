@@ -1,4 +1,4 @@
-"""A calibration in words: is it good, how good in millimetres, its faults, and the next captures."""
+"""A calibration in sentences: verdict, uncertainty in millimetres, faults, and advice for the next captures."""
 
 import math
 from typing import Literal, NamedTuple
@@ -10,11 +10,11 @@ from jaxscan.calibration.verdict import Result, judge_views, noise_kind
 TESTS = {
     "lens": (
         "Do the corner residuals still depend on where in the image they lie?",
-        "the lens bends light in a way that its model does not have",
+        "the lens distorts in a way that its model cannot describe",
     ),
     "board": (
         "Do the corner residuals still depend on where on the board they lie?",
-        "the board is not of the shape that it is taken for",
+        "the board does not have the shape of its model",
     ),
     "table": (
         "Would every view have its board turned a little further?",
@@ -22,11 +22,11 @@ TESTS = {
     ),
     "axis": (
         "Would every view have its board moved any other way?",
-        "the axis does not stand still, or a board did not",
+        "the axis or a board did not stand still",
     ),
     "sheet": (
         "Do the stripe residuals still depend on where on the sheet they lie?",
-        "the light sheet is not of the shape of its model",
+        "the light sheet does not have the shape of its model",
     ),
     "halves": (
         "Do two halves of the records give the same rig?",
@@ -37,7 +37,7 @@ TESTS = {
 
 
 class Headline(NamedTuple):
-    """The first thing that a report says."""
+    """The first sentences of a report."""
 
     kind: Literal["good", "bad", "open"]
     headline: str
@@ -59,20 +59,24 @@ class BadView(NamedTuple):
 
 
 def headline(calibration: Calibration) -> Headline:
-    """Accepted or not, and why; "open" where nobody has judged."""
+    """Whether the calibration is accepted, and why; "open" without a verdict."""
     verdict = calibration.quality.verdict
     if calibration.quality.converged is False:
-        reason = " ".join(verdict.advice) if verdict else "The solve did not converge, so its numbers say nothing."
+        reason = " ".join(verdict.advice) if verdict else "The solve did not converge, so its numbers have no meaning."
         return Headline("bad", "Not converged", reason)
     if verdict is None:
-        return Headline("open", "Not judged", "Nothing says whether the models of the rig suffice for these data.")
+        return Headline(
+            "open",
+            "Not judged",
+            "There is no verdict on whether the models suffice for these data.",
+        )
     results = [verdict.result(test) for test in verdict.tests]
     if not verdict.accepted:
         failed = [test for test, result in zip(verdict.tests, results, strict=True) if result == "fails"]
         return Headline("bad", "Not accepted", f"The solve ended, but {_reason(failed, results)}. {_harm(failed)}")
     agree = f"Data and models agree in all {len(results)} tests" if results else "Data and models agree"
     left = (
-        "the noise has no structure, although there is more of it than the detectors promise; the standard deviations "
+        "the noise has no structure, but it is larger than the detectors promise; the standard deviations "
         "take that into account"
         if "noisy" in results
         else "the residuals look like noise"
@@ -81,17 +85,17 @@ def headline(calibration: Calibration) -> Headline:
 
 
 def _harm(failed: list[ModelTest]) -> str:
-    """The meaning of failed tests for lengths."""
+    """The effect of the failed tests on lengths."""
     known = [
         (test.effect_sigma, test.effect_mm)
         for test in failed
         if test.effect_sigma is not None and test.effect_mm is not None
     ]
     if not known:
-        return "The standard deviations below do not cover this."
+        return "The standard deviations below do not include this."
     sigma, change_mm = max(known)
     moved = f"a typical length by {change_mm:.2g} mm, {sigma:.1f} of its standard deviations"
-    return f"To first order, terms that the models lack would move {moved}; those below do not cover this."
+    return f"To first order, terms missing in the models move {moved}; the sigmas below do not include this."
 
 
 def _reason(failed: list[ModelTest], results: list[Result]) -> str:
@@ -99,8 +103,8 @@ def _reason(failed: list[ModelTest], results: list[Result]) -> str:
     if shaped:
         return "; ".join(shaped)
     if "noisy" in results:
-        return "the residuals are larger than the noise that the detectors promise, although without structure"
-    return "the residuals are not the noise that they are taken for"
+        return "the residuals are larger than the noise that the detectors promise, but have no structure"
+    return "the residuals are not the noise of the models"
 
 
 def lengths(calibration: Calibration) -> list[LengthLine]:
@@ -111,16 +115,14 @@ def lengths(calibration: Calibration) -> list[LengthLine]:
     for laser in lasers:
         beside = f", laser {laser.name}" if len(lasers) > 1 else ""
         for length in laser.lengths:
-            if length.name == "half a turn":
-                what = f"{metres(length.length_m)} between points half a turn apart{beside}"
-            else:
-                what = f"{metres(length.length_m)} {length.name} at {metres(length.depth_m)}{beside}"
-            lines.append(LengthLine(what, length.sigma_mm))
+            turned = length.name == "half a turn"
+            place = "between points half a turn apart" if turned else f"{length.name} at {metres(length.depth_m)}"
+            lines.append(LengthLine(f"{metres(length.length_m)} {place}{beside}", length.sigma_mm))
     return lines
 
 
 def noise_lines(calibration: Calibration) -> list[str]:
-    """The size of the residuals of each group, and whether it is as promised."""
+    """The RMS of the residuals of corners and stripes, compared with the noise that the detectors promise."""
     of, lines = calibration.quality, []
     corners = of.corners, of.corners_rejected, of.corner_rms_px, of.corner_rms_whitened
     points = of.stripe_points, of.stripe_points_rejected, of.stripe_rms_px, of.stripe_rms_whitened
@@ -129,48 +131,48 @@ def noise_lines(calibration: Calibration) -> list[str]:
         if not count or rms_px is None or ratio is None:
             continue
         share = f", {100 * rejected / count:.1f} % rejected" if rejected else ", none rejected"
-        # From a solve that did not converge nothing is diagnosed.
+        # The residuals of a solve that did not converge are not judged.
         compared = f", {_promise(ratio, source)}" if of.converged is not False else ""
         lines.append(f"{title}: {count}{share}; RMS {rms_px:.3f} px{compared}.")
     return lines
 
 
 def _promise(ratio: float, source: str) -> str:
-    times = f"{ratio:.2f} times what the {source} promised"
+    times = f"{ratio:.2f} times the noise that the {source} promised"
     return {
-        "noisy": f"{times}: it promises too much, or a model is too simple",
-        "quiet": f"{times}: quieter than it says",
+        "noisy": f"{times}: the promise is too low, or a model is too simple",
+        "quiet": f"{times}: less noise than promised",
         "promised": f"as the {source} promised (ratio {ratio:.2f})",
     }[noise_kind(ratio)]
 
 
 def second_look(calibration: Calibration) -> list[str]:
-    """The gains of a second look at the images, with the geometry known."""
+    """The gains of the second look."""
     look = calibration.quality.redetected
     if look is None:
         return []
     if not look.kept:
-        return ["A second look at the images explained them no better than the first, and was not kept."]
+        return ["The second look at the images explained them no better than the first, and was dropped."]
     counts = {"views": look.views_gained, "corners": look.corners_gained, "stripe points": look.stripe_points_gained}
     gains = ", ".join(f"{gained:+d} {name}" for name, gained in counts.items() if gained)
-    return [f"A second look at the images, with the geometry known: {gains or 'nothing more'}."]
+    return [f"The second look at the images: {gains or 'nothing more'}."]
 
 
 def warnings(calibration: Calibration) -> list[str]:
-    """Warnings of the solve itself, but for records that `bad_views` names."""
+    """Warnings of the solve, without those on records that `bad_views` names."""
     named = tuple(f"record {view.record}{after}" for view in bad_views(calibration) for after in " :")
     return [text for text in calibration.quality.warnings if not text.startswith(named)]
 
 
 def advice(calibration: Calibration) -> tuple[str, ...]:
-    """Captures or changes that would help."""
+    """Captures or changes that would improve the calibration."""
     quality = calibration.quality
-    # Of a solve that did not converge, the advice is the explanation.
+    # If the solve did not converge, `headline` shows the advice.
     return () if quality.verdict is None or quality.converged is False else quality.verdict.advice
 
 
 def bad_views(calibration: Calibration) -> list[BadView]:
-    """Records whose corners fit much worse than those of the others, worst first."""
+    """Records whose corners fit much worse than the corners of other records, worst first."""
     if calibration.quality.converged is False:
         return []
     found = []
@@ -188,12 +190,12 @@ def bad_views(calibration: Calibration) -> list[BadView]:
 
 
 def metres(value: float) -> str:
-    """A length as people say it: 300 mm, 3.82 m."""
+    """A length as text: 300 mm, 3.82 m."""
     return f"{1e3 * value:.0f} mm" if value < 0.9995 else f"{value:.3g} m"
 
 
 def millimetres(sigma_mm: float) -> str:
-    """A standard deviation with two digits that mean something."""
+    """A standard deviation with two significant digits."""
     if sigma_mm <= 0:
         return "0 mm"
     decimals = max(0, 1 - math.floor(math.log10(sigma_mm)))

@@ -206,7 +206,7 @@ def _turns(rig: TrueRig, pose: Motion, count: int) -> tuple[float, ...]:
     if ends[1] - ends[0] < 0.1:
         return ()
     # Whole hundredths of a degree, which a stepper can be told to go to.
-    return tuple(float(np.deg2rad(round(np.rad2deg(phi), 2))) for phi in np.linspace(*ends, count))
+    return tuple(float(np.deg2rad(round(np.rad2deg(phi), 2))) for phi in np.linspace(ends[0], ends[1], count))
 
 
 def _clear(rig: TrueRig, scene: Scene, pose: Motion, phi: float) -> bool:

@@ -19,14 +19,14 @@ def true_scanner(config: SimulationConfig) -> Scanner:
         flat = LaserSheet.from_plane(*laser.plane())
         sheets.append(LaserSheet(flat.normal, flat.distance, np.array(laser.bow), flat.basis))
     camera = config.camera
-    centre = (np.asarray(value) for value in (camera.fx, camera.fy, *camera.centre()))
+    fx, fy, cx, cy = (np.asarray(value) for value in (camera.fx, camera.fy, *camera.centre()))
     lens = np.array(list(camera.coefficients().values()))
     axis = point_up(_axis(table), camera.up)
     turntable = Turntable(
         axis.direction, axis.point, np.asarray(table.gain), np.array(table.harmonics), axis.basis, table.carries
     )
     return Scanner(
-        camera=CAMERAS[camera.model](*centre, lens, camera.width, camera.height),
+        camera=CAMERAS[camera.model](fx, fy, cx, cy, lens, camera.width, camera.height),
         lasers=stack_lasers(sheets),
         turntable=turntable,
         laser_names=tuple(laser.name for laser in config.laser),

@@ -12,17 +12,22 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int8, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.choosing.by_steps import chosen_of
-from jaxscan.stripes.choosing.rules import choose
+from jaxscan.stripes.choosing import choose, chosen_of
 from jaxscan.stripes.estimators import Estimator, estimator_of
 from jaxscan.stripes.exposures import merge_brackets
-from jaxscan.stripes.frames.learn_colour import with_colour
-from jaxscan.stripes.frames.noise import estimate_noise
-from jaxscan.stripes.frames.planes import Planes, host_planes, read_planes
-from jaxscan.stripes.measured import LineCandidates, MeasuredLines
-from jaxscan.stripes.search.search import LineGate, Search, learn_search, prepare_search, whole_lines
+from jaxscan.stripes.frames import LaserLine, estimate_noise, with_colour
+from jaxscan.stripes.search import (
+    LineGate,
+    Planes,
+    Search,
+    host_planes,
+    learn_search,
+    prepare_search,
+    read_planes,
+    whole_lines,
+)
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import FrameStripes, NoiseModel
+from jaxscan.stripes.stripes import FrameStripes, MeasuredLines, NoiseModel
 
 
 class ChunkStripes(NamedTuple):
@@ -35,24 +40,20 @@ class ChunkStripes(NamedTuple):
     """The result of the continuation."""
 
 
-class Continuation(NamedTuple):
+class Continuation(eqx.Module):
     """Work that is compiled together with the extraction."""
 
-    function: Callable[[FrameStripes, Array | None, Any, Any, ExtractionSetup], Any]
+    function: Callable[[FrameStripes, Array | None, Any, Any, ExtractionSetup], Any] = eqx.field(static=True)
     """Takes the stripes, the laser-off frames, both operands and the setup; pure and traceable."""
     shared: Any = None
     """Arrays that all records share."""
     per_record: Any = None
     """Arrays with a leading axis over records."""
-    needs_frames: bool = False
-    """Whether it looks at the laser-off frames."""
+    needs_frames: bool = eqx.field(static=True, default=False)
+    """Whether `function` looks at the laser-off frames."""
 
 
-def _nothing_more(stripes: FrameStripes, off: Array | None, shared: Any, per_record: Any, setup: Any) -> None:
-    return None
-
-
-NOTHING_MORE = Continuation(_nothing_more)
+NOTHING_MORE = Continuation(lambda *_: None)
 
 
 class StripeEngine(eqx.Module):
@@ -103,11 +104,15 @@ class StripeEngine(eqx.Module):
             return jax.tree.map(np.asarray, self._compute(on, off, then))
 
     def _compute(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
-        if len(jax.local_devices()) > 1:
-            return _on_devices(self, on, off, then)
-        if off is not None and jax.default_backend() == "cpu" and self.estimator.native:
+        devices = jax.local_devices()
+        if len(devices) > 1:
+            mesh = Mesh(np.array(devices), ("frames",))
+            split = NamedSharding(mesh, PartitionSpec("frames"))
+            on, off = jax.device_put(on, split), None if off is None else jax.device_put(off, split)
+            return _on_devices(mesh, self, on, off, then)
+        if off is not None and jax.default_backend() == "cpu" and self.estimator.locate_natively is not None:
             return compute_natively(self, host_planes(on, off, self.search, self.setup), off, then)
-        return _at_once(self, on, off, (then.shared, then.per_record), then.function, then.needs_frames)
+        return _at_once(self, on, off, then)
 
 
 def prepare_engines(
@@ -141,7 +146,9 @@ def prepare_engines(
         if noise is None:
             frames = setup.frames
             noise = estimate_noise(on, off, pixel_format=frames.pixel_format, response=frames.response, line=line)
-        setup = setup._replace(line=line).anonymous()
+        # Lasers that look alike share their compiled functions: no name, and no colour for a mono camera.
+        colour = "red" if setup.frames.pixel_format == "mono8" else line.colour
+        setup = setup._replace(line=LaserLine(colour=colour, stripe_axis=line.stripe_axis))
         engines.append(StripeEngine(setup, prepare_search(setup, noise, gate, has_off=off is not None)))
     return engines
 
@@ -166,19 +173,9 @@ def compute_at_once(engine: StripeEngine, on: Array, off: Array | None, then: Co
 
 def compute_natively(engine: StripeEngine, planes: Planes, off: Array | None, then: Continuation) -> ChunkStripes:
     """The search natively, the rest by XLA."""
+    assert engine.estimator.locate_natively is not None
     located = engine.estimator.locate_natively(planes, engine.search, engine.setup)
-    seen, operands = off if then.needs_frames else None, (then.shared, then.per_record)
-    return _from_located(engine, (located, planes.lamp_ratio), seen, operands, then.function)
-
-
-@functools.partial(jax.jit, static_argnames=("function", "needs_frames"))
-def _at_once(engine, on, off, operands, function, needs_frames) -> ChunkStripes:
-    return compute_at_once(engine, on, off, Continuation(function, operands[0], operands[1], needs_frames))
-
-
-@functools.partial(jax.jit, static_argnames="function")
-def _from_located(engine, located, off, operands, function) -> ChunkStripes:
-    return _finish(engine, located, off, Continuation(function, operands[0], operands[1]))
+    return _from_located(engine, (located, planes.lamp_ratio), off if then.needs_frames else None, then)
 
 
 def _finish(engine: StripeEngine, located: tuple, off: Array | None, then: Continuation) -> ChunkStripes:
@@ -189,7 +186,7 @@ def _finish(engine: StripeEngine, located: tuple, off: Array | None, then: Conti
     if len(setup.exposures) > 1:
         each = measured.slots.shape[2] if setup.several else 1
         stripes, chosen = merge_brackets(stripes, chosen, setup.exposures, each)
-        # The longest exposure says most about the dark parts.
+        # The longest exposure shows the dark parts best.
         off = None if off is None else off[len(setup.exposures) - 1 :: len(setup.exposures)]
     return ChunkStripes(stripes, chosen, then.function(stripes, off, then.shared, then.per_record, setup))
 
@@ -201,36 +198,31 @@ def choose_stripes(
 
     Returns:
         stripes: A profile per frame; with `all_candidates` one for each candidate.
-        chosen: Of all candidates the number of each line's stripe, -1 where there is none; None where
+        chosen: Number of each line's stripe among all candidates, -1 where there is none; None where
             one candidate is given, or nothing is chosen (`settings.choice` "all").
     """
-    sites, settings, measured = setup.sites, setup.settings, found.measured
-    lines = setup.plane_size[0]
-    slots = jnp.asarray(found.slots)
-    exists = slots >= 0
-    index = jnp.where(exists, slots, 0)
+    sites, settings = setup.sites, setup.settings
+    lines, slots = setup.plane_size[0], jnp.asarray(found.slots)
 
-    def take(field, index):
-        return field.at[index].get(mode="promise_in_bounds")
+    def candidates_at(index):
+        place = jnp.where(index >= 0, index, 0)
+        values = jax.tree.map(lambda field: field.at[place].get(mode="promise_in_bounds"), found.measured)
+        return values._replace(valid=(index >= 0) & values.valid)
 
-    valid = exists & take(measured.valid, index)
-    number = None
-    if settings.choice != "all":
-        fields = {name: take(getattr(measured, name), index) for name in LineCandidates._fields if name != "valid"}
-        number = choose(LineCandidates(**fields, valid=valid), search.near_side, settings)
+    candidates = candidates_at(slots)
+    usable = jnp.where(candidates.valid, slots, -1)
+    number = None if settings.choice == "all" else choose(candidates, search.near_side, settings)
     if number is None or setup.several:
-        taken = jnp.moveaxis(jnp.where(valid, index, -1), 2, 1).reshape(-1, lines)
+        taken = jnp.moveaxis(usable, 2, 1).reshape(-1, lines)
     else:
-        taken = jnp.full(number.shape, -1, index.dtype)
+        taken = jnp.full(number.shape, -1, slots.dtype)
         for k in range(slots.shape[2]):
-            taken = jnp.where(number == k, index[:, :, k], taken)
+            taken = jnp.where(number == k, usable[:, :, k], taken)
         number = None
-    there = taken >= 0
-    index = jnp.where(there, taken, 0)
-    values = {name: take(getattr(measured, name), index) for name in FrameStripes._fields if name != "valid"}
+    stripes = candidates_at(taken)
     offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(lines) % len(sites.offsets)]
-    values["u"] = values["u"] + offsets[None, :]
-    stripes = FrameStripes(**{name: jnp.where(there, value, 0) for name, value in values.items()}, valid=there)
+    stripes = stripes._replace(u=stripes.u + offsets[None, :])
+    stripes = jax.tree.map(lambda field: jnp.where(taken >= 0, field, jnp.zeros_like(field)), stripes)
 
     def on_image_lines(values, nothing=0):
         if setup.image_lines == lines:
@@ -242,24 +234,13 @@ def choose_stripes(
     return jax.tree.map(on_image_lines, stripes), None if number is None else on_image_lines(number, -1)
 
 
-def _on_devices(engine: StripeEngine, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
-    """All local devices take the same number of frames each."""
-    devices = jax.local_devices()
-    mesh = Mesh(np.array(devices), ("frames",))
-    split = NamedSharding(mesh, PartitionSpec("frames"))
-    on, off = jax.device_put(on, split), None if off is None else jax.device_put(off, split)
-    call = _sharded(mesh, engine.setup, then.function, then.needs_frames)
-    return call(engine.search, on, off, then.shared, then.per_record)
+_at_once, _from_located = jax.jit(compute_at_once), jax.jit(_finish)
 
 
-@functools.lru_cache(maxsize=16)
-def _sharded(mesh: Mesh, setup: ExtractionSetup, function: Callable, needs_frames: bool):
+@functools.partial(jax.jit, static_argnums=0)
+def _on_devices(mesh: Mesh, engine: StripeEngine, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
+    """All local devices take the same number of frames each; no frame needs another one."""
     frames, everywhere = PartitionSpec("frames"), PartitionSpec()
-
-    def one(search, on, off, shared, per_record):
-        then = Continuation(function, shared, per_record, needs_frames)
-        return compute_at_once(StripeEngine(setup, search), on, off, then)
-
-    # Every frame is computed by itself: nothing is exchanged.
-    specs = (everywhere, frames, frames, everywhere, frames)
-    return jax.jit(jax.shard_map(one, mesh=mesh, in_specs=specs, out_specs=frames, check_vma=False))
+    specs = (everywhere, frames, frames, Continuation(then.function, everywhere, frames, then.needs_frames))
+    call = jax.shard_map(compute_at_once, mesh=mesh, in_specs=specs, out_specs=frames, check_vma=False)
+    return call(engine, on, off, then)

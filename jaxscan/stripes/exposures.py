@@ -26,7 +26,7 @@ def merge_exposures(stripes: S, relative: Float[Array, " exposures"] | tuple[flo
         relative: Relative exposure of each [1].
 
     Returns:
-        The same without the leading axis; amplitudes are what the first exposure would have seen
+        The same without the leading axis; amplitudes are those that the first exposure would have
         [DN of that exposure]. Lines that no exposure holds are zero.
 
     Raises:

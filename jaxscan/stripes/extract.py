@@ -6,9 +6,9 @@ import numpy as np
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.engine import prepare_engines
-from jaxscan.stripes.frames.formats import FrameFormat, LaserLine, PixelFormat, frame_rank
+from jaxscan.stripes.frames import FrameFormat, LaserLine, PixelFormat, check_frames, frame_rank
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import NoiseModel, Stripes, StripeSettings
+from jaxscan.stripes.stripes import KEPT_FIELDS, NoiseModel, Stripes, StripeSettings
 
 
 _LINE, _SETTINGS = LaserLine(), StripeSettings()
@@ -47,7 +47,9 @@ def extract_stripes(
     frames = pixel_format if isinstance(pixel_format, FrameFormat) else FrameFormat(pixel_format)
     if on.ndim == frame_rank(frames.pixel_format):
         on, off = on[None], off if off is None else off[None]
-    _check(on, off, frames.pixel_format)
+    check_frames(on, off, frames.pixel_format)
+    if len(on) == 0:
+        raise ValueError("`on` must hold at least one frame, got none.")
     size = int(on.shape[2]), int(on.shape[1])
     (engine,) = prepare_engines(on, off, [ExtractionSetup(size, frames, line, settings)], noise=noise)
     chunks = [slice(start, start + _CHUNK) for start in range(0, len(on), _CHUNK)]
@@ -58,7 +60,7 @@ def extract_stripes(
     profiles = each * len(on)
     with jax.enable_x64(False):
         joined = jax.tree.map(lambda *fields: jnp.concatenate(fields)[:profiles], *found)
-        fields = {name: field for name, field in joined._asdict().items() if name != "grey"}
+        fields = {name: getattr(joined, name) for name in KEPT_FIELDS}
         record = jnp.repeat(jnp.arange(len(on), dtype=jnp.int32), each)
         return Stripes(**fields, record=record, laser=jnp.zeros(profiles, jnp.int32))
 
@@ -70,14 +72,3 @@ def _padded(frames: Array, total: int) -> Array:
         return frames
     xp = np if isinstance(frames, np.ndarray) else jnp
     return xp.concatenate([frames, xp.zeros((missing, *frames.shape[1:]), frames.dtype)])
-
-
-def _check(on: Array, off: Array | None, pixel_format: PixelFormat) -> None:
-    rank = 1 + frame_rank(pixel_format)
-    if on.ndim != rank or on.dtype != np.uint8 or len(on) == 0:
-        raise ValueError(
-            f"`on` must be uint8 with {rank} dimensions for {pixel_format} and hold at least one frame, "
-            f"got {on.dtype} with shape {tuple(on.shape)}."
-        )
-    if off is not None and (off.shape != on.shape or off.dtype != np.uint8):
-        raise ValueError(f"`off` must be like `on`, got {off.dtype} with shape {tuple(off.shape)}.")

@@ -6,13 +6,13 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.fitting.albedo import DarkWindow, moments
+from jaxscan.stripes.fitting import DarkWindow, moments
 
 
 NO_INFORMATION = 1e3
 """Standard deviation of a ratio of which the frames tell nothing [1]."""
 _PIXEL = 1.0 / 12.0
-"""What a pixel's aperture adds to the square of a stripe's width [px^2]."""
+"""Addition of a pixel's aperture to the square of a stripe's width [px^2]."""
 _CUT = 3.0
 """Residual from which a line counts less in its frame, in the frame's standard deviations."""
 _STEPS = 4
@@ -31,7 +31,7 @@ def leak(dark: DarkWindow, u: Float[Array, " n"], width: Float[Array, " n"], amp
     r"""Amplitude of the stripe in the laser-off frame, line by line.
 
     Least squares of $\mathrm{dark}(x) = b_0 + b_1 x + r A h(x)$ with $h$ the Gaussian that was fitted to the
-    difference. The difference has lost what leaks: of the laser's light $r / (1 + r)$ is in the
+    difference. The light that leaks is missing in the difference: of the laser's light $r / (1 + r)$ is in the
     laser-off frame.
 
     Args:
@@ -53,7 +53,7 @@ def leak(dark: DarkWindow, u: Float[Array, " n"], width: Float[Array, " n"], amp
     sum_d, sum_ds = moments(weight * level, 2)
     (sum_dh,) = moments(weight_h * level, 1)
 
-    # What is left of the Gaussian, and of the levels along it, beside a straight line.
+    # The Gaussian, and the levels along it, without their straight lines.
     some = count > 0
     safe = jnp.where(some, count, 1.0)
     spread = count_ss - count_s * count_s / safe
@@ -98,7 +98,7 @@ def frame_leak(lines: Leak, valid: Bool[Array, "*frames n"]) -> Leak:
     scale = jnp.ones_like(mean)
     for _ in range(_STEPS):
         residual = jnp.abs(lines.ratio - mean[..., None]) * per_sigma
-        # The scatter without what the last step found far away.
+        # The scatter without the lines that the last step found far away.
         near = jnp.minimum(residual, _CUT * scale[..., None])
         scale = jnp.maximum(jnp.sqrt(jnp.sum(near * near, -1) / count), 1.0)
         far = residual / (_CUT * scale[..., None])

@@ -1,4 +1,4 @@
-"""Whether the two frames of a pair show what they should: the same room, one with the laser, one without."""
+"""Whether the two frames of a pair show the same room, one with the laser and one without."""
 
 from typing import NamedTuple
 
@@ -8,12 +8,18 @@ from jaxtyping import Float
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.extract import extract_stripes
-from jaxscan.stripes.fitting.albedo import DarkWindow
-from jaxscan.stripes.frames.flicker import lamp_ratio
-from jaxscan.stripes.frames.formats import FrameFormat, LaserLine, decode_table, laser_plane, laser_sites
-from jaxscan.stripes.frames.noise import estimate_noise
-from jaxscan.stripes.frames.planes import sample_pair
+from jaxscan.stripes.fitting import DarkWindow
+from jaxscan.stripes.frames import (
+    FrameFormat,
+    LaserLine,
+    decode_table,
+    estimate_noise,
+    lamp_ratio,
+    laser_plane,
+    laser_sites,
+)
 from jaxscan.stripes.leak import frame_leak, leak
+from jaxscan.stripes.search import sample_pair
 
 
 _MONO = FrameFormat()
@@ -29,7 +35,7 @@ class PairQuality(NamedTuple):
     leak_sigma: Float[np.ndarray, " frames"]
     """Standard deviation of `leak` [1]."""
     unrest: Float[np.ndarray, " frames"]
-    """What differs between the frames beside the laser, in the root mean square of the noise [1]."""
+    """Difference between the frames beside the laser, over the root mean square of the noise [1]."""
 
 
 def judge_pairs(on: Array, off: Array, *, frames: FrameFormat = _MONO, line: LaserLine) -> PairQuality:

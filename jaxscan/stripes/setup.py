@@ -1,12 +1,11 @@
 """The setup of an extraction: all that its functions are compiled for."""
 
-import dataclasses
 from typing import NamedTuple
 
 from jaxtyping import UInt8
 
 from jaxscan.geometry import Array, across_and_along
-from jaxscan.stripes.frames.formats import FrameFormat, LaserLine, Sites, laser_plane, laser_sites
+from jaxscan.stripes.frames import FrameFormat, LaserLine, Sites, laser_plane, laser_sites
 from jaxscan.stripes.stripes import StripeSettings
 
 
@@ -50,10 +49,3 @@ class ExtractionSetup(NamedTuple):
     def plane(self, frames: Array) -> UInt8[Array, "frames lines samples"]:
         """The samples of the laser's colour of frames uint8 [frames, rows, columns] (rgb8: and 3)."""
         return laser_plane(frames, pixel_format=self.frames.pixel_format, line=self.line)
-
-    def anonymous(self) -> "ExtractionSetup":
-        """The same for all lasers that look alike: without a name, and without a colour where there is none."""
-        look = LaserLine(stripe_axis=self.line.stripe_axis)
-        if self.frames.pixel_format != "mono8":
-            look = dataclasses.replace(look, colour=self.line.colour)
-        return self._replace(line=look)

@@ -1,4 +1,4 @@
-"""Stripe centres on the grid [profile, line], and what governs their extraction."""
+"""Stripe centres on the grid [profile, line], and the settings of their extraction."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -40,18 +40,35 @@ class Stripes(eqx.Module):
 
 
 class FrameStripes(NamedTuple):
-    """Fields of `Stripes` for the frames of a chunk, one laser; zero where not `valid`."""
+    """Stripes of a chunk of frames [profiles, lines], or candidates in any arrangement; fields as of `Stripes`."""
 
-    u: Float[Array, "profiles lines"]
-    sigma: Float[Array, "profiles lines"]
-    amplitude: Float[Array, "profiles lines"]
-    width: Float[Array, "profiles lines"]
-    chi2: Float[Array, "profiles lines"]
-    skew: Float[Array, "profiles lines"]
-    grey: Float[Array, "profiles lines"]
-    """Linear level of the laser-off frame at the centre [DN]."""
-    saturated: UInt8[Array, "profiles lines"]
-    valid: Bool[Array, "profiles lines"]
+    u: Float[Array, "*n"]
+    sigma: Float[Array, "*n"]
+    amplitude: Float[Array, "*n"]
+    width: Float[Array, "*n"]
+    chi2: Float[Array, "*n"]
+    """0 where no model was fitted."""
+    skew: Float[Array, "*n"]
+    """0 where it was not measured."""
+    snr: Float[Array, "*n"]
+    """Signal-to-noise ratio of the whole stripe [1]."""
+    grey: Float[Array, "*n"]
+    """Linear level of the laser-off frame at the centre [DN]; 0 without one."""
+    saturated: UInt8[Array, "*n"]
+    valid: Bool[Array, "*n"]
+
+
+KEPT_FIELDS = tuple(name for name in FrameStripes._fields if name not in ("snr", "grey"))
+"""Fields of `FrameStripes` that `Stripes` has too."""
+
+
+class MeasuredLines(NamedTuple):
+    """Measured candidates of a chunk of frames, and which of them are on each line."""
+
+    measured: FrameStripes
+    """In any order [candidates]."""
+    slots: Int[Array, "frames lines k"]
+    """Index of each candidate of a line; -1 where there is none."""
 
 
 @dataclass(frozen=True)
@@ -98,13 +115,13 @@ class StripeSettings:
     """Whether the width of the first frames' stripes is a prior for all: it helps the faint ones."""
     guard_edges: bool = True
     """Whether an edge of the surface's reflectance under the stripe, as the laser-off frame shows
-    it, widens a centre's sigma by what it may have moved it."""
+    it, widens a centre's sigma by the shift that it may have caused."""
     speckle: float = 0.0
     """Contrast of the laser's speckle within a pixel: standard deviation over mean of the signal [1]."""
     saturation: int = 254
     """Pixels at or above this level [DN] are taken as clipped and left out of the fit."""
     iterations: int = 4
-    """Steps of the fit: what is then left is a fiftieth of the noise."""
+    """Steps of the fit; the error that is left is a fiftieth of the noise."""
     clipped_iterations: int = 8
     """Steps of the fit where pixels are saturated, of which the start is worse."""
 

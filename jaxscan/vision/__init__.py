@@ -1,4 +1,4 @@
-"""OpenCV, and no other library's: detectors of boards, pictures of boards, image files, grey pictures."""
+"""All use of OpenCV: board detectors, pictures of boards, image files, conversion to grey."""
 
 from jaxscan.vision.boards import Detector, board_texture, find_corners
 from jaxscan.vision.grey import to_grey

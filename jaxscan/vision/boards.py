@@ -18,8 +18,8 @@ from jaxscan.observation.corners import (
 
 Detector = Literal["auto", "sb", "classic"]
 
-# Noise of the corners of each detector on a sharp, well exposed board: a prior for corners to which
-# the model of a blurred crossing was not fitted, for that measures its own.
+# Noise of each detector's corners on a sharp, well exposed board [px], for corners that `fit_corners`
+# did not refine; it estimates its own.
 _SIGMA_PX = {"auto": 0.035, "sb": 0.10, "classic": 0.035, "charuco": 0.06}
 _MIN_CORNERS = 6
 
@@ -29,22 +29,21 @@ def find_corners(
 ) -> FoundCorners | None:
     """Find the corners of a board in one grey image, to a hundredth of a pixel where it is sharp.
 
-    Chessboards are searched as a whole; of a ChArUco board any part will do. A plain chessboard
-    does not say which way round it is: the order returned is right-handed as seen, has the
-    square beside corner 0 black where that decides (one of `columns` and `rows` even, the other
-    odd), and the board's x axis pointing right (rather than left) in the image where it does
-    not. A symmetric board must therefore not be turned by more than 90 degrees in its plane
-    between views of one placement.
+    A chessboard must be wholly visible; of a ChArUco board a part suffices. The orientation of a
+    plain chessboard is ambiguous. The returned order is right-handed as seen. If one of `columns`
+    and `rows` is even and the other odd, the square beside corner 0 is black. Otherwise the
+    board's x axis points right rather than left in the image, so such a board must not be turned
+    by more than 90 degrees in its plane between views of one placement.
 
     Args:
         image: uint8 [rows, columns].
         board: The board to look for.
-        detector: "auto": chessboards by sectors, or by the classic way where that finds nothing,
-            and each corner placed by `fit_corners` (where its model does not fit, by
-            `cornerSubPix`). "classic": OpenCV's first detector and `cornerSubPix` (of a ChArUco
-            board, the latter alone). "sb": the sector based detector as it is.
-        half_window: Half the side of the window in which corners are refined [px], instead of
-            one that the size of the squares allows. Too large a one spoils the corners.
+        detector: "auto": chessboards by the sector based detector, or by the classic one where
+            that finds nothing; corners refined by `fit_corners`, or by `cornerSubPix` where its
+            model does not fit. "classic": OpenCV's first detector and `cornerSubPix` (of a
+            ChArUco board, the latter alone). "sb": the sector based detector, not refined.
+        half_window: Half side of the window in which corners are refined [px]. By default it
+            follows from the size of the squares. If it is too large, it spoils the corners.
 
     Returns:
         The corners, or None where the board is not found or fewer than 6 corners that are not
@@ -94,9 +93,9 @@ def _find_chessboard(
     if q is None or len(q) != board.columns * board.rows:
         return None
     if detector != "sb":
-        # The sector detector finds the most boards; its corners are biased by some hundredths of
-        # a pixel per view, which the gradient-based refinement is not. A window that reaches the
-        # neighbouring corners would move the corner towards them.
+        # The sector based detector finds the most boards, but its corners are biased by some
+        # hundredths of a pixel per view; the gradient-based refinement is not biased. A window that
+        # reaches the neighbouring corners would move the corner towards them.
         smallest = square_sizes(q, np.ones(len(q), bool), board).min()
         q = _refine(image, q, half_window or int(np.clip(np.floor(smallest / 3), 2, 11)))
     q = _canonical_order(image, q, board)
@@ -104,7 +103,7 @@ def _find_chessboard(
 
 
 def _find_sectors(image: np.ndarray, board: Chessboard, *, accurate: bool) -> np.ndarray | None:
-    """Corners by the sector based detector, exhaustively only where the quick search fails.
+    """Corners by the sector based detector; the exhaustive search runs only where the quick one fails.
 
     The histogram equalisation of CALIB_CB_NORMALIZE_IMAGE costs a factor of ten in accuracy (0.18 px
     in place of 0.014 px on rendered boards), so it is the last resort.
@@ -126,7 +125,7 @@ def _canonical_order(image: np.ndarray, q: np.ndarray, board: Chessboard) -> np.
     turns = [0, 2] if board.columns != board.rows else [0, 1, 2, 3]
     candidates = [np.rot90(grid, k) for k in turns]
     if (board.columns + board.rows) % 2:
-        # Right below corner 0 lies a square of the colour of the outer top left one: black.
+        # The square right below corner 0 has the colour of the outer top left one: black.
         candidates.sort(key=lambda g: _even_brightness(image, g))
     else:
         candidates.sort(key=lambda g: -float((g[:, -1] - g[:, 0]).mean(0)[0]))
@@ -134,7 +133,7 @@ def _canonical_order(image: np.ndarray, q: np.ndarray, board: Chessboard) -> np.
 
 
 def _even_brightness(image: np.ndarray, grid: np.ndarray) -> float:
-    """Mean of the inner squares (i + j even) minus that of the others, at their centres."""
+    """Mean level of the inner squares with i + j even minus the mean of the others, at their centres."""
     centre = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
     columns = np.clip(np.rint(centre[..., 0]).astype(int), 0, image.shape[1] - 1)
     rows = np.clip(np.rint(centre[..., 1]).astype(int), 0, image.shape[0] - 1)
@@ -163,13 +162,13 @@ def _find_charuco(image: np.ndarray, board: Charuco, half_window: int | None) ->
     if not is_enough(board, valid):
         return None
     sizes = square_sizes(q, valid, board)
-    # The markers begin (1 - marker / square) / 2 of a square away; a window that reaches them
-    # spoils the corner, and without refinement it is off by some tenths of a pixel.
+    # The markers begin (1 - marker / square) / 2 of a square away. A window that reaches them spoils
+    # the corner; without refinement the error is some tenths of a pixel.
     half = int(np.clip(np.floor(min(0.25, 1.3 * marker_gap(board)) * sizes[valid].min()), 2, 11))
     refined = _refine(image, q[valid], half_window or half)
     moved = np.hypot(*(refined - q[valid]).T)
     q[valid] = refined
-    # A corner that ran away from its square has latched on to something else.
+    # A corner that moved this far was fitted to something else.
     valid[np.flatnonzero(valid)[moved > 0.25 * sizes[valid]]] = False
     if not is_enough(board, valid):
         return None

@@ -1,4 +1,4 @@
-"""Frames of any pixel format as grey pictures, for detectors that want one."""
+"""Conversion of frames of any pixel format to grey."""
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ _TO_GREY = {
 
 
 def to_grey(frame: np.ndarray, pixel_format: str) -> np.ndarray:
-    """A frame as uint8 [rows, columns], every pixel where it was.
+    """Convert a frame to uint8 [rows, columns] of the same size.
 
     Args:
         frame: uint8 [rows, columns], or RGB [rows, columns, 3] for "rgb8".

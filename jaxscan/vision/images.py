@@ -1,6 +1,6 @@
 """Image files in memory: uint8 arrays to PNG, and PNG, TIFF, JPEG or BMP to uint8 arrays.
 
-BGR, OpenCV's order of colours, exists only in here.
+OpenCV's BGR order of colours is used in this file only.
 """
 
 import struct
@@ -20,8 +20,8 @@ _PNG_STRATEGIES = {"rle": cv2.IMWRITE_PNG_STRATEGY_RLE, "huffman": cv2.IMWRITE_P
 def encode_png(image: np.ndarray, *, compression: str = "rle") -> bytes:
     """One frame as a PNG file of level 1.
 
-    Sensor noise does not compress further, so the fastest level loses nothing: "rle" is the
-    smallest and reads fastest, "huffman" encodes in half the time and is 6 % larger.
+    Sensor noise does not compress further, so higher levels gain nothing. "rle" gives the smallest
+    files and the fastest reading; "huffman" encodes in half the time and is 6 % larger.
 
     Args:
         image: uint8 [rows, columns], or RGB [rows, columns, 3].
@@ -70,7 +70,7 @@ def decode_image(data: bytes, *, name: str, rank: int, size: tuple[int, int] | N
     if claimed is not None:
         _check_size(claimed, name, size)
     try:
-        # "Unchanged" also ignores a rotation noted by the camera: pixels stay where the sensor had them.
+        # "Unchanged" also ignores a rotation in the EXIF data, so pixels keep their places on the sensor.
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         raise CaptureError(f"{name}: cannot be decoded ({error.err or 'OpenCV gave no reason'}).") from error
@@ -100,9 +100,9 @@ def _check_size(found: tuple[int, int], name: str, expected: tuple[int, int] | N
 
 
 def _claimed_size(data: bytes, name: str) -> tuple[int, int] | None:
-    """Width and height by the file's header, read before a decoder allocates; None if not found.
+    """Width and height in the file's header, read before the decoder allocates memory; None if not found.
 
-    Old decoders fill the missing end of a PNG or JPEG with grey, so the end is looked at too.
+    Old decoders fill the missing end of a PNG or JPEG with grey, so the end of the file is checked too.
     """
     cut = CaptureError(f"{name}: cannot be decoded; the file is damaged or cut short.")
     if data[:8] == _PNG_SIGNATURE:

@@ -1,4 +1,4 @@
-"""What tests of the command line share: a way to run it, and copies of captures to damage."""
+"""Fixtures for tests of the command line: running it, and copies of captures to damage."""
 
 import shutil
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Bad input ends in one line that says what was found, and leaves nothing half-written behind."""
+"""Bad input ends in one line with the finding, and leaves no half-written files."""
 
 import json
 import re
@@ -341,7 +341,7 @@ class TestSimulate:
         from jaxscan.cli import simulate
 
         @contextmanager
-        def interrupting(what):
+        def interrupting(task):
             def progress(done, total):
                 if done == 3:
                     raise KeyboardInterrupt

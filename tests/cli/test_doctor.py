@@ -1,4 +1,4 @@
-"""What `jaxscan doctor` says of this machine."""
+"""`jaxscan doctor` on this machine and on captures."""
 
 import json
 import sys
@@ -56,7 +56,7 @@ def test_a_broken_seal_is_not_cured_by_taking_records_again(run, tmp_path):
     last = ran.err.splitlines()[-1]
     assert ran.code == 1 and "the seal does not fit" in ran.out
     assert "1 problems; the journal has changed since it was written" in last and "--resume" not in last
-    # A torn last line and a missing image are what going on mends.
+    # --resume repairs a torn last line and a missing image.
     with open(journal, "a") as file:
         file.write('{"event": "ta')
     next((tmp_path / "room" / "on").iterdir()).unlink()

@@ -80,7 +80,7 @@ def test_a_room_in_one_turn_with_floor_and_ceiling(tmp_path, monkeypatch, model)
     order, sigma = scanner.parameter_names(), np.sqrt(np.diag(scanner.covariance))
     values = dict(zip(order, np.asarray(scanner.camera.parameters()), strict=False))
     for name, value in values.items():
-        # Six predicted standard deviations, and what detected corners are biased by (0.02 px of 200 px).
+        # Six predicted standard deviations, and the bias of detected corners (0.02 px of 200 px).
         bias = 0.02 if name in ("fx", "fy", "cx", "cy") else 1e-4
         assert abs(value - truth[name]) < 6 * sigma[order.index(name)] + bias, name
     compared, found = results["measure-compare"], results["measure-room"]

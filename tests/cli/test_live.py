@@ -26,7 +26,7 @@ FIELDS = ("xyz", "rgb", "intensity", "normals", "sigma_random", "sigma_systemati
 
 @pytest.fixture
 def folder(tiny, tmp_path):
-    """The capture without what an earlier reconstruction may have kept beside it."""
+    """The capture without stripes that an earlier reconstruction may have kept."""
     return shutil.copytree(tiny.sweep, tmp_path / "sweep", ignore=shutil.ignore_patterns("stripes.npz"))
 
 
@@ -139,7 +139,7 @@ def test_a_computer_that_does_not_keep_up_makes_nobody_wait(folder, scanner, mon
 def test_a_retake_replaces_the_pair(live, folder, scanner, expected):
     capture = open_capture(folder)
     feed(live, capture, range(60))
-    # Record 30 is taken again, of what 31 shows.
+    # Record 30 is taken again, with the frames of record 31.
     on, off = capture.frames(31)
     with resume_capture(folder) as writer:
         writer.append(i=30, angle_deg=float(np.degrees(capture.records[30].angle)), on=on, off=off)

@@ -1,4 +1,4 @@
-"""What `jaxscan reconstruct` takes beside a capture and a calibration, and what it says of it."""
+"""The options of `jaxscan reconstruct`, and its output."""
 
 import json
 import shutil
@@ -18,7 +18,7 @@ def capture(tiny, tmp_path):
 @pytest.fixture
 def reconstruct(tiny, run, tmp_path):
     def call(capture, *words):
-        """What was printed, what was written as JSON, and the cloud."""
+        """The printed text, the JSON and the cloud."""
         target, result = tmp_path / "cloud.npz", tmp_path / "result.json"
         ran = run("reconstruct", capture, "-c", tiny.calibration, "-o", target, "--json", result, *words)
         assert ran.code == 0, ran.err

@@ -34,7 +34,7 @@ def test_a_board_that_was_missed_is_found_by_what_is_known_of_it(spoilt):
     assert brought.views_gained == 1 and result.quality.views == 21
     # Half of the 35 corners are hidden.
     assert 6 <= brought.corners_gained < 30
-    # What is gained agrees with the rest.
+    # The gained points agree with the rest.
     assert brought.corner_rms_whitened_after < 1.05 * brought.corner_rms_whitened_before
     assert seen[-1] == (42, 42) and seen == sorted(seen)
 

@@ -1,4 +1,4 @@
-"""`jaxscan scan` as a person types it, on a rig of paper: what is said, written, asked, and how it ends."""
+"""`jaxscan scan` as a person types it, on a simulated rig: output, files, questions and exit codes."""
 
 import json
 import os
@@ -325,7 +325,7 @@ def board_rig(paper, tiny, tmp_path, monkeypatch):
 
 def test_boards_are_asked_for_and_looked_at(run, paper, board_rig, typed, tmp_path):
     board_rig.looks[:] = [board_rig.blank, board_rig.pairs[0], board_rig.pairs[1], board_rig.pairs[2]]
-    # The first Enter finds no board; what is not known is asked again; the last pose but one is enough.
+    # The first Enter finds no board; an unknown answer is asked again; the last pose but one is enough.
     typed("\n\nwhat\n\ns\n\n")
     ran = run("scan", board_rig.path, "-o", tmp_path / "boards", "--boards")
     assert ran.code == 0, ran.err + ran.out

@@ -1,4 +1,4 @@
-"""What a person types while nothing was asked, and what a program writes ahead."""
+"""Lines that were typed before the question, by a person and by a program."""
 
 import os
 import pty

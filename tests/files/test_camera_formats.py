@@ -1,4 +1,4 @@
-"""Calibrations for other programs: what they read back sees the same pixels."""
+"""Calibrations for other programs: the cameras that they read see the same pixels."""
 
 import ast
 import dataclasses
@@ -112,7 +112,7 @@ class TestROS:
     def test_sees_the_same_pixels(self, tmp_path, model):
         path = tmp_path / "camera.yaml"
         export_camera(calibration(model), path, "ros")
-        # OpenCV reads YAML where it is announced as such; what is left is flat enough for it.
+        # OpenCV reads YAML that announces itself as such; the rest is flat enough for it.
         file = opened("%YAML:1.0\n---\n" + path.read_text())
         assert file.getNode("distortion_model").string() == self.MODEL[model]
         assert [file.getNode(f"image_{side}").real() for side in ("width", "height")] == [1280, 1024]

@@ -1,4 +1,4 @@
-"""Reading captures: what is right is read, what is wrong is named."""
+"""Reading captures: correct captures are read, and errors are named."""
 
 import os
 

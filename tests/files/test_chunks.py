@@ -71,7 +71,7 @@ def test_no_more_than_three_chunks_exist():
 
     def load(record, target):
         target[...] = record
-        # Buffers are made before what fills them.
+        # Buffers are made before the work that fills them.
         begun.append(target.ctypes.data)
         time.sleep(0.001)
 

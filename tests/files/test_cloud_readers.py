@@ -52,7 +52,7 @@ def test_ascii_with_everything(tmp_path):
     cloud = load_cloud(path)
     assert cloud.valid.tolist() == [[True, True, False]]
     assert np.array_equal(cloud.xyz[0, :2], XYZ[:2])
-    # Normals are made units, and zero where there is none; what is not valid is zero, never NaN.
+    # Normals become unit vectors, or zero where there are none; invalid cells are zero, never NaN.
     assert cloud.normals.tolist() == [[[0, 0, 1], [0, 0, 0], [0, 0, 0]]]
     assert cloud.intensity.tolist() == [[10, 20, 0]]
     assert not cloud.xyz[0, 2].any()

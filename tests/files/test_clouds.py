@@ -28,7 +28,7 @@ def open3d():
 
 
 class WriterContract:
-    """What every format keeps. A subclass names the suffix and reads a file independently."""
+    """The values that every format keeps. A subclass names the suffix and reads a file independently."""
 
     suffix = ""
     xyz_error = 0.0
@@ -36,7 +36,7 @@ class WriterContract:
     intensity_of = staticmethod(lambda dn: dn)
 
     def read(self, path):
-        """Columns of the file: xyz [n, 3], rgb [n, 3], and what more the format holds."""
+        """Columns of the file: xyz [n, 3], rgb [n, 3], and further columns of the format."""
         raise NotImplementedError
 
     def expected(self, cloud):

@@ -1,4 +1,4 @@
-"""Configuration errors: one line with the file, the key, what was found and what may stand there."""
+"""Configuration errors: one line with the file, the key, the value found and the values allowed."""
 
 from typing import Annotated, Literal
 

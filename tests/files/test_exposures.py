@@ -189,7 +189,7 @@ def test_the_writer_refuses_what_no_reader_takes(tmp_path):
 
 def test_a_failed_first_record_decides_nothing(tmp_path):
     with create_capture(tmp_path / "room", header()) as capture:
-        with pytest.raises(CaptureError, match="only what JSON can"):
+        with pytest.raises(CaptureError, match="only JSON values"):
             capture.append(angle_deg=0.0, on=shots(0, 0.1), note=object())
         capture.append(angle_deg=0.0, on=FRAMES[0])
     assert open_capture(tmp_path / "room").exposures == (1.0,)

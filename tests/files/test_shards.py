@@ -1,4 +1,4 @@
-"""Raw frames in shards: what the journal names is there whatever happens, and is read without a copy."""
+"""Raw frames in shards: every frame that the journal names exists at any moment, and is read without a copy."""
 
 import errno
 import hashlib
@@ -228,7 +228,7 @@ def test_resuming(tmp_path, small):
     before = {file: hashlib.sha256(file.read_bytes()).digest() for file in path.glob("o*/*.npy")}
     with (path / "frames.jsonl").open("ab") as file:
         file.write(b'{"i": 6, "ang')
-    # What a crash may leave: a shard that the journal does not know.
+    # A crash may leave a shard that the journal does not know.
     (path / "on/000002.npy").write_bytes(b"\x93NUMPY")
     with resume_capture(path) as capture:
         fill(capture, 3, start=6)
@@ -288,7 +288,7 @@ def test_more_shards_than_may_be_open(folder):
 @pytest.mark.slow
 @pytest.mark.parametrize("storage", ["npy", "png"])
 def test_a_killed_writer_leaves_a_capture_of_the_records_before(tmp_path, storage):
-    """Frame k is filled with k: what is read is complete, and resuming goes on after it."""
+    """Frame k is filled with k: every frame that is read is complete, and resuming appends after it."""
     code = f"""
 import numpy as np
 from jaxscan.files.capture import CaptureHeader

@@ -43,7 +43,7 @@ def test_they_come_back(cache):
 
 def test_only_under_their_own_key(cache):
     assert np.array_equal(cached_stripes(cache, KEY)["u"], ARRAYS["u"])
-    # What JSON makes of it counts: a tuple is a list.
+    # Keys are compared as JSON: a tuple is a list.
     assert cached_stripes(cache, {**KEY, "settings": {"k": (1, 2.5, None)}}) is not None
     for other in ({}, {**KEY, "version": 4}, {**KEY, "more": None}):
         assert cached_stripes(cache, other) is None
@@ -102,7 +102,7 @@ def test_rubbish_is_refused_or_harmless(cache, seed):
     except CaptureError as problem:
         assert "\n" not in str(problem)
     else:
-        # What was hit did not matter, as a time in the archive does not.
+        # The damaged byte does not matter, as a time in the archive.
         assert arrays.keys() == ARRAYS.keys()
         assert all(np.array_equal(arrays[name], array) for name, array in ARRAYS.items())
 
@@ -127,7 +127,7 @@ def test_hostile_archives(tmp_path):
     archive(path, [("key.npy", about), ("u.npy", npy(np.zeros(3)))])
     with pytest.raises(CaptureError, match="does not hold the arrays that it lists"):
         load_stripes(path)
-    # A bomb, an object, a huge shape, text, and what is no array.
+    # A bomb, an object, a huge shape, text, and a member that is no array.
     archive(path, [("key.npy", about), ("u.npy", npy(np.zeros(1 << 22)))], zipfile.ZIP_DEFLATED)
     with pytest.raises(CaptureError, match="compressed"):
         load_stripes(path)

@@ -1,4 +1,4 @@
-"""Writing captures: what the journal says is on the disk."""
+"""Writing captures: every image that the journal names is on the disk."""
 
 import errno
 import json
@@ -179,8 +179,8 @@ def test_an_existing_folder_is_refused(tmp_path):
         ),
         ({"angle_deg": 1.0, "on": FRAMES[0], "off": FRAMES[0].astype(float)}, "off: found float64"),
         ({"angle_deg": 1.0, "on": FRAMES[0], "i": -1}, "negative"),
-        ({"angle_deg": 1.0, "on": FRAMES[0], "time": object()}, "only what JSON can"),
-        ({"angle_deg": 1.0, "on": FRAMES[0], "gain": float("inf")}, "only what JSON can"),
+        ({"angle_deg": 1.0, "on": FRAMES[0], "time": object()}, "only JSON values"),
+        ({"angle_deg": 1.0, "on": FRAMES[0], "gain": float("inf")}, "only JSON values"),
         ({"angle_deg": 1.0, "on": FRAMES[0], "note": "x" * 70_000}, "more than 65536"),
     ],
 )

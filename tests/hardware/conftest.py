@@ -1,4 +1,4 @@
-"""A rig without hardware for every test that asks for one; without its tools such a test is skipped, by name."""
+"""Fixtures of rigs without hardware; tests whose tools are missing are skipped, with the reason."""
 
 import os
 
@@ -15,7 +15,7 @@ def _refuse_or_skip(reason):
 
 
 def missing_for_the_rig():
-    """What the simulated rig lacks, as one line; "" if nothing."""
+    """The missing tools of the simulated rig, as one line; "" if none is missing."""
     from bench.build import missing_tools
 
     packages = missing_tools()
@@ -23,14 +23,14 @@ def missing_for_the_rig():
 
 
 def missing_for_the_loopback():
-    """What a camera on loopback lacks, as one line; "" if nothing."""
+    """The missing library of a camera on loopback, as one line; "" if it is there."""
     from bench.camera import aravis_is_there
 
     return "" if aravis_is_there() else "a camera on loopback needs libaravis-0.8-0: type `make bench-deps`"
 
 
 def missing_for_the_camera():
-    """What the camera that renders lacks, as one line; "" if nothing."""
+    """The missing library of the rendered camera, as one line; "" if it is there."""
     from jaxscan.errors import DependencyError
     from jaxscan.simulation.scene.open3d import load_open3d
 
@@ -47,11 +47,11 @@ NEEDS = {
     "rendered_camera": [missing_for_the_camera],
     "whole_bench": [missing_for_the_rig, missing_for_the_loopback, missing_for_the_camera],
 }
-"""Fixtures that need tools, and who says which are missing."""
+"""Fixtures that need tools, with the functions that name missing ones."""
 
 
 def pytest_collection_modifyitems(items):
-    """Skips by name what cannot run here; with JAXSCAN_REQUIRE_BENCH=1 that is an error instead."""
+    """Skips tests whose tools are missing; with JAXSCAN_REQUIRE_BENCH=1 that is an error instead."""
     for name, checks in NEEDS.items():
         wanting = [item for item in items if name in getattr(item, "fixturenames", ())]
         if wanting and (reason := next((said for check in checks if (said := check())), "")):
@@ -62,7 +62,7 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture
 def rig(tmp_path):
-    """Makes simulated rigs, `rig(speed=…, …)`, each in a folder of its own; all are switched off at the end."""
+    """Makes simulated rigs, `rig(speed=…, …)`, each in its own folder; all are switched off at the end."""
     from bench import RigOptions, SimulatedRig
 
     made = []
@@ -80,7 +80,7 @@ def rig(tmp_path):
 
 @pytest.fixture
 def loopback():
-    """The one address at which a GigE Vision camera can be, 127.0.0.1, to itself: tests run side by side."""
+    """Exclusive use of the only address of a GigE Vision camera, 127.0.0.1, since tests run in parallel."""
     from bench.camera import ADDRESS, loopback
 
     with loopback():
@@ -89,7 +89,7 @@ def loopback():
 
 @pytest.fixture
 def rendered_camera(tmp_path, loopback):
-    """Makes the camera that sees what a rig's plant shows, `rendered_camera(rig, world=…)`; one at a time."""
+    """Makes a camera that renders a rig's plant, `rendered_camera(rig, world=…)`; one at a time."""
     from bench.camera import RenderedCamera
 
     made = []
@@ -107,7 +107,7 @@ def rendered_camera(tmp_path, loopback):
 
 @pytest.fixture
 def whole_bench(tmp_path):
-    """Waits until `make bench` may take the address; the environment that puts it into a folder of its own."""
+    """Waits until `make bench` may use the address; returns an environment with its own folder."""
     from bench.camera import loopback
 
     with loopback():

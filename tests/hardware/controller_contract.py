@@ -1,7 +1,7 @@
-"""What every controller keeps, whatever it speaks: inherit `ControllerContract` and give it a `plant`.
+"""The contract of every controller: inherit `ControllerContract` and give it a `plant`.
 
 A plant has a `controller` that is open and not greeted yet, a `config` of 28800 microsteps a turn, `position()` and
-`lit()` for what is really so, and `reset()`, `unplug()`, `plug()`, `fault()`, `wait(seconds)` for what may befall it.
+`lit()` for the true state, and `reset()`, `unplug()`, `plug()`, `fault()`, `wait(seconds)` for faults.
 `fault` makes it stop by itself and names the fault.
 """
 
@@ -12,7 +12,7 @@ from scanrig.errors import ControllerReset, LinkLost, Reason, Refused, RigError,
 
 SETTINGS = Settings(speed=8000, limits=(-2000, 30000))
 NEAR = 1
-"""Microsteps between what the controller says and what the plant shows: GRBL prints three decimals of a degree."""
+"""Largest difference of reported and true position [microsteps]: GRBL prints three decimals of a degree."""
 
 
 class ControllerContract:

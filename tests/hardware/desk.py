@@ -30,7 +30,7 @@ def rig_config(**tables):
 
 
 class Table:
-    """What is really there: the table, the laser, the contactor."""
+    """The true state of table, laser and contactor."""
 
     def __init__(self) -> None:
         self.position = 500
@@ -83,7 +83,7 @@ class PaperController:
         self.link_counts = LinkCounts()
         self._heard = clock.now()
 
-    # What befalls it
+    # Injected faults
 
     def lose_link(self, attempts: int = 1) -> None:
         self.lost, self.gone = True, attempts
@@ -106,7 +106,7 @@ class PaperController:
     def lose_steps(self, count: int) -> None:
         self.table.position -= count
 
-    # What it does
+    # Actions
 
     @property
     def name(self) -> str:
@@ -257,7 +257,7 @@ class PaperController:
 
 
 class Desk:
-    """All of it, and what a session needs to run on it."""
+    """The whole simulated rig, and the inputs of a session on it."""
 
     def __init__(self, *, scene: SyntheticScene | None = None, **tables) -> None:
         self.config = rig_config(**tables)

@@ -1,4 +1,4 @@
-"""What tests do with a rig again and again: make it ready, and read its log."""
+"""Helpers of tests with a rig: make it ready, and read its log."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -33,7 +33,7 @@ def ready(rig: SimulatedRig, *, speed: float = 0.0, armed: bool = True, **settin
 
 
 def make_ready(controller: JxsController, *, armed: bool = True) -> int:
-    """Driver on, armed, homed; what the counter said at home."""
+    """Driver on, armed, homed; returns the counter at home."""
     controller.enable(True)
     if armed:
         controller.arm(True)

@@ -33,9 +33,9 @@ class FakeController:
     boot: int = 7
     proto: int = 1
     to_controller: Mangle = lambda data: data
-    """What the line does to bytes on their way in."""
+    """Changes bytes on their way in."""
     to_host: Mangle = lambda data: data
-    """What the line does to one line on its way out."""
+    """Changes a line on its way out."""
     unplugged: bool = False
     estop: bool = False
     switch: bool = True
@@ -54,7 +54,7 @@ class FakeController:
         self.reset(self.boot)
 
     def reset(self, boot: int | None = None) -> None:
-        """What a reset leaves behind; BOOT is sent."""
+        """The state after a reset; BOOT is sent."""
         self.boot = self.boot + 1 if boot is None else boot
         self.settings = {part: dict(values) for part, values in DEFAULTS.items()}
         self.counter = 0

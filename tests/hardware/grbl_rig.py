@@ -1,4 +1,4 @@
-"""A simulated GRBL board with a table, and the camera that sees its laser: what a session needs."""
+"""A simulated GRBL board with a table, and a camera that sees its laser, for tests of sessions."""
 
 import os
 

@@ -2,7 +2,7 @@
 
 Reads one JSON object a line: {"folder", "port", "edges", "steps", "said"}; answers with the child's number, and with
 "<number> <status>" when it has ended: 0 complete, 130 interrupted, 1 another end, -n killed by signal n. A child
-writes to `said` what it was told to tell: the number of each pair when it is on the disk, and the end.
+writes to `said`: the number of each pair when it is on the disk, and the end.
 """
 
 import json
@@ -45,7 +45,7 @@ def see(position, lit, generator):
 
 
 class Wire:
-    """Every edge of the trigger's pin in the rig's log exposes the camera, with what the table truly shows."""
+    """Every edge of the trigger's pin in the rig's log exposes the camera, at the table's true position."""
 
     def __init__(self, path, camera):
         self._file = open(path)

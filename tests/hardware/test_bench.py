@@ -1,4 +1,4 @@
-"""The bench itself: what the simulated rig does is what its log says, and nothing else."""
+"""The bench itself: the log of the simulated rig matches its actions."""
 
 import json
 import os
@@ -38,7 +38,7 @@ def open_port(simulated, baud=250_000):
 
 
 def echoed(simulated, data, *, baud=250_000):
-    """What comes back of `data` from a device that sends back all that it gets."""
+    """The bytes that an echoing device returns for `data`."""
     before = simulated.plant()["received"]
     with open_port(simulated, baud) as port:
         back = b""
@@ -49,7 +49,7 @@ def echoed(simulated, data, *, baud=250_000):
                 assert time.monotonic() < limit
             back += port.read(port.in_waiting)
         simulated.run_for(0.005)
-        # What was written at one end of a pseudo-terminal is at the other when the kernel comes to it.
+        # Bytes written at one end of a pseudo-terminal arrive at the other with a delay.
         port.timeout = 0.3
         while more := port.read(max(port.in_waiting, 1)):
             back += more
@@ -127,11 +127,11 @@ def test_opening_the_port_resets_only_an_uno(rig):
 def test_noise_is_as_much_as_was_asked_for(rig):
     sent, share = bytes(range(256)) * 16, 0.05
     counts = {}
-    for what in ("corrupt_rx", "corrupt_tx", "drop_rx", "drop_tx", "duplicate_rx", "duplicate_tx"):
+    for fault in ("corrupt_rx", "corrupt_tx", "drop_rx", "drop_tx", "duplicate_rx", "duplicate_tx"):
         simulated = rig(speed=0, firmware="echo")
-        simulated.control(f"{what} {share}")
+        simulated.control(f"{fault} {share}")
         back = echoed(simulated, sent)
-        counts[what] = abs(len(back) - len(sent)) or sum(a != b for a, b in zip(back, sent, strict=True))
+        counts[fault] = abs(len(back) - len(sent)) or sum(a != b for a, b in zip(back, sent, strict=True))
         simulated.close()
     # A binomial count; five standard deviations, so that no seed fails.
     spread = 5 * np.sqrt(len(sent) * share * (1 - share))

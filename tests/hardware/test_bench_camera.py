@@ -1,4 +1,4 @@
-"""The camera on the bench: a frame for every pulse of the trigger wire, of what the plant showed during it."""
+"""The camera on the bench: a frame for every pulse of the trigger wire, showing the plant during the pulse."""
 
 import os
 import signal
@@ -171,7 +171,7 @@ def dark(frame, frames):
 
 
 def started(command, environment):
-    """A bench and what it has said so far, as soon as no test beside this one holds the camera's address."""
+    """A bench and its output so far, as soon as no other test holds the camera's address."""
     limit = time.monotonic() + 200
     while True:
         with loopback():

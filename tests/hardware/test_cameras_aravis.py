@@ -113,7 +113,7 @@ def test_what_it_does_not_take_is_named(server, wrong, message):
 
 
 def test_a_setting_that_it_only_seems_to_take(server, monkeypatch):
-    """Row 18: what the camera then reports is compared, at opening and at reopening."""
+    """Row 18: the features that the camera then reports are compared, at opening and at reopening."""
     from scanrig.cameras import aravis
 
     server.start()

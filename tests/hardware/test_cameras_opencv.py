@@ -61,7 +61,7 @@ class Stream:
         return int((time.monotonic() - self.start) * RATE)
 
     def send(self, file):
-        """The sender queues nothing itself: what is old is in the sockets and in the reader."""
+        """The sender queues nothing itself: old frames are in the sockets and in the reader."""
         due = self.now()
         while not self.over.is_set():
             while time.monotonic() < self.start + due / RATE and not self.over.is_set():
@@ -108,7 +108,7 @@ def camera(stream):
 
 
 def test_a_naive_reader_is_a_second_late(stream):
-    """What the grabber thread is there for."""
+    """The purpose of the reading thread."""
     capture = cv2.VideoCapture(stream.url, cv2.CAP_FFMPEG)
     for _ in range(3):
         capture.read()

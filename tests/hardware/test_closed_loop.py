@@ -27,7 +27,7 @@ def test_walls_of_a_room_that_came_through_the_loop(tmp_path, options):
     figures = {metric["key"]: metric["value"] for metric in json.loads(answer.read_text())["metrics"]}
     # Every pair shows the angle and the light that its record names.
     assert figures["shots_right"] == 100.0
-    # Each wall, floor and ceiling stands where it truly does: 5 mm is what a surveyor of interiors asks for.
+    # Each wall, floor and ceiling is within 5 mm of its true place, as surveyors of interiors require.
     assert figures["planes"] == 6
     assert figures["worst_wall"] < 5.0
     # The cloud that grew during the scan is that of `jaxscan reconstruct`; float32 differs between compiled functions.

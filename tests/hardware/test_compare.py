@@ -1,4 +1,4 @@
-"""Whether a pair that was taken again is the same: the line's shift, and what else differs."""
+"""Whether a pair that was taken again is the same: the stripe's shift, and other differences."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The folder and the disk: who may write, and what happens when nothing more fits."""
+"""The folder and the disk: permission to write, and a full disk."""
 
 import errno
 import json
@@ -118,7 +118,7 @@ def small_disk(tmp_path):
 
 
 def test_20_a_real_disk_that_fills_up(small_disk, monkeypatch):
-    """What is watched is told a lie, so that the disk itself has to refuse."""
+    """The check of free space is given a false value, so that the disk itself must refuse."""
     desk = Desk(sweep={"steps": 100, "turn_deg": 360.0})
     monkeypatch.setattr(space, "free_bytes", lambda folder: 10**12)
     result = sweep(desk, small_disk / "room")

@@ -1,4 +1,4 @@
-"""What the doctor says of rigs with one fault each, and that it leaves every one of them dark."""
+"""The doctor's findings on rigs with one fault each; it leaves every rig dark."""
 
 import numpy as np
 import pytest
@@ -159,7 +159,7 @@ def test_within_limits_that_allow_a_turn_it_is_measured(tmp_path, true, verdict)
     desk.controller.move = moved
     found = examined(desk, tmp_path)
     assert found["steps per turn"].verdict == verdict, found
-    # What limits protect are cables: seen from the first home, the table never left them, and they hold again.
+    # Limits protect cables: from the first home, the table never left them, and they are set again.
     assert 0 <= min(stood) and max(stood) <= 370 * 80
     assert desk.controller.settings.limits == (-1600, 29600)
 
@@ -254,7 +254,7 @@ def test_exposure(tmp_path, peak, longer):
         assert finding.verdict == "works", finding
         return
     assert finding.verdict == "note" and finding.do.startswith("expose longer" if longer else "expose shorter")
-    # What it proposes, done: ten percent of the lines' pixels vary with the wall under them.
+    # With the proposed exposure: ten percent of the lines' pixels vary with the wall under them.
     factor = finding.values["factor"]
     proposed = 10.0 * factor
     assert f"camera.exposure_ms = {proposed:.3g} instead of 10" in finding.do

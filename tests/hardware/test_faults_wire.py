@@ -1,4 +1,4 @@
-"""What goes wrong between host and controller, on the real firmware: judged by the table and the pins."""
+"""Faults between host and controller, on the real firmware: judged by the table and the pins."""
 
 import random
 import time
@@ -16,7 +16,7 @@ from .driving import PATIENT, falls, make_ready, milliseconds, ready, rises
 
 
 SHORT = {"settle_ms": 5, "laser_on_ms": 5, "laser_off_ms": 5, "exposure_ms": 2, "gap_ms": 1}
-"""Short shots: what is tested here does not depend on how long they take."""
+"""Short shots: these tests do not depend on their duration."""
 
 
 def noise(rig, **probabilities):
@@ -343,7 +343,7 @@ def test_a_home_switch_that_is_missing_or_stuck_ends_the_search(rig, level):
     with pytest.raises(RigFault, match="home switch not found, or stuck"):
         controller.home(3000)
     steps = simulated.plant()["steps"]
-    assert 0 < steps <= 3000 + 1100  # what was allowed, and the ramp down
+    assert 0 < steps <= 3000 + 1100  # the allowed distance, and the ramp down
     simulated.run_for(0.5)
     assert simulated.plant()["steps"] == steps
     simulated.control("home -1")
@@ -440,7 +440,7 @@ def test_a_stalled_motor_shows_at_home(rig):
         assert controller.home(40000) == 2000
 
 
-# What is not said properly switches nothing on
+# Malformed lines switch nothing on
 
 
 def forged_lines(chance):

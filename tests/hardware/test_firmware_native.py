@@ -1,4 +1,4 @@
-"""The firmware's portable half, built for this machine with sanitizers: the wire byte for byte, what must never be."""
+"""The firmware's portable half, built for this machine with sanitizers: its lines byte for byte, and its invariants."""
 
 import binascii
 import hashlib
@@ -44,7 +44,7 @@ def build(tmp_path_factory):
 
 @pytest.fixture
 def talk(build):
-    """Runs steps from a fresh boot; returns what came back for each. A step that begins with NUL is for the machine."""
+    """Runs steps from a fresh boot; returns the answers to each. A step that begins with NUL is for the machine."""
 
     def run(steps):
         spoken = b"".join(step + b"\0mark\n" for step in (b"\0boot\n", *steps))
@@ -104,7 +104,7 @@ def test_the_vectors_are_what_their_generator_writes():
 
 
 def test_the_dialogues_with_one_laser_stay_as_they_were():
-    """A host that knows of one laser says and hears what it always did, byte for byte."""
+    """A host that knows one laser sends and receives the same bytes as before."""
     first = json.dumps(VECTORS["dialogues"][:ONE_LASER_DIALOGUES], sort_keys=True)
     assert hashlib.sha256(first.encode()).hexdigest() == ONE_LASER_SHA256
 
@@ -201,7 +201,7 @@ needs_avr = pytest.mark.skipif(
 
 @needs_avr
 def test_the_firmware_leaves_room(tmp_path):
-    """`make size` refuses more than 60 % of flash or memory: what is left of the memory is the stack."""
+    """`make size` refuses more than 60 % of flash or memory: the rest of the memory is the stack."""
     done = subprocess.run(
         ["make", "-s", "-C", str(FIRMWARE), "size", f"BUILD={tmp_path}"], capture_output=True, text=True, timeout=120
     )
@@ -232,7 +232,7 @@ def test_what_a_halt_reads_of_the_ramp_is_never_half_written(tmp_path):
 
 
 def test_the_brown_out_fuse_fits_the_clock():
-    """What the guide has burnt resets the ATmega328P before its clock is too fast for its voltage."""
+    """With the fuses of the guide the ATmega328P is reset before its clock is too fast for its voltage."""
     clock_hz = int(re.search(r"-DF_CPU=(\d+)", (FIRMWARE / "Makefile").read_text())[1])
     needed_v = 2.7 + (clock_hz - 10e6) / (20e6 - 10e6) * (4.5 - 2.7)
     guide = (FIRMWARE / "README.md").read_text()

@@ -1,4 +1,4 @@
-"""Whole sweeps with a GRBL board: what a session promises holds with a foreign controller, and what cannot is said."""
+"""Whole sweeps with a GRBL board: a session keeps its promises with it, and reports those that it cannot keep."""
 
 import json
 import signal
@@ -87,7 +87,7 @@ def test_a_sweep_is_whole_and_ends_dark(rig, tmp_path):
     require_whole(tmp_path / "room")
     assert not rig.board.lit
     # A pair each, the last record or the first compared again, and each time off again.
-    lights = [value for _, what, value in rig.board.ledger if what == "light"]
+    lights = [value for _, kind, value in rig.board.ledger if kind == "light"]
     assert lights.count(1.0) == lights.count(0.0) >= STEPS + 1
     assert any("laser stays on" in sentence for sentence in rig.said)
     header = (tmp_path / "room" / "capture.toml").read_text()

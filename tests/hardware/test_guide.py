@@ -1,4 +1,4 @@
-"""What the guide says of poses whose truth is known: corners and stripes are projected, nothing is detected."""
+"""The guide's advice for known poses: corners and stripes are projected, nothing is detected."""
 
 from pathlib import Path
 
@@ -42,7 +42,7 @@ def column(u):
 
 
 class Poses:
-    """A camera that sees what it is told."""
+    """A camera that shows given corners and stripes."""
 
     def __init__(self, *, laser=True):
         self.now, self.line = None, column(-100.0)

@@ -70,13 +70,13 @@ def homed(rig, **options):
     return simulated
 
 
-def off_after(simulated, since, what):
+def off_after(simulated, since, event):
     """Milliseconds from a cycle to the laser's end, which must be an end indeed."""
     off = falls(simulated.edges(), "laser")[-1]
     assert simulated.plant()["laser"] == 0
     assert off["cycle"] >= since, "it was off before"
     took = milliseconds(since, off)
-    print(f"\nlaser off {took:9.3f} ms after {what}", end="")
+    print(f"\nlaser off {took:9.3f} ms after {event}", end="")
     return took
 
 
@@ -207,7 +207,7 @@ def assert_ended_in_order(simulated):
 @pytest.mark.parametrize("kind", [0, 1], ids=["interrupts on", "interrupts off"])
 def test_within_270_ms_of_a_hang(rig, kind):
     simulated = rig(firmware="scan_hang")
-    # Slow enough that what this computer takes to send a line is nothing in the controller's time.
+    # Slow enough that this computer's time to send a line is negligible in the controller's time.
     with ready(simulated, speed=0.2) as controller:
         controller.laser(True, 1000)
         hangs = simulated.plant()["cycle"]

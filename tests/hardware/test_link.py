@@ -1,4 +1,4 @@
-"""Ports and links: what is wrong with a port is said, nothing but typed errors comes out, transcripts play again."""
+"""Ports and links: the problem of a port is named, only typed errors are raised, transcripts are replayed."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""Where the table stops, and what a capture needs."""
+"""Positions of the table, and the space and time of a capture."""
 
 from fractions import Fraction
 

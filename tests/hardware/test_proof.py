@@ -1,4 +1,4 @@
-"""A pair of frames is proven: good ones pass, and what is wrong with others is called by its name (rows 15, 17, 19)."""
+"""The proof of a pair: good pairs pass, and the problems of others are named (rows 15, 17, 19)."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""The wire, host side: what is encoded, what is believed, and what never is."""
+"""The protocol on the host's side: lines encoded, lines accepted, and lines rejected."""
 
 import json
 from pathlib import Path
@@ -40,7 +40,7 @@ def written(fields):
 
 
 def line_of(message):
-    """What the controller sends to say this."""
+    """The bytes that the controller sends for this."""
     match message:
         case Reply(seq, fields):
             return seal(f"={seq} ok{written(fields)}")

@@ -1,4 +1,4 @@
-"""Going on with a sweep: what is verified, what is refused, what is taken again."""
+"""Resuming a sweep: files verified, changes refused, records taken again."""
 
 import json
 import shutil
@@ -131,7 +131,7 @@ def require_resumed(room):
     kept = sum(b'"i"' in line and line.endswith(b"}}") for line in lines)
     result = sweep(Desk(), room, resume=True)
     assert (result.status, result.records) == ("complete", 10)
-    # What had its whole line was not taken again.
+    # Records with a whole line were not taken again.
     assert result.taken == 10 - kept
     assert verify_capture(room) == [] and len(open_capture(room)) == 10
 

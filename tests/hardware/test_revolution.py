@@ -47,7 +47,7 @@ def test_a_revolution_of_3600_shots(rig):
     simulated = rig()
     turn = 28800
     with ready(simulated, **QUICK) as controller:
-        # Opening a port cuts into what the controller says just then: BOOT may come torn, before anything was asked.
+        # Opening a port may cut a line of the controller: BOOT may arrive damaged, before the first command.
         before = replace(controller.link_counts)
         begin, cycle = time.process_time(), simulated.plant()["cycle"]
         took = sweep(simulated, controller, turn)

@@ -1,4 +1,4 @@
-"""A sweep on paper: what is taken, what is written, and in which order."""
+"""A sweep on the simulated desk: records taken, files written, and their order."""
 
 import hashlib
 import json
@@ -30,7 +30,7 @@ def test_a_sweep_is_a_capture_of_proven_pairs_at_the_planned_angles(tmp_path):
     desk, seen, told = Desk(), [], []
 
     def on_pair(number, angle, on, off):
-        # What is handed out is on the disk, journal and all.
+        # A pair that is handed out is on the disk, with its journal line.
         assert journal(tmp_path / "room")[-1]["i"] == number
         seen.append((number, angle, on, off))
 

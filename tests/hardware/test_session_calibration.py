@@ -1,4 +1,4 @@
-"""A calibration on paper: free views, placements, and going on with what was half done."""
+"""A calibration on the simulated desk: free views, placements, and resuming half done ones."""
 
 import json
 
@@ -16,7 +16,7 @@ PLAN = {"free_views": 3, "placements": 2, "angles_deg": [-10.0, 0.0, 10.0]}
 
 
 class Somebody:
-    """Places the board, so often of each kind, and remembers what was asked."""
+    """Places the board a given number of times of each kind, and records the requests."""
 
     def __init__(self, desk, free=99, placements=99):
         self.desk, self.asked, self.lit = desk, [], []
@@ -139,7 +139,7 @@ class Looking(Somebody):
 
     def __init__(self, desk, **befalls):
         super().__init__(desk)
-        self.befalls = {int(name.removeprefix("look")): what for name, what in befalls.items()}
+        self.befalls = {int(name.removeprefix("look")): fault for name, fault in befalls.items()}
         self.looks, self.contactor = [], []
         self._arm = desk.controller.arm
         desk.controller.trigger, desk.controller.arm = self.trigger, self.arm

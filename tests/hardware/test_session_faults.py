@@ -1,4 +1,4 @@
-"""The fault table at the level of a session: one test a fault, each on paper, each named after what befalls the rig."""
+"""The fault table at the level of a session: one test for each fault, on the simulated desk, named after the fault."""
 
 import json
 
@@ -25,7 +25,7 @@ def sweep(desk, folder, **options):
 
 
 def require_whole(folder, desk, count=10):
-    """Every record is there once, proven, at its angle, and shows what stands at that angle."""
+    """Every record is there once, proven, at its angle, and shows the scene at that angle."""
     capture = open_capture(folder)
     assert [record.i for record in capture.records] == list(range(count))
     np.testing.assert_allclose(capture.angles, np.radians(np.arange(count) * 3.6), atol=1e-12)
@@ -453,7 +453,7 @@ def test_24_clock_that_jumps_back_by_a_year(tmp_path):
     assert sweep(desk, tmp_path / "room").status == "complete"
     records = [line for line in journal(tmp_path / "room") if "i" in line]
     assert {record["time"][:4] for record in records} == {"2000", "1999"}
-    # What only ever grows is stored beside it.
+    # Growing counters are stored beside it.
     assert np.all(np.diff([record["time_s"] for record in records]) > 0)
     require_whole(tmp_path / "room", desk)
 

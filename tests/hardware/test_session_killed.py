@@ -1,4 +1,4 @@
-"""Real firmware in a simulated processor, real processes, real signals: what is left when a session is ended."""
+"""Real firmware in a simulated processor, real processes, real signals: the capture left by a session that is ended."""
 
 import json
 import os
@@ -19,7 +19,7 @@ NURSERY = Path(__file__).with_name("nursery.py")
 
 
 class Nursery:
-    """Starts sessions as processes; what they cost to load is paid once."""
+    """Starts sessions as processes; modules are loaded only once."""
 
     def __init__(self):
         self._process = subprocess.Popen(
@@ -98,7 +98,7 @@ class Scan:
         return [json.loads(line) for line in lines if line.endswith("}")]
 
     def require_whole(self, seen_at):
-        """All records are there once, their files are what was written, and show the table where it truly stood."""
+        """All records are there once, their files are unaltered, and show the table's true position."""
         assert verify_capture(self.folder) == []
         capture = open_capture(self.folder)
         assert [record.i for record in capture.records] == list(range(self.steps))
@@ -131,7 +131,7 @@ def seen_at():
 
 
 def kill_and_go_on(scan, kills, seed):
-    """Kill a session again and again, at any moment of it; see after each what is there. Returns those in mid-sweep."""
+    """Kill sessions at random moments, and check the capture after each. Returns the number killed in mid-sweep."""
     generator, during = random.Random(seed), 0
     for _ in range(kills):
         before = len(scan.pairs())

@@ -1,4 +1,4 @@
-"""One step: what is sent, what is renewed, and what is believed."""
+"""One step: the commands sent, the renewed lease, and the frames accepted."""
 
 import threading
 
@@ -148,7 +148,7 @@ def test_a_session_that_was_silent_for_long_goes_on_with_real_firmware(rig, tmp_
 
 @pytest.mark.slow
 def test_the_lease_is_renewed_on_real_firmware_while_a_slow_camera_exposes(rig, tmp_path):
-    """1.3 s of light by leases of at most 1 s, under a link watchdog of 500 ms; judged by what truly shone."""
+    """1.3 s of light by leases of at most 1 s, under a link watchdog of 500 ms; judged by the simulated laser."""
     simulated = rig(speed=1)
     config = rig_config(camera={"trigger": "software", "exposure_ms": 400.0}, sweep={"steps": 1, "turn_deg": 1.0})
     generator = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""What was ended is told by the number of the line that had begun it, on the real firmware."""
+"""An action that is ended is reported by the number of the line that began it, on the real firmware."""
 
 import contextlib
 import time

@@ -149,7 +149,7 @@ class Wire:
 
 
 def test_the_first_laser_has_no_name_on_the_wire():
-    """A host says of one laser what it always said, so that an earlier firmware understands it."""
+    """For one laser the host sends the same lines as before, so that earlier firmware understands them."""
     wire = Wire(lasers=None)
     wire.controller.configure(Settings())
     wire.controller.enable(True)

@@ -1,4 +1,4 @@
-"""The calibration report: whole, alone, and safe from what strangers write into their files."""
+"""The calibration report: complete, without external parts, and safe with hostile text in files."""
 
 import dataclasses
 import re
@@ -129,7 +129,7 @@ def test_refused_calibrations_say_why(made):
     refused = having(good, verdict=dataclasses.replace(good.quality.verdict, accepted=False, tests=tuple(tests)))
     page = Document(calibration_page(dataclasses.replace(refused, fit=None)))
     assert page.words["strong"] == ["Not accepted"]
-    assert "the light sheet is not of the shape of its model" in page.all_words()
+    assert "the light sheet does not have the shape of its model" in page.all_words()
     assert ("tr", "class", "worse") in page.attributes
 
 
@@ -142,7 +142,7 @@ def test_nothing_is_concluded_from_a_solve_that_did_not_converge(calibration):
     assert page.words["h2"] == shown
     words = page.all_words()
     assert words.count("The solve did not converge in 1 step.") == 1
-    for diagnosis in ("Next captures", "promises too much", "Records that stand out", "±"):
+    for diagnosis in ("Next captures", "the promise is too low", "Records that stand out", "±"):
         assert diagnosis not in words
 
 
@@ -194,7 +194,7 @@ def test_a_camera_alone(calibration):
         calibration, scanner=None, order=order, covariance=calibration.covariance[:9, :9], fit=fit
     )
     page = Document(calibration_page(alone))
-    assert "camera alone, without laser and table" in page.all_words()
+    assert "camera alone, without laser and turntable" in page.all_words()
     assert "Stripe and table" not in page.words["h2"]
     assert "Uncertainty against distance" not in page.words["h2"]
 

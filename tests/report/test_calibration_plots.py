@@ -1,4 +1,4 @@
-"""What the figures of the report are drawn from."""
+"""The numbers behind the figures of the report."""
 
 import dataclasses
 import re

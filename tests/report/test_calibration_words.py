@@ -42,7 +42,7 @@ class TestHeadline:
         assert "larger than the noise that the detectors promise" in words.headline(noisy).explanation
         assert {row[6] for row in outcome_rows(noisy)} == {"noisy"}
         accepted = words.headline(judged(calibration, True, tests))
-        assert accepted.kind == "good" and "more of it than the detectors promise" in accepted.explanation
+        assert accepted.kind == "good" and "larger than the detectors promise" in accepted.explanation
 
     def test_one_of_many_tests_may_be_a_little_unlikely(self, calibration):
         """Of six tests, each may be as unlikely as one in 600 before all together are one in a hundred."""
@@ -78,7 +78,7 @@ def test_lengths(calibration):
 
 @pytest.mark.parametrize(
     ("ratio", "said"),
-    [(0.5, "quieter than it says"), (1.05, "as the corner detector promised"), (3.0, "a model is too simple")],
+    [(0.5, "less noise than promised"), (1.05, "as the corner detector promised"), (3.0, "a model is too simple")],
 )
 def test_whitened_residuals_in_words(calibration, ratio, said):
     corners, stripes = words.noise_lines(having(calibration, corner_rms_whitened=ratio))

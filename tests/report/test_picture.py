@@ -1,4 +1,4 @@
-"""Pictures of clouds: what must be seen, what must be hidden, where it must be."""
+"""Pictures of clouds: visible points, hidden points, and their places."""
 
 import numpy as np
 import pytest

@@ -141,8 +141,9 @@ def test_unused_samples_do_not_count_and_nothing_is_nan():
     used = jnp.ones((SAMPLES, 3), bool).at[14:, :].set(False).at[:, 2].set(False)
     number = lambda a: jnp.full(3, a, jnp.float32)
     shift = jax.jit(albedo_shift)
-    found = shift(dark, x, number(0.1), number(2.0), used, jnp.full((1, 1), 2.0, jnp.float32))
-    dirty = shift(dark.at[14:, :].set(255.0), x, number(0.1), number(2.0), used, jnp.full((1, 1), 2.0, jnp.float32))
+    variance = jnp.full((1, 1), 2.0, jnp.float32)
+    found = shift(DarkWindow(dark, x, used, variance), number(0.1), number(2.0))
+    dirty = shift(DarkWindow(dark.at[14:, :].set(255.0), x, used, variance), number(0.1), number(2.0))
     np.testing.assert_array_equal(found.shift, 0.0)
     np.testing.assert_array_equal(dirty.shift, 0.0)
     assert found.shift.dtype == found.sigma.dtype == jnp.float32

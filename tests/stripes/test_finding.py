@@ -12,8 +12,8 @@ from jaxscan.stripes import (
     extract_stripes,
     whole_lines,
 )
-from jaxscan.stripes.frames.planes import Planes
 from jaxscan.stripes.search.native import NativeLocator
+from jaxscan.stripes.search.planes import Planes
 from jaxscan.stripes.search.search import prepare_search
 
 

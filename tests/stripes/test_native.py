@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from jaxscan.stripes.frames.formats import FrameFormat, LaserLine
-from jaxscan.stripes.frames.planes import Planes
 from jaxscan.stripes.search.candidates import NARROW, WIDE, thresholds
 from jaxscan.stripes.search.locate import locate
 from jaxscan.stripes.search.native import NativeLocator
+from jaxscan.stripes.search.planes import Planes
 from jaxscan.stripes.search.search import prepare_search, whole_lines
 from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.stripes import NoiseModel, StripeSettings

@@ -1,4 +1,4 @@
-/* A machine without hardware, for the tests of the portable half: motions and shots take as many ms as it is told to let go by.
+/* A machine without hardware, for the tests of the portable half: motions and shots end when the test says so.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -21,7 +21,7 @@ struct fake {
     int32_t target;        /* of the last motion */
     uint8_t shot_modes;    /* of the last that was a shot, 0 for an exposure or a test */
     unsigned lit_by_shots[LASERS]; /* lit exposures of each laser that ended */
-    char sent[512];        /* what was written since fake_take */
+    char sent[512];        /* bytes written since fake_take */
     size_t sent_length;
     unsigned writes;
 };
@@ -31,7 +31,7 @@ extern struct fake fake;
 void fake_reset(void);        /* a fresh boot: says BOOT */
 void fake_fault(uint8_t which);
 void fake_byte(uint8_t byte); /* as the receive interrupt and the main loop would take it */
-void fake_end(void);          /* what was begun ends, with its event */
-void fake_pass(uint32_t ms);  /* time goes by, and nothing comes */
+void fake_end(void);          /* the running action ends, with its event */
+void fake_pass(uint32_t ms);  /* time passes without input */
 
 #endif

@@ -1,9 +1,9 @@
-/* Feeds the firmware's portable half many lines, good, damaged and none at all, and stops at the first thing that must not be.
+/* Feeds many lines to the firmware's portable half - valid, damaged, and noise - and stops at the first violation.
  *
  *   fuzz LINES [SEED]
  *
- * It keeps a count of its own of what it asked for with a correct CRC, and compares with what the fake machine did. The sanitizers that it is
- * built with watch the memory meanwhile.
+ * It counts the commands that it sent with a correct CRC, and compares them with the actions of the fake machine. Sanitizers check
+ * the memory meanwhile.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -35,7 +35,7 @@ static uint32_t any(uint32_t below) { /* xorshift64*: the same lines for the sam
     return (uint32_t)((random_state * 2685821657736338717ull) >> 33) % below;
 }
 
-/* An own CRC, bit by bit as the polynomial says. */
+/* An independent CRC, bit by bit. */
 static unsigned crc_bitwise(const char *bytes, int length) {
     unsigned crc = 0xFFFF;
     for (int i = 0; i < length; i++)
@@ -132,7 +132,7 @@ static void drop_returns(void) { /* Damage may put in a byte that the firmware i
     line_length = kept;
 }
 
-/* Judged by what it looks like in the end: damage may repair itself. */
+/* Judged by its final bytes, since damage may cancel out. */
 static bool is_checked_line(void) {
     if (line_length < 6 || line_length > LINE_MAX || memchr(line, '*', (size_t)line_length) != line + line_length - 5)
         return false;

@@ -1,9 +1,9 @@
 /* Takes bytes on standard input as the serial line, answers on standard output; for tests from any language.
  *
  * Bytes go to the firmware as they are, except for lines that begin with a NUL byte, which speak to the fake machine:
- *   \0boot   a fresh boot        \0end        what was begun ends       \0fault N    fault N comes
+ *   \0boot   a fresh boot        \0end        the running action ends       \0fault N    fault N comes
  *   \0input N  inputs as in STAT  \0pos N      position                 \0extreme    every number of the machine at its longest
- *   \0pass N   N ms go by, and nothing comes
+ *   \0pass N   N ms pass without input
  *   \0mark   writes a line with one NUL, so that the reader knows that everything before it was answered
  *
  * SPDX-License-Identifier: Apache-2.0

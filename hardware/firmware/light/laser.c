@@ -24,7 +24,7 @@ void laser_off(void) {
     laser_lease_ms = 0;
 }
 
-uint8_t laser_lit(void) { /* The pins themselves: nothing else remembers. */
+uint8_t laser_lit(void) { /* Read from the pins; there is no other record. */
     return PORTB & LASER_1 ? 1 : PORTB & LASER_2 ? 2 : 0;
 }
 

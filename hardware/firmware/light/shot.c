@@ -67,7 +67,7 @@ static void advance(void) {
     case SETTLING:
         after_settling();
         break;
-    case WARMING: /* Straight on where there is nothing to wait for: the edge is not to come late in its tick. */
+    case WARMING: /* Without a wait it goes on at once, so that the edge is not late in its tick. */
         if (settings[RDY_WAIT]) {
             enter(READY_LIT, setting(RDY_WAIT));
             break;
@@ -131,7 +131,7 @@ static bool readying(void) {
     return phase == READY_LIT || phase == READY_DARK;
 }
 
-/* May the phase end now, without a tick going by? */
+/* Whether the phase may end now, without waiting for a tick. */
 static bool passes(void) {
     if (phase == OVER) return false;
     return !left_ms || (readying() && camera_ready());
@@ -140,7 +140,7 @@ static bool passes(void) {
 void shot_tick(void) {
     if (phase == OVER) return;
     if (phase == TRAVEL && motion_busy()) return;
-    if (readying()) { /* It is entered only with a time to wait, and left with the camera ready or that time over. */
+    if (readying()) { /* Entered only with a time to wait; left when the camera is ready or the time is over. */
         if (!camera_ready()) {
             if (--left_ms) return;
             fault_enter(F_CAMERA);
@@ -154,7 +154,7 @@ void shot_tick(void) {
 }
 
 void shot_begin(const struct shot_order *order) {
-    laser_off(); /* A lease of the host's must light neither the dark exposure nor that of another laser. */
+    laser_off(); /* A lease from LASER must not light the dark exposure or another laser's exposure. */
     shot_kind = A_SHOT;
     shot_id = order->id;
     modes = order->modes;

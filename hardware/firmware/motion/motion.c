@@ -31,7 +31,7 @@ static uint32_t home_most;
 static volatile uint8_t home_outcome;
 static int32_t home_was;
 
-/* Backlash: microsteps that the table has gone up since it last went down */
+/* Backlash: microsteps upwards since the last motion downwards */
 static uint32_t taken_up;
 static int32_t leg_start;
 

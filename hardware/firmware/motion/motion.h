@@ -8,7 +8,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* With interrupts off; what is begun goes on by motion_poll. */
+/* With interrupts off; motion_poll continues the motion. */
 void motion_begin_move(int32_t to);
 void motion_begin_home(uint32_t most);
 void motion_halt(void); /* no further step; forgets home if it ran faster than vst */

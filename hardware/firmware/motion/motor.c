@@ -1,5 +1,5 @@
-/* The interrupt makes the step first and computes the next interval afterwards, open to other interrupts, so that the serial
- * line loses nothing and steps do not jitter. A run is prepared in the main loop, with interrupts on.
+/* The interrupt makes the step first and computes the next interval afterwards, with interrupts on, so that the serial line
+ * loses no byte and steps do not jitter. A run is prepared in the main loop, with interrupts on.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -55,7 +55,7 @@ static inline void timer_load(uint32_t ticks) {
     }
 }
 
-/* A halt from another interrupt looks at it while the step's own is open to interrupts. */
+/* Read by a halt in another interrupt, while the step's own interrupt has interrupts on. */
 static void set_interval(uint32_t ticks) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) interval = ticks;
 }
@@ -66,13 +66,13 @@ static void next_interval(uint32_t steps_left) {
     if (steps_left <= ramp + 1) {
         if (ramp) {
             uint32_t share = 4 * ramp - 1 + ramp_base;
-            now += (2 * now + share / 2) / share; /* exactly back what the ramp went up */
+            now += (2 * now + share / 2) / share; /* exactly the reverse of the ramp up */
             ramp--;
         }
     } else if (now > shortest) {
         ramp++;
         uint32_t share = 4 * ramp + 1 + ramp_base;
-        now -= (2 * now + share / 2) / share; /* Rounded: cut off, it would come to speed a twentieth late. */
+        now -= (2 * now + share / 2) / share; /* Rounded: truncation would make the ramp a twentieth longer. */
         if (now < shortest) now = shortest;
     }
     set_interval(now);
@@ -123,7 +123,7 @@ void motor_run(int32_t to, uint32_t speed, enum seek sought) {
     if (first < limit) first = limit;
     bool up = to > from;
     uint32_t steps = up ? (uint32_t)to - (uint32_t)from : (uint32_t)from - (uint32_t)to;
-    sense = up ? 1 : -1; /* Nothing runs: the interrupt looks at none of these until the timer is started. */
+    sense = up ? 1 : -1; /* The interrupt reads none of these until the timer is started. */
     seek = sought;
     found = false;
     ramp = 0;

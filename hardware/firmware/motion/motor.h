@@ -10,11 +10,11 @@
 
 enum seek { NOTHING_SOUGHT, UNTIL_ACTIVE, UNTIL_INACTIVE };
 
-/* Main loop, while nothing runs. Goes to `to` at up to `speed` steps/s; what it seeks makes it slow down to rest earlier. */
+/* Main loop, while nothing runs. Goes to `to` at up to `speed` steps/s; slows down earlier if it finds the edge that it seeks. */
 void motor_run(int32_t to, uint32_t speed, enum seek sought);
 bool motor_running(void);
 int32_t motor_position(void);
-bool motor_found(int32_t *at);     /* did the last run find what it sought, and where */
+bool motor_found(int32_t *at);     /* whether the last run found the edge that it sought, and where */
 void motor_shift(int32_t origin);  /* at rest: this position is 0 from now on */
 
 /* With interrupts off. After halt or slow nothing runs until it is released. */

@@ -29,7 +29,7 @@ uint8_t take_arguments(struct words *words, uint32_t required, uint32_t allowed,
         if (taken == TAKEN_BROKEN) return E_SYNTAX;
         uint8_t key = find_key(&name);
         if (taken == TAKEN_OVERFLOW || key == KEYS || !(allowed & BIT(key)) || given(arguments, key))
-            refusal = E_ARGUMENT; /* Read on: a line that is not of the form is refused as that. */
+            refusal = E_ARGUMENT; /* Read on: a syntax error takes precedence. */
         else {
             arguments->present |= BIT(key);
             arguments->value[key] = value;

@@ -11,7 +11,7 @@
 #include "protocol.h"
 #include "settings.h"
 
-/* Those of the settings by their own number, then these. */
+/* The settings by their own numbers, then these. */
 enum key { SES = SETTINGS, ON, MS, TO, MOST, ID, MODES, SHOT_PART, HANG_KIND, NUMBER, KEYS };
 #define BIT(key) ((uint32_t)1 << (key))
 #define ALL_SETTINGS (BIT(SETTINGS) - 1)
@@ -21,7 +21,7 @@ struct arguments {
     int32_t value[KEYS];
 };
 
-/* All that is left of a line; keys beyond `allowed` are refused, and so is a line without all of `required`. */
+/* Reads the rest of a line; refuses keys that are not in `allowed`, and lines that lack a key of `required`. */
 uint8_t take_arguments(struct words *words, uint32_t required, uint32_t allowed, struct arguments *arguments);
 
 bool given(const struct arguments *arguments, uint8_t key);

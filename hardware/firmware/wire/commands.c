@@ -68,7 +68,7 @@ void commands_byte(uint8_t byte) {
         refuse_unquoted(E_LONG);
         break;
     case QUESTION:
-        if (!session.strict) machine_feed(); /* One byte without a CRC is a person's line, or none at all. */
+        if (!session.strict) machine_feed(); /* A single byte without a CRC counts only while the link is not strict. */
         begin_ok(&session.reply, 0);
         verb_status();
         send(&session.reply);

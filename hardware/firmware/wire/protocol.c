@@ -5,7 +5,7 @@ enum arrival assemble(struct assembler *assembler, uint8_t byte) {
     switch (byte) {
     case '\r':
         return NOTHING;
-    case ABORT_BYTE: /* It has worked in the interrupt already; what stood before it is not a line any more. */
+    case ABORT_BYTE: /* The interrupt has handled it already; the line before it is discarded. */
         assembler->length = 0;
         assembler->long_line = false;
         return NOTHING;
@@ -84,7 +84,7 @@ enum frame_kind open_frame(const char *line, uint8_t length, struct frame *frame
     frame->seq = 0;
     frame->words = line;
     frame->length = length;
-    if (star == length) return line[0] == '@' ? FRAME_DAMAGED : FRAME_BARE; /* A lost star must not change a number. */
+    if (star == length) return line[0] == '@' ? FRAME_DAMAGED : FRAME_BARE; /* A lost star must not change the meaning. */
     uint16_t crc;
     if (length - star != 5 || !hex4(line + star + 1, &crc) || crc != crc16(line, star)) return FRAME_DAMAGED;
     frame->length = star;

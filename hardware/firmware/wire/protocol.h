@@ -12,7 +12,7 @@
 
 #define LINE_MAX 96 /* bytes of a line, its newline not counted */
 #define WORD_MAX 8  /* letters of the longest verb */
-#define ABORT_BYTE 0x1B /* Esc: two flipped bits or more away from every byte of a line */
+#define ABORT_BYTE 0x1B /* Esc: differs in at least two bits from every byte of a line */
 
 enum error {
     OK = 0,
@@ -37,7 +37,7 @@ struct assembler {
     uint8_t length;
     bool long_line;
 };
-/* Takes one byte. After LINE the line is in line[0 .. length); whoever has read it sets length to 0. */
+/* Takes one byte. After LINE the line is in line[0 .. length); its reader sets length to 0. */
 enum arrival assemble(struct assembler *assembler, uint8_t byte);
 
 uint16_t crc16(const char *bytes, uint8_t length);
@@ -46,8 +46,8 @@ uint16_t crc16(const char *bytes, uint8_t length);
 enum frame_kind {
     FRAME_CHECKED, /* a correct CRC */
     FRAME_BARE,    /* no CRC, no sequence number: typed by a person */
-    FRAME_DAMAGED, /* anything that may have been another line */
-    FRAME_BROKEN   /* a correct CRC around what is no sequence number */
+    FRAME_DAMAGED, /* possibly a damaged line */
+    FRAME_BROKEN   /* a correct CRC, but no valid sequence number */
 };
 struct frame {
     uint16_t seq; /* 0: none */
@@ -72,10 +72,10 @@ enum taken take_pair(struct words *words, struct word *key, int32_t *value);
 
 bool same_word(const struct word *word, const char *flash, uint8_t size);
 
-/* Answers: each begins a text, fields may follow, text_end adds the CRC and is what makes it sendable. */
+/* Answers: each begins a text, fields may follow, text_end adds the CRC and completes it. */
 void begin_ok(struct text *text, uint16_t seq);
 void begin_error(struct text *text, uint16_t seq, enum error error);
-void begin_unquoted(struct text *text, enum error error); /* =? err: no sequence number is to be trusted */
+void begin_unquoted(struct text *text, enum error error); /* =? err: no sequence number can be trusted */
 void begin_event(struct text *text, uint16_t number, const char *flash_name);
 void text_end(struct text *text); /* "*CRC\n"; leaves the text empty if it did not fit */
 

@@ -16,7 +16,7 @@ enum setting {
     HV,
     BACK,
     DIR_SENSE,
-    SHOT_SETTINGS, /* The first of those that CFG shot=1 says. */
+    SHOT_SETTINGS, /* The first setting in the answer to CFG shot=1. */
     SETTL = SHOT_SETTINGS,
     LON,
     LOFF,
@@ -38,7 +38,7 @@ extern int32_t settings[SETTINGS];                      /* changed only while th
 
 void settings_reset(void);
 
-/* How long the contactor stays closed with nothing running and nobody there; whoever asks for a longer `wd` means that, too. */
+/* Time until the contactor opens at rest without a good line: ARMED_IDLE_MS, or `wd` if that is longer. */
 uint16_t armed_idle_ms(void);
 
 /* True if these values may all be used together. */

@@ -1,4 +1,4 @@
-/* Text that is built without ever running over its buffer, from words kept in flash where there is flash.
+/* Builds text that never overruns its buffer, from words in flash if there is flash.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -23,7 +23,7 @@
 struct text {
     char line[TEXT_SIZE];
     uint8_t length;
-    bool full; /* Something did not fit: what is here must not be sent. */
+    bool full; /* The text did not fit and must not be sent. */
 };
 
 void text_clear(struct text *text);

@@ -10,14 +10,14 @@
 
 #define BAUD 250000UL
 #define RECEIVED 128 /* a power of two; more than a line */
-#define SENT 256     /* what an index of eight bits runs over */
+#define SENT 256     /* range of an 8-bit index */
 
 static volatile uint8_t received[RECEIVED], received_head, received_tail;
 static volatile uint8_t sent[SENT], sent_head, sent_tail;
 volatile uint16_t uart_lost;
 
 void uart_begin(void) {
-    UCSR0A = _BV(U2X0); /* before the rate: simavr works the bytes' time out when that is written */
+    UCSR0A = _BV(U2X0); /* before the rate: simavr computes the duration of a byte when the rate is written */
     UBRR0 = F_CPU / (8 * BAUD) - 1; /* exact at 16 MHz */
     UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
@@ -28,7 +28,7 @@ ISR(USART_RX_vect) {
     if (status & _BV(DOR0)) uart_lost++;
     if (byte == ABORT_BYTE) {
         fault_enter(F_ABORT);
-        received_tail = received_head; /* What was said before must not be carried out after. */
+        received_tail = received_head; /* Lines from before the abort must not be carried out after it. */
     }
     uint8_t next = (received_head + 1) & (RECEIVED - 1);
     if (next == received_tail) {

@@ -8,7 +8,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-extern volatile uint16_t uart_lost; /* bytes that came and could not be kept */
+extern volatile uint16_t uart_lost; /* bytes received and lost */
 
 void uart_begin(void);
 bool uart_waiting(void);          /* with interrupts off: is there a byte to take */

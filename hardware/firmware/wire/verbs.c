@@ -6,7 +6,7 @@
 #include "protocol.h"
 #include "settings.h"
 
-/* What must be so for a verb to be carried out; checked in this order. */
+/* Conditions of a verb; checked in this order. */
 enum need {
     NO_FAULT_NOW = 1,
     A_SESSION = 2,
@@ -39,7 +39,7 @@ static bool beyond_limits(int32_t to) {
     return status.homed && (to < settings[SMIN] || to > settings[SMAX]);
 }
 
-/* Verbs: each says why not, or does it and adds its fields to the reply. */
+/* Verbs: each returns why it is refused, or is carried out and adds its fields to the reply. */
 
 static uint8_t hello(const struct arguments *arguments, uint16_t seq) {
     (void)seq;
@@ -136,7 +136,7 @@ static uint8_t arm(const struct arguments *arguments, uint16_t seq) {
     return refusal ? refusal : machine_arm(true);
 }
 
-/* Which laser is meant: the first where none is named, 0 for one that is not there. */
+/* The number of the laser: 1 if none is given, 0 for one that does not exist. */
 static uint8_t laser_number(const struct arguments *arguments) {
     if (!given(arguments, NUMBER)) return 1;
     return within(arguments, NUMBER, 1, LASERS) ? (uint8_t)arguments->value[NUMBER] : 0;
@@ -221,7 +221,7 @@ struct verb {
     uint8_t (*act)(const struct arguments *arguments, uint16_t seq);
 };
 
-/* Where what is needed depends on the arguments, the verb itself asks for it. HELLO is the first. */
+/* Conditions that depend on the arguments are checked by the verb itself. HELLO is the first. */
 static const struct verb verbs[] PROGMEM = {
     {"HELLO", 0, BIT(SES), BIT(SES), hello},
     {"STAT", 0, 0, 0, stat},

@@ -1,4 +1,4 @@
-/* The verbs: which keys each has, what must be so for it to be carried out, and doing it.
+/* The verbs: their keys, their conditions, and their actions.
  *
  * SPDX-License-Identifier: Apache-2.0
  */
@@ -13,12 +13,12 @@
 
 #define PROTOCOL_NUMBER 1
 #ifndef FIRMWARE_VERSION
-#define FIRMWARE_VERSION "1.0.0" /* of the pretended controller in the tests; the Makefile says which one an image has */
+#define FIRMWARE_VERSION "1.0.0" /* of the fake controller in tests; the Makefile sets that of an image */
 #endif
 
 enum { HELLO_VERB, NO_VERB = 255 };
 
-/* What there is of a conversation; commands.c has it. */
+/* The state of a session; defined in commands.c. */
 struct session {
     struct text reply; /* the answer or event that is being written */
     uint16_t last_seq, event_number, damaged, repeated;
@@ -28,7 +28,7 @@ extern struct session session;
 
 uint8_t verb_find(const struct word *name);
 
-/* All keys are checked, then all that must be so; then it is done. Returns an error, OK = 0; adds fields to the reply. */
+/* Checks all keys, then all conditions, then carries the verb out. Returns an error, OK = 0; adds fields to the reply. */
 uint8_t verb_carry_out(uint8_t verb, struct words *words, uint16_t seq);
 
 void verb_status(void); /* STAT's fields */

@@ -3,7 +3,6 @@
 import ctypes
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import TypeVar
 
 import numpy as np
@@ -13,7 +12,7 @@ from jaxscan.stripes import frame_rank
 from scanrig.cameras.aravis_binding import STATUS, SUCCESS, AravisError, load_aravis, text
 from scanrig.cameras.aravis_setup import apply_settings, connect, read_features
 from scanrig.cameras.features import require, wanted
-from scanrig.cameras.frame import CameraIdentity, Features, Frame
+from scanrig.cameras.frame import CameraIdentity, ClosedAtExit, Features, Frame
 from scanrig.cameras.numbers import FrameNumbers
 from scanrig.cameras.settings import CameraSettings, TriggerMode
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
@@ -26,7 +25,7 @@ _SLICE_S = 0.2
 """How often a waiting call checks that the camera is still connected."""
 
 
-class AravisCamera:
+class AravisCamera(ClosedAtExit):
     """A camera that speaks GenICam.
 
     Its heartbeat shows whether it is still connected; it is also queried when a frame is late. If the camera is gone, a
@@ -129,14 +128,6 @@ class AravisCamera:
         for one in (stream, camera):
             if one is not None:
                 self._aravis.unref(one)
-
-    def __enter__(self) -> "AravisCamera":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def __str__(self) -> str:
         return str(getattr(self, "_identity", None) or f"aravis {self._settings.id}".strip())

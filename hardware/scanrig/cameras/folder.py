@@ -5,7 +5,6 @@ import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import (
@@ -19,7 +18,7 @@ from jaxscan.files.capture import (
     open_capture,
 )
 from scanrig.cameras.features import require, wanted
-from scanrig.cameras.frame import CameraIdentity, Features, Frame
+from scanrig.cameras.frame import CameraIdentity, ClosedAtExit, Features, Frame
 from scanrig.cameras.settings import CameraSettings, TriggerMode
 from scanrig.errors import CameraError, CameraLost
 
@@ -29,7 +28,7 @@ MAX_FILES = 100_000
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
-class FolderCamera:
+class FolderCamera(ClosedAtExit):
     """Returns the images one after another, laser-on before laser-off, until none is left.
 
     It does not expose: no frames wait in it, so `drop` discards none, and a trigger has no effect.
@@ -102,14 +101,6 @@ class FolderCamera:
 
     def close(self) -> None:
         self._closed = True
-
-    def __enter__(self) -> "FolderCamera":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _of_capture(path: Path) -> tuple[CaptureHeader, Sequence[ImageRef]]:

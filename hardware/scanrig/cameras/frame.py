@@ -1,8 +1,9 @@
 """The interface of every camera, and its frames."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from jaxtyping import UInt8
@@ -112,3 +113,19 @@ class Camera(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
     ) -> None: ...
+
+
+class ClosedAtExit(ABC):
+    """A camera that `with` closes."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the camera."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -5,13 +5,12 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
-from types import TracebackType
 
 import cv2
 import numpy as np
 
 from scanrig.cameras.features import require
-from scanrig.cameras.frame import CameraIdentity, Features, Frame
+from scanrig.cameras.frame import CameraIdentity, ClosedAtExit, Features, Frame
 from scanrig.cameras.opencv_setup import apply_settings, read_features, silent
 from scanrig.cameras.settings import CameraSettings, TriggerMode
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
@@ -28,7 +27,7 @@ _SAME_CLOCK_S = 5.0
 """A time stamp this near to the monotonic clock comes from that clock: V4L2's do, those of streams do not."""
 
 
-class OpenCVCamera:
+class OpenCVCamera(ClosedAtExit):
     """A free-running camera.
 
     `drop` marks a time; `next` then returns only frames exposed after it. Discarded are the next `flush_frames` frames,
@@ -124,20 +123,14 @@ class OpenCVCamera:
             # The thread releases the camera itself; if it is stuck in a read, after the read has given up.
             thread.join(_ANSWER_S)
 
-    def __enter__(self) -> "OpenCVCamera":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _open(self) -> None:
         name = f'opencv "{self._source}"'
         timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_MS]
         # Timeouts are for streams only; a driver refuses to open with them.
         stream = isinstance(self._source, str) and not os.path.exists(self._source)
-        self._capture = cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, timeouts) if stream else _plain(self._source)
+        self._capture = (
+            cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, timeouts) if stream else cv2.VideoCapture(self._source)
+        )
         if not self._capture.isOpened():
             self._capture.release()
             raise CameraLost(f"{name}: cannot be opened; check that it exists, is not in use, and may be read.")
@@ -200,10 +193,6 @@ class OpenCVCamera:
             self._queue.popleft()
             self._counts["dropped"] += 1
         self._queue.append(Frame(image, -1, stamp if stamped else None, arrival, complete=True, note=self._note))
-
-
-def _plain(source: int | str) -> cv2.VideoCapture:
-    return cv2.VideoCapture(source)
 
 
 def _image(pixels: np.ndarray, settings: CameraSettings) -> np.ndarray | None:

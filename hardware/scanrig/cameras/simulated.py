@@ -5,7 +5,6 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
-from types import TracebackType
 from typing import Literal
 
 import numpy as np
@@ -13,7 +12,7 @@ from jaxtyping import UInt8
 
 from jaxscan.files.disk import load_toml
 from scanrig.cameras.features import require, wanted
-from scanrig.cameras.frame import CameraIdentity, Features, Frame
+from scanrig.cameras.frame import CameraIdentity, ClosedAtExit, Features, Frame
 from scanrig.cameras.settings import CameraSettings, TriggerMode
 from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.clock import Clock, SystemClock
@@ -27,7 +26,7 @@ Scene = Callable[[float, int], UInt8[np.ndarray, "rows columns *three"]]
 """Draws the frame at a position of the table [microsteps], with a laser on (from 1; 0: none)."""
 
 
-class SimulatedCamera:
+class SimulatedCamera(ClosedAtExit):
     """Exposes when `expose` is called (a wire), `trigger` (software), or `next` (free-running).
 
     Software triggers and free-running frames get position and laser from `world`; for `expose` they are arguments.
@@ -149,14 +148,6 @@ class SimulatedCamera:
             self._closed = self._lost = True
             self._running = False
             self._changed.notify_all()
-
-    def __enter__(self) -> "SimulatedCamera":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _require_open(self) -> None:
         if self._closed or (self._lost and not self._queue):

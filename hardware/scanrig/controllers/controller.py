@@ -1,13 +1,15 @@
 """The interface of every controller: it turns the table, switches the lasers, and may trigger the camera."""
 
 import logging
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol
+from typing import Protocol, Self
 
 from scanrig.controllers.settings import Settings
 from scanrig.controllers.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
 from scanrig.errors import RigError
+from scanrig.wire import Link
 
 
 log = logging.getLogger(__name__)
@@ -205,12 +207,48 @@ class Controller(Protocol):
     ) -> None: ...
 
 
-def close_after(controller: Controller, error: BaseException | None) -> None:
-    """Close on the way out of `with`; where that fails on the way out of an error, the error says so as well."""
-    try:
-        controller.close()
-    except RigError as problem:
-        if error is None:
-            raise
-        log.critical("%s", problem)
-        error.add_note(str(problem))
+class SafelyClosed(ABC):
+    """The end of a controller's use: `close`, which `with` calls, makes the rig safe and closes the port."""
+
+    _closed = False
+
+    @property
+    @abstractmethod
+    def link(self) -> Link:
+        """The present link."""
+
+    @abstractmethod
+    def make_safe(self) -> bool:
+        """See `Controller`."""
+
+    @property
+    def name(self) -> str:
+        """The name of the port, for messages."""
+        return self.link.name
+
+    def close(self) -> None:
+        """See `Controller`."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            safe = self.make_safe()
+        finally:
+            self.link.close()
+        if not safe:
+            raise RigError(f"{self.name}: {UNCONFIRMED}")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.close()
+        except RigError as problem:
+            if error is None:
+                raise
+            # The error that ended `with` goes on, with this one as its note.
+            log.critical("%s", problem)
+            error.add_note(str(problem))

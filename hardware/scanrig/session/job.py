@@ -47,14 +47,6 @@ class SessionResult:
     """Whether the controller confirmed at the end that the laser is off."""
 
 
-def _silent(sentence: str) -> None:
-    del sentence
-
-
-def _never() -> bool:
-    return False
-
-
 @dataclass(frozen=True)
 class Devices:
     """The open devices that a session drives. A session closes none of them."""
@@ -75,9 +67,9 @@ class Hooks:
     """Called when a pair is on the disk."""
     progress: Callable[[int, int], None] | None = None
     """Called with (records on the disk, records planned)."""
-    notify: Callable[[str], None] = _silent
+    notify: Callable[[str], None] = lambda sentence: None
     """Called with each sentence that people should read."""
-    should_stop: Callable[[], bool] = _never
+    should_stop: Callable[[], bool] = lambda: False
     """Asked before each step whether to stop; `Interrupts` is one."""
     advise: Callable[[], Sequence[str]] | None = None
     """Asked for advice before the board is placed: the most helpful poses, a sentence each."""

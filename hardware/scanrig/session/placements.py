@@ -10,11 +10,14 @@ from scanrig.session.plan import Target, placed_targets
 from scanrig.session.session import Session
 
 
+PlacementKind = Literal["free", "placement"]
+
+
 @dataclass(frozen=True)
 class PlacementRequest:
     """A request to the operator to place the calibration board."""
 
-    kind: Literal["free", "placement"]
+    kind: PlacementKind
     """"free": hold it anywhere; "placement": stand it where it will not move while the table turns."""
     number: int
     """Counted from 0 within its kind."""
@@ -49,7 +52,8 @@ def take_placements(session: Session, positions: Sequence[int], operator: Operat
     """
     views, stands = placed_targets(session.config, positions)
     session.start(compare=False)
-    for kind, asked in (("free", views), ("placement", stands)):
+    kinds: tuple[tuple[PlacementKind, tuple[tuple[Target, ...], ...]], ...] = (("free", views), ("placement", stands))
+    for kind, asked in kinds:
         for number, targets in enumerate(asked):
             if all(target.record in session.done for target in targets):
                 continue
@@ -57,7 +61,7 @@ def take_placements(session: Session, positions: Sequence[int], operator: Operat
                 return False
             session.dark()
             advice = [] if session.job.hooks.advise is None else list(session.job.hooks.advise())
-            placed = operator.place(PlacementRequest(_kind(kind), number, len(asked), advice, session.rig.look))
+            placed = operator.place(PlacementRequest(kind, number, len(asked), advice, session.rig.look))
             if session.should_stop():
                 return False
             if not placed:
@@ -82,7 +86,3 @@ def _take_placement(session: Session, targets: Sequence[Target]) -> bool:
     if len({target.position for target in targets}) > 1:
         session.close_placement(in_place=True)
     return True
-
-
-def _kind(kind: str) -> Literal["free", "placement"]:
-    return "free" if kind == "free" else "placement"

@@ -1,5 +1,6 @@
 """The header of a session's capture, and the fields of each record."""
 
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
@@ -24,7 +25,7 @@ def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureH
         "firmware": firmware.version,
         "protocol": firmware.proto,
         "boot": firmware.boot,
-        "camera": {"kind": identity.kind, "model": identity.model, "serial": identity.serial},
+        "camera": asdict(identity),
         "features": dict(features),
         "config": config.frame_tables(kind),
     }

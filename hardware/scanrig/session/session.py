@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 from scanrig.checks import PLACES, LeakWatch, Likeness, compare_pairs
@@ -61,8 +62,7 @@ class Session:
         if self._found is None:
             self.ledger.create(capture_header(job, firmware, rig.features))
         else:
-            names = {"kind": identity.kind, "model": identity.model, "serial": identity.serial}
-            require_same_camera(self._found, names, folder=job.folder)
+            require_same_camera(self._found, asdict(identity), folder=job.folder)
             rig.require_features(self._found.header.acquisition.get("features", {}))
             self.ledger.resume()
             for problem in self._found.damaged:

@@ -36,8 +36,8 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     """Write a calibration as `path`, and its observations, where it has any, as `<stem>.npz`.
 
     Args:
-        calibration: Calibration of a whole scanner, or of a camera alone.
-        path: Ends in `.json`. Existing files are replaced when the new ones are whole.
+        calibration: Calibration of a scanner, or of a camera alone.
+        path: Ends in `.json`. Existing files are replaced when the new ones are complete.
 
     Raises:
         CalibrationError: If the calibration is inconsistent, or cannot be written.
@@ -163,7 +163,7 @@ def _tables(calibration: Calibration) -> dict[str, Any]:
     up = scanner.up if scanner is not None else observations.up if observations is not None else "-v"
     tables: dict[str, Any] = {"format": CALIBRATION_FORMAT, "camera": CameraTable.of(calibration.camera, up)}
     if scanner is not None:
-        # The numbers of the file are those of float64.
+        # Numbers in the file are float64.
         scanner = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), scanner)
         sheets, turntable = scanner.lasers, scanner.turntable
         tables["lasers"] = [

@@ -38,7 +38,7 @@ def export_camera(calibration: Calibration, path: str | Path, camera_format: Cam
     Args:
         calibration: Its camera is written; OpenCV's file also holds laser sheets and axis, under
             keys of our own.
-        path: An existing file is replaced when the new one is whole.
+        path: An existing file is replaced when the new one is complete.
         camera_format: Where None, the suffix decides: `.cameramodel` is mrcal's, `.yaml` and `.yml` OpenCV's.
 
     Raises:

@@ -8,9 +8,8 @@ import numpy as np
 import pydantic
 
 from jaxscan.errors import CalibrationError
-from jaxscan.files.capture import BoardTable, board_table
+from jaxscan.files.capture import BoardTable
 from jaxscan.files.disk import (
-    FileModel,
     ImageSize,
     check,
     check_arrays,
@@ -41,6 +40,8 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "stripes.view": (np.signedinteger, ("stripes",)),
     "stripes.laser": (np.signedinteger, ("stripes",)),
 }
+# Fields of `Observations` that are stored as they are, as JSON.
+_PLAIN = ("width", "height", "laser_names", "up", "carries")
 
 
 def _in_millimetres(board: Any) -> Any:
@@ -50,12 +51,6 @@ def _in_millimetres(board: Any) -> Any:
     lengths = {key: board[key] for key in ("square", "marker") if isinstance(board.get(key), int | float)}
     others = {key: value for key, value in board.items() if key not in lengths}
     return others | {f"{key}_mm": 1000 * value for key, value in lengths.items()}
-
-
-def _in_metres(table: FileModel) -> dict[str, Any]:
-    """The table of a board with lengths in metres, as in this file."""
-    items = table.model_dump().items()
-    return {key.removesuffix("_mm"): value / 1000 if key.endswith("_mm") else value for key, value in items}
 
 
 class _About(ImageSize):
@@ -74,23 +69,19 @@ def observations_path(path: Path) -> Path:
 
 
 def write_observations(observations: Observations, path: Path) -> None:
-    """Write the observations, whole or not at all.
+    """Write the observations atomically.
 
     Raises:
-        CalibrationError: If another file stands there, or the file cannot be written.
-        CaptureError: If the board is of an unknown kind.
+        CalibrationError: If another file has this name, the board is of an unknown kind, or the file cannot be
+            written.
     """
     if path.exists() and not is_observations(path):
         raise CalibrationError(f"{path}: exists and holds no observations; choose another name for the calibration.")
-    about = {
-        "format": OBSERVATIONS_FORMAT,
-        "board": _in_metres(board_table(observations.board)),
-        "width": observations.width,
-        "height": observations.height,
-        "laser_names": list(observations.laser_names),
-        "up": observations.up,
-        "carries": observations.carries,
-    }
+    board = {"type": type(observations.board).__name__.lower(), **vars(observations.board)}
+    about = {"format": OBSERVATIONS_FORMAT, "board": board}
+    about |= {name: getattr(observations, name) for name in _PLAIN}
+    # The same checks as on reading: a board may be of a kind that files do not know.
+    check(_About, about, name=str(path), error=CalibrationError)
     arrays = {name: np.asarray(operator.attrgetter(name)(observations)) for name in _ARRAYS}
     arrays = {"about": np.array(readable_json(about)), **arrays}
     write_atomically(path, lambda part: write_arrays(part, arrays), error=CalibrationError)
@@ -128,9 +119,5 @@ def read_observations(path: Path) -> Observations:
         board=board,
         corners=BoardViews(**corners),
         stripes=StripeViews(**stripes),
-        width=about.width,
-        height=about.height,
-        laser_names=about.laser_names,
-        up=about.up,
-        carries=about.carries,
+        **{name: getattr(about, name) for name in _PLAIN},
     )

@@ -1,7 +1,7 @@
 """Captures on disk, read."""
 
 from jaxscan.files.capture.board_captures import common_board
-from jaxscan.files.capture.boards import BoardTable, board_table
+from jaxscan.files.capture.boards import BoardTable
 from jaxscan.files.capture.capture import Capture, open_capture
 from jaxscan.files.capture.decode import cores
 from jaxscan.files.capture.exposures import exposure_levels

@@ -1,4 +1,4 @@
-"""Which captures of a board can be calibrated together."""
+"""Check that captures of a board can be calibrated together."""
 
 from collections.abc import Sequence
 from typing import cast
@@ -9,11 +9,11 @@ from jaxscan.geometry import AbstractBoard
 
 
 def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> AbstractBoard:
-    """The board of captures that are to be calibrated together: they must show one board to one rig.
+    """The common board of captures that are calibrated together; all must come from one rig.
 
     Args:
         captures: The captures.
-        single_lasers: No record may show several lasers at once, for no stripe could be told from that of another.
+        single_lasers: No record may show several lasers at once, since their stripes cannot be told apart.
 
     Raises:
         CaptureError: With the capture that differs from the first, or the record with several lasers.
@@ -25,7 +25,7 @@ def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> Abstrac
         for table in ("camera", "laser", "turntable", "board"):
             if getattr(capture.header, table) != getattr(first.header, table):
                 raise CaptureError(
-                    f"{capture.path}: its [{table}] differs from that of {first.path}; "
+                    f"{capture.path}: its [{table}] is not the same as in {first.path}; "
                     "captures calibrated together must show the same board to the same rig."
                 )
     for capture in captures if single_lasers else ():

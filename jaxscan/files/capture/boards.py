@@ -1,10 +1,9 @@
-"""Calibration boards as files have them: a table each, in millimetres."""
+"""Tables of calibration boards in files; lengths in millimetres."""
 
 from typing import Annotated, Literal
 
 import pydantic
 
-from jaxscan.errors import CaptureError
 from jaxscan.files.disk import FileModel, Integer, Number
 from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
 
@@ -30,7 +29,7 @@ class CharucoTable(FileModel):
         return self
 
     def board(self) -> AbstractBoard:
-        """The board of the geometry."""
+        """The board that the table describes."""
         return Charuco(
             columns=self.columns,
             rows=self.rows,
@@ -49,27 +48,8 @@ class ChessboardTable(FileModel):
     square_mm: Length
 
     def board(self) -> AbstractBoard:
-        """The board of the geometry."""
+        """The board that the table describes."""
         return Chessboard(columns=self.columns, rows=self.rows, square=self.square_mm / 1000)
 
 
 BoardTable = Annotated[CharucoTable | ChessboardTable, pydantic.Field(discriminator="type")]
-
-
-def board_table(board: AbstractBoard) -> CharucoTable | ChessboardTable:
-    """The table of a board.
-
-    Raises:
-        CaptureError: If the board is of a kind that files do not know.
-    """
-    if isinstance(board, Charuco):
-        return CharucoTable(
-            columns=board.columns,
-            rows=board.rows,
-            square_mm=1000 * board.square,
-            marker_mm=1000 * board.marker,
-            dictionary=board.dictionary,
-        )
-    if isinstance(board, Chessboard):
-        return ChessboardTable(columns=board.columns, rows=board.rows, square_mm=1000 * board.square)
-    raise CaptureError(f"A board of type {type(board).__name__} has no place in files yet.")

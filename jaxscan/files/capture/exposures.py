@@ -29,8 +29,8 @@ def check_exposures(records: Sequence[Record], *, name: str) -> None:
         for side, images in (("on", record.on), ("off", record.off)):
             if images and exposure_levels(images) != expected:
                 raise CaptureError(
-                    f"{name}: record {record.i}: {side}: found {_said(exposure_levels(images))}, but the sweep began "
-                    f"with {_said(expected)}; all frames of a sweep need the same exposures."
+                    f"{name}: record {record.i}: {side}: found {_levels(exposure_levels(images))}, but the sweep began "
+                    f"with {_levels(expected)}; all frames of a sweep need the same exposures."
                 )
 
 
@@ -65,5 +65,5 @@ def average(images: Sequence[ImageRef], target: np.ndarray, load: Callable[[Imag
     target[...] = np.rint(total / np.float32(len(images)))
 
 
-def _said(levels: Sequence[float]) -> str:
+def _levels(levels: Sequence[float]) -> str:
     return "one image without exposure" if not levels else ", ".join(f"{1e3 * level:g}" for level in levels) + " ms"

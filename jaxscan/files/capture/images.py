@@ -73,7 +73,7 @@ class RecordFrames:
     """The laser-on, or the laser-off, frames of a sweep: a `FrameSource`."""
 
     def __init__(self, reader: ImageReader, images: Sequence[tuple[ImageRef, ...]]) -> None:
-        """`images` are those of each record; all records have the same exposures."""
+        """`images` has the images of each record; all records have the same exposures."""
         self._reader = reader
         self._images = images
         self._levels = max(1, len(exposure_levels(images[0]))) if images else 1

@@ -61,7 +61,7 @@ def code_digest() -> str:
 
 
 def save_stripes(path: str | Path, arrays: Mapping[str, np.ndarray], key: Mapping[str, Any]) -> None:
-    """Write arrays and their key, whole or not at all.
+    """Write arrays and their key atomically.
 
     Args:
         path: The file, `.npz`; one that exists is replaced.

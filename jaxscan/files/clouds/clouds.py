@@ -51,7 +51,7 @@ def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str =
 
     Args:
         cloud: Points [m], scanner frame.
-        path: Its suffix is one of `WRITERS`. An existing file is replaced when the new one is whole.
+        path: Its suffix is one of `WRITERS`. An existing file is replaced when the new one is complete.
         calibration_digest: Digest of the calibration file, stored where the format has room for it.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Reading with bounds, writing whole files, and checking data, for all file formats."""
+"""Bounded reading, atomic writing and checks of data, for all file formats."""
 
 from jaxscan.files.disk.arrays import NPY_DAMAGE, check_arrays, read_arrays, read_npy_header, write_arrays
 from jaxscan.files.disk.atomic import append_whole, check_writable, sync_to_disk, write_atomically

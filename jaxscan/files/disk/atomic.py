@@ -1,4 +1,4 @@
-"""Writing files whole or not at all: under a temporary name, then renamed."""
+"""Writing files atomically: under a temporary name, then renamed."""
 
 import contextlib
 import errno
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from jaxscan.errors import JaxscanError
+from jaxscan.files.disk.bounded import reported
 
 
 def write_atomically(
@@ -34,18 +35,17 @@ def write_atomically(
     target = Path(os.path.realpath(path))
     part = target.with_name(f".part-{secrets.token_hex(6)}{target.suffix}")
     try:
-        _check_target(target)
-        if callable(content):
-            content(part)
-        else:
-            part.write_bytes(content)
-        if durable:
-            sync_to_disk(part)
-        os.replace(part, target)
-        if durable and os.name == "posix":
-            sync_to_disk(target.parent)
-    except OSError as problem:
-        raise error(_explain(path, target, problem)) from problem
+        with reported(f"{path}: cannot be written", error=error):
+            _check_target(target)
+            if callable(content):
+                content(part)
+            else:
+                part.write_bytes(content)
+            if durable:
+                sync_to_disk(part)
+            os.replace(part, target)
+            if durable and os.name == "posix":
+                sync_to_disk(target.parent)
     finally:
         part.unlink(missing_ok=True)
 
@@ -61,12 +61,10 @@ def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError
         JaxscanError: Of type `error`, if `write_atomically` would refuse.
     """
     target = Path(os.path.realpath(path))
-    try:
+    with reported(f"{path}: cannot be written", error=error):
         _check_target(target)
         if not os.access(target.parent, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    except OSError as problem:
-        raise error(_explain(path, target, problem)) from problem
 
 
 def append_whole(file: io.FileIO, data: bytes, *, durable: bool) -> None:
@@ -91,7 +89,7 @@ def append_whole(file: io.FileIO, data: bytes, *, durable: bool) -> None:
 def _check_target(target: Path) -> None:
     # Other libraries raise errors of their own for a missing folder.
     if not target.parent.is_dir():
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+        raise OSError(f"the folder {target.parent} does not exist; create it first")
     # Renaming would replace a device or a folder, although the user only meant to write into it.
     if target.exists() and not stat.S_ISREG(target.stat().st_mode):
         raise OSError("it exists and is not a regular file")
@@ -104,9 +102,3 @@ def sync_to_disk(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _explain(path: str | Path, target: Path, problem: OSError) -> str:
-    if not target.parent.is_dir():
-        return f"{path}: cannot be written, the folder {target.parent} does not exist; create it first."
-    return f"{path}: cannot be written: {problem.strerror or problem}."

@@ -123,14 +123,16 @@ def _suggest(key: str, known: list[str]) -> str:
 def _known_keys(model: type[pydantic.BaseModel], location: tuple[Any, ...]) -> list[str]:
     level = [model]
     for item in location:
-        inner = [part for one in level for field in _fields(one, item) for part in _models_in(field.annotation)]
+        inner = [
+            part
+            for one in level
+            for name, field in one.model_fields.items()
+            if item in (name, field.alias)
+            for part in _models_in(field.annotation)
+        ]
         # Where the item is no key, it is an index or the tag that chose a branch of a union.
         level = inner or [one for one in level if _is_tagged(one, item)] or level
     return sorted({field.alias or name for one in level for name, field in one.model_fields.items()})
-
-
-def _fields(model: type[pydantic.BaseModel], key: Any) -> list[Any]:
-    return [field for name, field in model.model_fields.items() if key in (name, field.alias)]
 
 
 def _is_tagged(model: type[pydantic.BaseModel], tag: Any) -> bool:

@@ -1,4 +1,4 @@
-"""The folder that a capture is written into: made so that it lasts, and nobody else's."""
+"""The folder of a new capture: created durably, and only where no other data is lost."""
 
 import contextlib
 import os
@@ -10,11 +10,11 @@ from jaxscan.files.disk import sync_to_disk
 
 
 LOCK_NAME = ".scan.lock"
-"""File that whoever captures into a folder keeps there meanwhile."""
+"""Lock file in a folder during a capture."""
 
 
 def make_folder(path: Path, *, durable: bool) -> None:
-    """Make a folder, and those above it that are missing; none is lost with the power.
+    """Make a folder and its missing parents; with `durable` they survive a loss of power.
 
     Raises:
         OSError: If it cannot be made.
@@ -29,7 +29,7 @@ def make_folder(path: Path, *, durable: bool) -> None:
 
 
 def require_no_links(path: Path) -> None:
-    """See that what is written into a capture stays in its folder.
+    """Check that nothing can be written outside the folder of a capture.
 
     Raises:
         CaptureError: If a folder of images or the journal is a link.
@@ -43,12 +43,11 @@ def require_no_links(path: Path) -> None:
 
 
 def is_unused(path: Path) -> bool:
-    """Whether nothing is lost with this folder: it is empty, or a capture was begun and has not even a header."""
-    empty = {"on": True, "off": True, JOURNAL_NAME: True, LOCK_NAME: True}
+    """Whether a folder is empty, or holds only a capture that was begun and has no header yet."""
     for entry in path.iterdir():
         if entry.name.startswith(".part-") or entry.name == LOCK_NAME:
             continue
-        if entry.name not in empty:
+        if entry.name not in ("on", "off", JOURNAL_NAME):
             return False
         if any(entry.iterdir()) if entry.is_dir() else entry.stat().st_size > 0:
             return False

@@ -1,5 +1,6 @@
-"""A capture with its images stored in another way: files that programs open, or shards that are read at once."""
+"""Copying a capture with its images stored in another way: as PNG files, or as raw frames in shards."""
 
+import itertools
 import os
 import secrets
 import shutil
@@ -22,7 +23,7 @@ from jaxscan.files.capture import (
     open_capture,
     read_texts,
 )
-from jaxscan.files.disk import sync_to_disk, write_atomically
+from jaxscan.files.disk import reported, sync_to_disk, write_atomically
 from jaxscan.files.recording.store import Storage
 from jaxscan.files.recording.writer import CaptureWriter, create_capture
 
@@ -35,10 +36,10 @@ def repack_capture(
 ) -> Capture:
     """Copy a capture, its images stored in another way.
 
-    The header stays as it is to the byte, and every record and event keeps all of its keys; only
-    the names of the images are new. Records come in the order of their numbers; takes that were
-    replaced by a later one, and a torn last line, are left out. Where records carry digests of
-    their images, those become the digests of the new ones; seals of the old journal are left out.
+    The header stays the same, byte for byte, and every record and event keeps all of its keys; only
+    the names of the images are new. Records are in the order of their numbers; takes that were
+    replaced by a later one, and a torn last line, are left out. Where records have digests of
+    their images, digests of the new images replace them; seals of the old journal are left out.
 
     Args:
         source: The capture.
@@ -66,24 +67,22 @@ def repack_capture(
         with create_capture(part, capture.header, storage=storage, durable=False, digests=digests) as writer:
             _copy(capture, writer, values, progress)
         write_atomically(part / HEADER_NAME, texts.header_bytes, durable=False, error=CaptureError)
-        # Again, after all the work: a folder that has appeared meanwhile is somebody's.
+        # Check again: a folder may have appeared in the meantime.
         check_new_folder(target)
-        try:
-            # All of it at once: whoever deletes the source next has lost nothing.
+        with reported(f"{target}: cannot be created", error=CaptureError):
+            # Wait for the disk here, once, so that the source may be deleted afterwards.
             for place, _, names in os.walk(part):
                 for name in (*names, ""):
                     sync_to_disk(Path(place, name))
             os.rename(part, target)
             sync_to_disk(target.parent)
-        except OSError as problem:
-            raise CaptureError(f"{target}: cannot be created: {problem.strerror or problem}.") from problem
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return open_capture(target)
 
 
 def check_new_folder(target: str | Path) -> None:
-    """See that a folder can be made under this name.
+    """Check that a folder can be made under this name.
 
     Raises:
         CaptureError: If something exists there, or its own folder does not.
@@ -98,32 +97,26 @@ def check_new_folder(target: str | Path) -> None:
 def _copy(capture: Capture, writer: CaptureWriter, values: Iterable[dict[str, Any]], progress: Progress | None) -> None:
     """All records and events; images are read a few records ahead."""
     records = {record.i: record for record in capture.records}
-    ahead: deque[tuple[dict[str, Any], Future[dict[str, list[np.ndarray]]]]] = deque()
-    done = 0
-    with ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-decode") as pool:
-
-        def advance() -> None:
-            nonlocal done
+    ahead: deque[tuple[dict[str, Any], Future[dict[str, list[np.ndarray]]] | None]] = deque()
+    done = itertools.count(1)
+    pool = ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-decode")
+    values = iter(values)
+    try:
+        while True:
+            for value in itertools.islice(values, 2 * cores() + 1 - len(ahead)):
+                images = pool.submit(_images, capture, records[value["i"]]) if "i" in value else None
+                ahead.append((value, images))
+            if not ahead:
+                break
             value, images = ahead.popleft()
+            if images is None:
+                writer.append_event({key: kept for key, kept in value.items() if key != SEAL})
+                continue
             writer.append_line(value, images.result())
-            done += 1
             if progress is not None:
-                progress(done, len(records))
-
-        try:
-            for value in values:
-                if "i" not in value:
-                    while ahead:
-                        advance()
-                    writer.append_event({key: kept for key, kept in value.items() if key != SEAL})
-                    continue
-                ahead.append((value, pool.submit(_images, capture, records[value["i"]])))
-                if len(ahead) > 2 * cores():
-                    advance()
-            while ahead:
-                advance()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+                progress(next(done), len(records))
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _images(capture: Capture, record: Record) -> dict[str, list[np.ndarray]]:

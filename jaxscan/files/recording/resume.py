@@ -1,12 +1,11 @@
-"""Going on with a capture that was interrupted."""
+"""Resuming an interrupted capture."""
 
 from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import JOURNAL_NAME, Record, exposure_levels, journal_objects, read_texts
-from jaxscan.files.disk import write_atomically
+from jaxscan.files.capture import JOURNAL_NAME, exposure_levels, journal_objects, read_texts
+from jaxscan.files.disk import reported, write_atomically
 from jaxscan.files.recording.folder import require_no_links
 from jaxscan.files.recording.store import Storage, WriteSettings
 from jaxscan.files.recording.writer import CaptureWriter
@@ -17,43 +16,35 @@ def resume_capture(
 ) -> CaptureWriter:
     """Append to an existing capture.
 
-    A torn last line, which would stand in the middle from now on, is removed, and the event
-    "resume" is noted.
+    A torn last line is removed, since lines will follow it, and the event "resume" is written.
 
     Args:
         path: The folder.
-        storage: As of `create_capture`; by default that of the last record, "png" before the first.
-        durable: As of `create_capture`.
-        digests: As of `create_capture`.
+        storage: See `create_capture`; by default as in the last record, "png" without records.
+        durable: See `create_capture`.
+        digests: See `create_capture`.
 
     Returns:
         The writer; its next number follows the largest in the journal.
 
     Raises:
-        CaptureError: If it is no capture, damaged in another way, or has a link where something would be written.
+        CaptureError: If it is no capture, is damaged in another way, or has a link in place of a folder or the journal.
     """
     path = Path(path)
     require_no_links(path)
     texts = read_texts(path)
-    lines = [line for line in texts.journal_bytes.split(b"\n") if line.strip()]
-    if texts.notes:
-        lines.pop()
-    whole = b"".join(line + b"\n" for line in lines)
-    if whole != texts.journal_bytes:
-        write_atomically(path / JOURNAL_NAME, whole, durable=durable, error=CaptureError)
-    taken = Counter(value["i"] for _, value in journal_objects(whole) if "i" in value)
-    try:
+    lines = [line + b"\n" for line in texts.journal_bytes.split(b"\n") if line.strip()]
+    journal = b"".join(lines[:-1] if texts.notes else lines)
+    if journal != texts.journal_bytes:
+        write_atomically(path / JOURNAL_NAME, journal, durable=durable, error=CaptureError)
+    taken = Counter(value["i"] for _, value in journal_objects(journal) if "i" in value)
+    with reported(f"{path}: cannot be written", error=CaptureError):
         for folder in ("on", "off"):
             (path / folder).mkdir(exist_ok=True)
         levels = exposure_levels(texts.records[-1].on) if texts.records else None
-        settings = WriteSettings(storage or _storage(texts.records), durable, digests)
+        images = (*texts.records[-1].on, *texts.records[-1].off) if texts.records else ()
+        stored: Storage = "npy" if any(one.index is not None for one in images) else "png"
+        settings = WriteSettings(storage or stored, durable, digests)
         writer = CaptureWriter(path, texts.header, settings=settings, taken=taken, levels=levels)
-    except OSError as problem:
-        raise CaptureError(f"{path}: cannot be written: {problem.strerror or problem}.") from problem
     writer.event("resume")
     return writer
-
-
-def _storage(records: Sequence[Record]) -> Storage:
-    images = (*records[-1].on, *records[-1].off) if records else ()
-    return "npy" if any(one.index is not None for one in images) else "png"

@@ -1,4 +1,4 @@
-"""Where a capture's writer puts images: a PNG file each, or raw in shards of many."""
+"""Storage of images in a capture: a PNG file each, or raw frames in shards."""
 
 import hashlib
 import io
@@ -8,12 +8,12 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple, Protocol, get_args, runtime_checkable
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.disk import sync_to_disk, write_atomically
+from jaxscan.files.disk import reported, sync_to_disk, write_atomically
 
 
 Storage = Literal["png", "npy"]
@@ -25,39 +25,6 @@ SHARD_RECORDS = 32
 _HEADER_BYTES = 128
 
 
-@runtime_checkable
-class ImageStore(Protocol):
-    """Names images and writes them; `names` and `take` are called by one thread, `write` by many."""
-
-    def names(self, side: str, stem: str, count: int) -> list[str]:
-        """References for `count` images of one frame; `side` is "on" or "off". Changes nothing."""
-        ...
-
-    def take(self, side: str, count: int) -> None:
-        """Make those names taken."""
-        ...
-
-    def write(self, name: str, image: np.ndarray) -> str:
-        """Write an image under its name; when this returns, the journal may speak of it.
-
-        Returns:
-            The sha256 of what was written for this image, in hexadecimal digits; "" where the store
-            makes no digests.
-
-        Raises:
-            CaptureError: If it cannot be written.
-        """
-        ...
-
-    def close(self) -> None:
-        """End, when nothing is being written any more.
-
-        Raises:
-            CaptureError: If a file cannot be written.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class WriteSettings:
     """How a capture is written; `create_capture` describes each."""
@@ -67,23 +34,11 @@ class WriteSettings:
     digests: bool = False
 
 
-def image_store(path: Path, shape: tuple[int, ...], settings: WriteSettings) -> ImageStore:
-    """The store for images of `shape` in the capture at `path`.
-
-    With `digests`, writing an image also tells its sha256: of the file, or of the frame in a shard.
-
-    Raises:
-        ValueError: If the kind of storage is unknown.
-    """
-    if settings.storage not in STORAGES:
-        raise ValueError(f"Unknown storage {settings.storage!r}; known: {', '.join(STORAGES)}.")
-    if settings.storage == "png":
-        return PngStore(path, settings.durable, settings.digests)
-    return ShardStore(path, shape, settings.durable, settings.digests)
-
-
 class PngStore:
-    """One PNG file per image, named after the record."""
+    """One PNG file per image, named after the record.
+
+    As in `ShardStore`, one thread calls `names` and `take`, and many call `write`.
+    """
 
     def __init__(self, path: Path, durable: bool, digests: bool) -> None:
         self._path, self._durable, self._digests = path, durable, digests
@@ -118,8 +73,8 @@ class ShardStore:
     """Shards `on/000000.npy`, `off/000000.npy`, ... of raw frames, in the order in which they are appended.
 
     A shard has its full length from the beginning, and images are written into it one by one; so
-    it is a readable file whatever happens, and what the journal names in it is complete. Shards
-    of an earlier session are never written to.
+    it is readable at any moment, and every frame that the journal names in it is complete. Shards
+    of an earlier session are never changed.
     """
 
     def __init__(self, path: Path, shape: tuple[int, ...], durable: bool, digests: bool) -> None:
@@ -131,10 +86,12 @@ class ShardStore:
         self._lock = threading.Lock()
 
     def names(self, side: str, stem: str, count: int) -> list[str]:
+        """References for `count` images of one frame; `side` is "on" or "off". Changes nothing."""
         place = self._room(side, count)
         return [f"{_shard_name(side, place.shard)}#{place.used + k}" for k in range(count)]
 
     def take(self, side: str, count: int) -> None:
+        """Reserve those names."""
         place = self._room(side, count)
         self._place[side] = place._replace(used=place.used + count)
         self._length[_shard_name(side, place.shard)] = place.length
@@ -149,8 +106,16 @@ class ShardStore:
         return _Place(place.shard + 1, 0, count * (1 << (frames.bit_length() - 1)))
 
     def write(self, name: str, image: np.ndarray) -> str:
+        """Write an image under its name; after this the journal may name it.
+
+        Returns:
+            The sha256 of the image as it is stored, in hexadecimal digits; "" without `digests`.
+
+        Raises:
+            CaptureError: If it cannot be written.
+        """
         shard, _, index = name.partition("#")
-        try:
+        with reported(f"{self._path / shard}: cannot be written", error=CaptureError):
             with self._lock:
                 self._make(shard)
             with open(self._path / shard, "r+b", buffering=0) as file:
@@ -161,8 +126,6 @@ class ShardStore:
                     data = data[file.write(data) :]
                 if self._durable:
                     os.fsync(file.fileno())
-        except OSError as problem:
-            raise CaptureError(f"{self._path / shard}: cannot be written: {problem.strerror or problem}.") from problem
         return digest
 
     def _make(self, shard: str) -> None:
@@ -178,22 +141,38 @@ class ShardStore:
         self._made.add(shard)
 
     def close(self) -> None:
+        """Shorten the last shards to their frames, after all calls of `write` have returned.
+
+        Raises:
+            CaptureError: If a file cannot be written.
+        """
         for side, place in self._place.items():
             shard = _shard_name(side, place.shard)
-            if shard in self._made and place.used < place.length:
-                self._trim(shard, place.used)
-
-    def _trim(self, shard: str, length: int) -> None:
-        try:
-            with open(self._path / shard, "r+b") as file:
-                # First what is promised, then what is there: between the two the file is readable.
-                file.write(_header(length, self._shape))
+            if shard not in self._made or place.used >= place.length:
+                continue
+            file_path = self._path / shard
+            with reported(f"{file_path}: cannot be written", error=CaptureError), open(file_path, "r+b") as file:
+                # The header shrinks before the file, so the file is readable at any moment.
+                file.write(_header(place.used, self._shape))
                 file.flush()
                 if self._durable:
                     os.fsync(file.fileno())
-                file.truncate(_HEADER_BYTES + length * self._bytes)
-        except OSError as problem:
-            raise CaptureError(f"{self._path / shard}: cannot be written: {problem.strerror or problem}.") from problem
+                file.truncate(_HEADER_BYTES + place.used * self._bytes)
+
+
+def image_store(path: Path, shape: tuple[int, ...], settings: WriteSettings) -> PngStore | ShardStore:
+    """The store for images of `shape` in the capture at `path`.
+
+    With `digests`, `write` returns the sha256 of the file, or of the frame in a shard.
+
+    Raises:
+        ValueError: If the kind of storage is unknown.
+    """
+    if settings.storage not in STORAGES:
+        raise ValueError(f"Unknown storage {settings.storage!r}; known: {', '.join(STORAGES)}.")
+    if settings.storage == "png":
+        return PngStore(path, settings.durable, settings.digests)
+    return ShardStore(path, shape, settings.durable, settings.digests)
 
 
 def _shard_name(side: str, number: int) -> str:
@@ -211,7 +190,7 @@ def _header(length: int, shape: Sequence[int]) -> bytes:
     """The beginning of an `.npy` file of uint8 [length, *shape], of the same size for every length."""
     text = io.BytesIO()
     np.lib.format.write_array_header_1_0(
-        text, {"descr": "|u1", "fortran_order": False, "shape": (length, *(int(n) for n in shape))}
+        text, {"descr": "|u1", "fortran_order": False, "shape": (length, *map(int, shape))}
     )
     found = text.getvalue()
     if len(found) != _HEADER_BYTES:

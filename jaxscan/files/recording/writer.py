@@ -1,4 +1,4 @@
-"""Writing a capture: images first, whole; then the line of the journal that says they are there."""
+"""Writing a capture: first the images, then the line of the journal that names them."""
 
 import contextlib
 import json
@@ -9,16 +9,15 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, MAX_LINE_BYTES, CaptureHeader, frame_shape, header_toml
-from jaxscan.files.disk import append_whole, write_atomically
+from jaxscan.files.disk import append_whole, reported, write_atomically
 from jaxscan.files.recording.folder import is_unused, make_folder, require_no_links
-from jaxscan.files.recording.given import copies, given_exposures, named, unnamed
+from jaxscan.files.recording.given import given_frame, named
 from jaxscan.files.recording.store import Storage, WriteSettings, image_store
 
 
@@ -30,13 +29,17 @@ class _Pending:
     fields: dict[str, Any]
     images: dict[str, list[Future[str]]]
 
+    def done(self) -> bool:
+        """Whether all its images are written."""
+        return all(image.done() for images in self.images.values() for image in images)
+
 
 class CaptureWriter:
     """Appends records to a capture; a context manager.
 
     Images are encoded and written in threads, a few records behind `append`; a record's line
-    enters the journal, in order, only when its images are in their files. What a crash leaves
-    behind is therefore a readable capture of the records before it.
+    enters the journal, in order, only when its images are in their files. After a crash the folder
+    is therefore a readable capture of the records before it.
     """
 
     def __init__(
@@ -50,8 +53,8 @@ class CaptureWriter:
     ) -> None:
         """Use `create_capture` or `resume_capture`.
 
-        `taken` counts the takes of each record so far, and `levels` are the exposures of a sweep's
-        frames [s], none where its records do not say.
+        `taken` counts the takes of each record so far; `levels` are the exposures of a sweep's
+        frames [s], empty where its records name none, None before the first record.
         """
         self.path = path
         self.header = header
@@ -85,7 +88,7 @@ class CaptureWriter:
                 (image, exposure [s]): repetitions of an exposure are averaged by readers,
                 different exposures are a bracket.
             off: Laser-off image or images, likewise; with the exposures of `on`.
-            placement: Which pose of the board it saw.
+            placement: Number of the board's pose.
             i: The record's number; the next free one if not given. A number used before is a
                 retake, and replaces that record.
             extra: Further keys, as JSON holds them: `lasers`, `time`, `microsteps`, ...
@@ -108,29 +111,25 @@ class CaptureWriter:
             raise CaptureError(f"{where}: has no image.")
         if angle_deg is not None and not math.isfinite(angle_deg):
             raise CaptureError(f"{where}: angle_deg = {angle_deg} is not finite.")
-        levels = [
-            given_exposures(given, f"{where}: {side}")
-            for side, given in (("on", on), ("off", off))
-            if given is not None
-        ]
+        shape = frame_shape(self.header)
+        frames = {side: given_frame(given, shape, f"{where}: {side}") for side, given in (("on", on), ("off", off))}
+        levels = [frame.levels for frame in frames.values() if frame.images]
         expected = levels[0] if self._levels is None else self._levels
         if self.header.kind == "sweep" and any(one != expected for one in levels):
             raise CaptureError(
                 f"{where}: found images of the exposures {levels} s, expected {expected} s; "
                 "all frames of a sweep need the same."
             )
-        shape = frame_shape(self.header)
-        images = {side: copies(given, shape, f"{where}: {side}") for side, given in (("on", on), ("off", off))}
         fields: dict[str, Any] = {"i": number, "angle_deg": None if angle_deg is None else float(angle_deg)}
-        fields |= {"on": unnamed(on), "off": unnamed(off)} | extra
+        fields |= {side: frame.entry for side, frame in frames.items()} | extra
         if placement is not None:
             fields["placement"] = int(placement)
-        self.append_line(fields, images)
+        self.append_line(fields, {side: frame.images for side, frame in frames.items()})
         self._levels = expected
         return number
 
     def append_line(self, fields: Mapping[str, Any], images: Mapping[str, Sequence[np.ndarray]]) -> None:
-        """Add one record as another journal has it; `append` is what acquisition calls.
+        """Add one record from another journal; acquisition calls `append`.
 
         Args:
             fields: All of the record, `i` included. The names of its images are replaced.
@@ -138,16 +137,16 @@ class CaptureWriter:
                 copied, so they must not change any more.
 
         Raises:
-            CaptureError: As of `append`.
+            CaptureError: For the reasons of `append`.
         """
         self._check_alive()
         number = fields["i"]
         retakes = self._taken.get(number, 0)
-        # A retake never touches what the journal already speaks of.
+        # A retake never changes images that the journal names.
         stem = f"{number:06d}" if retakes == 0 else f"{number:06d}-{retakes}"
         names = {side: self._store.names(side, stem, len(given)) for side, given in images.items() if given}
         record = {**fields, **{side: named(fields[side], given) for side, given in names.items()}}
-        # What the line cannot hold is to be known before anything is written.
+        # A line that JSON cannot hold is refused before anything is written.
         self._line(record | self._sums({side: [_NO_DIGEST] * len(given) for side, given in names.items()}))
         for side, given in names.items():
             self._store.take(side, len(given))
@@ -165,7 +164,7 @@ class CaptureWriter:
         self.append_event({"event": name, **extra})
 
     def append_event(self, fields: Mapping[str, Any]) -> None:
-        """Add an event as another journal has it."""
+        """Add an event from another journal."""
         self._check_alive()
         self._line(dict(fields))
         self._pending.append(_Pending(dict(fields), {}))
@@ -182,7 +181,7 @@ class CaptureWriter:
             self._complete_oldest()
 
     def close(self) -> None:
-        """Write what is pending, and end.
+        """Write all pending records, and end.
 
         Raises:
             CaptureError: If a record cannot be written; those before it are in the journal.
@@ -195,16 +194,14 @@ class CaptureWriter:
         finally:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._journal.close()
-            # After a failure, which has been raised, the next one is no news.
+            # A second failure is not raised.
             with contextlib.suppress(*(() if self._failed is None else (CaptureError,))):
                 self._store.close()
 
     def __enter__(self) -> "CaptureWriter":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def _check_alive(self) -> None:
@@ -223,14 +220,14 @@ class CaptureWriter:
         try:
             line = json.dumps(fields, allow_nan=False).encode() + b"\n"
         except (TypeError, ValueError) as problem:
-            raise CaptureError(f"{self.path}: {problem}: a record holds only what JSON can.") from problem
+            raise CaptureError(f"{self.path}: {problem}: a record holds only JSON values.") from problem
         if len(line) > MAX_LINE_BYTES:
             raise CaptureError(f"{self.path}: a record of {len(line)} bytes, more than {MAX_LINE_BYTES}.")
         return line
 
     def _advance(self) -> None:
-        """Complete what is finished, and wait where too much is not."""
-        while len(self._pending) > self._ahead or (self._pending and _finished(self._pending[0])):
+        """Complete finished records, and wait if too many are pending."""
+        while len(self._pending) > self._ahead or (self._pending and self._pending[0].done()):
             self._complete_oldest()
 
     def _complete_oldest(self) -> None:
@@ -238,19 +235,11 @@ class CaptureWriter:
         try:
             digests = {side: [image.result() for image in images] for side, images in pending.images.items()}
             line = self._line(pending.fields | (self._sums(digests) if digests else {}))
-            append_whole(self._journal, line, durable=self._durable)
-        except OSError as problem:
-            self._failed = CaptureError(
-                f"{self.path / JOURNAL_NAME}: cannot be written: {problem.strerror or problem}."
-            )
-            raise self._failed from problem
+            with reported(f"{self.path / JOURNAL_NAME}: cannot be written", error=CaptureError):
+                append_whole(self._journal, line, durable=self._durable)
         except CaptureError as problem:
             self._failed = problem
             raise
-
-
-def _finished(pending: _Pending) -> bool:
-    return all(image.done() for images in pending.images.values() for image in images)
 
 
 def create_capture(
@@ -265,7 +254,7 @@ def create_capture(
 
     Args:
         path: The folder; made if it does not exist.
-        header: What becomes `capture.toml`.
+        header: The contents of `capture.toml`.
         storage: "png", a file per image that every program opens; or "npy", raw frames in shards
             of at most 64 MiB and 32 frames, which take three times the space and are read
             without decoding.
@@ -281,7 +270,7 @@ def create_capture(
     """
     path = Path(path)
     toml = header_toml(header)
-    try:
+    with reported(f"{path}: cannot be created", error=CaptureError):
         make_folder(path, durable=durable)
         require_no_links(path)
         if not is_unused(path):
@@ -294,5 +283,3 @@ def create_capture(
         # Last: a folder with a header is a capture.
         write_atomically(path / HEADER_NAME, toml, durable=durable, error=CaptureError)
         return CaptureWriter(path, header, settings=WriteSettings(storage, durable, digests))
-    except OSError as problem:
-        raise CaptureError(f"{path}: cannot be created: {problem.strerror or problem}.") from problem

@@ -1,4 +1,4 @@
-"""Camera models: one file each, and the registry that lists them."""
+"""Camera models, one file each, and their registry."""
 
 from jaxscan.geometry.cameras.camera import CENTRE, FOCAL, AbstractCamera
 from jaxscan.geometry.cameras.double_sphere import DoubleSphere

@@ -1,4 +1,4 @@
-"""A camera: where a point is seen, along which ray a pixel looks, and which parameters it has."""
+"""The base class of the camera models: projection, its inverse, and parameters."""
 
 import abc
 from dataclasses import replace
@@ -13,7 +13,7 @@ from jaxscan.geometry.parameters import ParameterBlock
 
 
 FOCAL = (
-    # In place of fx, its prior speaks of the aspect fx / fy.
+    # The prior is for the aspect fx / fy, not for fx.
     ParameterBlock("focal", ("fx",), 100.0, "px", prior="aspect", sigma=2e-3, expected=1.0),
     ParameterBlock("focal", ("fy",), 100.0, "px"),
 )
@@ -26,8 +26,8 @@ class AbstractCamera(eqx.Module):
     """A central camera: one pixel, one ray through the centre of projection.
 
     Its minimal coordinates are fx, fy, cx, cy and the coefficients of its lens, in this order. A
-    model adds its name, the blocks of its coefficients, the projection and its inverse, and a
-    first camera from a radial curve. `CAMERAS` in `registry.py` lists the models.
+    model adds its name, the blocks of its coefficients, the projection and its inverse, and first
+    values from a radial curve. `CAMERAS` in `registry.py` lists the models.
     """
 
     model: eqx.AbstractClassVar[str]
@@ -64,32 +64,32 @@ class AbstractCamera(eqx.Module):
 
     @abc.abstractmethod
     def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
-        """Unit ray [camera frame] along which the pixel `q` [px] looks."""
+        """Unit ray [camera frame] of the pixel `q` [px]."""
 
     @staticmethod
     @abc.abstractmethod
     def fit_curve(
         theta: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, "lenses values"]:
-        """The lens that shows angles to the optical axis at given radii: first values for a solve.
+        """Fit the lens to radii measured at angles to the optical axis: first values for a solve.
 
-        Several where the model has several that are nearly the same: the solve tries each.
+        There may be several nearly equal solutions; the solve tries each.
 
         Args:
             theta: Angles to the optical axis [rad].
-            radius: Distances from the principal point at which they are seen [px].
+            radius: Distances from the principal point [px].
 
         Returns:
-            Of each lens the focal length [px], then all coefficients, optional ones too [1].
+            For each lens the focal length [px], then all coefficients, with the optional ones [1].
         """
 
     @classmethod
     def blocks(cls) -> tuple[ParameterBlock, ...]:
-        """Descriptions of all minimal coordinates, optional ones too."""
+        """Blocks of all minimal coordinates, with the optional ones."""
         return FOCAL + CENTRE + cls.lens
 
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the minimal coordinates, in the order that `retract` takes them."""
+        """Names of the minimal coordinates, in the order of `retract`."""
         names = [name for block in self.blocks() for name in block.parameters]
         return tuple(names[: 4 + np.shape(self.distortion)[-1]])
 
@@ -99,7 +99,7 @@ class AbstractCamera(eqx.Module):
         return jnp.concatenate([pixels, jnp.asarray(self.distortion)])
 
     def prior_values(self) -> Float[Array, " params"]:
-        """The minimal coordinates as their priors speak of them: in place of fx the aspect fx / fy."""
+        """The values that the priors are for: the minimal coordinates, with the aspect fx / fy in place of fx."""
         return jnp.asarray(self.parameters()).at[0].set(self.fx / self.fy)
 
     def retract(self, step: Float[Array, " params"]) -> "AbstractCamera":

@@ -11,8 +11,8 @@ from jaxscan.geometry.cameras.camera import AbstractCamera
 from jaxscan.geometry.parameters import ParameterBlock
 
 
-# Trial values of xi for a first camera. Two lenses, one on either side of the value between, may differ by a
-# hundredth of a pixel only: the solve tells them apart. From beyond 0.5 it goes on to lenses with xi above 1.
+# Trial values of xi for first values. Two lenses on either side of `_BETWEEN` may differ by only a hundredth of a
+# pixel, so the solve tries both. Larger first values than 0.5 lead the solve to lenses with xi above 1.
 _XI = np.linspace(-0.6, 0.5, 111)
 _BETWEEN = 0.05
 
@@ -41,21 +41,21 @@ class DoubleSphere(AbstractCamera):
     def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
         """Pixel of a point [px].
 
-        Without meaning behind the camera, beyond the angle at which the image turns back or ends.
+        Undefined behind the camera, and beyond the angle at which the image folds back or ends.
         """
         xi, alpha = self.distortion[0], self.distortion[1]
         aside = p[0] * p[0] + p[1] * p[1]
         d1 = _root(aside + p[2] * p[2])
         z = xi * d1 + p[2]
         scale = alpha * _root(aside + z * z) + (1.0 - alpha) * z
-        # A harmless 1 where the point is lost, so that neither value nor gradient is NaN there.
+        # 1 where the projection is undefined, so that neither value nor gradient is NaN there.
         scale = jnp.where(scale > 0, scale, 1.0).astype(scale.dtype)
         return jnp.stack([self.fx * (p[0] / scale) + self.cx, self.fy * (p[1] / scale) + self.cy])
 
     def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """Unit ray of a pixel, in closed form.
 
-        Pixels that no ray reaches get the ray of the largest angle on their side.
+        Pixels outside the image of the lens get the ray of the largest angle on their side.
         """
         xi, alpha = self.distortion[0], self.distortion[1]
         x, y = (q[0] - self.cx) / self.fx, (q[1] - self.cy) / self.fy

@@ -12,9 +12,9 @@ from jaxscan.geometry.cameras.camera import AbstractCamera
 from jaxscan.geometry.parameters import ParameterBlock
 
 
-# Points of the search for the angle at which a lens folds over.
+# Points of the search for the angle at which the polynomial folds back.
 _FOLD_GRID = 129
-# Below these the power series, with the terms given here, are exact to float64's rounding.
+# Below these limits the power series in this file are exact to float64 rounding.
 _SMALL_SLOPE = 1e-4
 _SMALL_SQUARE = 1e-2
 
@@ -43,8 +43,8 @@ class Fisheye(AbstractCamera):
     def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
         """Pixel of a point [px].
 
-        Without meaning only straight behind the camera, and beyond the angle at which the
-        polynomial turns back.
+        Undefined only straight behind the camera, and beyond the angle at which the polynomial
+        folds back.
         """
         per_radius, square = _angle(p[0], p[1], p[2])
         scale = per_radius * _factor(square, self.distortion)
@@ -53,7 +53,7 @@ class Fisheye(AbstractCamera):
     def unproject(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """Unit ray of a pixel, by Newton's method: 1e-10 px in float64, 1e-3 px in float32.
 
-        Pixels that no ray reaches get the ray of the largest angle on their side.
+        Pixels outside the image of the lens get the ray of the largest angle on their side.
         """
         x, y = (q[0] - self.cx) / self.fx, (q[1] - self.cy) / self.fy
         k = jnp.asarray(self.distortion)
@@ -80,7 +80,7 @@ def _angle(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
     """theta over the radius hypot(x, y), and theta squared; both smooth where the radius is 0 and z > 0."""
     radius2, z2 = x * x + y * y, z * z
     near = (z > 0) & (radius2 < _SMALL_SLOPE * z2)
-    # Straight behind the camera the direction is lost; a harmless 1 keeps value and gradient finite.
+    # Straight behind the camera the direction is undefined; 1 keeps value and gradient finite.
     lost = (z <= 0) & (radius2 <= jnp.finfo(z.dtype).eps ** 2 * z2)
     safe_z = jnp.where(near, z, 1.0).astype(z.dtype)
     slope2 = jnp.where(near, radius2, 0.0).astype(z.dtype) / (safe_z * safe_z)
@@ -104,8 +104,8 @@ def _slope(square: Array, k: Float[Array, "4"]) -> Array:
 def _invert(target: Array, k: Float[Array, "4"], last: Array) -> Array:
     """theta squared of theta_d squared, up to `last`.
 
-    Between the squares the relation is a polynomial that is smooth also at the axis, where the
-    angle itself, as the length of a vector, is not.
+    The relation of the squares is a polynomial. It is smooth at the optical axis too, where the
+    angle itself is not.
     """
 
     def newton(square, k, target):
@@ -118,8 +118,8 @@ def _invert(target: Array, k: Float[Array, "4"], last: Array) -> Array:
     fixed_k, fixed = jax.lax.stop_gradient((k, target))
 
     def closer(_, square):
-        # Beside the fold a full step can leave the branch for good; none goes more than half way
-        # to an end of it.
+        # Near the fold a full step can leave the branch for good, so a step goes at most half way to
+        # an end of the branch.
         return jnp.clip(square - newton(square, fixed_k, fixed), 0.5 * square, 0.5 * (square + last))
 
     iterations = 5 if target.dtype == jnp.float32 else 12
@@ -130,7 +130,7 @@ def _invert(target: Array, k: Float[Array, "4"], last: Array) -> Array:
 
 
 def _fold(k: Float[Array, "4"]) -> tuple[Array, Array]:
-    """Up to where theta_d grows, at most straight behind: theta squared there, and theta_d squared."""
+    """theta squared and theta_d squared at the end of the growth of theta_d, at most at theta = pi."""
     square = jnp.linspace(0.0, np.pi**2, _FOLD_GRID, dtype=k.dtype)
     slope = _slope(square, k)
     falling = slope <= 0
@@ -150,8 +150,5 @@ def _sine_and_cosine(square: Array) -> tuple[Array, Array]:
     sinc = 1.0 - s / 6 * (1.0 - s / 20 * (1.0 - s / 42 * (1.0 - s / 72)))
     cosine = 1.0 - s / 2 * (1.0 - s / 12 * (1.0 - s / 30 * (1.0 - s / 56 * (1.0 - s / 90))))
     theta = jnp.sqrt(jnp.where(near, 1.0, square).astype(square.dtype))
-    far_sinc = jnp.sin(theta) / theta
-    return (
-        jnp.where(near, sinc, far_sinc).astype(square.dtype),
-        jnp.where(near, cosine, jnp.cos(theta)).astype(square.dtype),
-    )
+    pick = lambda series, far: jnp.where(near, series, far).astype(square.dtype)
+    return pick(sinc, jnp.sin(theta) / theta), pick(cosine, jnp.cos(theta))

@@ -24,8 +24,8 @@ class Pinhole(AbstractCamera):
     $x' = x R + 2 p_1 x y + p_2 (r^2 + 2 x^2)$ and
     $y' = y R + p_1 (r^2 + 2 y^2) + 2 p_2 x y$.
 
-    Source: PAPER.md equations (1)-(3), of which this is the general case (there $k = k_1$);
-    the order of the coefficients is OpenCV's.
+    Source: PAPER.md equations (1)-(3), which are the special case $k = k_1$; the order of the
+    coefficients is OpenCV's.
     """
 
     model: ClassVar[str] = "pinhole"
@@ -43,9 +43,9 @@ class Pinhole(AbstractCamera):
     def project(self, p: Float[Array, "3"]) -> Float[Array, "2"]:
         """Pixel of a point [px].
 
-        Continuous but without meaning for points at or behind the camera plane.
+        Continuous but meaningless for points on or behind the camera plane.
         """
-        # A harmless 1 where z is 0, so that neither value nor gradient is NaN there.
+        # 1 where z is 0, so that neither value nor gradient is NaN there.
         z = jnp.where(p[2] == 0, 1.0, p[2]).astype(p.dtype)
         x, y = _distort(p[0] / z, p[1] / z, self.distortion)
         return jnp.stack([self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy])
@@ -83,8 +83,8 @@ def _distort(x: Array, y: Array, k: Float[Array, " k"]) -> tuple[Array, Array]:
 def _undistort(target: Float[Array, "2"], k: Float[Array, " k"]) -> Float[Array, "2"]:
     """Solve `_distort(x, y, k) = target`.
 
-    The coordinates are kept apart: as the fastest axis of an array of millions of points, a pair
-    would keep the loop from being vectorised (3.5 times slower).
+    The coordinates are separate arrays: with (x, y) as the last axis of one array the loop is not
+    vectorised (3.5 times slower).
     """
 
     def newton(x, y, k, target_x, target_y):
@@ -95,8 +95,8 @@ def _undistort(target: Float[Array, "2"], k: Float[Array, " k"]) -> Float[Array,
         det = a * d - b * c
         det = jnp.where(det == 0, 1.0, det).astype(det.dtype)
         step_x, step_y = (d * error_x - b * error_y) / det, (a * error_y - c * error_x) / det
-        # Far outside the image, where the lens model folds over, a full step can leave the
-        # basin for good; inside it no step is this long.
+        # Far outside the image, where the lens model folds back, a full step can diverge; inside
+        # the image no step is this long.
         length = jnp.sqrt(step_x * step_x + step_y * step_y + jnp.finfo(step_x.dtype).tiny)
         shorter = jnp.minimum(1.0, 0.5 / length)
         return x - step_x * shorter, y - step_y * shorter

@@ -9,7 +9,7 @@ from jaxscan.geometry.cameras.pinhole import Pinhole
 
 
 CAMERAS: dict[str, type[AbstractCamera]] = {camera.model: camera for camera in (Pinhole, Fisheye, DoubleSphere)}
-"""Everything that asks for a camera by name, or goes through all models, looks here."""
+"""All camera models by name."""
 
 if TYPE_CHECKING:
     CameraModel = str

@@ -67,7 +67,7 @@ def stripe_colours(
         stripes: The stripes; of several profiles per frame those of a frame follow each other.
         off: The laser-off frames, which are looked at where `needs_frames` says so.
         frames: How a frame is to be read.
-        stripe_axis: What a line is.
+        stripe_axis: Whether a line is an image row or an image column.
     """
     if off is not None and needs_frames(frames):
         colour = sample_colours(stripes.u, off, pixel_format=frames.pixel_format, stripe_axis=stripe_axis)

@@ -2,24 +2,13 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import UInt8
 
-from jaxscan.geometry import Array, StripeAxis
+from jaxscan.geometry import Array
 from jaxscan.reconstruction.points.colour import needs_frames, stripe_colours
-from jaxscan.reconstruction.points.locate import Centres, Points, Rig, locate_points
-from jaxscan.reconstruction.points.triangulate import Limits
+from jaxscan.reconstruction.points.locate import Aim, Centres, Points, locate_points
 from jaxscan.stripes import Continuation, ExtractionSetup, FrameFormat, FrameStripes
-
-
-class Aim(NamedTuple):
-    """Where the points of one laser go; arrays, so a change compiles nothing."""
-
-    rig: Rig
-    laser: Array
-    """Which sheet, int32 []."""
-    limits: Limits
 
 
 class Coloured(NamedTuple):
@@ -50,14 +39,4 @@ def _coloured(
     profiles = len(stripes.u)
     phi = jnp.repeat(phi, profiles // len(phi), total_repeat_length=profiles)
     centres = Centres(stripes.u, stripes.sigma, stripes.valid)
-    return Coloured(rgb, points_of_centres(centres, aim, phi, stripe_axis=axis))
-
-
-def points_of_centres(centres: Centres, aim: Aim, phi: Array, *, stripe_axis: StripeAxis) -> Points:
-    """Points of stripe centres, an angle for each profile."""
-    laser = jnp.broadcast_to(aim.laser, (len(phi),))
-    return locate_points(aim.rig, centres, laser, phi, stripe_axis=stripe_axis, limits=aim.limits)
-
-
-points_alone = jax.jit(points_of_centres, static_argnames="stripe_axis")
-"""`points_of_centres`, compiled."""
+    return Coloured(rgb, locate_points(aim, centres, phi, stripe_axis=axis))

@@ -2,7 +2,6 @@
 
 import functools
 import math
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +12,7 @@ from jaxscan.geometry import Scanner, StripeAxis, across_and_along, stripe_pixel
 from jaxscan.stripes import LineGate
 
 
+Cells = tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]
 _PITCH_PX = 8.0
 """Largest distance between the points at which rays meet the sheet [px]."""
 _SAFETY = 8.0
@@ -31,15 +31,15 @@ def line_gate(
     r"""The part of every line on which the rays meet a laser's sheet between two ranges.
 
     The incidence $m = d / \mathrm{range}$ (`LaserSheet.intersect`) is smooth over the image. It is
-    computed on a coarse lattice and interpolated; what that may be wrong by, from the lattice's
-    second differences, counts as accepted, and so does what lies between two pixels of which one
+    computed on a coarse lattice and interpolated. Values within the error of that, bounded by the lattice's
+    second differences, count as accepted, and so does an interval between two pixels of which one
     is too near and the other too far. Where the accepted part of a line falls apart, the gate spans all of
     it. No centre that `triangulate` accepts with the same limits is outside.
 
     Args:
         scanner: Camera and lasers.
         laser: Which of the lasers.
-        stripe_axis: What a line is: an image row, or an image column.
+        stripe_axis: Whether a line is an image row or an image column.
         min_range_m: Smallest distance along the ray [m].
         max_range_m: Largest distance along the ray [m]; may be infinite.
         margin_px: How far the gate reaches beyond [px].
@@ -64,7 +64,7 @@ def line_gate(
     distance = float(np.asarray(sheet.distance))
     least = distance / max_range_m
     most = distance / min_range_m if min_range_m > 0 else math.inf
-    places = _Cells.of(np.arange(float(lines)), along), _Cells.of(np.arange(-1.0, length + 1.0), across)
+    places = _cells(np.arange(float(lines)), along), _cells(np.arange(-1.0, length + 1.0), across)
     return _gate(incidence, places, (least, most), math.ceil(margin_px))
 
 
@@ -104,10 +104,7 @@ def _error(incidence: Float[np.ndarray, "a b"]) -> Float[np.ndarray, "a b"]:
 
 
 def _gate(
-    incidence: Float[np.ndarray, "a b"],
-    places: tuple["_Cells", "_Cells"],
-    limits: tuple[float, float],
-    grown: int,
+    incidence: Float[np.ndarray, "a b"], places: tuple[Cells, Cells], limits: tuple[float, float], grown: int
 ) -> LineGate:
     error, (least, most) = _error(incidence), limits
     (row, down), (index, fraction) = places
@@ -135,17 +132,11 @@ def _gate(
     return LineGate(low, high, 1 if rise >= 0 else -1)
 
 
-class _Cells(NamedTuple):
+def _cells(x: Float[np.ndarray, " n"], nodes: Float[np.ndarray, " m"]) -> Cells:
     """In which cell of evenly spaced nodes each coordinate lies, and how far from its start."""
-
-    number: Int[np.ndarray, " n"]
-    fraction: Float[np.ndarray, " n"]
-
-    @classmethod
-    def of(cls, x: Float[np.ndarray, " n"], nodes: Float[np.ndarray, " m"]) -> "_Cells":
-        position = (x - nodes[0]) / (nodes[1] - nodes[0]) if nodes[1] > nodes[0] else np.zeros_like(x)
-        index = np.clip(np.floor(position).astype(int), 0, len(nodes) - 2)
-        return cls(index, position - index)
+    position = (x - nodes[0]) / (nodes[1] - nodes[0]) if nodes[1] > nodes[0] else np.zeros_like(x)
+    index = np.clip(np.floor(position).astype(int), 0, len(nodes) - 2)
+    return index, position - index
 
 
 def _between(a: np.ndarray, b: np.ndarray, fraction: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from jaxscan.geometry import AbstractCamera, Array, Scanner, StripeAxis, stripe_pixel
 from jaxscan.reconstruction.points.triangulate import Limits, triangulate
@@ -14,7 +14,7 @@ from jaxscan.reconstruction.points.uncertainty import RangeTable, range_table
 
 
 class Rig(eqx.Module):
-    """What every chunk needs of the scanner, in float32."""
+    """The scanner and its range table, in float32; the same for all chunks."""
 
     scanner: Scanner
     table: RangeTable
@@ -26,8 +26,17 @@ class Rig(eqx.Module):
         return jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), Rig(scanner.without_covariance(), table))
 
 
+class Aim(NamedTuple):
+    """Where the points of one laser go; arrays, so a change compiles nothing."""
+
+    rig: Rig
+    laser: Array
+    """Which sheet, int32 []."""
+    limits: Limits
+
+
 class Points(NamedTuple):
-    """Fields of `PointCloud` for the profiles of a chunk, and what goes beside it."""
+    """Fields of `PointCloud` for the profiles of a chunk, and their camera centres."""
 
     xyz: Float[Array, "profiles lines 3"]
     sigma_random: Float[Array, "profiles lines"]
@@ -45,25 +54,17 @@ class Centres(NamedTuple):
     valid: Bool[Array, "profiles lines"]
 
 
-def locate_points(
-    rig: Rig,
-    centres: Centres,
-    laser: Int[Array, " profiles"],
-    phi: Float[Array, " profiles"],
-    *,
-    stripe_axis: StripeAxis,
-    limits: Limits,
-) -> Points:
+def locate_points(aim: Aim, centres: Centres, phi: Float[Array, " profiles"], *, stripe_axis: StripeAxis) -> Points:
     """Points and sigmas of a chunk; pure and traceable.
 
     Args:
-        rig: Scanner and range table, float32.
+        aim: Rig, laser and limits, float32.
         centres: Stripe centres.
-        laser: Which sheet lit each profile.
         phi: The table's angle of each profile [rad from home].
-        stripe_axis: What a line is.
-        limits: What is accepted.
+        stripe_axis: Whether a line is an image row or an image column.
     """
+    rig, limits = aim.rig, aim.limits
+    laser = jnp.broadcast_to(aim.laser, (len(phi),))
     lines = centres.u.shape[1]
     line = jnp.arange(lines, dtype=jnp.float32)
 
@@ -89,6 +90,10 @@ def locate_points(
     turned = sum(p_cam[:, :, None, j] * rotation[:, None, :, j] for j in range(3))
     xyz = jnp.where(valid[:, :, None], turned + centre[:, None, :], 0.0).astype(p_cam.dtype)
     return Points(xyz, sigma_random, sigma_systematic, valid, centre)
+
+
+points_alone = jax.jit(locate_points, static_argnames="stripe_axis")
+"""`locate_points`, compiled."""
 
 
 def line_step(camera: AbstractCamera, stripe_axis: StripeAxis) -> float:

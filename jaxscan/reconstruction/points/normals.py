@@ -8,7 +8,6 @@ plane, so on a plane the result is exact whatever is missing.
 """
 
 import functools
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.geometry import Array
-from jaxscan.reconstruction.streaming.ahead import map_ahead, workers
+from jaxscan.reconstruction.ahead import map_ahead, workers
 
 
 BLOCK = 32
@@ -64,7 +63,7 @@ def grid_normals(
         block = (_part(array, window) for array in (xyz, sigma, valid, centre))
         # JAX keeps this setting per thread.
         with jax.enable_x64(False):
-            found = _block_normals(_Block(*block), steps, half_lines=half_lines, half_profiles=half)
+            found = _block_normals(*block, steps, (half_lines, half))
             for axis in range(3):
                 part = normals[start : start + BLOCK, :, axis]
                 part[:] = np.asarray(found[axis])[: len(part)]
@@ -83,16 +82,22 @@ def _part(array: np.ndarray, window: tuple[int, int]) -> np.ndarray:
     return np.pad(inside, padding) if any(padding[0]) else inside
 
 
-@functools.partial(jax.jit, static_argnames=("half_lines", "half_profiles"))
+@functools.partial(jax.jit, static_argnums=5)
 def _block_normals(
-    block: "_Block", steps: Float[Array, "2"], *, half_lines: int, half_profiles: int
+    xyz: Float[Array, "padded lines 3"],
+    sigma: Float[Array, "padded lines"],
+    valid: Bool[Array, "padded lines"],
+    centre: Float[Array, "padded 3"],
+    steps: Float[Array, "2"],
+    halves: tuple[int, int],
 ) -> tuple[Array, Array, Array]:
-    xyz, sigma, valid, centre = block
+    """Normals of a block of profiles by component; the block holds those around it that its windows reach."""
+    half_lines, half_profiles = halves
     # Components apart: [..., 3] as the fastest axis would keep the loops from being vectorised.
     p = tuple(xyz[:, :, axis] for axis in range(3))
     c = tuple(centre[:, None, axis] for axis in range(3))
-    along, mean, found = _slopes(_Points(p, sigma, valid, c), _Window(1, half_lines, 3), steps[0])
-    across, average, enough = _slopes(_Points(mean, sigma, found, c), _Window(0, half_profiles, 2), steps[1], along)
+    along, mean, found = _slopes((p, sigma, valid, c), (1, half_lines, 3), steps[0])
+    across, average, enough = _slopes((mean, sigma, found, c), (0, half_profiles, 2), steps[1], along)
     inner = slice(half_profiles, p[0].shape[0] - half_profiles)
     a, b, at, eye = (tuple(x[inner] for x in vector) for vector in (average, across, p, c))
     n = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
@@ -103,37 +108,17 @@ def _block_normals(
     return n[0] * scale, n[1] * scale, n[2] * scale
 
 
-class _Block(NamedTuple):
-    """A block of profiles, with those around it that its windows reach."""
-
-    xyz: Float[Array, "padded lines 3"]
-    sigma: Float[Array, "padded lines"]
-    valid: Bool[Array, "padded lines"]
-    centre: Float[Array, "padded 3"]
-
-
-class _Points(NamedTuple):
-    """The same by component, and camera centres that broadcast against them."""
-
-    p: tuple
-    sigma: Array
-    valid: Array
-    centre: tuple
-
-
-class _Window(NamedTuple):
-    """Along which axis of the grid, to how many neighbours on either side, and how many are needed."""
-
-    axis: int
-    half: int
-    least: int
-
-
 def _slopes(points, window, step, carried=None):
     """Slope and mean of the points over a window along one axis of the grid.
 
-    Returns the slope per grid step, the mean of the points (of the vectors `carried` instead,
-    where given), and where at least `least` neighbours were found.
+    Args:
+        points: Positions by component, sigmas, which are valid, and camera centres by component.
+        window: The axis, the neighbours on either side, and how many are needed.
+        step: Angle between neighbours along the axis [rad].
+        carried: Vectors whose mean is wanted instead of that of the positions.
+
+    Returns:
+        The slope per grid step, the mean, and where enough neighbours were found.
     """
     (p, sigma, valid, centre), (axis, half, least) = points, window
     d = tuple(p[i] - centre[i] for i in range(3))

@@ -58,7 +58,7 @@ def triangulate(
         line: The line's number: image row, or column for `stripe_axis` "columns" [px].
         camera: The camera.
         laser: The sheet that lit the stripe.
-        stripe_axis: What a line is.
+        stripe_axis: Whether a line is an image row or an image column.
         limits: Range limits and the smallest incidence.
 
     Source: PAPER.md equations (1)-(4).

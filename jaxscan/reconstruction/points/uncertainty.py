@@ -1,4 +1,4 @@
-r"""What the calibration's covariance does to the range.
+r"""The uncertainty of the range from the calibration's covariance.
 
 With range $= d / m$ a small change of the calibration moves a point along its ray by
 

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from jaxscan.geometry import Array
+from jaxscan.reconstruction.ahead import workers
 from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.reconstruction.streaming.ahead import workers
 from jaxscan.reconstruction.sweep import SweepSource
 
 
@@ -20,7 +20,7 @@ _BYTES = 100e6
 
 
 class Batch(NamedTuple):
-    """Frames of one laser; what follows those of the profiles is padding."""
+    """Frames of one laser; frames beyond those of the profiles are padding."""
 
     profiles: np.ndarray
     """Which profiles of the sweep, int [n]."""

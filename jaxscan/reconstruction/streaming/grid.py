@@ -1,24 +1,26 @@
 """The result of a reconstruction while it is being filled, on the host."""
 
+import jax
 import numpy as np
 
 from jaxscan.geometry import Array
 from jaxscan.reconstruction.cloud import PointCloud
-from jaxscan.reconstruction.points.locate import Points
-from jaxscan.reconstruction.points.normals import grid_normals
-from jaxscan.stripes import FrameStripes, Stripes
+from jaxscan.reconstruction.points import Points, grid_normals
+from jaxscan.stripes import KEPT_FIELDS, FrameStripes, Stripes
 
 
 class GrowingCloud:
     """Arrays of the full grid, allocated once: all the memory a sweep needs beyond its chunks."""
 
     def __init__(self, profiles: int, lines: int):
-        self.xyz = np.zeros((profiles, lines, 3), np.float32)
-        self.rgb = np.zeros((profiles, lines, 3), np.uint8)
-        self.intensity = np.zeros((profiles, lines), np.float32)
-        self.sigma_random = np.zeros((profiles, lines), np.float32)
-        self.sigma_systematic = np.zeros((profiles, lines), np.float32)
-        self.valid = np.zeros((profiles, lines), np.bool_)
+        grid = profiles, lines
+        self.fields: dict[str, np.ndarray] = {
+            "xyz": np.zeros((*grid, 3), np.float32),
+            "rgb": np.zeros((*grid, 3), np.uint8),
+            "valid": np.zeros(grid, np.bool_),
+        }
+        for name in ("intensity", "sigma_random", "sigma_systematic"):
+            self.fields[name] = np.zeros(grid, np.float32)
         self.centre = np.zeros((profiles, 3), np.float32)
         self.stripes = 0
         """Valid stripe centres so far, whether or not they gave a point."""
@@ -33,16 +35,13 @@ class GrowingCloud:
             rgb: Colour of every stripe.
             found: Which stripes there were.
         """
-        rows = _rows(profiles)
-        count = len(profiles)
-        valid = np.asarray(points.valid)[:count]
-        self.xyz[rows] = np.asarray(points.xyz)[:count]
-        self.sigma_random[rows] = np.asarray(points.sigma_random)[:count]
-        self.sigma_systematic[rows] = np.asarray(points.sigma_systematic)[:count]
-        self.valid[rows] = valid
-        self.centre[rows] = np.asarray(points.centre)[:count]
-        self.intensity[rows] = np.where(valid, np.asarray(amplitude)[:count], np.float32(0))
-        self.rgb[rows] = np.where(valid[:, :, None], np.asarray(rgb)[:count], np.uint8(0))
+        rows, count = _rows(profiles), len(profiles)
+        parts = jax.tree.map(lambda field: np.asarray(field)[:count], {**points._asdict(), "rgb": rgb})
+        parts["intensity"] = np.where(parts["valid"], np.asarray(amplitude)[:count], np.float32(0))
+        parts["rgb"] = np.where(parts["valid"][:, :, None], parts["rgb"], np.uint8(0))
+        for name, field in self.fields.items():
+            field[rows] = parts[name]
+        self.centre[rows] = parts["centre"]
         self.stripes += int(np.count_nonzero(np.asarray(found)[:count]))
 
     def finish(
@@ -57,18 +56,9 @@ class GrowingCloud:
             rank: Number of each profile among those of the same record and laser.
             line_step: Angle between neighbouring lines [rad]; None for no normals.
         """
-        return PointCloud(
-            xyz=self.xyz,
-            rgb=self.rgb,
-            intensity=self.intensity,
-            normals=np.zeros_like(self.xyz) if line_step is None else self._normals(laser, angle, rank, line_step),
-            sigma_random=self.sigma_random,
-            sigma_systematic=self.sigma_systematic,
-            valid=self.valid,
-            record=record,
-            laser=laser,
-            angle=angle,
-        )
+        xyz = self.fields["xyz"]
+        normals = np.zeros_like(xyz) if line_step is None else self._normals(laser, angle, rank, line_step)
+        return PointCloud(**self.fields, normals=normals, record=record, laser=laser, angle=angle)
 
     def _normals(self, laser: np.ndarray, angle: np.ndarray, rank: np.ndarray, line_step: float) -> np.ndarray:
         """Neighbours are profiles of the same laser and rank, in the order of the angle."""
@@ -79,9 +69,9 @@ class GrowingCloud:
             whole = len(profiles) == len(laser) and bool(np.all(np.diff(profiles) == 1))
             rows = slice(None) if whole else profiles
             found = grid_normals(
-                self.xyz[rows],
-                self.sigma_random[rows],
-                self.valid[rows],
+                self.fields["xyz"][rows],
+                self.fields["sigma_random"][rows],
+                self.fields["valid"][rows],
                 self.centre[rows],
                 line_step=line_step,
                 profile_step=float(np.median(np.diff(angle[profiles]))) if len(profiles) > 1 else np.inf,
@@ -89,7 +79,7 @@ class GrowingCloud:
             if whole:
                 return found
             parts.append((rows, found))
-        normals = np.zeros(self.xyz.shape, np.float32)
+        normals = np.zeros_like(self.fields["xyz"])
         for rows, found in parts:
             normals[rows] = found
         return normals
@@ -101,8 +91,7 @@ class GrowingStripes:
     def __init__(self, profiles: int, lines: int):
         self.fields: dict[str, np.ndarray] = {
             name: np.zeros((profiles, lines), {"saturated": np.uint8, "valid": np.bool_}.get(name, np.float32))
-            for name in FrameStripes._fields
-            if name != "grey"
+            for name in KEPT_FIELDS
         }
         self.fields["rgb"] = np.zeros((profiles, lines, 3), np.uint8)
 

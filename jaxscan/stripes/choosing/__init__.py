@@ -1,1 +1,4 @@
 """Which of the candidates of a line is the stripe."""
+
+from jaxscan.stripes.choosing.by_steps import chosen_of, pick_by_steps
+from jaxscan.stripes.choosing.rules import choose

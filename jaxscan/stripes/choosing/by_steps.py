@@ -10,7 +10,7 @@ from jaxscan.stripes.stripes import FrameStripes
 
 
 _LINES = 128
-"""Lines that are compared at a time: what is copied for it stays small beside the sweep itself."""
+"""Lines that are compared at a time: the copies for it stay small beside the sweep itself."""
 
 
 def chosen_of(stripes: FrameStripes, chosen: Int8[Array, "frames lines"] | None) -> FrameStripes:

@@ -25,7 +25,7 @@ from jax import lax
 from jaxtyping import Int8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.measured import LineCandidates
+from jaxscan.stripes.stripes import FrameStripes
 
 
 _EVIDENCE = 20.0
@@ -45,7 +45,7 @@ _BRIGHTER = 0.02
 """Score per natural logarithm of the amplitude."""
 
 
-def best_path(candidates: LineCandidates, *, alone_snr: float, continued_snr: float) -> Int8[Array, "frames lines"]:
+def best_path(candidates: FrameStripes, *, alone_snr: float, continued_snr: float) -> Int8[Array, "frames lines"]:
     """The candidate on the best path of every line, or -1.
 
     Args:
@@ -53,15 +53,16 @@ def best_path(candidates: LineCandidates, *, alone_snr: float, continued_snr: fl
         alone_snr: Signal-to-noise ratio that a line on its own must exceed [1].
         continued_snr: The same where the neighbours continue the line [1].
     """
-    u, snr, amplitude, width, valid = candidates
+    u, snr, valid = candidates.u, candidates.snr, candidates.valid
+    amplitude, width = jnp.maximum(candidates.amplitude, 1.0), jnp.maximum(candidates.width, 0.1)
     frames, _, count = u.shape
     bonus = 0.5 * (alone_snr**2 - continued_snr**2)
     full = 0.5 * jnp.minimum(jnp.where(valid, snr, 0.0), _CERTAIN_SNR) ** 2
-    score = jnp.minimum(full, _EVIDENCE) - 0.5 * alone_snr**2 + _BRIGHTER * jnp.log(jnp.maximum(amplitude, 1.0))
+    score = jnp.minimum(full, _EVIDENCE) - 0.5 * alone_snr**2 + _BRIGHTER * jnp.log(amplitude)
     score = jnp.where(valid, score, _NEVER)
     lost = jnp.maximum(jnp.max(full, axis=2) - _EVIDENCE, 0.0)
     # Lines first, for the loop; then every operation is one vector over frames.
-    place, score, log_width = (jnp.moveaxis(values, 0, 2) for values in (u, score, jnp.log(jnp.maximum(width, 0.1))))
+    place, score, log_width = (jnp.moveaxis(values, 0, 2) for values in (u, score, jnp.log(width)))
 
     def best_of(scores):
         best, origin = scores[0], jnp.zeros(frames, jnp.int8)

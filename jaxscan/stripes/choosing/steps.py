@@ -17,7 +17,7 @@ from jaxscan.geometry import Array
 
 
 _BLOCK = 32
-"""Profiles that are looked at together: what passes between the operations stays in a CPU's caches."""
+"""Profiles that are looked at together: intermediate arrays stay in a CPU's caches."""
 _REACH = 3
 _OFFSETS = tuple(o for o in range(-_REACH, _REACH + 1) if o != 0)
 _PAIRS = tuple(itertools.combinations(_OFFSETS, 2))
@@ -25,7 +25,7 @@ _PAIRS = tuple(itertools.combinations(_OFFSETS, 2))
 
 @dataclass(frozen=True)
 class StepSettings:
-    """What a track is; static, so a change recompiles."""
+    """The definition of a track; static, so a change recompiles."""
 
     tolerance_px: float = 1.5
     """Distance of a centre from the straight line through two others of its track [px]."""
@@ -36,9 +36,9 @@ class StepSettings:
     margin: int = 2
     """By how many neighbours its track must be better."""
     passes: int = 2
-    """How often the candidates are compared: what is put right helps its neighbours."""
+    """How often the candidates are compared: a corrected centre helps its neighbours."""
     drop: bool = True
-    """Whether centres that the neighbours pass by are dropped. What is seen in a single step, a
+    """Whether centres that the neighbours pass by are dropped. An object seen in a single step, a
     thread before a wall, goes with them."""
 
     def __post_init__(self) -> None:
@@ -73,7 +73,7 @@ def check_steps(
             equally spaced.
         exists: Which candidates there are.
         chosen: Number of the chosen candidate, -1 where there is none; these stay -1.
-        settings: What a track is.
+        settings: The definition of a track.
 
     Returns:
         The new choice.

@@ -19,11 +19,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.frames.planes import Planes
-from jaxscan.stripes.measured import Measured, MeasuredLines
-from jaxscan.stripes.search.search import Search
+from jaxscan.stripes.search import Planes, Search
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import Choice
+from jaxscan.stripes.stripes import Choice, FrameStripes, MeasuredLines
 
 
 _REACH = 16
@@ -57,7 +55,7 @@ class CentreOfGravity:
     """One candidate a line: the brightest."""
 
     candidates = 1
-    native = False
+    locate_natively = None
     choices: tuple[Choice, ...] = ("path", "brightest")
 
     def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Peak:
@@ -86,10 +84,6 @@ class CentreOfGravity:
             off=None if planes.off is None else levels[window(planes.off)],
             saturated=jnp.sum(clipped, axis=2).astype(jnp.uint8),
         )
-
-    def locate_natively(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Peak:
-        """The same by XLA: there is no native search."""
-        return self.locate(planes, search, setup)
 
     def measure(
         self, located: Peak, lamp_ratio: Float[Array, " frames"], search: Search, setup: ExtractionSetup
@@ -126,7 +120,7 @@ class CentreOfGravity:
         u = pitch * (located.place.astype(jnp.float32) + centre[:, :, 0])
         fields = u, sigma, amplitude, width, nothing, nothing, snr, grey, located.saturated, valid
         slots = jnp.arange(u.size, dtype=jnp.int32).reshape(*u.shape, 1)
-        return MeasuredLines(Measured(*(field.ravel() for field in fields)), slots)
+        return MeasuredLines(FrameStripes(*(field.ravel() for field in fields)), slots)
 
 
 def _variance(located: Peak, ratio: Array, search: Search) -> Float[Array, "frames lines window"]:

@@ -1,12 +1,11 @@
 """The protocol of an estimator: from the planes of the laser's colour to measured candidates on every line."""
 
+from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
-from jaxscan.stripes.frames.planes import Planes
-from jaxscan.stripes.measured import MeasuredLines
-from jaxscan.stripes.search.search import Search
+from jaxscan.stripes.search import Planes, Search
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import Choice
+from jaxscan.stripes.stripes import Choice, MeasuredLines
 
 
 @runtime_checkable
@@ -21,17 +20,15 @@ class Estimator(Protocol):
     choices: tuple[Choice, ...]
     """Rules of choice that make sense of its candidates."""
 
-    native: bool
-    """Whether `locate_natively` searches faster on a CPU."""
-
-    def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Any:
-        """Where stripes may be, as `measure` takes it; pure and traceable."""
-
-    def locate_natively(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Any:
-        """The same natively, of NumPy planes with laser-off frames; called where `native`.
+    @property
+    def locate_natively(self) -> Callable[[Planes, Search, ExtractionSetup], Any] | None:
+        """A faster `locate` for a CPU, of NumPy planes with laser-off frames; None where there is none.
 
         A result is good until the next call in the same thread.
         """
+
+    def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Any:
+        """Where stripes may be, as `measure` takes it; pure and traceable."""
 
     def measure(self, located: Any, lamp_ratio: Any, search: Search, setup: ExtractionSetup) -> MeasuredLines:
         """Centres and their standard deviations; pure and traceable.

@@ -5,21 +5,16 @@ import functools
 from jaxtyping import Float
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.fitting.fit_blocks import fit_candidates
-from jaxscan.stripes.frames.planes import Planes
-from jaxscan.stripes.measured import MeasuredLines
-from jaxscan.stripes.search.candidates import CANDIDATES, Located
-from jaxscan.stripes.search.locate import locate
-from jaxscan.stripes.search.search import Search
+from jaxscan.stripes.fitting import fit_candidates
+from jaxscan.stripes.search import CANDIDATES, Located, Planes, Search, locate
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import Choice
+from jaxscan.stripes.stripes import Choice, MeasuredLines
 
 
 class Gaussian:
     """Locate by matched filters, fit by maximum likelihood."""
 
     candidates = CANDIDATES
-    native = True
     choices: tuple[Choice, ...] = ("path", "brightest", "nearest", "farthest", "all")
 
     def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Located:

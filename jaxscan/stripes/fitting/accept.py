@@ -19,7 +19,7 @@ def accept(
     """Judge every fit.
 
     A stripe is believed if it stands out of the noise, its width is possible, its fit came to
-    rest inside the window, and what the model leaves unexplained is noise or a small part of
+    rest inside the window, and its residuals are noise or a small part of
     the stripe itself (real profiles are not Gaussian).
 
     Args:
@@ -33,7 +33,7 @@ def accept(
     Returns:
         valid: Which fits are believed.
         sigma: Standard deviation of the centre [px], grown by the misfit where chi-squared is
-            beyond what noise explains.
+            too large for noise.
         chi2: Chi-squared per degree of freedom [1].
     """
     freedom = jnp.maximum(fit.samples - parameters, 1.0)

@@ -15,7 +15,7 @@ _CERTAIN = 5.0
 _FLOOR = 2.0
 """Standard deviations of the noise below which a level is not believed."""
 _PIXEL = 1.0 / 12.0
-"""What a pixel's aperture adds to the square of a stripe's width [px^2]."""
+"""Addition of a pixel's aperture to the square of a stripe's width [px^2]."""
 
 
 class DarkWindow(NamedTuple):
@@ -49,8 +49,8 @@ def albedo_shift(
 ) -> AlbedoShift:
     r"""Displacement of fitted centres by the reflectance of the surface around them.
 
-    Under even ambient light the laser-off frame shows the reflectance $\rho$. What is seen of the
-    stripe is $\rho$ times the laser's light, so with the fitted Gaussian $h$ that light is $h / \rho$, and
+    Under even ambient light the laser-off frame shows the reflectance $\rho$. The visible stripe
+    is $\rho$ times the laser's light, so with the fitted Gaussian $h$ that light is $h / \rho$, and
     its centre is the true one:
 
     $$\mathrm{shift} = \frac{\sum x\,h}{\sum h} - \frac{\sum x\,h / \rho}{\sum h / \rho}

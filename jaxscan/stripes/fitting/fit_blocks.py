@@ -10,10 +10,9 @@ from jaxscan.stripes.fitting.accept import accept
 from jaxscan.stripes.fitting.albedo import DarkWindow, albedo_shift
 from jaxscan.stripes.fitting.gaussian_fit import FitRules, fit_stripe, sample_places
 from jaxscan.stripes.fitting.window import prepare_window
-from jaxscan.stripes.measured import Measured
-from jaxscan.stripes.search.candidates import BLOCK, Candidates
-from jaxscan.stripes.search.search import Search
+from jaxscan.stripes.search import BLOCK, Candidates, Search
 from jaxscan.stripes.setup import ExtractionSetup
+from jaxscan.stripes.stripes import FrameStripes
 
 
 _REST = 0.05
@@ -22,7 +21,7 @@ _REST = 0.05
 
 def fit_candidates(
     lists: tuple[Candidates, ...], lamp_ratio: Float[Array, " frames"], search: Search, setup: ExtractionSetup
-) -> Measured:
+) -> FrameStripes:
     """Fit every candidate of all lists.
 
     Args:
@@ -32,10 +31,10 @@ def fit_candidates(
         setup: Frames, laser and settings.
     """
 
-    def fit(block: Candidates, number: Array) -> Measured:
+    def fit(block: Candidates, number: Array) -> FrameStripes:
         return _fit_block(block, number, lamp_ratio, search, setup)
 
-    def fit_list(found: Candidates) -> Measured:
+    def fit_list(found: Candidates) -> FrameStripes:
         blocks, size = found.start.shape
 
         def block(number):
@@ -56,7 +55,9 @@ def fit_candidates(
     return jax.tree.map(lambda *fields: jnp.concatenate(fields), *parts) if len(parts) > 1 else parts[0]
 
 
-def _fit_block(block: Candidates, number: Array, lamp_ratio: Array, search: Search, setup: ExtractionSetup) -> Measured:
+def _fit_block(
+    block: Candidates, number: Array, lamp_ratio: Array, search: Search, setup: ExtractionSetup
+) -> FrameStripes:
     settings, pitch, samples = setup.settings, setup.sites.pitch, setup.plane_size[1]
     size = block.start.shape[0]
     real = number * size + jnp.arange(size, dtype=jnp.int32) < block.total
@@ -92,7 +93,7 @@ def _fit_block(block: Candidates, number: Array, lamp_ratio: Array, search: Sear
         edge = albedo_shift(dark, fit.u, fit.width)
         sigma = jnp.sqrt(sigma * sigma + edge.shift * edge.shift)
     snr = jnp.sqrt(jnp.maximum(fit.energy, 0.0))
-    found = Measured(
+    found = FrameStripes(
         u, sigma, fit.amplitude, fit.width, chi2, fit.skew, snr, grey, block.saturated.astype(jnp.uint8), valid
     )
     return jax.tree.map(lambda field: jnp.where(valid, field, jnp.zeros_like(field)), found)

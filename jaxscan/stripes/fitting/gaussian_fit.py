@@ -2,7 +2,7 @@ r"""Maximum-likelihood fit of a pixel-integrated Gaussian to the samples around 
 
 A Gaussian of width w that is averaged over a pixel of length a has the variance
 $w^2 + a^2 / 12$, no skewness, and the fourth cumulant $-a^4 / 120$. The fit therefore knows a
-Gaussian of the widened variance with a small correction, and gives back w; what is left out is
+Gaussian of the widened variance with a small correction, and gives back w; the neglected terms are
 of sixth order in a / w.
 
 All derivatives of a Gaussian are the Gaussian times powers of x. Every sum that the normal
@@ -30,7 +30,7 @@ MIN_WIDTH_PX = 0.3
 _SMALL_STEP = 0.3
 """Relative change of amplitude and width up to which a step is taken as it is [1]."""
 _SMALLEST = 0.25
-"""Smallest squared width of a fit, of the pixel's own 1/12 and what a stripe adds to it [samples^2]."""
+"""Smallest squared width of a fit, the pixel's own 1/12 and a little for the stripe [samples^2]."""
 
 
 class Window(NamedTuple):
@@ -63,7 +63,7 @@ class Start(NamedTuple):
 
 
 class FitRules(NamedTuple):
-    """When a fit ends, and what it knows of the stripe beforehand."""
+    """When a fit ends, and its prior of the stripe."""
 
     max_width: float
     """Largest width that a step may reach [px]."""

@@ -7,15 +7,14 @@ from jaxtyping import Float
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.fitting.gaussian_fit import UNUSED_VARIANCE, Start, Window, sample_places
-from jaxscan.stripes.frames.formats import Response, decode_table
-from jaxscan.stripes.search.candidates import Candidates, reach
-from jaxscan.stripes.search.search import Search
+from jaxscan.stripes.frames import Response, decode_table
+from jaxscan.stripes.search import Candidates, Search, reach
 from jaxscan.stripes.setup import ExtractionSetup
 
 
 _FILTER_VARIANCE = {1: 3.1, 2: 2.8}
-"""What the fine filter, its lattice and the pixel add to the square of the width that half-maximum
-points speak of, by pitch, for widths of 0.7 to 3 px [px^2]."""
+"""Addition of the fine filter, its lattice and the pixel to the square of the width between half-maximum
+points, by pitch, for widths of 0.7 to 3 px [px^2]."""
 
 
 def prepare_window(

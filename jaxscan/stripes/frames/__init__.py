@@ -1,1 +1,20 @@
-"""What the arrays of a frame hold: pixel format, colour of the laser, noise, lamps that flicker."""
+"""The reading of a frame: pixel format, colour of the laser, noise, lamps that flicker."""
+
+from jaxscan.stripes.frames.flicker import applied_ratio, lamp_ratio
+from jaxscan.stripes.frames.formats import (
+    PIXEL_FORMATS,
+    Colour,
+    FrameFormat,
+    LaserColour,
+    LaserLine,
+    PixelFormat,
+    Response,
+    Sites,
+    check_frames,
+    decode_table,
+    frame_rank,
+    laser_plane,
+    laser_sites,
+)
+from jaxscan.stripes.frames.learn_colour import with_colour
+from jaxscan.stripes.frames.noise import estimate_noise

@@ -29,7 +29,7 @@ reweighted one."""
 _EFFICIENCY = 0.949
 """Information that is left with these weights, over the sum of the weighted information."""
 _GLOW = 0.03
-"""What glow may pull, in the noise of a pixel: light of 1 to 3 standard deviations on a tenth of the
+"""Largest pull of glow on the ratio, in the noise of a pixel: light of 1 to 3 standard deviations on a tenth of the
 pixels cannot be told from lamps and moves their mean by a tenth, of which this is a good quarter."""
 _WIDENED = (0.08, 0.02)
 """Error of the ratio that the first steps allow for [1]."""
@@ -48,10 +48,10 @@ class LampRatio(NamedTuple):
     ratio: Float[Array, " frames"]
     """Factor by which ambient light is brighter in the laser-on frame [1]; 1 where it is not known."""
     sigma: Float[Array, " frames"]
-    """Standard deviation of `ratio` [1], with what faint glow of the laser may pull; `NO_INFORMATION`
+    """Standard deviation of `ratio` [1], with the pull of faint glow of the laser; `NO_INFORMATION`
     where it is not known."""
     unrest: Float[Array, " frames"]
-    """Robust root mean square of what the ratio leaves unexplained, in that of the noise [1]:
+    """Robust root mean square of the residuals, over that of the noise [1]:
     1 where all is still; 0 where nothing is known."""
 
 
@@ -149,7 +149,7 @@ def lamp_ratio(
 
 
 def applied_ratio(pair: LampRatio) -> Float[Array, " frames"]:
-    """What to multiply laser-off frames by before they are subtracted.
+    """The factor by which laser-off frames are multiplied before they are subtracted.
 
     Returns:
         The ratio where it differs from 1 by more than 4 of its standard deviations and 0.005;

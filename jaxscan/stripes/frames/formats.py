@@ -1,4 +1,4 @@
-"""What the arrays of a frame mean: pixel format, response, and which laser to look for."""
+"""How a frame is to be read: pixel format, response, and the laser to look for."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -43,6 +43,22 @@ class FrameFormat:
 def frame_rank(pixel_format: PixelFormat) -> int:
     """Dimensions of one frame in this format: [rows, columns], or [rows, columns, 3]."""
     return 3 if pixel_format == "rgb8" else 2
+
+
+def check_frames(on: Array, off: Array | None, pixel_format: PixelFormat, *, exposures: int = 1) -> None:
+    """Refuse arrays that are not stacks of frames of this format, with a second axis where there are exposures.
+
+    Raises:
+        ValueError: If shapes or types do not fit the pixel format.
+    """
+    rank = 1 + (exposures > 1) + frame_rank(pixel_format)
+    if on.ndim != rank or on.dtype != np.uint8:
+        raise ValueError(
+            f"`on` must be uint8 with {rank} dimensions for {pixel_format}, "
+            f"got {on.dtype} with shape {tuple(on.shape)}."
+        )
+    if off is not None and (off.shape != on.shape or off.dtype != np.uint8):
+        raise ValueError(f"`off` must be like `on`, got {off.dtype} with shape {tuple(off.shape)}.")
 
 
 @dataclass(frozen=True)
@@ -112,7 +128,7 @@ def laser_plane(frames: Array, *, pixel_format: PixelFormat, line: LaserLine) ->
 
 
 def decode_table(response: Response) -> tuple[Float[np.ndarray, "256"], Float[np.ndarray, "256"]]:
-    """What each code of a pixel means on a linear scale.
+    """The linear level of each code of a pixel.
 
     Returns:
         level: Linear level [DN], 0 to 255.

@@ -32,10 +32,10 @@ _FEWEST = 0.01
 def learn_colour(
     on: Array, off: Array, pixel_format: PixelFormat, *, stripe_axis: StripeAxis = "rows", saturation: int = 254
 ) -> Colour:
-    r"""The channel in which what the laser adds stands out most.
+    r"""The channel in which the laser's light stands out most.
 
     In each channel the difference of the pairs, after the ratio of flickering lamps (`lamp_ratio`), is compared
-    with its noise (`estimate_noise`). The mean over the lines of what the stripe's samples tell,
+    with its noise (`estimate_noise`). The information in the stripe's samples, mean over the lines,
     $\tfrac12 \sum \log_2 (1 + \mathrm{snr}^2)$, decides: it grows with the signal-to-noise ratio, and where several
     channels are clipped it grows with the width, which is largest in the laser's own. A few frames and lines
     are looked at, spread over all.
@@ -44,7 +44,7 @@ def learn_colour(
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape.
         pixel_format: How a frame is to be read.
-        stripe_axis: What a line is: an image row, or an image column.
+        stripe_axis: Whether a line is an image row or an image column.
         saturation: Level from which a pixel is clipped [DN].
 
     Returns:
@@ -54,7 +54,7 @@ def learn_colour(
         ValueError: If shapes or types do not fit the pixel format, or no channel shows a laser.
 
     Source:
-        C. E. Shannon, Communication in the presence of noise, 1949 (what a noisy sample tells).
+        C. E. Shannon, Communication in the presence of noise, 1949 (information of a noisy sample).
     """
     rank = 1 + frame_rank(pixel_format)
     if on.ndim != rank or on.dtype != np.uint8 or off.shape != on.shape or off.dtype != np.uint8 or len(on) == 0:
@@ -74,8 +74,8 @@ def learn_colour(
     best = max(_COLOURS, key=lambda colour: scores[colour])
     if scores[best] <= 0.0:
         raise ValueError(
-            f"No channel of the {len(on)} pairs looked at shows a laser: what is brighter in the laser-on frames "
-            "nowhere stands out of the noise. Give the laser's colour, or check that `on` and `off` are not "
+            f"No channel of the {len(on)} pairs looked at shows a laser: nothing that is brighter in the laser-on "
+            "frames stands out of the noise. Give the laser's colour, or check that `on` and `off` are not "
             "the same frames or exchanged."
         )
     return best
@@ -105,7 +105,7 @@ def with_colour(line: LaserLine, on: Array, off: Array | None, pixel_format: Pix
 def _score(
     on: UInt8[np.ndarray, "frames lines samples"], off: UInt8[np.ndarray, "frames lines samples"], saturation: int
 ) -> float:
-    """What the stripes tell, mean over the lines [bit]; 0 where there are none."""
+    """Information in the stripes, mean over the lines [bit]; 0 where there are none."""
     # An odd stride takes both kinds of a Bayer tile's lines.
     stride = max(1, on.shape[1] // _LINES) | 1
     on, off = on[:, ::stride], off[:, ::stride]
@@ -127,7 +127,7 @@ def _score(
 
 
 def _told(added: Float[np.ndarray, "lines samples"]) -> float:
-    """Mean over the lines of what the stripe's samples tell [bit], of signals in units of their noise."""
+    """Information in the stripe's samples, mean over the lines [bit]; signals in units of their noise."""
     total = np.cumsum(np.pad(added, ((0, 0), (1, 0))), 1)
     box = (total[:, _BOX:] - total[:, :-_BOX]) / np.sqrt(_BOX)
     seen = box.max(1) > _SEEN

@@ -8,6 +8,13 @@ from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response, dec
 from jaxscan.stripes.stripes import NoiseModel
 
 
+Codes = UInt8[np.ndarray, "lines n"]
+Lines = Int16[np.ndarray, "lines n"]
+Level = Float[np.ndarray, "256"]
+Noise = tuple[Int16[np.ndarray, " m"], Int16[np.ndarray, " m"]]
+PerBin = Float[np.ndarray, " bins"]
+Counts = Int[np.ndarray, "bins values"]
+
 _LINE = LaserLine()
 _FRAMES = 4
 _SAMPLES = 1 << 18
@@ -19,22 +26,22 @@ _BINS = 256 // _BIN_DN
 _BIN_STEPS = 4 * _UNITS * _BIN_DN
 """Width of a bin for levels that are sums of four samples."""
 _REACH = 1024
-"""Steps on either side of zero that are counted apart; what lies beyond is no noise."""
+"""Steps on either side of zero that are counted apart; larger values are no noise."""
 _LAG = 8
 """Distance of the samples that are compared: noise of neighbours is alike in compressed or
 demosaiced pictures."""
 _BOX = 5
-"""Samples over which differences are added up to find what stands out."""
+"""Samples over which differences are added up to find places that stand out."""
 _OUTSTANDING = 5.0
 """Robust standard deviations of such a sum from which on it is no noise."""
 _MARGIN = 24
-"""Samples on either side of what stands out that are left out too: the foot of a stripe."""
+"""Samples on either side of such a place that are left out too: the foot of a stripe."""
 _EDGE_DN = 10
 """Steps of the scene from which the flicker of its light is told."""
 _MIN_COUNT = 200
 _MIN_SHARE = 0.01
-"""Share of the samples below which a level is not believed: what is left of reflections, or what
-moved between the frames, may be all that has it."""
+"""Share of the samples below which a level is not believed: only a rest of reflections, or an
+object that moved, may have it."""
 _DARK_DN = 3.0
 """Below this level the noise is cut off at zero."""
 _BRIGHT_DN = 240.0
@@ -63,8 +70,8 @@ def estimate_noise(
     $$\mathrm{var} = 2\,\mathrm{read}^2 + 2\,\mathrm{level}/K + 2/12,$$
 
     a straight line over the level. Samples a few pixels apart are compared, so that scattered
-    light, which is smooth, cancels; the laser-off frame is scaled by what its light flickered.
-    Places that stand out (the stripe, its reflections, what moved) are left out with a margin.
+    light, which is smooth, cancels; the laser-off frame is scaled by the flicker of its light.
+    Places that stand out (the stripe, its reflections, moved objects) are left out with a margin.
     Without laser-off frames the second difference along a line takes the place of the pair; fine
     texture then counts as noise.
 
@@ -73,7 +80,7 @@ def estimate_noise(
         off: Laser-off frames of the same shape, or None.
         pixel_format: How a frame is to be read.
         response: "linear", or "srgb".
-        line: The laser, which says what channel is looked at.
+        line: The laser, which says which channel is looked at.
 
     Returns:
         The model, in linear DN. Where the frames do not tell one of its numbers (all of one
@@ -99,15 +106,13 @@ def estimate_noise(
     return _fit_line(*_points(counts, sums / (4 * _UNITS), np.arange(-_REACH, _REACH) / steps, table, slope))
 
 
-def _lines(frames: Array, pixel_format: PixelFormat, line: LaserLine, samples: int) -> UInt8[np.ndarray, "lines n"]:
+def _lines(frames: Array, pixel_format: PixelFormat, line: LaserLine, samples: int) -> Codes:
     plane = np.asarray(laser_plane(np.asarray(frames), pixel_format=pixel_format, line=line))[0]
     # An odd stride: the two kinds of lines of a Bayer tile stay balanced.
     return np.ascontiguousarray(plane[:: max(1, plane.size // samples) | 1])
 
 
-def _pair_differences(
-    on: UInt8[np.ndarray, "lines n"], off: UInt8[np.ndarray, "lines n"], table: Float[np.ndarray, "256"]
-) -> tuple[Int16[np.ndarray, " m"], Int16[np.ndarray, " m"]]:
+def _pair_differences(on: Codes, off: Codes, table: Level) -> Noise:
     """Noise of twice a frame's variance [sqrt(2) steps], and its level [1/32 DN]."""
     if on.shape[1] <= _LAG + 2 * _BOX:
         return _NOTHING
@@ -123,9 +128,7 @@ def _pair_differences(
     return _steps(difference)[kept], level[kept]
 
 
-def _second_differences(
-    on: UInt8[np.ndarray, "lines n"], table: Float[np.ndarray, "256"]
-) -> tuple[Int16[np.ndarray, " m"], Int16[np.ndarray, " m"]]:
+def _second_differences(on: Codes, table: Level) -> Noise:
     """Noise of twice a frame's variance [sqrt(3) steps], and its level [1/32 DN]."""
     if on.shape[1] <= _LAG + 2 * _BOX:
         return _NOTHING
@@ -141,19 +144,19 @@ def _second_differences(
 _NOTHING = (np.zeros(0, np.int16), np.zeros(0, np.int16))
 
 
-def _steps(a: Int16[np.ndarray, "lines n"]) -> Int16[np.ndarray, "lines m"]:
+def _steps(a: Lines) -> Int16[np.ndarray, "lines m"]:
     return a[:, _LAG:] - a[:, :-_LAG]
 
 
-def _pair_sums(a: Int16[np.ndarray, "lines n"]) -> Int16[np.ndarray, "lines m"]:
+def _pair_sums(a: Lines) -> Int16[np.ndarray, "lines m"]:
     return a[:, _LAG:] + a[:, :-_LAG]
 
 
-def _measurable(level: Int16[np.ndarray, "lines n"]) -> Bool[np.ndarray, "lines n"]:
+def _measurable(level: Lines) -> Bool[np.ndarray, "lines n"]:
     return (level > int(4 * _UNITS * _DARK_DN)) & (level < int(4 * _UNITS * _BRIGHT_DN))
 
 
-def _flicker(on: Int16[np.ndarray, "lines n"], off: Int16[np.ndarray, "lines n"]) -> float:
+def _flicker(on: Lines, off: Lines) -> float:
     """How much brighter the scene is in the laser-on frame: the median over its edges.
 
     Edges, because scattered light adds to the levels and not to them.
@@ -169,9 +172,7 @@ def _flicker(on: Int16[np.ndarray, "lines n"], off: Int16[np.ndarray, "lines n"]
     return float(np.clip((1.0 + asymmetry) / (1.0 - asymmetry), 0.5, 2.0)) if asymmetry < 1.0 else 1.0
 
 
-def _standing_out(
-    difference: Int16[np.ndarray, "lines n"], level: Int16[np.ndarray, "lines n"]
-) -> Bool[np.ndarray, "lines n"]:
+def _standing_out(difference: Lines, level: Lines) -> Bool[np.ndarray, "lines n"]:
     """True near each line's brightest place, and wherever a short sum is no noise of its level [1/16 DN]."""
     samples = difference.shape[1]
     box = sum((difference[:, k : samples - _BOX + 1 + k] for k in range(1, _BOX)), difference[:, : samples - _BOX + 1])
@@ -191,16 +192,14 @@ def _standing_out(
     return before[:, 2 * _MARGIN + 1 :] > before[:, : -2 * _MARGIN - 1]
 
 
-def _histogram(value: Int16[np.ndarray, "*n"], level: Int16[np.ndarray, "*n"]) -> Int[np.ndarray, "bins values"]:
+def _histogram(value: Int16[np.ndarray, "*n"], level: Int16[np.ndarray, "*n"]) -> Counts:
     """How often each value occurs in each bin of the level [1/32 DN]."""
     row = level.astype(np.intp) // _BIN_STEPS
     place = row * (2 * _REACH) + np.clip(value, -_REACH, _REACH - 1) + _REACH
     return np.bincount(place.ravel(), minlength=_BINS * 2 * _REACH).reshape(_BINS, 2 * _REACH)
 
 
-def _centre_and_scale(
-    counts: Int[np.ndarray, "rows values"],
-) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
+def _centre_and_scale(counts: Counts) -> tuple[PerBin, PerBin]:
     """Median and standard deviation of each row by its quartiles [steps]: up to half may be no noise."""
     upto = np.cumsum(counts, 1)
     low, middle, high = ((upto < share * upto[:, -1:]).sum(1) for share in (0.25, 0.5, 0.75))
@@ -208,11 +207,7 @@ def _centre_and_scale(
 
 
 def _points(
-    counts: Int[np.ndarray, "bins values"],
-    sums: Float[np.ndarray, " bins"],
-    value: Float[np.ndarray, " values"],
-    table: Float[np.ndarray, "256"],
-    slope: Float[np.ndarray, "256"],
+    counts: Counts, sums: PerBin, value: Float[np.ndarray, " values"], table: Level, slope: Level
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Level, variance without rounding, and its standard deviation, for each well filled bin."""
     total = counts.sum(1)
@@ -223,10 +218,8 @@ def _points(
     return level, variance - rounding, np.maximum(np.sqrt(2.0 / count) * variance, 1e-3)
 
 
-def _clipped_variances(
-    counts: Int[np.ndarray, "rows values"], value: Float[np.ndarray, " values"]
-) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
-    """Variance of what lies within 4 standard deviations, found by iteration from quantiles, and how many do."""
+def _clipped_variances(counts: Counts, value: Float[np.ndarray, " values"]) -> tuple[PerBin, PerBin]:
+    """Variance of the values within 4 standard deviations, by iteration from quantiles, and their number."""
     step = value[1] - value[0]
     middle, deviation = (step * a for a in _centre_and_scale(counts))
     deviation = np.maximum(deviation, 0.5)
@@ -240,9 +233,7 @@ def _clipped_variances(
     return deviation**2, count.astype(np.float64)
 
 
-def _fit_line(
-    level: Float[np.ndarray, " bins"], variance: Float[np.ndarray, " bins"], sigma: Float[np.ndarray, " bins"]
-) -> NoiseModel:
+def _fit_line(level: PerBin, variance: PerBin, sigma: PerBin) -> NoiseModel:
     default = NoiseModel()
     if len(level) == 0:
         return default
@@ -260,9 +251,7 @@ def _fit_line(
     return NoiseModel(read_dn=float(read), electrons_per_dn=float(gain))
 
 
-def _slope(
-    level: Float[np.ndarray, " bins"], variance: Float[np.ndarray, " bins"], weight: Float[np.ndarray, " bins"]
-) -> float:
+def _slope(level: PerBin, variance: PerBin, weight: PerBin) -> float:
     """Slope of the line through the bins, which starts no lower than the least read noise; 0 where it is not seen."""
     centre = np.average(level, weights=weight)
     spread = np.sum(weight * (level - centre) ** 2)

@@ -1,4 +1,4 @@
-"""What `locate` hands to the fit: up to three candidates per line, each with the samples around it."""
+"""The result of `locate`, which the fit takes: up to three candidates per line, each with the samples around it."""
 
 from typing import NamedTuple
 

@@ -15,7 +15,6 @@ from jax import lax
 from jaxtyping import Int16
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.frames.planes import Planes
 from jaxscan.stripes.search.candidates import (
     BIN_EXTENT_PX,
     CANDIDATES,
@@ -30,6 +29,7 @@ from jaxscan.stripes.search.candidates import (
     fixed_point,
     reach,
 )
+from jaxscan.stripes.search.planes import Planes
 from jaxscan.stripes.search.search import Search
 
 

@@ -7,7 +7,6 @@ import threading
 
 import numpy as np
 
-from jaxscan.stripes.frames.planes import Planes
 from jaxscan.stripes.search.candidates import (
     BIN_EXTENT_PX,
     BLOCK,
@@ -22,6 +21,7 @@ from jaxscan.stripes.search.candidates import (
     fixed_point,
 )
 from jaxscan.stripes.search.native_loops import EDGE, GROUP, Rules, Scratch, locate_lines
+from jaxscan.stripes.search.planes import Planes
 from jaxscan.stripes.search.search import Search
 
 

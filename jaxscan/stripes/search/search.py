@@ -1,4 +1,4 @@
-"""Where a stripe is looked for, from which signal on, and what is known of its width beforehand."""
+"""The search: where a stripe is looked for, from which signal on, and the prior of its width."""
 
 from typing import NamedTuple
 
@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float, Int, Int16
 
 from jaxscan.geometry import Array, across_and_along
-from jaxscan.stripes.fitting.widths import LEARNED_FRAMES, learn_widths
-from jaxscan.stripes.frames.formats import decode_table
+from jaxscan.stripes.frames import decode_table
 from jaxscan.stripes.search.candidates import thresholds
+from jaxscan.stripes.search.widths import LEARNED_FRAMES, learn_widths
 from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.stripes import FrameStripes, NoiseModel
 

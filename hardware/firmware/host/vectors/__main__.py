@@ -1,4 +1,4 @@
-"""Writes hardware/protocol_vectors.json: what both sides of the wire must say, with CRCs that neither side computed.
+"""Writes hardware/protocol_vectors.json: lines that both sides must send, with independently computed CRCs.
 
     python hardware/firmware/host/vectors
 

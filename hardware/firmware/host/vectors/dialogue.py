@@ -1,4 +1,4 @@
-"""Steps of a dialogue: what is sent, what comes back, what happens meanwhile."""
+"""Steps of a dialogue: lines sent, lines received, and events in between."""
 
 import binascii
 
@@ -15,7 +15,7 @@ def sealed(text):
 
 
 def step(sent, *answers, machine=False, raw=False):
-    """One line and what comes back. raw: `sent` goes as it is; machine: an order to the pretended machine."""
+    """One line and its answers. raw: `sent` is sent unchanged; machine: an order to the fake machine."""
     answer = "".join(sealed(text) + "\n" for text in answers)
     if machine:
         return {"machine": sent, "answer": answer}

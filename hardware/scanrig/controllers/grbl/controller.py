@@ -2,9 +2,8 @@
 
 import dataclasses
 import logging
-from types import TracebackType
 
-from scanrig.controllers.controller import UNCONFIRMED, Guarantees, close_after
+from scanrig.controllers.controller import Guarantees, SafelyClosed
 from scanrig.controllers.grbl.axis import TableAxis
 from scanrig.controllers.grbl.greeting import greet, require_fit, wake
 from scanrig.controllers.grbl.lines import GrblLines
@@ -14,12 +13,13 @@ from scanrig.controllers.settings import Settings
 from scanrig.controllers.status import Firmware, LinkCounts, Reconnection, ShotDone, State, Status
 from scanrig.controllers.table import GrblTable
 from scanrig.errors import FirmwareError, LinkLost, PortError, Reason, Refused, RigError
+from scanrig.wire.link import Link
 
 
 log = logging.getLogger(__name__)
 
 
-class GrblController:
+class GrblController(SafelyClosed):
     """A session with a GRBL board; `Controller` documents the methods."""
 
     guarantees = Guarantees(
@@ -32,13 +32,13 @@ class GrblController:
         self._axis = TableAxis(lines, table, units)
         self._settings: Settings | None = None
         self._boot = 0
-        self._enabled = self._armed = self._lit = self._closed = False
+        self._enabled = self._armed = self._lit = False
 
     # Session
 
     @property
-    def name(self) -> str:
-        return self._lines.link.name
+    def link(self) -> Link:
+        return self._lines.link
 
     @property
     def link_counts(self) -> LinkCounts:
@@ -200,25 +200,6 @@ class GrblController:
                 log.warning("%s", problem)
                 self._lines.forget_reset()
         return False
-
-    def close(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            safe = self.make_safe()
-        finally:
-            self._lines.link.close()
-        if not safe:
-            raise RigError(f"{self.name}: {UNCONFIRMED}")
-
-    def __enter__(self) -> "GrblController":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        close_after(self, error)
 
     # Within
 

@@ -2,10 +2,9 @@
 
 import secrets
 from collections.abc import Callable
-from types import TracebackType
 
 from scanrig.clock import Clock, SystemClock
-from scanrig.controllers.controller import UNCONFIRMED, Guarantees, close_after
+from scanrig.controllers.controller import Guarantees, SafelyClosed
 from scanrig.controllers.jxs.answers import integer, read_counters
 from scanrig.controllers.jxs.conversation import Conversation
 from scanrig.controllers.jxs.exchange import Exchange
@@ -15,7 +14,7 @@ from scanrig.controllers.jxs.safety import make_safe
 from scanrig.controllers.jxs.wire_settings import wire_settings
 from scanrig.controllers.settings import Settings
 from scanrig.controllers.status import Counters, Firmware, LinkCounts, Reconnection, ShotDone, Status
-from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused, RigError
+from scanrig.errors import Fault, FirmwareError, LinkLost, PortError, Reason, Refused
 from scanrig.wire.link import Link
 
 
@@ -23,7 +22,7 @@ REST_S = 5.0
 """Longest time that the table may take to stop."""
 
 
-class JxsController:
+class JxsController(SafelyClosed):
     """A session with the scanner's own firmware over a link; `Controller` documents the methods."""
 
     guarantees = Guarantees(
@@ -56,7 +55,6 @@ class JxsController:
         self._reopen = reopen
         self._session = session or secrets.randbelow(2**31 - 1) + 1
         self._settings: Settings | None = None
-        self._closed = False
 
     # Session
 
@@ -73,10 +71,6 @@ class JxsController:
     def settings(self) -> Settings | None:
         """The settings configured last."""
         return self._settings
-
-    @property
-    def name(self) -> str:
-        return self._wire.link.name
 
     def hello(self) -> Firmware:
         try:
@@ -243,25 +237,6 @@ class JxsController:
 
     def make_safe(self) -> bool:
         return make_safe(self._wire, self._clock)
-
-    def close(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            safe = self.make_safe()
-        finally:
-            self._wire.link.close()
-        if not safe:
-            raise RigError(f"{self.name}: {UNCONFIRMED}")
-
-    def __enter__(self) -> "JxsController":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        close_after(self, error)
 
     # Within
 

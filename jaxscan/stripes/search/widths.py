@@ -1,7 +1,7 @@
 r"""How wide the stripes of a sweep are, learned from its first frames.
 
 Of a faint stripe the samples tell the width badly, and a fit of the wrong width finds a worse
-centre. What the other stripes have is therefore taken as a prior: a normal distribution of the
+centre. The width of the other stripes is therefore a prior: a normal distribution of the
 logarithm of the width, whose spread is the stripes' own, without that of their noise.
 """
 
@@ -37,7 +37,7 @@ def learn_widths(
     used = valid & (noise < _WORST**2)
     if np.count_nonzero(used) < _LEAST_STRIPES:
         return 0.0, 0.0
-    # What the fit sees is widened by its integration over a pixel.
+    # Integration over a pixel widens the stripe that the fit sees.
     logarithm = 0.5 * np.log(safe[used] ** 2 + 1 / 12)
     low, middle, high = np.percentile(logarithm, [15.9, 50.0, 84.1])
     own = max((0.5 * (high - low)) ** 2 - float(np.mean(noise[used])), _LEAST_SPREAD**2)

@@ -28,7 +28,7 @@ def map_ahead(
 ) -> Iterator[Result]:
     """`map` in order, by threads, never with more than one item in memory beyond the workers."""
     waiting = iter(items)
-    # The first by itself, unless `compiled`: what compiles, compiles once.
+    # The first by itself, unless `compiled`, so that threads do not compile the same function twice.
     yield from (compute(item) for item in itertools.islice(waiting, 0 if compiled else 1))
     with ThreadPoolExecutor(workers) as pool:
         running: deque[Future[Result]] = deque()

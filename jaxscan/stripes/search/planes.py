@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.frames.flicker import applied_ratio, lamp_ratio
+from jaxscan.stripes.frames import applied_ratio, lamp_ratio
 from jaxscan.stripes.search.search import Search
 from jaxscan.stripes.setup import ExtractionSetup
 
