@@ -1,6 +1,7 @@
 """Observations to a scanner."""
 
 from jaxscan.calibration.calibrate import calibrate_camera, calibrate_observations
+from jaxscan.calibration.departure import largest_departure
 from jaxscan.calibration.fit import Fit
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.second_look import choose, solved_rig

@@ -102,7 +102,8 @@ def _determined(result: Adjustment, names: tuple[str, ...]) -> Determination:
     """Raised also where the solve did not converge: undetermined parameters are a cause of that."""
     scales = np.asarray(result.problem.scales)
     shares = undetermined_shares(result.linearised, scales)
-    found = {name: float(share) for name, share in zip(names, shares, strict=True) if share > _LEAST_SHARE * shares.max()}
+    least = _LEAST_SHARE * shares.max()
+    found = {name: float(share) for name, share in zip(names, shares, strict=True) if share > least}
     if not found:
         return determine(result.linearised, scales, names)
     wanted = "; ".join(cures([found])) or "boards tilted by 20 to 45 degrees all over the image"

@@ -30,7 +30,7 @@ BLOCKS = tuple(dict.fromkeys(block.name for block in _OF_ALL))
 USUALLY_FREE = tuple(dict.fromkeys(block.name for block in _OF_ALL if not block.optional and block.name not in _HELD))
 """Names of the blocks that are free unless settings say otherwise."""
 PRIORS = {block.prior: block.sigma for block in _OF_ALL if block.prior}
-"""Standard deviations of what is known before any image, by the name of the prior."""
+"""Standard deviations of the priors, by name."""
 
 if TYPE_CHECKING:
     Block = str

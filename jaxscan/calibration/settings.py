@@ -1,4 +1,4 @@
-"""How a calibration is solved: what is free, what is known beforehand, what is an outlier."""
+"""How a calibration is solved: free blocks, priors, limits of outliers."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -19,14 +19,13 @@ class CalibrationSettings:
     nothing; "rational" adds k4, k5, k6 to a pinhole.
 
     The table's harmonics are free although boards over a few tens of degrees hardly see them:
-    their prior then says in the covariance what is not known. Held at 0, a table with errors of
+    their prior then puts their uncertainty into the covariance. Held at 0, a table with errors of
     0.3 mrad gives a covariance that is far too small.
 
     "pitch" adds the size of the board's squares: no image shows it, so its prior alone says how
     much of every length is uncertain with it."""
     priors: dict[PriorName, float] = field(default_factory=lambda: dict(PRIORS))
-    """Standard deviations of what is known before any image; those not named are as usual, and
-    `inf` switches one off."""
+    """Standard deviations of the priors; those not named are as usual, and `inf` switches one off."""
     huber: float = 1.345
     """Residuals beyond this many standard deviations are down-weighted at first [1]."""
     reject_any: float = 5.0
@@ -40,7 +39,7 @@ class CalibrationSettings:
     """Neighbouring stripe points that share one error (speckle): each counts as 1 / this [1].
     None: estimated from the residuals."""
     judge: bool = True
-    """Test whether the models suffice, and predict what the covariance means in lengths."""
+    """Test whether the models suffice, and predict the uncertainty of lengths."""
     max_steps: int = 60
     """Steps of one least-squares solve."""
 

@@ -50,7 +50,7 @@ def seed_narrow(data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     views, corners = centred_corners(data)
     homographies = [fit_homography(*seen) for seen in corners]
     found = _focal_length(homographies)
-    # A hopeless focal length still gives normals, which then say what is wrong.
+    # Even with a wrong focal length the normals show whether the boards are tilted.
     focal = found or 1.2 * max(data.size)
     poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
     for view, homography in zip(views, homographies, strict=True):
@@ -136,7 +136,7 @@ def seed_axis(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> Tu
     Args:
         poses: T_cam_board of every view [views, 4, 4].
         data: For the angle and placement of each view.
-        carries: What the table carries.
+        carries: Whether the table carries the scanner or the object.
         up: The image's up direction.
 
     Raises:
@@ -188,7 +188,7 @@ def fit_homography(points: np.ndarray, q: np.ndarray) -> np.ndarray:
     for _ in range(3):
         homography = direct_homography(points[keep], q[keep])
         distance = np.hypot(*(apply_homography(homography, points) - q).T)
-        # Lens distortion is no error here, so only what is far beyond the usual misfit goes.
+        # Lens distortion is no error here, so only corners far beyond the usual misfit are dropped.
         trimmed = distance <= 6.0 * np.median(distance) + 1e-9
         if trimmed.sum() < max(6, len(points) // 2) or np.array_equal(trimmed, keep):
             break

@@ -32,14 +32,14 @@ def make_problem(
     """
     # The solver needs neither names nor sizes, and would compile again for each.
     camera = replace(camera, width=0, height=0)
-    sheets = stack_lasers([LaserSheet.from_plane(np.array([1.0, 0.0, 0.0]), 1.0)]) if lasers is None else lasers
     if lasers is None:
-        sheets = jax.tree.map(lambda leaf: leaf[:0], sheets)
-    layout = problem_layout(camera, sheets, table)
+        lasers = stack_lasers([LaserSheet.from_plane(np.array([1.0, 0.0, 0.0]), 1.0)])
+        lasers = jax.tree.map(lambda leaf: leaf[:0], lasers)
+    layout = problem_layout(camera, lasers, table)
     centre = {"cx": (data.size[0] - 1) / 2, "cy": (data.size[1] - 1) / 2}
     return Problem(
         camera=camera,
-        lasers=sheets,
+        lasers=lasers,
         turntable=None if table is None else carrying(table, "scanner"),
         poses=poses,
         shape=np.zeros(3),

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxscan.calibration.parameters import ANGLE_PARAMETERS
 from jaxscan.calibration.solve.adjust import Adjustment
 from jaxscan.geometry import CAMERAS, coverage
 
@@ -21,13 +22,7 @@ _CURES = {
     ("b2", "b3"): "the stripe on boards at both ends of the lit field (bow of the sheet)",
     ("axis.d1", "axis.d2", "axis.p1", "axis.p2"): "placements at more and wider table angles (axis)",
     ("warp.x", "warp.y"): "strongly tilted boards close up (bow of the board)",
-    (
-        "gain",
-        "c1",
-        "s1",
-        "c2",
-        "s2",
-    ): "placements all around, at about 0, 90, 180 and 270 degrees of the table (its angle errors)",
+    ANGLE_PARAMETERS: "placements all around, at about 0, 90, 180 and 270 degrees of the table (its angle errors)",
 }
 
 

@@ -26,8 +26,8 @@ from jaxscan.calibration.verdict.quality import ModelTest
 from jaxscan.calibration.verdict.score import Score, score_models
 
 
-# Directions in which the unknowns imitate the extra terms but for this share are left out: what
-# remains of them is as small as the second order of the projection, which is no noise. Of the next
+# Directions in which the unknowns imitate the extra terms but for this share are left out: their
+# remainder is as small as the second order of the projection, which is no noise. Of the next
 # powers of the radius little else remains, and only their mean by second order is taken off.
 _IMITATED = 1e-2
 _RADIAL_IMITATED = 1e-3

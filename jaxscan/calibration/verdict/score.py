@@ -104,18 +104,15 @@ def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> 
 
 
 def _system(problem: Problem, linearised: Linearised) -> _System:
-    rows = []
-    for slopes, chain in (
-        (linearised.corner_slopes, linearised.corner_chain),
-        (linearised.stripe_slopes, linearised.stripe_chain),
-    ):
-        rows.append(np.asarray(slopes) @ np.moveaxis(np.asarray(chain), 0, -1))
+    by_unknowns = lambda slopes, chain: np.asarray(slopes) @ np.moveaxis(np.asarray(chain), 0, -1)
+    corner = by_unknowns(linearised.corner_slopes, linearised.corner_chain)
+    stripe = by_unknowns(linearised.stripe_slopes, linearised.stripe_chain)
     view_owner = np.asarray(problem.placement)
     stripe_owner = view_owner[np.asarray(problem.stripe_view)]
     shared, placements = len(problem.scales), len(problem.poses)
     whole = np.zeros((shared + 6 * placements,) * 2)
     whole[:shared, :shared] = np.asarray(linearised.prior)
-    for values, owner in zip(rows, (view_owner, stripe_owner), strict=True):
+    for values, owner in ((corner, view_owner), (stripe, stripe_owner)):
         for gram, number in zip(np.swapaxes(values, 1, 2) @ values, owner, strict=True):
             met = _unknowns(shared, number)
             whole[np.ix_(met, met)] += gram
@@ -123,7 +120,7 @@ def _system(problem: Problem, linearised: Linearised) -> _System:
     size = np.sqrt(np.where(np.diag(whole) > 0, np.diag(whole), 1.0))
     whole[np.diag_indices(len(whole))] = np.where(np.diag(whole) > 0, np.diag(whole), 1.0)
     inverse = np.linalg.inv(whole / np.outer(size, size)) / np.outer(size, size)
-    return _System(rows[0], rows[1], view_owner, stripe_owner, inverse, shared)
+    return _System(corner, stripe, view_owner, stripe_owner, inverse, shared)
 
 
 def _unknowns(shared: int, placement: int | np.integer) -> np.ndarray:
