@@ -12,7 +12,7 @@ from jaxscan.geometry import Scanner, StripeAxis, across_and_along, stripe_pixel
 from jaxscan.stripes import LineGate
 
 
-Cells = tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]
+Cells = tuple[Int[np.ndarray, " _"], Float[np.ndarray, " _"]]
 _PITCH_PX = 8.0
 """Largest distance between the points at which rays meet the sheet [px]."""
 _SAFETY = 8.0
