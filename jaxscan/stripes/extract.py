@@ -45,7 +45,8 @@ def extract_stripes(
             the laser's colour cannot be learned.
     """
     frames = pixel_format if isinstance(pixel_format, FrameFormat) else FrameFormat(pixel_format)
-    if on.ndim == frame_rank(frames.pixel_format):
+    # A stack of grey frames has as many dimensions as one frame of colours.
+    if on.ndim == frame_rank(frames.pixel_format) and (on.ndim == 2 or on.shape[-1] == 3):
         on, off = on[None], off if off is None else off[None]
     check_frames(on, off, frames.pixel_format)
     if len(on) == 0:

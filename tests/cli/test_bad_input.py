@@ -145,7 +145,7 @@ class TestWrongCapture:
     def test_another_board(self, tiny, boards, calibrate):
         edit(boards / "capture.toml", "square_mm = 80.0", "square_mm = 81.0")
         message = calibrate(tiny.boards, boards)
-        assert "its [board] differs" in message
+        assert "its [board] is not the same" in message
 
     def test_no_capture_named(self, calibrate):
         assert "at least one capture" in calibrate()

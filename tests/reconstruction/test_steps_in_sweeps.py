@@ -90,5 +90,5 @@ def test_bayer_lines_that_hold_no_site_hold_no_stripe(scanner, sweep):
 
 
 def test_all_candidates_cannot_be_checked():
-    with pytest.raises(ValueError, match="nothing is"):
+    with pytest.raises(ValueError, match="there are none"):
         ReconstructSettings(stripes=StripeSettings(choice="all"), check_steps=True)
