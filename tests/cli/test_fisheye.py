@@ -86,7 +86,7 @@ def test_a_room_in_one_turn_with_floor_and_ceiling(tmp_path, monkeypatch, model)
     compared, found = results["measure-compare"], results["measure-room"]
     assert compared["completeness"] > 0.97
     # 0.1 px of stripe noise are 0.7 mrad, which is 4 mm at 1.3 m with this baseline.
-    assert compared["error_m"]["median"] < 0.005
+    assert compared["error_m"]["median_abs"] < 0.005
     # Five predicted standard deviations: chance alone exceeds this once in a million. So few steps
     # leave the walls too sparse to be told from planes of light.
     assert abs(found["height"]["value_m"] - 2.5) < 5 * found["height"]["sigma_m"]
