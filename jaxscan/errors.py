@@ -1,4 +1,4 @@
-"""Typed errors: what was found, what was expected, and what to do about it."""
+"""Typed errors: each message says the finding, the expectation and the remedy."""
 
 
 class JaxscanError(Exception):
@@ -10,7 +10,7 @@ class ConfigError(JaxscanError):
 
 
 class CaptureError(JaxscanError):
-    """A capture that is missing, damaged, or not what the call needs."""
+    """A capture that is missing, damaged, or unfit for the call."""
 
 
 class CalibrationError(JaxscanError):
@@ -22,7 +22,7 @@ class CloudError(JaxscanError):
 
 
 class MeasurementError(JaxscanError):
-    """A cloud that does not hold what is to be measured."""
+    """A cloud without the thing to be measured."""
 
 
 class OptionError(JaxscanError):
