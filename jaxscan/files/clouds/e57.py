@@ -12,7 +12,7 @@ from jaxscan.files.clouds.points import columns
 from jaxscan.reconstruction import PointCloud
 
 
-# Bounds of coordinates and intensity are checked in double. The binding takes NumPy's int64 for 32 bits, but not longlong.
+# Bounds of coordinates and intensity are checked in double. The binding takes NumPy's int64 for 32 bits, not longlong.
 _FIELDS = {
     "cartesianX": ("x", np.float64),
     "cartesianY": ("y", np.float64),

@@ -77,7 +77,7 @@ def _placed(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     scale = SCALE_M if reach <= SCALE_M * _STEPS else COARSEST_M
     if reach > scale * _STEPS:
         raise CloudError(
-            f"LAS holds points at most {2 * COARSEST_M * _STEPS / 1e3:.0f} km apart, and these are {2 * reach / 1e3:.3g} km"
-            " apart; remove the ones far away, or choose .ply."
+            f"LAS holds points at most {2 * COARSEST_M * _STEPS / 1e3:.0f} km apart, and these are "
+            f"{reach / 500:.3g} km apart; remove the ones far away, or choose .ply."
         )
     return offset, np.full(3, scale)
