@@ -168,7 +168,7 @@ def _by_opencv(data: bytes) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 and image.shape[2] == 3 else image
 
 
-_BEGINNINGS = {
+_BEGINNINGS: dict[str, bytes | tuple[bytes, ...]] = {
     "PNG": SIGNATURE,
     "BMP": b"BM",
     "JPEG": b"\xff\xd8\xff",

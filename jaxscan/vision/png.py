@@ -60,7 +60,7 @@ def decode_png(data: bytes) -> np.ndarray | None:
     if interlaced or depth != 8 or colour not in (0, 2) or special:
         return None
     # Here, because it loads numba.
-    from jaxscan.vision.native import unfilter
+    from jaxscan.vision.native_loops import unfilter
 
     channels = _CHANNELS[colour]
     pixels = np.empty((height, width * channels), np.uint8)

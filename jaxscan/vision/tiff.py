@@ -9,7 +9,8 @@ import numpy as np
 
 _SHORT, _LONG = 3, 4
 _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _FILL_ORDER, _STRIPS, _SAMPLES = 256, 257, 258, 259, 266, 273, 277
-_ROWS_PER_STRIP, _STRIP_BYTES, _PLANAR, _TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_BYTES = (
+_ROWS_PER_STRIP, _STRIP_BYTES, _PLANAR = 278, 279, 284
+_TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_BYTES = 322, 323, 324, 325
     278,
     279,
     284,
@@ -145,7 +146,7 @@ def _unpacked(data: bytes, compression: int, expected: int) -> int:
             return -1
         return found if inflater.eof else -1
     # Here, because it loads numba.
-    from jaxscan.vision.native import lzw_length, packbits_length
+    from jaxscan.vision.native_loops import lzw_length, packbits_length
 
     packed = np.frombuffer(data, np.uint8)
     return packbits_length(packed) if compression == _PACKBITS else lzw_length(packed, expected)
