@@ -139,10 +139,10 @@ def test_the_dictionaries_are_those_of_opencv():
 def test_the_largest_board_is_made_once():
     board = Charuco(68, 68, 0.03, 0.022, "DICT_APRILTAG_36h10")
     picture = np.full((60, 80), 128, np.uint8)
-    made = boards._made.cache_info().misses
+    made = boards.opencv_charuco.cache_info().misses
     for _ in range(3):
         assert find_corners(picture, board) is None
-    assert boards._made.cache_info().misses == made + 1
+    assert boards.opencv_charuco.cache_info().misses == made + 1
 
 
 def test_textures_fill_the_outline():
