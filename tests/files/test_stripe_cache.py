@@ -146,7 +146,7 @@ def test_hostile_archives(tmp_path):
         (b"", damage),
         (b"\x93NUMPY" + bytes(300), damage),
         (npy(np.array(["text"])), other),
-        (npy(np.zeros(3, [("a", "f4")])), other),
+        (npy(np.zeros(3, [("a", "f4")])), damage),
     ):
         archive(path, [("key.npy", about), ("u.npy", content)])
         with pytest.raises(CaptureError, match=message):
@@ -170,9 +170,24 @@ def test_hostile_archives(tmp_path):
     with pytest.raises(CaptureError, match="holds no stripes"):
         load_stripes(path)
     os.mkfifo(tmp_path / "pipe.npz")
-    for other in (tmp_path / "pipe.npz", tmp_path):
-        with pytest.raises(CaptureError, match="no such file"):
+    for other, found in ((tmp_path / "pipe.npz", "a device or pipe"), (tmp_path, "a folder")):
+        with pytest.raises(CaptureError, match=f"found {found}, expected a file"):
             load_stripes(other)
+
+
+@pytest.mark.parametrize("leads_to", ["victim", "nowhere"])
+def test_a_link_is_neither_read_nor_written_through(tmp_path, leads_to):
+    """A capture of a stranger may hold a link that leads to any file of the user."""
+    (tmp_path / "capture").mkdir()
+    save_stripes(tmp_path / "victim", ARRAYS, KEY)
+    before, cache = (tmp_path / "victim").read_bytes(), tmp_path / "capture" / "stripes.npz"
+    cache.symlink_to(tmp_path / leads_to)
+    with pytest.raises(CaptureError, match="found a link, expected the file itself"):
+        load_stripes(cache)
+    assert cached_stripes(cache, KEY) is None
+    save_stripes(cache, {"u": np.zeros(3)}, KEY)
+    assert not cache.is_symlink() and cached_stripes(cache, KEY)["u"].shape == (3,)
+    assert (tmp_path / "victim").read_bytes() == before and not (tmp_path / "nowhere").exists()
 
 
 def test_the_key_of_the_frames(folder):

@@ -16,7 +16,7 @@ from jaxscan.files.capture.journal import JOURNAL_NAME, Record, journal_objects
 from jaxscan.files.capture.references import Folder, ImageRef
 from jaxscan.files.capture.shards import Shards
 from jaxscan.files.capture.texts import read_texts
-from jaxscan.files.disk import file_digest, reported
+from jaxscan.files.disk import file_digest
 
 
 SEAL = "journal_sha256"
@@ -96,8 +96,7 @@ def _difference(image: ImageRef, expected: Any, located: Path, shards: Shards) -
     if image.index is not None:
         found = hashlib.sha256(shards.image(image).tobytes()).hexdigest()
     else:
-        with reported(f"{image}: cannot be read", error=CaptureError), open(located, "rb") as file:
-            found = hashlib.file_digest(file, "sha256").hexdigest()
+        found = file_digest(located, error=CaptureError).removeprefix("sha256:")
     if found == expected:
         return None
     return f"{image}: found the sha256 {found[:12]}…, expected {expected[:12]}…; the file has changed."
