@@ -54,7 +54,7 @@ def examine_rig(
         if controller is not None:
             stack.enter_context(controller)
             tell(Finding("port", "works", controller.name))
-        device = None if rig is None else opened("camera", lambda: open_camera(rig.camera))
+        device = None if rig is None else opened("camera", lambda: open_camera(rig.camera, say))
         if device is not None:
             stack.enter_context(device)
         examine(Patient(controller, device, rig), folder=Path.cwd(), tell=tell, say=say)
