@@ -37,7 +37,7 @@ def run_cases(
             worker = None
             while (case := todo.get()) is not None:
                 worker = worker or _start(corpus, Path(folder))
-                answer, worker = _ask(worker, case)
+                answer, worker = _ask(worker, case, Path(folder))
                 answers.append(answer)
                 if tell is not None:
                     tell(answer)
@@ -61,7 +61,9 @@ def _start(corpus: Path, folder: Path) -> subprocess.Popen:
     )
 
 
-def _ask(worker: subprocess.Popen, case: tuple[int, int]) -> tuple[dict[str, Any], subprocess.Popen | None]:
+def _ask(
+    worker: subprocess.Popen, case: tuple[int, int], folder: Path
+) -> tuple[dict[str, Any], subprocess.Popen | None]:
     """The answer to one case, and the process if it goes on."""
     assert worker.stdin is not None and worker.stdout is not None
     worker.stdin.write(f"{case[0]} {case[1]}\n".encode())
@@ -80,15 +82,9 @@ def _ask(worker: subprocess.Popen, case: tuple[int, int]) -> tuple[dict[str, Any
         worker.kill()
     fault = "crash" if ready else "hang"
     code = worker.wait()
-    return {
-        "seed": case[0],
-        "number": case[1],
-        "kind": "?",
-        "faults": [fault],
-        "code": code,
-        "err": "",
-        "words": [],
-    }, None
+    said = (folder / "stderr").read_text("utf-8", "backslashreplace")[-2000:]
+    answer = {"seed": case[0], "number": case[1], "kind": "?", "faults": [fault], "code": code, "err": said}
+    return answer, None
 
 
 def counts(answers: Iterable[dict[str, Any]]) -> Counter[str]:
