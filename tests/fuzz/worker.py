@@ -46,7 +46,9 @@ def _answer(seed: int, number: int, corpus: Path, folder: Path, files: tuple[int
     sys.stdout.flush()
     sys.stderr.flush()
     out, err = (os.pread(file, 1 << 24, 0) for file in files)
-    faults = verdict(code, out, err, seconds, peak)
+    # Where the result goes to standard output, everything for people goes to standard error.
+    last = b"".join(err.splitlines(keepends=True)[-1:] if code else [])
+    faults = verdict(code, out, last if "-" in case.words else err, seconds, peak)
     # A verdict of "not accepted" is written all the same, and says so.
     written = code == 0 or b": written, but" in err
     left = changes(before, snapshot(folder), case.kept | (case.outputs if written else set()))
