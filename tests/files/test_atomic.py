@@ -6,7 +6,7 @@ import os
 import pytest
 
 from jaxscan.errors import CloudError, JaxscanError
-from jaxscan.files.disk import write_atomically
+from jaxscan.files.disk import check_writable, write_atomically
 
 
 def test_bytes_and_callables(tmp_path):
@@ -69,3 +69,24 @@ def test_a_link_is_followed(tmp_path):
     (tmp_path / "link.txt").symlink_to("real.txt")
     write_atomically(tmp_path / "link.txt", b"new")
     assert (tmp_path / "link.txt").is_symlink() and (tmp_path / "real.txt").read_bytes() == b"new"
+
+
+@pytest.mark.parametrize("leads_to", ["real.txt", "nowhere.txt"])
+def test_a_link_is_replaced(tmp_path, leads_to):
+    (tmp_path / "real.txt").write_bytes(b"old")
+    (tmp_path / "link.txt").symlink_to(leads_to)
+    write_atomically(tmp_path / "link.txt", b"new", links="replace")
+    assert not (tmp_path / "link.txt").is_symlink() and (tmp_path / "link.txt").read_bytes() == b"new"
+    assert (tmp_path / "real.txt").read_bytes() == b"old" and not (tmp_path / "nowhere.txt").exists()
+
+
+@pytest.mark.parametrize("links", ["follow", "replace"])
+@pytest.mark.parametrize("name", ["n" * 300, "nul\0name", "lone\ud800surrogate"])
+def test_names_that_no_file_can_have(tmp_path, name, links):
+    for write in (
+        lambda: write_atomically(tmp_path / name, b"x", links=links),
+        lambda: check_writable(tmp_path / name),
+    ):
+        with pytest.raises(JaxscanError, match="cannot be written"):
+            write()
+    assert os.listdir(tmp_path) == []

@@ -390,7 +390,7 @@ def test_a_missing_file(tmp_path):
     for load in (load_scanner, load_calibration):
         with pytest.raises(CalibrationError, match=r"c\.json: no such file"):
             load(tmp_path / "c.json")
-    with pytest.raises(CalibrationError, match=r"c\.json: cannot be read"):
+    with pytest.raises(CalibrationError, match=r"c\.json: no such file"):
         calibration_digest(tmp_path / "c.json")
 
 

@@ -4,13 +4,15 @@ import contextlib
 import errno
 import io
 import os
-import secrets
 import stat
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 from jaxscan.errors import JaxscanError
 from jaxscan.files.disk.bounded import reported
+from jaxscan.files.disk.opening import shown
+from jaxscan.files.disk.partial import partial_file
 
 
 def write_atomically(
@@ -19,24 +21,25 @@ def write_atomically(
     *,
     durable: bool = True,
     error: type[JaxscanError] = JaxscanError,
+    links: Literal["follow", "replace"] = "follow",
 ) -> None:
     """Write a file so that `path` holds either the old content or all of the new.
 
     Args:
-        path: The file; its folder must exist. A link is followed.
+        path: The file; its folder must exist.
         content: The bytes, or a function that writes the file at a given path; that path has the same
             suffix and lies in the same folder.
         durable: Wait until the content is on the disk, so that it survives a loss of power.
         error: Type of the error raised.
+        links: Where `path` is a link: "follow" writes the file that it leads to; "replace" puts the file in
+            place of the link, as in the folder of a capture, whose links may lead anywhere.
 
     Raises:
         JaxscanError: Of type `error`, if the file cannot be written. Then nothing has changed.
     """
-    target = Path(os.path.realpath(path))
-    part = target.with_name(f".part-{secrets.token_hex(6)}{target.suffix}")
-    try:
-        with reported(f"{path}: cannot be written", error=error):
-            _check_target(target)
+    with reported(f"{shown(path)}: cannot be written", error=error):
+        target = _target(path, links)
+        with partial_file(target) as part:
             if callable(content):
                 content(part)
             else:
@@ -46,8 +49,6 @@ def write_atomically(
             os.replace(part, target)
             if durable and os.name == "posix":
                 sync_to_disk(target.parent)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError) -> None:
@@ -60,9 +61,8 @@ def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError
     Raises:
         JaxscanError: Of type `error`, if `write_atomically` would refuse.
     """
-    target = Path(os.path.realpath(path))
-    with reported(f"{path}: cannot be written", error=error):
-        _check_target(target)
+    with reported(f"{shown(path)}: cannot be written", error=error):
+        target = _target(path, "follow")
         if not os.access(target.parent, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
@@ -86,13 +86,22 @@ def append_whole(file: io.FileIO, data: bytes, *, durable: bool) -> None:
         raise
 
 
-def _check_target(target: Path) -> None:
-    # Other libraries raise errors of their own for a missing folder.
-    if not target.parent.is_dir():
-        raise OSError(f"the folder {target.parent} does not exist; create it first")
+def _target(path: str | Path, links: Literal["follow", "replace"]) -> Path:
+    """The path that is renamed to, checked."""
+    try:
+        target = Path(os.path.realpath(path) if links == "follow" else os.path.abspath(path))
+        # Other libraries raise errors of their own for a missing folder.
+        if not os.path.isdir(target.parent):
+            raise OSError(f"the folder {target.parent} does not exist; create it first")
+        mode = os.lstat(target).st_mode
+    except FileNotFoundError:
+        return target
+    except ValueError as problem:
+        raise OSError(f"no file can have this name: {problem}") from problem
     # Renaming would replace a device or a folder, although the user only meant to write into it.
-    if target.exists() and not stat.S_ISREG(target.stat().st_mode):
+    if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode)):
         raise OSError("it exists and is not a regular file")
+    return target
 
 
 def sync_to_disk(path: Path) -> None:

@@ -1,18 +1,14 @@
-"""Reading files of any origin: only regular files, and at most a given number of bytes."""
+"""Texts and digests of files of any origin, and failures of the system in one line."""
 
 import contextlib
 import hashlib
 import json
-import os
-import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from jaxscan.errors import JaxscanError
-
-
-MEGABYTE = 1 << 20
+from jaxscan.files.disk.opening import open_regular
 
 
 @contextlib.contextmanager
@@ -26,33 +22,6 @@ def reported(failure: object, *, error: type[JaxscanError]) -> Iterator[None]:
         yield
     except OSError as problem:
         raise error(f"{failure}: {problem.strerror or problem}.") from problem
-
-
-def read_bounded(path: str | Path, limit: int, *, error: type[JaxscanError]) -> bytes:
-    """All bytes of a regular file of at most `limit` bytes.
-
-    Args:
-        path: The file.
-        limit: Largest accepted size [bytes].
-        error: Type of the error raised.
-
-    Raises:
-        JaxscanError: Of type `error`, if it is missing, not a regular file, unreadable or larger.
-    """
-    try:
-        # Opening a pipe would wait for ever, so look first.
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise error(f"{path}: found {'a folder' if os.path.isdir(path) else 'a device or pipe'}, expected a file.")
-        with open(path, "rb") as file:
-            # As large as it is now: a journal may grow, and Python allocates all that is asked for.
-            size = os.fstat(file.fileno()).st_size
-            if size > limit:
-                raise error(f"{path}: larger than the {limit / MEGABYTE:g} MiB that such a file may have.")
-            return file.read(size)
-    except FileNotFoundError as problem:
-        raise error(f"{path}: no such file.") from problem
-    except (OSError, ValueError) as problem:
-        raise error(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
 
 
 def parse_json(data: bytes, *, name: str, error: type[JaxscanError]) -> Any:
@@ -86,5 +55,5 @@ def file_digest(path: str | Path, *, error: type[JaxscanError] = JaxscanError) -
     Raises:
         JaxscanError: Of type `error`, if it cannot be read.
     """
-    with reported(f"{path}: cannot be read", error=error), open(path, "rb") as file:
+    with reported(f"{path}: cannot be read", error=error), open_regular(path, error=error) as file:
         return "sha256:" + hashlib.file_digest(file, "sha256").hexdigest()

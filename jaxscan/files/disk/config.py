@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxscan.errors import ConfigError, JaxscanError
-from jaxscan.files.disk.bounded import MEGABYTE, read_bounded
+from jaxscan.files.disk.opening import MEGABYTE, read_bounded
 from jaxscan.files.disk.validation import Model, check
 
 

@@ -1,0 +1,174 @@
+"""Files and folders in work: under a temporary name, locked, and removed unless they get their final name.
+
+A process that is killed leaves them behind. Their lock then is free, so the next process that makes one in the same
+folder removes them.
+"""
+
+import contextlib
+import os
+import re
+import secrets
+import shutil
+import stat
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+
+try:
+    import fcntl
+except ImportError:  # Not on Windows; there nothing is locked, and nothing of others is removed.
+    fcntl = None  # type: ignore[assignment]
+
+
+# Strict, because what has such a name and no lock is removed.
+_NAME = re.compile(r"\.part-[0-9a-f]{12}(\.[A-Za-z0-9_]{1,16})?")
+_DIGITS = 6
+
+_held: dict[Path, tuple[int, int | None]] = {}
+"""The process that made each partial file or folder, for a forked one has made none, and the handle with its lock."""
+_cleared: set[Path] = set()
+"""Folders from which this process has removed the left ones: once, for a capture writes thousands of files."""
+
+
+@contextlib.contextmanager
+def partial_file(target: str | Path) -> Iterator[Path]:
+    """A new empty file beside `target`, with its suffix; rename it when it is complete.
+
+    Yields:
+        Its path, `.part-<hex><suffix>`. It is locked, and removed at the end unless it was renamed.
+
+    Raises:
+        OSError: If it cannot be made.
+    """
+    target = Path(target)
+    if target.parent not in _cleared:
+        remove_left(target.parent)
+        _cleared.add(target.parent)
+    suffix = target.suffix if _NAME.fullmatch(f".part-{'0' * 2 * _DIGITS}{target.suffix}") else ""
+    with _made(target.parent, suffix, _make_file) as part:
+        yield part
+
+
+@contextlib.contextmanager
+def partial_folder(target: str | Path) -> Iterator[Path]:
+    """A new empty folder beside `target`; rename it when it is complete.
+
+    Yields:
+        Its path, `.part-<hex>`. It is locked, and removed with all that it holds unless it was renamed.
+
+    Raises:
+        OSError: If it cannot be made.
+    """
+    target = Path(target)
+    remove_left(target.parent)
+    with _made(target.parent, "", _make_folder) as part:
+        yield part
+
+
+def forget_partials() -> None:
+    """Remove all partial files and folders of this process, before it ends by a signal."""
+    for part in list(_held):
+        _remove(part)
+
+
+def remove_left(folder: str | Path) -> None:
+    """Remove the partial files and folders in `folder` whose processes have ended."""
+    if fcntl is None:
+        return
+    # What cannot be listed, locked or removed stays; it hinders nobody.
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        names = [entry.name for entry in entries if _NAME.fullmatch(entry.name)]
+        for part in (Path(folder, name) for name in names):
+            with contextlib.suppress(OSError):
+                _remove_if_left(part)
+
+
+@contextlib.contextmanager
+def _made(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> Iterator[Path]:
+    part = _lock_new(folder, suffix, make)
+    try:
+        yield part
+    finally:
+        _remove(part)
+
+
+def _lock_new(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> Path:
+    while True:
+        part = folder / f".part-{secrets.token_hex(_DIGITS)}{suffix}"
+        handle = make(part)
+        _held[part] = os.getpid(), handle
+        # Another process may have taken it for a left one before it was locked.
+        if handle is None or (_lock(handle) and _is_at(part, handle)):
+            return part
+        _remove(part)
+
+
+def _make_file(part: Path) -> int | None:
+    if fcntl is None:
+        part.touch(exist_ok=False)
+        return None
+    return os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+
+
+def _make_folder(part: Path) -> int | None:
+    os.mkdir(part)
+    if fcntl is None:
+        return None
+    try:
+        return os.open(part, os.O_RDONLY | os.O_CLOEXEC)
+    except BaseException:
+        os.rmdir(part)
+        raise
+
+
+def _lock(handle: int) -> bool:
+    """Whether nobody else holds the lock; where a disk knows no locks, nobody can take one."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass
+    return True
+
+
+def _is_at(part: Path, handle: int) -> bool:
+    try:
+        return os.path.samestat(os.lstat(part), os.fstat(handle))
+    except FileNotFoundError:
+        return False
+
+
+def _remove(part: Path) -> None:
+    """Remove what this process holds, if it still has its partial name, and let go of it."""
+    process, handle = _held.pop(part, (-1, None))
+    if process != os.getpid():
+        return
+    try:
+        # What cannot be removed stays; the failure that led here is the one to report.
+        with contextlib.suppress(OSError):
+            if handle is None or _is_at(part, handle):
+                _delete(part)
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def _remove_if_left(part: Path) -> None:
+    regular = stat.S_ISREG(os.lstat(part).st_mode)
+    # Network disks lock only files that are open for writing.
+    flags = os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC | (os.O_RDWR if regular else os.O_RDONLY | os.O_DIRECTORY)
+    handle = os.open(part, flags)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if _is_at(part, handle):
+            _delete(part)
+    finally:
+        os.close(handle)
+
+
+def _delete(part: Path) -> None:
+    if part.is_dir():
+        shutil.rmtree(part, ignore_errors=True)
+    else:
+        part.unlink()
