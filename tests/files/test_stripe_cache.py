@@ -1,5 +1,6 @@
 """Kept stripes: they come back as they were, under their own key, or not at all."""
 
+import hashlib
 import io
 import json
 import os
@@ -23,6 +24,7 @@ ARRAYS = {
     "record": np.arange(9, dtype=np.int32),
     "none": np.zeros((0, 20), np.float32),
 }
+EMPTY = {"format": "jaxscan-stripes/2", "key": {}, "arrays": {}, "sha256": hashlib.sha256(b"").hexdigest()}
 KEY = {"frames": "sha256:00", "settings": {"k": [1, 2.5, None]}, "version": 3}
 
 
@@ -121,7 +123,7 @@ def npy(array):
 
 def test_hostile_archives(tmp_path):
     path = tmp_path / "stripes.npz"
-    about = npy(np.frombuffer(json.dumps({"format": "jaxscan-stripes/1", "key": {}, "arrays": {}}).encode(), np.uint8))
+    about = npy(np.frombuffer(json.dumps(EMPTY).encode(), np.uint8))
     archive(path, [("key.npy", about)])
     assert load_stripes(path) == ({}, {})
     archive(path, [("key.npy", about), ("u.npy", npy(np.zeros(3)))])
@@ -161,7 +163,8 @@ def test_hostile_archives(tmp_path):
         b"{",
         b"[]",
         b'{"format": "jaxscan-stripes/2", "key": {}, "arrays": {}}',
-        b'{"format": "jaxscan-stripes/1"}',
+        b'{"format": "jaxscan-stripes/2"}',
+        b'{"format": "jaxscan-stripes/2", "key": {}, "arrays": {}}',
     ):
         archive(path, [("key.npy", npy(np.frombuffer(text, np.uint8)))])
         with pytest.raises(CaptureError):

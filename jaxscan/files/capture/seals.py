@@ -99,23 +99,18 @@ def require_whole(state: Sealing) -> None:
         )
 
 
-def difference(image: ImageRef, stored: bytes | np.ndarray) -> str | None:
-    """How an image differs from the digest in its record.
+def frame_digest(frame: np.ndarray) -> str:
+    """The sha256 of a frame in a shard, in hexadecimal digits."""
+    # Hashed as it lies in memory, without a copy where its rows follow each other.
+    return hashlib.sha256(np.ascontiguousarray(frame).reshape(-1).data).hexdigest()
 
-    Args:
-        image: The image.
-        stored: Its file's bytes, or the frame of a shard.
 
-    Returns:
-        The digests found and expected; None if they are the same, or the record has none.
-    """
+def difference(image: ImageRef, found: str) -> str | None:
+    """How the digest of an image differs from that in its record; None if it does not, or there is none."""
     if image.sha256 is None:
         return None
     if not re.fullmatch("[0-9a-f]{64}", image.sha256):
         return f"found {image.sha256!a:.40} in its record, expected a sha256"
-    # NumPy's memory is hashed as it lies, without a copy where its rows follow each other.
-    data = stored if isinstance(stored, bytes) else np.ascontiguousarray(stored).reshape(-1).data
-    found = hashlib.sha256(data).hexdigest()
     return None if found == image.sha256 else f"found the sha256 {found[:12]}…, expected {image.sha256[:12]}…"
 
 

@@ -16,7 +16,7 @@ from jaxscan.files.capture.capture import Capture
 from jaxscan.files.disk import MEGABYTE, parse_json, read_arrays, read_bounded, reported, write_arrays, write_atomically
 
 
-CACHE_FORMAT = "jaxscan-stripes/1"
+CACHE_FORMAT = "jaxscan-stripes/2"
 MAX_CACHE_BYTES = 1 << 34
 """Most memory that its arrays take; 7200 profiles of 4096 lines take 0.9 GiB."""
 
@@ -32,8 +32,9 @@ def cache_path(capture: Capture) -> Path:
 def frames_key(capture: Capture) -> str:
     """A digest of everything that the frames of a capture come from, as "sha256:<hex>".
 
-    It changes with the header, the journal, the choice of records (`every`), and the size or the
-    time of change of any image file. The images themselves are not read.
+    It changes with the header, the journal, the choice of records (`every`), and the size or a time of any image
+    file: of its content, and of its entry on the disk, which no program can set. So stripes do not serve a copy
+    of the capture either. The images themselves are not read.
 
     Raises:
         CaptureError: If an image is no longer there.
@@ -45,7 +46,7 @@ def frames_key(capture: Capture) -> str:
     for path in images:
         with reported(f"{root}/{path}: cannot be read", error=CaptureError):
             status = os.stat(f"{root}/{path}")
-        digest.update(f"{path}\0{status.st_size}\0{status.st_mtime_ns}\n".encode())
+        digest.update(f"{path}\0{status.st_size}\0{status.st_mtime_ns}\0{status.st_ctime_ns}\n".encode())
     return "sha256:" + digest.hexdigest()
 
 
@@ -74,7 +75,7 @@ def save_stripes(path: str | Path, arrays: Mapping[str, np.ndarray], key: Mappin
     wrong = [name for name, array in arrays.items() if name == _KEY or np.asarray(array).dtype.kind not in _KINDS]
     if wrong:
         raise ValueError(f"`arrays` must hold numbers, and none may be called {_KEY!r}, got {wrong[0]!r}.")
-    about = {"format": CACHE_FORMAT, "key": dict(key), "arrays": _described(arrays)}
+    about = {"format": CACHE_FORMAT, "key": dict(key), "arrays": _described(arrays), "sha256": _digest(arrays)}
     text = {_KEY: np.frombuffer(json.dumps(about, allow_nan=False).encode(), np.uint8)}
     # It can be computed again, so it does not wait for the disk; a file damaged by a loss of power is refused.
     # In the folder of a capture a link may lead anywhere, so it is replaced.
@@ -96,7 +97,8 @@ def load_stripes(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any
     arrays = _read(path, limit=MAX_CACHE_BYTES)
     arrays.pop(_KEY, None)
     # The archive's own checksums do not cover the names and the number of its arrays.
-    if any(array.dtype.kind not in _KINDS for array in arrays.values()) or _described(arrays) != about["arrays"]:
+    known = all(array.dtype.kind in _KINDS for array in arrays.values())
+    if not known or _described(arrays) != about["arrays"] or _digest(arrays) != about["sha256"]:
         raise CaptureError(f"{path}: does not hold the arrays that it lists; the file is damaged.")
     return arrays, about["key"]
 
@@ -117,13 +119,20 @@ def _described(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
     return {name: [np.asarray(array).dtype.str, *np.shape(array)] for name, array in arrays.items()}
 
 
+def _digest(arrays: Mapping[str, np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(np.ascontiguousarray(arrays[name]).reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
 def _about(path: str | Path) -> dict[str, Any]:
     """The key and the list of arrays, from a file in which nothing is compressed."""
     found = _read(path, limit=MEGABYTE, only=_KEY).get(_KEY)
     if found is not None and found.dtype == np.uint8 and found.ndim == 1:
         about = parse_json(found.tobytes(), name=str(path), error=CaptureError)
         if isinstance(about, dict) and about.get("format") == CACHE_FORMAT:
-            if all(isinstance(about.get(part), dict) for part in ("key", "arrays")):
+            if all(isinstance(about.get(part), dict) for part in ("key", "arrays")) and "sha256" in about:
                 return about
     raise CaptureError(f"{path}: holds no stripes ({CACHE_FORMAT}).")
 

@@ -10,11 +10,10 @@ from jaxscan.files.capture.decode import cores
 from jaxscan.files.capture.header import frame_shape
 from jaxscan.files.capture.journal import Record
 from jaxscan.files.capture.references import Folder, ImageRef
-from jaxscan.files.capture.seals import difference, sealing
+from jaxscan.files.capture.seals import difference, frame_digest, sealing
 from jaxscan.files.capture.shards import Shards
 from jaxscan.files.capture.texts import read_texts
-from jaxscan.files.disk import MEGABYTE, read_bounded
-from jaxscan.geometry import MAX_PIXELS
+from jaxscan.files.disk import file_digest
 
 
 _BLOCK = 64
@@ -99,11 +98,8 @@ def _difference(image: ImageRef, located: Path, shards: Shards) -> str | None:
     """How an image differs from its digest; None if it does not, or has no digest."""
     if image.sha256 is None:
         return None
-    stored = shards.image(image) if image.index is not None else _bytes(located)
-    found = difference(image, stored)
+    if image.index is not None:
+        found = difference(image, frame_digest(shards.image(image)))
+    else:
+        found = difference(image, file_digest(located, error=CaptureError).removeprefix("sha256:"))
     return None if found is None else f"{image}: {found}; the file has changed."
-
-
-def _bytes(located: Path) -> bytes:
-    # The size of an image is bounded by its capture; an uncompressed one with a megabyte of metadata fits.
-    return read_bounded(located, 4 * MAX_PIXELS + MEGABYTE, error=CaptureError)
