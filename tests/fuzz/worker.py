@@ -42,7 +42,7 @@ def _answer(seed: int, number: int, corpus: Path, folder: Path, files: tuple[int
     start = time.perf_counter()
     os.chdir(folder)
     code = _run(case.words)
-    seconds, peak = time.perf_counter() - start, _peak()
+    seconds, peak = time.perf_counter() - start, _memory("VmHWM:")
     sys.stdout.flush()
     sys.stderr.flush()
     out, err = (os.pread(file, 1 << 24, 0) for file in files)
