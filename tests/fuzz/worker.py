@@ -38,7 +38,7 @@ def _answer(seed: int, number: int, corpus: Path, folder: Path, files: tuple[int
     before = snapshot(folder)
     for file in files:
         os.ftruncate(file, 0)
-    _forget_memory("VmHWM:")
+    _forget_peak()
     start = time.perf_counter()
     os.chdir(folder)
     code = _run(case.words)
