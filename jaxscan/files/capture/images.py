@@ -35,7 +35,9 @@ class ImageReader:
         """
         self._records = records
         folder, located = Folder(self._path), dict[str, Path]()
-        for record, reference in [(one, image) for one in records for image in (*one.on, *one.off)]:
+        for record, reference in ((one, image) for one in records for image in (*one.on, *one.off)):
+            if reference.index is None and folder.holds(reference.path):
+                continue
             try:
                 # Many images share a shard.
                 if reference.path not in located:
