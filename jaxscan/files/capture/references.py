@@ -145,7 +145,7 @@ class Folder:
             return frozenset()
 
     def locate(self, reference: ImageRef) -> Path:
-        """Path of an existing regular file.
+        """Path of an existing regular file, where a link inside leads to the file itself.
 
         Raises:
             CaptureError: If it does not exist, is no regular file, or a link leads out.
@@ -155,9 +155,10 @@ class Folder:
             status = os.lstat(path)
             inside = self._is_inside(path.parent)
             if stat.S_ISLNK(status.st_mode):
+                path = Path(os.path.realpath(path))
                 inside, status = inside and self._is_inside(path), os.stat(path)
         except (OSError, ValueError) as problem:
-            reason = "no such file" if isinstance(problem, FileNotFoundError) else str(problem)
+            reason = "no such file" if isinstance(problem, FileNotFoundError) else getattr(problem, "strerror", problem)
             raise CaptureError(f"{reference.path}: {reason}.") from problem
         if not inside:
             raise CaptureError(f"{reference.path}: a link that leads out of the capture's folder; copy the file there.")

@@ -45,8 +45,8 @@ def seal(path: Path) -> dict[str, Any]:
     Raises:
         CaptureError: If header or journal cannot be read.
     """
-    header = read_bounded(path / HEADER_NAME, MEGABYTE, error=CaptureError)
-    journal = read_bounded(path / JOURNAL_NAME, MAX_JOURNAL_BYTES, error=CaptureError)
+    header = read_bounded(path / HEADER_NAME, MEGABYTE, error=CaptureError, links="refuse")
+    journal = read_bounded(path / JOURNAL_NAME, MAX_JOURNAL_BYTES, error=CaptureError, links="refuse")
     numbers = {value["i"] for _, value in journal_objects(journal) if "i" in value}
     return {
         SEAL: hashlib.sha256(journal).hexdigest(),
