@@ -33,9 +33,13 @@ MAY_IMPORT = {
     "cli": ANY,
     "__init__": set(),
     "errors": set(),
+    "printable": set(),
     "data": set(),
 }
-"""Folders of the package that a folder may import, beside itself and `errors`."""
+"""Folders of the package that a folder may import, beside itself and what all may import."""
+
+FOR_ALL = {"errors", "printable"}
+"""Files of the package that import nothing, and that all may import."""
 
 HOME_OF = {
     "cv2": {"vision"},
@@ -53,10 +57,10 @@ HOME_OF = {
 }
 """Third-party libraries that belong to one place."""
 
-RIG_MAY_IMPORT = {"files", "errors", "geometry", "stripes"}
+RIG_MAY_IMPORT = {"files", "geometry", "stripes"} | FOR_ALL
 """Folders of the package that the acquisition layer may import."""
 
-BENCH_MAY_IMPORT = {"files", "errors", "simulation", "vision"}
+BENCH_MAY_IMPORT = {"files", "simulation", "vision"} | FOR_ALL
 """Folders of the package that the simulated rig may import: what renders, nothing that estimates."""
 
 RIG_HOME_OF = {"cv2": ("cameras/",), "serial": ("wire/",), "ctypes": ("cameras/aravis",)}
@@ -92,7 +96,7 @@ def test_import_direction(path):
         if parts[0] != "jaxscan" or len(parts) == 1:
             continue
         there = parts[1]
-        assert there in MAY_IMPORT[here] | {here, "errors"}, f"line {line}: {here} must not import {there}"
+        assert there in MAY_IMPORT[here] | FOR_ALL | {here}, f"line {line}: {here} must not import {there}"
 
 
 OUTSIDE_OF_FILES = [path for path in (*FILES, *RIG_FILES, *BENCH_FILES) if PACKAGE / "files" not in path.parents]
