@@ -15,7 +15,8 @@ MEGABYTE = 1 << 20
 
 # Opening a pipe would wait for a writer for ever. Not every system has each of these flags.
 _FLAGS = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY"))
-_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+"""Flag of `os.open` that refuses a link."""
 
 
 def open_regular(
@@ -40,7 +41,7 @@ def open_regular(
     try:
         if links == "refuse" and os.path.islink(path):
             raise OSError(errno.ELOOP, "")
-        handle = os.open(path, _FLAGS | (_NO_LINK if links == "refuse" else 0))
+        handle = os.open(path, _FLAGS | (NO_LINK if links == "refuse" else 0))
     except FileNotFoundError as problem:
         raise error(f"{path}: no such file.") from problem
     except (OSError, ValueError) as problem:

@@ -97,7 +97,7 @@ def check_new_folder(target: str | Path) -> None:
     target = Path(os.path.abspath(target))
     if os.path.lexists(target):
         raise CaptureError(f"{target}: exists; choose another folder, a capture is never overwritten.")
-    if not target.parent.is_dir():
+    if not os.path.isdir(target.parent):
         raise CaptureError(f"{target}: cannot be created, the folder {target.parent} does not exist; create it first.")
 
 

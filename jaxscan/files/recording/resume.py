@@ -35,7 +35,7 @@ def resume_capture(
     lines = [line + b"\n" for line in texts.journal_bytes.split(b"\n") if line.strip()]
     journal = b"".join(lines[:-1] if texts.notes else lines)
     if journal != texts.journal_bytes:
-        write_atomically(path / JOURNAL_NAME, journal, durable=durable, error=CaptureError)
+        write_atomically(path / JOURNAL_NAME, journal, durable=durable, error=CaptureError, links="replace")
     with reported(f"{path}: cannot be written", error=CaptureError):
         for folder in ("on", "off"):
             (path / folder).mkdir(exist_ok=True)
