@@ -82,6 +82,20 @@ def read_bounded(path: str | Path, limit: int, *, error: type[JaxscanError], lin
             raise error(f"{path}: cannot be read: {problem.strerror or problem}.") from problem
 
 
+def check_name(path: str | Path, *, error: type[JaxscanError]) -> None:
+    """Check that a file or folder can have this name, before its content is computed.
+
+    Raises:
+        JaxscanError: Of type `error`, if the name is too long, holds letters that no name has, or lies in a file.
+    """
+    try:
+        os.lstat(path)
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as problem:
+        raise error(f"{shown(path)}: cannot be written: {getattr(problem, 'strerror', None) or problem}.") from problem
+
+
 def shown(path: str | Path) -> str:
     """A path for a message: names that are too long for any file system are cut."""
     text = str(path)

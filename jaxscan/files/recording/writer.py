@@ -23,7 +23,7 @@ from jaxscan.files.capture import (
     header_toml,
     seal,
 )
-from jaxscan.files.disk import append_whole, open_to_append, reported, write_atomically
+from jaxscan.files.disk import append_whole, check_name, open_to_append, reported, write_atomically
 from jaxscan.files.recording.folder import is_unused, make_folder, require_no_links
 from jaxscan.files.recording.given import given_frame, named
 from jaxscan.files.recording.store import Storage, WriteSettings, image_store
@@ -283,6 +283,7 @@ def create_capture(
     """
     path = Path(path)
     toml = header_toml(header)
+    check_name(path, error=CaptureError)
     with reported(f"{path}: cannot be created", error=CaptureError):
         make_folder(path, durable=durable)
         require_no_links(path)
