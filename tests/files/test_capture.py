@@ -338,7 +338,7 @@ def test_damaged_images_are_named_when_they_are_read(folder):
         return str(single.value)
 
     (folder.path / "on/000001.png").write_bytes(good[:-20])
-    assert "damaged or cut short" in read()
+    assert "damaged: it is cut short" in read()
     folder.image("on/000001.png", np.zeros((6, 4), np.uint8))
     assert "found 4 x 6 px, expected 6 x 4 px" in read()
     folder.image("on/000001.png", np.zeros((4, 6, 3), np.uint8))
