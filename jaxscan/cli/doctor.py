@@ -114,16 +114,19 @@ def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out:
 
 
 def _verify(capture: Path, out: Terminal, json: str | None) -> None:
-    from jaxscan.files.capture import verify_capture
+    from jaxscan.files.capture import seal_note, verify_capture
 
     with progress_bar("Verifying") as progress:
         found = verify_capture(capture, progress=progress)
     problems = [str(problem) for problem in found]
     for sentence in problems:
         out.print(sentence)
-    if not problems:
+    note = seal_note(capture)
+    if note:
+        out.print(f"note: {note}")
+    elif not problems:
         out.print(f"{capture}: all images are as they were written.")
-    emit_json(json, "doctor", {"capture": str(capture), "problems": problems})
+    emit_json(json, "doctor", {"capture": str(capture), "problems": problems, "notes": [note] if note else []})
     if problems:
         raise CaptureError(f"{capture}: {len(problems)} problems; {_cure(found)}.")
 
@@ -135,8 +138,8 @@ def _cure(found: Sequence["Problem"]) -> str:
         cures.append("take the records again with jaxscan scan --resume")
     if any(problem.lasting for problem in found):
         cures.append(
-            "the journal has changed since it was written, and new records do not repair it: compare it with a copy, "
-            "or take the whole capture again"
+            "the journal or the header has changed since it was written, and new records do not repair it: compare it "
+            "with a copy, or take the whole capture again"
         )
     return "; ".join(cures)
 

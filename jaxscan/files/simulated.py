@@ -136,7 +136,7 @@ def _write_capture(
     )
     bare = []
     # A simulation can be run again, so it does not wait for the disk.
-    with create_capture(folder, header, durable=False) as writer:
+    with create_capture(folder, header, durable=False, digests=True) as writer:
         for record in records:
             writer.append(
                 angle_deg=float(np.rad2deg(record.angle)),
@@ -146,6 +146,7 @@ def _write_capture(
                 lasers=[config.laser[record.laser_index].name],
             )
             bare.append(record._replace(on=np.empty(0, np.uint8), off=np.empty(0, np.uint8)))
+        writer.seal()
     return bare
 
 

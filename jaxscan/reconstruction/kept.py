@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxscan.reconstruction.plan import Plan
 from jaxscan.reconstruction.settings import ReconstructSettings
+from jaxscan.reconstruction.streaming import GrowingStripes
 from jaxscan.stripes import LineGate, NoiseModel, Stripes
 
 
@@ -46,11 +47,21 @@ def usable_stripes(arrays: dict[str, np.ndarray], plan: Plan) -> Stripes | None:
             empty = wanted[0] >= wanted[1]
             if not np.all(empty | ((searched[0] <= wanted[0]) & (wanted[1] <= searched[1]))):
                 return None
-    try:
-        return Stripes(**fields)
-    except TypeError:
-        # Fields of another version's stripes.
-        return None
+    return Stripes(**fields) if _fit(fields, plan) else None
+
+
+def _fit(fields: dict[str, np.ndarray], plan: Plan) -> bool:
+    """Whether arrays are the stripes of a plan by their names, types and shapes."""
+    grid = len(np.atleast_1d(fields.get("record", ()))), plan.lines
+    expected = GrowingStripes(0, plan.lines).finish(plan.sweep.record[:0], plan.sweep.laser[:0])
+    shapes = {"record": grid[:1], "laser": grid[:1], "rgb": (*grid, 3)}
+    whole = grid[0] > 0 and grid[0] % len(plan.sweep.record) == 0
+    return (
+        whole
+        and fields.keys() == vars(expected).keys()
+        and all(array.shape == shapes.get(name, grid) for name, array in fields.items())
+        and all(array.dtype == np.asarray(getattr(expected, name)).dtype for name, array in fields.items())
+    )
 
 
 def _searched(gates: dict[int, LineGate]) -> dict[str, np.ndarray]:

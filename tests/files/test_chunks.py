@@ -22,6 +22,9 @@ class Made:
     def mapped(self, start, stop):
         return None
 
+    def examine(self, record):
+        raise AssertionError("nothing is mapped")
+
 
 def decoding_threads():
     return [thread for thread in threading.enumerate() if thread.name.startswith("jaxscan-decode")]

@@ -1,5 +1,6 @@
 """Kept stripes: they come back as they were, under their own key, or not at all."""
 
+import hashlib
 import io
 import json
 import os
@@ -23,6 +24,7 @@ ARRAYS = {
     "record": np.arange(9, dtype=np.int32),
     "none": np.zeros((0, 20), np.float32),
 }
+EMPTY = {"format": "jaxscan-stripes/2", "key": {}, "arrays": {}, "sha256": hashlib.sha256(b"").hexdigest()}
 KEY = {"frames": "sha256:00", "settings": {"k": [1, 2.5, None]}, "version": 3}
 
 
@@ -121,7 +123,7 @@ def npy(array):
 
 def test_hostile_archives(tmp_path):
     path = tmp_path / "stripes.npz"
-    about = npy(np.frombuffer(json.dumps({"format": "jaxscan-stripes/1", "key": {}, "arrays": {}}).encode(), np.uint8))
+    about = npy(np.frombuffer(json.dumps(EMPTY).encode(), np.uint8))
     archive(path, [("key.npy", about)])
     assert load_stripes(path) == ({}, {})
     archive(path, [("key.npy", about), ("u.npy", npy(np.zeros(3)))])
@@ -146,7 +148,7 @@ def test_hostile_archives(tmp_path):
         (b"", damage),
         (b"\x93NUMPY" + bytes(300), damage),
         (npy(np.array(["text"])), other),
-        (npy(np.zeros(3, [("a", "f4")])), other),
+        (npy(np.zeros(3, [("a", "f4")])), damage),
     ):
         archive(path, [("key.npy", about), ("u.npy", content)])
         with pytest.raises(CaptureError, match=message):
@@ -161,7 +163,8 @@ def test_hostile_archives(tmp_path):
         b"{",
         b"[]",
         b'{"format": "jaxscan-stripes/2", "key": {}, "arrays": {}}',
-        b'{"format": "jaxscan-stripes/1"}',
+        b'{"format": "jaxscan-stripes/2"}',
+        b'{"format": "jaxscan-stripes/2", "key": {}, "arrays": {}}',
     ):
         archive(path, [("key.npy", npy(np.frombuffer(text, np.uint8)))])
         with pytest.raises(CaptureError):
@@ -170,9 +173,24 @@ def test_hostile_archives(tmp_path):
     with pytest.raises(CaptureError, match="holds no stripes"):
         load_stripes(path)
     os.mkfifo(tmp_path / "pipe.npz")
-    for other in (tmp_path / "pipe.npz", tmp_path):
-        with pytest.raises(CaptureError, match="no such file"):
+    for other, found in ((tmp_path / "pipe.npz", "a device or pipe"), (tmp_path, "a folder")):
+        with pytest.raises(CaptureError, match=f"found {found}, expected a file"):
             load_stripes(other)
+
+
+@pytest.mark.parametrize("leads_to", ["victim", "nowhere"])
+def test_a_link_is_neither_read_nor_written_through(tmp_path, leads_to):
+    """A capture of a stranger may hold a link that leads to any file of the user."""
+    (tmp_path / "capture").mkdir()
+    save_stripes(tmp_path / "victim", ARRAYS, KEY)
+    before, cache = (tmp_path / "victim").read_bytes(), tmp_path / "capture" / "stripes.npz"
+    cache.symlink_to(tmp_path / leads_to)
+    with pytest.raises(CaptureError, match="found a link, expected the file itself"):
+        load_stripes(cache)
+    assert cached_stripes(cache, KEY) is None
+    save_stripes(cache, {"u": np.zeros(3)}, KEY)
+    assert not cache.is_symlink() and cached_stripes(cache, KEY)["u"].shape == (3,)
+    assert (tmp_path / "victim").read_bytes() == before and not (tmp_path / "nowhere").exists()
 
 
 def test_the_key_of_the_frames(folder):

@@ -6,7 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from jaxscan.files.capture import SEAL, CaptureHeader, open_capture, seal, verify_capture
+from jaxscan.errors import CaptureError
+from jaxscan.files.capture import SEAL, CaptureHeader, open_capture, seal, seal_note, verify_capture
 from jaxscan.files.recording import create_capture, repack_capture, resume_capture
 
 
@@ -28,6 +29,18 @@ def journal(path):
 
 def messages(path):
     return [str(problem) for problem in verify_capture(path)]
+
+
+def sealed(path, *, count=4, storage="png"):
+    with create_capture(path, HEADER, storage=storage, digests=True) as capture:
+        for k in range(count):
+            capture.append(angle_deg=0.1 * k, on=FRAMES[2 * k], off=FRAMES[2 * k + 1])
+        capture.seal()
+    return path
+
+
+def read_all(path):
+    return [chunk.on.copy() for chunk in open_capture(path).chunks(2)]
 
 
 def test_the_digest_in_a_record_is_that_of_the_file(tmp_path):
@@ -92,10 +105,10 @@ def test_a_seal_holds_what_stands_before_it(tmp_path):
     path = write(tmp_path / "room")
     with resume_capture(path, digests=True) as capture:
         capture.flush()
-        capture.event("end", **{SEAL: seal(path)})
+        capture.event("end", **seal(path))
         capture.append(angle_deg=9.0, on=FRAMES[9], off=FRAMES[10])
         capture.flush()
-        capture.event("end", **{SEAL: seal(path)})
+        capture.event("end", **seal(path))
     assert messages(path) == []
     text = (path / "frames.jsonl").read_text()
     (path / "frames.jsonl").write_text(text.replace('"angle_deg": 9.0', '"angle_deg": 8.0'))
@@ -107,10 +120,13 @@ def test_a_repacked_capture_has_digests_of_its_own(tmp_path):
     path = write(tmp_path / "room")
     with resume_capture(path, digests=True) as capture:
         capture.flush()
-        capture.event("end", status="complete", **{SEAL: seal(path)})
+        capture.event("end", status="complete", **seal(path))
+    old = hashlib.sha256((path / "frames.jsonl").read_bytes()).hexdigest()
     repack_capture(path, tmp_path / "packed", storage="npy")
     assert messages(tmp_path / "packed") == []
-    assert journal(tmp_path / "packed")[-1] == {"event": "end", "status": "complete"}
+    *_, end, last = journal(tmp_path / "packed")
+    assert end == {"event": "end", "status": "complete"}
+    assert last == {"event": "seal", "source": {SEAL: old}} | {key: last[key] for key in seal(path)}
     shard = tmp_path / "packed/on/000000.npy"
     data = bytearray(shard.read_bytes())
     data[-1] ^= 1
@@ -144,3 +160,106 @@ def test_what_was_begun_and_never_had_a_header_may_be_begun_again(tmp_path):
     (path / ".part-0123456789ab.toml").write_text("form")
     write(path)
     assert len(open_capture(path)) == 4
+
+
+def edited(path, name, old, new):
+    text = (path / name).read_text()
+    assert old in text
+    (path / name).write_text(text.replace(old, new))
+
+
+def without_line(path, number):
+    lines = (path / "frames.jsonl").read_text().splitlines(keepends=True)
+    del lines[number]
+    (path / "frames.jsonl").write_text("".join(lines))
+
+
+def swapped_lines(path):
+    lines = (path / "frames.jsonl").read_text().splitlines(keepends=True)
+    (path / "frames.jsonl").write_text("".join([lines[1], lines[0], *lines[2:]]))
+
+
+RECORD = '"angle_deg": 1, "on": "on/000000.png", "off": "off/000000.png"'
+CHANGES = {
+    "an angle": lambda path: edited(path, "frames.jsonl", '"angle_deg": 0.2', '"angle_deg": 0.3'),
+    "a number misspelt": lambda path: edited(path, "frames.jsonl", '"i": 2,', '"j": 2,'),
+    "a record removed": lambda path: without_line(path, 1),
+    "the last record removed": lambda path: without_line(path, 3),
+    "records in another order": swapped_lines,
+    "a record added": lambda path: edited(path, "frames.jsonl", '{"event"', f'{{"i": 9, {RECORD}}}\n{{"event"'),
+    "the count in the seal": lambda path: edited(path, "frames.jsonl", '"records": 4', '"records": 3'),
+    "a digest": lambda path: edited(path, "frames.jsonl", '"sha256": {"on": "', '"sha256": {"on": "0'),
+    "a space": lambda path: edited(path, "frames.jsonl", '"i": 2,', '"i":  2,'),
+    "the header": lambda path: edited(path, "capture.toml", '"mono8"', '"bayer_rggb8"'),
+    "a comment in the header": lambda path: edited(path, "capture.toml", "[camera]", "# seen\n[camera]"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_changes_in_a_sealed_capture_is_an_error_of_one_line(tmp_path, change):
+    path = sealed(tmp_path / "room")
+    assert open_capture(path).notes == () and seal_note(path) == "" and messages(path) == []
+    CHANGES[change](path)
+    with pytest.raises(CaptureError, match=r"(frames\.jsonl|capture\.toml).*has changed") as caught:
+        open_capture(path)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(CaptureError):
+        repack_capture(path, tmp_path / "packed", storage="npy")
+    assert any(problem.lasting for problem in verify_capture(path))
+
+
+@pytest.mark.parametrize("storage", ["png", "npy"])
+def test_a_changed_image_is_an_error_wherever_it_is_read(tmp_path, storage):
+    path = sealed(tmp_path / "room", storage=storage)
+    assert len(read_all(path)) == 2
+    name = journal(path)[2]["on"].partition("#")[0]
+    data = bytearray((path / name).read_bytes())
+    if storage == "png":
+        # A good image, of another record.
+        data = (path / journal(path)[1]["on"]).read_bytes()
+    else:
+        data[128 + 2 * FRAMES[0].size] ^= 1
+    (path / name).write_bytes(data)
+    capture = open_capture(path)
+    reads = [lambda: read_all(path), lambda: capture.frames(2), lambda: capture.image(capture.records[2].on[0])]
+    reads.append(lambda: repack_capture(path, tmp_path / "packed", storage="png"))
+    for read in reads:
+        with pytest.raises(CaptureError, match=rf"record 2: {name}.*has changed since it was written"):
+            read()
+    assert not (tmp_path / "packed").exists()
+    assert np.array_equal(capture.frames(1)[0], FRAMES[2])
+
+
+def test_without_its_seal_a_capture_says_so(tmp_path):
+    path = sealed(tmp_path / "room")
+    without_line(path, 4)
+    (note,) = open_capture(path).notes
+    assert "not sealed, although its records have digests" in note and seal_note(path) == note
+
+
+def test_records_after_the_last_seal_are_counted(tmp_path):
+    path = sealed(tmp_path / "room")
+    with resume_capture(path, digests=True) as capture:
+        capture.append(angle_deg=0.4, on=FRAMES[8], off=FRAMES[9])
+        capture.append(angle_deg=0.5, on=FRAMES[10], off=FRAMES[11])
+    (note,) = open_capture(path).notes
+    assert "not sealed: 2 records after the last seal" in note
+    with resume_capture(path, digests=True) as capture:
+        capture.seal()
+    assert open_capture(path).notes == () and journal(path)[-1]["records"] == 6
+    edited(path, "frames.jsonl", '"records": 4', '"records": 5')
+    with pytest.raises(CaptureError, match="line 10: the seal does not fit"):
+        open_capture(path)
+
+
+def test_seals_without_header_and_captures_without_digests_stay_readable(tmp_path):
+    path = write(tmp_path / "old")
+    with resume_capture(path, digests=True) as capture:
+        capture.flush()
+        capture.event("end", **{SEAL: seal(path)[SEAL]})
+    assert open_capture(path).notes == ()
+    bare = write(tmp_path / "bare", digests=False)
+    assert open_capture(bare).notes == () and "not sealed" in seal_note(bare)
+    with resume_capture(bare, digests=True) as capture:
+        capture.append(angle_deg=1.0, on=FRAMES[8], off=FRAMES[9])
+    assert "4 of 5 records have no digests" in seal_note(bare)

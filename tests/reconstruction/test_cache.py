@@ -1,15 +1,17 @@
 """Stripes that are kept beside a capture: when they serve again, and when they must not."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from jaxscan.api import reconstruct_capture
-from jaxscan.files.capture import Capture, CaptureHeader, cache_path, open_capture
+from jaxscan.files.capture import Capture, CaptureHeader, cache_path, load_stripes, open_capture, save_stripes
 from jaxscan.files.recording import create_capture
 from jaxscan.geometry import LaserSheet, Scanner, stack_lasers
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, reconstruct
+from jaxscan.stripes import KEPT_FIELDS as KEPT
 from jaxscan.stripes import NoiseModel, StripeSettings
 from jaxscan.vision import encode_png
 
@@ -192,4 +194,44 @@ def test_without_the_cache_nothing_is_kept(capture, scanner):
 def test_better_code_finds_stripes_anew(capture, scanner, monkeypatch):
     reconstruct_capture(capture, scanner, settings=SETTINGS)
     monkeypatch.setattr("jaxscan.api.sweeps.code_digest", lambda: "sha256:another")
+    assert not reconstruct_capture(capture, scanner, settings=SETTINGS).from_cache
+
+
+def test_kept_stripes_of_wrong_shapes_are_searched_anew(capture, scanner):
+    """The key is right, and the arrays are not those of the sweep."""
+    first = reconstruct_capture(capture, scanner, settings=SETTINGS)
+    kept, key = load_stripes(cache_path(capture))
+    changes = [
+        {name: array[:-1] for name, array in kept.items() if len(np.shape(array)) == 2 and name in KEPT},
+        {"u": kept["u"][:, :-1]},
+        {"record": kept["record"][:-1], "laser": kept["laser"][:-1]},
+        {"record": np.array(3, np.int32)},
+        {"rgb": kept["rgb"][:, :, :2]},
+        {"u": kept["u"].astype(np.float64)},
+        {"valid": kept["valid"].astype(np.uint8)},
+        {"more": kept["u"]},
+        {"searched_0": kept["searched_0"][:1]},
+    ]
+    for change in changes:
+        save_stripes(cache_path(capture), {**kept, **change}, key)
+        done = reconstruct_capture(capture, scanner, settings=SETTINGS)
+        assert not done.from_cache
+        assert_same(done.cloud, first.cloud)
+
+
+def test_kept_stripes_do_not_serve_a_copy(capture, scanner, tmp_path):
+    first = reconstruct_capture(capture, scanner, settings=SETTINGS)
+    shutil.copytree(capture.path, tmp_path / "copy", copy_function=shutil.copy2)
+    done = reconstruct_capture(open_capture(tmp_path / "copy"), scanner, settings=SETTINGS)
+    assert not done.from_cache
+    assert_same(done.cloud, first.cloud)
+
+
+def test_arrays_that_were_exchanged_are_a_miss(capture, scanner):
+    """An archive that is whole in itself, with the right key and the right list of arrays."""
+    reconstruct_capture(capture, scanner, settings=SETTINGS)
+    with np.load(cache_path(capture)) as opened:
+        arrays = dict(opened)
+    arrays["u"] = arrays["u"] + np.float32(1)
+    np.savez(cache_path(capture), **arrays)
     assert not reconstruct_capture(capture, scanner, settings=SETTINGS).from_cache

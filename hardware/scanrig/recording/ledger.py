@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import JOURNAL_NAME, SEAL, CaptureHeader, seal
+from jaxscan.files.capture import JOURNAL_NAME, CaptureHeader, seal
 from jaxscan.files.recording import CaptureWriter, create_capture, require_no_links, resume_capture
 from scanrig.clock import Clock
 
@@ -94,7 +94,7 @@ class Ledger:
         with contextlib.suppress(CaptureError):  # The caller whose append failed has had the error.
             writer.close()
         try:
-            event = self._event("end", {"status": status, **fields, SEAL: seal(self.folder)})
+            event = self._event("end", {"status": status, **fields, **seal(self.folder)})
             self.events.append(event)
             _append_whole(self.folder / JOURNAL_NAME, json.dumps(event).encode() + b"\n")
         except (CaptureError, OSError) as problem:

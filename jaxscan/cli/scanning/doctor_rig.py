@@ -56,7 +56,7 @@ def examine_rig(
         if controller is not None:
             stack.enter_context(controller)
             tell(Finding("port", "works", controller.name))
-        device = None if rig is None else opened("camera", lambda: open_camera(rig.camera))
+        device = None if rig is None else opened("camera", lambda: open_camera(rig.camera, say))
         if device is not None:
             stack.enter_context(device)
         stack.callback(in_use.closing)

@@ -102,7 +102,7 @@ def scan(
             RigInUse(),
             Interrupts() as interrupts,
             open_controller(rig.controller, rig.microsteps_per_turn, port=port) as controller,
-            open_camera(rig.camera) as camera,
+            open_camera(rig.camera, out.print) as camera,
         ):
             devices, folder = Devices(controller, camera), CaptureFolder(output, resume)
             if boards:

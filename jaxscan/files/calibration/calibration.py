@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
+from jaxscan.files.calibration.binding import DIGESTS, digests_of, require_own, values_note
 from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable, CameraTable
 from jaxscan.files.calibration.observations import (
     is_observations,
@@ -49,11 +50,13 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     except (TypeError, ValueError) as problem:
         raise CalibrationError(f"{path}: cannot be written: {problem}.") from problem
     # The same checks as on reading, on the same bytes, so that every written file can be read.
-    _parse(text.encode(), name=str(path))
+    tables = _value(text.encode(), name=str(path))
+    _parse(tables, name=str(path))
     beside = observations_path(path)
     if calibration.observations is not None:
         write_observations(calibration.observations, beside)
-    write_atomically(path, text.encode(), error=CalibrationError)
+    tables[DIGESTS] = digests_of(tables, None if calibration.observations is None else beside)
+    write_atomically(path, readable_json(tables).encode(), error=CalibrationError)
     if calibration.observations is None and is_observations(beside):
         # They belong to the calibration that was just replaced.
         beside.unlink()
@@ -83,13 +86,16 @@ def load_calibration(path: str | Path) -> Calibration:
         is None where there are none.
 
     Raises:
-        CalibrationError: One line with the key, the value found and the values allowed.
+        CalibrationError: One line with the key, the value found and the values allowed; or if the observations beside
+            it are not those that it names.
     """
     path = Path(path)
-    table = _read(path)
+    table = _parse(_read(path), name=str(path))
     scanner, covariance = table.scanner(), table.covariance
     beside = observations_path(path)
     observations = read_observations(beside) if beside.exists() and is_observations(beside) else None
+    if beside.exists():
+        require_own(table, path, beside)
     return Calibration(
         camera=table.camera.camera() if scanner is None else scanner.camera,
         scanner=scanner,
@@ -113,7 +119,7 @@ def load_scanner(path: str | Path) -> Scanner:
     Raises:
         CalibrationError: If the file is missing or wrong, or holds a camera alone.
     """
-    scanner = _read(Path(path)).scanner()
+    scanner = _parse(_read(Path(path)), name=str(path)).scanner()
     if scanner is None:
         raise CalibrationError(
             f"{path}: holds a camera alone, without lasers and turntable, so it cannot reconstruct; "
@@ -128,9 +134,11 @@ def calibration_notes(path: str | Path) -> list[str]:
     Raises:
         CalibrationError: If the file is missing or wrong.
     """
-    if read_quality(_read(Path(path)).quality).converged is False:
-        return [f"{path}: its solve did not converge, so points and their sigmas may be wrong; calibrate again."]
-    return []
+    tables = _read(Path(path))
+    table, notes = _parse(tables, name=str(path)), [values_note(tables, str(path))]
+    if read_quality(table.quality).converged is False:
+        notes.append(f"{path}: its solve did not converge, so points and their sigmas may be wrong; calibrate again.")
+    return [note for note in notes if note]
 
 
 def calibration_digest(path: str | Path) -> str:
@@ -142,12 +150,15 @@ def calibration_digest(path: str | Path) -> str:
     return file_digest(path, error=CalibrationError)
 
 
-def _read(path: Path) -> CalibrationTable:
-    return _parse(read_bounded(path, MAX_CALIBRATION_BYTES, error=CalibrationError), name=str(path))
+def _read(path: Path) -> Any:
+    return _value(read_bounded(path, MAX_CALIBRATION_BYTES, error=CalibrationError), name=str(path))
 
 
-def _parse(data: bytes, *, name: str) -> CalibrationTable:
-    value = parse_json(data, name=name, error=CalibrationError)
+def _value(data: bytes, *, name: str) -> Any:
+    return parse_json(data, name=name, error=CalibrationError)
+
+
+def _parse(value: Any, *, name: str) -> CalibrationTable:
     table = check(CalibrationTable, value, name=name, error=CalibrationError)
     if table.covariance is not None:
         found, expected = table.covariance.order, (table.scanner() or table.camera.camera()).parameter_names()

@@ -216,6 +216,15 @@ class CovarianceTable(FileModel):
         return np.array(self.matrix, np.float64).reshape(len(self.order), -1 if self.order else 0)
 
 
+class DigestTable(FileModel):
+    """Digests as a program writes them; a person leaves them out."""
+
+    values: str | None = None
+    """Of all other tables of the file."""
+    observations: str | None = None
+    """Of the file of observations beside it."""
+
+
 class CalibrationTable(FileModel):
     """A calibration file; without lasers and turntable it holds a camera alone."""
 
@@ -226,6 +235,7 @@ class CalibrationTable(FileModel):
     quality: dict[str, Any] = pydantic.Field(default_factory=dict)
     provenance: dict[str, Any] = pydantic.Field(default_factory=dict)
     covariance: CovarianceTable | None = None
+    digests: DigestTable | None = None
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> "CalibrationTable":

@@ -19,13 +19,15 @@ from jaxscan.files.capture.header import (
 from jaxscan.files.capture.images import ImageReader
 from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_LINE_BYTES, Record, journal_objects
 from jaxscan.files.capture.references import MAX_IMAGES, Folder, ImageRef
+from jaxscan.files.capture.seals import HEADER_SEAL, SEAL, SEALED_RECORDS, seal
 from jaxscan.files.capture.stripe_cache import (
     CACHE_NAME,
     cache_path,
     cached_stripes,
     code_digest,
     frames_key,
+    load_stripes,
     save_stripes,
 )
 from jaxscan.files.capture.texts import read_texts
-from jaxscan.files.capture.verify import SEAL, Problem, seal, verify_capture
+from jaxscan.files.capture.verify import Problem, seal_note, verify_capture

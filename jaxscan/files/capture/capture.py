@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.decode import decode_ahead
+from jaxscan.files.capture.decode import Look, decode_ahead
 from jaxscan.files.capture.exposures import check_exposures, exposure_levels
 from jaxscan.files.capture.header import CaptureHeader
 from jaxscan.files.capture.images import ImageReader, RecordFrames
 from jaxscan.files.capture.journal import JOURNAL_NAME, Record
 from jaxscan.files.capture.references import ImageRef
+from jaxscan.files.capture.seals import require_whole, sealing
 from jaxscan.files.capture.texts import read_texts
 from jaxscan.geometry import AbstractBoard
 from jaxscan.geometry.scanner import Up
@@ -32,9 +33,10 @@ class Capture:
     records: tuple[Record, ...]
     """Sorted by their number, one per number."""
     notes: tuple[str, ...]
-    """Warnings of the reader, a sentence each: a torn last line that was left out."""
+    """Doubts of the reader, a sentence each: a torn last line that was left out, records that no seal covers."""
     _digest: str
     _reader: ImageReader = dataclasses.field(repr=False)
+    _look: Look | None = dataclasses.field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.records)
@@ -135,6 +137,10 @@ class Capture:
             raise ValueError(f"`n` must be at least 1, got {n}.")
         return dataclasses.replace(self, records=self.records[::n])
 
+    def watched(self, look: Look) -> "Capture":
+        """The same capture; `look` sees each record and its frames whenever `chunks` reads them."""
+        return dataclasses.replace(self, _look=look)
+
     def frames(self, index: int) -> tuple[np.ndarray | None, np.ndarray | None]:
         """The laser-on and the laser-off image of one record, each where there is one.
 
@@ -192,7 +198,7 @@ class Capture:
         on = RecordFrames(self._reader, [record.on for record in self.records])
         offs = [record.off for record in self.records]
         off = RecordFrames(self._reader, offs) if offs and all(offs) else None
-        return decode_ahead(len(self), min(size, max(1, len(self))), shape, on, off)
+        return decode_ahead(len(self), min(size, max(1, len(self))), shape, on, off, self._look)
 
 
 def open_capture(path: str | Path) -> Capture:
@@ -205,7 +211,8 @@ def open_capture(path: str | Path) -> Capture:
         The capture; its `notes` name any line that was left out.
 
     Raises:
-        CaptureError: With the file, and the line or key, that is missing or wrong.
+        CaptureError: With the file, and the line or key, that is missing or wrong, or has changed since the capture
+            was sealed.
     """
     path = Path(path)
     if not path.is_dir():
@@ -213,7 +220,8 @@ def open_capture(path: str | Path) -> Capture:
             f"{path}: {'found a file' if path.exists() else 'no such folder'}, expected a capture's folder."
         )
     journal_name, texts = str(path / JOURNAL_NAME), read_texts(path)
-    header, records = texts.header, texts.records
+    header, records, seals = texts.header, texts.records, sealing(texts, path)
+    require_whole(seals)
     if not records:
         raise CaptureError(f"{journal_name}: holds no complete record.")
     without_off = [record for record in records if not record.off]
@@ -226,4 +234,5 @@ def open_capture(path: str | Path) -> Capture:
         check_exposures(records, name=journal_name)
     reader = ImageReader(path, header)
     reader.check(records)
-    return Capture(path, header, records, texts.notes, texts.digest(), reader)
+    notes = (*texts.notes, *((seals.note,) if seals.note else ()))
+    return Capture(path, header, records, notes, texts.digest(), reader)

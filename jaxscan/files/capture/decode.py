@@ -3,7 +3,7 @@
 import os
 import sys
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol, runtime_checkable
 
@@ -17,6 +17,10 @@ AHEAD = 2
 _KEPT = 2 * (AHEAD + 4)
 
 
+Look = Callable[[int, np.ndarray, np.ndarray | None], None]
+"""Sees a record and its frames, laser on and laser off, in any order and in threads; keeps no frame."""
+
+
 @runtime_checkable
 class FrameSource(Protocol):
     """Source of the laser-on, or the laser-off, frames of a sweep."""
@@ -25,13 +29,22 @@ class FrameSource(Protocol):
         """Frames of records start ... stop - 1 where they lie in memory in this order; else None."""
         ...
 
+    def examine(self, record: int) -> None:
+        """Raise if a record's mapped frame is not as it was written; called in threads."""
+        ...
+
     def load(self, record: int, target: np.ndarray) -> None:
         """Fill `target` with one record's frame; called in threads."""
         ...
 
 
 def decode_ahead(
-    count: int, size: int, shape: tuple[int, ...], on: FrameSource, off: FrameSource | None
+    count: int,
+    size: int,
+    shape: tuple[int, ...],
+    on: FrameSource,
+    off: FrameSource | None,
+    look: Look | None = None,
 ) -> Iterator[FrameChunk]:
     """Records 0 ... count - 1 in chunks, the next ones in decoding while the caller computes.
 
@@ -45,6 +58,7 @@ def decode_ahead(
         shape: Shape of one record's frame.
         on: Laser-on frames.
         off: Laser-off frames, if there are any.
+        look: Sees all frames while they are in the processor's caches.
 
     Yields:
         The chunks in order, read-only if nothing had to be copied. An error of a source is raised in place
@@ -57,18 +71,14 @@ def decode_ahead(
 
     def begin(start: int) -> tuple[FrameChunk, list[Future[None]]]:
         stop = min(start + size, count)
-        wanted: list[tuple[FrameSource, np.ndarray]] = []
-
-        def frames(source: FrameSource) -> np.ndarray:
-            mapped = source.mapped(start, stop)
-            if mapped is not None:
-                return mapped
-            target = buffers.take()[: stop - start]
-            wanted.append((source, target))
-            return target
-
-        chunk = FrameChunk(frames(on), None if off is None else frames(off))
-        return chunk, [pool.submit(_load, wanted, start, row) for row in range(stop - start if wanted else 0)]
+        wanted: list[tuple[FrameSource, np.ndarray, bool]] = []
+        for source in (on, off):
+            if source is not None:
+                mapped = source.mapped(start, stop)
+                frames = buffers.take()[: stop - start] if mapped is None else mapped
+                wanted.append((source, frames, mapped is None))
+        chunk = FrameChunk(wanted[0][1], wanted[1][1] if off is not None else None)
+        return chunk, [pool.submit(_prepare, wanted, start + row, row, look) for row in range(stop - start)]
 
     try:
         while starts or ahead:
@@ -85,9 +95,15 @@ def decode_ahead(
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _load(wanted: list[tuple[FrameSource, np.ndarray]], start: int, row: int) -> None:
-    for source, target in wanted:
-        source.load(start + row, target[row])
+def _prepare(wanted: list[tuple[FrameSource, np.ndarray, bool]], record: int, row: int, look: Look | None) -> None:
+    for source, frames, empty in wanted:
+        if empty:
+            source.load(record, frames[row])
+        else:
+            source.examine(record)
+    if look is not None:
+        on, *off = (frames[row] for _, frames, _ in wanted)
+        look(record, on, off[0] if off else None)
 
 
 class Buffers:

@@ -1,5 +1,6 @@
 """The frames of a capture, from image files and shards."""
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from jaxscan.files.capture.exposures import exposure_levels, load_levels
 from jaxscan.files.capture.header import CaptureHeader, frame_shape
 from jaxscan.files.capture.journal import Record
 from jaxscan.files.capture.references import Folder, ImageRef
+from jaxscan.files.capture.seals import difference, frame_digest
 from jaxscan.files.capture.shards import Shards
 from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.stripes import frame_rank
@@ -23,6 +25,7 @@ class ImageReader:
         self.shape = frame_shape(header)
         """Of one image: (rows, columns), or (rows, columns, 3)."""
         self.shards = Shards(path, self.shape)
+        self._records: Sequence[Record] = ()
 
     def check(self, records: Sequence[Record]) -> None:
         """Check that every image exists inside the folder, and that the shards are long enough.
@@ -30,6 +33,7 @@ class ImageReader:
         Raises:
             CaptureError: With the record and the file.
         """
+        self._records = records
         folder, located = Folder(self._path), dict[str, Path]()
         for record, reference in [(one, image) for one in records for image in (*one.on, *one.off)]:
             try:
@@ -45,10 +49,14 @@ class ImageReader:
         """One image as it is stored, uint8 [rows, columns(, 3)]; a read-only view where it is in a shard.
 
         Raises:
-            CaptureError: With the name of the file that is missing, damaged or of the wrong size.
+            CaptureError: With the name of the file that is missing, damaged, of the wrong size, or no longer the one
+                whose digest its record holds.
         """
         if reference.index is not None:
-            return self.shards.image(reference)
+            frame = self.shards.image(reference)
+            if reference.sha256 is not None:
+                self._compare(reference, frame_digest(frame))
+            return frame
         # Here, so that opening a capture does not load OpenCV.
         from jaxscan.vision import decode_image
 
@@ -57,7 +65,20 @@ class ImageReader:
         # An uncompressed 32-bit image with a megabyte of metadata still fits.
         limit = 4 * camera.width * camera.height + MEGABYTE
         data = read_bounded(name, limit, error=CaptureError)
+        if reference.sha256 is not None:
+            self._compare(reference, hashlib.sha256(data).hexdigest())
         return decode_image(data, name=name, rank=frame_rank(camera.pixel_format), size=(camera.width, camera.height))
+
+    def _compare(self, reference: ImageRef, digest: str) -> None:
+        found = difference(reference, digest)
+        if found is None:
+            return
+        images = ((record.i, one) for record in self._records for one in (*record.on, *record.off))
+        number = next((f"record {i}: " for i, one in images if one == reference), "")
+        raise CaptureError(
+            f"{self._path}: {number}{reference}: {found}; the file has changed since it was written: jaxscan doctor "
+            "--capture lists all changes, and jaxscan scan --resume takes their records again."
+        )
 
     def frame(self, images: Sequence[ImageRef]) -> np.ndarray | None:
         """One frame of a record, a copy: uint8 [rows, columns(, 3)], of a bracket [exposures, rows, columns(, 3)]."""
@@ -87,6 +108,12 @@ class RecordFrames:
         if found is None or self._levels == 1:
             return found
         return found.reshape(stop - start, self._levels, *self._reader.shape)
+
+    def examine(self, record: int) -> None:
+        """Compare one record's frame, which is mapped, with its digests."""
+        for image in self._images[record]:
+            if image.sha256 is not None:
+                self._reader.image(image)
 
     def load(self, record: int, target: np.ndarray) -> None:
         """One record's frame into `target`."""

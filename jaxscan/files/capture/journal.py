@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import pydantic
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.references import ImageRef, parse_images
+from jaxscan.files.capture.references import ImageRef, parse_images, with_digests
 from jaxscan.files.disk import Integer, Number, check
 
 
@@ -48,6 +48,7 @@ class _Line(pydantic.BaseModel):
     lasers: list[Integer | str] | None = None
     on: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
     off: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
+    sha256: Any = None
 
 
 def read_journal(
@@ -133,13 +134,14 @@ def _complete(line: _Line, where: str, kind: str, laser_names: tuple[str, ...]) 
             raise CaptureError(f"{where}: on: found null, but a sweep needs a laser-on image in every record.")
     elif not line.on and not line.off:
         raise CaptureError(f"{where}: on, off: both are null; a record needs an image.")
+    digests = line.sha256 if isinstance(line.sha256, dict) else dict.fromkeys(("on", "off"), line.sha256)
     return Record(
         i=line.i,
         angle=None if line.angle_deg is None else math.radians(line.angle_deg),
         placement=line.placement,
         lasers=() if not line.on else _lit(line.lasers, where, laser_names),
-        on=line.on,
-        off=line.off,
+        on=with_digests(line.on, digests.get("on")),
+        off=with_digests(line.off, digests.get("off")),
     )
 
 

@@ -25,6 +25,8 @@ class ImageRef:
     """Which image of a shard; None for an image file."""
     exposure_s: float | None = None
     """Exposure [s]; None where the record names one image without it."""
+    sha256: str | None = None
+    """Digest of the file, or of the frame in a shard, in hexadecimal digits; None where the record has none."""
 
     def __str__(self) -> str:
         return self.path if self.index is None else f"{self.path}#{self.index}"
@@ -54,6 +56,19 @@ def _exposed(value: Any) -> ImageRef:
     if not number or not 0 < exposure <= 1e6 or not math.isfinite(1.0 / exposure):
         raise ValueError(f"exposure_s: found {exposure!r:.60}, expected a number of seconds above 0")
     return replace(parse_reference(value["file"]), exposure_s=float(exposure))
+
+
+def with_digests(images: tuple[ImageRef, ...], given: Any) -> tuple[ImageRef, ...]:
+    """Images with the digests of their record: one text, or a list of them in the order of the images.
+
+    Anything else that stands there is kept as a text, which fits no image.
+    """
+    if given is None:
+        return images
+    listed = given if isinstance(given, list) else [given]
+    texts = [one if isinstance(one, str) else repr(one)[:64] for one in listed[: len(images)]]
+    texts += ["none"] * (len(images) - len(texts))
+    return tuple(ImageRef(one.path, one.index, one.exposure_s, text) for one, text in zip(images, texts, strict=True))
 
 
 def parse_reference(value: Any) -> ImageRef:

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.references import ImageRef
-from jaxscan.files.disk import NPY_DAMAGE, read_npy_header
+from jaxscan.files.disk import NPY_DAMAGE, open_regular, read_npy_header
 
 
 # Each keeps a file open, of which a process may have about a thousand.
@@ -103,7 +103,7 @@ def _open_shard(path: Path, *, name: str, shape: tuple[int, ...]) -> _Shard:
         CaptureError: If it is damaged, or its images are of another size or type.
     """
     try:
-        with open(path, "rb") as file:
+        with open_regular(path, error=CaptureError, links="refuse") as file:
             found, column_major, dtype = read_npy_header(file)
             start = file.tell()
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)

@@ -1,5 +1,6 @@
 """Copying a capture with its images stored in another way: as PNG files, or as raw frames in shards."""
 
+import hashlib
 import itertools
 import os
 import secrets
@@ -15,7 +16,9 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import (
     HEADER_NAME,
+    HEADER_SEAL,
     SEAL,
+    SEALED_RECORDS,
     Capture,
     Record,
     cores,
@@ -30,6 +33,8 @@ from jaxscan.files.recording.writer import CaptureWriter, create_capture
 
 Progress = Callable[[int, int], None]
 
+_SEAL_KEYS = (SEAL, HEADER_SEAL, SEALED_RECORDS, "source")
+
 
 def repack_capture(
     source: str | Path, target: str | Path, *, storage: Storage, progress: Progress | None = None
@@ -38,8 +43,9 @@ def repack_capture(
 
     The header stays the same, byte for byte, and every record and event keeps all of its keys; only
     the names of the images are new. Records are in the order of their numbers; takes that were
-    replaced by a later one, and a torn last line, are left out. Where records have digests of
-    their images, digests of the new images replace them; seals of the old journal are left out.
+    replaced by a later one, and a torn last line, are left out. Digests of the new images replace
+    those of the old ones, which were compared when they were read. A new seal, which names the
+    digest of the old journal, replaces the old ones.
 
     Args:
         source: The capture.
@@ -62,11 +68,12 @@ def repack_capture(
         raise CaptureError(f"{source}: has changed while it was read; end the capture first.")
     part = target.with_name(f".part-{secrets.token_hex(6)}")
     values = list(_ordered(texts.journal_bytes))
-    digests = any("sha256" in value for value in values if "i" in value)
     try:
-        with create_capture(part, capture.header, storage=storage, durable=False, digests=digests) as writer:
+        with create_capture(part, capture.header, storage=storage, durable=False, digests=True) as writer:
             _copy(capture, writer, values, progress)
-        write_atomically(part / HEADER_NAME, texts.header_bytes, durable=False, error=CaptureError)
+            # Before the seal, which binds it.
+            write_atomically(part / HEADER_NAME, texts.header_bytes, durable=False, error=CaptureError)
+            writer.seal(source={SEAL: hashlib.sha256(texts.journal_bytes).hexdigest()})
         # Check again: a folder may have appeared in the meantime.
         check_new_folder(target)
         with reported(f"{target}: cannot be created", error=CaptureError):
@@ -110,7 +117,10 @@ def _copy(capture: Capture, writer: CaptureWriter, values: Iterable[dict[str, An
                 break
             value, images = ahead.popleft()
             if images is None:
-                writer.append_event({key: kept for key, kept in value.items() if key != SEAL})
+                if SEAL in value:
+                    value = {key: kept for key, kept in value.items() if key not in _SEAL_KEYS}
+                if value != {"event": "seal"}:
+                    writer.append_event(value)
                 continue
             writer.append_line(value, images.result())
             if progress is not None:

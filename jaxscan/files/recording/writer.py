@@ -14,7 +14,15 @@ from typing import Any
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, MAX_LINE_BYTES, CaptureHeader, frame_shape, header_toml
+from jaxscan.files.capture import (
+    HEADER_NAME,
+    JOURNAL_NAME,
+    MAX_LINE_BYTES,
+    CaptureHeader,
+    frame_shape,
+    header_toml,
+    seal,
+)
 from jaxscan.files.disk import append_whole, reported, write_atomically
 from jaxscan.files.recording.folder import is_unused, make_folder, require_no_links
 from jaxscan.files.recording.given import given_frame, named
@@ -169,6 +177,11 @@ class CaptureWriter:
         self._line(dict(fields))
         self._pending.append(_Pending(dict(fields), {}))
         self._advance()
+
+    def seal(self, **extra: Any) -> None:
+        """Write all records so far, and the event "seal", which binds header and journal as they are then."""
+        self.flush()
+        self.event("seal", **extra, **seal(self.path))
 
     def flush(self) -> None:
         """Wait until all records so far are in the journal.
