@@ -46,10 +46,8 @@ class Seen(NamedTuple):
         expected = _empty(records)._asdict()
         if found.keys() != expected.keys():
             return None
-        same = (
-            (array.dtype, array.shape) == (expected[name].dtype, expected[name].shape) for name, array in found.items()
-        )
-        return Seen(**found) if all(same) else None
+        kinds = ([(array.dtype, array.shape) for _, array in sorted(arrays.items())] for arrays in (found, expected))
+        return Seen(**found) if next(kinds) == next(kinds) else None
 
 
 def _empty(records: int) -> Seen:
