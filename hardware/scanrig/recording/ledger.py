@@ -47,7 +47,8 @@ class Ledger:
         require_no_links(self.folder)
         for folder in (self.folder, self.folder / "on", self.folder / "off"):
             for part in folder.glob(".part-*"):
-                with contextlib.suppress(FileNotFoundError):
+                # A folder of that name is not ours; it stays.
+                with contextlib.suppress(FileNotFoundError, IsADirectoryError, PermissionError):
                     part.unlink()
         self._attach(resume_capture(self.folder, digests=True))
 
