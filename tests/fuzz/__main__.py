@@ -41,7 +41,7 @@ def main() -> int:
     for name, count in sorted(counts(answers).items()):
         print(f"{count:8d}  {name}")
     for name in ("seconds", "peak"):
-        worst = max(answers, key=lambda answer: answer.get(name, 0))
+        worst = max(answers, key=lambda answer: answer.get(name) or 0)
         print(f"largest {name}: {worst.get(name)} in case {worst['seed']} {worst['number']} ({worst['kind']})")
     return int(any(answer["faults"] for answer in answers))
 

@@ -20,6 +20,9 @@ ROOT = Path(__file__).resolve().parents[2]
 _PATIENCE = MAX_SECONDS + 90.0
 """A fresh process also loads libraries and compiles; the time of a case is taken inside."""
 
+_RESTING_BYTES = 900_000_000
+"""Memory with which a process is replaced; after a first case it has about half of it."""
+
 
 def run_cases(
     cases: Iterable[tuple[int, int]], corpus: Path, *, processes: int = 2, tell: Callable[[dict], None] | None = None
@@ -72,8 +75,8 @@ def _ask(
     line = worker.stdout.readline() if ready else b""
     if line:
         answer = json.loads(line)
-        if answer["faults"] and "memory" in answer["faults"]:
-            # Memory that is not given back would count against the cases that follow.
+        if answer["resting"] > _RESTING_BYTES:
+            # Compiled code stays in memory, and would count against the cases that follow.
             worker.kill()
             worker.wait()
             return answer, None

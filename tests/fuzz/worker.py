@@ -42,7 +42,7 @@ def _answer(seed: int, number: int, corpus: Path, folder: Path, files: tuple[int
     start = time.perf_counter()
     os.chdir(folder)
     code = _run(case.words)
-    seconds, peak = time.perf_counter() - start, _peak()
+    seconds, peak = time.perf_counter() - start, _memory("VmHWM:")
     sys.stdout.flush()
     sys.stderr.flush()
     out, err = (os.pread(file, 1 << 24, 0) for file in files)
@@ -63,6 +63,7 @@ def _answer(seed: int, number: int, corpus: Path, folder: Path, files: tuple[int
         "code": code,
         "seconds": seconds,
         "peak": peak,
+        "resting": _memory("VmRSS:"),
         "faults": faults,
         "left": left[:5],
         "err": err.decode("utf-8", "backslashreplace")[:2000],
@@ -112,10 +113,10 @@ def _forget_peak() -> None:
         Path("/proc/self/clear_refs").write_text("5")
 
 
-def _peak() -> int:
-    """Largest memory since `_forget_peak` [bytes]."""
+def _memory(name: str) -> int:
+    """Memory of this process [bytes]: "VmRSS:", or "VmHWM:", the largest since `_forget_peak`."""
     for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmHWM:"):
+        if line.startswith(name):
             return 1024 * int(line.split()[1])
     return 0
 
