@@ -3,6 +3,7 @@
 Structured mutations of header, journal, images, lock and folders, each continued on a rig on paper.
 """
 
+import contextlib
 import itertools
 import os
 import random
@@ -100,7 +101,11 @@ def tried(stopped, tmp_path, rng):
     victim.write_bytes(b"precious")
     folder = tmp_path / "inside" / "room"
     shutil.copytree(stopped, folder)
-    done = [changed(rng, folder, victim) for _ in range(rng.choice((1, 1, 2)))]
+    done = []
+    for _ in range(rng.choice((1, 1, 2))):
+        # What was put in a file's place cannot be changed itself.
+        with contextlib.suppress(OSError, ValueError):
+            done.append(changed(rng, folder, victim))
     desk = Desk(sweep={"steps": STEPS, "turn_deg": 36.0})
     before = signal.signal(signal.SIGALRM, _hang)
     signal.alarm(30)
@@ -108,7 +113,7 @@ def tried(stopped, tmp_path, rng):
         verdict = desk.sweep(folder, resume=True).status
     except JaxscanError as problem:
         verdict = "refused"
-        assert len(str(problem)) < 2000, done
+        assert len(str(problem)) < 2000, (done, str(problem)[:300], str(problem)[-200:])
         assert "\n" not in str(problem), (done, str(problem))
     except BaseException as problem:
         raise AssertionError(f"{done}: {type(problem).__name__}: {str(problem)[:300]}") from problem

@@ -192,6 +192,11 @@ def _require_own_words(found: Found, folder: Path) -> None:
         for key in ("camera", "features")
         if not isinstance(found.header.acquisition.get(key, {}), Mapping)
     ]
+    odd += [
+        f"[acquisition.features] {name!a:.40} = {value!a:.40}"
+        for name, value in (() if odd else found.header.acquisition.get("features", {}).items())
+        if type(value) not in (int, float, str)
+    ]
     digest = found.header.acquisition.get("calibration", "")
     if not (isinstance(digest, str) and digest.isprintable()):
         odd.append(f"[acquisition] calibration = {digest!a:.40}")
@@ -230,7 +235,8 @@ def _changes(was: Any, now: Any, path: str = "") -> Iterator[str]:
         for number, (one, other) in enumerate(zip(was, now, strict=True)):
             yield from _changes(one, other, f"{path}[{number}]")
     elif was != now:
-        yield f"{path:.60}: was {_shown(was)}, is {_shown(now)}"
+        name = path if path.isprintable() else ascii(path)
+        yield f"{name:.60}: was {_shown(was)}, is {_shown(now)}"
 
 
 def _is_list(value: Any) -> bool:
