@@ -406,3 +406,23 @@ def test_a_grid_is_no_larger_than_its_points_can_need(tmp_path):
         load_cloud(path)
     path.write_bytes(data.replace(b"comment grid 6 5", b"comment grid 2048 2048"))
     assert load_cloud(path).valid.shape == (2048, 2048)
+
+
+LONG = "q" * 5000
+
+
+@pytest.mark.parametrize(
+    ("header", "data"),
+    [
+        (["format ascii 1.0", *vertex(count=1)], LONG.encode()),
+        (["format ascii 1.0", f"element {LONG} 9"], b""),
+        (["format ascii 1.0", f"element {LONG} 1", "property float x"], b"1 2"),
+        (["format ascii 1.0", "element vertex 1", *[f"property float {LONG}"] * 2], b"1 2"),
+        (["format ascii 1.0", f"comment jaxscan-cloud/{LONG}", *vertex(count=1)], b"1 2 3"),
+        (["format ascii 1.0", f"property {LONG}"], b""),
+    ],
+)
+def test_quoted_text_is_cut(tmp_path, header, data):
+    with pytest.raises(CloudError) as caught:
+        load_cloud(ply(header, data, tmp_path / "a.ply"))
+    assert len(str(caught.value)) < 300 + len(str(tmp_path))
