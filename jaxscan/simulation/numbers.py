@@ -34,5 +34,3 @@ Size = Annotated[int, Field(ge=8, le=65535)]
 Pair = tuple[float, float]
 Triple = tuple[Number, Number, Number]
 Point = tuple[Place, Place, Place]
-MOST_PAIRS = 100_000
-"""Pairs of frames of a capture."""
