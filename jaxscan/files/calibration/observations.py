@@ -1,6 +1,7 @@
 """The observations beside a calibration file, so that anyone can solve again: NPZ."""
 
 import operator
+import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -75,7 +76,7 @@ def write_observations(observations: Observations, path: Path) -> None:
         CalibrationError: If another file has this name, the board is of an unknown kind, or the file cannot be
             written.
     """
-    if path.exists() and not is_observations(path):
+    if os.path.exists(path) and not is_observations(path):
         raise CalibrationError(f"{path}: exists and holds no observations; choose another name for the calibration.")
     board = {"type": type(observations.board).__name__.lower(), **vars(observations.board)}
     about = {"format": OBSERVATIONS_FORMAT, "board": board}

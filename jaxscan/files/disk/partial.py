@@ -168,7 +168,7 @@ def _remove_if_left(part: Path) -> None:
 
 
 def _delete(part: Path) -> None:
-    if part.is_dir():
+    if os.path.isdir(part):
         shutil.rmtree(part, ignore_errors=True)
     else:
         part.unlink()
