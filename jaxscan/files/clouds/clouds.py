@@ -1,6 +1,5 @@
 """Point clouds on disk: the suffix chooses the format."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from jaxscan.files.clouds.ply import write_ply
 from jaxscan.files.clouds.ply_reader import read_ply
 from jaxscan.files.clouds.points import check_cloud
 from jaxscan.files.clouds.text import write_ptx, write_xyz
-from jaxscan.files.disk import check_writable, shown, write_atomically
+from jaxscan.files.disk import check_writable, write_atomically
 from jaxscan.reconstruction import PointCloud
 
 
@@ -87,8 +86,6 @@ def load_cloud(path: str | Path) -> PointCloud:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise CloudError(f'{path}: cannot read "{path.suffix}", known are {", ".join(READERS)}.')
-    if not os.path.isfile(path):
-        raise CloudError(f"{shown(path)}: {'not a regular file' if os.path.exists(path) else 'no such file'}.")
     cloud = reader(path)
     check_cloud(cloud, str(path))
     return cloud
