@@ -122,7 +122,7 @@ def read_journal(
         takes[i] = takes.get(i, 0) + 1
         if len(latest) > MAX_RECORDS:
             raise CaptureError(f"{name}: line {number}: more than {MAX_RECORDS} records; split the capture.")
-    records = tuple(_complete(i, latest[i], name, kind, laser_names) for i in sorted(latest))
+    records = tuple(_complete(i, latest.pop(i), name, kind, laser_names) for i in sorted(latest))
     return Journal(records, (f"{torn}: the last line was cut off and is left out.",) if torn else (), takes)
 
 

@@ -25,7 +25,9 @@ class CaptureTexts(NamedTuple):
 
     def digest(self) -> str:
         """The sha256 of both files, as "sha256:<hex>"."""
-        return "sha256:" + hashlib.sha256(self.header_bytes + self.journal_bytes).hexdigest()
+        digest = hashlib.sha256(self.header_bytes)
+        digest.update(self.journal_bytes)
+        return "sha256:" + digest.hexdigest()
 
 
 def read_texts(folder: Path) -> CaptureTexts:
