@@ -176,6 +176,29 @@ def _check_event(value: dict[str, Any], name: str, number: int) -> None:
         )
 
 
+def journal_line(fields: dict[str, Any], *, name: str) -> bytes:
+    """The line of a record or an event, which readers accept.
+
+    Args:
+        fields: JSON values.
+        name: Name of the capture, for messages.
+
+    Raises:
+        CaptureError: If it holds something else, is too long or is nested too deeply.
+    """
+    try:
+        line = json.dumps(fields, allow_nan=False).encode() + b"\n"
+    except RecursionError as problem:
+        raise CaptureError(too_deep(name)) from problem
+    except (TypeError, ValueError) as problem:
+        raise CaptureError(f"{name}: {problem}: a record holds only JSON values.") from problem
+    if len(line) > MAX_LINE_BYTES:
+        raise CaptureError(f"{name}: a record of {len(line)} bytes, more than {MAX_LINE_BYTES}.")
+    if _may_be_deep(line) and is_deep(json.loads(line)):
+        raise CaptureError(too_deep(name))
+    return line
+
+
 def journal_objects(journal: bytes) -> Iterator[tuple[int, dict[str, Any]]]:
     """The complete lines of a journal that `read_journal` has accepted, events too.
 
@@ -206,10 +229,14 @@ def _parse(line: bytes, name: str, number: int) -> dict[str, Any] | None:
         return None
     if not isinstance(value, dict):
         raise CaptureError(f"{name}: line {number}: found {str(value)[:40]}, expected a JSON object.")
-    # Few lines have so many brackets.
-    if line.count(b"{") + line.count(b"[") > MAX_DEPTH and is_deep(value):
+    if _may_be_deep(line) and is_deep(value):
         raise CaptureError(too_deep(f"{name}: line {number}"))
     return value
+
+
+def _may_be_deep(line: bytes) -> bool:
+    # Few lines have so many brackets.
+    return line.count(b"{") + line.count(b"[") > MAX_DEPTH
 
 
 def _complete(i: int, line: _Fields, name: str, kind: str, laser_names: tuple[str, ...]) -> Record:
