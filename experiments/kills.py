@@ -56,9 +56,10 @@ class Tally:
     """The last words of sessions that ended by themselves with an error."""
     shortened: int = 0
     """Kills after which the journal lost a line that it held."""
+    adrift: int = 0
+    """Shots without a record: those in flight at a kill."""
     lost: int = 0
-    """Shots without a record, beyond the one in flight of each kill."""
-    in_flight: int = 0
+    """How many more these were at any time than the kills before."""
     captures: list[Path] = field(default_factory=list)
 
 
@@ -164,8 +165,9 @@ def kill_scans(desk: Desk, config: Path, folder: Path, arguments: argparse.Names
             taken = records_in(new)
             tally.with_records += status is None and taken > 0
             tally.after_home += status is None and taken == 0 and b'"home"' in new
-            tally.in_flight += adrift == 1
-            tally.lost += max(adrift - 1, 0) if status is None else max(adrift, 0)
+            # The firmware may finish the shot in flight only after the kill, when the next session has begun.
+            tally.adrift += adrift
+            tally.lost = max(tally.lost, tally.adrift - tally.kills)
             complete = status == 0
             said = " ".join(log.read_text(errors="replace").split())[-200:] if log.exists() else ""
             print(
@@ -226,7 +228,7 @@ def verdict(tally: Tally, ledger: list[dict[str, Any]], steps: int) -> dict[str,
         "kills_before_the_first_record": tally.after_home,
         "sessions_failed": len(tally.failed),
         "journal_lines_lost": tally.shortened,
-        "shots_in_flight": tally.in_flight,
+        "shots_in_flight": tally.adrift,
         "shots_lost": tally.lost,
         "captures": len(tally.captures),
         "captures_complete": complete,

@@ -1,11 +1,12 @@
 """Board corners in images, by OpenCV, and pictures of boards for the simulator."""
 
+import functools
 from typing import Literal
 
 import cv2
 import numpy as np
 
-from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
+from jaxscan.geometry import AbstractBoard, Charuco, Chessboard, known_dictionary
 from jaxscan.observation.corners import (
     SMALL_SQUARE_PX,
     FoundCorners,
@@ -147,12 +148,14 @@ def _even_brightness(image: np.ndarray, grid: np.ndarray) -> float:
 
 
 def _charuco(board: Charuco) -> "cv2.aruco.CharucoBoard":
-    dictionary = getattr(cv2.aruco, board.dictionary, None)
-    if dictionary is None:
-        raise ValueError(f"Unknown ArUco dictionary {board.dictionary!r}.")
-    return cv2.aruco.CharucoBoard(
-        (board.columns, board.rows), board.square, board.marker, cv2.aruco.getPredefinedDictionary(dictionary)
-    )
+    return opencv_charuco(board.columns, board.rows, board.square, board.marker, known_dictionary(board.dictionary))
+
+
+@functools.lru_cache(maxsize=8)
+def opencv_charuco(columns: int, rows: int, square: float, marker: float, dictionary: str) -> "cv2.aruco.CharucoBoard":
+    """OpenCV's board; a large one takes a tenth of a second."""
+    markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    return cv2.aruco.CharucoBoard((columns, rows), square, marker, markers)
 
 
 def _find_charuco(image: np.ndarray, board: Charuco, half_window: int | None) -> FoundCorners | None:

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxscan.geometry import Charuco, Chessboard
+from jaxscan.geometry import DICTIONARIES, Charuco, Chessboard
 from jaxscan.observation.corners import edge_directions
 from jaxscan.observation.prediction import PredictedCorners
 from jaxscan.observation.redetect import redetect_corners
-from jaxscan.vision import board_texture, find_corners
+from jaxscan.vision import board_texture, boards, find_corners
 
 
 CHESS = Chessboard(8, 5, 0.03)
@@ -127,6 +127,22 @@ def test_a_wrong_picture_is_refused():
         find_corners(np.zeros((10, 10), np.float32), CHESS)
     with pytest.raises(ValueError, match="dictionary"):
         find_corners(np.zeros((100, 100), np.uint8), Charuco(5, 4, 0.03, 0.02, "DICT_NONE"))
+
+
+def test_the_dictionaries_are_those_of_opencv():
+    names = {name for name in dir(cv2.aruco) if name.startswith("DICT_")}
+    assert names == set(DICTIONARIES)
+    for name, markers in DICTIONARIES.items():
+        assert len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList) == markers, name
+
+
+def test_the_largest_board_is_made_once():
+    board = Charuco(68, 68, 0.03, 0.022, "DICT_APRILTAG_36h10")
+    picture = np.full((60, 80), 128, np.uint8)
+    made = boards.opencv_charuco.cache_info().misses
+    for _ in range(3):
+        assert find_corners(picture, board) is None
+    assert boards.opencv_charuco.cache_info().misses == made + 1
 
 
 def test_textures_fill_the_outline():

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +18,11 @@ from jaxscan.files.capture.journal import JOURNAL_NAME, Record
 from jaxscan.files.capture.references import ImageRef
 from jaxscan.files.capture.seals import require_whole, sealing
 from jaxscan.files.capture.texts import read_texts
+from jaxscan.files.disk import shown
 from jaxscan.geometry import AbstractBoard
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
-from jaxscan.reconstruction import FrameChunk
+from jaxscan.reconstruction import FrameChunk, journal_doubts
 from jaxscan.stripes import LaserLine, PixelFormat, Response
 
 
@@ -215,10 +217,9 @@ def open_capture(path: str | Path) -> Capture:
             was sealed.
     """
     path = Path(path)
-    if not path.is_dir():
-        raise CaptureError(
-            f"{path}: {'found a file' if path.exists() else 'no such folder'}, expected a capture's folder."
-        )
+    if not os.path.isdir(path):
+        found = "found a file" if os.path.exists(path) else "no such folder"
+        raise CaptureError(f"{shown(path)}: {found}, expected a capture's folder.")
     journal_name, texts = str(path / JOURNAL_NAME), read_texts(path)
     header, records, seals = texts.header, texts.records, sealing(texts, path)
     require_whole(seals)
@@ -234,5 +235,11 @@ def open_capture(path: str | Path) -> Capture:
         check_exposures(records, name=journal_name)
     reader = ImageReader(path, header)
     reader.check(records)
-    notes = (*texts.notes, *((seals.note,) if seals.note else ()))
-    return Capture(path, header, records, notes, texts.digest(), reader)
+    notes = [*texts.notes, *((seals.note,) if seals.note else ())]
+    if header.kind == "sweep":
+        degrees = np.degrees([record.angle or 0.0 for record in records])
+        lit = [record.lasers for record in records]
+        planned = None if header.plan is None else header.plan.steps
+        doubts = journal_doubts([record.i for record in records], degrees, lit, planned)
+        notes += [f"{journal_name}: {doubt}" for doubt in doubts]
+    return Capture(path, header, records, tuple(notes), texts.digest(), reader)

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.ply import CLOUD_FORMAT, PROFILE, VERTEX
+from jaxscan.files.disk import open_regular
 from jaxscan.reconstruction import PointCloud
 
 
@@ -56,7 +57,7 @@ def read_ply(path: Path) -> PointCloud:
         CloudError: If it is damaged or has no points.
     """
     try:
-        with open(path, "rb") as file:
+        with open_regular(path, error=CloudError) as file:
             header = _read_header(file, path)
             size = os.fstat(file.fileno()).st_size
             tables = _read_tables(file, header, size, path)
