@@ -93,14 +93,16 @@ def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudCompar
     profile = np.nonzero(both)[0]
     p, exact = np.asarray(cloud.xyz)[both].astype(float), np.asarray(truth.xyz)[both].astype(float)
     ray = exact - centre[profile]
-    ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)
-    along = np.sum((p - exact) * ray, axis=1)
-    sigma = np.asarray(cloud.sigma_random)[both].astype(float)
+    distance = np.linalg.norm(ray, axis=1)
+    # At the camera itself there is no ray.
+    seen = distance > 0
+    along = np.sum((p - exact)[seen] * ray[seen], axis=1) / distance[seen]
+    sigma = np.asarray(cloud.sigma_random)[both].astype(float)[seen]
     known = sigma > 0
     return CloudComparison(
         points=int(both.sum()),
         error_m=ErrorStatistics.of(np.linalg.norm(p - exact, axis=1)),
-        along_ray_m=ErrorStatistics.of(along),
+        along_ray_m=ErrorStatistics.of(along) if seen.any() else None,
         whitened=ErrorStatistics.of(along[known] / sigma[known]) if known.any() else None,
         completeness=float(both.sum() / true.sum()),
         false_points=int((valid & ~true).sum()),
