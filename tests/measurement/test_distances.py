@@ -108,3 +108,16 @@ def test_compare_without_a_grid():
     cloud.valid[:] = False
     with pytest.raises(MeasurementError, match="The cloud has no valid points"):
         compare_clouds(cloud, truth)
+
+
+def test_a_true_point_in_the_cameras_centre_has_no_ray():
+    truth = wall_cloud(lambda y, z: 2.5 + 0 * y, noise=0.0)
+    cloud = wall_cloud(lambda y, z: 2.501 + 0 * y, noise=0.0)
+    without = compare_clouds(cloud, truth)
+    truth.xyz[0, 0] = 0.0
+    found = compare_clouds(cloud, truth)
+    assert found.points == without.points
+    assert np.isfinite(list(vars(found.along_ray_m).values())).all()
+    assert found.along_ray_m.max_abs == pytest.approx(without.along_ray_m.max_abs, rel=1e-9)
+    truth.xyz[:] = 0.0
+    assert compare_clouds(cloud, truth).along_ray_m is None
