@@ -29,5 +29,9 @@ class OptionError(JaxscanError):
     """An option of the command line whose value cannot be meant."""
 
 
+class OutputError(JaxscanError):
+    """An output that cannot be written."""
+
+
 class DependencyError(JaxscanError):
     """A library or system package that is needed for this call and is not installed."""

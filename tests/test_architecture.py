@@ -33,9 +33,13 @@ MAY_IMPORT = {
     "cli": ANY,
     "__init__": set(),
     "errors": set(),
+    "printable": set(),
     "data": set(),
 }
-"""Folders of the package that a folder may import, beside itself and `errors`."""
+"""Folders of the package that a folder may import, beside itself and what all may import."""
+
+FOR_ALL = {"errors", "printable"}
+"""Files of the package that import nothing, and that all may import."""
 
 HOME_OF = {
     "cv2": {"vision"},
@@ -44,7 +48,8 @@ HOME_OF = {
     "pye57": {"files"},
     "laspy": {"files"},
     "serial": set(),
-    "numba": {"stripes/search/native_loops.py"},
+    "numba": {"stripes/search/native_loops.py", "vision/native_loops.py"},
+    "simplejpeg": {"vision"},
     "scipy": {"measurement"},
     "matplotlib": {"report"},
     "rich": {"cli"},
@@ -53,10 +58,10 @@ HOME_OF = {
 }
 """Third-party libraries that belong to one place."""
 
-RIG_MAY_IMPORT = {"files", "errors", "geometry", "stripes"}
+RIG_MAY_IMPORT = {"files", "geometry", "stripes"} | FOR_ALL
 """Folders of the package that the acquisition layer may import."""
 
-BENCH_MAY_IMPORT = {"files", "errors", "simulation", "vision"}
+BENCH_MAY_IMPORT = {"files", "simulation", "vision"} | FOR_ALL
 """Folders of the package that the simulated rig may import: what renders, nothing that estimates."""
 
 RIG_HOME_OF = {"cv2": ("cameras/",), "serial": ("wire/",), "ctypes": ("cameras/aravis",)}
@@ -92,7 +97,7 @@ def test_import_direction(path):
         if parts[0] != "jaxscan" or len(parts) == 1:
             continue
         there = parts[1]
-        assert there in MAY_IMPORT[here] | {here, "errors"}, f"line {line}: {here} must not import {there}"
+        assert there in MAY_IMPORT[here] | FOR_ALL | {here}, f"line {line}: {here} must not import {there}"
 
 
 OUTSIDE_OF_FILES = [path for path in (*FILES, *RIG_FILES, *BENCH_FILES) if PACKAGE / "files" not in path.parents]
@@ -220,6 +225,57 @@ def test_the_bench_knows_no_estimator(path):
 def test_only_the_command_line_knows_the_acquisition_layer(path):
     found = [line for module, line in imports(path) if module.split(".")[0] in {"scanrig", "bench"}]
     assert not found or folder_of(path) == "cli", f"line {found[0]}"
+
+
+MAY_OPEN = {
+    "files/disk/opening.py": {"os.open"},
+    "files/disk/partial.py": {"os.open"},
+    "files/disk/atomic.py": {"os.open"},
+    "files/disk/arrays.py": {"ZipFile", ".open"},
+    "files/capture/shards.py": {"mmap"},
+    "cli/process/quiet.py": {"os.open"},
+    "cli/process/running.py": {"os.open"},
+    "__init__.py": {".read_text"},
+}
+"""Files that open others by themselves: the door, what it writes with, archives behind it, the null device, our own."""
+OPENERS = {"ZipFile", "memmap", "mmap", "imread", "genfromtxt", "VideoCapture"}
+
+
+def openings(tree):
+    """(how, line) of every call that opens a file for reading, or might."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        name = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
+        owner = getattr(getattr(node.func, "value", None), "id", "")
+        if name == "open" and isinstance(node.func, ast.Name):
+            modes = [*node.args[1:2], *(key.value for key in node.keywords if key.arg == "mode")]
+            mode = modes[0].value if modes and isinstance(modes[0], ast.Constant) else "r"
+            # A file that is made, appended to, or changed in place is one of our own.
+            if not set(mode) & set("wxa+"):
+                yield "open", node.lineno
+        elif name == "open":
+            yield "os.open" if owner == "os" else ".open", node.lineno
+        elif name in ("read_bytes", "read_text"):
+            yield f".{name}", node.lineno
+        elif name in OPENERS or (name == "load" and owner in ("np", "numpy")):
+            yield name, node.lineno
+
+
+def test_openings_are_found():
+    text = "open(a)\nopen(a, 'rb')\nopen(a, mode=m)\np.open()\nos.open(a, 0)\np.read_text()\nzipfile.ZipFile(a)\n"
+    text += "np.load(a)\nopen(a, 'wb')\nopen(a, 'r+b')\njson.load(a)\n"
+    found = list(openings(ast.parse(text)))
+    assert [how for how, _ in found] == ["open"] * 3 + [".open", "os.open", ".read_text", "ZipFile", "load"]
+    assert [line for _, line in found] == list(range(1, 9))
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_files_are_opened_through_one_door(path):
+    """`open_regular` waits for no pipe, reads no device, and bounds what it reads."""
+    allowed = MAY_OPEN.get(str(path.relative_to(PACKAGE)), set())
+    found = [(how, line) for how, line in openings(ast.parse(path.read_text())) if how not in allowed]
+    assert not found, f"line {found[0][1]}: {found[0][0]}, expected open_regular or read_bounded of jaxscan.files"
 
 
 def test_the_acquisition_layer_asserts_nothing():

@@ -38,9 +38,10 @@ def ask(words: list[str]) -> int:
 
 
 def attend(desk: Desk) -> None:
-    """Take commands from the terminal and show where everything stands, until `quit` or a signal."""
+    """Take commands from the terminal and show where everything stands, until `quit`, a signal, or a part's death."""
     shows, typed, listening = sys.stdout.isatty(), b"", True
     while True:
+        desk.require_alive()
         if shows:
             print(f"\r\x1b[K{desk.status()}  > ", end="", flush=True)
         if not listening:

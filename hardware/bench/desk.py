@@ -1,7 +1,5 @@
 """The whole bench: rig and camera, and the commands of a person at the terminal."""
 
-import fcntl
-import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -9,6 +7,7 @@ from pathlib import Path
 
 from bench.camera import RenderedCamera, loopback
 from bench.errors import BenchError
+from bench.locks import held, own_folder
 from bench.rig import RigOptions, SimulatedRig
 
 
@@ -76,6 +75,15 @@ class Desk:
                 self.rig.control(f"{fault}_{way} {share if switch == 'on' else 0}")
         return f"noise {switch}"
 
+    def require_alive(self) -> None:
+        """Check that both parts run.
+
+        Raises:
+            BenchError: With the part that has ended by itself.
+        """
+        if died := self.rig.died() or self.camera.died():
+            raise BenchError(f"{died}; the bench is put away.")
+
     def status(self) -> str:
         """One line: where everything stands."""
         plant, camera = self.rig.plant(), self.camera.control("state")
@@ -99,15 +107,9 @@ def claimed(folder: Path) -> Iterator[None]:
     Raises:
         BenchError: If one runs in it already, or it belongs to somebody else.
     """
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if folder.stat().st_uid != os.getuid():
-            raise BenchError(f"{folder} belongs to somebody else: name another folder in JAXSCAN_BENCH.")
-        with open(folder / "lock", "w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            yield
-    except BlockingIOError as problem:
-        raise BenchError(f"A bench runs already, in {folder}: end that one first.") from problem
+    busy = f"A bench runs already, in {folder}: end that one first."
+    with held(own_folder(folder) / "lock", timeout_s=0.0, busy=busy):
+        yield
 
 
 @contextmanager

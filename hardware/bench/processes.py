@@ -49,6 +49,16 @@ def launch(
     raise BenchError(f"{name} did not start: {words[-1] if words else 'it said nothing'}")
 
 
+def epitaph(name: str, process: "subprocess.Popen[str] | None", errors: Path) -> str:
+    """How a program ended by itself, as a sentence with its last words; "" if it runs, or there is none."""
+    status = None if process is None else process.poll()
+    if status is None:
+        return ""
+    words = errors.read_text(errors="replace").strip().splitlines() if errors.exists() else []
+    how = f"killed by signal {-status}" if status < 0 else f"exit code {status}"
+    return f"{name} has ended ({how})" + (f": {words[-1]}" if words and status > 0 else "")
+
+
 def end(process: "subprocess.Popen[str]", *, kill: bool = False) -> None:
     """End a program: asked first, unless `kill`, and by force where that does not help."""
     if kill:

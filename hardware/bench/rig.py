@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.build import SIMRUN, build
 from bench.errors import BenchError
-from bench.processes import end, launch
+from bench.processes import end, epitaph, launch
 from bench.sockets import ControlClient
 
 
@@ -124,6 +124,10 @@ class SimulatedRig:
     def plant(self) -> dict[str, Any]:
         """The true state of table, laser and line, now."""
         return dict(json.loads(self.control("state")))
+
+    def died(self) -> str:
+        """How the runner ended by itself, "" if it runs or was switched off."""
+        return epitaph("the simulator", self._process, self.folder / "simrun.err")
 
     def edges(self) -> list[dict[str, Any]]:
         """The log so far: `cycle`, `pin`, `v`, `pos`; or `cycle`, `pos` and one of `host`, `reset`, `line`, `stop`."""

@@ -10,6 +10,7 @@ from jaxscan.calibration import CalibrationSettings
 from jaxscan.calibration.parameters import Block
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.summary import print_summary, summary, write_page
 from jaxscan.errors import CalibrationError
@@ -49,6 +50,10 @@ def calibrate(
         redetect: Take a second look at the images, where the first solve predicts corners and stripes.
         json: Write the result as JSON too.
     """
+    check_paths(
+        reads=[place for path in captures for place in capture_at("CAPTURE", path)],
+        writes=[*calibration_at("--output", output), *file_at("--report", report), *file_at("--json", json)],
+    )
     check_calibration_path(output)
     check_json(json)
     if report is not None:

@@ -9,6 +9,7 @@ import tyro
 from jaxscan import api
 from jaxscan.cli.options import CLOUD_SUFFIXES
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
 from jaxscan.files.calibration import CameraFormat, check_camera_path, export_camera
@@ -42,12 +43,16 @@ def convert(
         storage: Storage of a capture: `npy` are raw frames, which are read faster and take more space; or `png`.
         json: Write the result as JSON too.
     """
+    writes = [*file_at("OUTPUT", target), *file_at("--json", json)]
+    check_paths(file_at("INPUT", source), writes)
     if source.is_dir():
+        check_paths(capture_at("INPUT", source), writes)
         _convert_capture(source, target, format, storage, json)
         return
     if storage is not None:
         raise OptionError(f"--storage: is for captures, and {source} is not the folder of one.")
     if source.suffix.lower() == ".json":
+        check_paths(calibration_at("INPUT", source), writes)
         _convert_calibration(source, target, format, json)
         return
     if format is not None:

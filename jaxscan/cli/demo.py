@@ -7,10 +7,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from rich.console import Console
 
 from jaxscan import api
-from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import Place, calibration_at, capture_at, check_paths, file_at
+from jaxscan.cli.process.terminal import Terminal, table
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import CaptureError, MeasurementError
 from jaxscan.files.calibration import calibration_digest
@@ -37,6 +38,7 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
         output: Folder to write to.
         json: Write the result as JSON too.
     """
+    check_paths(_reads(output / "captures"), _writes(output, json))
     check_json(json)
     _check_folder(output)
     out = console(json)
@@ -93,6 +95,17 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     emit_json(json, "demo", {"room": room, "distances": lengths, "points": points, "seconds_s": seconds})
 
 
+def _reads(captures: Path) -> list[Place]:
+    folders = [place for name in ("boards", "sweep") for place in capture_at("the capture", captures / name)]
+    return [*folders, *(Place("the truth", captures / name) for name in ("truth.json", "truth.npz"))]
+
+
+def _writes(output: Path, json: str | None) -> list[Place]:
+    calibration, *others = FILES
+    places = calibration_at("the calibration", output / calibration)
+    return [*places, *(Place("the file", output / name) for name in others), *file_at("--json", json)]
+
+
 def _check_folder(output: Path) -> None:
     """Refuse a folder with files that are not of an earlier demo."""
     if output.exists() and not output.is_dir():
@@ -105,7 +118,7 @@ def _read_truth(path: Path) -> dict[str, Any]:
     return parse_json(read_bounded(path, MEGABYTE, error=CaptureError), name=str(path), error=CaptureError)
 
 
-def _render(config: SimulationConfig, folder: Path, out: Console, seconds: dict[str, float]) -> api.SimulatedCaptures:
+def _render(config: SimulationConfig, folder: Path, out: Terminal, seconds: dict[str, float]) -> api.SimulatedCaptures:
     """The captures, from an earlier run of the same configuration or rendered now."""
     digest = api.simulation_digest(config)
     if folder.exists():

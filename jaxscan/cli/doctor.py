@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import tyro
-from rich.console import Console
 
-from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import capture_at, check_paths, file_at
+from jaxscan.cli.process.terminal import Terminal, table
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.scanning.doctor_rig import examine_rig
 from jaxscan.errors import CaptureError, DependencyError, JaxscanError, OptionError
@@ -58,6 +59,7 @@ def doctor(
         raise OptionError(
             "--camera: found without --config, expected with it: the configuration holds the settings of the camera."
         )
+    check_paths([*file_at("--config", config), *capture_at("--capture", capture)], file_at("--json", json))
     check_json(json)
     out = console(json)
     if capture is not None:
@@ -68,7 +70,7 @@ def doctor(
         _look_at_rig(port, config, camera, out, json)
 
 
-def _look_at_machine(out: Console, json: str | None) -> None:
+def _look_at_machine(out: Terminal, json: str | None) -> None:
     checks = [
         _try("JAX", True, _jax),
         _try("OpenCV", True, lambda: _version("cv2", "opencv-python-headless")),
@@ -93,7 +95,7 @@ def _look_at_machine(out: Console, json: str | None) -> None:
         raise DependencyError(f"{', '.join(broken)} must work and does not: see the table.")
 
 
-def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out: Console, json: str | None) -> None:
+def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out: Terminal, json: str | None) -> None:
     findings: list[dict[str, Any]] = []
 
     def tell(finding: Any) -> None:
@@ -111,7 +113,7 @@ def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out:
         raise RigUnwell(f"{', '.join(wrong)} must work and does not: see above.")
 
 
-def _verify(capture: Path, out: Console, json: str | None) -> None:
+def _verify(capture: Path, out: Terminal, json: str | None) -> None:
     from jaxscan.files.capture import seal_note, verify_capture
 
     with progress_bar("Verifying") as progress:

@@ -8,7 +8,9 @@ import numpy as np
 # Loads a name when it is first used, so that `--help` does not load JAX.
 import jaxscan
 from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, finite, positive
-from jaxscan.cli.output import JsonTarget, check_json, console, emit_json, table
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import calibration_at, check_paths, file_at
+from jaxscan.cli.process.terminal import table
 
 
 if TYPE_CHECKING:
@@ -30,6 +32,7 @@ def room(cloud: CloudPath, /, *, calibration: OptionalCalibrationPath = None, js
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
         json: Write the result as JSON too.
     """
+    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
     scanner = None if calibration is None else jaxscan.load_scanner(calibration)
     box = jaxscan.measure_room(jaxscan.load_cloud(cloud), scanner=scanner)
@@ -70,6 +73,7 @@ def distance(
     finite("--a", a)
     finite("--b", b)
     positive("--radius-mm", radius_mm)
+    check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
     scanner = None if calibration is None else jaxscan.load_scanner(calibration)
     found = jaxscan.measure_distance(
@@ -97,6 +101,7 @@ def plane(cloud: CloudPath, /, *, at: Point, radius_mm: float = 200.0, json: Jso
     """
     finite("--at", at)
     positive("--radius-mm", radius_mm)
+    check_paths(file_at("CLOUD", cloud), file_at("--json", json))
     check_json(json)
     found = jaxscan.measure_plane(jaxscan.load_cloud(cloud), np.array(at), radius_m=radius_mm / 1e3)
     console(json).print(
@@ -117,6 +122,10 @@ def compare(
         calibration: Calibration that the cloud was made with, for errors along the ray.
         json: Write the result as JSON too.
     """
+    check_paths(
+        [*file_at("CLOUD", cloud), *file_at("TRUTH", truth), *calibration_at("--calibration", calibration)],
+        file_at("--json", json),
+    )
     check_json(json)
     scanner = None if calibration is None else jaxscan.load_scanner(calibration)
     found = jaxscan.compare_clouds(jaxscan.load_cloud(cloud), jaxscan.load_cloud(truth), scanner=scanner)

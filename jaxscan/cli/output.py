@@ -2,13 +2,13 @@
 
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
-from rich.table import Table
+
+from jaxscan.cli.process.terminal import Terminal
+from jaxscan.errors import OutputError
 
 
 JsonTarget = Annotated[
@@ -30,7 +30,12 @@ def check_json(target: str | None) -> None:
 
 
 def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
-    """Write `result` as `jaxscan-<verb>/1` to a file, or to standard output for "-"; arrays become lists."""
+    """Write `result` as `jaxscan-<verb>/1` to a file, or to standard output for "-"; arrays become lists.
+
+    Raises:
+        JaxscanError: If it cannot be written.
+        BrokenPipeError: If nobody reads standard output.
+    """
     from jaxscan.files.disk import write_atomically
 
     if target is None:
@@ -38,25 +43,23 @@ def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
     entries = {"format": f"jaxscan-{verb}/1", **result}
     text = json.dumps(entries, indent=2, allow_nan=False, default=lambda array: array.tolist()) + "\n"
     if target == "-":
-        sys.stdout.write(text)
+        _print_json(text)
     else:
         write_atomically(Path(target), text.encode())
 
 
-def console(json_target: str | None = None) -> Console:
-    """Console for people: standard output, or standard error where the JSON goes to standard output."""
-    # Without wrapping and markup, so that printed paths and commands can be copied.
-    made = Console(stderr=json_target == "-", highlight=False, markup=False, soft_wrap=True)
-    if not made.is_terminal:
-        made.width = 160
-    return made
+def _print_json(text: str) -> None:
+    if sys.stdout is None:
+        raise OutputError("standard output: is closed, so that --json - cannot be written.")
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as problem:
+        raise OutputError(f"standard output: cannot be written: {problem.strerror}.") from problem
 
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """A table whose first column is text and whose others are numbers."""
-    made = Table(title=title, title_justify="left", title_style="bold")
-    for i, column in enumerate(columns):
-        made.add_column(column, justify="left" if i == 0 else "right", no_wrap=True)
-    for row in rows:
-        made.add_row(*row)
-    return made
+def console(json_target: str | None = None) -> Terminal:
+    """The terminal for people: standard output, or standard error where the JSON goes to standard output."""
+    return Terminal(stderr=json_target == "-")

@@ -7,9 +7,11 @@ import numpy as np
 from jaxscan import api
 from jaxscan.cli.options import CalibrationPath, CapturePath, CloudOutputPath, at_least, range_limits
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
 from jaxscan.files.calibration import calibration_digest, calibration_notes
+from jaxscan.files.capture import CACHE_NAME
 from jaxscan.files.clouds import check_cloud_path
 from jaxscan.stripes import Choice, estimator_of
 
@@ -58,6 +60,11 @@ def reconstruct(
         raise OptionError(f"--estimator: {problem}") from problem
     settings = api.ReconstructSettings(
         stripes=stripes, min_range_m=min_range, max_range_m=max_range, check_steps=check_steps
+    )
+    check_paths(
+        reads=[*capture_at("CAPTURE", capture), *calibration_at("--calibration", calibration)],
+        writes=[*file_at("--output", output), *file_at("--json", json)],
+        kept=file_at("the stripes", capture / CACHE_NAME if cache else None),
     )
     check_cloud_path(output)
     check_json(json)

@@ -8,6 +8,7 @@ import tyro
 import jaxscan
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import calibration_at, check_paths, file_at
 
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ def report(
     from jaxscan.cli.summary import summary, write_page
     from jaxscan.files.disk import check_writable
 
+    check_paths(calibration_at("CALIBRATION", calibration), [*file_at("--output", output), *file_at("--json", json)])
     check_writable(output)
     check_json(json)
     drawn, note, reproduced = _drawn(calibration)

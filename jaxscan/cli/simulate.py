@@ -6,6 +6,7 @@ import time
 import jaxscan
 from jaxscan.cli.options import ConfigPath, OutputPath, at_least
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import check_paths, file_at
 from jaxscan.cli.progress import progress_bar
 
 
@@ -32,6 +33,7 @@ def simulate(
     """
     at_least(1, "--every", every)
     at_least(0, "--seed", seed)
+    check_paths(file_at("CONFIG", config), [*file_at("--output", output), *file_at("--json", json)])
     check_json(json)
     settings = jaxscan.load_simulation(config)
     start = time.perf_counter()

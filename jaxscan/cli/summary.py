@@ -3,10 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from jaxscan.calibration import Calibration
-from jaxscan.cli.output import table
+from jaxscan.cli.process.terminal import Terminal, table
 from jaxscan.files.disk import write_atomically
 from jaxscan.report import calibration_page, outcome_rows, parameters, words
 
@@ -14,7 +12,7 @@ from jaxscan.report import calibration_page, outcome_rows, parameters, words
 _STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
 
 
-def print_summary(out: Console, calibration: Calibration) -> None:
+def print_summary(out: Terminal, calibration: Calibration) -> None:
     """Print the verdict first, then lengths, noise, faults, advice and parameters."""
     first = words.headline(calibration)
     out.print(f"{first.headline}. {first.explanation}", style=_STYLE[first.kind])

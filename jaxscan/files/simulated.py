@@ -4,7 +4,6 @@ import hashlib
 import itertools
 import json
 import os
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -14,7 +13,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CaptureHeader, open_capture
 from jaxscan.files.clouds import save_cloud
-from jaxscan.files.disk import reported, write_atomically
+from jaxscan.files.disk import check_name, partial_folder, reported, write_atomically
 from jaxscan.files.recording import create_capture
 from jaxscan.reconstruction import PointCloud
 from jaxscan.simulation import RenderedRecord, SimulationConfig, board_pairs, sweep_angles, true_cloud
@@ -82,11 +81,10 @@ def write_simulation(
     target = Path(os.path.abspath(folder))
     if target == Path.cwd():
         raise CaptureError(f"{folder}: is the folder you are in; name one that is to be made.")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    check_name(target, error=CaptureError)
+    if os.path.lexists(target) and (not os.path.isdir(target) or os.listdir(target)):
         raise CaptureError(f"{folder}: exists and is not empty; choose another folder, a capture is never overwritten.")
     pairs, steps = board_pairs(config), len(sweep_angles(config, every=every)) * len(config.laser)
-    partial = target.with_name(f".{target.name}.partial-{os.getpid()}")
-    made = SimulatedCaptures(partial, pairs, steps)
     done = itertools.count(1)
 
     def count(records: Iterator[RenderedRecord]) -> Iterator[RenderedRecord]:
@@ -95,20 +93,19 @@ def write_simulation(
             if progress is not None:
                 progress(next(done), pairs + steps)
 
-    try:
-        with reported(f"{folder}: cannot be written", error=CaptureError):
-            partial.mkdir(parents=True)
+    with reported(f"{folder}: cannot be written", error=CaptureError):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with partial_folder(target) as part:
+            made = SimulatedCaptures(part, pairs, steps)
             if pairs:
                 _write_capture(config, "calibration", made.boards, count(boards), pairs)
             truths = _write_capture(config, "sweep", made.sweep, count(sweep), steps)
             true = {**simulation_truth(config), "configuration": simulation_digest(config)}
             write_atomically(made.truth, json.dumps(true, indent=2).encode(), error=CaptureError)
             save_cloud(_cloud_of_truth(truths), made.true_cloud)
-            if folder.exists():
+            if os.path.isdir(target):
                 target.rmdir()
-            partial.rename(target)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+            os.rename(part, target)
     return made._replace(folder=folder)
 
 

@@ -13,7 +13,7 @@ class CloudPoints(NamedTuple):
     """The valid points of a cloud, in the order of the grid."""
 
     xyz: np.ndarray
-    """Position [m], float32 [n, 3], scanner frame."""
+    """Position [m], [n, 3], scanner frame; float32, or float64 where the cloud holds it: a national grid needs it."""
     normals: np.ndarray
     """float32 [n, 3]; zero where there is none."""
     rgb: np.ndarray
@@ -66,7 +66,7 @@ class PointCloud(eqx.Module):
 
         random, systematic = take(self.sigma_random, np.float32), take(self.sigma_systematic, np.float32)
         return CloudPoints(
-            xyz=take(self.xyz, np.float32),
+            xyz=take(self.xyz, np.float64 if self.xyz.dtype == np.float64 else np.float32),
             normals=take(self.normals, np.float32),
             rgb=take(self.rgb, np.uint8),
             intensity=take(self.intensity, np.float32),

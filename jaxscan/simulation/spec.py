@@ -6,23 +6,34 @@ Metres, radians and pixels unless the key says otherwise.
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
+from jaxscan.geometry import MAX_PIXELS, AbstractBoard, Charuco, Chessboard, check_board, known_dictionary
+from jaxscan.simulation.numbers import (
+    MOST_PAIRS,
+    Angle,
+    Distance,
+    Focal,
+    Fraction,
+    Gain,
+    Level,
+    Millimetres,
+    Name,
+    Number,
+    Pair,
+    Pixels,
+    Place,
+    Point,
+    Section,
+    Share,
+    Size,
+    Triple,
+)
+from jaxscan.simulation.surroundings import LightSpec, ObjectSpec, RoomSpec
 
 
 PixelFormat = Literal["mono8", "rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_grbg8", "bayer_gbrg8"]
 Colour = Literal["red", "green", "blue"]
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(ge=0)]
-Pair = tuple[float, float]
-Triple = tuple[float, float, float]
-
-
-class Section(BaseModel):
-    """A table of the configuration."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 # The simulator has its own lens models, so that an error of the estimator's shows; only the names of
@@ -38,23 +49,23 @@ class CameraSpec(Section):
     """Pinhole with Brown-Conrady distortion, fisheye after Kannala and Brandt, or double sphere [px; 1]."""
 
     model: Literal["pinhole", "fisheye", "double_sphere"] = "pinhole"
-    width: Annotated[int, Field(gt=7)] = 1280
-    height: Annotated[int, Field(gt=7)] = 1024
-    fx: Positive = 1100.0
-    fy: Positive = 1100.0
-    cx: float | None = None
+    width: Size = 1280
+    height: Size = 1024
+    fx: Focal = 1100.0
+    fy: Focal = 1100.0
+    cx: Number | None = None
     """Principal point; the middle of the image where not given."""
-    cy: float | None = None
-    k1: float = 0.0
+    cy: Number | None = None
+    k1: Number = 0.0
     """This and the other coefficients are those of the model; all others stay 0."""
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
-    k4: float = 0.0
-    xi: float = 0.0
-    alpha: float = 0.0
-    field_deg: Annotated[float, Field(gt=0, le=300)] = 200.0
+    k2: Number = 0.0
+    p1: Number = 0.0
+    p2: Number = 0.0
+    k3: Number = 0.0
+    k4: Number = 0.0
+    xi: Number = 0.0
+    alpha: Number = 0.0
+    field_deg: Annotated[float, Field(ge=1, le=300)] = 200.0
     """Field of view of a wide-angle lens: the image is dark beyond."""
     up: Literal["-v", "+v", "+u", "-u"] = "-v"
 
@@ -64,6 +75,8 @@ class CameraSpec(Section):
         strange = [name for name in every if name not in _COEFFICIENTS[self.model]]
         if any(getattr(self, name) != 0.0 for name in strange):
             raise ValueError(f"a {self.model} has no {' or '.join(strange)}")
+        if self.width * self.height > MAX_PIXELS:
+            raise ValueError(f"{self.width} x {self.height} px are more than {MAX_PIXELS // 1_000_000} megapixels")
         return self
 
     @property
@@ -88,17 +101,17 @@ class SensorSpec(Section):
 
     pixel_format: PixelFormat = "mono8"
     response: Literal["linear", "srgb"] = "linear"
-    psf_px: Positive = 0.7
+    psf_px: Pixels = 0.7
     """Standard deviation of the lens's Gaussian point-spread function."""
-    electrons_per_dn: Positive = 40.0
+    electrons_per_dn: Level = 40.0
     """Conversion gain of the linear signal; shot noise is its square root in electrons."""
-    read_dn: Annotated[float, Field(ge=0)] = 1.0
+    read_dn: Annotated[float, Field(ge=0, le=1e3)] = 1.0
     """Standard deviation of the read noise, in DN of the linear signal."""
-    crosstalk: Annotated[float, Field(ge=0, lt=1)] = 0.04
+    crosstalk: Share = 0.04
     """Share of the laser's light that the other two channels of a colour camera see."""
-    speckle_contrast: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    speckle_contrast: Share = 0.0
     """Relative standard deviation of the laser's light on one pixel; 0 for none."""
-    speckle_px: Positive = 1.5
+    speckle_px: Pixels = 1.5
     """Correlation length of the speckle along the stripe (standard deviation of its kernel)."""
 
 
@@ -110,29 +123,29 @@ class LaserSpec(Section):
     laser at (baseline, 0, 0) that crosses the optical axis at that depth.
     """
 
-    name: str = "red"
+    name: Name = "red"
     colour: Colour = "red"
     stripe_axis: Literal["rows", "columns"] = "rows"
-    a: float | None = None
-    b: float | None = None
-    c_mm: float | None = None
+    a: Number | None = None
+    b: Number | None = None
+    c_mm: Number | None = None
     normal: Triple | None = None
-    distance_m: float | None = None
-    baseline_m: float | None = None
-    crossing_m: float | None = None
-    bow: Pair = (0.0, 0.0)
+    distance_m: Number | None = None
+    baseline_m: Number | None = None
+    crossing_m: Number | None = None
+    bow: tuple[Fraction, Fraction] = (0.0, 0.0)
     """b2, b3 of the sheet's bow; see LaserSheet."""
-    origin_m: Triple | None = None
+    origin_m: Point | None = None
     """Origin of the fan, camera frame. Default: the point of the sheet on the camera's x axis, or, for
     a sheet along that axis, the point nearest the camera."""
-    fan_deg: Annotated[float, Field(gt=0, lt=180)] = 90.0
-    waist_mm: Positive = 0.5
+    fan_deg: Annotated[float, Field(ge=0.1, lt=180)] = 90.0
+    waist_mm: Millimetres = 0.5
     """Standard deviation of the sheet's thickness where it is in focus."""
-    focus_m: Annotated[float, Field(ge=0)] = 2.0
-    divergence_mrad: Annotated[float, Field(ge=0)] = 0.3
-    peak_dn: Positive = 150.0
+    focus_m: Annotated[float, Field(ge=0, le=1e4)] = 2.0
+    divergence_mrad: Annotated[float, Field(ge=0, le=1e3)] = 0.3
+    peak_dn: Level = 150.0
     """Peak of the stripe on a wall of albedo 0.7 that faces the laser at `range_m`."""
-    range_m: Positive = 2.0
+    range_m: Distance = 2.0
 
     @model_validator(mode="after")
     def _one_form(self) -> "LaserSpec":
@@ -145,6 +158,8 @@ class LaserSpec(Section):
         whole = [name for name, values in forms.items() if all(value is not None for value in values)]
         if len(begun) != 1 or begun != whole:
             raise ValueError(f"a laser's sheet needs exactly one of: {'; '.join(forms)}; got {begun or 'none'}")
+        if self.baseline_m == 0 or self.crossing_m == 0 or self.normal == (0, 0, 0) or self.plane()[1] < 1e-4:
+            raise ValueError("the sheet is no plane, or passes the camera at less than 0.1 mm")
         return self
 
     def plane(self) -> tuple[np.ndarray, float]:
@@ -163,11 +178,11 @@ class TurntableSpec(Section):
     """The axis, camera frame at angle 0: `direction` and `point_m`, or the paper's `tr` [mm]."""
 
     direction: Triple | None = None
-    point_m: Triple | None = None
-    tr: tuple[tuple[float, float, float, float], ...] | None = None
-    gain: float = 1.0
+    point_m: Point | None = None
+    tr: tuple[tuple[Number, Number, Number, Number], ...] | None = None
+    gain: Gain = 1.0
     """Turned angle per commanded angle; its sign is about the axis's upward sense."""
-    harmonics: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    harmonics: tuple[Fraction, Fraction, Fraction, Fraction] = (0.0, 0.0, 0.0, 0.0)
     carries: Literal["scanner", "object"] = "scanner"
 
     @model_validator(mode="after")
@@ -176,67 +191,37 @@ class TurntableSpec(Section):
             raise ValueError("a turntable needs either `direction` and `point_m`, or `tr`")
         if self.tr is not None and len(self.tr) != 4:
             raise ValueError(f"`tr` must be a 4 x 4 matrix, got {len(self.tr)} rows")
+        if self.direction is not None and np.linalg.norm(self.direction) < 1e-6:
+            raise ValueError("`direction` of the turntable has no length")
+        if self.gain == 0:
+            raise ValueError("gain = 0: the table does not turn")
         return self
-
-
-class RoomSpec(Section):
-    """A box room with furniture along its walls."""
-
-    size_m: Triple = (4.2, 5.4, 2.5)
-    rig_m: Triple = (2.0, 2.6, 1.2)
-    """The scanner's origin in the room: from the walls x = 0 and y = 0, and above the floor."""
-    yaw_deg: float = 20.0
-    """Direction of the scanner's x axis in the room, from the room's x towards its y."""
-    furniture: bool = True
-
-    @model_validator(mode="after")
-    def _rig_inside(self) -> "RoomSpec":
-        if not all(0 < at < size for at, size in zip(self.rig_m, self.size_m, strict=True)):
-            raise ValueError(f"`rig_m` {self.rig_m} must lie inside the room of {self.size_m} m")
-        return self
-
-
-class ObjectSpec(Section):
-    """A small object on the turntable's plate, for a table that carries the object."""
-
-    height_m: Positive = 0.12
-    base_z_m: float = -0.06
-    """Height of the plate above the scanner's origin."""
-    plate_radius_m: Positive = 0.11
-
-
-class LightSpec(Section):
-    """The room's own light."""
-
-    white_dn: Positive = 120.0
-    """Level of a white surface (albedo 1) in the room's mean light, on every channel."""
-    shadows: bool = True
 
 
 class BoardsSpec(Section):
     """The calibration board and how it is shown to the rig."""
 
     type: Literal["charuco", "chessboard"] = "charuco"
-    columns: Annotated[int, Field(ge=3)] = 12
+    columns: Annotated[int, Field(ge=1, le=1000)] = 12
     """Squares of a ChArUco board; inner corners of a chessboard."""
-    rows: Annotated[int, Field(ge=3)] = 9
-    square_mm: Positive = 30.0
-    marker_mm: Positive = 22.0
-    dictionary: str = "DICT_5X5_250"
-    border_mm: Annotated[float, Field(ge=0)] = 15.0
+    rows: Annotated[int, Field(ge=1, le=1000)] = 9
+    square_mm: Millimetres = 30.0
+    marker_mm: Millimetres = 22.0
+    dictionary: Annotated[str, AfterValidator(known_dictionary)] = "DICT_5X5_250"
+    border_mm: Annotated[float, Field(ge=0, le=1e4)] = 15.0
     """White margin around the printed area."""
-    warp_mm: Pair = (0.0, 0.0)
+    warp_mm: tuple[Place, Place] = (0.0, 0.0)
     """kx, ky of z = kx (1 - x^2) + ky (1 - y^2), with x, y = +-1 at the outermost corners."""
-    free_views: Count = 30
+    free_views: Annotated[int, Field(ge=0, le=10_000)] = 30
     """Two of three are crossed by a stripe; every third fills the rest of the image."""
-    placements: Count = 4
-    angles: Annotated[int, Field(ge=1)] = 9
+    placements: Annotated[int, Field(ge=0, le=1000)] = 4
+    angles: Annotated[int, Field(ge=1, le=1000)] = 9
     """Table angles at which each placement is seen, spread over the field of view."""
-    range_m: tuple[Positive, Positive] = (0.8, 2.5)
-    tilt_deg: tuple[float, float] = (20.0, 45.0)
-    peak_dn: Positive = 120.0
+    range_m: tuple[Distance, Distance] = (0.8, 2.5)
+    tilt_deg: tuple[Angle, Angle] = (20.0, 45.0)
+    peak_dn: Level = 120.0
     """Peak of the stripe on the board's white: the laser's power is set for each view."""
-    white_dn: Positive = 105.0
+    white_dn: Level = 105.0
     """Level of a white surface in mean light while boards are shown."""
 
     @field_validator("range_m", "tilt_deg")
@@ -245,6 +230,13 @@ class BoardsSpec(Section):
         if value[0] > value[1]:
             raise ValueError(f"must be [smallest, largest], got {list(value)}")
         return value
+
+    @model_validator(mode="after")
+    def _possible(self) -> "BoardsSpec":
+        check_board(self.board())
+        if self.free_views + self.placements * self.angles > MOST_PAIRS:
+            raise ValueError(f"free_views, placements and angles make more than {MOST_PAIRS} pairs")
+        return self
 
     def board(self) -> AbstractBoard:
         """The board of the geometry, for corners and outline."""
@@ -259,8 +251,8 @@ class BoardsSpec(Section):
 class PlanSpec(Section):
     """The sweep."""
 
-    steps: Annotated[int, Field(ge=1)] = 360
-    turn_deg: float = 360.0
+    steps: Annotated[int, Field(ge=1, le=MOST_PAIRS)] = 360
+    turn_deg: Angle = 360.0
     """Commanded angle of the whole sweep; the last step stands one step before it."""
 
 
@@ -276,7 +268,7 @@ class SimulationConfig(Section):
     light: LightSpec = LightSpec()
     boards: BoardsSpec = BoardsSpec()
     plan: PlanSpec = PlanSpec()
-    seed: Count = 0
+    seed: Annotated[int, Field(ge=0, lt=1 << 63)] = 0
 
     @field_validator("laser", mode="before")
     @classmethod

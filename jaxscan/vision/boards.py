@@ -1,11 +1,12 @@
 """Board corners in images, by OpenCV, and pictures of boards for the simulator."""
 
+import functools
 from typing import Literal
 
 import cv2
 import numpy as np
 
-from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
+from jaxscan.geometry import AbstractBoard, Charuco, Chessboard, known_dictionary
 from jaxscan.observation.corners import (
     SMALL_SQUARE_PX,
     FoundCorners,
@@ -22,6 +23,8 @@ Detector = Literal["auto", "sb", "classic"]
 # did not refine; it estimates its own.
 _SIGMA_PX = {"auto": 0.035, "sb": 0.10, "classic": 0.035, "charuco": 0.06}
 _MIN_CORNERS = 6
+_SMALLEST_PX = 16
+"""Smallest side of an image that can show a board; of smaller ones OpenCV's detectors raise errors."""
 
 
 def find_corners(
@@ -54,6 +57,8 @@ def find_corners(
     """
     if image.ndim != 2 or image.dtype != np.uint8:
         raise ValueError(f"`image` must be uint8 [rows, columns], got {image.dtype} with shape {image.shape}.")
+    if min(image.shape) < _SMALLEST_PX:
+        return None
     image = np.ascontiguousarray(image)
     if isinstance(board, Charuco):
         found = _find_charuco(image, board, half_window)
@@ -143,12 +148,14 @@ def _even_brightness(image: np.ndarray, grid: np.ndarray) -> float:
 
 
 def _charuco(board: Charuco) -> "cv2.aruco.CharucoBoard":
-    dictionary = getattr(cv2.aruco, board.dictionary, None)
-    if dictionary is None:
-        raise ValueError(f"Unknown ArUco dictionary {board.dictionary!r}.")
-    return cv2.aruco.CharucoBoard(
-        (board.columns, board.rows), board.square, board.marker, cv2.aruco.getPredefinedDictionary(dictionary)
-    )
+    return opencv_charuco(board.columns, board.rows, board.square, board.marker, known_dictionary(board.dictionary))
+
+
+@functools.lru_cache(maxsize=8)
+def opencv_charuco(columns: int, rows: int, square: float, marker: float, dictionary: str) -> "cv2.aruco.CharucoBoard":
+    """OpenCV's board; a large one takes a tenth of a second."""
+    markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    return cv2.aruco.CharucoBoard((columns, rows), square, marker, markers)
 
 
 def _find_charuco(image: np.ndarray, board: Charuco, half_window: int | None) -> FoundCorners | None:

@@ -4,16 +4,20 @@ OpenCV's BGR order of colours is used in this file only.
 """
 
 import struct
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 
-from jaxscan.errors import CaptureError
+from jaxscan.errors import CaptureError, DependencyError
 from jaxscan.geometry import MAX_PIXELS
+from jaxscan.vision.png import SIGNATURE, decode_png, png_size
+from jaxscan.vision.tiff import Tiff
 
 
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_END = b"IEND\xaeB`\x82"
+# Failures are errors of ours, in one line; OpenCV would also print them.
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+
 _PNG_STRATEGIES = {"rle": cv2.IMWRITE_PNG_STRATEGY_RLE, "huffman": cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY}
 
 
@@ -52,7 +56,10 @@ def encode_png(image: np.ndarray, *, compression: str = "rle") -> bytes:
 
 
 def decode_image(data: bytes, *, name: str, rank: int, size: tuple[int, int] | None) -> np.ndarray:
-    """One frame from the bytes of a PNG, TIFF, JPEG or BMP file.
+    """One frame from the bytes of a PNG, TIFF, JPEG or BMP file; a damaged file gives no picture.
+
+    Damage is not noticed where nothing in the file could tell: other pixels in a BMP or in a TIFF that is not packed
+    by deflate, if the lengths still fit, and other codes in a JPEG that mean something.
 
     Args:
         data: The whole file.
@@ -66,16 +73,12 @@ def decode_image(data: bytes, *, name: str, rank: int, size: tuple[int, int] | N
     Raises:
         CaptureError: If it is damaged, or not an 8-bit image of that size and kind.
     """
-    claimed = _claimed_size(data, name)
-    if claimed is not None:
-        _check_size(claimed, name, size)
+    kind = _kind(data, name)
     try:
-        # "Unchanged" also ignores a rotation in the EXIF data, so pixels keep their places on the sensor.
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise CaptureError(f"{name}: cannot be decoded ({error.err or 'OpenCV gave no reason'}).") from error
-    if image is None:
-        raise CaptureError(f"{name}: cannot be decoded; the file is damaged or cut short.")
+        _check_size(_SIZES[kind](data), name, size)
+        image = _DECODERS[kind](data)
+    except ValueError as problem:
+        raise CaptureError(f"{name}: cannot be decoded; the file is damaged: {problem}.") from problem
     _check_size((image.shape[1], image.shape[0]), name, size)
     if image.dtype != np.uint8:
         raise CaptureError(f"{name}: found {image.dtype} pixels, expected 8 bit.")
@@ -86,47 +89,38 @@ def decode_image(data: bytes, *, name: str, rank: int, size: tuple[int, int] | N
         raise CaptureError(f"{name}: found a colour image, expected a grey one (or set pixel_format to rgb8).")
     if rank == 3 and channels == 1:
         raise CaptureError(f"{name}: found a grey image, expected a colour one (rgb8).")
-    if channels == 1:
-        return image.reshape(image.shape[:2])
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    return image.reshape(image.shape[:2]) if channels == 1 else image
 
 
 def _check_size(found: tuple[int, int], name: str, expected: tuple[int, int] | None) -> None:
     width, height = found
     if expected is not None and found != expected:
         raise CaptureError(f"{name}: found {width} x {height} px, expected {expected[0]} x {expected[1]} px.")
+    if width < 1 or height < 1:
+        raise CaptureError(f"{name}: found {width} x {height} px; the file is damaged.")
     if width * height > MAX_PIXELS:
         raise CaptureError(f"{name}: found {width} x {height} px, more than {MAX_PIXELS // 1_000_000} megapixels.")
 
 
-def _claimed_size(data: bytes, name: str) -> tuple[int, int] | None:
-    """Width and height in the file's header, read before the decoder allocates memory; None if not found.
-
-    Old decoders fill the missing end of a PNG or JPEG with grey, so the end of the file is checked too.
-    """
-    cut = CaptureError(f"{name}: cannot be decoded; the file is damaged or cut short.")
-    if data[:8] == _PNG_SIGNATURE:
-        if len(data) < 33 or data[12:16] != b"IHDR" or _PNG_END not in data[-1024:]:
-            raise cut
-        width, height = struct.unpack(">II", data[16:24])
-        return width, height
-    if data[:2] == b"BM":
-        if len(data) < 26:
-            raise cut
-        width, height = struct.unpack("<ii", data[18:26])
-        return abs(width), abs(height)
-    if data[:3] == b"\xff\xd8\xff":
-        if b"\xff\xd9" not in data[-4096:]:
-            raise cut
-        return _jpeg_size(data)
-    if data[:4] in (b"II*\0", b"MM\0*"):
-        return _tiff_size(data)
+def _kind(data: bytes, name: str) -> str:
+    for kind, beginnings in _BEGINNINGS.items():
+        if data.startswith(beginnings):
+            return kind
     raise CaptureError(
         f"{name}: found {'an empty file' if not data else 'an unknown kind of file'}, expected PNG, TIFF, JPEG or BMP."
     )
 
 
-def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+def _bmp_size(data: bytes) -> tuple[int, int]:
+    if len(data) < 30:
+        raise ValueError("it is cut short")
+    width, height = struct.unpack("<ii", data[18:26])
+    # A negative height means that the first row comes first.
+    return width, abs(height)
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int]:
+    """Size in the frame's header; every segment before it must follow the last at once."""
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]
@@ -135,18 +129,61 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
             height, width = struct.unpack(">HH", data[at + 5 : at + 9])
             return width, height
         at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return None
+    raise ValueError("its size was not found")
 
 
-def _tiff_size(data: bytes) -> tuple[int, int] | None:
-    order = "<" if data[:2] == b"II" else ">"
-    found: dict[int, int] = {}
-    if len(data) < 8:
-        return None
-    (start,) = struct.unpack(order + "I", data[4:8])
-    (count,) = struct.unpack(order + "H", data[start : start + 2]) if start + 2 <= len(data) else (0,)
-    for at in range(start + 2, min(start + 2 + 12 * count, len(data) - 11), 12):
-        tag, kind = struct.unpack(order + "HH", data[at : at + 4])
-        if tag in (256, 257) and kind in (3, 4):
-            (found[tag],) = struct.unpack_from(order + ("H" if kind == 3 else "I"), data, at + 8)
-    return (found[256], found[257]) if len(found) == 2 else None
+def _decode_jpeg(data: bytes) -> np.ndarray:
+    """Pixels of a JPEG; whatever libjpeg only warns of, such as missing data, is an error."""
+    try:
+        import simplejpeg
+    except ImportError as problem:
+        raise DependencyError("JPEG images need simplejpeg: pip install simplejpeg") from problem
+    if b"\xff\xd9" not in data[-4096:]:
+        raise ValueError("it is cut short")
+    # Also for messages of the library in other forms than ours.
+    space = str(simplejpeg.decode_jpeg_header(data)[2]).upper()
+    if space not in ("GRAY", "YCBCR", "RGB"):
+        raise ValueError(f"found the colours {space:.20}, expected grey or RGB")
+    return np.asarray(simplejpeg.decode_jpeg(data, "GRAY" if space == "GRAY" else "RGB"))
+
+
+def _decode_png(data: bytes) -> np.ndarray:
+    image = decode_png(data)
+    return _by_opencv(data) if image is None else image
+
+
+def _decode_tiff(data: bytes) -> np.ndarray:
+    Tiff.of(data).check()
+    return _by_opencv(data)
+
+
+def _by_opencv(data: bytes) -> np.ndarray:
+    """Pixels as stored; also a rotation in the EXIF data is ignored, so that pixels keep their places on the sensor."""
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as problem:
+        raise ValueError(f"{problem.err or 'OpenCV gave no reason'}"[:200]) from problem
+    if image is None:
+        raise ValueError("OpenCV cannot read it")
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 and image.shape[2] == 3 else image
+
+
+_BEGINNINGS: dict[str, bytes | tuple[bytes, ...]] = {
+    "PNG": SIGNATURE,
+    "BMP": b"BM",
+    "JPEG": b"\xff\xd8\xff",
+    "TIFF": (b"II*\0", b"MM\0*"),
+}
+# Each reads the size before a decoder takes memory for it.
+_SIZES: dict[str, Callable[[bytes], tuple[int, int]]] = {
+    "PNG": png_size,
+    "BMP": _bmp_size,
+    "JPEG": _jpeg_size,
+    "TIFF": lambda data: Tiff.of(data).size(),
+}
+_DECODERS: dict[str, Callable[[bytes], np.ndarray]] = {
+    "PNG": _decode_png,
+    "BMP": _by_opencv,
+    "JPEG": _decode_jpeg,
+    "TIFF": _decode_tiff,
+}

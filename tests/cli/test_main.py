@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from jaxscan.cli.main import MEASURES, VERBS, load_verb, main
+from jaxscan.cli.main import main
+from jaxscan.cli.process.verbs import MEASURES, VERBS, load_verb
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import WRITERS
 

@@ -205,6 +205,7 @@ def test_missing_parts(folder, tmp_path):
         ("outside.png", "leads out of the capture's folder"),
         ("outside/secret.png", "leads out of the capture's folder"),
         ("pipe.png", "expected an image file"),
+        ("on/" + "a" * 300 + ".png", "File name too long"),
     ],
 )
 def test_references_that_are_refused(folder, tmp_path, reference, message):
@@ -225,6 +226,47 @@ def test_a_link_that_stays_inside_is_fine(folder):
     folder.record(1, on="again.png", off="same/000000.png")
     for image in open_capture(folder.path).frames(1):
         assert np.array_equal(image, on)
+
+
+def test_a_shard_behind_a_link_that_stays_inside(folder):
+    stack = np.random.default_rng(4).integers(0, 256, (2, 4, 6), np.uint8)
+    np.save(folder.path / "real.npy", stack)
+    (folder.path / "on.npy").symlink_to("real.npy")
+    folder.record(0, on="on.npy#1")
+    assert np.array_equal(open_capture(folder.path).frames(0)[0], stack[1])
+
+
+@pytest.mark.parametrize("name", ["on/000000.png", "on.npy"])
+def test_a_link_out_that_appears_after_opening_is_not_followed(folder, tmp_path, name):
+    np.save(folder.path / "on.npy", np.zeros((1, 4, 6), np.uint8))
+    folder.record(0)
+    folder.record(1, on="on.npy#0")
+    capture = open_capture(folder.path)
+    (folder.path / name).rename(tmp_path / "outside")
+    (folder.path / name).symlink_to(tmp_path / "outside")
+    with pytest.raises(CaptureError, match=f"{name}: a link that leads out of the capture's folder"):
+        for k in range(2):
+            capture.frames(k)
+
+
+@pytest.mark.parametrize("name", ["capture.toml", "frames.jsonl"])
+def test_header_and_journal_are_no_links(folder, tmp_path, name):
+    folder.record(0)
+    (folder.path / name).rename(tmp_path / "outside")
+    (folder.path / name).symlink_to(tmp_path / "outside")
+    refused(folder, f"{name}: found a link, expected the file itself")
+
+
+def test_room_for_frames_is_no_surplus(folder):
+    """A writer that is stopped while it shortens a shard leaves whole empty frames behind those of the header."""
+    np.save(folder.path / "on.npy", np.ones((2, 4, 6), np.uint8))
+    folder.record(0, on="on.npy#1")
+    with open(folder.path / "on.npy", "ab") as file:
+        file.truncate(128 + 5 * 24)
+    assert open_capture(folder.path).frames(0)[0].all()
+    with open(folder.path / "on.npy", "ab") as file:
+        file.truncate(128 + 5 * 24 + 1)
+    refused(folder, "found 249 bytes, its header announces 176")
 
 
 def test_shards(folder):
@@ -255,12 +297,17 @@ def test_wrong_shards(folder, array, message):
     refused(folder, "on.npy", message)
 
 
-@pytest.mark.parametrize("kind", ["truncated", "text", "archive", "huge", "broken header"])
+@pytest.mark.parametrize("kind", ["truncated", "longer", "shifted", "text", "archive", "huge", "broken header"])
 def test_hostile_shards(folder, kind):
     path = folder.path / "on.npy"
     np.save(path, np.zeros((3, 4, 6), np.uint8))
     if kind == "truncated":
         path.write_bytes(path.read_bytes()[:-1])
+    elif kind == "longer":
+        path.write_bytes(path.read_bytes() + b"x" * 24)
+    elif kind == "shifted":
+        whole = path.read_bytes()
+        path.write_bytes(whole[:140] + b"\0" + whole[140:])
     elif kind == "text":
         path.write_text("hello")
     elif kind == "archive":
@@ -291,7 +338,7 @@ def test_damaged_images_are_named_when_they_are_read(folder):
         return str(single.value)
 
     (folder.path / "on/000001.png").write_bytes(good[:-20])
-    assert "damaged or cut short" in read()
+    assert "damaged: it is cut short" in read()
     folder.image("on/000001.png", np.zeros((6, 4), np.uint8))
     assert "found 4 x 6 px, expected 6 x 4 px" in read()
     folder.image("on/000001.png", np.zeros((4, 6, 3), np.uint8))

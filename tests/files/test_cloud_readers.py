@@ -1,5 +1,6 @@
 """Reading clouds of other programs, and of those who mean ill."""
 
+import dataclasses
 import io
 import zipfile
 
@@ -231,3 +232,169 @@ def test_an_npz_that_announces_more_than_it_holds(tmp_path):
         archive.writestr("format.npy", member.getvalue())
     with pytest.raises(CloudError, match="which it cannot hold"):
         load_cloud(tmp_path / "a.npz")
+
+
+NATIONAL = np.array([4500000.123, 600000.456, 300.789])
+"""A place in a national grid [m]: single precision rounds it to half a metre."""
+
+
+@pytest.fixture
+def national(tmp_path):
+    """A cloud of another program with doubles, as it is read."""
+    points = NATIONAL + np.random.default_rng(0).uniform(-30, 30, (50, 3))
+    path = ply(["format binary_little_endian 1.0", *vertex("double", 50)], points.tobytes(), tmp_path / "n.ply")
+    return points, load_cloud(path)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".npz"])
+def test_doubles_come_back_to_the_last_bit(tmp_path, national, suffix):
+    points, cloud = national
+    save_cloud(cloud, tmp_path / f"b{suffix}")
+    back = load_cloud(tmp_path / f"b{suffix}")
+    assert back.xyz.dtype == np.float64 and np.array_equal(back.xyz[0], points)
+
+
+@pytest.mark.parametrize(("suffix", "error_m"), [(".xyz", 0.51e-6), (".ptx", 0.51e-6), (".pcd", 0.0), (".e57", 0.0)])
+def test_doubles_are_written_as_doubles(tmp_path, national, suffix, error_m):
+    points, cloud = national
+    path = tmp_path / f"b{suffix}"
+    save_cloud(cloud, path)
+    if suffix == ".e57":
+        pye57 = pytest.importorskip("pye57", reason="the extra `export` is not installed")
+        scan = pye57.E57(str(path)).read_scan_raw(0)
+        found = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1)
+        assert scan["rowIndex"].tolist() == list(range(50))
+    elif suffix == ".pcd":
+        head, body = path.read_bytes().split(b"DATA binary\n")
+        assert b"SIZE 8 8 8 4 4 4 4 4 4 4 4\n" in head
+        found = np.frombuffer(body, [("xyz", "<f8", 3), ("rest", "V32")])["xyz"]
+    else:
+        found = np.loadtxt(path, skiprows=10 if suffix == ".ptx" else 0)[:: -1 if suffix == ".ptx" else 1, :3]
+    # Doubles of 4.5e6 are a nanometre apart.
+    assert np.abs(found - points).max() <= error_m + 1e-9
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize(("reach_m", "step_m"), [(30.0, 1e-4), (3e5, 1e-3)])
+def test_las_moves_its_origin_to_far_clouds(tmp_path, suffix, reach_m, step_m):
+    laspy = pytest.importorskip("laspy", reason="the extra `export` is not installed")
+    points = NATIONAL + np.random.default_rng(0).uniform(-reach_m, reach_m, (50, 3))
+    header = ["format binary_little_endian 1.0", *vertex("double", 50)]
+    save_cloud(load_cloud(ply(header, points.tobytes(), tmp_path / "n.ply")), tmp_path / f"b{suffix}")
+    found = np.asarray(laspy.read(tmp_path / f"b{suffix}").xyz)
+    assert np.abs(found - points).max() <= 0.51 * step_m
+
+
+@pytest.mark.parametrize("far", [1e10, 1e200, 1.7e308])
+def test_las_refuses_points_too_far_apart(tmp_path, far):
+    pytest.importorskip("laspy", reason="the extra `export` is not installed")
+    points = np.array([[0.0, 0, 0], [far, 0, 0], [-far, 0, 0]])
+    cloud = load_cloud(
+        ply(["format binary_little_endian 1.0", *vertex("double")], points.tobytes(), tmp_path / "n.ply")
+    )
+    with pytest.raises(CloudError, match=r"LAS holds points at most 4295 km apart, and these are"):
+        save_cloud(cloud, tmp_path / "b.laz")
+    for suffix in (".ply", ".xyz", ".pcd", ".npz"):
+        save_cloud(cloud, tmp_path / f"b{suffix}")
+
+
+def test_rows_beyond_65535_keep_their_number_in_e57(tmp_path):
+    pye57 = pytest.importorskip("pye57", reason="the extra `export` is not installed")
+    points = np.random.default_rng(0).uniform(-1, 1, (70000, 3)).astype(np.float32)
+    path = ply(["format binary_little_endian 1.0", *vertex(count=70000)], points.tobytes(), tmp_path / "n.ply")
+    save_cloud(load_cloud(path), tmp_path / "b.e57")
+    file = pye57.E57(str(tmp_path / "b.e57"))
+    bounds = file.get_header(0).node["indexBounds"]
+    # pye57's reader has 16 bits for a row; the bounds are written apart from the points.
+    assert bounds["rowMaximum"].value() == 69999
+
+
+def test_fewer_points_than_the_file_holds_are_noticed(tmp_path):
+    path = tmp_path / "a.ply"
+    save_cloud(make_cloud(), path)
+    data = path.read_bytes()
+    count = np.count_nonzero(make_cloud().valid)
+    path.write_bytes(data.replace(b"element vertex %d" % count, b"element vertex %d" % (count // 2)))
+    with pytest.raises(CloudError, match=r"goes on after the data that its header announces"):
+        load_cloud(path)
+    for rest, fits in ((b"\n", True), (b"\0", False), (b"\n" * 100_000 + b"x", False)):
+        path.write_bytes(data + rest)
+        if fits:
+            load_cloud(path)
+        else:
+            with pytest.raises(CloudError, match="goes on after the data"):
+                load_cloud(path)
+
+
+def test_text_that_goes_on_is_refused(tmp_path):
+    path = ply(["format ascii 1.0", *vertex(count=1)], b"1 2 3\n4 5 6\n", tmp_path / "a.ply")
+    with pytest.raises(CloudError, match="goes on after the data"):
+        load_cloud(path)
+
+
+@pytest.mark.parametrize("name", ["x", "nx", "sigma_random", "step", "row", "laser"])
+def test_ours_with_a_property_line_missing_is_damaged(tmp_path, name):
+    path = tmp_path / "a.ply"
+    save_cloud(make_cloud(), path)
+    kind = {"step": "int", "row": "int", "laser": "uchar"}.get(name, "float")
+    path.write_bytes(path.read_bytes().replace(f"property {kind} {name}\n".encode(), b"", 1))
+    with pytest.raises(CloudError):
+        load_cloud(path)
+
+
+@pytest.mark.parametrize("name", ["sigma_random", "sigma_systematic"])
+def test_ours_with_one_sigma_lost_claims_none(tmp_path, name):
+    cloud = make_cloud()
+    save_cloud(cloud, tmp_path / "a.ply")
+    data = (tmp_path / "a.ply").read_bytes().replace(f"float {name}".encode(), f"float {name[:-1]}x".encode(), 1)
+    (tmp_path / "a.ply").write_bytes(data)
+    back = load_cloud(tmp_path / "a.ply")
+    assert np.array_equal(back.xyz[0], cloud.xyz[cloud.valid])
+    assert not back.sigma_random.any() and not back.sigma_systematic.any()
+
+
+def test_a_part_of_a_normal_is_none(tmp_path):
+    save_cloud(make_cloud(), tmp_path / "a.ply")
+    (tmp_path / "a.ply").write_bytes((tmp_path / "a.ply").read_bytes().replace(b"float nx", b"float mx", 1))
+    assert not load_cloud(tmp_path / "a.ply").normals.any()
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".npz"])
+def test_a_negative_sigma_is_refused(tmp_path, suffix):
+    cloud = make_cloud()
+    sigma = cloud.sigma_systematic.copy()
+    # What is not valid may hold anything.
+    sigma[2, 0] = -1.0
+    save_cloud(dataclasses.replace(cloud, sigma_systematic=sigma), tmp_path / f"a{suffix}")
+    load_cloud(tmp_path / f"a{suffix}")
+    data = (tmp_path / f"a{suffix}").read_bytes()
+    with pytest.raises(CloudError, match="sigma_systematic of a valid point is negative"):
+        save_cloud(dataclasses.replace(cloud, sigma_systematic=-cloud.sigma_systematic), tmp_path / f"b{suffix}")
+    value = cloud.sigma_systematic[0, 0].tobytes()
+    damaged = data.replace(value, (-cloud.sigma_systematic[0, 0]).tobytes(), 1)
+    assert damaged != data
+    if suffix == ".npz":
+        with pytest.raises(CloudError, match="negative"):
+            load_cloud(npz(tmp_path / "c.npz", sigma_systematic=-cloud.sigma_systematic))
+        return
+    (tmp_path / "c.ply").write_bytes(damaged)
+    with pytest.raises(CloudError, match="negative"):
+        load_cloud(tmp_path / "c.ply")
+
+
+@pytest.mark.parametrize("laser", [-1, 256, 2**31 - 1])
+def test_an_impossible_laser_is_refused(tmp_path, laser):
+    with pytest.raises(CloudError, match=f"found laser {laser}, expected 0 to 255"):
+        load_cloud(npz(tmp_path / "a.npz", laser=np.full(PROFILES, laser)))
+
+
+def test_a_grid_is_no_larger_than_its_points_can_need(tmp_path):
+    """492 bytes ask for 13 GB."""
+    path = tmp_path / "a.ply"
+    save_cloud(make_cloud(), path)
+    data = path.read_bytes().replace(b"element profile", b"element another")
+    path.write_bytes(data.replace(b"comment grid 6 5", b"comment grid 16384 16384"))
+    with pytest.raises(CloudError, match=r"found a grid of 16384 x 16384, more than the 4194304 cells"):
+        load_cloud(path)
+    path.write_bytes(data.replace(b"comment grid 6 5", b"comment grid 2048 2048"))
+    assert load_cloud(path).valid.shape == (2048, 2048)

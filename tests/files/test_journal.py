@@ -2,6 +2,9 @@
 
 import json
 import math
+import re
+import subprocess
+import sys
 
 import pytest
 from hypothesis import given
@@ -9,10 +12,11 @@ from hypothesis import strategies as st
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.journal import MAX_LINE_BYTES, read_journal
+from jaxscan.files.capture.references import is_plain, parse_reference
 
 
 def read(data, kind="sweep", lasers=("red",)):
-    return read_journal(data, name="frames.jsonl", kind=kind, laser_names=lasers)
+    return read_journal(data, name="frames.jsonl", kind=kind, laser_names=lasers)[:2]
 
 
 def line(number, **keys):
@@ -92,6 +96,22 @@ def test_a_broken_line_is_dropped_at_the_end_and_refused_in_the_middle(rubbish):
         (line(0, i=True), ["i: found true, expected a valid integer"]),
         (line(0, placement=-2), ["placement: found -2"]),
         (b"[1, 2]", ["line 1: found [1, 2], expected a JSON object"]),
+        (line(0).replace(b'"i"', b'"j"'), ["line 1: i: missing, although angle_deg, off, on stand there"]),
+        (b'{"on": null}', ["line 1: i: missing, although on stand there"]),
+        (line(0, angle_deg=True), ["angle_deg: found true, expected a valid number"]),
+        (line(0, placement=1.0), ["placement: found 1.0"]),
+        (line(0, placement=2**31), ["placement: found 2147483648"]),
+        (line(0, i=2**53), ["i: found 9007199254740992"]),
+        (line(0, lasers="red"), ["lasers: found"]),
+        (line(0, lasers=[True]), ["lasers"]),
+        (line(0, on="../a.png"), ["line 1: on: ", "relative path inside the capture's folder"]),
+        (line(0, on="a/./b"), ["line 1: on: "]),
+        (line(0, off="a.npy"), ["line 1: off: ", "which image of the shard is meant"]),
+        (line(0, off="C:/a"), ["line 1: off: "]),
+        (line(0, off=""), ["line 1: off: ", "empty or too long"]),
+        (b'{"i": 0, "x": ' + b"[" * 64 + b"]" * 64 + b"}", ["line 1: nested too deeply, expected at most 64"]),
+        (b'{"i": 0, "x": ' + b"[" * 980 + b"]" * 980 + b"}", ["line 1: nested too deeply"]),
+        (b'{"event": "x", "y": ' + b"[" * 64 + b"]" * 64 + b"}", ["line 1: nested too deeply"]),
         (b'{"i": 0, "x": ' + b"[" * 50_000 + b"]" * 5_000 + b"}", ["line 1"]),
         (b'{"i": 0, "x": "' + b"a" * MAX_LINE_BYTES + b'"}', ["line 1: longer than 64 KiB"]),
     ],
@@ -112,3 +132,68 @@ def test_a_calibration_may_lack_what_a_sweep_needs():
 def test_a_superseded_record_does_not_matter():
     records, _ = read(line(0, angle_deg=None) + b"\n" + line(0))
     assert records[0].angle == 0.0
+
+
+def test_events_may_have_any_keys():
+    data = [b'{"event": "on", "on": true}', b'{"note": "by hand"}', b"{}", b'{"angle": 3}']
+    records, notes = read(b"\n".join([*data, line(0)]))
+    assert len(records) == 1 and notes == ()
+
+
+def test_takes_are_counted():
+    data = b"\n".join([line(2), line(0), line(2), b'{"event": "end"}', line(2), b'{"i"'])
+    assert read_journal(data, name="x", kind="sweep", laser_names=("red",)).takes == {2: 3, 0: 1}
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {},
+        {"angle_deg": 3},
+        {"placement": 4, "lasers": ["red"]},
+        {"lasers": [0], "sha256": {"on": "a", "off": ["b"]}},
+        {"on": "shards/on-1.npy#17", "off": None},
+        {"on": "deep/er/a b.png", "off": "ümlaut.png"},
+        {"on": [{"file": "a.png", "exposure_s": 0.01}, {"file": "b.npy#3", "exposure_s": 1}], "sha256": "no"},
+        {"on": "a" * 1024},
+    ],
+)
+def test_the_fast_check_and_the_one_with_the_messages_agree(monkeypatch, keys):
+    """Records as most are take a shorter way; every record may take the other one."""
+    fast = read(line(0, **keys))
+    monkeypatch.setattr("jaxscan.files.capture.journal._fields", lambda value, number: None)
+    assert fast == read(line(0, **keys))
+    assert fast[0][0].on
+
+
+@given(
+    st.text("a.b/-_#0 ü.npy", max_size=12) | st.sampled_from(["a.npy#1", "a.npy", "npy#1", ".npy#1", "a#1", "-.npy"])
+)
+def test_plain_references_are_accepted_by_the_exact_rules(text):
+    if is_plain(text):
+        reference = parse_reference(text)
+        assert str(reference) == text
+        path, number, _ = re.fullmatch(r"(.*?)(?:#(\d+))?()", text).groups()
+        assert all(part not in ("", ".", "..") for part in path.split("/")) and "\\" not in path
+        assert (reference.path, reference.index) == (path, None if number is None else int(number))
+        assert path.endswith(".npy") == (number is not None)
+
+
+@pytest.mark.slow
+def test_a_million_lines(tmp_path):
+    """100,000 records, each taken ten times: measured 5 s of one core and 0.5 GB more than the imports take."""
+    rows = [line(k, time="2026-11-22T08:00:00.000000Z", time_s=k + 0.123456, attempts=1) for k in range(100_000)]
+    (tmp_path / "frames.jsonl").write_bytes(b"\n".join(rows * 10))
+    code = (
+        "import resource, sys, time\nfrom pathlib import Path\nfrom jaxscan.files.capture.journal import read_journal\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()\n"
+        "data = Path(sys.argv[1]).read_bytes()\n"
+        "journal = read_journal(data, name='x', kind='sweep', laser_names=('red',))\n"
+        "taken = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before[0] >> 10\n"
+        "print(len(journal.records), sum(journal.takes.values()), taken, time.process_time() - before[1])"
+    )
+    path = str(tmp_path / "frames.jsonl")
+    run = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
+    records, takes, megabytes, seconds = map(float, run.stdout.split())
+    assert (records, takes) == (100_000, 1_000_000)
+    assert megabytes < 800 and seconds < 30

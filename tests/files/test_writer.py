@@ -10,6 +10,7 @@ import pytest
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import CaptureHeader, header_toml, open_capture, parse_header
+from jaxscan.files.disk import open_to_append
 from jaxscan.files.recording import create_capture, resume_capture, store
 
 
@@ -233,3 +234,45 @@ def test_a_capture_is_not_begun_through_a_link(tmp_path):
     with pytest.raises(CaptureError, match="on: found a link"):
         create_capture(tmp_path / "room", header())
     assert not list((tmp_path / "elsewhere").iterdir()) and not (tmp_path / "room" / "capture.toml").exists()
+
+
+@pytest.mark.parametrize("storage", ["png", "npy"])
+def test_resuming_writes_through_no_link(tmp_path, storage):
+    """A capture of a stranger may hold links under all the names that the next records will have."""
+    path = tmp_path / "room"
+    with create_capture(path, header(), storage=storage) as capture:
+        for k in range(2):
+            capture.append(angle_deg=float(k), on=FRAMES[k], off=FRAMES[k])
+    (tmp_path / "victim").write_bytes(b"precious")
+    names = [f"{k:06d}{retake}" for k in range(8) for retake in ("", "-1", "_0")]
+    for side in ("on", "off"):
+        for name in (*[f"{name}.png" for name in names], *[f"{k:06d}.npy" for k in range(1, 6)]):
+            if not (path / side / name).exists():
+                leads_to = tmp_path / ("victim" if side == "on" else "made")
+                (path / side / name).symlink_to(leads_to)
+    with resume_capture(path) as capture:
+        for k in range(2, 6):
+            capture.append(angle_deg=float(k), on=FRAMES[k], off=FRAMES[k])
+        capture.append(angle_deg=0.5, on=FRAMES[6], off=FRAMES[6], i=0)
+    assert (tmp_path / "victim").read_bytes() == b"precious" and not (tmp_path / "made").exists()
+    read = open_capture(path)
+    assert [np.array_equal(read.frames(k)[0], FRAMES[k or 6]) for k in range(6)] == [True] * 6
+
+
+@pytest.mark.parametrize("name", ["on", "off", "frames.jsonl", "capture.toml"])
+def test_a_capture_with_a_link_in_place_of_its_own_is_not_resumed(tmp_path, name):
+    path = tmp_path / "room"
+    create_capture(path, header()).close()
+    (path / name).rename(tmp_path / "elsewhere")
+    (path / name).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(CaptureError, match=f"{name}: found a link"):
+        resume_capture(path)
+
+
+def test_a_journal_that_becomes_a_link_is_not_appended_to(tmp_path):
+    create_capture(tmp_path / "room", header()).close()
+    (tmp_path / "room" / "frames.jsonl").unlink()
+    (tmp_path / "room" / "frames.jsonl").symlink_to(tmp_path / "made")
+    with pytest.raises(OSError, match="symbolic links"):
+        open_to_append(tmp_path / "room" / "frames.jsonl")
+    assert not (tmp_path / "made").exists()

@@ -2,7 +2,9 @@
 
 import os
 import shutil
+import signal
 import subprocess
+import sys
 import time
 
 import numpy as np
@@ -95,6 +97,57 @@ def test_one_frame_per_trigger_and_what_it_is_set_to(server):
     camera.close()
     with pytest.raises(CameraLost, match="closed"):
         camera.next(0.1)
+
+
+ABANDONED = """
+import os, signal, sys
+from scanrig.cameras import CameraSettings, open_camera
+camera = open_camera(CameraSettings.model_validate_json(sys.argv[1]))
+camera.start()
+camera.trigger()
+camera.next(5.0)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+HEARTBEAT = 0x938
+"""The register of the heartbeat's timeout in milliseconds."""
+
+
+@pytest.fixture
+def device(loopback):
+    """The bench's camera within this process, whose registers a test may set."""
+    from bench.camera.aravis import GvCamera
+
+    one = GvCamera(lambda: np.zeros((512, 640), np.uint8), address=loopback)
+    yield one
+    one.close()
+
+
+@pytest.mark.parametrize("heartbeat_ms", [3000, 6000])
+def test_a_camera_that_a_killed_program_left_running_is_taken_over(device, heartbeat_ms):
+    """Its heartbeat is awaited, with a sentence where that is long; no frame goes to the program that is gone."""
+    done = subprocess.run([sys.executable, "-c", ABANDONED, settings().model_dump_json()], timeout=60)
+    assert done.returncode == -signal.SIGKILL
+    device.write(HEARTBEAT, heartbeat_ms)
+    said, start = [], time.monotonic()
+    with open_camera(settings(), said.append) as camera:
+        assert time.monotonic() - start < 12.0
+        camera.start()
+        assert all(exposed(camera).complete for _ in range(3))
+    if heartbeat_ms > 3000:
+        (sentence,) = said
+        assert sentence.startswith('camera "127.0.0.1": another program controls it; if that one has ended')
+        assert sentence.endswith("free in at most 8 s.")
+
+
+def test_a_long_heartbeat_is_shortened(device):
+    device.write(HEARTBEAT, 30_000)
+    with opened() as camera:
+        assert device.register(HEARTBEAT) == 3000
+        device.write(HEARTBEAT, 1000)
+        camera.reopen()
+        assert device.register(HEARTBEAT) == 1000
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """A free-running camera: a stream on loopback whose pictures count, read so that nothing old is taken for new."""
 
 import http.server
+import os
 import threading
 import time
 from contextlib import contextmanager
@@ -221,6 +222,33 @@ def test_no_device_no_stream():
         open_camera(settings("http://127.0.0.1:9/none.mjpg"))
     with pytest.raises(CameraLost, match="cannot be opened"):
         open_camera(settings("63"))
+
+
+def test_what_can_never_be_a_camera_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(tmp_path / "pipe")
+    for name in (tmp_path / "pipe", tmp_path / "link", tmp_path, "/dev/zero"):
+        with pytest.raises(CameraError, match="neither a video device nor a file"):
+            open_camera(settings(str(name)))
+    for name in (
+        "9" * 20,
+        str(tmp_path / "none"),
+        "pipe:0",
+        f"file:{tmp_path}/pipe",
+        f"file://{tmp_path}/pipe",
+        "a\0b",
+    ):
+        with pytest.raises(CameraLost, match="cannot be opened"):
+            open_camera(settings(name))
+
+
+def test_a_device_whose_name_is_not_text_is_listed(tmp_path, monkeypatch):
+    from scanrig.cameras import opencv
+
+    (tmp_path / "video0").mkdir()
+    (tmp_path / "video0" / "name").write_bytes(b"Cam\xff\xfe\n")
+    monkeypatch.setattr(opencv, "_DEVICES", tmp_path)
+    assert opencv.found_by_opencv() == ['opencv "/dev/video0": Cam\ufffd\ufffd']
 
 
 def test_it_takes_no_triggers(camera):

@@ -8,13 +8,16 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
+from scanrig.clock import SystemClock
 from scanrig.errors import SessionError
 from scanrig.recording import space
+from scanrig.recording.ledger import Ledger
 from scanrig.recording.lock import LOCK_NAME, FolderLock
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import open_capture, verify_capture
+from jaxscan.files.capture import CaptureHeader, open_capture, verify_capture
 from jaxscan.files.recording import store
 
 from .desk import Desk
@@ -288,7 +291,7 @@ def test_23_never_two_at_once_however_they_race(tmp_path):
     assert refused and not (tmp_path / "inside").exists()
 
 
-@pytest.mark.parametrize("name", ["on", "off", "frames.jsonl"])
+@pytest.mark.parametrize("name", ["on", "off", "frames.jsonl", "capture.toml"])
 def test_nothing_is_written_through_a_link_out_of_the_capture(tmp_path, name):
     desk = Desk()
     desk.controller.before_shot[4] = lambda controller: (_ for _ in ()).throw(KeyboardInterrupt)
@@ -320,3 +323,38 @@ def test_a_new_capture_and_the_folders_above_it_are_on_the_disk(tmp_path, monkey
     assert sweep(Desk(), room).status == "complete"
     for folder in (room, room.parent, room.parent.parent, tmp_path):
         assert folder.stat().st_ino in synced, folder
+
+
+def test_the_end_of_a_scan_with_very_many_counts_is_readable(tmp_path):
+    """A controller that sends ever new names of events must not make the journal unreadable."""
+    ledger = Ledger(tmp_path / "room", SystemClock())
+    header = {"kind": "sweep", "camera": {"width": 6, "height": 4, "pixel_format": "mono8"}, "laser": {"name": "red"}}
+    ledger.create(CaptureHeader.model_validate(header))
+    frame = np.zeros((4, 6), np.uint8)
+    ledger.add(0, frame, frame, {"angle_deg": 0.0})
+    counts = {f"EVENT{number:0100d}": number for number in range(600)}
+    ledger.note("many", counts=counts, kept=1)
+    assert ledger.end("complete", records=1, link={"sent": 7, "events_by_name": counts}, problem="x" * 70_000) == ""
+    capture = open_capture(tmp_path / "room")
+    assert len(capture) == 1 and capture.notes == ()
+    *_, many, end = journal(tmp_path / "room")
+    assert (many["kept"], many["counts"]) == (1, f"left out: {len(json.dumps({'counts': counts}))} bytes")
+    assert (end["status"], end["records"], end["link"][:9], end["problem"][:9]) == (
+        "complete",
+        1,
+        "left out:",
+        "left out:",
+    )
+
+
+def test_what_a_killed_session_left_is_removed_and_nothing_else(tmp_path):
+    desk = Desk()
+    desk.controller.before_shot[4] = lambda controller: (_ for _ in ()).throw(KeyboardInterrupt)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(desk, tmp_path / "room")
+    room = tmp_path / "room"
+    (room / "on" / ".part-0123456789ab.png").write_bytes(b"half")
+    (room / ".part-x").mkdir()
+    (room / "off" / ".part-precious").write_text("not the session's")
+    assert sweep(Desk(), room, resume=True).status == "complete"
+    assert sorted(path.name for path in room.rglob(".part-*")) == [".part-precious", ".part-x"]

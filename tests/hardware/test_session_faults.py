@@ -327,6 +327,36 @@ def test_16_camera_that_does_not_come_back(tmp_path):
     require_whole(tmp_path / "room", again)
 
 
+@pytest.mark.parametrize("trigger", ["hardware", "software"])
+def test_16_camera_that_is_silent_twice_is_opened_again_with_the_laser_off(tmp_path, trigger):
+    """It answers, but its frames go to nobody, as those of a camera that a killed program left running."""
+    desk = Desk(camera={"trigger": trigger})
+    reopen, tries, silent = desk.camera.reopen, [], dict.fromkeys(range(7, 1000), "missing")
+    desk.camera.faults = silent
+
+    def reopened():
+        tries.append(desk.camera.exposures)
+        assert not desk.table.laser and not desk.table.contactor
+        desk.camera.faults = {}
+        reopen()
+
+    desk.camera.reopen = reopened
+    assert sweep(desk, tmp_path / "room").status == "complete"
+    require_whole(tmp_path / "room", desk)
+    assert len(tries) == 1 and len(events(tmp_path / "room", "retake")) == 2
+    assert [event["reopened"] for event in events(tmp_path / "room", "camera")] == [1]
+    assert "no frame came, twice in a row" in events(tmp_path / "room", "fault")[0]["problem"]
+
+
+def test_16_camera_that_stays_silent_is_opened_again_a_bounded_number_of_times(tmp_path):
+    desk = Desk(checks={"retakes": 6})
+    desk.camera.faults = dict.fromkeys(range(7, 1000), "missing")
+    with pytest.raises(FrameError, match=r"not proven in 7 takes; reason of the last: 0 of 2 frames came"):
+        sweep(desk, tmp_path / "room")
+    assert len(events(tmp_path / "room", "camera")) == 3
+    assert len(open_capture(tmp_path / "room")) == 3 and not desk.table.contactor
+
+
 # 17 frames
 
 

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxscan.geometry import Charuco, Chessboard
+from jaxscan.geometry import DICTIONARIES, Charuco, Chessboard
 from jaxscan.observation.corners import edge_directions
 from jaxscan.observation.prediction import PredictedCorners
 from jaxscan.observation.redetect import redetect_corners
-from jaxscan.vision import board_texture, find_corners
+from jaxscan.vision import board_texture, boards, find_corners
 
 
 CHESS = Chessboard(8, 5, 0.03)
@@ -129,6 +129,22 @@ def test_a_wrong_picture_is_refused():
         find_corners(np.zeros((100, 100), np.uint8), Charuco(5, 4, 0.03, 0.02, "DICT_NONE"))
 
 
+def test_the_dictionaries_are_those_of_opencv():
+    names = {name for name in dir(cv2.aruco) if name.startswith("DICT_")}
+    assert names == set(DICTIONARIES)
+    for name, markers in DICTIONARIES.items():
+        assert len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList) == markers, name
+
+
+def test_the_largest_board_is_made_once():
+    board = Charuco(68, 68, 0.03, 0.022, "DICT_APRILTAG_36h10")
+    picture = np.full((60, 80), 128, np.uint8)
+    made = boards.opencv_charuco.cache_info().misses
+    for _ in range(3):
+        assert find_corners(picture, board) is None
+    assert boards.opencv_charuco.cache_info().misses == made + 1
+
+
 def test_textures_fill_the_outline():
     chess = board_texture(CHESS, 10)
     assert chess.shape == (60, 90) and chess[0, 0] == 0 and chess[0, 10] == 255 and chess[10, 0] == 255
@@ -205,3 +221,9 @@ def test_wrong_corners_are_put_right():
     wrong = first._replace(q=first.q + np.where(np.arange(40) == 7, 3.0, 0.0)[:, None])
     truth, _, found = look(picture, CHESS, pose(), first=wrong)
     assert np.abs(found.q - truth).max() < 0.05
+
+
+@pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=["chess", "charuco"])
+@pytest.mark.parametrize("shape", [(1, 1), (4, 6), (12, 200), (200, 12), (15, 15), (16, 16)], ids=str)
+def test_an_image_too_small_for_a_board_shows_none(board, shape):
+    assert find_corners(np.random.default_rng(0).integers(0, 256, shape, np.uint8), board) is None

@@ -5,6 +5,7 @@ python -m bench.camera --edges RIG/edges.jsonl --control SOCKET [--world world.t
 
 import argparse
 import ctypes
+import os
 import signal
 import sys
 from pathlib import Path
@@ -29,8 +30,12 @@ def main() -> int:
     parser.add_argument("--world", type=Path, default=WORLD, help="a simulated rig, TOML")
     parser.add_argument("--address", default=ADDRESS, help="of a local network interface")
     parser.add_argument("--microsteps-per-turn", type=int, default=28800)
+    parser.add_argument("--owner", type=int, default=os.getppid(), help="the process that started it")
     options = parser.parse_args()
-    ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG: never outlives who started it.
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: never outlives who started it.
+    if os.getppid() != options.owner:
+        print("whoever started it has ended", file=sys.stderr)
+        return 1
     try:
         world = load_world(options.world, reach_deg=PLACEMENT_REACH_DEG)
         # Room and rays are made once, before anybody waits for a frame.

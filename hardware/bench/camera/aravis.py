@@ -99,6 +99,10 @@ class GvCamera:
         self._library.arv_fake_camera_read_register(self._camera, address, ctypes.byref(value))
         return value.value
 
+    def write(self, address: int, value: int) -> None:
+        """Set a register."""
+        self._library.arv_fake_camera_write_register(self._camera, address, value)
+
     def armed(self) -> bool:
         """Whether a trigger would be taken: a client acquires, and has switched triggering on."""
         library, camera = self._library, self._camera

@@ -1,10 +1,10 @@
 """Starts the camera on the bench in a process of its own, and talks to it."""
 
-import fcntl
+import contextlib
 import json
+import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,8 +13,9 @@ from types import TracebackType
 from typing import Any
 
 from bench.errors import BenchError
+from bench.locks import held, private_folder
 from bench.places import WORLD
-from bench.processes import end, launch
+from bench.processes import end, epitaph, launch
 from bench.sockets import ControlClient
 
 
@@ -78,6 +79,7 @@ class RenderedCamera:
             str(self.ledger.resolve()),
         ]
         command += ["--microsteps-per-turn", str(self._microsteps_per_turn), "--address", self.address]
+        command += ["--owner", str(os.getpid())]
         self._process = launch(
             command, folder=folder, errors=folder / "camera.err", within_s=READY_S, apart=self._apart
         )
@@ -95,6 +97,10 @@ class RenderedCamera:
         if answer.startswith("error: "):
             raise BenchError(answer.removeprefix("error: "))
         return answer if answer == "ok" else json.loads(answer)
+
+    def died(self) -> str:
+        """How its process ended by itself, "" if it runs or was switched off."""
+        return epitaph("the camera", self._process, self.folder / "camera.err")
 
     def frames(self) -> list[dict[str, Any]]:
         """The truth of every frame so far: `cycle`, `position`, `light`, `angle` [rad], `board`, `exposure`, `sent`."""
@@ -129,6 +135,9 @@ class RenderedCamera:
             control.close()
         if process is not None:
             end(process)
+            # One that was killed left its socket.
+            with contextlib.suppress(FileNotFoundError):
+                (self.folder / "camera").unlink()
 
 
 @contextmanager
@@ -138,18 +147,10 @@ def loopback(*, timeout_s: float = 240.0) -> Iterator[None]:
     Raises:
         BenchError: If another process keeps it too long.
     """
-    path = Path(tempfile.gettempdir()) / "jaxscan-loopback.lock"
-    limit = time.monotonic() + timeout_s
-    with open(path, "w") as lock:
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() > limit:
-                    raise BenchError(
-                        f"{ADDRESS} is taken: another bench, or a test with a camera, runs on this machine "
-                        f"({path} is locked); wait until it has ended."
-                    ) from None
-                time.sleep(0.05)
+    path = private_folder() / "loopback.lock"
+    busy = (
+        f"{ADDRESS} is taken: another bench, or a test with a camera, runs on this machine ({path} is locked); "
+        "wait until it has ended."
+    )
+    with held(path, timeout_s=timeout_s, busy=busy):
         yield

@@ -10,6 +10,7 @@ import numpy as np
 from jaxscan.errors import DependencyError
 from jaxscan.stripes import frame_rank
 from scanrig.cameras.aravis_binding import STATUS, SUCCESS, AravisError, load_aravis, text
+from scanrig.cameras.aravis_control import Say
 from scanrig.cameras.aravis_setup import apply_settings, connect, read_features
 from scanrig.cameras.features import require, wanted
 from scanrig.cameras.frame import CameraIdentity, ClosedAtExit, Features, Frame
@@ -32,15 +33,19 @@ class AravisCamera(ClosedAtExit):
     call may take 2.5 s longer than its timeout.
     """
 
-    def __init__(self, settings: CameraSettings) -> None:
+    def __init__(self, settings: CameraSettings, say: Say = lambda sentence: None) -> None:
         """Open the camera, apply `settings`, read them back and compare.
+
+        Args:
+            settings: Camera and settings.
+            say: Called with a sentence before a long wait, at every opening.
 
         Raises:
             CameraLost: If it is not found.
             CameraError: If several cameras fit, another program uses it, or it does not take a setting.
             DependencyError: If libaravis is not installed.
         """
-        self._aravis, self._settings = load_aravis(), settings
+        self._aravis, self._settings, self._say = load_aravis(), settings, say
         self.trigger_mode: TriggerMode = settings.trigger
         shape = settings.height, settings.width, 3
         self._shape = shape[: frame_rank(settings.pixel_format)]
@@ -133,7 +138,7 @@ class AravisCamera(ClosedAtExit):
         return str(getattr(self, "_identity", None) or f"aravis {self._settings.id}".strip())
 
     def _open(self) -> CameraIdentity:
-        camera = self._camera = connect(self._aravis, self._settings.id)
+        camera = self._camera = connect(self._aravis, self._settings.id, self._say)
         self._lost = False
         try:
             identity = CameraIdentity(

@@ -13,6 +13,7 @@ from ctypes import (
     c_int64,
     c_size_t,
     c_uint,
+    c_uint32,
     c_uint64,
     c_void_p,
 )
@@ -74,6 +75,9 @@ _WITH_ERROR: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_camera_get_integer": (c_int64, (c_void_p, c_char_p)),
     "arv_camera_gv_set_packet_size": (None, (c_void_p, c_int)),
     "arv_camera_gv_get_packet_size": (c_uint, (c_void_p,)),
+    "arv_device_read_register": (c_int, (c_void_p, c_uint64, POINTER(c_uint32))),
+    "arv_device_write_register": (c_int, (c_void_p, c_uint64, c_uint32)),
+    "arv_gv_device_take_control": (c_int, (c_void_p,)),
 }
 """Functions whose last argument is a GError**: their results, and their arguments without it."""
 

@@ -1,11 +1,13 @@
 """Finds a GenICam camera, sets it up, and reads its settings back."""
 
+import contextlib
 import ctypes
 import ipaddress
 from collections.abc import Callable
 
 from jaxscan.stripes import PixelFormat
 from scanrig.cameras.aravis_binding import ACCESS_CHECK, RANGE_CHECK, Aravis, AravisError, text
+from scanrig.cameras.aravis_control import Say, take_control
 from scanrig.cameras.frame import Features
 from scanrig.cameras.settings import CameraSettings
 from scanrig.errors import CameraError, CameraLost
@@ -25,24 +27,31 @@ AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
 """Automatic functions of a camera, which are switched off."""
 
 
-def connect(aravis: Aravis, wanted: str) -> int:
-    """Connect to a camera and take control of it.
+def connect(aravis: Aravis, wanted: str, say: Say) -> int:
+    """Connect to a camera, take control of it, and end an acquisition that a killed program left running.
 
     Args:
+        aravis: The library.
         wanted: Device id, serial number or address; "" for the only camera.
+        say: Called before waiting for another program to lose control.
 
     Raises:
         CameraLost: If it is not found.
-        CameraError: If several cameras fit, or another program controls it.
+        CameraError: If several cameras fit, or another program keeps control of it.
     """
     name = wanted if _is_address(wanted) else _found(aravis, wanted)
     try:
         camera = aravis.camera_new(name.encode())
     except AravisError as problem:
         raise CameraLost(f'camera "{name}": not found: {problem}; see that it has power and its cable.') from problem
-    if aravis.camera_is_gv_device(camera) and not aravis.gv_device_is_controller(aravis.camera_get_device(camera)):
+    try:
+        take_control(aravis, camera, name=f'camera "{name}"', say=say)
+    except CameraError:
         aravis.unref(camera)
-        raise CameraError(f'camera "{name}": another program controls it; close that, or wait some seconds.')
+        raise
+    # An acquisition that still runs would go on sending its frames to the program that began it.
+    with contextlib.suppress(AravisError):
+        aravis.camera_stop_acquisition(camera)
     return camera
 
 

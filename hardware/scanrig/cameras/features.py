@@ -56,4 +56,4 @@ def _same(name: str, found: float | int | str, expected: float | int | str) -> b
 
 
 def _show(value: float | int | str) -> str:
-    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
+    return f'"{value:.60}"' if isinstance(value, str) else f"{value:g}"

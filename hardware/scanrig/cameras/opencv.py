@@ -1,6 +1,8 @@
 """UVC cameras and streams, through OpenCV: free-running, read by a thread so that no frame waits in the driver."""
 
 import os
+import re
+import stat
 import threading
 import time
 from collections import deque
@@ -16,6 +18,11 @@ from scanrig.cameras.settings import CameraSettings, TriggerMode
 from scanrig.errors import CameraError, CameraLost, CameraTimeout
 
 
+_SCHEME = re.compile(r"(https?|rtsps?|rtp|rtmps?|udp|tcp|srt|mms)://", re.IGNORECASE)
+"""URLs of streams; FFmpeg's others reach files and pipes, whose reading has no timeout."""
+_VIDEO4LINUX = 81
+"""Linux' number of the driver of video devices."""
+_DEVICES = Path("/sys/class/video4linux")
 _OPEN_MS = 5000
 _READ_MS = 10_000
 """Longest stall of a stream before OpenCV gives up."""
@@ -43,7 +50,7 @@ class OpenCVCamera(ClosedAtExit):
         """
         self._settings = settings
         self.trigger_mode: TriggerMode = "free"
-        self._source: int | str = int(settings.id or 0) if settings.id.isdecimal() or not settings.id else settings.id
+        self._source = _source(settings.id)
         self._changed = threading.Condition()
         self._queue: deque[Frame] = deque()
         self._counts = {"frames": 0, "incomplete": 0, "missing": 0, "dropped": 0}
@@ -125,9 +132,10 @@ class OpenCVCamera(ClosedAtExit):
 
     def _open(self) -> None:
         name = f'opencv "{self._source}"'
+        _require_source(self._source, name)
         timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_MS]
         # Timeouts are for streams only; a driver refuses to open with them.
-        stream = isinstance(self._source, str) and not os.path.exists(self._source)
+        stream = isinstance(self._source, str) and _SCHEME.match(self._source)
         self._capture = (
             cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, timeouts) if stream else cv2.VideoCapture(self._source)
         )
@@ -195,6 +203,30 @@ class OpenCVCamera(ClosedAtExit):
         self._queue.append(Frame(image, -1, stamp if stamped else None, arrival, complete=True, note=self._note))
 
 
+def _source(name: str) -> int | str:
+    """Index, path or URL of a camera; "" is the first one."""
+    return int(name or 0) if re.fullmatch("[0-9]{0,4}", name) else name
+
+
+def _require_source(source: int | str, name: str) -> None:
+    """Check that a source can be opened without waiting for ever: OpenCV would wait for somebody to write into a pipe.
+
+    Raises:
+        CameraLost: If there is nothing at its path.
+        CameraError: If that is neither a video device nor a file.
+    """
+    if isinstance(source, int) or _SCHEME.match(source):
+        return
+    try:
+        found = os.stat(source)
+    except (OSError, ValueError) as problem:
+        why = problem.strerror if isinstance(problem, OSError) else problem
+        raise CameraLost(f"{name}: cannot be opened: {why}; expected an index, a device, a file or a URL.") from problem
+    video = stat.S_ISCHR(found.st_mode) and os.major(found.st_rdev) == _VIDEO4LINUX
+    if not (video or stat.S_ISREG(found.st_mode)):
+        raise CameraError(f"{name}: is neither a video device nor a file; `jaxscan doctor` lists the devices.")
+
+
 def _image(pixels: np.ndarray, settings: CameraSettings) -> np.ndarray | None:
     """A frame in the configured pixel format, with its own memory; None if it has another size."""
     if pixels.shape[:2] != (settings.height, settings.width) or pixels.dtype != np.uint8:
@@ -208,9 +240,10 @@ def _image(pixels: np.ndarray, settings: CameraSettings) -> np.ndarray | None:
 def found_by_opencv() -> list[str]:
     """One line for each video device of this computer."""
     listed = []
-    for folder in sorted(Path("/sys/class/video4linux").glob("video*")):
+    for folder in sorted(_DEVICES.glob("video*")):
         try:
-            model = (folder / "name").read_text().strip()
+            # The device chose its name, in any encoding.
+            model = (folder / "name").read_bytes().decode(errors="replace").strip()
         except OSError as problem:
             model = f"cannot be asked: {problem.strerror}"
         listed.append(f'opencv "/dev/{folder.name}": {model}')

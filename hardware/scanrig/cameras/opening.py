@@ -1,11 +1,17 @@
 """Opens the camera of a configuration; only the module of its kind is loaded."""
 
+from collections.abc import Callable
+
 from scanrig.cameras.frame import Camera
 from scanrig.cameras.settings import CameraSettings
 
 
-def open_camera(settings: CameraSettings) -> Camera:
+def open_camera(settings: CameraSettings, say: Callable[[str], None] = lambda sentence: None) -> Camera:
     """Open a camera, set it up, and check that it took the settings.
+
+    Args:
+        settings: Kind of camera, and its settings.
+        say: Called with a sentence for people before a long wait: until another program has lost control of it.
 
     Raises:
         CameraLost: If it is not found.
@@ -16,7 +22,7 @@ def open_camera(settings: CameraSettings) -> Camera:
         case "aravis":
             from scanrig.cameras.aravis import AravisCamera
 
-            return AravisCamera(settings)
+            return AravisCamera(settings, say)
         case "opencv":
             from scanrig.cameras.opencv import OpenCVCamera
 

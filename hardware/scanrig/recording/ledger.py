@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import JOURNAL_NAME, CaptureHeader, seal
+from jaxscan.files.capture import JOURNAL_NAME, MAX_LINE_BYTES, CaptureHeader, seal
+from jaxscan.files.disk import NO_LINK, remove_left
 from jaxscan.files.recording import CaptureWriter, create_capture, require_no_links, resume_capture
 from scanrig.clock import Clock
 
@@ -46,9 +47,7 @@ class Ledger:
         """
         require_no_links(self.folder)
         for folder in (self.folder, self.folder / "on", self.folder / "off"):
-            for part in folder.glob(".part-*"):
-                with contextlib.suppress(FileNotFoundError):
-                    part.unlink()
+            remove_left(folder)
         self._attach(resume_capture(self.folder, digests=True))
 
     def note(self, name: str, **fields: Any) -> None:
@@ -109,12 +108,23 @@ class Ledger:
         writer.flush()
 
     def _event(self, name: str, fields: dict[str, Any]) -> dict[str, Any]:
-        return {"event": name, "time": self._clock.utc(), "time_s": round(self._clock.now(), 6), **fields}
+        return fitting({"event": name, "time": self._clock.utc(), "time_s": round(self._clock.now(), 6), **fields})
+
+
+def fitting(event: dict[str, Any]) -> dict[str, Any]:
+    """An event that fits into a line of the journal; where it is too long, its longest fields are left out."""
+    lengths = {key: len(json.dumps({key: value})) for key, value in event.items()}
+    for key in sorted(lengths, key=lengths.__getitem__, reverse=True):
+        if sum(lengths.values()) < MAX_LINE_BYTES:
+            break
+        event = {**event, key: f"left out: {lengths[key]} bytes"}
+        lengths[key] = len(json.dumps({key: event[key]}))
+    return event
 
 
 def _append_whole(path: Path, line: bytes) -> None:
     """Append a whole line, or nothing."""
-    handle = os.open(path, os.O_RDWR | os.O_APPEND)
+    handle = os.open(path, os.O_RDWR | os.O_APPEND | NO_LINK)
     try:
         before = os.fstat(handle).st_size
         if before and os.pread(handle, 1, before - 1) != b"\n":

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -142,11 +143,13 @@ class RecoveringRig:
             CameraTimeout: If no complete frame came in any try.
             RigError: If the rig did not recover.
         """
-        for _ in range(self.config.checks.retakes):
+        for attempt in range(self.config.checks.retakes):
             try:
                 return self.doing(self._look, "a look")
             except CameraTimeout as problem:
                 self._note("retake", reason=str(problem))
+            if attempt % 2:
+                self._open_anew("a look")
         return self.doing(self._look, "a look")
 
     def _look(self) -> np.ndarray:
@@ -172,14 +175,10 @@ class RecoveringRig:
             RigFault: After an e-stop, or another fault that needs a person.
             RigError: If the rig did not recover.
         """
-        return self.doing(
-            lambda: take_pair(
-                Station(self.config, self.controller, self.camera, self._clock, self._numbers),
-                Step(to, number, self.config.laser_of(number)),
-                lambda reason: self._rejected(number, reason),
-            ),
-            f"step {number}",
-        )
+        action, step = f"step {number}", Step(to, number, self.config.laser_of(number))
+        reopen = partial(self._open_anew, action)
+        station = Station(self.config, self.controller, self.camera, self._clock, self._numbers, reopen)
+        return self.doing(lambda: take_pair(station, step, partial(self._rejected, number)), action)
 
     def doing(self, work: Callable[[], T], action: str) -> T:
         """Do some repeatable work, and repeat it after each recovery; `action` names it."""
@@ -193,6 +192,9 @@ class RecoveringRig:
     def _rejected(self, number: int, reason: str) -> None:
         self.rejected += 1
         self._note("retake", step=number, reason=reason)
+
+    def _open_anew(self, action: str) -> None:
+        self._recover(CameraLost(f"{self.camera.identity}: no frame came, twice in a row"), action)
 
     def _recover(self, problem: Exception, action: str) -> None:
         """Recover the rig, or raise the error that needs a person."""

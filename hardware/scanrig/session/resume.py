@@ -26,6 +26,8 @@ from scanrig.session.job import Kind
 
 
 T = TypeVar("T")
+_SHOWN = 5
+"""Most changes that a message lists."""
 _RUNS = pydantic.TypeAdapter(list[Annotated[list[int], pydantic.Field(min_length=2, max_length=2)]])
 _PLACEMENT = pydantic.TypeAdapter(Annotated[int, pydantic.Field(ge=0, lt=1 << 31)])
 
@@ -166,15 +168,19 @@ def require_same_plan(
     _require_own_words(found, folder)
     changed = list(_changes(was.get("config", {}), now))
     if was.get("microsteps_per_turn") != config.microsteps_per_turn:
-        changed.append(f"microsteps per turn: was {was.get('microsteps_per_turn')}, is {config.microsteps_per_turn}")
+        changed.append(
+            f"microsteps per turn: was {_shown(was.get('microsteps_per_turn'))}, is {config.microsteps_per_turn}"
+        )
     before = was.get("calibration")
     if calibration_digest is not None and before is not None and before != calibration_digest:
         changed.append(f"calibration: was {before[:19]}…, is {calibration_digest[:19]}…")
     if not changed and was["config_sha256"] != config.digest(kind):
         changed.append("the configuration's digest")
     if changed:
+        more = [f"and {len(changed) - _SHOWN} more"] if len(changed) > _SHOWN else []
         raise SessionError(
-            f"{folder}: cannot be continued, since it was begun with other settings: {'; '.join(changed)}. "
+            f"{folder}: cannot be continued, since it was begun with other settings: "
+            f"{'; '.join(changed[:_SHOWN] + more)}. "
             "Restore them, or choose another folder."
         )
 
@@ -185,6 +191,11 @@ def _require_own_words(found: Found, folder: Path) -> None:
         f"[acquisition.{key}] = {found.header.acquisition[key]!a:.40}"
         for key in ("camera", "features")
         if not isinstance(found.header.acquisition.get(key, {}), Mapping)
+    ]
+    odd += [
+        f"[acquisition.features] {name!a:.40} = {value!a:.40}"
+        for name, value in (() if odd else found.header.acquisition.get("features", {}).items())
+        if type(value) not in (int, float, str)
     ]
     digest = found.header.acquisition.get("calibration", "")
     if not (isinstance(digest, str) and digest.isprintable()):
@@ -205,7 +216,9 @@ def require_same_camera(found: Found, identity: Mapping[str, str], *, folder: Pa
         SessionError: With both cameras.
     """
     was = found.header.acquisition.get("camera", {})
-    changed = [f"{key}: was {was.get(key)!r}, is {value!r}" for key, value in identity.items() if was.get(key) != value]
+    changed = [
+        f"{key}: was {was.get(key)!r:.60}, is {value!r:.60}" for key, value in identity.items() if was.get(key) != value
+    ]
     if changed:
         raise SessionError(
             f"{folder}: was begun with another camera ({'; '.join(changed)}); "
@@ -222,7 +235,8 @@ def _changes(was: Any, now: Any, path: str = "") -> Iterator[str]:
         for number, (one, other) in enumerate(zip(was, now, strict=True)):
             yield from _changes(one, other, f"{path}[{number}]")
     elif was != now:
-        yield f"{path}: was {_shown(was)}, is {_shown(now)}"
+        name = path if path.isprintable() else ascii(path)
+        yield f"{name:.60}: was {_shown(was)}, is {_shown(now)}"
 
 
 def _is_list(value: Any) -> bool:
@@ -230,7 +244,8 @@ def _is_list(value: Any) -> bool:
 
 
 def _shown(value: Any) -> str:
-    return "not given" if value is None else json.dumps(value)
+    """A value as people read it, cut: it may be of any length and kind in a file that others may edit."""
+    return "not given" if value is None else f"{json.dumps(value, default=str):.60}"
 
 
 def ranges(numbers: Sequence[int]) -> list[tuple[int, int]]:

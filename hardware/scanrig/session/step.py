@@ -58,6 +58,10 @@ class _Unbelievable(Exception):
     """The take is rejected; the message says why."""
 
 
+class _NoFrame(_Unbelievable):
+    """No frame came at all."""
+
+
 @dataclass(frozen=True)
 class Station:
     """The devices and settings with which steps are taken."""
@@ -70,6 +74,8 @@ class Station:
     clock: Clock = field(default_factory=SystemClock)
     numbers: FrameNumbers = field(default_factory=FrameNumbers)
     """Kept from step to step, so that a gap between two pairs is noticed too."""
+    reopen: Callable[[], None] = lambda: None
+    """Called when no frame came in two takes in a row: opens the camera again."""
 
 
 class Step(NamedTuple):
@@ -104,22 +110,25 @@ def take_pair(station: Station, step: Step, rejected: Callable[[str], None] | No
     camera, number = station.camera, step.number
     take = _by_wire if camera.trigger_mode == "hardware" else _by_hand
     reasons: list[str] = []
-    verdict = ""
-    for _ in range(1 + station.config.checks.retakes):
+    verdict, silent = "", 0
+    for left in reversed(range(1 + station.config.checks.retakes)):
         try:
             taken = take(station, step)
             proof = _prove(taken, station.config, step.laser)
             if proof.ok:
                 return ProvenPair(taken.on, taken.off, proof, taken.position, tuple(reasons), step.laser)
-            verdict = proof.verdict
+            verdict, silent = proof.verdict, 0
             reasons.append(proof.reason)
         except _Unbelievable as problem:
-            verdict = ""
+            verdict, silent = "", silent + 1 if isinstance(problem, _NoFrame) else 0
             reasons.append(str(problem))
         station.numbers.next = None
         if rejected is not None:
             rejected(reasons[-1])
         _let_late_frames_come(camera)
+        if silent >= 2 and left:
+            silent = 0
+            station.reopen()
     if verdict == "stays on":
         station.controller.arm(False)
         raise FrameError(
@@ -154,7 +163,7 @@ def _by_wire(station: Station, step: Step) -> _Take:
     if done.position != step.to:
         raise _Unbelievable(f"the table stopped at {done.position}, expected {step.to}")
     if len(frames) < 2:
-        raise _Unbelievable(f"{len(frames)} of 2 frames came")
+        raise (_Unbelievable if frames else _NoFrame)(f"{len(frames)} of 2 frames came")
     if more := camera.drop():
         raise _Unbelievable(f"{2 + more} frames came, expected 2")
     on, off = frames
@@ -217,7 +226,7 @@ def _fresh_frame(station: Station, *, lit: int | None = None) -> Frame:
         except CameraTimeout:
             _keep_alive(controller, lit=lit)
             if clock.now() >= give_up:
-                raise _Unbelievable(f"no {'laser-on' if lit else 'laser-off'} frame came") from None
+                raise _NoFrame(f"no {'laser-on' if lit else 'laser-off'} frame came") from None
 
 
 def next_frame(camera: Camera, controller: Controller | None, timeout_s: float, clock: Clock) -> Frame:

@@ -6,11 +6,11 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console
 
 from jaxscan import api
+from jaxscan.cli.process.terminal import Terminal
 from jaxscan.cli.scanning.display import ScanDisplay
-from jaxscan.cli.scanning.operator import CommandOperator, Lines, TerminalOperator, coverage_text
+from jaxscan.cli.scanning.operator import CommandOperator, Lines, TerminalOperator, coverage_lines
 from jaxscan.cli.scanning.plan import CaptureFolder
 from jaxscan.errors import OptionError
 from jaxscan.stripes import FrameFormat, LaserLine
@@ -28,7 +28,7 @@ def scan_boards(
     devices: "Devices",
     interrupted: Callable[[], bool],
     place_command: str | None,
-    out: Console,
+    out: Terminal,
 ) -> "SessionResult":
     """Take a capture of the board, which a person or a command places."""
     from scanrig.session import Hooks, run_calibration
@@ -56,7 +56,8 @@ def scan_boards(
         stands = "" if pose is None else f", tilted {pose.tilt_deg:.0f}°, about {pose.depth_m:.2f} m away"
         out.print(f"  {at}board found, {len(seen.view.q)} corners{stands}; laser {named[laser]}{seen.view.where}")
         if not turning:
-            out.print(coverage_text(guide.coverage()))
+            for line in coverage_lines(guide.coverage()):
+                out.print(line)
 
     def should_stop() -> bool:
         return interrupted() or (lines is not None and lines.ended)

@@ -4,8 +4,9 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from jaxscan.cli.process.terminal import Terminal
 
 
 if TYPE_CHECKING:
@@ -24,19 +25,19 @@ class ScanDisplay:
         """
         self.retakes = 0
         self._live = live
-        self._console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+        self._console = Terminal(stderr=True)
         self._fields: dict[str, Any] = {"angle": "   home", "peak": "", "retakes": "", "points": ""}
         self._problem = ""
         self._bars: Progress | None = None
         if total is not None and self._console.is_terminal:
             columns = (
-                TextColumn("{task.fields[angle]}"),
+                TextColumn("{task.fields[angle]}", markup=False),
                 BarColumn(),
                 MofNCompleteColumn(),
                 TimeRemainingColumn(),
-                TextColumn("{task.fields[peak]}{task.fields[retakes]}{task.fields[points]}"),
+                TextColumn("{task.fields[peak]}{task.fields[retakes]}{task.fields[points]}", markup=False),
             )
-            self._bars = Progress(*columns, console=self._console, transient=True)
+            self._bars = Progress(*columns, console=self._console.console, transient=True)
             self._task = self._bars.add_task("", total=total, **self._fields)
 
     def __enter__(self) -> "ScanDisplay":
@@ -69,4 +70,4 @@ class ScanDisplay:
         """Print a sentence on an event."""
         if sentence.startswith("retake:"):
             self.retakes += 1
-        (self._console if self._bars is None else self._bars.console).print(sentence)
+        self._console.print(sentence)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from jaxscan.cli.process.signals import RigInUse
 from jaxscan.errors import JaxscanError
 
 
@@ -49,14 +50,16 @@ def examine_rig(
             return None
 
     with contextlib.ExitStack() as stack:
+        in_use = stack.enter_context(RigInUse())
         table, turn = (ControllerTable(), 0) if rig is None else (rig.controller, rig.microsteps_per_turn)
         controller = opened("port", lambda: open_controller(table, turn, port=port))
         if controller is not None:
             stack.enter_context(controller)
             tell(Finding("port", "works", controller.name))
-        device = None if rig is None else opened("camera", lambda: open_camera(rig.camera))
+        device = None if rig is None else opened("camera", lambda: open_camera(rig.camera, say))
         if device is not None:
             stack.enter_context(device)
+        stack.callback(in_use.closing)
         examine(Patient(controller, device, rig), folder=Path.cwd(), tell=tell, say=say)
 
 

@@ -8,8 +8,7 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-
+from jaxscan.cli.process.terminal import Terminal
 from jaxscan.errors import OptionError
 
 
@@ -67,7 +66,7 @@ class Lines:
 class TerminalOperator:
     """An `Operator` of `scanrig.session.run`: a person at the terminal."""
 
-    def __init__(self, guide: "Guide", lines: Lines, *, should_stop: Callable[[], bool], console: Console) -> None:
+    def __init__(self, guide: "Guide", lines: Lines, *, should_stop: Callable[[], bool], console: Terminal) -> None:
         """Ask on `console` and read the answers from `lines`.
 
         Args:
@@ -88,7 +87,8 @@ class TerminalOperator:
             return False
         self.placing = request
         place = "Pose" if request.kind == "free" else "Standing place"
-        self._console.print(f"\n{place} {request.number + 1} of {request.total}")
+        self._console.print("")
+        self._console.print(f"{place} {request.number + 1} of {request.total}")
         for sentence in self._guide.advice(request.kind):
             self._console.print(f"  → {sentence}")
         while True:
@@ -115,7 +115,7 @@ class TerminalOperator:
 class CommandOperator:
     """An `Operator` that runs a command with the number of the pose, for a robot or the bench."""
 
-    def __init__(self, command: str, *, free_views: int, console: Console) -> None:
+    def __init__(self, command: str, *, free_views: int, console: Terminal) -> None:
         """Split the command as a shell does; it runs without a shell.
 
         Raises:
@@ -149,7 +149,7 @@ class CommandOperator:
         return True
 
 
-def coverage_text(seen: "Coverage", *, laser: bool = True) -> str:
+def coverage_lines(seen: "Coverage", *, laser: bool = True) -> list[str]:
     """Coverage by the poses so far, as text: the cells of the image that have corners, and three facts beside them."""
     from jaxscan.geometry.coverage import MIN_IN_CELL, MIN_TILT_DEG
 
@@ -159,4 +159,4 @@ def coverage_text(seen: "Coverage", *, laser: bool = True) -> str:
     depth = "no distance yet" if seen.depth_m is None else f"{seen.depth_m[0]:.2f} to {seen.depth_m[1]:.2f} m away"
     facts.append(f"{depth} (about)")
     facts.append(f"laser {seen.laser} across {seen.crossed} of {seen.lit}".replace("  ", " ") if laser else "")
-    return "\n".join(f"    {row}   {fact}".rstrip() for row, fact in zip(cells, facts, strict=True))
+    return [f"    {row}   {fact}".rstrip() for row, fact in zip(cells, facts, strict=True)]

@@ -4,8 +4,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from rich.console import Console
-
+from jaxscan.cli.process.terminal import Terminal
 from jaxscan.files.capture import CameraTable, CaptureHeader, TurntableTable
 
 
@@ -56,7 +55,7 @@ class ScanPlan(NamedTuple):
         )
         return cls(len(records), places, needed.seconds, needed.bytes)
 
-    def show(self, out: Console, rig: "RigConfig", folder: Path) -> None:
+    def show(self, out: Terminal, rig: "RigConfig", folder: Path) -> None:
         """Print the plan."""
         from scanrig.recording.space import readable
 

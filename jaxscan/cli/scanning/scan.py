@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
-from rich.console import Console
 
 import jaxscan
 from jaxscan.cli.options import CLOUD_SUFFIXES, ConfigPath, OptionalCalibrationPath, OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
+from jaxscan.cli.process.signals import RigInUse
+from jaxscan.cli.process.terminal import Terminal
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.scanning.display import ScanDisplay
 from jaxscan.errors import CaptureError, JaxscanError, OptionError
@@ -71,6 +73,14 @@ def scan(
     from jaxscan.files.capture import HEADER_NAME
 
     _check_options(boards=boards, calibration=calibration, cloud=cloud, place_command=place_command)
+    check_paths(
+        reads=[
+            *file_at("CONFIG", config),
+            *calibration_at("--calibration", calibration),
+            *capture_at("--output", output),
+        ],
+        writes=[*file_at("--cloud", cloud), *file_at("--json", json)],
+    )
     check_json(json)
     rig = load_rig(config)
     if boards and rig.board is None:
@@ -89,9 +99,10 @@ def scan(
                     live.add_from_disk()
         # Signals ask for an end only while the rig is in use.
         with (
+            RigInUse(),
             Interrupts() as interrupts,
             open_controller(rig.controller, rig.microsteps_per_turn, port=port) as controller,
-            open_camera(rig.camera) as camera,
+            open_camera(rig.camera, out.print) as camera,
         ):
             devices, folder = Devices(controller, camera), CaptureFolder(output, resume)
             if boards:
@@ -104,7 +115,7 @@ def scan(
         out.print(f"next: {_next_command(boards, output, calibration, cloud)}")
     emit_json(json, "scan", {**_as_json(result), "capture": str(output), **done})
     if result.status == "interrupted" and interrupts():
-        raise KeyboardInterrupt
+        raise KeyboardInterrupt(interrupts.received[0])
     if result.status != "complete":
         given = {"--port": port, "-c": calibration, "--cloud": cloud, "--place-command": place_command}
         words = ["jaxscan", "scan", str(config), "-o", str(output), *(["--boards"] if boards else [])]
@@ -157,7 +168,7 @@ def _scan_sweep(
 
 
 def _finish_cloud(
-    live: "LiveCloud | None", result: "SessionResult", cloud: Path | None, calibration: Path | None, out: Console
+    live: "LiveCloud | None", result: "SessionResult", cloud: Path | None, calibration: Path | None, out: Terminal
 ) -> dict[str, Any]:
     """Write the cloud, if one was asked for and all records are there."""
     if live is None or cloud is None or calibration is None or result.status not in ("complete", "suspect"):

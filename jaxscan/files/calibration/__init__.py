@@ -9,5 +9,6 @@ from jaxscan.files.calibration.calibration import (
     save_calibration,
 )
 from jaxscan.files.calibration.exports import CameraFormat, check_camera_path, export_camera
+from jaxscan.files.calibration.observations import observations_path
 from jaxscan.files.calibration.quality import quality_table
 from jaxscan.files.calibration.settings import stored_settings

@@ -21,6 +21,7 @@ from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_LINE_BYTES, Record, 
 from jaxscan.files.capture.references import MAX_IMAGES, Folder, ImageRef
 from jaxscan.files.capture.seals import HEADER_SEAL, SEAL, SEALED_RECORDS, seal
 from jaxscan.files.capture.stripe_cache import (
+    CACHE_NAME,
     cache_path,
     cached_stripes,
     code_digest,

@@ -1,7 +1,10 @@
 """Check that captures of a board can be calibrated together."""
 
+import itertools
 from collections.abc import Sequence
 from typing import cast
+
+import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.capture import Capture
@@ -16,7 +19,8 @@ def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> Abstrac
         single_lasers: No record may show several lasers at once, since their stripes cannot be told apart.
 
     Raises:
-        CaptureError: With the capture that differs from the first, or the record with several lasers.
+        CaptureError: With the capture that differs from the first, that is given twice, or the record with several
+            lasers.
     """
     first = captures[0]
     for capture in captures:
@@ -28,6 +32,12 @@ def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> Abstrac
                     f"{capture.path}: its [{table}] is not the same as in {first.path}; "
                     "captures calibrated together must show the same board to the same rig."
                 )
+    for one, other in itertools.combinations(captures, 2):
+        if _are_copies(one, other):
+            raise CaptureError(
+                f"{other.path}: is the same capture as {one.path}; its images would count twice, and every uncertainty "
+                "would come out too small. Give each capture once."
+            )
     for capture in captures if single_lasers else ():
         for record in capture.records:
             if len(record.lasers) > 1:
@@ -37,3 +47,16 @@ def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> Abstrac
                     'needs one per record; capture a record for each, and name it there: "lasers": ["..."].'
                 )
     return cast(AbstractBoard, first.board)
+
+
+def _are_copies(one: Capture, other: Capture) -> bool:
+    """Whether two captures hold the same images, under two names or as copies.
+
+    Equal texts do not suffice: of two captures written by hand, only the images may differ.
+    """
+    if one.path.samefile(other.path):
+        return True
+    if one.digest() != other.digest():
+        return False
+    record = one.records[0]
+    return all(np.array_equal(one.image(image), other.image(image)) for image in (*record.on, *record.off))

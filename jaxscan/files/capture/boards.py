@@ -5,10 +5,10 @@ from typing import Annotated, Literal
 import pydantic
 
 from jaxscan.files.disk import FileModel, Integer, Number
-from jaxscan.geometry import AbstractBoard, Charuco, Chessboard
+from jaxscan.geometry import AbstractBoard, Charuco, Chessboard, check_board, known_dictionary
 
 
-Count = Annotated[Integer, pydantic.Field(ge=2, le=1000)]
+Count = Annotated[Integer, pydantic.Field(ge=1, le=1000)]
 Length = Annotated[Number, pydantic.Field(gt=0)]
 
 
@@ -20,12 +20,11 @@ class CharucoTable(FileModel):
     rows: Count
     square_mm: Length
     marker_mm: Length
-    dictionary: Annotated[str, pydantic.Field(pattern=r"^DICT_\w+$", max_length=64)] = "DICT_5X5_250"
+    dictionary: Annotated[str, pydantic.AfterValidator(known_dictionary)] = "DICT_5X5_250"
 
     @pydantic.model_validator(mode="after")
-    def _marker_fits(self) -> "CharucoTable":
-        if self.marker_mm >= self.square_mm:
-            raise ValueError(f"marker_mm = {self.marker_mm:g} must be smaller than square_mm = {self.square_mm:g}")
+    def _possible(self) -> "CharucoTable":
+        check_board(self.board())
         return self
 
     def board(self) -> AbstractBoard:
@@ -46,6 +45,11 @@ class ChessboardTable(FileModel):
     columns: Count
     rows: Count
     square_mm: Length
+
+    @pydantic.model_validator(mode="after")
+    def _possible(self) -> "ChessboardTable":
+        check_board(self.board())
+        return self
 
     def board(self) -> AbstractBoard:
         """The board that the table describes."""

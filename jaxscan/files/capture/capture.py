@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from jaxscan.files.capture.journal import JOURNAL_NAME, Record
 from jaxscan.files.capture.references import ImageRef
 from jaxscan.files.capture.seals import require_whole, sealing
 from jaxscan.files.capture.texts import read_texts
+from jaxscan.files.disk import shown
 from jaxscan.geometry import AbstractBoard
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
@@ -215,10 +217,9 @@ def open_capture(path: str | Path) -> Capture:
             was sealed.
     """
     path = Path(path)
-    if not path.is_dir():
-        raise CaptureError(
-            f"{path}: {'found a file' if path.exists() else 'no such folder'}, expected a capture's folder."
-        )
+    if not os.path.isdir(path):
+        found = "found a file" if os.path.exists(path) else "no such folder"
+        raise CaptureError(f"{shown(path)}: {found}, expected a capture's folder.")
     journal_name, texts = str(path / JOURNAL_NAME), read_texts(path)
     header, records, seals = texts.header, texts.records, sealing(texts, path)
     require_whole(seals)

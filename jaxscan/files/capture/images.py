@@ -21,7 +21,7 @@ class ImageReader:
     """Reads images of one capture; used from several threads."""
 
     def __init__(self, path: Path, header: CaptureHeader) -> None:
-        self._path, self._header = path, header
+        self._path, self._header, self._folder = path, header, Folder(path)
         self.shape = frame_shape(header)
         """Of one image: (rows, columns), or (rows, columns, 3)."""
         self.shards = Shards(path, self.shape)
@@ -34,12 +34,14 @@ class ImageReader:
             CaptureError: With the record and the file.
         """
         self._records = records
-        folder, located = Folder(self._path), dict[str, Path]()
-        for record, reference in [(one, image) for one in records for image in (*one.on, *one.off)]:
+        located = dict[str, Path]()
+        for record, reference in ((one, image) for one in records for image in (*one.on, *one.off)):
+            if reference.index is None and self._folder.holds(reference.path):
+                continue
             try:
                 # Many images share a shard.
                 if reference.path not in located:
-                    located[reference.path] = folder.locate(reference)
+                    located[reference.path] = self._folder.locate(reference)
                 if reference.index is not None:
                     self.shards.check(reference, located[reference.path])
             except CaptureError as problem:
@@ -62,9 +64,13 @@ class ImageReader:
 
         camera = self._header.camera
         name = str(self._path / reference.path)
+        try:
+            located = self._folder.locate(reference)
+        except CaptureError as problem:
+            raise CaptureError(f"{self._path}/{problem}") from problem
         # An uncompressed 32-bit image with a megabyte of metadata still fits.
         limit = 4 * camera.width * camera.height + MEGABYTE
-        data = read_bounded(name, limit, error=CaptureError)
+        data = read_bounded(located, limit, error=CaptureError, links="refuse")
         if reference.sha256 is not None:
             self._compare(reference, hashlib.sha256(data).hexdigest())
         return decode_image(data, name=name, rank=frame_rank(camera.pixel_format), size=(camera.width, camera.height))

@@ -5,13 +5,13 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import pydantic
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.references import ImageRef, parse_images, with_digests
-from jaxscan.files.disk import Integer, Number, check
+from jaxscan.files.capture.references import ImageRef, is_plain, parse_images, with_digests
+from jaxscan.files.disk import MAX_DEPTH, Integer, Number, check, is_deep, too_deep
 
 
 JOURNAL_NAME = "frames.jsonl"
@@ -19,8 +19,15 @@ MAX_JOURNAL_BYTES = 256 << 20
 MAX_LINE_BYTES = 64 << 10
 MAX_RECORDS = 1_000_000
 
+_MAX_NUMBER = 1 << 53
+_MAX_ANGLE = 1e6
+_MAX_PLACEMENT = 1 << 31
+_MISSING = object()
+_OF_RECORDS = {"on", "off", "angle_deg"}
+"""Keys that events do not have, unless they say so by the key `event`."""
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, slots=True)
 class Record:
     """One completed record."""
 
@@ -37,23 +44,47 @@ class Record:
     off: tuple[ImageRef, ...]
 
 
+class Journal(NamedTuple):
+    """The contents of a journal."""
+
+    records: tuple[Record, ...]
+    """One per number, in the order of the numbers."""
+    notes: tuple[str, ...]
+    """A sentence for each line that was dropped."""
+    takes: dict[int, int]
+    """How many lines each record has."""
+
+
 class _Line(pydantic.BaseModel):
     # Acquisition adds keys of its own to a record, and may add more.
     model_config = pydantic.ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
-    i: Annotated[Integer, pydantic.Field(ge=0, lt=1 << 53)]
+    i: Annotated[Integer, pydantic.Field(ge=0, lt=_MAX_NUMBER)]
     # No table turns a million degrees, and squares and sums of such angles are finite.
-    angle_deg: Annotated[Number, pydantic.Field(ge=-1e6, le=1e6)] | None = None
-    placement: Annotated[Integer, pydantic.Field(ge=0, lt=1 << 31)] | None = None
+    angle_deg: Annotated[Number, pydantic.Field(ge=-_MAX_ANGLE, le=_MAX_ANGLE)] | None = None
+    placement: Annotated[Integer, pydantic.Field(ge=0, lt=_MAX_PLACEMENT)] | None = None
     lasers: list[Integer | str] | None = None
     on: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
     off: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
     sha256: Any = None
 
 
+class _Fields(NamedTuple):
+    """The checked fields of a record's line, which is the `number`-th of the file."""
+
+    number: int
+    angle_deg: float | None
+    placement: int | None
+    lasers: list[int | str] | None
+    on: Any
+    """A reference as text, or images."""
+    off: Any
+    sha256: Any
+
+
 def read_journal(
     data: bytes, *, name: str, kind: Literal["sweep", "calibration"], laser_names: tuple[str, ...]
-) -> tuple[tuple[Record, ...], tuple[str, ...]]:
+) -> Journal:
     """The records of a journal, in the order of their numbers.
 
     A torn last line, which a crash leaves behind, is dropped; of several complete records with
@@ -65,32 +96,62 @@ def read_journal(
         kind: Kind of the capture: a sweep needs angles and `on` images, a calibration may lack them.
         laser_names: The lasers in the header's order.
 
-    Returns:
-        records: One per number.
-        notes: A sentence for each line that was dropped.
-
     Raises:
         CaptureError: With the number of the line that is broken or not a record.
     """
-    latest: dict[int, tuple[str, _Line]] = {}
+    latest: dict[int, _Fields] = {}
+    takes: dict[int, int] = {}
     torn = ""
     for number, line in enumerate(io.BytesIO(data), 1):
-        if not line.strip():
-            continue
-        if torn:
+        if torn and line.strip():
             raise CaptureError(f"{torn}; repair or remove this line, it is not the last.")
-        where = f"{name}: line {number}"
-        value = _parse(line, where)
+        value = _parse(line, name, number)
         if value is None:
-            torn = f"{where}: not a complete JSON object"
-        if value is None or "i" not in value:
+            if line.strip():
+                torn = f"{name}: line {number}: not a complete JSON object"
             continue
-        record = check(_Line, value, name=where, error=CaptureError)
-        latest[record.i] = (where, record)
+        if (i := value.get("i", _MISSING)) is _MISSING:
+            _check_event(value, name, number)
+            continue
+        latest[i] = _fields(value, number) or _fields_slowly(value, name, number)
+        takes[i] = takes.get(i, 0) + 1
         if len(latest) > MAX_RECORDS:
-            raise CaptureError(f"{where}: more than {MAX_RECORDS} records; split the capture.")
-    records = [_complete(latest[i][1], latest[i][0], kind, laser_names) for i in sorted(latest)]
-    return tuple(records), (f"{torn}: the last line was cut off and is left out.",) if torn else ()
+            raise CaptureError(f"{name}: line {number}: more than {MAX_RECORDS} records; split the capture.")
+    records = tuple(_complete(i, latest[i], name, kind, laser_names) for i in sorted(latest))
+    return Journal(records, (f"{torn}: the last line was cut off and is left out.",) if torn else (), takes)
+
+
+def _fields(value: dict[str, Any], number: int) -> _Fields | None:
+    """The fields of a record as most are; None if the slower check, which has the messages, must decide.
+
+    A journal may have a million lines.
+    """
+    angle, placement, lasers = value.get("angle_deg"), value.get("placement"), value.get("lasers")
+    on, off = value.get("on"), value.get("off")
+    usual = (
+        type(value["i"]) is int
+        and 0 <= value["i"] < _MAX_NUMBER
+        and (angle is None or (type(angle) is float and -_MAX_ANGLE <= angle <= _MAX_ANGLE))
+        and (placement is None or (type(placement) is int and 0 <= placement < _MAX_PLACEMENT))
+        and (lasers is None or (type(lasers) is list and all(type(one) is str for one in lasers)))
+        and (on is None or (type(on) is str and is_plain(on)))
+        and (off is None or (type(off) is str and is_plain(off)))
+    )
+    return _Fields(number, angle, placement, lasers, on, off, value.get("sha256")) if usual else None
+
+
+def _fields_slowly(value: dict[str, Any], name: str, number: int) -> _Fields:
+    line = check(_Line, value, name=f"{name}: line {number}", error=CaptureError)
+    return _Fields(number, line.angle_deg, line.placement, line.lasers, line.on, line.off, line.sha256)
+
+
+def _check_event(value: dict[str, Any], name: str, number: int) -> None:
+    """Refuse a record whose number is misspelt, which would be taken for an event and skipped."""
+    if "event" not in value and (found := _OF_RECORDS & value.keys()):
+        raise CaptureError(
+            f"{name}: line {number}: i: missing, although {', '.join(sorted(found))} stand there; expected the number "
+            "of the record."
+        )
 
 
 def journal_objects(journal: bytes) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -111,37 +172,45 @@ def journal_objects(journal: bytes) -> Iterator[tuple[int, dict[str, Any]]]:
         start += len(line) + 1
 
 
-def _parse(line: bytes, where: str) -> dict[str, Any] | None:
-    """The object of a line; None if the line is torn."""
+def _parse(line: bytes, name: str, number: int) -> dict[str, Any] | None:
+    """The object of a line; None if the line is torn or empty."""
     if len(line) > MAX_LINE_BYTES:
-        raise CaptureError(f"{where}: longer than {MAX_LINE_BYTES >> 10} KiB, so it is no record.")
+        raise CaptureError(f"{name}: line {number}: longer than {MAX_LINE_BYTES >> 10} KiB, so it is no record.")
     try:
         value = json.loads(line.decode("utf-8"))
     except RecursionError:
-        raise CaptureError(f"{where}: nested too deeply to be a record.") from None
+        raise CaptureError(too_deep(f"{name}: line {number}")) from None
     except ValueError:
         return None
     if not isinstance(value, dict):
-        raise CaptureError(f"{where}: found {str(value)[:40]}, expected a JSON object.")
+        raise CaptureError(f"{name}: line {number}: found {str(value)[:40]}, expected a JSON object.")
+    # Few lines have so many brackets.
+    if line.count(b"{") + line.count(b"[") > MAX_DEPTH and is_deep(value):
+        raise CaptureError(too_deep(f"{name}: line {number}"))
     return value
 
 
-def _complete(line: _Line, where: str, kind: str, laser_names: tuple[str, ...]) -> Record:
+def _complete(i: int, line: _Fields, name: str, kind: str, laser_names: tuple[str, ...]) -> Record:
     if kind == "sweep":
         if line.angle_deg is None:
-            raise CaptureError(f"{where}: angle_deg: found null, but a sweep needs the angle of every record.")
+            raise CaptureError(
+                f"{name}: line {line.number}: angle_deg: found null, but a sweep needs the angle of every record."
+            )
         if not line.on:
-            raise CaptureError(f"{where}: on: found null, but a sweep needs a laser-on image in every record.")
+            raise CaptureError(
+                f"{name}: line {line.number}: on: found null, but a sweep needs a laser-on image in every record."
+            )
     elif not line.on and not line.off:
-        raise CaptureError(f"{where}: on, off: both are null; a record needs an image.")
+        raise CaptureError(f"{name}: line {line.number}: on, off: both are null; a record needs an image.")
     digests = line.sha256 if isinstance(line.sha256, dict) else dict.fromkeys(("on", "off"), line.sha256)
+    on, off = (parse_images(given) if given is None or type(given) is str else given for given in (line.on, line.off))
     return Record(
-        i=line.i,
+        i=i,
         angle=None if line.angle_deg is None else math.radians(line.angle_deg),
         placement=line.placement,
-        lasers=() if not line.on else _lit(line.lasers, where, laser_names),
-        on=with_digests(line.on, digests.get("on")),
-        off=with_digests(line.off, digests.get("off")),
+        lasers=() if not on else _lit(line.lasers, f"{name}: line {line.number}", laser_names),
+        on=with_digests(on, digests.get("on")),
+        off=with_digests(off, digests.get("off")),
     )
 
 

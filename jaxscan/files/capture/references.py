@@ -15,7 +15,7 @@ MAX_IMAGES = 16
 """Images that one frame of a record may list: exposures of a bracket, and repetitions to average."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class ImageRef:
     """An image file, or one image of a shard (an `.npy` file of uint8 [n, rows, columns(, 3)])."""
 
@@ -30,6 +30,15 @@ class ImageRef:
 
     def __str__(self) -> str:
         return self.path if self.index is None else f"{self.path}#{self.index}"
+
+
+# Parts of letters and digits, none of which begins with a dot; an image of a shard has its number.
+_PLAIN = re.compile(r"(?:[\w-][\w.-]*/)*[\w-][\w.-]*(?:\.npy#[0-9]{1,9}|(?<!\.npy))", re.ASCII)
+
+
+def is_plain(reference: str) -> bool:
+    """Whether a reference is written in the usual letters, so that `parse_reference` accepts it."""
+    return len(reference) <= 1024 and _PLAIN.fullmatch(reference) is not None
 
 
 def parse_images(value: Any) -> tuple[ImageRef, ...]:
@@ -65,6 +74,8 @@ def with_digests(images: tuple[ImageRef, ...], given: Any) -> tuple[ImageRef, ..
     """
     if given is None:
         return images
+    if len(images) == 1 and isinstance(given, str):
+        return (ImageRef(images[0].path, images[0].index, images[0].exposure_s, given),)
     listed = given if isinstance(given, list) else [given]
     texts = [one if isinstance(one, str) else repr(one)[:64] for one in listed[: len(images)]]
     texts += ["none"] * (len(images) - len(texts))
@@ -79,6 +90,9 @@ def parse_reference(value: Any) -> ImageRef:
     """
     if not isinstance(value, str):
         raise ValueError(f"found {value!r:.60}, expected a path, null, or a list of images with exposures")
+    if is_plain(value):
+        path, _, number = value.partition("#")
+        return ImageRef(path, int(number) if number else None)
     path, index = value, None
     if match := re.fullmatch(r"(.*\.npy)#([0-9]{1,9})", value, re.DOTALL):
         path, index = match[1], int(match[2])
@@ -109,9 +123,29 @@ class Folder:
     def __init__(self, root: Path) -> None:
         self._root = Path(os.path.realpath(root))
         self._inside: dict[str, bool] = {}
+        self._files: dict[str, frozenset[str]] = {}
+
+    def holds(self, path: str) -> bool:
+        """Whether a path is that of a regular file inside; links, and names in other spellings, are for `locate`.
+
+        Each folder is listed once, which is faster than looking at thousands of images one by one.
+        """
+        folder, _, name = path.rpartition("/")
+        if folder not in self._files:
+            self._files[folder] = self._list(self._root / folder)
+        return name in self._files[folder]
+
+    def _list(self, folder: Path) -> frozenset[str]:
+        if not self._is_inside(folder):
+            return frozenset()
+        try:
+            with os.scandir(folder) as entries:
+                return frozenset(entry.name for entry in entries if entry.is_file(follow_symlinks=False))
+        except OSError:
+            return frozenset()
 
     def locate(self, reference: ImageRef) -> Path:
-        """Path of an existing regular file.
+        """Path of an existing regular file, where a link inside leads to the file itself.
 
         Raises:
             CaptureError: If it does not exist, is no regular file, or a link leads out.
@@ -121,9 +155,10 @@ class Folder:
             status = os.lstat(path)
             inside = self._is_inside(path.parent)
             if stat.S_ISLNK(status.st_mode):
+                path = Path(os.path.realpath(path))
                 inside, status = inside and self._is_inside(path), os.stat(path)
         except (OSError, ValueError) as problem:
-            reason = "no such file" if isinstance(problem, FileNotFoundError) else str(problem)
+            reason = "no such file" if isinstance(problem, FileNotFoundError) else getattr(problem, "strerror", problem)
             raise CaptureError(f"{reference.path}: {reason}.") from problem
         if not inside:
             raise CaptureError(f"{reference.path}: a link that leads out of the capture's folder; copy the file there.")

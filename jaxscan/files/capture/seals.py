@@ -45,8 +45,8 @@ def seal(path: Path) -> dict[str, Any]:
     Raises:
         CaptureError: If header or journal cannot be read.
     """
-    header = read_bounded(path / HEADER_NAME, MEGABYTE, error=CaptureError)
-    journal = read_bounded(path / JOURNAL_NAME, MAX_JOURNAL_BYTES, error=CaptureError)
+    header = read_bounded(path / HEADER_NAME, MEGABYTE, error=CaptureError, links="refuse")
+    journal = read_bounded(path / JOURNAL_NAME, MAX_JOURNAL_BYTES, error=CaptureError, links="refuse")
     numbers = {value["i"] for _, value in journal_objects(journal) if "i" in value}
     return {
         SEAL: hashlib.sha256(journal).hexdigest(),
@@ -62,16 +62,17 @@ def sealing(texts: CaptureTexts, folder: Path) -> Sealing:
     last = -1
     sealed, at = hashlib.sha256(), 0
     header, counted = hashlib.sha256(texts.header_bytes).hexdigest(), None
+    line = 1
     for start, value in _seals(journal):
         sealed.update(memoryview(journal)[at:start])
+        line += journal.count(b"\n", at, start)
         last = at = start
         counted = value.get(SEALED_RECORDS)
-        line = journal.count(b"\n", 0, start) + 1
         if sealed.hexdigest() != value[SEAL]:
             broken.append(f"{name}: line {line}: the seal does not fit the lines before it.")
         if value.get(HEADER_SEAL, header) != header:
             broken.append(f"{folder / HEADER_NAME}: does not fit the seal in line {line} of {JOURNAL_NAME}.")
-    after = sum("i" in value for _, value in journal_objects(journal[max(last, 0) :]))
+    after = sum("i" in value for _, value in journal_objects(journal[last:])) if last >= 0 else len(texts.records)
     if not after and counted not in (None, len(texts.records)):
         broken.append(f"{name}: found {len(texts.records)} records, its last seal counted {counted!r:.20}.")
     digests = any(image.sha256 is not None for record in texts.records for image in (*record.on, *record.off))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.references import ImageRef
+from jaxscan.files.capture.references import Folder, ImageRef
 from jaxscan.files.disk import NPY_DAMAGE, open_regular, read_npy_header
 
 
@@ -33,7 +33,7 @@ class Shards:
 
     def __init__(self, folder: Path, shape: tuple[int, ...]) -> None:
         """`shape` is the shape of one frame."""
-        self._folder, self._shape = folder, shape
+        self._path, self._folder, self._shape = folder, Folder(folder), shape
         self._length: dict[str, int] = {}
         self._mapped: OrderedDict[str, _Shard] = OrderedDict()
         self._lock = threading.Lock()
@@ -87,8 +87,12 @@ class Shards:
         with self._lock:
             shard = self._mapped.pop(path, None)
             if shard is None:
-                name = str(self._folder / path)
-                shard = _open_shard(Path(name), name=name, shape=self._shape)
+                name = str(self._path / path)
+                try:
+                    located = self._folder.locate(ImageRef(path))
+                except CaptureError as problem:
+                    raise CaptureError(f"{self._path}/{problem}") from problem
+                shard = _open_shard(located, name=name, shape=self._shape)
             # A shard that is dropped here stays mapped as long as a view of it is in use.
             self._mapped[path] = shard
             while len(self._mapped) > _MAPPED:
@@ -111,11 +115,22 @@ def _open_shard(path: Path, *, name: str, shape: tuple[int, ...]) -> _Shard:
             expected = " x ".join(map(str, shape))
             raise CaptureError(f"{name}: found {dtype} with shape {found}, expected uint8 with shape (n, {expected}).")
         count = math.prod(found)
+        _check_length(mapped, start, count, math.prod(shape), name)
         # `frombuffer` refuses an empty buffer.
         frames = np.frombuffer(mapped, np.uint8, count, start) if count else np.empty(0, np.uint8)
         return _Shard(frames.reshape(found, order="F" if column_major else "C"), mapped, start)
     except NPY_DAMAGE as problem:
         raise CaptureError(f"{name}: not a readable .npy file: {problem}.") from problem
+
+
+def _check_length(mapped: mmap.mmap, start: int, count: int, frame: int, name: str) -> None:
+    """Check that a shard has the length that its header announces: a byte too many moves all images behind it."""
+    surplus = len(mapped) - start - count
+    # Whoever shortens a shard to its frames, and is stopped between header and file, leaves room for whole frames.
+    room = surplus >= 0 and surplus % frame == 0 and not np.frombuffer(mapped, np.uint8, offset=start + count).any()
+    if surplus != 0 and not room:
+        found, expected = len(mapped), start + count
+        raise CaptureError(f"{name}: not a readable .npy file: found {found} bytes, its header announces {expected}.")
 
 
 def _read_ahead(file: mmap.mmap, begin: int, size: int) -> None:

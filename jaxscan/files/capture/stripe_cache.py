@@ -17,6 +17,7 @@ from jaxscan.files.disk import MEGABYTE, parse_json, read_arrays, read_bounded, 
 
 
 CACHE_FORMAT = "jaxscan-stripes/2"
+CACHE_NAME = "stripes.npz"
 MAX_CACHE_BYTES = 1 << 34
 """Most memory that its arrays take; 7200 profiles of 4096 lines take 0.9 GiB."""
 
@@ -26,7 +27,7 @@ _KINDS = "biuf"
 
 def cache_path(capture: Capture) -> Path:
     """Where the stripes of a capture are kept: beside its journal."""
-    return capture.path / "stripes.npz"
+    return capture.path / CACHE_NAME
 
 
 def frames_key(capture: Capture) -> str:

@@ -18,6 +18,8 @@ class CaptureTexts(NamedTuple):
     """Sorted by their number, one per number."""
     notes: tuple[str, ...]
     """A sentence if a torn last line was left out."""
+    takes: dict[int, int]
+    """How many lines each record has in the journal."""
     header_bytes: bytes
     journal_bytes: bytes
 
@@ -33,9 +35,9 @@ def read_texts(folder: Path) -> CaptureTexts:
         CaptureError: With the file, and the line or key, that is missing or wrong.
     """
     header_path, journal_path = folder / HEADER_NAME, folder / JOURNAL_NAME
-    header_bytes = read_bounded(header_path, MEGABYTE, error=CaptureError)
+    header_bytes = read_bounded(header_path, MEGABYTE, error=CaptureError, links="refuse")
     header = parse_header(header_bytes, name=str(header_path))
-    journal_bytes = read_bounded(journal_path, MAX_JOURNAL_BYTES, error=CaptureError)
+    journal_bytes = read_bounded(journal_path, MAX_JOURNAL_BYTES, error=CaptureError, links="refuse")
     names = tuple(laser.name for laser in header.laser)
-    records, notes = read_journal(journal_bytes, name=str(journal_path), kind=header.kind, laser_names=names)
-    return CaptureTexts(header, records, notes, header_bytes, journal_bytes)
+    journal = read_journal(journal_bytes, name=str(journal_path), kind=header.kind, laser_names=names)
+    return CaptureTexts(header, *journal, header_bytes, journal_bytes)

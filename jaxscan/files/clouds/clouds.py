@@ -77,7 +77,7 @@ def load_cloud(path: str | Path) -> PointCloud:
 
     Returns:
         The cloud on its grid, NumPy arrays. A PLY of another program has one profile, in its own
-        unit and frame; values that it lacks are zero.
+        unit and frame; values that it lacks are zero. Coordinates are float64 where the file holds doubles.
 
     Raises:
         CloudError: If the suffix is unknown, or the file is missing or damaged.
@@ -86,6 +86,6 @@ def load_cloud(path: str | Path) -> PointCloud:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise CloudError(f'{path}: cannot read "{path.suffix}", known are {", ".join(READERS)}.')
-    if not path.is_file():
-        raise CloudError(f"{path}: {'not a regular file' if path.exists() else 'no such file'}.")
-    return reader(path)
+    cloud = reader(path)
+    check_cloud(cloud, str(path))
+    return cloud

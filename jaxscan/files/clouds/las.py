@@ -4,13 +4,17 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxscan.errors import DependencyError
+from jaxscan.errors import CloudError, DependencyError
 from jaxscan.files.clouds.points import columns
 from jaxscan.reconstruction import PointCloud
 
 
 SCALE_M = 1e-4
 """Step of the stored coordinates: a tenth of a millimetre."""
+COARSEST_M = 1e-3
+"""Largest step, for clouds of more than 429 km."""
+_STEPS = (1 << 31) - 1
+"""Largest stored number of steps from the offset."""
 _EXTRA = {
     "sigma": "std. dev. along ray [m]",
     "sigma_random": "independent part [m]",
@@ -29,6 +33,7 @@ def write_las(cloud: PointCloud, path: Path, digest: str) -> None:
     The suffix `.laz` compresses. Intensity is the amplitude in 1/257 DN, so that 255 DN fill the range.
 
     Raises:
+        CloudError: If the points are too far apart for the format.
         DependencyError: If laspy, or lazrs for `.laz`, is not installed.
     """
     missing = DependencyError('LAS and LAZ need laspy and lazrs: pip install "jaxscan[export]"')
@@ -41,8 +46,7 @@ def write_las(cloud: PointCloud, path: Path, digest: str) -> None:
     points = cloud.points()
     values = columns(points)
     header = laspy.LasHeader(point_format=7, version="1.4")
-    header.scales = np.full(3, SCALE_M)
-    header.offsets = np.zeros(3)
+    header.offsets, header.scales = _placed(points.xyz)
     header.generating_software = "jaxscan"
     header.add_extra_dims(
         [
@@ -60,3 +64,20 @@ def write_las(cloud: PointCloud, path: Path, digest: str) -> None:
     for name in _EXTRA:
         las[name] = values[name]
     las.write(str(path))
+
+
+def _placed(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Offset and step [3] with which 32-bit numbers hold the coordinates [n, 3]: offset 0 where that suffices."""
+    lowest, highest = xyz.min(0).astype(np.float64), xyz.max(0).astype(np.float64)
+    if max(np.abs(lowest).max(), np.abs(highest).max()) <= SCALE_M * _STEPS:
+        return np.zeros(3), np.full(3, SCALE_M)
+    # Whole metres, so that the offset itself is exact. One metre is left for its rounding.
+    offset = np.round(lowest / 2 + highest / 2)
+    reach = float((highest / 2 - lowest / 2).max()) + 1.0
+    scale = SCALE_M if reach <= SCALE_M * _STEPS else COARSEST_M
+    if reach > scale * _STEPS:
+        raise CloudError(
+            f"LAS holds points at most {2 * COARSEST_M * _STEPS / 1e3:.0f} km apart, and these are "
+            f"{reach / 500:.3g} km apart; remove the ones far away, or choose .ply."
+        )
+    return offset, np.full(3, scale)

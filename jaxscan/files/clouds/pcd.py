@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxscan.files.clouds.points import blocks, columns, table
+from jaxscan.files.clouds.points import blocks, columns, table, with_doubles
 from jaxscan.reconstruction import PointCloud
 
 
@@ -17,14 +17,15 @@ _POINT = np.dtype(
 
 
 def write_pcd(cloud: PointCloud, path: Path, digest: str) -> None:
-    """Write the valid points, with normals, colours and uncertainties."""
-    names, count = _POINT.names or (), int(np.count_nonzero(cloud.valid))
+    """Write the valid points, with normals, colours and uncertainties; doubles where the cloud holds doubles."""
+    point = with_doubles(_POINT, cloud)
+    names, count = point.names or (), int(np.count_nonzero(cloud.valid))
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
         f"# unit metre, frame scanner{', calibration ' + digest if digest else ''}",
         "VERSION 0.7",
         f"FIELDS {' '.join(names)}",
-        f"SIZE {' '.join('4' for _ in names)}",
+        f"SIZE {' '.join(str(point[name].itemsize) for name in names)}",
         f"TYPE {' '.join('F' for _ in names)}",
         f"COUNT {' '.join('1' for _ in names)}",
         f"WIDTH {count}",
@@ -39,4 +40,4 @@ def write_pcd(cloud: PointCloud, path: Path, digest: str) -> None:
         for points in blocks(cloud):
             red, green, blue = points.rgb.astype(np.uint32).T
             packed = red << np.uint32(16) | green << np.uint32(8) | blue
-            file.write(table({**columns(points), "rgb": packed}, _POINT).data)
+            file.write(table({**columns(points), "rgb": packed}, point).data)

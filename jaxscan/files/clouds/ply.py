@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxscan.files.clouds.points import blocks, columns, table
+from jaxscan.files.clouds.points import blocks, columns, table, with_doubles
 from jaxscan.reconstruction import PointCloud
 
 
@@ -25,19 +25,20 @@ _TYPE_NAMES = {"<f4": "float", "<f8": "double", "<i4": "int", "|u1": "uchar"}
 
 
 def write_ply(cloud: PointCloud, path: Path, digest: str) -> None:
-    """Write the valid points as binary little-endian PLY."""
+    """Write the valid points as binary little-endian PLY; x, y and z are doubles where the cloud holds doubles."""
     profiles, lines = cloud.valid.shape
+    vertex = with_doubles(VERTEX, cloud)
     comments = [CLOUD_FORMAT, "unit metre", "frame scanner", f"grid {profiles} {lines}"]
     if digest:
         comments.append(f"calibration {digest}")
     header = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
-    header += _element("vertex", int(np.count_nonzero(cloud.valid)), VERTEX) + _element("profile", profiles, PROFILE)
+    header += _element("vertex", int(np.count_nonzero(cloud.valid)), vertex) + _element("profile", profiles, PROFILE)
     per_profile = np.empty(profiles, PROFILE)
     per_profile["angle"], per_profile["record"], per_profile["laser"] = cloud.angle, cloud.record, cloud.laser
     with open(path, "wb") as file:
         file.write("\n".join([*header, "end_header", ""]).encode("ascii"))
         for points in blocks(cloud):
-            file.write(table(columns(points), VERTEX).data)
+            file.write(table(columns(points), vertex).data)
         file.write(per_profile.data)
 
 

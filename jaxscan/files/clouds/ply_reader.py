@@ -8,12 +8,19 @@ import numpy as np
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.ply import CLOUD_FORMAT, PROFILE, VERTEX
+from jaxscan.files.disk import open_regular
 from jaxscan.reconstruction import PointCloud
 
 
 MAX_HEADER_BYTES = 64 << 10
 MAX_CELLS = 1 << 28
 """Largest accepted grid, 13 GB: 18 000 steps of two lasers on 7000 lines."""
+SPARSE_CELLS = 1 << 24
+"""Largest grid however few its points, 0.7 GB, where the file lists the profiles: 8000 steps on 2000 lines."""
+SPARSE_CELLS_UNLISTED = 1 << 22
+"""The same where it does not list them."""
+CELLS_PER_POINT = 256
+"""A larger grid must have a point in this many cells."""
 
 _TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2"},
@@ -21,6 +28,7 @@ _TYPES = {
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
     **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
 }
+_BLOCK = 1 << 16
 _ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -49,7 +57,7 @@ def read_ply(path: Path) -> PointCloud:
         CloudError: If it is damaged or has no points.
     """
     try:
-        with open(path, "rb") as file:
+        with open_regular(path, error=CloudError) as file:
             header = _read_header(file, path)
             size = os.fstat(file.fileno()).st_size
             tables = _read_tables(file, header, size, path)
@@ -62,7 +70,7 @@ def read_ply(path: Path) -> PointCloud:
     # Another program may have kept the comments but dropped the columns.
     if versions and set(VERTEX.names or ()) <= set(vertices.dtype.names or ()):
         return _organised(vertices, tables.get("profile"), header.comments, path)
-    return _unorganised(vertices, path)
+    return _unorganised(vertices, path, ours=bool(versions))
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:
@@ -106,12 +114,16 @@ def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> dict
     """The tables up to the first that cannot be read, which must come after the vertices."""
     tables: dict[str, np.ndarray] = {}
     file.seek(header.length)
+    listless = [element for element in header.elements if element.dtype is not None]
     for element in header.elements:
         if element.dtype is None:
             break
         table = _read_table(file, element, header.encoding == "ascii", size, path)
         if element.name in ("vertex", "profile"):
             tables[element.name] = table
+    # The length of a list is in the list alone; without lists the header says where the file ends.
+    if len(listless) == len(header.elements) and _has_more(file):
+        raise CloudError(f"{path}: the file goes on after the data that its header announces; it is damaged.")
     vertices = tables.get("vertex")
     if vertices is None:
         raise CloudError(f"{path}: has no vertices that can be read; lists in or before them are not supported.")
@@ -120,6 +132,14 @@ def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> dict
     if len(vertices) == 0:
         raise CloudError(f"{path}: holds no points.")
     return tables
+
+
+def _has_more(file: BinaryIO) -> bool:
+    """Whether more follows than the end of a line."""
+    rest = file.read(_BLOCK)
+    while rest and not rest.strip():
+        rest = file.read(_BLOCK)
+    return bool(rest)
 
 
 def _read_table(file: BinaryIO, element: _Element, ascii_text: bool, size: int, path: Path) -> np.ndarray:
@@ -159,8 +179,13 @@ def _organised(
     if len(words) != 3 or not all(word.isascii() and word.isdigit() and len(word) < 12 for word in words[1:]):
         raise CloudError(f'{path}: the comment "grid <profiles> <lines>" is missing or wrong.')
     profiles, lines = int(words[1]), int(words[2])
-    if not 0 < profiles * lines <= MAX_CELLS:
-        raise CloudError(f"{path}: found a grid of {profiles} x {lines}, more than {MAX_CELLS} cells.")
+    listed = per_profile is not None and len(per_profile) == profiles
+    most = max(SPARSE_CELLS if listed else SPARSE_CELLS_UNLISTED, CELLS_PER_POINT * len(vertices))
+    if not 0 < profiles * lines <= min(most, MAX_CELLS):
+        raise CloudError(
+            f"{path}: found a grid of {profiles} x {lines}, more than the {min(most, MAX_CELLS)} cells that "
+            f"{len(vertices)} points can need; it is damaged."
+        )
     step, row = vertices["step"], vertices["row"]
     if step.min() < 0 or step.max() >= profiles or row.min() < 0 or row.max() >= lines:
         raise CloudError(f"{path}: a point lies outside the grid of {profiles} x {lines}.")
@@ -187,7 +212,7 @@ def _organised(
         angle, record, laser = np.zeros(profiles), np.arange(profiles, dtype=np.int32), np.zeros(profiles, np.int32)
         laser[step] = vertices["laser"]
     return PointCloud(
-        xyz=spread(np.float32, "x", "y", "z"),
+        xyz=spread(_coordinates(vertices), "x", "y", "z"),
         rgb=spread(np.uint8, "red", "green", "blue"),
         intensity=spread(np.float32, "intensity"),
         normals=spread(np.float32, "nx", "ny", "nz"),
@@ -200,10 +225,14 @@ def _organised(
     )
 
 
-def _unorganised(vertices: np.ndarray, path: Path) -> PointCloud:
+def _coordinates(vertices: np.ndarray) -> type:
+    """Type of the coordinates: a national grid needs the double that it came in."""
+    return np.float32 if all(vertices.dtype[name].itemsize <= 4 for name in "xyz") else np.float64
+
+
+def _unorganised(vertices: np.ndarray, path: Path, *, ours: bool) -> PointCloud:
     names = vertices.dtype.names or ()
-    # Large coordinates (a national grid) need the double that they came in.
-    dtype = np.float32 if all(vertices.dtype[name].itemsize <= 4 for name in "xyz") else np.float64
+    dtype = _coordinates(vertices)
 
     def column(*spellings: str) -> np.ndarray:
         for name in spellings:
@@ -218,11 +247,16 @@ def _unorganised(vertices: np.ndarray, path: Path) -> PointCloud:
     if not valid.any():
         raise CloudError(f"{path}: holds no finite point.")
     normals = np.stack([column(name, f"normal_{name[1]}") for name in ("nx", "ny", "nz")], -1)
+    # A part of a normal is another direction.
+    whole = {"nx", "ny", "nz"} <= set(names) or {"normal_x", "normal_y", "normal_z"} <= set(names)
     with np.errstate(over="ignore"):
         lengths = np.sqrt((normals * normals).sum(-1, keepdims=True))
-    usable = valid[:, None] & np.isfinite(lengths) & (lengths > 0)
+    usable = valid[:, None] & np.isfinite(lengths) & (lengths > 0) & whole
     scalars = [column(name, f"scalar_{name}") for name in ("intensity", "sigma_random", "sigma_systematic")]
     intensity, sigma_random, sigma_systematic = (np.where(valid & np.isfinite(one), one, 0) for one in scalars)
+    if ours and not {"sigma_random", "sigma_systematic"} <= set(names):
+        # Ours have both. With one lost the other would be taken for all of the uncertainty.
+        sigma_random, sigma_systematic = np.zeros_like(sigma_random), np.zeros_like(sigma_systematic)
     return PointCloud(
         xyz=np.where(valid[:, None], xyz, 0)[None],
         rgb=np.where(valid[:, None], _colours(vertices), 0).astype(np.uint8)[None],

@@ -35,6 +35,16 @@ def columns(points: CloudPoints) -> dict[str, np.ndarray]:
     }
 
 
+def with_doubles(dtype: np.dtype, cloud: PointCloud) -> np.dtype:
+    """The fields of a format's record, with x, y and z as doubles where the cloud holds doubles.
+
+    A single has 24 bits: half a metre in a national grid.
+    """
+    if np.dtype(cloud.xyz.dtype) != np.float64:
+        return dtype
+    return np.dtype([(name, "<f8" if name in ("x", "y", "z") else dtype[name]) for name in dtype.names or ()])
+
+
 def table(values: Mapping[str, np.ndarray], dtype: np.dtype) -> np.ndarray:
     """Columns as an array of records with the fields of `dtype`; a normal is "nx" or "normal_x"."""
     records = np.empty(len(values["step"]), dtype)
@@ -44,16 +54,19 @@ def table(values: Mapping[str, np.ndarray], dtype: np.dtype) -> np.ndarray:
 
 
 def check_cloud(cloud: PointCloud, name: str) -> None:
-    """Check that a cloud can be written.
+    """Check the numbers of a cloud that was read or is to be written.
+
+    Normals may have any length: nothing computes with them, and programs that draw them scale them.
 
     Raises:
-        CloudError: If it has no point, or one that is not finite, or too many lasers.
+        CloudError: If it has no point, or one that is not finite, a negative sigma, or an impossible laser.
     """
     valid = np.asarray(cloud.valid)
     if not valid.any():
-        raise CloudError(f"{name}: the cloud has no valid point, so there is nothing to write.")
-    if np.max(cloud.laser) > 255 or np.min(cloud.laser) < 0:
-        raise CloudError(f"{name}: found laser {np.max(cloud.laser)}, expected 0 to 255.")
+        raise CloudError(f"{name}: the cloud has no valid point, so there is nothing in it.")
+    for laser in (np.min(cloud.laser), np.max(cloud.laser)):
+        if not 0 <= laser <= 255:
+            raise CloudError(f"{name}: found laser {laser}, expected 0 to 255.")
     for field in ("xyz", "normals", "intensity", "sigma_random", "sigma_systematic"):
         values = np.asarray(getattr(cloud, field))
         # First one pass without a copy; only if it fails, look at the valid points alone.
@@ -61,3 +74,7 @@ def check_cloud(cloud: PointCloud, name: str) -> None:
             finite = np.isfinite(values.sum(dtype=np.float64))
         if not finite and not np.isfinite(values[valid]).all():
             raise CloudError(f"{name}: {field} of a valid point is not finite.")
+    for field in ("sigma_random", "sigma_systematic"):
+        values = np.asarray(getattr(cloud, field))
+        if values.min() < 0 and values[valid].min() < 0:
+            raise CloudError(f"{name}: {field} of a valid point is negative; a standard deviation is 0 or more.")

@@ -11,7 +11,7 @@ from typing import Literal
 
 from jaxscan.errors import JaxscanError
 from jaxscan.files.disk.bounded import reported
-from jaxscan.files.disk.opening import shown
+from jaxscan.files.disk.opening import NO_LINK, shown
 from jaxscan.files.disk.partial import partial_file
 
 
@@ -65,6 +65,15 @@ def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError
         target = _target(path, "follow")
         if not os.access(target.parent, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+
+def open_to_append(path: str | Path) -> io.FileIO:
+    """Open a file to append to it without buffering; it is made where it is missing.
+
+    Raises:
+        OSError: If it cannot be opened, or is a link, which may lead anywhere.
+    """
+    return open(path, "ab", buffering=0, opener=lambda name, flags: os.open(name, flags | NO_LINK, 0o666))
 
 
 def append_whole(file: io.FileIO, data: bytes, *, durable: bool) -> None:

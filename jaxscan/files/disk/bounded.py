@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,6 +10,10 @@ from typing import Any
 
 from jaxscan.errors import JaxscanError
 from jaxscan.files.disk.opening import open_regular
+
+
+MAX_DEPTH = 64
+"""Most tables and lists within one another; what walks through a value may do so by recursion."""
 
 
 @contextlib.contextmanager
@@ -40,13 +45,34 @@ def parse_json(data: bytes, *, name: str, error: type[JaxscanError]) -> Any:
         raise ValueError(f"{constant} is not a number that JSON knows")
 
     try:
-        return json.loads(data.decode("utf-8"), parse_constant=refuse)
+        value = json.loads(data.decode("utf-8"), parse_constant=refuse)
     except json.JSONDecodeError as problem:
         raise error(f"{name}: line {problem.lineno}: not valid JSON: {problem.msg}.") from problem
     except UnicodeDecodeError as problem:
         raise error(f"{name}: not UTF-8 text (byte {problem.start}).") from problem
-    except (ValueError, RecursionError) as problem:
+    except RecursionError as problem:
+        raise error(too_deep(name)) from problem
+    except ValueError as problem:
         raise error(f"{name}: not valid JSON: {problem}.") from problem
+    if is_deep(value):
+        raise error(too_deep(name))
+    return value
+
+
+def is_deep(value: Any) -> bool:
+    """Whether a value of JSON or TOML has more than `MAX_DEPTH` tables and lists within one another."""
+    level = [value]
+    for _ in range(MAX_DEPTH + 1):
+        inner = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list)]
+        if not inner:
+            return False
+        level = list(itertools.chain.from_iterable(inner))
+    return True
+
+
+def too_deep(name: str) -> str:
+    """The message about such a value."""
+    return f"{name}: nested too deeply, expected at most {MAX_DEPTH} tables or lists within one another."
 
 
 def file_digest(path: str | Path, *, error: type[JaxscanError] = JaxscanError) -> str:

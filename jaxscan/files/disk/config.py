@@ -1,15 +1,31 @@
 """Configuration: TOML into frozen pydantic models that reject unknown keys."""
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from jaxscan.errors import ConfigError, JaxscanError
+from jaxscan.files.disk.bounded import is_deep, too_deep
 from jaxscan.files.disk.opening import MEGABYTE, read_bounded
 from jaxscan.files.disk.validation import Model, check
 
 
 MAX_CONFIG_BYTES = MEGABYTE
+MAX_PARTS = 32
+"""Most parts of a dotted key, such as 3 in `laser.plane.normal`: Python's reader takes the square of their number."""
+
+# Comments and texts of many lines are passed over; then a key, or another word, with its dotted parts. Nothing is
+# tried twice, so the time is in proportion to the length. Behind the first error of syntax nothing matters.
+_PART = r"""(?:"(?:[^"\\\n]++|\\.?)*+(?:"|$)|'[^'\n]*+(?:'|$)|[A-Za-z0-9_-]++)"""
+_DOT = r"[ \t]*+\.[ \t]*+"
+_KEYS = re.compile(
+    r"#[^\n]*+"
+    r'|"""(?:[^"\\]++|\\(?:.|\n)?|"(?!""))*+(?:"{3,5}+|\Z)'
+    r"|'''(?:[^']++|'(?!''))*+(?:'{3,5}+|\Z)"
+    rf"|{_PART}(?:{_DOT}{_PART}){{0,{MAX_PARTS - 1}}}+(?P<more>{_DOT}{_PART})?+",
+    re.MULTILINE,
+)
 
 
 def load_toml(path: str | Path, model: type[Model]) -> Model:
@@ -34,12 +50,24 @@ def parse_toml(data: bytes, *, name: str, error: type[JaxscanError]) -> dict[str
     """The tables of a TOML text.
 
     Raises:
-        JaxscanError: Of type `error`, with the line of the first syntax error.
+        JaxscanError: Of type `error`, with the line of the first syntax error; also for keys of more than `MAX_PARTS`
+            parts and tables nested more than `MAX_DEPTH` deep.
     """
     try:
-        return tomllib.loads(data.decode("utf-8"))
+        text = data.decode("utf-8")
     except UnicodeDecodeError as problem:
         line = data[: problem.start].count(b"\n") + 1
         raise error(f"{name}: line {line}: not UTF-8 text.") from problem
-    except (ValueError, RecursionError) as problem:
+    for found in _KEYS.finditer(text):
+        if found["more"]:
+            line = text.count("\n", 0, found.start()) + 1
+            raise error(f"{name}: line {line}: found a key of more than {MAX_PARTS} dotted parts, expected fewer.")
+    try:
+        tables = tomllib.loads(text)
+    except RecursionError as problem:
+        raise error(too_deep(name)) from problem
+    except ValueError as problem:
         raise error(f"{name}: not valid TOML: {problem}.") from problem
+    if is_deep(tables):
+        raise error(too_deep(name))
+    return tables

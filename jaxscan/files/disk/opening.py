@@ -15,7 +15,8 @@ MEGABYTE = 1 << 20
 
 # Opening a pipe would wait for a writer for ever. Not every system has each of these flags.
 _FLAGS = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY"))
-_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+"""Flag of `os.open` that refuses a link."""
 
 
 def open_regular(
@@ -40,7 +41,7 @@ def open_regular(
     try:
         if links == "refuse" and os.path.islink(path):
             raise OSError(errno.ELOOP, "")
-        handle = os.open(path, _FLAGS | (_NO_LINK if links == "refuse" else 0))
+        handle = os.open(path, _FLAGS | (NO_LINK if links == "refuse" else 0))
     except FileNotFoundError as problem:
         raise error(f"{path}: no such file.") from problem
     except (OSError, ValueError) as problem:
@@ -79,6 +80,20 @@ def read_bounded(path: str | Path, limit: int, *, error: type[JaxscanError], lin
             return file.read(os.fstat(file.fileno()).st_size)
         except OSError as problem:
             raise error(f"{path}: cannot be read: {problem.strerror or problem}.") from problem
+
+
+def check_name(path: str | Path, *, error: type[JaxscanError]) -> None:
+    """Check that a file or folder can have this name, before its content is computed.
+
+    Raises:
+        JaxscanError: Of type `error`, if the name is too long, holds letters that no name has, or lies in a file.
+    """
+    try:
+        os.lstat(path)
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as problem:
+        raise error(f"{shown(path)}: cannot be written: {getattr(problem, 'strerror', None) or problem}.") from problem
 
 
 def shown(path: str | Path) -> str:

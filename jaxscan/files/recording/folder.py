@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import JOURNAL_NAME
+from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME
 from jaxscan.files.disk import sync_to_disk
 
 
@@ -19,7 +19,7 @@ def make_folder(path: Path, *, durable: bool) -> None:
     Raises:
         OSError: If it cannot be made.
     """
-    new = [path, *(above for above in path.parents if not above.exists())]
+    new = [path, *(above for above in path.parents if not os.path.exists(above))]
     path.mkdir(parents=True, exist_ok=True)
     if durable and os.name == "posix":
         for folder in new:
@@ -32,9 +32,9 @@ def require_no_links(path: Path) -> None:
     """Check that nothing can be written outside the folder of a capture.
 
     Raises:
-        CaptureError: If a folder of images or the journal is a link.
+        CaptureError: If a folder of images, the journal or the header is a link.
     """
-    for name in ("on", "off", JOURNAL_NAME):
+    for name in ("on", "off", JOURNAL_NAME, HEADER_NAME):
         if (path / name).is_symlink():
             raise CaptureError(
                 f"{path / name}: found a link, which may lead anywhere, expected the capture's own; "

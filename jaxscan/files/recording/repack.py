@@ -3,8 +3,6 @@
 import hashlib
 import itertools
 import os
-import secrets
-import shutil
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -26,7 +24,7 @@ from jaxscan.files.capture import (
     open_capture,
     read_texts,
 )
-from jaxscan.files.disk import reported, sync_to_disk, write_atomically
+from jaxscan.files.disk import check_name, partial_folder, reported, sync_to_disk, write_atomically
 from jaxscan.files.recording.store import Storage
 from jaxscan.files.recording.writer import CaptureWriter, create_capture
 
@@ -66,9 +64,8 @@ def repack_capture(
     texts = read_texts(source)
     if texts.digest() != capture.digest():
         raise CaptureError(f"{source}: has changed while it was read; end the capture first.")
-    part = target.with_name(f".part-{secrets.token_hex(6)}")
     values = list(_ordered(texts.journal_bytes))
-    try:
+    with reported(f"{target}: cannot be created", error=CaptureError), partial_folder(target) as part:
         with create_capture(part, capture.header, storage=storage, durable=False, digests=True) as writer:
             _copy(capture, writer, values, progress)
             # Before the seal, which binds it.
@@ -76,15 +73,12 @@ def repack_capture(
             writer.seal(source={SEAL: hashlib.sha256(texts.journal_bytes).hexdigest()})
         # Check again: a folder may have appeared in the meantime.
         check_new_folder(target)
-        with reported(f"{target}: cannot be created", error=CaptureError):
-            # Wait for the disk here, once, so that the source may be deleted afterwards.
-            for place, _, names in os.walk(part):
-                for name in (*names, ""):
-                    sync_to_disk(Path(place, name))
-            os.rename(part, target)
-            sync_to_disk(target.parent)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+        # Wait for the disk here, once, so that the source may be deleted afterwards.
+        for place, _, names in os.walk(part):
+            for name in (*names, ""):
+                sync_to_disk(Path(place, name))
+        os.rename(part, target)
+        sync_to_disk(target.parent)
     return open_capture(target)
 
 
@@ -95,9 +89,10 @@ def check_new_folder(target: str | Path) -> None:
         CaptureError: If something exists there, or its own folder does not.
     """
     target = Path(os.path.abspath(target))
+    check_name(target, error=CaptureError)
     if os.path.lexists(target):
         raise CaptureError(f"{target}: exists; choose another folder, a capture is never overwritten.")
-    if not target.parent.is_dir():
+    if not os.path.isdir(target.parent):
         raise CaptureError(f"{target}: cannot be created, the folder {target.parent} does not exist; create it first.")
 
 

@@ -1,10 +1,9 @@
 """Resuming an interrupted capture."""
 
-from collections import Counter
 from pathlib import Path
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import JOURNAL_NAME, exposure_levels, journal_objects, read_texts
+from jaxscan.files.capture import JOURNAL_NAME, exposure_levels, read_texts
 from jaxscan.files.disk import reported, write_atomically
 from jaxscan.files.recording.folder import require_no_links
 from jaxscan.files.recording.store import Storage, WriteSettings
@@ -36,8 +35,7 @@ def resume_capture(
     lines = [line + b"\n" for line in texts.journal_bytes.split(b"\n") if line.strip()]
     journal = b"".join(lines[:-1] if texts.notes else lines)
     if journal != texts.journal_bytes:
-        write_atomically(path / JOURNAL_NAME, journal, durable=durable, error=CaptureError)
-    taken = Counter(value["i"] for _, value in journal_objects(journal) if "i" in value)
+        write_atomically(path / JOURNAL_NAME, journal, durable=durable, error=CaptureError, links="replace")
     with reported(f"{path}: cannot be written", error=CaptureError):
         for folder in ("on", "off"):
             (path / folder).mkdir(exist_ok=True)
@@ -45,6 +43,6 @@ def resume_capture(
         images = (*texts.records[-1].on, *texts.records[-1].off) if texts.records else ()
         stored: Storage = "npy" if any(one.index is not None for one in images) else "png"
         settings = WriteSettings(storage or stored, durable, digests)
-        writer = CaptureWriter(path, texts.header, settings=settings, taken=taken, levels=levels)
+        writer = CaptureWriter(path, texts.header, settings=settings, taken=texts.takes, levels=levels)
     writer.event("resume")
     return writer

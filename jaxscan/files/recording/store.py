@@ -54,7 +54,7 @@ class PngStore:
         from jaxscan.vision import encode_png
 
         data = encode_png(image)
-        write_atomically(self._path / name, data, durable=self._durable, error=CaptureError)
+        write_atomically(self._path / name, data, durable=self._durable, error=CaptureError, links="replace")
         return hashlib.sha256(data).hexdigest() if self._digests else ""
 
     def close(self) -> None:
@@ -181,7 +181,7 @@ def _shard_name(side: str, number: int) -> str:
 
 def _last_shard(folder: Path) -> int:
     """The largest number that a shard has; -1 without any."""
-    names = os.listdir(folder) if folder.is_dir() else []
+    names = os.listdir(folder) if os.path.isdir(folder) else []
     found = (re.fullmatch(r"([0-9]{6,9})\.npy", name) for name in names)
     return max((int(match[1]) for match in found if match), default=-1)
 

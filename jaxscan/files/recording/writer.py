@@ -23,7 +23,7 @@ from jaxscan.files.capture import (
     header_toml,
     seal,
 )
-from jaxscan.files.disk import append_whole, reported, write_atomically
+from jaxscan.files.disk import append_whole, check_name, open_to_append, reported, write_atomically
 from jaxscan.files.recording.folder import is_unused, make_folder, require_no_links
 from jaxscan.files.recording.given import given_frame, named
 from jaxscan.files.recording.store import Storage, WriteSettings, image_store
@@ -73,7 +73,7 @@ class CaptureWriter:
         self._pending: deque[_Pending] = deque()
         self._failed: CaptureError | None = None
         self._store = image_store(path, frame_shape(header), settings)
-        self._journal = open(path / JOURNAL_NAME, "ab", buffering=0)
+        self._journal = open_to_append(path / JOURNAL_NAME)
         self._pool = ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="jaxscan-encode")
         self._ahead = 2 * (os.cpu_count() or 1)
 
@@ -283,6 +283,7 @@ def create_capture(
     """
     path = Path(path)
     toml = header_toml(header)
+    check_name(path, error=CaptureError)
     with reported(f"{path}: cannot be created", error=CaptureError):
         make_folder(path, durable=durable)
         require_no_links(path)
@@ -294,5 +295,5 @@ def create_capture(
         (path / "off").mkdir(exist_ok=True)
         (path / JOURNAL_NAME).touch()
         # Last: a folder with a header is a capture.
-        write_atomically(path / HEADER_NAME, toml, durable=durable, error=CaptureError)
+        write_atomically(path / HEADER_NAME, toml, durable=durable, error=CaptureError, links="replace")
         return CaptureWriter(path, header, settings=WriteSettings(storage, durable, digests))

@@ -31,8 +31,9 @@ ALARMS = {
 }
 """GRBL's alarm numbers as faults."""
 
-_REPORT = re.compile(r"<([A-Z][a-z]+)(?::(\d))?((?:\|[A-Za-z]+:[^|<>]*)*)>")
-_SETTING = re.compile(r"\$(\d+)=(-?[\d.]+)")
+_REPORT = re.compile(r"<([A-Z][a-z]+)(?::([0-9]))?((?:\|[A-Za-z]+:[^|<>]*)*)>")
+_NUMBER = re.compile(r"-?[0-9]{1,9}(?:\.[0-9]{0,9})?")
+_SETTING = re.compile(rf"\$([0-9]{{1,3}})=({_NUMBER.pattern})")
 _AXES = "XYZABC"
 
 
@@ -64,11 +65,10 @@ def read_report(line: str) -> Report | None:
     if match is None or match[1] not in STATES:
         return None
     fields = dict(field.split(":", 1) for field in match[3].split("|")[1:])
-    try:
-        positions = tuple(float(word) for word in fields["MPos"].split(",")) if "MPos" in fields else None
-    except ValueError:
+    words = fields["MPos"].split(",") if "MPos" in fields else []
+    if not all(map(_NUMBER.fullmatch, words)):
         return None
-    return Report(match[1], int(match[2] or 0), positions)
+    return Report(match[1], int(match[2] or 0), tuple(map(float, words)) if words else None)
 
 
 def read_settings(lines: list[str]) -> dict[int, float]:

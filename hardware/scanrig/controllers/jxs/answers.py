@@ -1,5 +1,6 @@
 """Reads answers: firmware, state and counters from their fields, faults and refusals from their numbers."""
 
+import re
 from collections.abc import Mapping
 
 from scanrig.controllers.status import Counters, Firmware, State, Status
@@ -31,6 +32,9 @@ REFUSALS = {
     14: Reason.NOT_ARMED,
 }
 """The firmware's refusal numbers (PROTOCOL.md, section 4)."""
+
+_INTEGER = re.compile(r"-?[0-9]{1,10}")
+"""The firmware's integers have 32 bits."""
 
 STATES: dict[str, State] = {"idle": "idle", "move": "move", "home": "home", "shot": "shot", "fault": "fault"}
 
@@ -73,7 +77,7 @@ def read_status(fields: Mapping[str, str]) -> Status:
 def read_state(name: str) -> State:
     """A state by its name."""
     if name not in STATES:
-        raise FirmwareError(f"the controller says st={name}, expected one of {', '.join(STATES)}")
+        raise FirmwareError(f"the controller says st={name:.20}, expected one of {', '.join(STATES)}")
     return STATES[name]
 
 
@@ -94,9 +98,8 @@ def word(fields: Mapping[str, str], key: str) -> str:
 def integer(fields: Mapping[str, str], key: str) -> int:
     """A field that must be there and be an integer."""
     text = word(fields, key)
-    try:
-        return int(text)
-    except ValueError as problem:
+    if _INTEGER.fullmatch(text) is None:
         raise FirmwareError(
-            f"the controller says {key}={text}, expected an integer; its firmware does not fit this host"
-        ) from problem
+            f"the controller says {key}={text:.20}, expected an integer; its firmware does not fit this host"
+        )
+    return int(text)

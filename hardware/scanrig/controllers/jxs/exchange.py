@@ -38,6 +38,12 @@ KEPT_RAW = 4
 MOST_MISSED = 1000
 """Most events that may be lost between two commands: a number farther ahead than this is an older one."""
 
+MOST_NAMES, OTHER = 32, "others"
+"""Events are counted by this many names, more than the protocol has; all further names count as one."""
+
+MOST_EVENTS = 1000
+"""Events that are kept until somebody looks at them; of more, the oldest are dropped."""
+
 
 class Exchange:
     """Sends commands, receives answers and events, and counts gaps. Knows lines, not their meaning.
@@ -57,7 +63,7 @@ class Exchange:
         self.timeout_s = timeout_s
         self.tries = tries
         self.counts = LinkCounts()
-        self.events: deque[Event] = deque()
+        self.events: deque[Event] = deque(maxlen=MOST_EVENTS)
         self.odd_lines: deque[bytes] = deque(maxlen=KEPT_RAW)
         self.boot: int | None = None
         self.restarted: ControllerReset | None = None
@@ -187,10 +193,11 @@ class Exchange:
     def _file(self, event: Event) -> None:
         self.counts.events += 1
         by_name = self.counts.events_by_name
-        by_name[event.name] = by_name.get(event.name, 0) + 1
+        name = event.name if event.name in by_name or len(by_name) < MOST_NAMES else OTHER
+        by_name[name] = by_name.get(name, 0) + 1
         if event.name == "BOOT":
             boot = event.fields.get("boot", "")
-            now = int(boot) if boot.isdecimal() else None
+            now = int(boot) if boot.isdecimal() and len(boot) <= 10 else None
             if self.boot is not None and now != self.boot:
                 self.restarted = ControllerReset(self.boot, now)
         elif self._last_event is not None:

@@ -1,0 +1,1 @@
+"""The process of the command line: signals, errors, and the terminal."""

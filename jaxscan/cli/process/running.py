@@ -1,0 +1,142 @@
+"""Runs a verb, and answers every way in which it may end with at most one line and an exit code."""
+
+import contextlib
+import logging
+import os
+import sys
+import threading
+import traceback
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxscan.cli.paths import inputs_in_words
+from jaxscan.cli.process import quiet
+from jaxscan.cli.process.signals import exit_code
+from jaxscan.cli.process.verbs import parse
+from jaxscan.errors import JaxscanError
+from jaxscan.printable import printable
+
+
+DEFECT, UNREAD = 70, 141
+"""Exit codes: a defect of jaxscan; nobody reads the output (as after SIGPIPE)."""
+_LONGEST = 300
+"""Longest message of an unexpected error that is quoted."""
+
+
+def run_function(words: Sequence[str]) -> int:
+    """Run one verb in a process of the caller, and return the exit code.
+
+    Raises:
+        SystemExit: After a request for help, or a mistake in the words.
+        Exception: With `--debug`, of any error.
+    """
+    debug = "--debug" in words
+    try:
+        work = parse([word for word in words if word != "--debug"])
+        quiet.keep_compiled_code()
+        work()
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except SystemExit as left:
+        # rich leaves this way where nobody reads its output.
+        if isinstance(left.__context__, BrokenPipeError):
+            return UNREAD
+        raise
+    except (Exception, KeyboardInterrupt) as problem:
+        if debug:
+            raise
+        return _answer(problem)
+    return 0
+
+
+def run_process(words: Sequence[str]) -> int:
+    """Run one verb in a process of its own, and close its output."""
+    quiet.open_standard_files()
+    quiet.hush_libraries()
+    quiet.choose_caches()
+    if "--debug" not in words:
+        _keep_to_lines()
+    try:
+        code = run_function(words)
+    except SystemExit as left:
+        code = left.code if isinstance(left.code, int) else int(left.code is not None)
+    except (Exception, KeyboardInterrupt) as problem:
+        for line in "".join(traceback.format_exception(problem)).splitlines():
+            _say(line)
+        code = 1
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except (OSError, ValueError) as problem:
+        code = code or _answer(problem)
+        # The interpreter tries again while it ends, and would say so.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    return code
+
+
+def _answer(problem: BaseException) -> int:
+    """Print one line on an error, and return the exit code."""
+    if isinstance(problem, KeyboardInterrupt):
+        _say("interrupted")
+        return exit_code(problem)
+    if isinstance(problem, BrokenPipeError):
+        return UNREAD
+    if isinstance(problem, JaxscanError):
+        # Messages of other libraries may have several lines.
+        _say(" ".join(str(problem).split()))
+    elif isinstance(problem, MemoryError) or "RESOURCE_EXHAUSTED" in str(problem)[:_LONGEST]:
+        _say(f"{inputs_in_words()}: too large for the memory of this machine.")
+    elif isinstance(problem, RecursionError):
+        _say(f"{inputs_in_words()}: nested too deeply to be read.")
+    elif isinstance(problem, OSError) and problem.strerror:
+        _say(f"{problem.filename or 'standard output'}: {problem.strerror}.")
+    else:
+        _say(_defect(problem))
+        return DEFECT
+    return 1
+
+
+def _defect(problem: BaseException) -> str:
+    """An error that nobody foresaw: where and what, for a report."""
+    places = [frame for frame in traceback.extract_tb(problem.__traceback__) if _is_ours(frame.filename)]
+    where = f" in {Path(places[-1].filename).name}, line {places[-1].lineno}" if places else ""
+    said = " ".join(str(problem).split())
+    said = f": {said[:_LONGEST]}" if said else ""
+    return (
+        f"this is a defect of jaxscan, not of your files: {type(problem).__name__}{where}{said}. Please report this "
+        "line and the command; the same command with --debug shows more."
+    )
+
+
+def _is_ours(file: str) -> bool:
+    return any(folder in Path(file).parts for folder in ("jaxscan", "scanrig"))
+
+
+def _say(line: str) -> None:
+    """Print a line on standard error, if anybody listens."""
+    if sys.stderr is not None:
+        with contextlib.suppress(OSError, ValueError):
+            print(f"jaxscan: {printable(line)}", file=sys.stderr, flush=True)
+
+
+def _keep_to_lines() -> None:
+    """What other libraries and threads say comes as lines of ours, with nothing for the terminal to obey."""
+
+    def show_warning(message: Warning | str, category: type[Warning], *_: object) -> None:
+        _say(f"note: {category.__name__}: {' '.join(str(message).split())}")
+
+    class LogLines:
+        level = logging.WARNING
+
+        def handle(self, record: logging.LogRecord) -> None:
+            _say(f"note: {' '.join(record.getMessage().split())}")
+
+    def show_unheard(unheard: Any) -> None:
+        if unheard.exc_value is not None and not isinstance(unheard.exc_value, KeyboardInterrupt):
+            _say(_defect(unheard.exc_value))
+
+    warnings.showwarning = show_warning  # type: ignore[assignment]
+    logging.lastResort = LogLines()  # type: ignore[assignment]
+    threading.excepthook = sys.unraisablehook = show_unheard

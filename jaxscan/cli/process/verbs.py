@@ -1,0 +1,85 @@
+"""The verbs: one file each, imported when the verb is called."""
+
+import functools
+import importlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import tyro
+
+from jaxscan.printable import printable
+
+
+DESCRIPTION = "A camera, a line laser and a turntable as a precise 3D scanner for rooms."
+VERBS = {
+    "demo": "Calibrate, scan, reconstruct and measure a simulated room: `jaxscan demo`.",
+    "simulate": "Render a simulated rig: `jaxscan simulate configs/paper.toml -o captures/paper --every 10`.",
+    "calibrate": "Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.",
+    "reconstruct": "Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.",
+    "scan": "Scan with a rig: `jaxscan scan configs/scan.toml -o captures/room`.",
+    "measure": "Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`).",
+    "convert": "Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.",
+    "report": "Draw a calibration's report: `jaxscan report calibration.json -o report.html`.",
+    "doctor": "Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config configs/scan.toml`.",
+}
+"""The first line of each verb's docstring, for the list of verbs: it is shown without loading any verb."""
+MEASURES = {
+    "room": "Wall to wall: `jaxscan measure room room.ply -c calibration.json`.",
+    "distance": "Between two picked points: `jaxscan measure distance room.ply --a 1 0.2 0.1 --b 1 -0.8 0.1`.",
+    "plane": "Flatness around a point: `jaxscan measure plane room.ply --at 1.9 0.2 0.1`.",
+    "compare": "Against a true or better cloud: `jaxscan measure compare room.ply truth.npz`.",
+}
+"""The same for the verbs below `jaxscan measure`."""
+
+
+def load_verb(verb: str) -> Callable[..., None]:
+    """The function of a verb; its module is imported now."""
+    module = "measure" if verb in MEASURES else "scanning.scan" if verb == "scan" else verb
+    function: Callable[..., None] = getattr(importlib.import_module(f"jaxscan.cli.{module}"), verb)
+    return function
+
+
+def parse(words: Sequence[str]) -> Callable[[], None]:
+    """The work that a command line asks for, to be called.
+
+    Raises:
+        SystemExit: After a request for help, or a mistake, was answered.
+    """
+    shown = [printable(word) for word in words]
+    if shown == list(words):
+        return _parse(shown)
+    # A name from the disk may hold commands for the terminal, and an answer to a mistake quotes words.
+    try:
+        return _parse(words, answer=False)
+    except SystemExit:
+        return _parse(shown)
+
+
+def _parse(words: Sequence[str], *, answer: bool = True) -> Callable[[], None]:
+    words = list(words)
+    prog, verbs = "jaxscan", VERBS
+    if words[:1] == ["measure"]:
+        prog, verbs, words = "jaxscan measure", MEASURES, words[1:]
+    if not words or words[0] not in verbs:
+        # A request for help, or a mistake that is answered with the closest verb: either ends here.
+        listed = {name: _listed(line) for name, line in verbs.items()}
+        tyro.extras.subcommand_cli_from_dict(
+            listed, prog=prog, description=DESCRIPTION, args=words, console_outputs=answer
+        )
+        return lambda: None
+    verb, *rest = words
+    function = load_verb(verb)
+
+    @functools.wraps(function)
+    def bind(*positional: Any, **options: Any) -> Any:
+        return functools.partial(function, *positional, **options)
+
+    bound: Callable[[], None] = tyro.cli(bind, prog=f"{prog} {verb}", args=rest, console_outputs=answer)
+    return bound
+
+
+def _listed(line: str) -> Callable[[], None]:
+    """A verb as the list of verbs shows it."""
+    verb: Callable[[], None] = lambda: None
+    verb.__doc__ = line
+    return verb

@@ -1,0 +1,63 @@
+"""Limits of calibration boards: the dictionaries of markers, and the boards that can be printed and found."""
+
+import difflib
+
+from jaxscan.geometry.board import AbstractBoard, Charuco
+
+
+DICTIONARIES: dict[str, int] = {
+    **{f"DICT_{bits}X{bits}_{markers}": markers for bits in (4, 5, 6, 7) for markers in (50, 100, 250, 1000)},
+    "DICT_ARUCO_ORIGINAL": 1024,
+    **{"DICT_APRILTAG_16h5": 30, "DICT_APRILTAG_25h9": 35, "DICT_APRILTAG_36h10": 2320, "DICT_APRILTAG_36h11": 587},
+    **{"DICT_APRILTAG_16H5": 30, "DICT_APRILTAG_25H9": 35, "DICT_APRILTAG_36H10": 2320, "DICT_APRILTAG_36H11": 587},
+    **{"DICT_ARUCO_MIP_36h12": 250, "DICT_ARUCO_MIP_36H12": 250},
+}
+"""Number of markers in each of OpenCV's dictionaries."""
+SMALLEST_COUNT = 3
+"""Least columns and rows: fewer corners show no plane."""
+MOST_CORNERS = 10_000
+SMALLEST_MM, LARGEST_MM = 0.01, 10_000.0
+"""Range of the sides of squares and markers, mm."""
+
+
+def known_dictionary(name: str) -> str:
+    """The name of a dictionary, if there is one of this name.
+
+    Raises:
+        ValueError: With the closest known name.
+    """
+    if name in DICTIONARIES:
+        return name
+    closest = difflib.get_close_matches(name[:64], DICTIONARIES, n=1, cutoff=0.0)
+    raise ValueError(f'found "{name[:60]}", expected a dictionary of OpenCV; the closest known one is "{closest[0]}"')
+
+
+def check_board(board: AbstractBoard) -> None:
+    """Check that a board can be printed and found.
+
+    Raises:
+        ValueError: If it has too few or too many corners, or more markers than its dictionary, or no usual size.
+    """
+    columns, rows = board.grid()
+    if columns * rows > MOST_CORNERS:
+        raise ValueError(f"columns and rows: found {columns} x {rows} inner corners, expected at most {MOST_CORNERS}")
+    lengths_mm = {"square_mm": 1000 * board.square}
+    if isinstance(board, Charuco):
+        lengths_mm["marker_mm"] = 1000 * board.marker
+        needed, there = board.columns * board.rows // 2, DICTIONARIES[known_dictionary(board.dictionary)]
+        if needed > there:
+            raise ValueError(
+                f"dictionary: {board.columns} x {board.rows} squares need {needed} markers, and {board.dictionary} has "
+                f"{there}"
+            )
+        if board.marker >= board.square:
+            raise ValueError(
+                f"marker_mm = {1000 * board.marker:g} must be smaller than square_mm = {1000 * board.square:g}"
+            )
+        columns, rows = board.columns, board.rows
+    if min(columns, rows) < SMALLEST_COUNT:
+        raise ValueError(f"columns and rows: found {columns} x {rows}, expected at least {SMALLEST_COUNT} each")
+    for name, length in lengths_mm.items():
+        # Metres and back cost a rounding.
+        if not SMALLEST_MM * (1 - 1e-9) <= length <= LARGEST_MM * (1 + 1e-9):
+            raise ValueError(f"{name}: found {length:g}, expected {SMALLEST_MM:g} to {LARGEST_MM:g}")

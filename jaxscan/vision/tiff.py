@@ -1,0 +1,144 @@
+"""TIFF files, checked before OpenCV decodes them: libtiff gives a picture even where the data are damaged."""
+
+import struct
+import zlib
+from typing import NamedTuple
+
+import numpy as np
+
+
+_SHORT, _LONG = 3, 4
+_WIDTH, _HEIGHT, _BITS, _COMPRESSION, _FILL_ORDER, _STRIPS, _SAMPLES = 256, 257, 258, 259, 266, 273, 277
+_ROWS_PER_STRIP, _STRIP_BYTES, _PLANAR = 278, 279, 284
+_TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_BYTES = 322, 323, 324, 325
+_NONE, _LZW, _PACKBITS, _DEFLATE = 1, 5, 32773, (8, 32946)
+_MOST_ENTRIES = 1 << 20
+_MOST_SAMPLES = 4
+
+
+class Tiff(NamedTuple):
+    """The first picture of a TIFF file."""
+
+    data: bytes
+    order: str
+    """Of bytes, as `struct` writes it."""
+    fields: dict[int, tuple[int, int, int]]
+    """Type, count and place of the values of each tag."""
+
+    @staticmethod
+    def of(data: bytes) -> "Tiff":
+        """Read the directory.
+
+        Raises:
+            ValueError: If it is damaged.
+        """
+        order = "<" if data[:2] == b"II" else ">"
+        if len(data) < 8:
+            raise ValueError("it is cut short")
+        (start,) = struct.unpack(order + "I", data[4:8])
+        if start + 2 > len(data):
+            raise ValueError("its directory lies outside the file")
+        (count,) = struct.unpack_from(order + "H", data, start)
+        if start + 2 + 12 * count > len(data):
+            raise ValueError("its directory is cut short")
+        fields: dict[int, tuple[int, int, int]] = {}
+        for at in range(start + 2, start + 2 + 12 * count, 12):
+            tag, kind, values = struct.unpack_from(order + "HHI", data, at)
+            if tag in fields:
+                raise ValueError(f"its tag {tag} is there twice")
+            fields[tag] = (kind, values, at + 8)
+        return Tiff(data, order, fields)
+
+    def size(self) -> tuple[int, int]:
+        """Width and height [px].
+
+        Raises:
+            ValueError: If they are not there as one whole number each.
+        """
+        return self._one(_WIDTH), self._one(_HEIGHT)
+
+    def check(self) -> None:
+        """Check that all strips or tiles lie in the file, and unpack to the right number of bytes.
+
+        Data that are not packed, or packed by LZW or PackBits, have no checksum: changed bytes that keep the length
+        are not noticed. Other ways of packing are left to the decoder.
+
+        Raises:
+            ValueError: With the damage.
+        """
+        width, height = self.size()
+        samples, planar = self._one(_SAMPLES, 1), self._one(_PLANAR, 1)
+        bits, compression = self._all(_BITS, (1,)), self._one(_COMPRESSION, _NONE)
+        if not 1 <= samples <= _MOST_SAMPLES or len(set(bits)) != 1 or bits[0] not in (1, 2, 4, 8, 16, 32, 64):
+            raise ValueError(f"it has {samples} samples of {bits[:8]} bits")
+        if self._one(_FILL_ORDER, 1) != 1 or planar not in (1, 2):
+            raise ValueError("the order of its bits or samples is not a usual one")
+        planes, together = (1, samples) if planar == 1 else (samples, 1)
+        if _TILES in self.fields:
+            across, down = self._one(_TILE_WIDTH), self._one(_TILE_HEIGHT)
+            places, sizes = self._all(_TILES), self._all(_TILE_BYTES)
+            if not (0 < across <= width + 1024 and 0 < down <= height + 1024):
+                raise ValueError(f"its tiles have {across} x {down} px")
+            rows = [down] * (-(-width // across) * -(-height // down) * planes)
+        else:
+            across, down = width, min(self._one(_ROWS_PER_STRIP, height), height)
+            places, sizes = self._all(_STRIPS), self._all(_STRIP_BYTES)
+            if down == 0:
+                raise ValueError("its strips have no rows")
+            rows = [min(down, height - top) for top in range(0, height, down)] * planes
+        if not len(places) == len(sizes) == len(rows):
+            raise ValueError(f"it has {len(places)} strips or tiles instead of {len(rows)}")
+        # Strips that overlap would be unpacked again and again.
+        if sum(sizes) > len(self.data) or any(map(lambda at, size: at + size > len(self.data), places, sizes)):
+            raise ValueError("its data lie outside the file")
+        line = (across * together * bits[0] + 7) // 8
+        if compression == _NONE:
+            # Padding may follow.
+            fits = all(map(lambda size, count: size >= count * line, sizes, rows))
+        elif compression in (_LZW, _PACKBITS, *_DEFLATE):
+            # The last strip may have all the rows of the others.
+            fits = all(
+                _unpacked(self.data[place : place + size], compression, down * line) in (count * line, down * line)
+                for place, size, count in zip(places, sizes, rows, strict=True)
+            )
+        else:
+            fits = True
+        if not fits:
+            raise ValueError("its data have another length than its rows")
+
+    def _one(self, tag: int, default: int | None = None) -> int:
+        values = self._all(tag, None if default is None else (default,))
+        if len(values) != 1:
+            raise ValueError(f"its tag {tag} has {len(values)} values instead of one")
+        return values[0]
+
+    def _all(self, tag: int, default: tuple[int, ...] | None = None) -> tuple[int, ...]:
+        if tag not in self.fields:
+            if default is None:
+                raise ValueError(f"its tag {tag} is missing")
+            return default
+        kind, count, at = self.fields[tag]
+        if kind not in (_SHORT, _LONG) or not 0 < count <= _MOST_ENTRIES:
+            raise ValueError(f"its tag {tag} is no whole number")
+        length = count * (2 if kind == _SHORT else 4)
+        if length > 4:
+            (at,) = struct.unpack_from(self.order + "I", self.data, at)
+        if at + length > len(self.data):
+            raise ValueError(f"its tag {tag} lies outside the file")
+        return struct.unpack_from(f"{self.order}{count}{'H' if kind == _SHORT else 'I'}", self.data, at)
+
+
+def _unpacked(data: bytes, compression: int, expected: int) -> int:
+    """Number of bytes that a strip or tile unpacks to, at most a little more than expected; -1 where it is damaged."""
+    if compression in _DEFLATE:
+        inflater = zlib.decompressobj()
+        try:
+            found = len(inflater.decompress(data, expected + 1))
+        except zlib.error:
+            return -1
+        return found if inflater.eof else -1
+    # Here, because it loads numba.
+    from jaxscan.vision.native_loops import lzw_length, packbits_length
+
+    packed = np.frombuffer(data, np.uint8)
+    return packbits_length(packed) if compression == _PACKBITS else lzw_length(packed, expected)

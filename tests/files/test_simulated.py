@@ -1,0 +1,114 @@
+"""The folder of a simulation: it appears whole or not at all, and no process touches another's."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import CaptureError
+from jaxscan.files import load_toml
+from jaxscan.files.simulated import SimulatedCaptures, write_simulation
+from jaxscan.simulation import RenderedRecord, SimulationConfig
+from jaxscan.simulation.sweep import RowTruth
+
+
+CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper.toml"
+
+
+def config():
+    full = load_toml(CONFIG, SimulationConfig)
+    camera = full.camera.model_copy(update={"width": 6, "height": 4})
+    boards = full.boards.model_copy(update={"free_views": 0, "placements": 0})
+    return full.model_copy(update={"camera": camera, "boards": boards})
+
+
+def records(count=3):
+    """Records of a sweep that nobody rendered."""
+    shape = (6, 4) if config().laser[0].stripe_axis == "columns" else (4, 6)
+    truth = RowTruth(**{name: np.ones(4) for name in RowTruth._fields})
+    truth = truth._replace(xyz=np.ones((4, 3)), valid=np.ones(4, bool))
+    for k in range(count):
+        yield RenderedRecord(0.1 * k, None, np.full(shape, k, np.uint8), np.zeros(shape, np.uint8), truth)
+
+
+def write(folder, sweep=None):
+    return write_simulation(config(), Path(folder), iter(()), records() if sweep is None else sweep, every=1000)
+
+
+def test_the_folder_appears_whole(tmp_path):
+    made = write(tmp_path / "new" / "made")
+    assert os.listdir(tmp_path / "new") == ["made"]
+    assert SimulatedCaptures.of(made.folder).sweep_pairs == 3
+    assert made.truth.exists() and made.true_cloud.exists()
+    (tmp_path / "empty").mkdir()
+    assert write(tmp_path / "empty").sweep.is_dir()
+    with pytest.raises(CaptureError, match="exists and is not empty"):
+        write(tmp_path / "empty")
+
+
+@pytest.mark.parametrize("problem", [KeyboardInterrupt(), CaptureError("no"), OSError(28, "No space left on device")])
+def test_a_failure_leaves_nothing_and_touches_nothing_of_others(tmp_path, problem):
+    # The names that an earlier version took, and one that another process holds under any number.
+    for name in (f".made.partial-{os.getpid()}", ".part-x"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "work").touch()
+
+    def failing():
+        yield from records(2)
+        raise problem
+
+    with pytest.raises(KeyboardInterrupt if isinstance(problem, KeyboardInterrupt) else CaptureError):
+        write(tmp_path / "made", failing())
+    assert sorted(os.listdir(tmp_path)) == [f".made.partial-{os.getpid()}", ".part-x"]
+    write(tmp_path / "made")
+    assert (tmp_path / f".made.partial-{os.getpid()}" / "work").exists() and (tmp_path / "made").is_dir()
+
+
+WORK = (
+    "import importlib.util, sys, time\n"
+    "spec = importlib.util.spec_from_file_location('tests_of_it', sys.argv[1])\n"
+    "module = importlib.util.module_from_spec(spec)\nspec.loader.exec_module(module)\n"
+    "def slow():\n"
+    "    yield from module.records(2)\n"
+    "    print('begun', flush=True)\n"
+    "    time.sleep(120)\n"
+    "module.write(sys.argv[2], slow())\n"
+)
+
+
+def test_two_at_once_and_one_killed(tmp_path):
+    """With the same process number, as in two containers that share a disk, both would have had one name."""
+    other = subprocess.Popen(
+        [sys.executable, "-c", WORK, __file__, str(tmp_path / "made")], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert other.stdout.readline() == "begun\n"
+        (held,) = os.listdir(tmp_path)
+        write(tmp_path / "made")
+        assert sorted(os.listdir(tmp_path)) == [held, "made"]
+        assert (tmp_path / held / "sweep" / "frames.jsonl").exists()
+    finally:
+        other.kill()
+        other.wait()
+        other.stdout.close()
+    write(tmp_path / "again")
+    assert sorted(os.listdir(tmp_path)) == ["again", "made"]
+
+
+@pytest.mark.parametrize("name", ["n" * 300, "nul\0name", "file/inside"])
+def test_names_that_no_folder_can_have_are_said_first(tmp_path, name):
+    (tmp_path / "file").touch()
+    begun = []
+
+    def sweep():
+        begun.append(time.monotonic())
+        yield from records()
+
+    with pytest.raises(CaptureError, match="cannot be written") as caught:
+        write(tmp_path / name, sweep())
+    assert "\n" not in str(caught.value) and not begun
+    assert os.listdir(tmp_path) == ["file"]

@@ -1,0 +1,107 @@
+"""Small valid files of every format, from which cases are made; the outputs that they give unchanged."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+
+RECORDS = 12
+VIEWS = 6
+RIG = """
+seed = 5
+[camera]
+width = 64
+height = 48
+fx = 50.0
+fy = 50.0
+[[laser]]
+name = "red"
+baseline_m = 0.3
+crossing_m = 2.0
+[turntable]
+direction = [0.0, -1.0, 0.0]
+point_m = [0.1, 0.0, -0.1]
+[room]
+size_m = [3.2, 3.8, 2.4]
+rig_m = [1.5, 1.8, 1.2]
+furniture = false
+[boards]
+type = "charuco"
+columns = 5
+rows = 4
+square_mm = 80.0
+marker_mm = 60.0
+dictionary = "DICT_4X4_50"
+free_views = 2
+placements = 1
+angles = 2
+[plan]
+steps = 3
+"""
+FOREIGN_PLY = """ply
+format ascii 1.0
+comment made by another program
+element vertex 4
+property double x
+property double y
+property double z
+property uchar red
+property uchar green
+property uchar blue
+element face 1
+property list uchar int vertex_indices
+end_header
+4500000.123 5500000.5 100.25 255 0 0
+4500001.123 5500000.5 100.25 0 255 0
+4500000.123 5500001.5 100.25 0 0 255
+4500000.123 5500000.5 101.25 9 9 9
+3 0 1 2
+"""
+
+
+def make_corpus(tiny: Path, folder: Path, configs: Path) -> None:
+    """Files of every format from a rig that went the whole way (`tests/conftest.py`).
+
+    Args:
+        tiny: Folder of that rig.
+        folder: To make; it must not exist.
+        configs: The project's folder of configurations.
+    """
+    from jaxscan.cli.main import main
+
+    folder.mkdir(parents=True)
+    for name in ("calibration.json", "calibration.npz"):
+        shutil.copy(tiny / name, folder / name)
+    _thinned(tiny / "captures" / "sweep", folder / "unsealed", RECORDS, plain=True)
+    _thinned(tiny / "captures" / "boards", folder / "boards", VIEWS, plain=True)
+    # A capture is sealed when it is copied into another storage.
+    assert main(["convert", str(folder / "unsealed"), str(folder / "shards"), "--storage", "npy"]) == 0
+    assert main(["convert", str(folder / "shards"), str(folder / "sealed"), "--storage", "png"]) == 0
+    reconstruct = ["reconstruct", str(folder / "unsealed"), "-c", str(folder / "calibration.json")]
+    assert main([*reconstruct, "--no-cache", "-o", str(folder / "cloud.npz")]) == 0
+    assert main([*reconstruct, "-o", str(folder / "cloud.ply"), "--json", str(folder / "reconstruct.json")]) == 0
+    (folder / "unsealed" / "stripes.npz").rename(folder / "stripes.npz")
+    (folder / "foreign.ply").write_text(FOREIGN_PLY)
+    (folder / "rig.toml").write_text(RIG)
+    for name in ("scan.toml", "desk.toml"):
+        shutil.copy(configs / name, folder / name)
+
+
+def _thinned(source: Path, target: Path, count: int, *, plain: bool) -> None:
+    """A capture of `count` records, spread over those of another; `plain`: without digests and events."""
+    target.mkdir()
+    shutil.copy(source / "capture.toml", target / "capture.toml")
+    records = [json.loads(line) for line in (source / "frames.jsonl").read_text().splitlines()]
+    records = [record for record in records if "i" in record]
+    chosen = [records[k] for k in np.linspace(0, len(records) - 1, count).astype(int)]
+    for number, record in enumerate(chosen):
+        if plain:
+            record.pop("sha256", None)
+        for side in ("on", "off"):
+            if record.get(side):
+                (target / side).mkdir(exist_ok=True)
+                shutil.copy(source / record[side], target / side)
+        record["i"] = number
+    (target / "frames.jsonl").write_text("".join(json.dumps(record) + "\n" for record in chosen))

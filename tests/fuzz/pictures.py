@@ -1,0 +1,108 @@
+"""Changes of image files: chunks of PNG, other formats and sizes, pixels that are not those of the record."""
+
+import random
+import struct
+import zlib
+
+import cv2
+import numpy as np
+
+from .texts import change_bytes
+
+
+def change_image(rng: random.Random, data: bytes) -> bytes:
+    """An image file that is damaged, of another kind, or shows something else."""
+    match rng.randrange(5):
+        case 0:
+            return change_bytes(rng, data)
+        case 1:
+            return _chunks_changed(rng, data)
+        case 2:
+            return _other_kind(rng, _pixels(data))
+        case 3:
+            return change_bytes(rng, _other_kind(rng, _pixels(data)))
+        case _:
+            return _encoded(".png", _other_pixels(rng, _pixels(data)))
+
+
+def _pixels(data: bytes) -> np.ndarray:
+    return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
+
+
+def _encoded(suffix: str, image: np.ndarray, options: tuple[int, ...] = ()) -> bytes:
+    return cv2.imencode(suffix, image, options)[1].tobytes()
+
+
+def _other_kind(rng: random.Random, image: np.ndarray) -> bytes:
+    """Another format, which may be allowed, or another size, depth or number of channels, which is not."""
+    tiff = cv2.IMWRITE_TIFF_COMPRESSION
+    match rng.randrange(9):
+        case 0:
+            return _encoded(".jpg", image)
+        case 1:
+            return _encoded(".tiff", image, (tiff, rng.choice((1, 5, 8, 32773))))
+        case 2:
+            return _encoded(".bmp", image)
+        case 3:
+            return _encoded(".png", image.astype(np.uint16) * 257)
+        case 4:
+            return _encoded(".png", cv2.merge([image] * 4) if image.ndim == 2 else image[..., 0].copy())
+        case 5:
+            return _encoded(".png", image[:-1])
+        case 6:
+            return _encoded(".webp", image)
+        case 7:
+            # Small in the file, large in memory.
+            return _encoded(".jpg", np.zeros((6000, 6000), np.uint8))
+        case _:
+            return _encoded(".png", np.zeros((3000, 3000), np.uint8))
+
+
+def _other_pixels(rng: random.Random, image: np.ndarray) -> np.ndarray:
+    match rng.randrange(6):
+        case 0:
+            return np.zeros_like(image)
+        case 1:
+            return np.roll(image, rng.choice((-20, -5, 5, 20)), axis=rng.choice((0, 1)))
+        case 2:
+            return image[::-1].copy()
+        case 3:
+            return image[:, ::-1].copy()
+        case 4:
+            noise = np.random.default_rng(rng.randrange(1 << 30)).integers(0, 256, image.shape, np.uint8)
+            return noise
+        case _:
+            return 255 - image
+
+
+def _chunks_changed(rng: random.Random, data: bytes) -> bytes:
+    """A PNG whose chunks are left out, doubled, or say something else, with a checksum that fits or not."""
+    chunks, at = [], 8
+    while at + 12 <= len(data):
+        (length,) = struct.unpack(">I", data[at : at + 4])
+        chunks.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + length]))
+        at += 12 + length
+    one = rng.randrange(len(chunks))
+    kind, content = chunks[one]
+    match rng.randrange(6):
+        case 0:
+            del chunks[one]
+        case 1:
+            chunks.insert(rng.randrange(len(chunks)), (kind, content))
+        case 2:
+            chunks[one] = (kind, change_bytes(rng, content) if content else b"\0\0")
+        case 3:
+            chunks[0] = (b"IHDR", rng.randbytes(13))
+        case 4:
+            size = struct.pack(">II", *rng.choice(((60000, 60000), (2**31 - 1, 1), (0, 0), (1, 2**31))))
+            chunks[0] = (b"IHDR", size + chunks[0][1][8:])
+        case _:
+            chunks.insert(
+                1, (rng.choice((b"tEXt", b"zTXt", b"iCCP", b"eXIf")), rng.randbytes(rng.choice((0, 9, 5000))))
+            )
+    out = data[:8]
+    wrong = rng.randrange(len(chunks) * 4) if chunks else -1
+    for number, (kind, content) in enumerate(chunks):
+        checksum = zlib.crc32(kind + content) ^ (number == wrong)
+        out += struct.pack(">I", len(content)) + kind + content + struct.pack(">I", checksum)
+    return out
