@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -139,6 +140,17 @@ def test_a_camera_that_a_killed_program_left_running_is_taken_over(device, heart
         (sentence,) = said
         assert sentence.startswith('camera "127.0.0.1": another program controls it; if that one has ended')
         assert sentence.endswith("free in at most 8 s.")
+
+
+def test_the_bench_camera_is_found_here_and_hears_nobody_else(device):
+    assert device.register(HEARTBEAT) == 3000
+    bound = []
+    for name in os.listdir("/proc/self/fd"):
+        if os.path.realpath(f"/proc/self/fd/{name}").rpartition("/")[2].startswith("socket:"):
+            with socket.socket(fileno=os.dup(int(name))) as one:
+                if one.family == socket.AF_INET and one.getsockname()[1] == 3956:
+                    bound.append((one.getsockname()[0], one.getsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, 16)))
+    assert sorted(bound) == [("127.0.0.1", b""), ("255.255.255.255", b"lo\0")]
 
 
 def test_a_long_heartbeat_is_shortened(device):
