@@ -162,6 +162,31 @@ def test_a_long_heartbeat_is_shortened(device):
         assert device.register(HEARTBEAT) == 1000
 
 
+FLOOD = """
+import socket
+one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+while True:
+    one.sendto(b"x" * 500, ("127.0.0.1", 9))
+"""
+
+
+def test_packets_of_others_are_not_taken_for_frames(server):
+    """To a root user libaravis would show, until its filter is set, every packet that crosses the interface."""
+    server.start()
+    opened().close()
+    with subprocess.Popen([sys.executable, "-c", FLOOD]) as flood:
+        try:
+            for _ in range(8):
+                with opened() as camera:
+                    camera.start()
+                    frames = [exposed(camera) for _ in range(2)]
+                    assert all(frame.complete for frame in frames)
+                    assert camera.drop() == 0
+                    assert camera.counts() == {"frames": 2, "incomplete": 0, "dropped": 0, "missing": 0, "underruns": 0}
+        finally:
+            flood.kill()
+
+
 @pytest.mark.parametrize(
     "wrong, message",
     [

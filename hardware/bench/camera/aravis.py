@@ -18,7 +18,7 @@ from bench.errors import BenchError
 LIBRARY = "libaravis-0.8.so.0"
 
 WIDTH, HEIGHT, GAIN, EXPOSURE_US, LEFT, TOP = 0x100, 0x104, 0x110, 0x120, 0x130, 0x134
-FRAME_PERIOD_US, TRIGGER_SOFTWARE = 0x138, 0x30C
+FRAME_PERIOD_US, TRIGGER_SOFTWARE, ACQUISITION, CONTROL_CHANNEL_PRIVILEGE = 0x138, 0x30C, 0x124, 0xA00
 """Registers of the fake camera."""
 
 BROADCAST = "255.255.255.255", 3956
@@ -148,6 +148,11 @@ class GvCamera:
         self._library.g_object_set(
             ctypes.c_void_p(self._gv), b"gvsp-lost-ratio", ctypes.c_double(share), ctypes.c_void_p(None)
         )
+
+    def forget_controller(self) -> None:
+        """Lose the client: nobody controls the camera any more, and it stops."""
+        self.write(ACQUISITION, 0)
+        self.write(CONTROL_CHANNEL_PRIVILEGE, 0)
 
     def close(self) -> None:
         """Disappear."""
