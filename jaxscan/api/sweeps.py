@@ -7,15 +7,18 @@ from jaxscan.files.capture import Capture, cache_path, cached_stripes, code_dige
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import (
     DEFAULTS,
+    FrameWatch,
     PointCloud,
     Progress,
     ReconstructSettings,
+    Seen,
     cloud_of_plan,
     extraction_key,
     kept_arrays,
     make_plan,
     pair_notes,
     stripes_of_plan,
+    sweep_doubts,
     usable_stripes,
 )
 from jaxscan.stripes import NoiseModel
@@ -30,7 +33,8 @@ class Reconstruction(NamedTuple):
     kept: bool = False
     """Whether the stripes are kept now."""
     notes: tuple[str, ...] = ()
-    """Faults that a user should know, a sentence each."""
+    """Faults that a user should know, and doubts whether all frames, angles and keys of the header are as they were
+    taken; a sentence each."""
 
 
 def reconstruct_capture(
@@ -64,23 +68,28 @@ def reconstruct_capture(
         CaptureError: If the sweep has no records or no stripe, or a frame cannot be read.
         CalibrationError: If the scanner is not that of the sweep, or no point is in range.
     """
-    plan = make_plan(capture, scanner, settings)
+    upright, coloured = scanner.up in ("-v", "+v"), capture.pixel_format == "rgb8"
+    watch = FrameWatch(len(capture), upright=upright, brackets=len(capture.exposures) > 1, colours=coloured)
+    plan = make_plan(capture.watched(watch.look), scanner, settings)
     numbers = [record.i for record in capture.records]
     if not cache:
         cloud = cloud_of_plan(plan, noise=noise, progress=progress)
-        return Reconstruction(cloud, notes=pair_notes(plan, capture.frames, numbers))
+        doubts = sweep_doubts(plan, cloud, watch.seen, numbers)
+        return Reconstruction(cloud, notes=(*pair_notes(plan, capture.frames, numbers), *doubts))
     key = {"frames": frames_key(capture), "code": code_digest(), **extraction_key(settings, noise)}
     path = cache_path(capture)
     arrays = cached_stripes(path, key)
-    stripes = None if arrays is None else usable_stripes(arrays, plan)
-    if stripes is not None:
+    seen = None if arrays is None else Seen.taken_from(arrays, len(capture))
+    stripes = None if arrays is None or seen is None else usable_stripes(arrays, plan)
+    if stripes is not None and seen is not None:
         cloud = cloud_of_plan(plan, stripes=stripes, progress=progress)
-        return Reconstruction(cloud, from_cache=True, kept=True)
+        return Reconstruction(cloud, from_cache=True, kept=True, notes=sweep_doubts(plan, cloud, seen, numbers))
     stripes = stripes_of_plan(plan, noise=noise, progress=progress)
     cloud = cloud_of_plan(plan, stripes=stripes)
-    notes = pair_notes(plan, capture.frames, numbers)
+    doubts = sweep_doubts(plan, cloud, watch.seen, numbers)
+    notes = (*pair_notes(plan, capture.frames, numbers), *doubts)
     try:
-        save_stripes(path, kept_arrays(stripes, plan), key)
+        save_stripes(path, kept_arrays(stripes, plan) | watch.seen.arrays(), key)
     except CaptureError as problem:
         return Reconstruction(cloud, notes=(*notes, f"the stripes are not kept for next time: {problem}"))
     return Reconstruction(cloud, kept=True, notes=notes)

@@ -1,6 +1,7 @@
 """Stripes to a coloured cloud."""
 
 from jaxscan.reconstruction.cloud import CloudPoints, PointCloud
+from jaxscan.reconstruction.doubts import FrameWatch, Seen, journal_doubts, sweep_doubts
 from jaxscan.reconstruction.incoming import IncomingStripes, PlannedSweep, RecordedPair
 from jaxscan.reconstruction.kept import extraction_key, kept_arrays, usable_stripes
 from jaxscan.reconstruction.pair_notes import pair_notes

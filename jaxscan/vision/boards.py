@@ -23,6 +23,8 @@ Detector = Literal["auto", "sb", "classic"]
 # did not refine; it estimates its own.
 _SIGMA_PX = {"auto": 0.035, "sb": 0.10, "classic": 0.035, "charuco": 0.06}
 _MIN_CORNERS = 6
+_SMALLEST_PX = 16
+"""Smallest side of an image that can show a board; of smaller ones OpenCV's detectors raise errors."""
 
 
 def find_corners(
@@ -55,6 +57,8 @@ def find_corners(
     """
     if image.ndim != 2 or image.dtype != np.uint8:
         raise ValueError(f"`image` must be uint8 [rows, columns], got {image.dtype} with shape {image.shape}.")
+    if min(image.shape) < _SMALLEST_PX:
+        return None
     image = np.ascontiguousarray(image)
     if isinstance(board, Charuco):
         found = _find_charuco(image, board, half_window)

@@ -22,6 +22,7 @@ from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import (
     calibration_digest,
     calibration_notes,
+    check_calibration_path,
     load_calibration,
     load_scanner,
     save_calibration,
@@ -282,7 +283,7 @@ NAN = float("nan")
         (["camera", "model"], "omni", 'camera.model: found "omni", expected "pinhole", "fisheye", "double_sphere"'),
         (["camera", "model"], KeyError, "camera.model: missing"),
         (["camera", "fx"], NAN, "NaN"),
-        (["camera", "fx"], -5.0, "camera.fx: found -5.0, expected greater than 0"),
+        (["camera", "fx"], -5.0, "camera.fx: found -5.0, expected greater than or equal to 0.1"),
         (["camera", "fx"], "1200", 'camera.fx: found "1200", expected a valid number'),
         (["camera", "fx"], KeyError, "camera.fx: missing"),
         (["camera", "skwe"], 1.0, 'camera.skwe: unknown key; the closest known one is "skew"'),
@@ -326,7 +327,7 @@ def test_every_wrong_number_is_named(tmp_path, path, value, message):
         (["camera", "distortion", "k4"], KeyError, "camera.distortion.k4: missing"),
         (["camera", "distortion", "k5"], 0.1, "camera.distortion.k5: unknown key"),
         (["camera", "skew"], 1.5, "camera.skew: found 1.5, a fisheye has no skew"),
-        (["camera", "fy"], 0.0, "camera.fy: found 0.0, expected greater than 0"),
+        (["camera", "fy"], 0.0, "camera.fy: found 0.0, expected greater than or equal to 0.1"),
         (["camera", "model"], "pinhole", "camera.distortion.p1: missing"),
         (["camera"], KeyError, "camera: missing"),
         (["covariance", "order", 4], "p1", "covariance.order: found fx, fy, cx, cy, p1"),
@@ -376,7 +377,7 @@ def test_a_covariance_that_is_none(tmp_path):
         ('{"format": 1,\n}', "line 2: not valid JSON"),
         ("[]", "found [], expected a table"),
         ("{}", "missing"),
-        ("[" * 100_000, "not valid JSON"),
+        ("[" * 100_000, "nested too deeply"),
     ],
 )
 def test_what_is_no_calibration(tmp_path, text, message):
@@ -494,3 +495,85 @@ class TestQuality:
             save_calibration(dataclasses.replace(make_calibration(), quality=quality), path)
             found.append(calibration_notes(path))
         assert "did not converge" in found[0][0] and found[1:] == [[], []]
+
+
+def without_digests(path):
+    """The file as versions before wrote it, without digests."""
+    data = json.loads(path.read_text())
+    data.pop("digests", None)
+    path.write_text(json.dumps(data))
+
+
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.6, 0.99])
+@pytest.mark.parametrize("old", [False, True])
+def test_damaged_observations_are_never_taken_for_missing_ones(tmp_path, part, old):
+    save_calibration(make_calibration(observations=make_observations()), tmp_path / "c.json")
+    if old:
+        without_digests(tmp_path / "c.json")
+    good = (tmp_path / "c.npz").read_bytes()
+    at = int(part * len(good))
+    for damaged in (good[:at] + bytes(60) + good[at + 60 :], good[:at]):
+        (tmp_path / "c.npz").write_bytes(damaged)
+        with pytest.raises(CalibrationError, match=r"c\.npz: the observations .*damaged") as caught:
+            load_calibration(tmp_path / "c.json")
+        assert "\n" not in str(caught.value)
+        load_scanner(tmp_path / "c.json")
+
+
+@pytest.mark.parametrize(("name", "value"), [("corners.sigma", 0.0), ("corners.q", 1e300), ("stripes.sigma", 1e-320)])
+def test_observations_out_of_range_are_refused(tmp_path, name, value):
+    save_calibration(make_calibration(observations=make_observations()), tmp_path / "c.json")
+    without_digests(tmp_path / "c.json")
+    with np.load(tmp_path / "c.npz") as good:
+        arrays = {key: good[key] for key in good.files}
+    arrays[name] = np.full_like(arrays[name], value)
+    np.savez(tmp_path / "c.npz", **arrays)
+    with pytest.raises(CalibrationError, match=f"{name}: found a number outside"):
+        load_calibration(tmp_path / "c.json")
+
+
+def test_another_file_beside_is_found_before_the_work(tmp_path):
+    np.savez(tmp_path / "room.npz", valid=np.ones(3))
+    with pytest.raises(CalibrationError, match=r"room\.npz: exists and holds no observations; choose another name"):
+        check_calibration_path(tmp_path / "room.json")
+    # Without observations of its own a calibration leaves that file alone, also when it is read.
+    save_calibration(make_calibration(), tmp_path / "room.json")
+    assert load_calibration(tmp_path / "room.json").observations is None
+
+
+HOSTILE = [1e308, -1e308, 1e-320, 5e-324, 1e160, -1e160, 1e-160]
+
+
+def numbers(value, path=()):
+    """Paths of all numbers of a JSON value that describe the scanner."""
+    if isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        return [one for key, item in items for one in numbers(item, (*path, key))]
+    return [path] if isinstance(value, float) else []
+
+
+@pytest.mark.parametrize("by_hand", [False, True])
+@pytest.mark.parametrize("hostile", HOSTILE)
+def test_hostile_numbers_are_refused_or_harmless(tmp_path, hostile, by_hand):
+    """Warnings are errors here, so neither may a square overflow nor a division by nearly nothing pass."""
+    save_calibration(make_calibration(), tmp_path / "c.json")
+    good = json.loads((tmp_path / "c.json").read_text())
+    good.pop("digests", None)
+    if by_hand:
+        for table in (*good["lasers"], good["turntable"]):
+            del table["basis"]
+        del good["covariance"]
+    parts = {key: good[key] for key in ("camera", "lasers", "turntable", "covariance") if key in good}
+    every = numbers(parts)
+    for path in every if len(every) < 100 else every[:60] + every[60::37]:
+        data = json.loads(json.dumps(good))
+        edit(data, list(path), hostile)
+        (tmp_path / "d.json").write_text(json.dumps(data))
+        try:
+            scanner = load_scanner(tmp_path / "d.json")
+        except CalibrationError as problem:
+            assert "\n" not in str(problem)
+            continue
+        single = scanner.as_dtype(np.float32)
+        assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(single)), path
+        assert float(np.asarray(single.lasers.distance).min()) > 0

@@ -221,3 +221,9 @@ def test_wrong_corners_are_put_right():
     wrong = first._replace(q=first.q + np.where(np.arange(40) == 7, 3.0, 0.0)[:, None])
     truth, _, found = look(picture, CHESS, pose(), first=wrong)
     assert np.abs(found.q - truth).max() < 0.05
+
+
+@pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=["chess", "charuco"])
+@pytest.mark.parametrize("shape", [(1, 1), (4, 6), (12, 200), (200, 12), (15, 15), (16, 16)], ids=str)
+def test_an_image_too_small_for_a_board_shows_none(board, shape):
+    assert find_corners(np.random.default_rng(0).integers(0, 256, shape, np.uint8), board) is None

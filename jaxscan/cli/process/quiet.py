@@ -2,7 +2,10 @@
 
 import contextlib
 import os
+import stat
 import sys
+import tempfile
+import warnings
 from pathlib import Path
 
 
@@ -28,32 +31,70 @@ def hush_libraries() -> None:
     os.environ.setdefault("GLOG_minloglevel", "2")
 
 
-def cache_folder() -> Path | None:
-    """The folder for what is kept from run to run, made if needed; None where there is no home, or it is read-only."""
-    try:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxscan"
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):
-        # RuntimeError: a user without an entry in the list of users, and without HOME.
-        return None
-    return folder if os.access(folder, os.W_OK | os.X_OK) else None
+def choose_caches() -> None:
+    """Before they are loaded: where there is no home to write to, libraries keep their files in `cache_folder` too."""
+    cache = cache_folder()
+    if cache is not None and cache != _home_cache():
+        os.environ.setdefault("NUMBA_CACHE_DIR", str(cache / "numba"))
+        os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
 
 
 def keep_compiled_code() -> None:
     """Let JAX keep compiled code on the disk: it compiles once per machine, not once per run."""
-    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        return
     cache = cache_folder()
-    if cache is None:
+    if os.environ.get("JAX_COMPILATION_CACHE_DIR") or cache is None:
         return
     compiled = cache / "compiled"
-    with contextlib.suppress(OSError):
+    try:
+        compiled.mkdir(parents=True, exist_ok=True)
         # Those of a process that was killed between opening and writing; JAX would never replace them.
         for entry in os.scandir(compiled):
             if entry.stat().st_size == 0:
                 os.unlink(entry.path)
+    except OSError:
+        return
     # Imported here, so that `--help` does not load JAX.
     import jax
 
     jax.config.update("jax_compilation_cache_dir", str(compiled))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    # Code that cannot be read back is compiled again, and nothing else follows from that.
+    warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
+
+
+def cache_folder() -> Path | None:
+    """The folder for what is kept from run to run: at home, or else in the temporary folder; None where neither can be.
+
+    It may not exist yet.
+    """
+    home = _home_cache()
+    return home if home is not None and _can_be_made(home) else _temporary_cache()
+
+
+def _home_cache() -> Path | None:
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxscan"
+    except RuntimeError:
+        return None  # Without HOME, and without an entry in the list of users.
+
+
+def _can_be_made(folder: Path) -> bool:
+    """Whether a folder can be written, or be made below the first of its parents that exists."""
+    while not folder.exists():
+        folder = folder.parent
+    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+
+
+def _temporary_cache() -> Path | None:
+    if os.name != "posix":
+        return None
+    folder = Path(tempfile.gettempdir(), f"jaxscan-{os.getuid()}")
+    try:
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(mode=0o700)
+        status = os.lstat(folder)
+    except OSError:
+        return None
+    # Compiled code is run when it is read back, so nobody else may have written it.
+    private = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077
+    return folder if private else None

@@ -55,6 +55,7 @@ def run_process(words: Sequence[str]) -> int:
     """Run one verb in a process of its own, and close its output."""
     quiet.open_standard_files()
     quiet.hush_libraries()
+    quiet.choose_caches()
     if "--debug" not in words:
         _keep_to_lines()
     try:

@@ -11,9 +11,10 @@ from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration.binding import DIGESTS, digests_of, require_own, values_note
 from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable, CameraTable
 from jaxscan.files.calibration.observations import (
+    check_observations_path,
+    find_observations,
     is_observations,
     observations_path,
-    read_observations,
     write_observations,
 )
 from jaxscan.files.calibration.quality import finite, quality_table, read_quality
@@ -44,7 +45,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
         CalibrationError: If the calibration is inconsistent, or cannot be written.
     """
     path = Path(path)
-    check_calibration_path(path)
+    check_calibration_path(path, with_observations=calibration.observations is not None)
     try:
         text = readable_json(_tables(calibration))
     except (TypeError, ValueError) as problem:
@@ -62,17 +63,23 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
         beside.unlink()
 
 
-def check_calibration_path(path: str | Path) -> None:
+def check_calibration_path(path: str | Path, *, with_observations: bool = True) -> None:
     """Check that a calibration can be written under this name, before the solve.
 
+    Args:
+        path: The calibration file.
+        with_observations: Whether observations will be written beside it.
+
     Raises:
-        CalibrationError: If the suffix is `.npz`, which the observations have, or the file cannot be written.
+        CalibrationError: If the suffix is `.npz`, which the observations have, or a file cannot be written.
     """
     if Path(path).suffix.lower() == ".npz":
         raise CalibrationError(
             f"{path}: a calibration is JSON; end its name in .json (the .npz beside it is made too)."
         )
     check_writable(path, error=CalibrationError)
+    if with_observations:
+        check_observations_path(observations_path(Path(path)))
 
 
 def load_calibration(path: str | Path) -> Calibration:
@@ -93,7 +100,7 @@ def load_calibration(path: str | Path) -> Calibration:
     table = _parse(_read(path), name=str(path))
     scanner, covariance = table.scanner(), table.covariance
     beside = observations_path(path)
-    observations = read_observations(beside) if beside.exists() and is_observations(beside) else None
+    observations = find_observations(beside) if beside.exists() else None
     if beside.exists():
         require_own(table, path, beside)
     return Calibration(

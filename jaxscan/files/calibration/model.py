@@ -16,10 +16,20 @@ CALIBRATION_FORMAT: Literal["jaxscan-calibration/1"] = "jaxscan-calibration/1"
 UNIT_TOLERANCE = 1e-6
 """Accepted departure of a vector from unit length and from perpendicular: digits are lost when written by hand."""
 
-Pair = tuple[Number, Number]
-Triple = tuple[Number, Number, Number]
+# Beyond these limits squares and quotients are not finite, in single precision at the latest.
+Limited = Annotated[Number, pydantic.Field(ge=-1e6, le=1e6)]
+"""Pixels, metres, coefficients, and components of vectors."""
+Focal = Annotated[Number, pydantic.Field(ge=0.1, le=1e6)]
+"""Focal length, px."""
+Bend = Annotated[Number, pydantic.Field(ge=-10, le=10)]
+"""Bows and harmonics, rad."""
+Covariance = Annotated[Number, pydantic.Field(ge=-1e12, le=1e12)]
+Pair = tuple[Bend, Bend]
+Triple = tuple[Limited, Limited, Limited]
 Basis = tuple[Triple, Triple]
-Positive = Annotated[Number, pydantic.Field(gt=0)]
+NEAREST_M, FARTHEST_M = 1e-6, 1e6
+"""Range of the distance of a sheet from the camera centre."""
+SLOWEST = 1e-6  # The least gain.
 
 
 class LensTable(FileModel):
@@ -38,11 +48,11 @@ class CameraTable(ImageSize):
 
     model: str
     up: Up = "-v"
-    fx: Positive
-    fy: Positive
-    cx: Number
-    cy: Number
-    skew: Number = 0.0
+    fx: Focal
+    fy: Focal
+    cx: Limited
+    cy: Limited
+    skew: Limited = 0.0
     distortion: LensTable
 
     @pydantic.field_validator("skew")
@@ -77,7 +87,7 @@ def _has_skew(model: type[AbstractCamera]) -> bool:
 def _table(model: type[AbstractCamera]) -> type[CameraTable]:
     """The table of a camera model."""
     lens: Any = {
-        name: (Number | None, None) if block.optional else (Number, ...)
+        name: (Limited | None, None) if block.optional else (Limited, ...)
         for block in model.lens
         for name in block.parameters
     }
@@ -104,7 +114,7 @@ class LaserTable(FileModel):
 
     name: Annotated[str, pydantic.Field(min_length=1, max_length=64)] = "laser"
     normal: Triple | None = None
-    distance_m: Number | None = None
+    distance_m: Limited | None = None
     abc: Triple | None = None
     """a, b [1] and c [m] of the plane a X + b Y + Z = c. Source: PAPER.md equation (3)."""
     bow: Pair = (0.0, 0.0)
@@ -112,7 +122,9 @@ class LaserTable(FileModel):
 
     @pydantic.model_validator(mode="after")
     def _meaningful(self) -> "LaserTable":
-        self.sheet()
+        distance = float(self.sheet().distance)
+        if not NEAREST_M <= distance <= FARTHEST_M:
+            raise ValueError(f"distance_m: the sheet is {distance:g} m away, expected {NEAREST_M:g} to {FARTHEST_M:g}")
         return self
 
     def sheet(self) -> LaserSheet:
@@ -152,9 +164,9 @@ class TurntableTable(FileModel):
     carries: Carries = "scanner"
     direction: Triple
     point_m: Triple
-    gain: Number = 1.0
+    gain: Limited = 1.0
     """Turned angle, right-handed about `direction`, per angle of the table."""
-    harmonics: tuple[Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0)
+    harmonics: tuple[Bend, Bend, Bend, Bend] = (0.0, 0.0, 0.0, 0.0)
     basis: Basis | None = None
 
     @pydantic.model_validator(mode="after")
@@ -168,8 +180,8 @@ class TurntableTable(FileModel):
         Raises:
             ValueError: If there is no axis, or it is not canonical beside a basis.
         """
-        if self.gain == 0:
-            raise ValueError("gain = 0: the table does not turn")
+        if abs(self.gain) < SLOWEST:
+            raise ValueError(f"gain = {self.gain:g}: the table does not turn")
         harmonics = np.array(self.harmonics, np.float64)
         if self.basis is None:
             flat = Turntable.from_axis(self.direction, self.point_m, gain=self.gain, carries=self.carries)
@@ -188,7 +200,7 @@ class CovarianceTable(FileModel):
     """Covariance of the minimal coordinates [px, rad, m]."""
 
     order: Annotated[tuple[str, ...], pydantic.Field(max_length=200)]
-    matrix: Annotated[tuple[tuple[Number, ...], ...], pydantic.Field(max_length=200)]
+    matrix: Annotated[tuple[tuple[Covariance, ...], ...], pydantic.Field(max_length=200)]
     scale: Annotated[Number, pydantic.Field(ge=0)] = 1.0
     """Factor by which the misfit of the solve has already scaled `matrix`; for information only."""
 
@@ -203,7 +215,10 @@ class CovarianceTable(FileModel):
             raise ValueError(f"matrix: the variance of {self.order[int(np.argmin(variances))]} is negative")
         # As correlations, so that px and rad are judged alike; a parameter held fixed has no row.
         deviations = np.sqrt(np.where(variances > 0, variances, 1.0))
-        correlations = matrix / deviations[:, None] / deviations[None, :]
+        with np.errstate(over="ignore"):
+            correlations = matrix / deviations[:, None] / deviations[None, :]
+        if not np.isfinite(correlations).all():
+            raise ValueError("matrix: not positive semidefinite")
         if not np.allclose(correlations, correlations.T, rtol=0, atol=1e-9):
             raise ValueError("matrix: not symmetric")
         # Rounding in inverting an information matrix of condition 1e10 leaves about 1e-6.

@@ -13,6 +13,7 @@ from jaxscan.files.disk import (
     ImageSize,
     check,
     check_arrays,
+    check_writable,
     parse_json,
     read_arrays,
     readable_json,
@@ -40,6 +41,14 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "stripes.view": (np.signedinteger, ("stripes",)),
     "stripes.laser": (np.signedinteger, ("stripes",)),
 }
+_RANGES = {
+    "corners.q": (-1e6, 1e6),
+    "corners.sigma": (1e-6, 1e6),
+    "corners.angle": (-1e6, 1e6),
+    "stripes.q": (-1e6, 1e6),
+    "stripes.sigma": (1e-6, 1e6),
+}
+"""Limits of the numbers of valid points [px, rad]: squares of others would not be finite."""
 # Fields of `Observations` that are stored as they are, as JSON.
 _PLAIN = ("width", "height", "laser_names", "up", "carries")
 
@@ -68,6 +77,17 @@ def observations_path(path: Path) -> Path:
     return path.with_suffix(".npz")
 
 
+def check_observations_path(path: Path) -> None:
+    """Check that observations can be written under this name.
+
+    Raises:
+        CalibrationError: If another file has this name, or the file cannot be written.
+    """
+    check_writable(path, error=CalibrationError)
+    if path.exists() and not is_observations(path):
+        raise CalibrationError(f"{path}: exists and holds no observations; choose another name for the calibration.")
+
+
 def write_observations(observations: Observations, path: Path) -> None:
     """Write the observations atomically.
 
@@ -75,8 +95,7 @@ def write_observations(observations: Observations, path: Path) -> None:
         CalibrationError: If another file has this name, the board is of an unknown kind, or the file cannot be
             written.
     """
-    if path.exists() and not is_observations(path):
-        raise CalibrationError(f"{path}: exists and holds no observations; choose another name for the calibration.")
+    check_observations_path(path)
     board = {"type": type(observations.board).__name__.lower(), **vars(observations.board)}
     about = {"format": OBSERVATIONS_FORMAT, "board": board}
     about |= {name: getattr(observations, name) for name in _PLAIN}
@@ -96,12 +115,24 @@ def is_observations(path: Path) -> bool:
     return about is not None and OBSERVATIONS_FORMAT in str(about)
 
 
-def read_observations(path: Path) -> Observations:
-    """The observations that belong to a calibration.
+def find_observations(path: Path) -> Observations | None:
+    """The observations in a file beside a calibration; None where it holds something else.
 
     Raises:
         CalibrationError: If they are damaged.
     """
+    try:
+        about = read_arrays(path, error=CalibrationError, limit=MAX_ARRAY_BYTES, only="about").get("about")
+        return None if about is None or OBSERVATIONS_FORMAT not in str(about) else _read(path)
+    except CalibrationError as problem:
+        reason = str(problem).removeprefix(f"{path}: ").removesuffix(".")
+        raise CalibrationError(
+            f"{path}: the observations are damaged ({reason}): restore the file, or move it away to use the "
+            "calibration without observations."
+        ) from problem
+
+
+def _read(path: Path) -> Observations:
     arrays = read_arrays(path, error=CalibrationError, limit=MAX_ARRAY_BYTES)
     value = parse_json(str(arrays.get("about", "null")).encode(), name=str(path), error=CalibrationError)
     about = check(_About, value, name=str(path), error=CalibrationError)
@@ -111,6 +142,11 @@ def read_observations(path: Path) -> Observations:
     for name, count in (("stripes.view", sizes["views"]), ("stripes.laser", len(about.laser_names))):
         if ((arrays[name] < 0) | (arrays[name] >= count)).any():
             raise CalibrationError(f"{path}: {name}: found an index outside 0 ... {count - 1}.")
+    for name, (least, most) in _RANGES.items():
+        values, valid = arrays[name], arrays.get(f"{name.split('.')[0]}.valid")
+        seen = values if valid is None or values.ndim < valid.ndim else values[valid]
+        if not ((seen >= least) & (seen <= most)).all():
+            raise CalibrationError(f"{path}: {name}: found a number outside {least:g} ... {most:g}.")
     corners, stripes = (
         {name.removeprefix(part): arrays[name] for name in _ARRAYS if name.startswith(part)}
         for part in ("corners.", "stripes.")

@@ -22,7 +22,7 @@ from jaxscan.files.disk import shown
 from jaxscan.geometry import AbstractBoard
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
-from jaxscan.reconstruction import FrameChunk
+from jaxscan.reconstruction import FrameChunk, journal_doubts
 from jaxscan.stripes import LaserLine, PixelFormat, Response
 
 
@@ -235,5 +235,11 @@ def open_capture(path: str | Path) -> Capture:
         check_exposures(records, name=journal_name)
     reader = ImageReader(path, header)
     reader.check(records)
-    notes = (*texts.notes, *((seals.note,) if seals.note else ()))
-    return Capture(path, header, records, notes, texts.digest(), reader)
+    notes = [*texts.notes, *((seals.note,) if seals.note else ())]
+    if header.kind == "sweep":
+        degrees = np.degrees([record.angle or 0.0 for record in records])
+        lit = [record.lasers for record in records]
+        planned = None if header.plan is None else header.plan.steps
+        doubts = journal_doubts([record.i for record in records], degrees, lit, planned)
+        notes += [f"{journal_name}: {doubt}" for doubt in doubts]
+    return Capture(path, header, records, tuple(notes), texts.digest(), reader)

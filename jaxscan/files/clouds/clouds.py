@@ -86,8 +86,6 @@ def load_cloud(path: str | Path) -> PointCloud:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise CloudError(f'{path}: cannot read "{path.suffix}", known are {", ".join(READERS)}.')
-    if not path.is_file():
-        raise CloudError(f"{path}: {'not a regular file' if path.exists() else 'no such file'}.")
     cloud = reader(path)
     check_cloud(cloud, str(path))
     return cloud

@@ -1,0 +1,5 @@
+"""Doubts about a sweep, a sentence each: what contradicts the rest of it, by statistics of the sweep itself."""
+
+from jaxscan.reconstruction.doubts.journal import journal_doubts
+from jaxscan.reconstruction.doubts.seen import FrameWatch, Seen
+from jaxscan.reconstruction.doubts.sweep import sweep_doubts

@@ -1,0 +1,140 @@
+"""Small statistics of every pair of frames, taken while the frames pass by."""
+
+import hashlib
+from typing import NamedTuple
+
+import numpy as np
+
+
+_BLOCKS = 12
+"""Places of a frame that are looked at, two neighbouring lines each, so that a mosaic shows all its colours."""
+_BINS = 160
+"""Samples of a frame's trace."""
+_PREFIX = "seen_"
+_NO_TWINS = 0.1
+"""Part of the pixels that noise changes from which two frames are never the same by chance [1]."""
+
+
+class Seen(NamedTuple):
+    """Statistics of records; those of the laser-off frame are 0 where there is none."""
+
+    prints: np.ndarray
+    """Fingerprints of the laser-on and the laser-off frame, uint64 [records, 2]; 0 for frames without noise."""
+    level: np.ndarray
+    """Mean of both frames [DN], float32 [records, 2]."""
+    grain: np.ndarray
+    """Roughness of both frames from pixel to pixel [DN], float32 [records, 2]."""
+    change: np.ndarray
+    """Part of the pixels that are brighter, and darker, in the laser-on frame, float32 [records, 2]."""
+    unrest: np.ndarray
+    """Median difference between the frames of a pair [DN], float32 [records]."""
+    colours: np.ndarray
+    """Mean of the laser-off frame in the four phases of a mosaic or the three channels [DN], float32 [records, 4]."""
+    light: np.ndarray
+    """The laser's light in the same phases or channels [DN], float32 [records, 4]."""
+    trace: np.ndarray
+    """The laser-off frame's mean along the turning axis [DN], float32 [records, bins]."""
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """For keeping, by name."""
+        return {_PREFIX + name: array for name, array in self._asdict().items()}
+
+    @staticmethod
+    def taken_from(arrays: dict[str, np.ndarray], records: int) -> "Seen | None":
+        """Take kept statistics out of other arrays; None if they are not those of so many records."""
+        found = {name: arrays.pop(_PREFIX + name) for name in Seen._fields if _PREFIX + name in arrays}
+        expected = _empty(records)._asdict()
+        if found.keys() != expected.keys():
+            return None
+        kinds = ([(array.dtype, array.shape) for _, array in sorted(arrays.items())] for arrays in (found, expected))
+        return Seen(**found) if next(kinds) == next(kinds) else None
+
+
+def _empty(records: int) -> Seen:
+    pairs = (records, 2)
+    return Seen(
+        prints=np.zeros(pairs, np.uint64),
+        level=np.zeros(pairs, np.float32),
+        grain=np.zeros(pairs, np.float32),
+        change=np.zeros(pairs, np.float32),
+        unrest=np.zeros(records, np.float32),
+        colours=np.zeros((records, 4), np.float32),
+        light=np.zeros((records, 4), np.float32),
+        trace=np.zeros((records, _BINS), np.float32),
+    )
+
+
+class FrameWatch:
+    """Takes the statistics of a sweep's frames, in threads and in any order; keeps no frame."""
+
+    def __init__(self, records: int, *, upright: bool, brackets: bool, colours: bool) -> None:
+        """
+        Args:
+            records: Number of records.
+            upright: Whether the turning axis runs along the columns of the image.
+            brackets: Whether frames have a first axis of exposures.
+            colours: Whether frames have a last axis of colours.
+        """
+        self._upright, self._brackets, self._colours = upright, brackets, colours
+        self.seen = _empty(records)
+
+    def look(self, record: int, on: np.ndarray, off: np.ndarray | None) -> None:
+        """Take the statistics of one record."""
+        lit, seen = self._sample(on), self.seen
+        seen.prints[record, 0], seen.level[record, 0], seen.grain[record, 0] = _texture(lit)
+        if off is None:
+            return
+        dark = self._sample(off)
+        seen.prints[record, 1], seen.level[record, 1], seen.grain[record, 1] = _texture(dark)
+        difference = lit.astype(np.int16) - dark
+        size = np.abs(difference)
+        unrest = int(np.searchsorted(np.cumsum(np.bincount(size.reshape(-1), minlength=256)), size.size / 2))
+        least = 8 + 4 * unrest
+        brighter, darker = difference > least, difference < -least
+        seen.change[record] = np.count_nonzero(brighter) / size.size, np.count_nonzero(darker) / size.size
+        seen.unrest[record] = unrest
+        seen.colours[record] = self._phases(dark)
+        seen.light[record] = self._phases(np.where(brighter, difference, 0))
+        seen.trace[record] = _trace(dark)
+
+    def _sample(self, frame: np.ndarray) -> np.ndarray:
+        """Some lines across the turning axis, uint8 [lines, samples(, 3)]; of a bracket the middle exposure."""
+        frame = np.asarray(frame)
+        if self._brackets:
+            frame = frame[len(frame) // 2]
+        if not self._upright:
+            frame = frame.swapaxes(0, 1)
+        last = max(len(frame) // 2 - 1, 0)
+        first = 2 * np.unique(np.linspace(0, last, _BLOCKS + 2).astype(int)[1:-1])
+        lines = np.stack([first, np.minimum(first + 1, len(frame) - 1)], 1).reshape(-1)
+        return frame[lines]
+
+    def _phases(self, sample: np.ndarray) -> np.ndarray:
+        found = np.zeros(4, np.float32)
+        if self._colours:
+            found[:3] = sample.mean((0, 1))
+            return found
+        # Lines come in pairs, so a phase of the sample is one of the mosaic; a frame may be one line or column wide.
+        parts = [[sample[a::2, b::2] for b in (0, 1)] for a in (0, 1)]
+        phases = np.array([[part.mean() if part.size else 0.0 for part in row] for row in parts])
+        found[:] = (phases if self._upright else phases.T).reshape(-1)
+        return found
+
+
+def _texture(sample: np.ndarray) -> tuple[int, float, float]:
+    """Fingerprint, mean level and roughness of some lines."""
+    plane = sample if sample.ndim == 2 else sample[:, :, 1]
+    # Over a mosaic, pixels of one colour.
+    rough = np.abs(plane[:, 2:].astype(np.int16) - plane[:, :-2])
+    noisy = rough.size > 0 and np.count_nonzero(rough) > _NO_TWINS * rough.size
+    digest = hashlib.blake2b(np.ascontiguousarray(sample).data, digest_size=8).digest()
+    grain = float(np.minimum(rough, 16).mean()) if rough.size else 0.0
+    return int.from_bytes(digest, "little") | 1 if noisy else 0, float(plane.mean()), grain
+
+
+def _trace(sample: np.ndarray) -> np.ndarray:
+    plane = sample if sample.ndim == 2 else sample[:, :, 1]
+    along = plane.mean(0)
+    edges = np.linspace(0, len(along), _BINS + 1)
+    total = np.concatenate([[0.0], np.cumsum(along)])
+    return np.diff(np.interp(edges, np.arange(len(total)), total)) * (_BINS / len(along))
