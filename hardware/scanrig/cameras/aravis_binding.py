@@ -39,8 +39,6 @@ STATUS = {
 """The meaning of a buffer's status (ArvBufferStatus)."""
 RANGE_CHECK = 1
 ACCESS_CHECK = 1
-NO_PACKET_SOCKET = 1
-"""A stream's option (ArvGvStreamOption)."""
 
 
 class AravisError(Exception):
@@ -97,7 +95,6 @@ _PLAIN: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_camera_set_range_check_policy": (None, (c_void_p, c_int)),
     "arv_camera_set_access_check_policy": (None, (c_void_p, c_int)),
     "arv_gv_device_is_controller": (c_int, (c_void_p,)),
-    "arv_gv_device_set_stream_options": (None, (c_void_p, c_int)),
     "arv_stream_push_buffer": (None, (c_void_p, c_void_p)),
     "arv_stream_try_pop_buffer": (c_void_p, (c_void_p,)),
     "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64)),

@@ -6,7 +6,7 @@ import ipaddress
 from collections.abc import Callable
 
 from jaxscan.stripes import PixelFormat
-from scanrig.cameras.aravis_binding import ACCESS_CHECK, NO_PACKET_SOCKET, RANGE_CHECK, Aravis, AravisError, text
+from scanrig.cameras.aravis_binding import ACCESS_CHECK, RANGE_CHECK, Aravis, AravisError, text
 from scanrig.cameras.aravis_control import Say, take_control
 from scanrig.cameras.frame import Features
 from scanrig.cameras.settings import CameraSettings
@@ -52,10 +52,6 @@ def connect(aravis: Aravis, wanted: str, say: Say) -> int:
     # An acquisition that still runs would go on sending its frames to the program that began it.
     with contextlib.suppress(AravisError):
         aravis.camera_stop_acquisition(camera)
-    if aravis.camera_is_gv_device(camera):
-        # For a root user libaravis reads the interface itself, and takes packets of others for frames until its filter
-        # is set.
-        aravis.gv_device_set_stream_options(aravis.camera_get_device(camera), NO_PACKET_SOCKET)
     return camera
 
 
