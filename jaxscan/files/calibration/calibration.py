@@ -172,7 +172,7 @@ def _parse(value: Any, *, name: str) -> CalibrationTable:
         found, expected = table.covariance.order, (table.scanner() or table.camera.camera()).parameter_names()
         if found != expected:
             raise CalibrationError(
-                f"{name}: covariance.order: found {', '.join(found)}, expected {', '.join(expected)}."
+                f"{name}: covariance.order: found {', '.join(found)[:60]}, expected {', '.join(expected)}."
             )
     return table
 
