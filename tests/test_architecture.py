@@ -278,6 +278,20 @@ def test_files_are_opened_through_one_door(path):
     assert not found, f"line {found[0][1]}: {found[0][0]}, expected open_regular or read_bounded of jaxscan.files"
 
 
+@pytest.mark.parametrize("path", [p for p in FILES if folder_of(p) == "files"], ids=str)
+def test_a_name_that_is_too_long_is_no_surprise(path):
+    """`Path.exists` and its like raise for such names; `os.path.exists` says no, and the opening says why."""
+    # Entries of a folder have names that exist.
+    allowed = {"files/recording/folder.py", "files/capture/references.py"}
+    if str(path.relative_to(PACKAGE)) in allowed:
+        return
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            safe = isinstance(node.func.value, ast.Attribute) and node.func.value.attr == "path"
+            names = {"exists", "is_file", "is_dir", "is_symlink"}
+            assert safe or node.func.attr not in names, f"line {node.lineno}: {node.func.attr}"
+
+
 def test_the_acquisition_layer_asserts_nothing():
     for path in RIG_FILES:
         found = [node.lineno for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Assert)]

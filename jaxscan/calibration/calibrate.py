@@ -1,6 +1,8 @@
 """Observations to a calibration: seed, joint solve, conclusion."""
 
+import contextlib
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 import equinox as eqx
@@ -19,6 +21,18 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, LaserSheet, Turntable, point_up, stack_lasers
 from jaxscan.geometry.scanner import UP_VECTORS
 from jaxscan.observation import Observations
+
+
+@contextlib.contextmanager
+def _contradictions() -> Iterator[None]:
+    """Report equations without a solution as a fault of the observations."""
+    try:
+        yield
+    except np.linalg.LinAlgError as problem:
+        raise CalibrationError(
+            f"The observations contradict each other, so no calibration fits them ({problem}): check the board's size "
+            "and the angles of the table, or capture the board again."
+        ) from problem
 
 
 def calibrate_observations(observations: Observations, *, settings: CalibrationSettings | None = None) -> Calibration:
@@ -45,7 +59,7 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
     started = time.perf_counter()
     if not observations.laser_names:
         raise CalibrationError("The observations name no laser, so there is no laser sheet to be found.")
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), _contradictions():
         data = prepare(observations)
         # Each view by itself, without stripes and table: lasers and table are held and meet no
         # observation, so that both solves are one compiled function.
@@ -92,7 +106,7 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
     started = time.perf_counter()
     free = tuple(block for block in settings.free if block in (*CAMERA_BLOCKS, "warp", "pitch"))
     settings = replace(settings, free=free)
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), _contradictions():
         data = _without_stripes(_apart(prepare(observations)))
         cameras, poses = seed_camera(data, settings.camera)
         starts = [make_problem(camera, None, None, poses, data, settings) for camera in cameras]

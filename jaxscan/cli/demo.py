@@ -2,6 +2,7 @@
 
 import importlib.resources
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -72,12 +73,11 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     write_atomically(output / "room.png", encode_png(picture), error=CaptureError)
 
     lap = time.perf_counter()
-    truth = _read_truth(captures.truth)
     true_cloud = api.load_cloud(captures.true_cloud)
     box = api.measure_room(cloud, scanner=scanner)
     comparison = api.compare_clouds(cloud, true_cloud, scanner=scanner)
     room = _room_rows(box, config)
-    lengths = _length_rows(cloud, true_cloud, truth, scanner)
+    lengths = _length_rows(cloud, true_cloud, _true_lengths(captures.truth), scanner)
     parameters = _calibration_rows(scanner, true_scanner(config))
     seconds["measure"] = time.perf_counter() - lap
     seconds["all"] = time.perf_counter() - started
@@ -115,7 +115,25 @@ def _check_folder(output: Path) -> None:
 
 
 def _read_truth(path: Path) -> dict[str, Any]:
-    return parse_json(read_bounded(path, MEGABYTE, error=CaptureError), name=str(path), error=CaptureError)
+    truth = parse_json(read_bounded(path, MEGABYTE, error=CaptureError), name=str(path), error=CaptureError)
+    if not isinstance(truth, dict):
+        raise CaptureError(f"{path}: found no table, expected the truth of a demo; choose another folder with -o.")
+    return truth
+
+
+def _true_lengths(path: Path) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Name and end points [m] of the lengths to measure."""
+    try:
+        lengths = [
+            (str(one["name"]), np.array(one["from_m"], np.float64), np.array(one["to_m"], np.float64))
+            for one in _read_truth(path)["room"]["distances"]
+        ]
+    except (KeyError, TypeError, ValueError) as problem:
+        raise CaptureError(f"{path}: its distances are not as a demo writes them: {problem!r:.60}.") from problem
+    for name, *ends in lengths:
+        if not all(end.shape == (3,) and np.isfinite(end).all() for end in ends):
+            raise CaptureError(f"{path}: distance {name:.60}: expected two points of three finite coordinates.")
+    return lengths
 
 
 def _render(config: SimulationConfig, folder: Path, out: Terminal, seconds: dict[str, float]) -> api.SimulatedCaptures:
@@ -153,18 +171,20 @@ def _room_rows(box: RoomBox, config: SimulationConfig) -> list[dict[str, Any]]:
 
 
 def _length_rows(
-    cloud: api.PointCloud, true_cloud: api.PointCloud, truth: dict[str, Any], scanner: Scanner
+    cloud: api.PointCloud,
+    true_cloud: api.PointCloud,
+    true_lengths: Sequence[tuple[str, np.ndarray, np.ndarray]],
+    scanner: Scanner,
 ) -> list[dict[str, Any]]:
     """Lengths between the same two patches in the cloud and in the true cloud."""
     rows = []
-    for length in truth["room"]["distances"]:
-        a, b = np.array(length["from_m"]), np.array(length["to_m"])
+    for name, a, b in true_lengths:
         try:
             found = api.measure_distance(cloud, a, b, radius_m=PATCH_M, scanner=scanner)
             true = api.measure_distance(true_cloud, a, b, radius_m=PATCH_M)
         except MeasurementError:
             continue  # Behind furniture, or outside the field of view.
-        rows.append(_entry(length["name"], found.value_m, true.value_m, found.sigma_m))
+        rows.append(_entry(name, found.value_m, true.value_m, found.sigma_m))
     return rows
 
 

@@ -4,6 +4,7 @@ Exit codes: 0; 1 bad input or a failed verdict; 2 usage; 70 a defect of jaxscan;
 nobody reads the output.
 """
 
+import os
 import sys
 
 from jaxscan.cli.process import signals
@@ -19,14 +20,20 @@ def main(arguments: "Sequence[str] | None" = None) -> int:
 
     Args:
         arguments: The words after `jaxscan`. None for those of this process, which then belongs to the verb: its
-            signals are answered, and its output is closed.
+            signals are answered, and it ends here.
     """
     if arguments is None:
         signals.listen()
     # Imported here, because a signal may come before anything is loaded.
     from jaxscan.cli.process.running import run_function, run_process
 
-    return run_process(sys.argv[1:]) if arguments is None else run_function(list(arguments))
+    if arguments is not None:
+        return run_function(list(arguments))
+    code = run_process(sys.argv[1:])
+    if "--debug" not in sys.argv:
+        # All is written. While the interpreter ends, it answers a signal no more, and threads of XLA may crash.
+        os._exit(code)
+    return code
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import numpy as np
 
 # Loads a name when it is first used, so that `--help` does not load JAX.
 import jaxscan
-from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, finite, positive
+from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, coordinates, positive
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, check_paths, file_at
 from jaxscan.cli.process.terminal import table
@@ -70,8 +70,8 @@ def distance(
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
         json: Write the result as JSON too.
     """
-    finite("--a", a)
-    finite("--b", b)
+    coordinates("--a", a)
+    coordinates("--b", b)
     positive("--radius-mm", radius_mm)
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
@@ -99,7 +99,7 @@ def plane(cloud: CloudPath, /, *, at: Point, radius_mm: float = 200.0, json: Jso
         radius_mm: The plane is fitted to the points within this distance of it.
         json: Write the result as JSON too.
     """
-    finite("--at", at)
+    coordinates("--at", at)
     positive("--radius-mm", radius_mm)
     check_paths(file_at("CLOUD", cloud), file_at("--json", json))
     check_json(json)

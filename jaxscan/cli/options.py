@@ -23,6 +23,10 @@ CalibrationPath = Annotated[Path, tyro.conf.arg(aliases=["-c"])]
 OptionalCalibrationPath = Annotated[Path | None, tyro.conf.arg(aliases=["-c"])]
 
 
+MAX_COORDINATE_M = 1e8
+"""Largest coordinate that an option accepts [m]: more than twice around the Earth."""
+
+
 def at_least(smallest: int, option: str, value: int | None) -> None:
     """Refuse a count below `smallest`.
 
@@ -56,11 +60,12 @@ def range_limits(smallest: str, low: float, largest: str, high: float) -> None:
         raise OptionError(f"{largest}: found {high:g}, expected more than {smallest}, which is {low:g}.")
 
 
-def finite(option: str, values: tuple[float, ...]) -> None:
-    """Refuse coordinates that are not finite.
+def coordinates(option: str, values: tuple[float, ...]) -> None:
+    """Refuse coordinates [m] that are not finite or further away than any scan or survey grid reaches.
 
     Raises:
         OptionError: With the option's name and the values that it accepts.
     """
-    if not all(map(math.isfinite, values)):
-        raise OptionError(f"{option}: found {' '.join(f'{value:g}' for value in values)}, expected finite numbers.")
+    if not all(math.isfinite(value) and abs(value) <= MAX_COORDINATE_M for value in values):
+        found = " ".join(f"{value:g}" for value in values)
+        raise OptionError(f"{option}: found {found}, expected metres within {MAX_COORDINATE_M:g} of 0.")

@@ -30,7 +30,9 @@ class SimulatedCaptures(NamedTuple):
     @staticmethod
     def of(folder: Path) -> "SimulatedCaptures":
         """The captures in a folder that `simulate` wrote."""
-        pairs = [len(open_capture(folder / name)) if (folder / name).is_dir() else 0 for name in ("boards", "sweep")]
+        pairs = [
+            len(open_capture(folder / name)) if os.path.isdir(folder / name) else 0 for name in ("boards", "sweep")
+        ]
         return SimulatedCaptures(folder, *pairs)
 
     @property

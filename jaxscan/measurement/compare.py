@@ -44,7 +44,8 @@ class CloudComparison:
     error_m: ErrorStatistics
     """Distance to the true point (same grid) or to the nearest one (no common grid)."""
     along_ray_m: ErrorStatistics | None
-    """Signed error along the ray, positive where too far; None without a common grid."""
+    """Signed error along the ray, positive where too far; None without a common grid, and without a true point that
+    is not in the camera's centre."""
     whitened: ErrorStatistics | None
     """Error along the ray divided by the point's `sigma_random`: RMS 1 if sigma is correct and the
     calibration perfect; None without a common grid."""
@@ -93,14 +94,16 @@ def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudCompar
     profile = np.nonzero(both)[0]
     p, exact = np.asarray(cloud.xyz)[both].astype(float), np.asarray(truth.xyz)[both].astype(float)
     ray = exact - centre[profile]
-    ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)
-    along = np.sum((p - exact) * ray, axis=1)
-    sigma = np.asarray(cloud.sigma_random)[both].astype(float)
+    distance = np.linalg.norm(ray, axis=1, keepdims=True)
+    # No ray leads to a true point in the camera's centre.
+    apart = distance[:, 0] > 0
+    along = np.sum((p - exact)[apart] * (ray[apart] / distance[apart]), axis=1)
+    sigma = np.asarray(cloud.sigma_random)[both][apart].astype(float)
     known = sigma > 0
     return CloudComparison(
         points=int(both.sum()),
         error_m=ErrorStatistics.of(np.linalg.norm(p - exact, axis=1)),
-        along_ray_m=ErrorStatistics.of(along),
+        along_ray_m=ErrorStatistics.of(along) if apart.any() else None,
         whitened=ErrorStatistics.of(along[known] / sigma[known]) if known.any() else None,
         completeness=float(both.sum() / true.sum()),
         false_points=int((valid & ~true).sum()),

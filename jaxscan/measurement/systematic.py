@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Array, Scanner
 from jaxscan.geometry.rigid import invert, transform
 from jaxscan.measurement.samples import Samples
@@ -27,8 +28,18 @@ def systematic_sigma(scanner: Scanner | None, samples: Samples, weights: np.ndar
 
     Returns:
         Standard deviation, in metres times the unit of the weights.
+
+    Raises:
+        MeasurementError: If the scanner does not have the lasers of the points.
     """
-    if scanner is None or scanner.covariance is None:
+    if scanner is None:
+        return 0.0
+    if samples.laser.max() >= len(scanner.laser_names):
+        raise MeasurementError(
+            f"The cloud has points of laser {samples.laser.max()}, and the calibration has {len(scanner.laser_names)} "
+            "(counted from 0): it is not the one that the cloud was made with."
+        )
+    if scanner.covariance is None:
         return 0.0
     gradient = np.zeros(len(scanner.parameter_names()))
     with jax.enable_x64(True):

@@ -76,7 +76,8 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
             valid=valid,
             angle=np.array([view.record.angle or 0.0 for view in views]),
             placement=np.array([number[key] for key in keys], np.int32),
-            record=np.array([view.record.i for view in views], np.int32),
+            # 64 bits: a journal of another program may count milliseconds.
+            record=np.array([view.record.i for view in views], np.int64),
         ),
         stripes=stack_stripes(stripes),
         width=width,

@@ -148,8 +148,8 @@ def _decode_jpeg(data: bytes) -> np.ndarray:
 
 
 def _decode_png(data: bytes) -> np.ndarray:
-    image = decode_png(data)
-    return _by_opencv(data) if image is None else image
+    found = decode_png(data)
+    return _by_opencv(found) if isinstance(found, bytes) else found
 
 
 def _decode_tiff(data: bytes) -> np.ndarray:

@@ -29,23 +29,27 @@ def png_size(data: bytes) -> tuple[int, int]:
     return width, height
 
 
-def decode_png(data: bytes) -> np.ndarray | None:
-    """The pixels of a PNG with 8-bit samples and whole rows, after all of the file has been checked.
+def decode_png(data: bytes) -> np.ndarray | bytes:
+    """The pixels of a PNG, after all of the file has been checked. Transparency is left out.
 
     Args:
         data: The whole file. The caller has checked its size.
 
     Returns:
-        uint8 [rows, columns], or RGB [rows, columns, 3]; None for other kinds, which are as sound.
+        uint8 [rows, columns], or RGB [rows, columns, 3], where samples have 8 bits and rows are whole. For other kinds
+        a PNG with nothing but what the pixels need, for a decoder.
 
     Raises:
         ValueError: With the damage.
     """
     width, height = png_size(data)
-    depth, colour, _, _, interlaced = data[24:29]
-    if width == 0 or height == 0 or depth not in _DEPTHS.get(colour, ()) or interlaced > 1:
+    depth, colour, packing, filtering, interlaced = data[24:29]
+    if depth not in _DEPTHS.get(colour, ()) or packing or filtering or interlaced > 1:
         raise ValueError("its header is damaged")
-    packed, special = _image_data(data)
+    chunks = _chunks(data)
+    packed, palette = chunks[b"IDAT"], chunks[b"PLTE"]
+    if len(palette) % 3 or (colour == 3 and not 3 <= len(palette) <= 3 << depth):
+        raise ValueError("its palette is damaged")
     bits = depth * _CHANNELS[colour]
     passes = _PASSES if interlaced else ((0, 1, 0, 1),)
     parts = [(-(-(width - x) // across), -(-(height - y) // down)) for x, across, y, down in passes]
@@ -57,8 +61,11 @@ def decode_png(data: bytes) -> np.ndarray | None:
         raise ValueError(f"its data cannot be unpacked: {problem}") from problem
     if len(raw) != expected or not inflater.eof or inflater.unused_data:
         raise ValueError("its data have another length than its rows")
-    if interlaced or depth != 8 or colour not in (0, 2) or special:
-        return None
+    if interlaced or depth != 8 or colour not in (0, 2, 3):
+        needed = {b"IHDR": data[16:29], b"PLTE": palette.ljust(3 << depth, b"\0"), b"IDAT": packed, b"IEND": b""}
+        if colour != 3:
+            del needed[b"PLTE"]
+        return SIGNATURE + b"".join(_chunk(kind, content) for kind, content in needed.items())
     # Here, because it loads numba.
     from jaxscan.vision.native_loops import unfilter
 
@@ -66,12 +73,18 @@ def decode_png(data: bytes) -> np.ndarray | None:
     pixels = np.empty((height, width * channels), np.uint8)
     if not unfilter(np.frombuffer(raw, np.uint8).reshape(height, -1), channels, pixels):
         raise ValueError("it has a row with an unknown filter")
+    if colour == 3:
+        colours = np.frombuffer(palette, np.uint8).reshape(-1, 3)
+        if pixels.max() >= len(colours):
+            raise ValueError("it has a pixel whose colour is not in its palette")
+        return colours[pixels]
     return pixels.reshape(height, width, channels) if channels > 1 else pixels
 
 
-def _image_data(data: bytes) -> tuple[bytes, bool]:
-    """All compressed data, and whether a colour is transparent; every chunk's checksum is compared."""
-    parts, special, at, view = [], False, len(SIGNATURE), memoryview(data)
+def _chunks(data: bytes) -> dict[bytes, bytes]:
+    """Palette and compressed data; every chunk's checksum is compared, and the end must be there."""
+    found: dict[bytes, list[memoryview]] = {b"IHDR": [], b"PLTE": [], b"IDAT": []}
+    at, view = len(SIGNATURE), memoryview(data)
     while at + 12 <= len(data):
         length, kind = int.from_bytes(view[at : at + 4], "big"), bytes(view[at + 4 : at + 8])
         end = at + 12 + length
@@ -79,10 +92,17 @@ def _image_data(data: bytes) -> tuple[bytes, bool]:
             break
         if zlib.crc32(view[at + 4 : end - 4]) != int.from_bytes(view[end - 4 : end], "big"):
             raise ValueError(f"the checksum of its part {kind!r:.20} is wrong")
-        if kind == b"IDAT":
-            parts.append(view[at + 8 : end - 4])
-        elif kind == b"IEND":
-            return b"".join(parts), special
-        special |= kind == b"tRNS"
+        if kind == b"IEND":
+            if len(found[b"IHDR"]) != 1 or len(found[b"PLTE"]) > 1:
+                raise ValueError("a part is there twice")
+            return {name: b"".join(parts) for name, parts in found.items()}
+        if kind in found:
+            found[kind].append(view[at + 8 : end - 4])
+        elif not kind.isalpha() or kind[:1].isupper():
+            raise ValueError(f"its part {kind!r:.20} is unknown")
         at = end
     raise ValueError("it is cut short")
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))

@@ -417,3 +417,31 @@ def _cloud(xyz):
         laser=np.zeros(grid[0], np.int32),
         angle=np.linspace(0, 6, grid[0]),
     )
+
+
+@pytest.mark.parametrize("text", ["[]", "3", '"a"', "null", "[[", ""])
+def test_a_demo_beside_a_truth_that_is_none(text, tmp_path, refused):
+    (tmp_path / "demo" / "captures").mkdir(parents=True)
+    (tmp_path / "demo" / "captures" / "truth.json").write_text(text)
+    assert "truth.json" in refused("demo", "-o", tmp_path / "demo")
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        {},
+        {"room": []},
+        {"room": {"distances": 3}},
+        {"room": {"distances": [{"name": "a", "from_m": [0, 0, 0]}]}},
+        {"room": {"distances": [{"name": "a", "from_m": [0, 0], "to_m": [1, 1, 1]}]}},
+        {"room": {"distances": [{"name": "a", "from_m": [0, 0, 0], "to_m": [1, 1, "b"]}]}},
+        {"room": {"distances": [{"name": "a", "from_m": [0, 0, 0], "to_m": [1, 1, 1e999]}]}},
+    ],
+)
+def test_a_truth_without_its_lengths(truth, tmp_path):
+    from jaxscan.cli.demo import _true_lengths
+
+    path = tmp_path / "truth.json"
+    path.write_text(json.dumps(truth))
+    with pytest.raises(jaxscan.CaptureError, match=r"truth\.json"):
+        _true_lengths(path)

@@ -5,7 +5,9 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 import warnings
+from pathlib import Path
 
 import pytest
 
@@ -202,8 +204,19 @@ BECOME = (
 )
 
 
+@pytest.fixture
+def open_folder():
+    """A folder that every user may write; those of pytest are closed to others."""
+    with tempfile.TemporaryDirectory() as path:
+        for name in ("free", "tmp"):
+            os.mkdir(os.path.join(path, name))
+            os.chmod(os.path.join(path, name), 0o777)
+        os.chmod(path, 0o755)
+        yield Path(path)
+
+
 @pytest.mark.parametrize("home", ["", "HOME=/", "HOME=/nonexistent", "XDG_CACHE_HOME=/dev/null"])
-def test_no_home_and_an_unknown_user(cloud, home):
+def test_no_home_and_an_unknown_user(cloud, open_folder, home):
     """As in `docker run -u 54321`: not in the list of users, and nothing of the installation may be written."""
     if os.getuid() != 0 or shell(f"{BECOME} true", cloud).returncode:
         pytest.skip("needs root and setpriv")
@@ -212,14 +225,14 @@ def test_no_home_and_an_unknown_user(cloud, home):
         "from jaxscan.cli.process import quiet; quiet.choose_caches(); import jaxscan.stripes.search.native_loops; "
         "import matplotlib.pyplot"
     )
-    become = f"{BECOME} env -i PATH=$PATH PYTHONPATH=$PYTHONPATH TMPDIR=$PWD/../tmp {home}"
+    clean = f"env -i PATH=$PATH PYTHONPATH=$PYTHONPATH TMPDIR={open_folder}/tmp {home}"
     ran = shell(
-        "mkdir -p -m 777 free tmp; cd free && rm -f * && "
-        f"{become} $J convert $A b.npz; echo $?; {become} {sys.executable} -c '{loading}'; echo $?; ls -A",
+        f'cd {open_folder}/free; P="{BECOME} {clean}"; $P $J convert $A b.npz; echo $?; '
+        f"$P {sys.executable} -c '{loading}'; echo $?; ls -A",
         cloud,
     )
     assert ran.stderr == "" and ran.stdout.splitlines()[1:] == ["0", "0", "b.npz"], ran
-    (kept,) = (cloud.parent / "tmp").iterdir()
+    (kept,) = (open_folder / "tmp").iterdir()
     assert kept.name == "jaxscan-54321" and kept.stat().st_mode & 0o077 == 0
 
 

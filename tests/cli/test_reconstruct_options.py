@@ -1,6 +1,8 @@
 """The options of `jaxscan reconstruct`, and its output."""
 
+import errno
 import json
+import os
 import shutil
 
 import numpy as np
@@ -50,6 +52,32 @@ def test_a_place_that_cannot_be_written_is_a_note(capture, reconstruct):
     (note,) = result["notes"]
     assert note.startswith("the stripes are not kept for next time") and cloud.valid.any()
     assert "note: the stripes are not kept" in out and "stripes kept" not in out
+
+
+def test_a_capture_on_a_read_only_file_system_gives_its_cloud(capture, reconstruct, monkeypatch):
+    making = os.open
+
+    def read_only(path, flags, *rest, **keys):
+        if flags & os.O_CREAT and str(path).startswith(str(capture)):
+            raise OSError(errno.EROFS, "Read-only file system")
+        return making(path, flags, *rest, **keys)
+
+    monkeypatch.setattr(os, "open", read_only)
+    before = sorted(capture.rglob("*"))
+    _, result, cloud = reconstruct(capture)
+    (note,) = result["notes"]
+    assert note.startswith("the stripes are not kept for next time") and note.endswith("Read-only file system.")
+    assert cloud.valid.any() and sorted(capture.rglob("*")) == before
+
+
+@pytest.mark.parametrize("leads_to", ["victim", "nowhere"])
+def test_a_link_in_place_of_the_kept_stripes_is_replaced(capture, reconstruct, tmp_path, leads_to):
+    (tmp_path / "victim").write_bytes(b"precious")
+    (capture / "stripes.npz").symlink_to(tmp_path / leads_to)
+    out, *_ = reconstruct(capture)
+    assert "stripes kept for next time" in out.splitlines()
+    assert not (capture / "stripes.npz").is_symlink()
+    assert (tmp_path / "victim").read_bytes() == b"precious" and not (tmp_path / "nowhere").exists()
 
 
 def test_all_candidates_are_profiles_of_their_own(tiny, capture, reconstruct):

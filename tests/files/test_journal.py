@@ -1,10 +1,13 @@
 """The journal: torn ends are survived, broken middles are not."""
 
+import contextlib
 import json
 import math
 import re
 import subprocess
 import sys
+import time
+import tracemalloc
 
 import pytest
 from hypothesis import given
@@ -104,6 +107,7 @@ def test_a_broken_line_is_dropped_at_the_end_and_refused_in_the_middle(rubbish):
         (line(0, i=2**53), ["i: found 9007199254740992"]),
         (line(0, lasers="red"), ["lasers: found"]),
         (line(0, lasers=[True]), ["lasers"]),
+        (line(0, lasers=["red"] * 65), ["lasers: found", "at most 64 items"]),
         (line(0, on="../a.png"), ["line 1: on: ", "relative path inside the capture's folder"]),
         (line(0, on="a/./b"), ["line 1: on: "]),
         (line(0, off="a.npy"), ["line 1: off: ", "which image of the shard is meant"]),
@@ -138,6 +142,27 @@ def test_events_may_have_any_keys():
     data = [b'{"event": "on", "on": true}', b'{"note": "by hand"}', b"{}", b'{"angle": 3}']
     records, notes = read(b"\n".join([*data, line(0)]))
     assert len(records) == 1 and notes == ()
+
+
+def test_very_many_lines_are_refused_at_once():
+    began = time.monotonic()
+    for text in (b"\n", b"{}\n", b'{"i":1}\n'):
+        refused(text * 2_000_001, "found 2000001 lines, expected at most 2000000")
+    assert time.monotonic() - began < 10
+
+
+@pytest.mark.parametrize("key", ["sha256", "lasers", "x", "time"])
+def test_long_lines_take_little_memory(key):
+    """Each holds 20,000 lists; together they would take a hundred times the size of the file."""
+    text = b'{"i": %d, "angle_deg": 0.0, "on": "a.png", "' + key.encode() + b'": [' + b"[]," * 20_000 + b"0]}"
+    data = b"\n".join(text % k for k in range(100))
+    tracemalloc.start()
+    try:
+        with contextlib.suppress(CaptureError):
+            read(data)
+        assert tracemalloc.get_traced_memory()[1] < 3 * len(data)
+    finally:
+        tracemalloc.stop()
 
 
 def test_takes_are_counted():

@@ -1,6 +1,7 @@
 """Writing captures: every image that the journal names is on the disk."""
 
 import errno
+import functools
 import json
 import os
 import threading
@@ -17,6 +18,13 @@ from jaxscan.files.recording import create_capture, resume_capture, store
 RNG = np.random.default_rng(3)
 FRAMES = RNG.integers(0, 256, (12, 4, 6), np.uint8)
 CAMERA = {"width": 6, "height": 4, "pixel_format": "mono8"}
+
+
+def nested(depth):
+    value = []
+    for _ in range(depth - 1):
+        value = [value]
+    return value
 
 
 def header(kind="sweep", **keys):
@@ -183,6 +191,8 @@ def test_an_existing_folder_is_refused(tmp_path):
         ({"angle_deg": 1.0, "on": FRAMES[0], "time": object()}, "only JSON values"),
         ({"angle_deg": 1.0, "on": FRAMES[0], "gain": float("inf")}, "only JSON values"),
         ({"angle_deg": 1.0, "on": FRAMES[0], "note": "x" * 70_000}, "more than 65536"),
+        ({"angle_deg": 1.0, "on": FRAMES[0], "note": nested(64)}, "nested too deeply"),
+        ({"angle_deg": 1.0, "on": FRAMES[0], "note": nested(5000)}, "nested too deeply"),
     ],
 )
 def test_records_that_do_not_fit(tmp_path, keys, message):
@@ -276,3 +286,28 @@ def test_a_journal_that_becomes_a_link_is_not_appended_to(tmp_path):
     with pytest.raises(OSError, match="symbolic links"):
         open_to_append(tmp_path / "room" / "frames.jsonl")
     assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (nested(63), "nested too deeply"),
+        (nested(500), "nested too deeply"),
+        (functools.reduce(lambda inner, _: {"a": inner}, range(63), 1), "nested too deeply"),
+        ("x" * (1 << 20), "the header has 1048"),
+    ],
+    ids=["lists", "many lists", "tables", "long"],
+)
+def test_a_header_that_could_not_be_read_again_is_not_written(tmp_path, value, message):
+    with pytest.raises(CaptureError, match=message):
+        create_capture(tmp_path / "room", header(acquisition={"a": value}))
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "value", [nested(62), functools.reduce(lambda inner, _: {"a": inner}, range(62), 1)], ids=["lists", "tables"]
+)
+def test_a_header_that_is_as_deep_as_it_may_be(tmp_path, value):
+    with create_capture(tmp_path / "room", header(acquisition={"a": value})) as capture:
+        capture.append(angle_deg=0.0, on=FRAMES[0])
+    assert open_capture(tmp_path / "room").header.acquisition == {"a": value}

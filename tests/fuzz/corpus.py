@@ -9,6 +9,7 @@ import numpy as np
 
 RECORDS = 12
 VIEWS = 6
+# What makes it small comes first, so that a file cut short is refused, not rendered in full size.
 RIG = """
 seed = 5
 [camera]
@@ -16,6 +17,18 @@ width = 64
 height = 48
 fx = 50.0
 fy = 50.0
+[plan]
+steps = 3
+[boards]
+type = "charuco"
+columns = 5
+rows = 4
+free_views = 2
+placements = 1
+angles = 2
+square_mm = 80.0
+marker_mm = 60.0
+dictionary = "DICT_4X4_50"
 [[laser]]
 name = "red"
 baseline_m = 0.3
@@ -27,18 +40,6 @@ point_m = [0.1, 0.0, -0.1]
 size_m = [3.2, 3.8, 2.4]
 rig_m = [1.5, 1.8, 1.2]
 furniture = false
-[boards]
-type = "charuco"
-columns = 5
-rows = 4
-square_mm = 80.0
-marker_mm = 60.0
-dictionary = "DICT_4X4_50"
-free_views = 2
-placements = 1
-angles = 2
-[plan]
-steps = 3
 """
 FOREIGN_PLY = """ply
 format ascii 1.0

@@ -1,8 +1,8 @@
 """Sessions as processes that can be killed: loads everything once, then forks a child for each.
 
-Reads one JSON object a line: {"folder", "port", "edges", "steps", "said"}; answers with the child's number, and with
-"<number> <status>" when it has ended: 0 complete, 130 interrupted, 1 another end, -n killed by signal n. A child
-writes to `said`: the number of each pair when it is on the disk, and the end.
+Reads one JSON object a line: {"folder", "port", "edges", "steps", "said"}, and "gige" for the bench's network camera;
+answers with the child's number, and with "<number> <status>" when it has ended: 0 complete, 130 interrupted, 1 another
+end, -n killed by signal n. A child writes to `said`: the number of each pair when it is on the disk, and the end.
 """
 
 import json
@@ -14,6 +14,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from scanrig.cameras import open_camera
 from scanrig.cameras.simulated import SimulatedCamera
 from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.config import RigConfig
@@ -24,6 +25,11 @@ from jaxscan.vision import images
 
 
 WIDTH, HEIGHT = 128, 96
+GIGE = {
+    "camera": {"kind": "aravis", "id": "127.0.0.1", "width": WIDTH, "height": HEIGHT, "trigger_source": "Software"},
+    "checks": {"late_s": 10.0},
+}
+"""With the bench's camera, which draws its pictures on the same processor."""
 SCENE = SyntheticScene(turn_px=12000.0)
 
 
@@ -77,13 +83,17 @@ class Wire:
 
 
 def session(order):
-    """One session, from the port to the exit status."""
-    rig = config(order["steps"])
+    """One session, from the port to the exit status; with "gige" by the network camera of the bench."""
+    gige = bool(order.get("gige"))
+    rig = config(order["steps"], **(GIGE if gige else {}))
     generator = np.random.default_rng(os.getpid())
     with open(order["said"], "a", buffering=1) as said, Interrupts() as interrupts:
-        camera = SimulatedCamera(rig.camera, lambda position, lit: see(position, lit, generator))
-        wire = Wire(order["edges"], camera)
         controller = connect(order["port"])
+        if gige:
+            camera, wire = open_camera(rig.camera, lambda sentence: print("#", sentence, file=said)), None
+        else:
+            camera = SimulatedCamera(rig.camera, lambda position, lit: see(position, lit, generator))
+            wire = Wire(order["edges"], camera)
         try:
             result = run_sweep(
                 rig,
@@ -106,7 +116,9 @@ def session(order):
             return 1
         finally:
             controller.close()
-            wire.close()
+            camera.close()
+            if wire is not None:
+                wire.close()
 
 
 def main():

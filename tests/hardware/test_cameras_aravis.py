@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -141,6 +142,17 @@ def test_a_camera_that_a_killed_program_left_running_is_taken_over(device, heart
         assert sentence.endswith("free in at most 8 s.")
 
 
+def test_the_bench_camera_is_found_here_and_hears_nobody_else(device):
+    assert device.register(HEARTBEAT) == 3000
+    bound = []
+    for name in os.listdir("/proc/self/fd"):
+        if os.path.realpath(f"/proc/self/fd/{name}").rpartition("/")[2].startswith("socket:"):
+            with socket.socket(fileno=os.dup(int(name))) as one:
+                if one.family == socket.AF_INET and one.getsockname()[1] == 3956:
+                    bound.append((one.getsockname()[0], one.getsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, 16)))
+    assert sorted(bound) == [("127.0.0.1", b""), ("255.255.255.255", b"lo\0")]
+
+
 def test_a_long_heartbeat_is_shortened(device):
     device.write(HEARTBEAT, 30_000)
     with opened() as camera:
@@ -148,6 +160,31 @@ def test_a_long_heartbeat_is_shortened(device):
         device.write(HEARTBEAT, 1000)
         camera.reopen()
         assert device.register(HEARTBEAT) == 1000
+
+
+FLOOD = """
+import socket
+one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+while True:
+    one.sendto(b"x" * 500, ("127.0.0.1", 9))
+"""
+
+
+def test_packets_of_others_are_not_taken_for_frames(server):
+    """To a root user libaravis would show, until its filter is set, every packet that crosses the interface."""
+    server.start()
+    opened().close()
+    with subprocess.Popen([sys.executable, "-c", FLOOD]) as flood:
+        try:
+            for _ in range(8):
+                with opened() as camera:
+                    camera.start()
+                    frames = [exposed(camera) for _ in range(2)]
+                    assert all(frame.complete for frame in frames)
+                    assert camera.drop() == 0
+                    assert camera.counts() == {"frames": 2, "incomplete": 0, "dropped": 0, "missing": 0, "underruns": 0}
+        finally:
+            flood.kill()
 
 
 @pytest.mark.parametrize(

@@ -36,15 +36,22 @@ def stopped(tmp_path_factory):
     return folder
 
 
+def own(path):
+    """A path that is no link, so that these tests themselves write nowhere else."""
+    if path.is_symlink() or path.parent.is_symlink():
+        raise OSError(f"{path} is a link")
+    return path
+
+
 def changed(rng, folder, victim):
     """Change the capture in a folder; `victim` is a file outside of it. Returns what was done."""
     kind = rng.choice(("journal", "journal", "header", "header", "event", "place", "place", "bytes"))
     if kind == "journal":
-        path = folder / "frames.jsonl"
+        path = own(folder / "frames.jsonl")
         path.write_bytes(change_journal(rng, path.read_bytes()))
         return kind
     if kind == "header":
-        path = folder / "capture.toml"
+        path = own(folder / "capture.toml")
         path.write_bytes(change_toml(rng, path.read_bytes()))
         return kind
     if kind == "event":
@@ -52,11 +59,11 @@ def changed(rng, folder, victim):
         value = rng.choice(
             ("null", "-1", "1e999", '"\\u001b[2J"', "[[0, 1e300]]", "[[1]]", "{}", "[]", "9" * 80, "true")
         )
-        with open(folder / "frames.jsonl", "ab") as file:
+        with open(own(folder / "frames.jsonl"), "ab") as file:
             file.write(f'{{"event": "{name}", "{key}": {value}}}\n'.encode())
         return f"{kind} {name} {key} {value}"
     if kind == "bytes":
-        name = rng.choice([one for one in NAMES if (folder / one).is_file()])
+        name = rng.choice([one for one in NAMES if (folder / one).is_file() and own(folder / one)])
         (folder / name).write_bytes(change_bytes(rng, (folder / name).read_bytes()))
         return f"{kind} {name}"
     name = rng.choice(NAMES + PARTS)

@@ -63,8 +63,9 @@ def nursery():
 class Scan:
     """A sweep of a simulated rig that is begun, ended from outside, and gone on with."""
 
-    def __init__(self, nursery, simulated, folder, steps):
+    def __init__(self, nursery, simulated, folder, steps, **order):
         self.nursery, self.simulated, self.folder, self.steps = nursery(), simulated, folder, steps
+        self.order = order
         self.said = folder.with_suffix(".said")
         self.said.touch()
 
@@ -75,6 +76,7 @@ class Scan:
             edges=self.simulated.edges_path,
             steps=self.steps,
             said=self.said,
+            **self.order,
         )
 
     def words(self):

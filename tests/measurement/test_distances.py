@@ -83,6 +83,19 @@ def test_compare_on_one_grid():
     assert found.error_m.p95_abs == pytest.approx(1.96 * 2e-3, rel=0.04)
 
 
+def test_a_true_point_at_the_camera_has_no_ray():
+    truth = wall_cloud(lambda y, z: 0 * y + 2.0, noise=0)
+    cloud = wall_cloud(lambda y, z: 0 * y + 2.0)
+    without = compare_clouds(cloud, truth).along_ray_m
+    truth.xyz[3, 5] = cloud.xyz[3, 5] = 0
+    found = compare_clouds(cloud, truth)
+    assert all(np.isfinite(list(vars(one).values())).all() for one in (found.along_ray_m, found.whitened))
+    # One of 20,000 errors of 1 mm is missing.
+    assert found.along_ray_m.rms == pytest.approx(without.rms, rel=1e-3)
+    truth.xyz[:] = 0
+    assert compare_clouds(cloud, truth).along_ray_m is None
+
+
 def test_compare_without_a_grid():
     truth = wall_cloud(lambda y, z: 2.5 + 0 * y, noise=0.0, shape=(200, 100))
     cloud = wall_cloud(lambda y, z: 2.503 + 0 * y, noise=0.0, shape=(150, 90))
@@ -95,3 +108,16 @@ def test_compare_without_a_grid():
     cloud.valid[:] = False
     with pytest.raises(MeasurementError, match="The cloud has no valid points"):
         compare_clouds(cloud, truth)
+
+
+def test_a_true_point_in_the_cameras_centre_has_no_ray():
+    truth = wall_cloud(lambda y, z: 2.5 + 0 * y, noise=0.0)
+    cloud = wall_cloud(lambda y, z: 2.501 + 0 * y, noise=0.0)
+    without = compare_clouds(cloud, truth)
+    truth.xyz[0, 0] = 0.0
+    found = compare_clouds(cloud, truth)
+    assert found.points == without.points
+    assert np.isfinite(list(vars(found.along_ray_m).values())).all()
+    assert found.along_ray_m.max_abs == pytest.approx(without.along_ray_m.max_abs, rel=1e-9)
+    truth.xyz[:] = 0.0
+    assert compare_clouds(cloud, truth).along_ray_m is None

@@ -182,3 +182,10 @@ def test_systematic_sigma_is_what_wrong_calibrations_do(scanner, scan):
     # 100 draws give a standard deviation to 7 %; three of those.
     np.testing.assert_allclose(predicted, np.std(draws, axis=0), rtol=0.21)
     assert nominal.length.sigma_m > nominal.length.sigma_random_m
+
+
+def test_a_cloud_of_another_rig_is_noticed(scanner, box_room):
+    cloud = box_room()
+    cloud.laser[:] = 1
+    with pytest.raises(MeasurementError, match="points of laser 1, and the calibration has 1"):
+        measure_room(cloud, scanner=scanner)

@@ -1,6 +1,10 @@
 """libaravis' fake GigE Vision camera, through ctypes: found, controlled and streamed from over UDP like a real one."""
 
+import contextlib
 import ctypes
+import ipaddress
+import os
+import socket
 import sys
 import threading
 import traceback
@@ -14,8 +18,10 @@ from bench.errors import BenchError
 LIBRARY = "libaravis-0.8.so.0"
 
 WIDTH, HEIGHT, GAIN, EXPOSURE_US, LEFT, TOP = 0x100, 0x104, 0x110, 0x120, 0x130, 0x134
-FRAME_PERIOD_US, TRIGGER_SOFTWARE = 0x138, 0x30C
+FRAME_PERIOD_US, TRIGGER_SOFTWARE, ACQUISITION, CONTROL_CHANNEL_PRIVILEGE = 0x138, 0x30C, 0x124, 0xA00
 """Registers of the fake camera."""
+
+BROADCAST = "255.255.255.255", 3956
 
 TRIGGERED_PERIOD_US = 4000
 """Grid of the times at which a triggered frame may be sent. libaravis' own, 40 ms, would lose one of two close ones."""
@@ -61,6 +67,17 @@ def _load() -> ctypes.CDLL:
     return library
 
 
+def _keep_to_loopback() -> None:
+    """Take this process's discovery socket off the network: libaravis binds one to the broadcast address, at which
+    anybody's commands would reach the camera; programs of this machine still find it there."""
+    for name in os.listdir("/proc/self/fd"):
+        with contextlib.suppress(OSError):  # Closed meanwhile, or a kernel before 5.7.
+            if os.readlink(f"/proc/self/fd/{name}").startswith("socket:"):
+                with socket.socket(fileno=os.dup(int(name))) as one:
+                    if one.family == socket.AF_INET and one.getsockname() == BROADCAST:
+                        one.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+
+
 class GvCamera:
     """A GigE Vision camera on a local address; there can be one per machine, port 3956 is the standard's.
 
@@ -84,6 +101,8 @@ class GvCamera:
         self._gv = self._library.arv_gv_fake_camera_new(address.encode(), serial.encode())
         if not self._gv or not self._library.arv_gv_fake_camera_is_running(self._gv):
             raise BenchError(f"No camera can be started at {address}: is one running there already?")
+        if ipaddress.ip_address(address).is_loopback:
+            _keep_to_loopback()
         self._camera = self._library.arv_gv_fake_camera_get_fake_camera(self._gv)
         self._present = present
         self._handed: np.ndarray | None = None
@@ -129,6 +148,11 @@ class GvCamera:
         self._library.g_object_set(
             ctypes.c_void_p(self._gv), b"gvsp-lost-ratio", ctypes.c_double(share), ctypes.c_void_p(None)
         )
+
+    def forget_controller(self) -> None:
+        """Lose the client: nobody controls the camera any more, and it stops."""
+        self.write(ACQUISITION, 0)
+        self.write(CONTROL_CHANNEL_PRIVILEGE, 0)
 
     def close(self) -> None:
         """Disappear."""

@@ -2,7 +2,7 @@
 
 Every pulse of the rig's trigger wire gives one frame, in order, of the table's angle at its beginning and with the
 share of laser light that it had. Control socket, one line each: `board N`, `board none`, `poses`, `lose N`, `swap`,
-`flash DN`, `blur PX`, `cover 0|1`, `loss SHARE`, `disappear`, `appear`, `state`, `quit`.
+`flash DN`, `blur PX`, `cover 0|1`, `loss SHARE`, `forget`, `disappear`, `appear`, `state`, `quit`.
 """
 
 import json
@@ -131,6 +131,8 @@ class BenchCamera:
             case "loss", _:
                 if self._wire is not None:
                     self._wire.lose_packets(float(rest))
+            case "forget", "":
+                self.forget_controller()
             case "disappear", "":
                 self._disappear()
             case "appear", "":
@@ -162,6 +164,12 @@ class BenchCamera:
         described = self.world.describe(number)
         self.board = number
         return described
+
+    def forget_controller(self) -> None:
+        """Free the control channel and stop, as a camera whose controller's heartbeat has ended."""
+        with self._wire_lock:
+            if self._wire is not None:
+                self._wire.forget_controller()
 
     def stop(self) -> None:
         """End `run`."""

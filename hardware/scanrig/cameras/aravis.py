@@ -22,6 +22,7 @@ from scanrig.errors import CameraError, CameraLost, CameraTimeout
 Result = TypeVar("Result")
 _BUFFERS = 8
 """Frames that may wait; a step of a sweep has two."""
+_QUIET_S, _MOST_PASSING_S = 0.1, 2.0
 _SLICE_S = 0.2
 """How often a waiting call checks that the camera is still connected."""
 
@@ -54,7 +55,7 @@ class AravisCamera(ClosedAtExit):
         self._stream: int | None = None
         self._running = self._started = self._lost = False
         self._numbers = FrameNumbers()
-        self._missing_before = 0
+        self._missing_before = self._foreign = 0
         self._counts = {"frames": 0, "incomplete": 0, "dropped": 0}
         self._identity = self._open()
 
@@ -69,10 +70,27 @@ class AravisCamera(ClosedAtExit):
         """The counts of every camera, and "underruns": frames for which no buffer was free."""
         counts = {**self._counts, "missing": self._missing_before + self._numbers.missing, "underruns": 0}
         if self._stream is not None:
-            numbers = [ctypes.c_uint64() for _ in range(3)]
-            self._aravis.stream_get_statistics(self._stream, *(ctypes.byref(one) for one in numbers))
-            counts["underruns"] = int(numbers[2].value)
+            counts["underruns"] = self._underruns(self._stream) - self._foreign
         return counts
+
+    def _underruns(self, stream: int) -> int:
+        numbers = [ctypes.c_uint64() for _ in range(3)]
+        self._aravis.stream_get_statistics(stream, *(ctypes.byref(one) for one in numbers))
+        return int(numbers[2].value)
+
+    def _pass_by(self, stream: int) -> int:
+        """Let packets of other programs pass before there is a buffer that they could be taken for a frame in.
+
+        With the rights of root libaravis reads the whole interface, and until its filter is set it keeps every packet.
+
+        Returns:
+            How many there were.
+        """
+        before, end = -1, time.monotonic() + _MOST_PASSING_S
+        while (count := self._underruns(stream)) != before and time.monotonic() < end:
+            before = count
+            time.sleep(_QUIET_S)
+        return count
 
     def start(self) -> None:
         if not self._running:
@@ -154,6 +172,7 @@ class AravisCamera(ClosedAtExit):
             if payload < self._bytes:
                 raise CameraError(f"{identity}: sends {payload} bytes per frame, expected {self._bytes}.")
             self._stream = self._aravis.camera_create_stream(camera, None, None)
+            self._foreign = self._pass_by(self._stream)
             for _ in range(_BUFFERS):
                 self._push(self._aravis.buffer_new_allocate(payload))
         except AravisError as problem:

@@ -253,7 +253,7 @@ def _focal_length(homographies: list[np.ndarray]) -> float | None:
     a, b = [], []
     for homography in homographies:
         x, y = homography[:, 0], homography[:, 1]
-        size = np.linalg.norm(x[:2]) * np.linalg.norm(y[:2])
+        size = max(np.linalg.norm(x[:2]) * np.linalg.norm(y[:2]), 1e-300)
         # The columns are images of perpendicular vectors of equal length.
         a += [x[:2] @ y[:2] / size, (x[:2] @ x[:2] - y[:2] @ y[:2]) / size]
         b += [-x[2] * y[2] / size, (y[2] ** 2 - x[2] ** 2) / size]

@@ -1,5 +1,6 @@
 """Calibrations on disk: a JSON file that suffices to reconstruct, and an NPZ file with the observations."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -100,8 +101,8 @@ def load_calibration(path: str | Path) -> Calibration:
     table = _parse(_read(path), name=str(path))
     scanner, covariance = table.scanner(), table.covariance
     beside = observations_path(path)
-    observations = find_observations(beside) if beside.exists() else None
-    if beside.exists():
+    observations = find_observations(beside) if os.path.exists(beside) else None
+    if os.path.exists(beside):
         require_own(table, path, beside)
     return Calibration(
         camera=table.camera.camera() if scanner is None else scanner.camera,
@@ -171,7 +172,7 @@ def _parse(value: Any, *, name: str) -> CalibrationTable:
         found, expected = table.covariance.order, (table.scanner() or table.camera.camera()).parameter_names()
         if found != expected:
             raise CalibrationError(
-                f"{name}: covariance.order: found {', '.join(found)}, expected {', '.join(expected)}."
+                f"{name}: covariance.order: found {', '.join(found)[:60]}, expected {', '.join(expected)}."
             )
     return table
 

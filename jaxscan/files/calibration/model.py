@@ -258,7 +258,7 @@ class CalibrationTable(FileModel):
             raise ValueError("lasers and turntable come together; a file without both holds a camera alone")
         names = [laser.name for laser in self.lasers]
         if len(set(names)) < len(names):
-            raise ValueError(f"lasers: found the names {', '.join(names)}, expected no name twice")
+            raise ValueError(f"lasers: found the names {', '.join(names)[:60]}, expected no name twice")
         if self.turntable is None:
             return self
         canonical = self.turntable.basis is not None

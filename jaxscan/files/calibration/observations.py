@@ -1,6 +1,7 @@
 """The observations beside a calibration file, so that anyone can solve again: NPZ."""
 
 import operator
+import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -84,7 +85,7 @@ def check_observations_path(path: Path) -> None:
         CalibrationError: If another file has this name, or the file cannot be written.
     """
     check_writable(path, error=CalibrationError)
-    if path.exists() and not is_observations(path):
+    if os.path.exists(path) and not is_observations(path):
         raise CalibrationError(f"{path}: exists and holds no observations; choose another name for the calibration.")
 
 

@@ -35,7 +35,7 @@ def stored_settings(provenance: dict[str, Any], *, name: str) -> CalibrationSett
     except pydantic.ValidationError as problem:
         first = problem.errors(include_url=False)[0]
         key = ".".join(str(part) for part in ("provenance", "settings", *first["loc"]))
-        raise CalibrationError(f"{name}: {key}: found {first['input']!r:.60}, {first['msg']}.") from None
+        raise CalibrationError(f"{name}: {key[:90]}: found {first['input']!r:.60}, {first['msg']}.") from None
     numbers = (found.huber, found.reject_any, found.reject_all, *found.priors.values())
     if not all(number > 0 for number in numbers) or not 1 <= found.max_steps <= _MAX_STEPS:
         raise CalibrationError(

@@ -17,7 +17,7 @@ from jaxscan.files.capture.header import (
     parse_header,
 )
 from jaxscan.files.capture.images import ImageReader
-from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_LINE_BYTES, Record, journal_objects
+from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_LINE_BYTES, Record, journal_line, journal_objects
 from jaxscan.files.capture.references import MAX_IMAGES, Folder, ImageRef
 from jaxscan.files.capture.seals import HEADER_SEAL, SEAL, SEALED_RECORDS, seal
 from jaxscan.files.capture.stripe_cache import (

@@ -7,7 +7,7 @@ import tomli_w
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.boards import BoardTable
-from jaxscan.files.disk import FileModel, ImageSize, Integer, check, parse_toml
+from jaxscan.files.disk import MEGABYTE, FileModel, ImageSize, Integer, check, is_deep, parse_toml, too_deep
 from jaxscan.geometry import StripeAxis
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
@@ -16,6 +16,7 @@ from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, 
 
 CAPTURE_FORMAT: Literal["jaxscan-capture/1"] = "jaxscan-capture/1"
 HEADER_NAME = "capture.toml"
+MAX_HEADER_BYTES = MEGABYTE
 RESERVED_FORMATS = ("mono16", "bayer_rggb16", "bayer_bggr16", "bayer_grbg16", "bayer_gbrg16")
 
 
@@ -122,7 +123,8 @@ def header_toml(header: CaptureHeader) -> bytes:
     """The bytes of the file of a header.
 
     Raises:
-        CaptureError: If `acquisition` holds a value that TOML cannot hold.
+        CaptureError: If `acquisition` holds a value that TOML cannot hold, or is too large or nested too deeply to be
+            read again.
     """
     tables = header.model_dump(exclude_none=True)
     lasers = tables.pop("laser")
@@ -132,6 +134,13 @@ def header_toml(header: CaptureHeader) -> bytes:
         # One [[laser]] table each, as people write them.
         text += ["[[laser]]\n" + tomli_w.dumps(laser) for laser in lasers]
         text += [tomli_w.dumps({key: table}) for key, table in tables.items() if table]
+    except RecursionError as problem:
+        raise CaptureError(too_deep("acquisition")) from problem
     except (TypeError, ValueError) as problem:
         raise CaptureError(f"acquisition: cannot be written as TOML: {problem}.") from problem
-    return "\n".join(text).encode()
+    data = "\n".join(text).encode()
+    if len(data) > MAX_HEADER_BYTES:
+        raise CaptureError(f"acquisition: the header has {len(data)} bytes, expected at most {MAX_HEADER_BYTES}.")
+    if is_deep(tables):
+        raise CaptureError(too_deep("acquisition"))
+    return data

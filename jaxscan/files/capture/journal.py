@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import pydantic
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.references import ImageRef, is_plain, parse_images, with_digests
+from jaxscan.files.capture.references import MAX_IMAGES, ImageRef, is_plain, parse_images, with_digests
 from jaxscan.files.disk import MAX_DEPTH, Integer, Number, check, is_deep, too_deep
 
 
@@ -18,10 +18,12 @@ JOURNAL_NAME = "frames.jsonl"
 MAX_JOURNAL_BYTES = 256 << 20
 MAX_LINE_BYTES = 64 << 10
 MAX_RECORDS = 1_000_000
+MAX_LINES = 2_000_000
 
 _MAX_NUMBER = 1 << 53
 _MAX_ANGLE = 1e6
 _MAX_PLACEMENT = 1 << 31
+_MAX_LASERS = 64
 _MISSING = object()
 _OF_RECORDS = {"on", "off", "angle_deg"}
 """Keys that events do not have, unless they say so by the key `event`."""
@@ -63,7 +65,7 @@ class _Line(pydantic.BaseModel):
     # No table turns a million degrees, and squares and sums of such angles are finite.
     angle_deg: Annotated[Number, pydantic.Field(ge=-_MAX_ANGLE, le=_MAX_ANGLE)] | None = None
     placement: Annotated[Integer, pydantic.Field(ge=0, lt=_MAX_PLACEMENT)] | None = None
-    lasers: list[Integer | str] | None = None
+    lasers: Annotated[list[Integer | str], pydantic.Field(max_length=_MAX_LASERS)] | None = None
     on: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
     off: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
     sha256: Any = None
@@ -79,7 +81,8 @@ class _Fields(NamedTuple):
     on: Any
     """A reference as text, or images."""
     off: Any
-    sha256: Any
+    digests: dict[str, Any]
+    """Of `on` and `off`, each a text, a list of them or None."""
 
 
 def read_journal(
@@ -102,6 +105,8 @@ def read_journal(
     latest: dict[int, _Fields] = {}
     takes: dict[int, int] = {}
     torn = ""
+    if (lines := data.count(b"\n")) > MAX_LINES:
+        raise CaptureError(f"{name}: found {lines} lines, expected at most {MAX_LINES}; split the capture.")
     for number, line in enumerate(io.BytesIO(data), 1):
         if torn and line.strip():
             raise CaptureError(f"{torn}; repair or remove this line, it is not the last.")
@@ -117,7 +122,7 @@ def read_journal(
         takes[i] = takes.get(i, 0) + 1
         if len(latest) > MAX_RECORDS:
             raise CaptureError(f"{name}: line {number}: more than {MAX_RECORDS} records; split the capture.")
-    records = tuple(_complete(i, latest[i], name, kind, laser_names) for i in sorted(latest))
+    records = tuple(_complete(i, latest.pop(i), name, kind, laser_names) for i in sorted(latest))
     return Journal(records, (f"{torn}: the last line was cut off and is left out.",) if torn else (), takes)
 
 
@@ -133,16 +138,33 @@ def _fields(value: dict[str, Any], number: int) -> _Fields | None:
         and 0 <= value["i"] < _MAX_NUMBER
         and (angle is None or (type(angle) is float and -_MAX_ANGLE <= angle <= _MAX_ANGLE))
         and (placement is None or (type(placement) is int and 0 <= placement < _MAX_PLACEMENT))
-        and (lasers is None or (type(lasers) is list and all(type(one) is str for one in lasers)))
+        and (
+            lasers is None
+            or (type(lasers) is list and len(lasers) <= _MAX_LASERS and all(type(one) is str for one in lasers))
+        )
         and (on is None or (type(on) is str and is_plain(on)))
         and (off is None or (type(off) is str and is_plain(off)))
     )
-    return _Fields(number, angle, placement, lasers, on, off, value.get("sha256")) if usual else None
+    return _Fields(number, angle, placement, lasers, on, off, _digests(value.get("sha256"))) if usual else None
 
 
 def _fields_slowly(value: dict[str, Any], name: str, number: int) -> _Fields:
     line = check(_Line, value, name=f"{name}: line {number}", error=CaptureError)
-    return _Fields(number, line.angle_deg, line.placement, line.lasers, line.on, line.off, line.sha256)
+    return _Fields(number, line.angle_deg, line.placement, line.lasers, line.on, line.off, _digests(line.sha256))
+
+
+def _digests(given: Any) -> dict[str, Any]:
+    """The digests of both sides, and nothing beside them that takes memory; anything else as a short text."""
+    if given is None:
+        return {}
+    sides = given if isinstance(given, dict) else dict.fromkeys(("on", "off"), given)
+    return {side: _short(sides[side]) for side in ("on", "off") if side in sides}
+
+
+def _short(digests: Any) -> Any:
+    if isinstance(digests, list):
+        return [one if isinstance(one, str) else repr(one)[:64] for one in digests[:MAX_IMAGES]]
+    return digests if digests is None or isinstance(digests, str) else repr(digests)[:64]
 
 
 def _check_event(value: dict[str, Any], name: str, number: int) -> None:
@@ -152,6 +174,29 @@ def _check_event(value: dict[str, Any], name: str, number: int) -> None:
             f"{name}: line {number}: i: missing, although {', '.join(sorted(found))} stand there; expected the number "
             "of the record."
         )
+
+
+def journal_line(fields: dict[str, Any], *, name: str) -> bytes:
+    """The line of a record or an event, which readers accept.
+
+    Args:
+        fields: JSON values.
+        name: Name of the capture, for messages.
+
+    Raises:
+        CaptureError: If it holds something else, is too long or is nested too deeply.
+    """
+    try:
+        line = json.dumps(fields, allow_nan=False).encode() + b"\n"
+    except RecursionError as problem:
+        raise CaptureError(too_deep(name)) from problem
+    except (TypeError, ValueError) as problem:
+        raise CaptureError(f"{name}: {problem}: a record holds only JSON values.") from problem
+    if len(line) > MAX_LINE_BYTES:
+        raise CaptureError(f"{name}: a record of {len(line)} bytes, more than {MAX_LINE_BYTES}.")
+    if _may_be_deep(line) and is_deep(json.loads(line)):
+        raise CaptureError(too_deep(name))
+    return line
 
 
 def journal_objects(journal: bytes) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -184,10 +229,14 @@ def _parse(line: bytes, name: str, number: int) -> dict[str, Any] | None:
         return None
     if not isinstance(value, dict):
         raise CaptureError(f"{name}: line {number}: found {str(value)[:40]}, expected a JSON object.")
-    # Few lines have so many brackets.
-    if line.count(b"{") + line.count(b"[") > MAX_DEPTH and is_deep(value):
+    if _may_be_deep(line) and is_deep(value):
         raise CaptureError(too_deep(f"{name}: line {number}"))
     return value
+
+
+def _may_be_deep(line: bytes) -> bool:
+    # Few lines have so many brackets.
+    return line.count(b"{") + line.count(b"[") > MAX_DEPTH
 
 
 def _complete(i: int, line: _Fields, name: str, kind: str, laser_names: tuple[str, ...]) -> Record:
@@ -202,15 +251,14 @@ def _complete(i: int, line: _Fields, name: str, kind: str, laser_names: tuple[st
             )
     elif not line.on and not line.off:
         raise CaptureError(f"{name}: line {line.number}: on, off: both are null; a record needs an image.")
-    digests = line.sha256 if isinstance(line.sha256, dict) else dict.fromkeys(("on", "off"), line.sha256)
     on, off = (parse_images(given) if given is None or type(given) is str else given for given in (line.on, line.off))
     return Record(
         i=i,
         angle=None if line.angle_deg is None else math.radians(line.angle_deg),
         placement=line.placement,
         lasers=() if not on else _lit(line.lasers, f"{name}: line {line.number}", laser_names),
-        on=with_digests(on, digests.get("on")),
-        off=with_digests(off, digests.get("off")),
+        on=with_digests(on, line.digests.get("on")),
+        off=with_digests(off, line.digests.get("off")),
     )
 
 

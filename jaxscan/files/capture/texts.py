@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.header import HEADER_NAME, CaptureHeader, parse_header
+from jaxscan.files.capture.header import HEADER_NAME, MAX_HEADER_BYTES, CaptureHeader, parse_header
 from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, Record, read_journal
-from jaxscan.files.disk import MEGABYTE, read_bounded
+from jaxscan.files.disk import read_bounded
 
 
 class CaptureTexts(NamedTuple):
@@ -25,7 +25,9 @@ class CaptureTexts(NamedTuple):
 
     def digest(self) -> str:
         """The sha256 of both files, as "sha256:<hex>"."""
-        return "sha256:" + hashlib.sha256(self.header_bytes + self.journal_bytes).hexdigest()
+        digest = hashlib.sha256(self.header_bytes)
+        digest.update(self.journal_bytes)
+        return "sha256:" + digest.hexdigest()
 
 
 def read_texts(folder: Path) -> CaptureTexts:
@@ -35,7 +37,7 @@ def read_texts(folder: Path) -> CaptureTexts:
         CaptureError: With the file, and the line or key, that is missing or wrong.
     """
     header_path, journal_path = folder / HEADER_NAME, folder / JOURNAL_NAME
-    header_bytes = read_bounded(header_path, MEGABYTE, error=CaptureError, links="refuse")
+    header_bytes = read_bounded(header_path, MAX_HEADER_BYTES, error=CaptureError, links="refuse")
     header = parse_header(header_bytes, name=str(header_path))
     journal_bytes = read_bounded(journal_path, MAX_JOURNAL_BYTES, error=CaptureError, links="refuse")
     names = tuple(laser.name for laser in header.laser)

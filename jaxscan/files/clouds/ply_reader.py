@@ -66,7 +66,9 @@ def read_ply(path: Path) -> PointCloud:
     vertices = tables["vertex"]
     versions = [comment for comment in header.comments if comment.startswith("jaxscan-cloud/")]
     if versions and versions[0] != CLOUD_FORMAT:
-        raise CloudError(f"{path}: found {versions[0]}, expected {CLOUD_FORMAT}; a newer version of jaxscan reads it.")
+        raise CloudError(
+            f"{path}: found {versions[0][:60]}, expected {CLOUD_FORMAT}; a newer version of jaxscan reads it."
+        )
     # Another program may have kept the comments but dropped the columns.
     if versions and set(VERTEX.names or ()) <= set(vertices.dtype.names or ()):
         return _organised(vertices, tables.get("profile"), header.comments, path)
@@ -106,7 +108,7 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     try:
         parsed = tuple(_Element(name, n, None if parts is None else np.dtype(parts)) for name, n, parts in elements)
     except ValueError as problem:
-        raise CloudError(f"{path}: the header is wrong: {problem}.") from problem
+        raise CloudError(f"{path}: the header is wrong: {str(problem)[:60]}.") from problem
     return _Header(encoding, tuple(comments), parsed, length)
 
 
@@ -149,7 +151,7 @@ def _read_table(file: BinaryIO, element: _Element, ascii_text: bool, size: int, 
     needed = count * (2 * properties if ascii_text else dtype.itemsize) - (1 if ascii_text and count else 0)
     if needed > size - file.tell():
         raise CloudError(
-            f"{path}: announces {count} of {element.name}, but the file ends before; it is damaged or cut short."
+            f"{path}: announces {count} of {element.name[:60]}, but the file ends before; it is damaged or cut short."
         )
     if count == 0 or properties == 0:
         return np.zeros(count if properties else 0, dtype)
@@ -159,9 +161,9 @@ def _read_table(file: BinaryIO, element: _Element, ascii_text: bool, size: int, 
         lines = (line.decode("latin-1") for line in (file.readline(1 << 16) for _ in range(count)))
         values = np.loadtxt(lines, np.float64, comments=None, ndmin=2)
     except ValueError as problem:
-        raise CloudError(f"{path}: {element.name}: not a table of numbers: {problem}.") from problem
+        raise CloudError(f"{path}: {element.name[:60]}: not a table of numbers: {str(problem)[:60]}.") from problem
     if values.shape != (count, properties):
-        raise CloudError(f"{path}: {element.name}: found {values.shape}, expected {(count, properties)}.")
+        raise CloudError(f"{path}: {element.name[:60]}: found {values.shape}, expected {(count, properties)}.")
     table = np.empty(count, dtype)
     for name, column in zip(dtype.names or (), values.T, strict=True):
         if dtype[name].kind in "iu":

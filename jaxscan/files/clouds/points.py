@@ -11,6 +11,9 @@ from jaxscan.reconstruction import CloudPoints, PointCloud
 BLOCK_POINTS = 1 << 20
 """Grid cells that are processed at a time: enough to be fast, few enough for any memory."""
 
+LARGEST = 1e15
+"""Largest number of a point, so that its square is finite: micrometres on the Earth's orbit."""
+_LEAST = {"xyz": -LARGEST, "normals": -LARGEST, "intensity": -LARGEST, "sigma_random": 0.0, "sigma_systematic": 0.0}
 _LONG_NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}
 
 
@@ -67,14 +70,17 @@ def check_cloud(cloud: PointCloud, name: str) -> None:
     for laser in (np.min(cloud.laser), np.max(cloud.laser)):
         if not 0 <= laser <= 255:
             raise CloudError(f"{name}: found laser {laser}, expected 0 to 255.")
-    for field in ("xyz", "normals", "intensity", "sigma_random", "sigma_systematic"):
+    for field, least in _LEAST.items():
         values = np.asarray(getattr(cloud, field))
-        # First one pass without a copy; only if it fails, look at the valid points alone.
-        with np.errstate(invalid="ignore"):
-            finite = np.isfinite(values.sum(dtype=np.float64))
-        if not finite and not np.isfinite(values[valid]).all():
+        # First one pass without a copy; only if it fails, look at the valid points alone. NaN fails too.
+        if _within(values, least) or _within(seen := values[valid], least):
+            continue
+        if not np.isfinite(seen).all():
             raise CloudError(f"{name}: {field} of a valid point is not finite.")
-    for field in ("sigma_random", "sigma_systematic"):
-        values = np.asarray(getattr(cloud, field))
-        if values.min() < 0 and values[valid].min() < 0:
+        if least == 0 and seen.min() < 0:
             raise CloudError(f"{name}: {field} of a valid point is negative; a standard deviation is 0 or more.")
+        raise CloudError(f"{name}: {field} of a valid point is {np.abs(seen).max():.3g}, expected at most {LARGEST:g}.")
+
+
+def _within(values: np.ndarray, least: float) -> bool:
+    return bool(values.min() >= least and values.max() <= LARGEST)

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from jaxscan.errors import ConfigError, JaxscanError
-from jaxscan.files.disk.bounded import is_deep, too_deep
+from jaxscan.files.disk.bounded import MAX_DEPTH, is_deep, too_deep
 from jaxscan.files.disk.opening import MEGABYTE, read_bounded
 from jaxscan.files.disk.validation import Model, check
 
 
 MAX_CONFIG_BYTES = MEGABYTE
-MAX_PARTS = 32
+MAX_PARTS = MAX_DEPTH
 """Most parts of a dotted key, such as 3 in `laser.plane.normal`: Python's reader takes the square of their number."""
 
 # Comments and texts of many lines are passed over; then a key, or another word, with its dotted parts. Nothing is

@@ -10,6 +10,7 @@ import re
 import secrets
 import shutil
 import stat
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -23,6 +24,7 @@ except ImportError:  # Not on Windows; there nothing is locked, and nothing of o
 # Strict, because what has such a name and no lock is removed.
 _NAME = re.compile(r"\.part-[0-9a-f]{12}(\.[A-Za-z0-9_]{1,16})?")
 _DIGITS = 6
+_TRIES = 50
 
 _held: dict[Path, tuple[int, int | None]] = {}
 """The process that made each partial file or folder, for a forked one has made none, and the handle with its lock."""
@@ -95,7 +97,13 @@ def _made(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> Iter
 def _lock_new(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> Path:
     while True:
         part = folder / f".part-{secrets.token_hex(_DIGITS)}{suffix}"
-        handle = make(part)
+        # Noted first: a signal may come as soon as it exists.
+        _held[part] = os.getpid(), None
+        try:
+            handle = make(part)
+        except BaseException:
+            del _held[part]
+            raise
         _held[part] = os.getpid(), handle
         # Another process may have taken it for a left one before it was locked.
         if handle is None or (_lock(handle) and _is_at(part, handle)):
@@ -168,7 +176,12 @@ def _remove_if_left(part: Path) -> None:
 
 
 def _delete(part: Path) -> None:
-    if part.is_dir():
-        shutil.rmtree(part, ignore_errors=True)
-    else:
+    if not os.path.isdir(part):
         part.unlink()
+        return
+    # Threads of a process that ends by a signal may write on for a moment.
+    for _ in range(_TRIES):
+        shutil.rmtree(part, ignore_errors=True)
+        if not os.path.exists(part):
+            return
+        time.sleep(0.01)

@@ -35,7 +35,7 @@ def require_no_links(path: Path) -> None:
         CaptureError: If a folder of images, the journal or the header is a link.
     """
     for name in ("on", "off", JOURNAL_NAME, HEADER_NAME):
-        if (path / name).is_symlink():
+        if os.path.islink(path / name):
             raise CaptureError(
                 f"{path / name}: found a link, which may lead anywhere, expected the capture's own; "
                 "nothing is written there."

@@ -1,7 +1,6 @@
 """Writing a capture: first the images, then the line of the journal that names them."""
 
 import contextlib
-import json
 import math
 import os
 from collections import deque
@@ -17,10 +16,10 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.capture import (
     HEADER_NAME,
     JOURNAL_NAME,
-    MAX_LINE_BYTES,
     CaptureHeader,
     frame_shape,
     header_toml,
+    journal_line,
     seal,
 )
 from jaxscan.files.disk import append_whole, check_name, open_to_append, reported, write_atomically
@@ -230,13 +229,7 @@ class CaptureWriter:
         return {"sha256": {side: sums[0] if len(sums) == 1 else list(sums) for side, sums in digests.items()}}
 
     def _line(self, fields: dict[str, Any]) -> bytes:
-        try:
-            line = json.dumps(fields, allow_nan=False).encode() + b"\n"
-        except (TypeError, ValueError) as problem:
-            raise CaptureError(f"{self.path}: {problem}: a record holds only JSON values.") from problem
-        if len(line) > MAX_LINE_BYTES:
-            raise CaptureError(f"{self.path}: a record of {len(line)} bytes, more than {MAX_LINE_BYTES}.")
-        return line
+        return journal_line(fields, name=str(self.path))
 
     def _advance(self) -> None:
         """Complete finished records, and wait if too many are pending."""

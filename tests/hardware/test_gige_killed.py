@@ -1,0 +1,77 @@
+"""Scans with the network camera that are killed: what they leave is an open port and a camera under their control.
+
+experiments/kills.py does the same at length, with the command line and the rendered room.
+"""
+
+import math
+import threading
+
+import numpy as np
+import pytest
+
+from jaxscan.files.capture import verify_capture
+
+from .nursery import see
+from .test_session_killed import Scan, kill_and_go_on
+from .test_session_killed import nursery as nursery
+from .test_session_killed import seen_at as seen_at
+
+
+TURN = 28800
+
+
+class DrawnWorld:
+    """A line on a wall, drawn in a millisecond."""
+
+    def frame(self, view, number, **_):
+        generator = np.random.default_rng(number % (1 << 32))
+        return see(round(view.angle / (2 * math.pi) * TURN), view.lights[0] > 0, generator)
+
+
+@pytest.fixture
+def gige(loopback, tmp_path):
+    """Starts the bench's camera within this process, in front of a rig; it draws instead of rendering."""
+    from bench.camera.network import BenchCamera
+
+    made = []
+
+    def make(simulated):
+        ledger = open(tmp_path / "frames.jsonl", "a")
+        camera = BenchCamera(DrawnWorld(), simulated.edges_path, TURN, ledger, loopback)
+        thread = threading.Thread(target=camera.run)
+        thread.start()
+        made.append((camera, thread, ledger))
+        return camera
+
+    yield make
+    for camera, thread, ledger in made:
+        camera.stop()
+        thread.join(20)
+        ledger.close()
+
+
+def test_09_killed_with_the_network_camera_it_goes_on(nursery, rig, gige, tmp_path, seen_at):
+    """Fault 9 with a camera that keeps its controller until a heartbeat is missed."""
+    simulated = rig(speed=10)
+    camera = gige(simulated)
+    one = Scan(nursery, simulated, tmp_path / "room", 20, gige=True)
+    assert kill_and_go_on(one, 2, seed=4) >= 1
+    child = one.begin()
+    assert one.nursery.end(child) == 0, one.words()
+    one.require_whole(seen_at)
+    one.require_dark()
+    assert verify_capture(one.folder) == [] and camera.counts.refused == 0
+
+
+def test_16_control_that_is_lost_in_mid_scan_is_taken_again(nursery, rig, gige, tmp_path, seen_at):
+    """Fault 16: the camera forgets who controls it, as after its own restart or a long freeze of the host."""
+    simulated = rig(speed=10)
+    camera = gige(simulated)
+    one = Scan(nursery, simulated, tmp_path / "room", 20, gige=True)
+    child = one.begin()
+    one.await_pairs(5)
+    camera.forget_controller()
+    assert one.nursery.end(child) == 0, one.words()
+    assert one.events("camera") and one.events("recovered")
+    one.require_whole(seen_at)
+    one.require_dark()
