@@ -32,6 +32,7 @@ def reconstruct(
     max_range: float = _RANGE.max_range_m,
     check_steps: bool = False,
     cache: bool = True,
+    compare: bool = True,
     json: JsonTarget = None,
 ) -> None:
     """Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.
@@ -47,6 +48,7 @@ def reconstruct(
         max_range: Largest distance from the camera [m]; a limit that fits the room excludes many reflections.
         check_steps: Compare every centre with the neighbouring steps; most reflections do not continue there.
         cache: Keep the stripes beside the capture, and use them again next time.
+        compare: Compare the images with the sha256 in the journal; without, raw frames are read faster.
         json: Write the result as JSON too.
     """
     at_least(1, "--every", every)
@@ -68,7 +70,7 @@ def reconstruct(
     )
     check_cloud_path(output)
     check_json(json)
-    sweep = api.open_capture(capture).every(every)
+    sweep = api.open_capture(capture, compare=compare).every(every)
     scanner = api.load_scanner(calibration)
     out = console(json)
     before = [*calibration_notes(calibration), *sweep.notes]

@@ -62,6 +62,11 @@ class Capture:
         return self.header.camera.width, self.header.camera.height
 
     @property
+    def compared(self) -> bool:
+        """Whether images are compared with their digests when they are read."""
+        return self._reader.compared
+
+    @property
     def carries(self) -> Carries | None:
         """Whether the table carries the scanner or the object; None if the header does not say."""
         return None if self.header.turntable is None else self.header.turntable.carries
@@ -203,11 +208,13 @@ class Capture:
         return decode_ahead(len(self), min(size, max(1, len(self))), shape, on, off, self._look)
 
 
-def open_capture(path: str | Path) -> Capture:
+def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
     """Open a capture and check everything except the contents of its images.
 
     Args:
         path: The folder.
+        compare: Whether images are compared with their digests when they are read. A frame of a shard takes less time
+            to read than to compare; header and journal are compared with their seals in any case.
 
     Returns:
         The capture; its `notes` name any line that was left out.
@@ -233,7 +240,7 @@ def open_capture(path: str | Path) -> Capture:
         )
     if header.kind == "sweep":
         check_exposures(records, name=journal_name)
-    reader = ImageReader(path, header)
+    reader = ImageReader(path, header, compare=compare)
     reader.check(records)
     notes = [*texts.notes, *((seals.note,) if seals.note else ())]
     if header.kind == "sweep":

@@ -41,7 +41,7 @@ def frames_key(capture: Capture) -> str:
         CaptureError: If an image is no longer there.
     """
     digest = hashlib.sha256(capture.digest().encode())
-    digest.update(json.dumps([record.i for record in capture.records]).encode())
+    digest.update(json.dumps([capture.compared, [record.i for record in capture.records]]).encode())
     root = str(capture.path)
     images = {image.path: None for record in capture.records for image in (*record.on, *record.off)}
     for path in images:

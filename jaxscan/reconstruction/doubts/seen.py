@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 
-_BLOCKS = 12
+_BLOCKS = 8
 """Places of a frame that are looked at, two neighbouring lines each, so that a mosaic shows all its colours."""
 TRACE_BINS = 160
 """Samples of a frame's trace."""
