@@ -21,7 +21,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from worlds.capture_mutations import COLOURS, PICTURES, SHARDS, Mutation, Place, unseal
+from worlds.capture_mutations import COLOURS, PICTURES, SHARDS
+from worlds.journal_mutations import Mutation, Place, unseal
 
 import jaxscan
 from jaxscan.api import reconstruct_capture

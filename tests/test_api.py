@@ -245,7 +245,9 @@ def test_missing_board_angles_stand_alone(tiny, tmp_path):
     """A record without an angle is a placement of its own; its corners still count."""
     boards = shutil.copytree(tiny.boards, tmp_path / "boards")
     path = boards / "frames.jsonl"
-    records = [json.loads(line) for line in path.read_text().splitlines()]
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    # Without the seal, which an edited journal does not fit.
+    records = [line for line in lines if "i" in line]
     last = records[-1]
     last["angle_deg"] = None
     path.write_text("".join(json.dumps(record) + "\n" for record in records))

@@ -1,129 +1,34 @@
-"""Structured changes of a capture, its cache and its calibration, as a careless editor, a bad copy or a stranger makes."""
+"""Structured changes of a capture, its cache and its calibration, as an editor, a bad copy or a stranger makes."""
 
 import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-
-
-class Place(NamedTuple):
-    """Files that a mutation may change."""
-
-    sweep: Path
-    calibration: Path
-    other: Path
-    """A capture of the same rig in another room."""
-
-
-Rng = np.random.Generator
-Mutation = Callable[[Place, Rng], None]
-Line = dict[str, Any]
-
-
-def read_lines(sweep: Path) -> list[Line]:
-    """The objects of a journal."""
-    return [json.loads(line) for line in (sweep / "frames.jsonl").read_text().splitlines()]
-
-
-def write_lines(sweep: Path, lines: list[Line]) -> None:
-    """Write a journal; lines that did not change keep their bytes."""
-    (sweep / "frames.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-
-
-def unseal(sweep: Path) -> None:
-    """Take all digests and seals out of a capture, as if other software had written it."""
-    lines = [{k: v for k, v in line.items() if k != "sha256"} for line in read_lines(sweep)]
-    write_lines(sweep, [line for line in lines if "journal_sha256" not in line])
-
-
-def _journal(change: Callable[[list[Line], Rng], list[Line] | None]) -> Mutation:
-    def mutate(place: Place, rng: Rng) -> None:
-        lines = read_lines(place.sweep)
-        records = [line for line in lines if "i" in line]
-        events = [line for line in lines if "i" not in line]
-        found = change(records, rng)
-        write_lines(place.sweep, (records if found is None else found) + events)
-
-    return mutate
-
-
-def _two(records: list[Line], rng: Rng) -> tuple[int, int]:
-    one, other = rng.choice(len(records), 2, replace=False)
-    return int(one), int(other)
-
-
-def _one_angle(records: list[Line], rng: Rng) -> None:
-    size = 10 ** rng.uniform(-1.0, 1.5)
-    records[rng.integers(len(records))]["angle_deg"] += float(size * rng.choice([-1, 1]))
-
-
-def _exchanged_angles(records: list[Line], rng: Rng) -> None:
-    a, b = (records[k] for k in _two(records, rng))
-    a["angle_deg"], b["angle_deg"] = b["angle_deg"], a["angle_deg"]
-
-
-def _equal_angles(records: list[Line], rng: Rng) -> None:
-    k = int(rng.integers(1, len(records)))
-    records[k]["angle_deg"] = records[k - 1]["angle_deg"]
-
-
-def _all_angles(change: Callable[[float, Rng], float]) -> Mutation:
-    def mutate(place: Place, rng: Rng) -> None:
-        seed = int(rng.integers(1 << 30))
-        lines = read_lines(place.sweep)
-        for line in lines:
-            if "i" in line:
-                line["angle_deg"] = float(change(line["angle_deg"], np.random.default_rng(seed)))
-        write_lines(place.sweep, lines)
-
-    return mutate
-
-
-def _removed(records: list[Line], rng: Rng) -> list[Line]:
-    gone = set(rng.choice(np.arange(1, len(records) - 1), rng.integers(1, 10), replace=False).tolist())
-    return [line for k, line in enumerate(records) if k not in gone]
-
-
-def _renumbered(records: list[Line], rng: Rng) -> list[Line]:
-    left = _removed(records, rng)
-    return [{**line, "i": k} for k, line in enumerate(left)]
-
-
-def _last_removed(records: list[Line], rng: Rng) -> list[Line]:
-    return records[: -int(rng.integers(1, 10))]
-
-
-def _misspelt(records: list[Line], rng: Rng) -> None:
-    record = records[int(rng.integers(1, len(records) - 1))]
-    record["I"] = record.pop("i")
-
-
-def _sides_exchanged(records: list[Line], rng: Rng) -> None:
-    record = records[rng.integers(len(records))]
-    record["on"], record["off"] = record["off"], record["on"]
-
-
-def _off_as_on(records: list[Line], rng: Rng) -> None:
-    record = records[rng.integers(len(records))]
-    record["on"] = record["off"]
-
-
-def _named_pair(records: list[Line], rng: Rng) -> None:
-    a, b = (records[k] for k in _two(records, rng))
-    for side in ("on", "off"):
-        a[side], b[side] = b[side], a[side]
-
-
-def _named_side(side: str) -> Callable[[list[Line], Rng], None]:
-    def change(records: list[Line], rng: Rng) -> None:
-        a, b = _two(records, rng)
-        records[a][side] = records[b][side]
-
-    return change
+from worlds.journal_mutations import (
+    Line,
+    Mutation,
+    Place,
+    Rng,
+    all_angles,
+    equal_angles,
+    exchanged_angles,
+    journal,
+    last_removed,
+    misspelt,
+    named_pair,
+    named_side,
+    off_as_on,
+    one_angle,
+    read_lines,
+    removed,
+    renumbered,
+    sides_exchanged,
+    two,
+    write_lines,
+)
 
 
 def _file(record: Line, place: Place, side: str) -> Path:
@@ -136,7 +41,7 @@ def _files(change: Callable[[list[Line], Place, Rng], None]) -> Mutation:
 
 def _copied(*sides: str) -> Mutation:
     def change(records: list[Line], place: Place, rng: Rng) -> None:
-        a, b = _two(records, rng)
+        a, b = two(records, rng)
         for side in sides:
             _file(records[a], place, side).write_bytes(_file(records[b], place, side).read_bytes())
 
@@ -145,7 +50,7 @@ def _copied(*sides: str) -> Mutation:
 
 def _exchanged(*sides: str) -> Mutation:
     def change(records: list[Line], place: Place, rng: Rng) -> None:
-        a, b = _two(records, rng)
+        a, b = two(records, rng)
         for side in sides:
             one, other = _file(records[a], place, side), _file(records[b], place, side)
             first, second = one.read_bytes(), other.read_bytes()
@@ -225,7 +130,7 @@ def _rehashed(place: Place, rng: Rng) -> None:
     """Another record's image, with its digest corrected by somebody who does not know of the seal."""
     lines = read_lines(place.sweep)
     records = [line for line in lines if "i" in line]
-    a, b = _two(records, rng)
+    a, b = two(records, rng)
     data = _file(records[b], place, "on").read_bytes()
     _file(records[a], place, "on").write_bytes(data)
     if "sha256" in records[a]:
@@ -235,7 +140,7 @@ def _rehashed(place: Place, rng: Rng) -> None:
 
 def _seal_removed(place: Place, rng: Rng) -> None:
     lines = [line for line in read_lines(place.sweep) if "journal_sha256" not in line]
-    _one_angle(lines, rng)
+    one_angle(lines, rng)
     write_lines(place.sweep, lines)
 
 
@@ -267,22 +172,22 @@ def _block_moved(data: bytearray, start: int, rng: Rng) -> bytearray:
 
 
 PICTURES: dict[str, Mutation] = {
-    "journal: one angle changed": _journal(_one_angle),
-    "journal: angles of two records exchanged": _journal(_exchanged_angles),
-    "journal: two equal angles": _journal(_equal_angles),
-    "journal: all angles 0": _all_angles(lambda angle, rng: 0.0),
-    "journal: angles in radians": _all_angles(lambda angle, rng: np.radians(angle)),
-    "journal: angles negated": _all_angles(lambda angle, rng: -angle),
-    "journal: angles scaled by 0.5 to 0.95": _all_angles(lambda angle, rng: angle * rng.uniform(0.5, 0.95)),
-    "journal: records removed": _journal(_removed),
-    "journal: records removed, the rest renumbered": _journal(_renumbered),
-    "journal: last records removed": _journal(_last_removed),
-    "journal: key i misspelt": _journal(_misspelt),
-    "journal: on and off exchanged in a record": _journal(_sides_exchanged),
-    "journal: off named as on": _journal(_off_as_on),
-    "journal: pairs of two records exchanged": _journal(_named_pair),
-    "journal: on of another record": _journal(_named_side("on")),
-    "journal: off of another record": _journal(_named_side("off")),
+    "journal: one angle changed": journal(one_angle),
+    "journal: angles of two records exchanged": journal(exchanged_angles),
+    "journal: two equal angles": journal(equal_angles),
+    "journal: all angles 0": all_angles(lambda angle, rng: 0.0),
+    "journal: angles in radians": all_angles(lambda angle, rng: np.radians(angle)),
+    "journal: angles negated": all_angles(lambda angle, rng: -angle),
+    "journal: angles scaled by 0.5 to 0.95": all_angles(lambda angle, rng: angle * rng.uniform(0.5, 0.95)),
+    "journal: records removed": journal(removed),
+    "journal: records removed, the rest renumbered": journal(renumbered),
+    "journal: last records removed": journal(last_removed),
+    "journal: key i misspelt": journal(misspelt),
+    "journal: on and off exchanged in a record": journal(sides_exchanged),
+    "journal: off named as on": journal(off_as_on),
+    "journal: pairs of two records exchanged": journal(named_pair),
+    "journal: on of another record": journal(named_side("on")),
+    "journal: off of another record": journal(named_side("off")),
     "images: on copied from another record": _copied("on"),
     "images: off copied from another record": _copied("off"),
     "images: pair copied from another record": _copied("on", "off"),

@@ -100,8 +100,8 @@ def write_simulation(
         with partial_folder(target) as part:
             made = SimulatedCaptures(part, pairs, steps)
             if pairs:
-                _write_capture(config, "calibration", made.boards, count(boards))
-            truths = _write_capture(config, "sweep", made.sweep, count(sweep))
+                _write_capture(config, "calibration", made.boards, count(boards), pairs)
+            truths = _write_capture(config, "sweep", made.sweep, count(sweep), steps)
             true = {**simulation_truth(config), "configuration": simulation_digest(config)}
             write_atomically(made.truth, json.dumps(true, indent=2).encode(), error=CaptureError)
             save_cloud(_cloud_of_truth(truths), made.true_cloud)
@@ -117,7 +117,11 @@ def simulation_digest(config: SimulationConfig) -> str:
 
 
 def _write_capture(
-    config: SimulationConfig, kind: Literal["calibration", "sweep"], folder: Path, records: Iterator[RenderedRecord]
+    config: SimulationConfig,
+    kind: Literal["calibration", "sweep"],
+    folder: Path,
+    records: Iterator[RenderedRecord],
+    planned: int,
 ) -> list[RenderedRecord]:
     """Write records as a capture; returns them without their frames."""
     sensor = config.sensor.model_dump(include={"pixel_format", "response"})
@@ -130,6 +134,7 @@ def _write_capture(
             "turntable": {"carries": config.turntable.carries},
             "laser": [laser.model_dump(include={"name", "colour", "stripe_axis"}) for laser in config.laser],
             "board": board if kind == "calibration" else None,
+            "plan": {"steps": planned},
             "acquisition": {"software": "jaxscan simulate"},
         }
     )

@@ -94,28 +94,16 @@ def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudCompar
     profile = np.nonzero(both)[0]
     p, exact = np.asarray(cloud.xyz)[both].astype(float), np.asarray(truth.xyz)[both].astype(float)
     ray = exact - centre[profile]
-<<<<<<< HEAD
-    distance = np.linalg.norm(ray, axis=1)
-    # At the camera itself there is no ray.
-    seen = distance > 0
-    along = np.sum((p - exact)[seen] * ray[seen], axis=1) / distance[seen]
-    sigma = np.asarray(cloud.sigma_random)[both].astype(float)[seen]
-=======
     distance = np.linalg.norm(ray, axis=1, keepdims=True)
     # No ray leads to a true point in the camera's centre.
     apart = distance[:, 0] > 0
     along = np.sum((p - exact)[apart] * (ray[apart] / distance[apart]), axis=1)
     sigma = np.asarray(cloud.sigma_random)[both][apart].astype(float)
->>>>>>> u-clouds
     known = sigma > 0
     return CloudComparison(
         points=int(both.sum()),
         error_m=ErrorStatistics.of(np.linalg.norm(p - exact, axis=1)),
-<<<<<<< HEAD
-        along_ray_m=ErrorStatistics.of(along) if seen.any() else None,
-=======
         along_ray_m=ErrorStatistics.of(along) if apart.any() else None,
->>>>>>> u-clouds
         whitened=ErrorStatistics.of(along[known] / sigma[known]) if known.any() else None,
         completeness=float(both.sum() / true.sum()),
         false_points=int((valid & ~true).sum()),

@@ -10,11 +10,13 @@ import pytest
 import jaxscan
 from jaxscan.vision import find_corners
 
+from .conftest import unsealed
+
 
 @pytest.fixture(scope="module")
 def spoilt(tiny, tmp_path_factory):
     """The tiny rig's boards, one of which is half hidden in its last picture."""
-    boards = shutil.copytree(tiny.boards, tmp_path_factory.mktemp("spoilt") / "boards")
+    boards = unsealed(shutil.copytree(tiny.boards, tmp_path_factory.mktemp("spoilt") / "boards"))
     record = json.loads((boards / "frames.jsonl").read_text().splitlines()[-1])
     capture = jaxscan.open_capture(boards)
     off = cv2.imread(str(boards / record["off"]), cv2.IMREAD_GRAYSCALE)

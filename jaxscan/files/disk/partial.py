@@ -182,6 +182,6 @@ def _delete(part: Path) -> None:
     # Threads of a process that ends by a signal may write on for a moment.
     for _ in range(_TRIES):
         shutil.rmtree(part, ignore_errors=True)
-        if not part.exists():
+        if not os.path.exists(part):
             return
         time.sleep(0.01)

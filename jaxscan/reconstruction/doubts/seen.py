@@ -8,7 +8,7 @@ import numpy as np
 
 _BLOCKS = 12
 """Places of a frame that are looked at, two neighbouring lines each, so that a mosaic shows all its colours."""
-_BINS = 160
+TRACE_BINS = 160
 """Samples of a frame's trace."""
 _PREFIX = "seen_"
 _NO_TWINS = 0.1
@@ -33,7 +33,7 @@ class Seen(NamedTuple):
     light: np.ndarray
     """The laser's light in the same phases or channels [DN], float32 [records, 4]."""
     trace: np.ndarray
-    """The laser-off frame's mean along the turning axis [DN], float32 [records, bins]."""
+    """The laser-off frame across the turning axis, at each of the places [DN], float16 [records, places, bins]."""
 
     def arrays(self) -> dict[str, np.ndarray]:
         """For keeping, by name."""
@@ -60,7 +60,7 @@ def _empty(records: int) -> Seen:
         unrest=np.zeros(records, np.float32),
         colours=np.zeros((records, 4), np.float32),
         light=np.zeros((records, 4), np.float32),
-        trace=np.zeros((records, _BINS), np.float32),
+        trace=np.zeros((records, _BLOCKS, TRACE_BINS), np.float16),
     )
 
 
@@ -105,7 +105,7 @@ class FrameWatch:
         if not self._upright:
             frame = frame.swapaxes(0, 1)
         last = max(len(frame) // 2 - 1, 0)
-        first = 2 * np.unique(np.linspace(0, last, _BLOCKS + 2).astype(int)[1:-1])
+        first = 2 * np.linspace(0, last, _BLOCKS + 2).astype(int)[1:-1]
         lines = np.stack([first, np.minimum(first + 1, len(frame) - 1)], 1).reshape(-1)
         return frame[lines]
 
@@ -134,7 +134,8 @@ def _texture(sample: np.ndarray) -> tuple[int, float, float]:
 
 def _trace(sample: np.ndarray) -> np.ndarray:
     plane = sample if sample.ndim == 2 else sample[:, :, 1]
-    along = plane.mean(0)
-    edges = np.linspace(0, len(along), _BINS + 1)
-    total = np.concatenate([[0.0], np.cumsum(along)])
-    return np.diff(np.interp(edges, np.arange(len(total)), total)) * (_BINS / len(along))
+    # The two lines of a place together, and all pixels of a bin.
+    pairs = plane.reshape(_BLOCKS, 2, -1).sum(1, dtype=np.float32) / 2
+    edges = np.linspace(0, pairs.shape[1], TRACE_BINS + 1).astype(int)
+    starts, counts = np.minimum(edges[:-1], pairs.shape[1] - 1), np.maximum(np.diff(edges), 1)
+    return np.add.reduceat(pairs, starts, axis=1) / counts

@@ -5,17 +5,19 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction.doubts.outliers import named, scatter
-from jaxscan.reconstruction.doubts.seen import Seen
+from jaxscan.reconstruction.doubts.outliers import named
+from jaxscan.reconstruction.doubts.seen import TRACE_BINS, Seen
 
 
 _FEW = 8
 _ALIKE = 0.6
-"""Correlation from which two frames show the same place [1]."""
+"""Part of the records whose motion must be steady, so that the picture tells anything [1]."""
 _OVERLAP = 0.4
 """Part of the frame that both must show [1]."""
-_BINS = 3.0
-"""Motion that is never doubted [bins of a trace]."""
+_BINS, _NEARER = 3.0, 0.15
+"""Motion that is never doubted [bins of a trace], and the part of it that near things add [1]."""
+_ELSEWHERE = 0.4
+"""Correlation of another place, in that of most neighbours [1]."""
 _RATIO = (0.55, 1.8)
 """Motion over the calibrated one that near things can explain [1]."""
 _AT_ONCE = 256
@@ -24,10 +26,10 @@ _AT_ONCE = 256
 class Motion(NamedTuple):
     """Motion of the picture from each record to the next."""
 
-    shift: np.ndarray
-    """[bins]"""
+    lags: np.ndarray
+    """Motions that were tried [bins]."""
     alike: np.ndarray
-    """Correlation of the two frames after the shift [1]."""
+    """Correlation of two records after each motion [records - 1, lags]."""
 
 
 def turning_doubts(seen: Seen, numbers: np.ndarray, angles: np.ndarray, own: np.ndarray, scanner: Scanner) -> list[str]:
@@ -43,71 +45,75 @@ def turning_doubts(seen: Seen, numbers: np.ndarray, angles: np.ndarray, own: np.
     if len(own) < _FEW or not seen.trace[own].any():
         return []
     found = motion(seen.trace[own])
+    shift = found.lags[np.argmax(found.alike, axis=1)]
     turned = (np.diff(angles[own]) + np.pi) % (2 * np.pi) - np.pi
-    sure = found.alike > _ALIKE
+    moving = np.abs(turned) > 1e-6
+    if not moving.any():
+        return []
+    rate = float(np.median(shift[moving] / turned[moving]))
+    expected = rate * turned
+    reach = _BINS + _NEARER * np.abs(expected)
+    steady = np.abs(shift - expected) <= reach
     # Bare walls, wide steps or a dark room tell nothing.
-    if np.count_nonzero(sure) < 0.7 * len(sure):
+    if np.count_nonzero(steady) < _ALIKE * len(steady):
         return []
-    moving = sure & (np.abs(turned) > 1e-6)
-    if np.count_nonzero(moving) < 0.5 * len(sure):
-        return []
-    rate = float(np.median(found.shift[moving] / turned[moving]))
-    residuals = found.shift - rate * turned
-    doubts = []
-    far = np.abs(residuals) > max(_BINS, 4.0 * scatter(residuals[sure]))
-    off = far | (found.alike < 0.5 * np.median(found.alike))
-    if 0 < np.count_nonzero(off) <= 0.4 * len(off):
-        # A record that is elsewhere fits neither the one before nor the one after.
-        before, after = np.concatenate([off[:1], off]), np.concatenate([off, off[-1:]])
-        wrong = np.flatnonzero(before & after)
-        if len(wrong) == 0:
-            wrong = np.flatnonzero(before)
-        doubts.append(f"{named(numbers[own[wrong]])} shows another place than its angle says")
-    return doubts + _direction(rate, found, turned, scanner)
+    near = np.abs(found.lags - expected[:, None]) <= reach[:, None]
+    there = np.where(near, found.alike, -1.0).max(1)
+    # A record that is elsewhere fits neither the one before nor the one after.
+    fits = np.concatenate([[-1.0], there]), np.concatenate([there, [-1.0]])
+    misses = np.concatenate([~steady[:1], ~steady]) & np.concatenate([~steady, ~steady[-1:]])
+    wrong = np.flatnonzero(misses & (np.maximum(*fits) < _ELSEWHERE * np.median(there)))
+    doubts = [f"{named(numbers[own[wrong]])} shows another place than its angle says"] if len(wrong) else []
+    return doubts + _direction(rate, float(np.median(np.abs(turned))), scanner)
 
 
 def motion(trace: np.ndarray) -> Motion:
-    """Motion from each trace to the next, by the correlation of their slopes where both show the same."""
-    slopes = np.diff(np.asarray(trace, np.float64), axis=1)
-    parts = [_motion(slopes[k : k + _AT_ONCE + 1]) for k in range(0, len(slopes) - 1, _AT_ONCE)]
-    return Motion(*(np.concatenate(field) for field in zip(*parts, strict=True)))
+    """Correlation of the slopes of each record and the next, where both show the same, for every motion.
+
+    Args:
+        trace: [records, places, bins]
+    """
+    slopes = np.diff(np.asarray(trace, np.float32), axis=-1)
+    # An edge of a window is not worth more than many of a texture.
+    most = float(np.quantile(np.abs(slopes), 0.98)) or 1.0
+    slopes = np.clip(slopes, -most, most)
+    count = slopes.shape[-1]
+    far = int((1 - _OVERLAP) * count)
+    lags = np.arange(-far, far + 1)
+    starts = range(0, len(slopes) - 1, _AT_ONCE)
+    return Motion(lags, np.concatenate([_correlated(slopes[k : k + _AT_ONCE + 1], lags) for k in starts]))
 
 
-def _motion(slopes: np.ndarray) -> Motion:
-    one, other = slopes[:-1], slopes[1:]
-    count = one.shape[1]
-    size = 2 * count
-    lags = np.arange(-int((1 - _OVERLAP) * count), int((1 - _OVERLAP) * count) + 1)
-    product = np.fft.irfft(np.conj(np.fft.rfft(one, size)) * np.fft.rfft(other, size), size)[:, lags]
-    # Only where the two overlap: from max(0, -lag) of the first, and from max(0, lag) of the other.
-    energies = [np.pad(np.cumsum(part**2, axis=1), ((0, 0), (1, 0))) for part in (one, other)]
-    total = 1e-12
-    for energy, sign in zip(energies, (-1, 1), strict=True):
+def _correlated(slopes: np.ndarray, lags: np.ndarray) -> np.ndarray:
+    count = slopes.shape[-1]
+    spectrum = np.fft.rfft(slopes, 2 * count)
+    product = np.fft.irfft((np.conj(spectrum[:-1]) * spectrum[1:]).sum(1), 2 * count)[:, lags]
+    # The energy of both where they overlap: of the first from max(0, -lag), of the other from max(0, lag).
+    energy = np.pad(np.cumsum((slopes**2).sum(1), axis=1), ((0, 0), (1, 0)))
+    parts = []
+    for own, sign in ((energy[:-1], -1), (energy[1:], 1)):
         start, stop = np.maximum(0, sign * lags), count + np.minimum(0, sign * lags)
-        part = np.maximum(energy[:, stop] - energy[:, start], 1e-9)
-        total = total * part if isinstance(total, np.ndarray) else part
-    alike = product / np.sqrt(total)
-    best = np.clip(np.argmax(alike, axis=1), 1, len(lags) - 2)
-    rows = np.arange(len(one))
-    left, top, right = (alike[rows, best + k] for k in (-1, 0, 1))
-    curve = left - 2 * top + right
-    fine = np.where(curve < -1e-9, 0.5 * (left - right) / np.where(curve < -1e-9, curve, -1.0), 0.0)
-    return Motion(lags[best] + np.clip(fine, -0.5, 0.5), top)
+        parts.append(np.maximum(own[:, stop] - own[:, start], 1e-9))
+    return product / np.sqrt(parts[0] * parts[1])
 
 
-def _direction(rate: float, found: Motion, turned: np.ndarray, scanner: Scanner) -> list[str]:
-    """Whether the picture moves as a camera that turns with the table sees it."""
+def _direction(rate: float, turned: float, scanner: Scanner) -> list[str]:
+    """Whether the picture moves as a camera that turns with the table sees it.
+
+    Args:
+        rate: Motion of the picture [bins/rad].
+        turned: Usual step [rad].
+        scanner: The calibrated rig.
+    """
     if scanner.turntable.carries != "scanner":
         return []
     camera, table = scanner.camera, scanner.turntable
     upright = scanner.up in ("-v", "+v")
     x, y, _ = np.asarray(table.direction, np.float64)
-    gain = float(np.asarray(table.gain))
-    per_pixel = len(found.shift) and 159 / ((camera.width if upright else camera.height) - 1)
-    expected = gain * per_pixel * float(-np.asarray(camera.fx) * y if upright else np.asarray(camera.fy) * x)
-    usual = np.median(np.abs(turned)) * np.array([rate, expected])
-    steady = scatter(found.shift - rate * turned) < 0.25 * abs(usual[0])
-    if not steady or np.abs(usual).max() < 1.5:
+    bins = TRACE_BINS / (camera.width if upright else camera.height)
+    focal = -np.asarray(camera.fx) * y if upright else np.asarray(camera.fy) * x
+    expected = float(np.asarray(table.gain)) * bins * float(focal)
+    if turned * max(abs(rate), abs(expected)) < _BINS:
         return []
     ratio = rate / expected
     if _RATIO[0] < ratio < _RATIO[1]:
