@@ -34,7 +34,8 @@ def test_observations_of_another_calibration_are_refused(path, tmp_path):
     flipped = data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
     for other in (foreign, data[:at], b"", b"no archive", flipped):
         path.with_suffix(".npz").write_bytes(other)
-        message = "not a readable" if other is flipped else r"the observations beside c\.json belong to another"
+        ours = r"the observations beside c\.json belong to another"
+        message = ours if other is foreign else "(the observations are damaged|not a readable)"
         with pytest.raises(CalibrationError, match=rf"c\.npz: {message}") as caught:
             load_calibration(path)
         assert "\n" not in str(caught.value)
