@@ -43,7 +43,7 @@ def test_there_and_back(room, run, tmp_path):
 
 
 def test_what_is_refused(room, refused, run, tmp_path):
-    assert "exists; choose another" in refused("convert", room, room, "--storage", "npy")
+    assert "is the same file as INPUT" in refused("convert", room, room, "--storage", "npy")
     assert "--storage: is needed" in refused("convert", room, tmp_path / "a")
     assert "--format: is for calibrations" in refused("convert", room, tmp_path / "a", "--format", "ros")
     assert "create it first" in refused("convert", room, tmp_path / "no" / "a", "--storage", "npy")

@@ -90,6 +90,8 @@ def test_all_candidates_are_profiles_of_their_own(tiny, capture, reconstruct):
 def test_a_calibration_that_did_not_converge_is_noted(tiny, capture, run, tmp_path):
     content = json.loads(tiny.calibration.read_text())
     content["quality"]["converged"] = False
+    # With digests, the change would be noted too.
+    del content["digests"]
     (tmp_path / "ended.json").write_text(json.dumps(content))
     result = tmp_path / "result.json"
     ran = run("reconstruct", capture, "-c", tmp_path / "ended.json", "-o", tmp_path / "a.npz", "--json", result)

@@ -59,7 +59,7 @@ class Paper:
             return controller
 
         monkeypatch.setattr("scanrig.controllers.jxs.connect", connect)
-        monkeypatch.setattr("scanrig.cameras.open_camera", lambda settings: kept(camera))
+        monkeypatch.setattr("scanrig.cameras.open_camera", lambda settings, say: kept(camera))
 
 
 def kept(camera):
@@ -145,7 +145,7 @@ def test_options_that_do_not_go_together(refused_after_plan, paper, config, tmp_
 
 
 def test_a_camera_that_is_not_there(refused_after_plan, paper, config, tmp_path, monkeypatch):
-    def lost(settings):
+    def lost(settings, say):
         raise CameraLost("no camera 127.0.0.1; see that it has power and its cable")
 
     monkeypatch.setattr("scanrig.cameras.open_camera", lost)
@@ -231,7 +231,7 @@ def test_the_cloud_is_there_when_the_scan_ends(run, paper, tiny, tmp_path, monke
     desk = Replay(tiny.sweep)
     paper.desk.controller.table = desk.table
     paper.desk.controller.camera = desk.camera
-    monkeypatch.setattr("scanrig.cameras.open_camera", lambda settings: kept(desk.camera))
+    monkeypatch.setattr("scanrig.cameras.open_camera", lambda settings, say: kept(desk.camera))
     config = tmp_path / "rig.toml"
     steps, turn = desk.config.sweep.steps, desk.config.sweep.turn_deg
     text = CONFIG.replace("width = 128", "width = 320").replace("height = 96", "height = 256")
@@ -307,7 +307,7 @@ def board_rig(paper, tiny, tmp_path, monkeypatch):
     desk.see = lambda position, lit: desk.showing[0 if lit else 1]
     controller = paper.desk.controller
     controller.table, controller.camera = desk.table, desk.camera
-    monkeypatch.setattr("scanrig.cameras.open_camera", lambda settings: kept(desk.camera))
+    monkeypatch.setattr("scanrig.cameras.open_camera", lambda settings, say: kept(desk.camera))
     looks = []
 
     def trigger(ms=None):

@@ -70,19 +70,16 @@ except KeyboardInterrupt as interrupt:
 """
 
 
-def heard():
-    """As in a shell, whatever the tests were started from."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
+HEARD = "--default-signal=INT,TERM,HUP"
+"""As in a shell, whatever the tests were started from; an option of `env`."""
 
 
-def started(code, folder, *, before=heard):
+def started(code, folder, *, signals=(HEARD,)):
     child = subprocess.Popen(
-        [sys.executable, "-c", BEGIN + code],
+        ["env", *signals, sys.executable, "-c", BEGIN + code],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         cwd=folder,
-        preexec_fn=before,
     )
     wait_for(child, b"ready")
     return child
@@ -125,11 +122,7 @@ def test_many_signals_are_answered_once(tmp_path):
 def test_what_the_caller_ignores_stays_ignored(tmp_path, name):
     number = getattr(signal, name)
 
-    def ignoring():
-        heard()
-        signal.signal(number, signal.SIG_IGN)
-
-    child = started("ready(); time.sleep(2)", tmp_path, before=ignoring)
+    child = started("ready(); time.sleep(2)", tmp_path, signals=(HEARD, f"--ignore-signal={name[3:]}"))
     assert ended(child, number)[0] == 0
 
 

@@ -45,8 +45,7 @@ def run_cases(
                 if tell is not None:
                     tell(answer)
             if worker is not None:
-                worker.kill()
-                worker.wait()
+                _stop(worker)
 
     threads = [threading.Thread(target=work) for _ in range(processes)]
     for thread in threads:
@@ -77,17 +76,20 @@ def _ask(
         answer = json.loads(line)
         if answer["resting"] > _RESTING_BYTES:
             # Compiled code stays in memory, and would count against the cases that follow.
-            worker.kill()
-            worker.wait()
+            _stop(worker)
             return answer, None
         return answer, worker
-    if not ready:
-        worker.kill()
     fault = "crash" if ready else "hang"
-    code = worker.wait()
+    code = worker.wait() if ready else None
+    _stop(worker)
     said = (folder / "stderr").read_text("utf-8", "backslashreplace")[-2000:]
     answer = {"seed": case[0], "number": case[1], "kind": "?", "faults": [fault], "code": code, "err": said}
     return answer, None
+
+
+def _stop(worker: subprocess.Popen) -> None:
+    with worker:
+        worker.kill()
 
 
 def counts(answers: Iterable[dict[str, Any]]) -> Counter[str]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxscan.reconstruction.doubts.outliers import bend, named, peaks, scatter
+from jaxscan.reconstruction.doubts.outliers import bend, named, peaks, said, scatter
 from jaxscan.reconstruction.doubts.seen import Seen
 
 
@@ -70,5 +70,5 @@ def strange_frames(seen: Seen, numbers: np.ndarray, own: np.ndarray) -> list[str
     least = np.minimum(np.concatenate([light[1:2], light[:-1]]), np.concatenate([light[1:], light[-2:-1]]))
     gone = own[(light < 0.1 * least) & (least > 0.4 * np.median(light)) & (least > 2e-3)]
     if len(gone):
-        doubts.append(f"{named(numbers[gone])} shows no laser, and the records around do")
+        doubts.append(f"{said(numbers[gone], 'shows', 'show')} no laser, and the records around do")
     return doubts

@@ -17,6 +17,11 @@ def named(numbers: Sequence[int] | np.ndarray) -> str:
     return f"{'record' if len(texts) == 1 else 'records'} {listed}"
 
 
+def said(numbers: Sequence[int] | np.ndarray, of_one: str, of_many: str) -> str:
+    """Records with their verb: "record 3 shows", or "records 3, 4 and 7 show"."""
+    return f"{named(numbers)} {of_one if len(numbers) == 1 else of_many}"
+
+
 def scatter(residuals: np.ndarray) -> float:
     """Size that four of five residuals keep, so that a few that are wrong do not matter."""
     return float(np.quantile(np.abs(residuals), 0.8)) if len(residuals) else 0.0

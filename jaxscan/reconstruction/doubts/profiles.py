@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxscan.reconstruction.cloud import PointCloud
-from jaxscan.reconstruction.doubts.outliers import named, peaks, scatter
+from jaxscan.reconstruction.doubts.outliers import named, peaks, said, scatter
 
 
 _FEW = 12
@@ -35,7 +35,7 @@ def profile_doubts(cloud: PointCloud, numbers: np.ndarray) -> list[str]:
     if far:
         doubts.append(f"the points of {named(numbers[sorted(far)])} are not where those of the records around are")
     if few:
-        doubts.append(f"{named(numbers[sorted(few)])} has far fewer points than the records around")
+        doubts.append(f"{said(numbers[sorted(few)], 'has', 'have')} far fewer points than the records around")
     return doubts
 
 

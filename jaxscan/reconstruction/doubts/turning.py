@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction.doubts.outliers import named
+from jaxscan.reconstruction.doubts.outliers import said
 from jaxscan.reconstruction.doubts.seen import TRACE_BINS, Seen
 
 
@@ -18,6 +18,8 @@ _BINS, _NEARER = 3.0, 0.15
 """Motion that is never doubted [bins of a trace], and the part of it that near things add [1]."""
 _ELSEWHERE = 0.4
 """Correlation of another place, in that of most neighbours [1]."""
+_CONTINUED = 0.6
+"""Correlation around records that are elsewhere, in that of most neighbours [1]."""
 _RATIO = (0.55, 1.8)
 """Motion over the calibrated one that near things can explain [1]."""
 _AT_ONCE = 256
@@ -62,9 +64,34 @@ def turning_doubts(seen: Seen, numbers: np.ndarray, angles: np.ndarray, own: np.
     # A record that is elsewhere fits neither the one before nor the one after.
     fits = np.concatenate([[-1.0], there]), np.concatenate([there, [-1.0]])
     misses = np.concatenate([~steady[:1], ~steady]) & np.concatenate([~steady, ~steady[-1:]])
-    wrong = np.flatnonzero(misses & (np.maximum(*fits) < _ELSEWHERE * np.median(there)))
-    doubts = [f"{named(numbers[own[wrong]])} shows another place than its angle says"] if len(wrong) else []
+    usual = float(np.median(there))
+    wrong = np.flatnonzero(misses & (np.maximum(*fits) < _ELSEWHERE * usual))
+    wrong = np.array([k for run in _runs(wrong) if _continues(seen.trace[own], run, expected, usual) for k in run], int)
+    doubts = [said(numbers[own[wrong]], "shows", "show") + " another place than the angle says"] if len(wrong) else []
     return doubts + _direction(rate, float(np.median(np.abs(turned))), scanner)
+
+
+def _runs(wrong: np.ndarray) -> list[np.ndarray]:
+    """Records in a row, apart from others."""
+    return [run for run in np.split(wrong, np.flatnonzero(np.diff(wrong) > 1) + 1) if len(run)]
+
+
+def _continues(trace: np.ndarray, run: np.ndarray, expected: np.ndarray, usual: float) -> bool:
+    """Whether the picture goes on as expected around a run of records; if not, it tells nothing there (a bare wall).
+
+    Args:
+        trace: [records, places, bins]
+        run: Records in a row.
+        expected: Motion from each record to the next [bins].
+        usual: Correlation of most neighbours [1].
+    """
+    before, after = int(run[0]) - 1, int(run[-1]) + 1
+    if before < 0 or after >= len(trace):
+        return True
+    found = motion(trace[[before, after]])
+    there = float(expected[before:after].sum())
+    near = np.abs(found.lags - there) <= _BINS + _NEARER * abs(there)
+    return bool(near.any() and found.alike[0, near].max() > _CONTINUED * usual)
 
 
 def motion(trace: np.ndarray) -> Motion:
