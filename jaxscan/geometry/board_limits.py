@@ -16,6 +16,8 @@ DICTIONARIES: dict[str, int] = {
 SMALLEST_COUNT = 3
 """Least columns and rows: fewer corners show no plane."""
 MOST_CORNERS = 10_000
+SMALLEST_MARKER = 0.2
+"""Least side of a marker, in sides of a square."""
 SMALLEST_MM, LARGEST_MM = 0.01, 10_000.0
 """Range of the sides of squares and markers, mm."""
 
@@ -61,3 +63,8 @@ def check_board(board: AbstractBoard) -> None:
         # Metres and back cost a rounding.
         if not SMALLEST_MM * (1 - 1e-9) <= length <= LARGEST_MM * (1 + 1e-9):
             raise ValueError(f"{name}: found {length:g}, expected {SMALLEST_MM:g} to {LARGEST_MM:g}")
+    if isinstance(board, Charuco) and board.marker < SMALLEST_MARKER * board.square:
+        raise ValueError(
+            f"marker_mm = {1000 * board.marker:g} must be at least {SMALLEST_MARKER:g} of square_mm = "
+            f"{1000 * board.square:g}, or no camera reads it"
+        )

@@ -256,7 +256,7 @@ KINDS: dict[Callable[[Draft], Case], float] = {
     _reconstruct_with: 6,
     _repack: 8,
     _verify: 8,
-    _calibrate: 3,
+    _calibrate: 1.5,
     _camera: 10,
     _report: 2,
     _convert: 16,

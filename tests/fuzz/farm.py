@@ -56,7 +56,13 @@ def run_cases(
 
 
 def _start(corpus: Path, folder: Path) -> subprocess.Popen:
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "hardware")]), "NO_COLOR": "1"}
+    # A process that follows another finds all that was compiled.
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "hardware")]),
+        "NO_COLOR": "1",
+        "JAX_COMPILATION_CACHE_DIR": str(corpus.with_name(corpus.name + "-compiled")),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
     command = [sys.executable, "-m", "tests.fuzz.worker", str(corpus), str(folder)]
     return subprocess.Popen(
         command, cwd=ROOT, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True

@@ -37,6 +37,7 @@ def test_outline_of_a_chessboard_is_one_square_outside():
         (Charuco(1000, 1000, 0.03, 0.02), "found 999 x 999 inner corners, expected at most 10000"),
         (Charuco(9, 7, 0.03, 0.03), "marker_mm = 30 must be smaller than square_mm = 30"),
         (Charuco(9, 7, 0.03, 1e-9), "marker_mm: found 1e-06"),
+        (Charuco(9, 7, 0.03, 0.005), "marker_mm = 5 must be at least 0.2 of square_mm = 30"),
         (Charuco(9, 7, 0.03, 0.02, "DICT_FOO"), 'found "DICT_FOO", expected a dictionary of OpenCV; the closest'),
         (Charuco(9, 7, 0.03, 0.02, "DICT_5x5_250"), 'closest known one is "DICT_5X5_250"'),
     ],
