@@ -18,9 +18,9 @@ def main(corpus: Path, work: Path) -> None:
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     out, err = _captured(work / "stdout", 1), _captured(work / "stderr", 2)
-    for question in questions:
+    for asked, question in enumerate(questions, 1):
         seed, number = map(int, question.split())
-        answer = _answer(seed, number, corpus, work / "case", (out, err))
+        answer = {"asked": asked, **_answer(seed, number, corpus, work / "case", (out, err))}
         answers.write(json.dumps(answer) + "\n")
         answers.flush()
 
@@ -52,8 +52,9 @@ def _answer(seed: int, number: int, corpus: Path, folder: Path, files: tuple[int
     # A verdict of "not accepted" is written all the same, and says so.
     written = code == 0 or b": written, but" in err
     left = changes(before, snapshot(folder), case.kept | (case.outputs if written else set()))
-    # A cloud that was asked for under a strange name.
-    left = [one for one in left if not (written and one.startswith(OUT + "/") and ".part" not in one)]
+    # An output that was asked for under a strange name, perhaps in the working folder.
+    asked = (OUT + "/", *(f"{word}: nothing" for word in case.words))
+    left = [one for one in left if not (written and one.startswith(asked) and ".part" not in one)]
     faults += ["changed"] if left else []
     answer = {
         "seed": seed,
