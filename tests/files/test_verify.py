@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import time
 
 import numpy as np
 import pytest
@@ -265,3 +266,14 @@ def test_seals_without_header_and_captures_without_digests_stay_readable(tmp_pat
     with resume_capture(bare, digests=True) as capture:
         capture.append(angle_deg=1.0, on=FRAMES[8], off=FRAMES[9])
     assert "4 of 5 records have no digests" in seal_note(bare)
+
+
+def test_a_file_larger_than_any_image_is_not_read(tmp_path):
+    """Ten gigabytes of nothing, which take no room on the disk, would take half a minute."""
+    path = sealed(tmp_path / "room")
+    victim = sorted((path / "on").iterdir())[0]
+    with open(victim, "r+b") as file:
+        file.truncate(10 << 30)
+    began = time.monotonic()
+    (problem,) = verify_capture(path)
+    assert "larger than" in problem.message and time.monotonic() - began < 5
