@@ -12,7 +12,7 @@ from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
-from jaxscan.files.calibration import CameraFormat, check_camera_path, export_camera
+from jaxscan.files.calibration import CameraFormat, calibration_notes, check_camera_path, export_camera
 from jaxscan.files.clouds import check_cloud_path
 from jaxscan.files.recording import Storage, check_new_folder, repack_capture
 
@@ -70,8 +70,12 @@ def _convert_calibration(source: Path, target: Path, camera_format: CameraFormat
     chosen = check_camera_path(target, camera_format)
     check_json(json)
     export_camera(api.load_calibration(source), target, chosen)
-    console(json).print(f"written: {target} (camera for {chosen})")
-    emit_json(json, "convert", {"source": str(source), "camera": str(target), "camera_format": chosen})
+    out, notes = console(json), calibration_notes(source)
+    for note in notes:
+        out.print(f"note: {note}")
+    out.print(f"written: {target} (camera for {chosen})")
+    result = {"source": str(source), "camera": str(target), "camera_format": chosen, "notes": notes}
+    emit_json(json, "convert", result)
 
 
 def _convert_capture(

@@ -1,6 +1,7 @@
 """`jaxscan measure`: lengths, planes and errors of a cloud."""
 
 import dataclasses
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,10 +11,11 @@ import jaxscan
 from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, coordinates, positive
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, check_paths, file_at
-from jaxscan.cli.process.terminal import table
+from jaxscan.cli.process.terminal import Terminal, table
 
 
 if TYPE_CHECKING:
+    from jaxscan.geometry import Scanner
     from jaxscan.measurement import ErrorStatistics
 
 
@@ -34,7 +36,7 @@ def room(cloud: CloudPath, /, *, calibration: OptionalCalibrationPath = None, js
     """
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
-    scanner = None if calibration is None else jaxscan.load_scanner(calibration)
+    scanner, notes = _calibrated(calibration)
     box = jaxscan.measure_room(jaxscan.load_cloud(cloud), scanner=scanner)
     sides = {name: side for name in ("length", "width", "height") if (side := getattr(box, name)) is not None}
     columns = ("", "m", "sigma mm", "wall RMS mm", "points", "not parallel by")
@@ -43,11 +45,11 @@ def room(cloud: CloudPath, /, *, calibration: OptionalCalibrationPath = None, js
         + (f"{side.angle_deg:.3f}°",)
         for name, side in sides.items()
     ]
-    out = console(json)
+    out = _notes_first(notes, json)
     out.print(table("Room", columns, rows))
     if scanner is None:
         out.print("sigma covers the noise of the points only; with --calibration it also covers the calibration.")
-    emit_json(json, "measure-room", {name: dataclasses.asdict(side) for name, side in sides.items()})
+    emit_json(json, "measure-room", {name: dataclasses.asdict(side) for name, side in sides.items()} | {"notes": notes})
 
 
 def distance(
@@ -75,11 +77,11 @@ def distance(
     positive("--radius-mm", radius_mm)
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
-    scanner = None if calibration is None else jaxscan.load_scanner(calibration)
+    scanner, notes = _calibrated(calibration)
     found = jaxscan.measure_distance(
         jaxscan.load_cloud(cloud), np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner
     )
-    out = console(json)
+    out = _notes_first(notes, json)
     out.print(
         f"{found.value_m:.4f} m, sigma {1e3 * found.sigma_m:.2f} mm, "
         f"from {found.points[0]} and {found.points[1]} points"
@@ -87,7 +89,7 @@ def distance(
     if found.plane_to_plane_m is not None and found.plane_to_plane_sigma_m is not None:
         sigma_mm = 1e3 * found.plane_to_plane_sigma_m
         out.print(f"between their planes: {found.plane_to_plane_m:.4f} m, sigma {sigma_mm:.2f} mm")
-    emit_json(json, "measure-distance", dataclasses.asdict(found))
+    emit_json(json, "measure-distance", dataclasses.asdict(found) | {"notes": notes})
 
 
 def plane(cloud: CloudPath, /, *, at: Point, radius_mm: float = 200.0, json: JsonTarget = None) -> None:
@@ -127,16 +129,32 @@ def compare(
         file_at("--json", json),
     )
     check_json(json)
-    scanner = None if calibration is None else jaxscan.load_scanner(calibration)
+    scanner, notes = _calibrated(calibration)
     found = jaxscan.compare_clouds(jaxscan.load_cloud(cloud), jaxscan.load_cloud(truth), scanner=scanner)
     rows = [_error_row("distance", found.error_m)]
     if found.along_ray_m is not None:
         rows.append(_error_row("along the ray", found.along_ray_m))
-    out = console(json)
+    out = _notes_first(notes, json)
     out.print(table("Error, mm", ("", "RMS", "mean", "median", "95 %", "largest"), rows))
     out.print(f"{found.points} points compared; {100 * found.completeness:.1f} % of the true ones have a point")
     out.print(f"{found.false_points} points where the truth has none")
-    emit_json(json, "measure-compare", dataclasses.asdict(found))
+    emit_json(json, "measure-compare", dataclasses.asdict(found) | {"notes": notes})
+
+
+def _calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
+    """The scanner of a calibration, and what its users should know."""
+    if path is None:
+        return None, []
+    from jaxscan.files.calibration import calibration_notes
+
+    return jaxscan.load_scanner(path), calibration_notes(path)
+
+
+def _notes_first(notes: list[str], json: str | None) -> Terminal:
+    out = console(json)
+    for note in notes:
+        out.print(f"note: {note}")
+    return out
 
 
 def _error_row(name: str, error: "ErrorStatistics") -> tuple[str, ...]:

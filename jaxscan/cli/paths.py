@@ -55,7 +55,8 @@ def check_paths(reads: Sequence[Place], writes: Sequence[Place], *, kept: Sequen
         kept: Files of the capture itself that the verb writes.
 
     Raises:
-        OptionError: With both names; nothing is changed. Also if a name is none that a disk can have.
+        OptionError: With both names; nothing is changed. Also if a name is none that a disk can have, or if an output
+            would follow a link in the folder of a capture: whoever made the capture chose where it leads.
     """
     _reads[:] = [place.path for place in reads]
     known = [(place, _identity(place)) for place in (*reads, *kept)]
@@ -66,6 +67,10 @@ def check_paths(reads: Sequence[Place], writes: Sequence[Place], *, kept: Sequen
                 loss = "which would be lost" if other in reads else "and one of the two would be lost"
                 raise OptionError(f"{place}: is the same file as {other}, {loss}; choose another name.")
         for capture in (other for other in reads if other.is_capture):
+            if _follows_a_link_in(os.path.realpath(capture.path), place.path, set()):
+                raise OptionError(
+                    f"{place}: is a link in the folder of a capture, which may lead anywhere; choose another name."
+                )
             if _is_of_capture(place.path, identity, capture.path):
                 raise OptionError(f"{place}: is a file of the capture {capture}, which would be lost; choose another.")
         known.append((place, identity))
@@ -92,6 +97,19 @@ def _identity(place: Place) -> set[object]:
             raise OptionError(f"{place}: the name is longer than the disk allows.") from problem
         return found
     return found | {(status.st_dev, status.st_ino)}
+
+
+def _follows_a_link_in(folder: str, path: Path, seen: set[Path]) -> bool:
+    """Whether a link that lies in a folder is followed on the way to a file, also by way of links elsewhere."""
+    for part in (path, *path.parents):
+        if part in seen or not os.path.islink(part):
+            continue
+        seen.add(part)
+        if Path(os.path.realpath(part.parent)).is_relative_to(folder):
+            return True
+        if _follows_a_link_in(folder, part.parent / os.readlink(part), seen):
+            return True
+    return False
 
 
 def _is_of_capture(path: Path, identity: set[object], capture: Path) -> bool:

@@ -34,20 +34,25 @@ def report(
     """
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.cli.summary import summary, write_page
+    from jaxscan.files.calibration import calibration_notes
     from jaxscan.files.disk import check_writable
 
     check_paths(calibration_at("CALIBRATION", calibration), [*file_at("--output", output), *file_at("--json", json)])
     check_writable(output)
     check_json(json)
     drawn, note, reproduced = _drawn(calibration)
-    write_page(drawn, output, notes=(note,))
+    notes = calibration_notes(calibration)
+    write_page(drawn, output, notes=(note, *notes))
     out = console(json)
     out.print(note, style="" if reproduced else "bold yellow")
+    for other in notes:
+        out.print(f"note: {other}")
     out.print(f"written: {output}")
     emit_json(
         json,
         "report",
-        {"calibration": str(calibration), "report": str(output), "reproduced": reproduced} | summary(drawn),
+        {"calibration": str(calibration), "report": str(output), "reproduced": reproduced, "notes": notes}
+        | summary(drawn),
     )
 
 

@@ -130,6 +130,35 @@ def test_others_are_accepted(reads, writes, here):
     check_paths([place for some in places for place in some], [p for name in writes for p in file_at("--json", name)])
 
 
+@pytest.mark.parametrize(
+    "name", ["sweep/room.ply", "same/room.ply", "sweep/deep/on/new.ply", "sweep/new.ply", "sweep/here.ply", "mine.ply"]
+)
+def test_links_in_a_capture_are_not_followed(name, here, refused, tmp_path_factory):
+    """Whoever made the capture chose where they lead."""
+    others = tmp_path_factory.mktemp("others")
+    (others / "room.ply").write_text("of the user")
+    os.symlink(others / "room.ply", "sweep/room.ply")
+    os.symlink(others, "sweep/deep")
+    Path(others, "on").mkdir()
+    os.symlink(others / "new.ply", "sweep/new.ply")
+    os.symlink("old.ply", "sweep/here.ply")
+    os.symlink("sweep/room.ply", "mine.ply")
+    before = contents(here) | contents(others)
+    says = "is a link in the folder of a capture, which may lead anywhere"
+    assert says in refused("reconstruct", "sweep", "-c", "cal.json", "-o", name)
+    assert says in refused("reconstruct", "sweep", "-c", "cal.json", "-o", "new.ply", "--json", here / name)
+    assert contents(here) | contents(others) == before
+
+
+def test_links_of_the_user_are_followed(here):
+    """Also in a circle, and also to the capture."""
+    os.symlink("turn.ply", "round.ply")
+    os.symlink("round.ply", "turn.ply")
+    os.symlink("sweep/old.ply", "mine.ply")
+    for name in ("link.ply", "same/old.ply", "mine.ply", "round.ply"):
+        check_paths(capture_at("CAPTURE", Path("same")), file_at("--output", name))
+
+
 def test_the_cache_does_not_replace_the_observations_of_a_calibration(here):
     calibration = calibration_at("--calibration", Path("sweep/stripes.json"))
     with pytest.raises(OptionError, match="is the file in which the stripes are kept"):

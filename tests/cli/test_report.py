@@ -157,7 +157,11 @@ class TestReport:
         path = edited(calibrated, tmp_path, lambda content: content["camera"].update(fx=content["camera"]["fx"] + 1))
         ran = run("report", path, "-o", tmp_path / "a.html", "--json", "-")
         assert ran.code == 0, ran.err
-        assert json.loads(ran.out)["reproduced"] is False
+        result = json.loads(ran.out)
+        assert result["reproduced"] is False
+        (note,) = result["notes"]
+        assert "have changed since jaxscan calibrate wrote it" in note
+        assert f"\nnote: {note}\n" in ran.err
         assert ran.err.startswith("Not reproduced: ") and "fx is" in ran.err
         assert "Not reproduced: " in (tmp_path / "a.html").read_text()
 
@@ -193,6 +197,14 @@ class TestConvert:
         file = cv2.FileStorage(str(tmp_path / "a.yaml"), cv2.FILE_STORAGE_READ)
         assert file.getNode("camera_matrix").mat()[0, 0] == float(jaxscan.load_scanner(tiny.calibration).camera.fx)
 
+    def test_values_changed_by_hand_are_noted(self, calibrated, run, tmp_path):
+        assert "note: " not in run("convert", calibrated, tmp_path / "a.yaml").out
+        path = edited(calibrated, tmp_path, lambda content: content["camera"].update(fx=content["camera"]["fx"] + 1))
+        ran = run("convert", path, tmp_path / "a.yaml", "--json", "-")
+        assert ran.code == 0, ran.err
+        (note,) = json.loads(ran.out)["notes"]
+        assert ran.err.startswith(f"note: {note}\n") and "have changed since jaxscan calibrate wrote it" in note
+
     def test_ros_and_mrcal(self, tiny, run, tmp_path):
         assert run("convert", tiny.calibration, tmp_path / "a.yaml", "--format", "ros").code == 0
         assert "distortion_model: plumb_bob" in (tmp_path / "a.yaml").read_text()
@@ -203,3 +215,15 @@ class TestConvert:
         assert "names no format" in refused("convert", tiny.calibration, tmp_path / "a.ply")
         assert "--format: is for calibrations" in refused("convert", tiny.cloud, tmp_path / "a.xyz", "--format", "ros")
         assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("verb", ["room", "distance", "compare"])
+def test_measures_with_a_calibration_changed_by_hand_are_noted(verb, tiny, calibrated, run, tmp_path):
+    path = edited(calibrated, tmp_path, lambda content: content["camera"].update(fx=content["camera"]["fx"] + 1))
+    words = {"room": [], "distance": "--a 1.9 0 0 --b -1.9 0 0 --radius-mm 1500".split(), "compare": [tiny.cloud]}[verb]
+    for calibration, noted in ((path, True), (calibrated, False)):
+        ran = run("measure", verb, tiny.cloud, *words, "-c", calibration, "--json", "-")
+        assert ran.code == 0, ran.err
+        notes = json.loads(ran.out)["notes"]
+        assert [ran.err.startswith(f"note: {note}\n") for note in notes] == [True] * noted
+        assert all("have changed since jaxscan calibrate wrote it" in note for note in notes)

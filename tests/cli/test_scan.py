@@ -238,24 +238,30 @@ def test_the_cloud_is_there_when_the_scan_ends(run, paper, tiny, tmp_path, monke
     config.write_text(text.replace("steps = 10", f"steps = {steps}").replace("36.0", str(turn)))
     paper.desk.controller.before_shot[30] = lambda controller: os.kill(os.getpid(), signal.SIGINT)
     room, cloud = tmp_path / "room", tmp_path / "room.ply"
-    words = ("scan", config, "-o", room, "-c", tiny.calibration, "--cloud", cloud)
+    calibration = tmp_path / "changed.json"
+    content = json.loads(tiny.calibration.read_text())
+    content["provenance"]["remark"] = "by hand"
+    calibration.write_text(json.dumps(content))
+    words = ("scan", config, "-o", room, "-c", calibration, "--cloud", cloud)
     ran = run(*words)
     assert (ran.code, cloud.exists()) == (130, False)
     ran = run(*words, "--resume", "--json", tmp_path / "scan.json")
     assert ran.code == 0, ran.err
     result = json.loads((tmp_path / "scan.json").read_text())
+    (note,) = (note for note in result["notes"] if "have changed since jaxscan calibrate wrote it" in note)
+    assert f"note: {note}\n" in ran.out
     assert result["live"] is True and result["taken"] == steps - 30
-    assert f"next: jaxscan measure room {cloud} -c {tiny.calibration}" in ran.out
+    assert f"next: jaxscan measure room {cloud} -c {calibration}" in ran.out
     # The file is that of `jaxscan reconstruct`, byte for byte.
     again = tmp_path / "again.ply"
-    ran = run("reconstruct", room, "-c", tiny.calibration, "-o", again, "--no-cache")
+    ran = run("reconstruct", room, "-c", calibration, "-o", again, "--no-cache")
     assert ran.code == 0, ran.err
     one, other = api.load_cloud(cloud), api.load_cloud(again)
     assert result["points"] == int(np.count_nonzero(one.valid)) > 5000
     np.testing.assert_array_equal(one.rgb, other.rgb)
     # Without the cache points are computed together with stripes: one compiled function, other last places.
     np.testing.assert_allclose(one.xyz, other.xyz, rtol=1e-5, atol=1e-6)
-    ran = run("reconstruct", room, "-c", tiny.calibration, "-o", again)
+    ran = run("reconstruct", room, "-c", calibration, "-o", again)
     assert again.read_bytes() == cloud.read_bytes()
     shutil.rmtree(room)
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import load_cloud, save_cloud
+from jaxscan.reconstruction import PointCloud
 
 from .clouds import LINES, PROFILES, make_cloud
 
@@ -400,12 +401,49 @@ def test_a_grid_is_no_larger_than_its_points_can_need(tmp_path):
     """492 bytes ask for 13 GB."""
     path = tmp_path / "a.ply"
     save_cloud(make_cloud(), path)
+    whole = load_cloud(path)
     data = path.read_bytes().replace(b"element profile", b"element another")
     path.write_bytes(data.replace(b"comment grid 6 5", b"comment grid 16384 16384"))
-    with pytest.raises(CloudError, match=r"found a grid of 16384 x 16384, more than the 4194304 cells"):
+    points = load_cloud(path)
+    assert points.valid.shape == (1, np.count_nonzero(whole.valid))
+    for field in ("xyz", "rgb", "intensity", "sigma_random", "sigma_systematic"):
+        assert np.array_equal(getattr(points, field)[0], getattr(whole, field)[whole.valid])
+    path.write_bytes(data.replace(b"comment grid 6 5", b"comment grid 16384 16385"))
+    with pytest.raises(CloudError, match=r"found a grid of 16384 x 16385, none or more than the 268435456 cells"):
+        load_cloud(path)
+    # A damaged point is found without its grid too.
+    path.write_bytes(data.replace(b"comment grid 6 5", b"comment grid 2 134217728"))
+    with pytest.raises(CloudError, match="a point lies outside the grid"):
         load_cloud(path)
     path.write_bytes(data.replace(b"comment grid 6 5", b"comment grid 2048 2048"))
     assert load_cloud(path).valid.shape == (2048, 2048)
+
+
+def test_a_large_and_almost_empty_cloud_of_ours_is_read(tmp_path):
+    """7200 profiles of 4096 lines, as of a rig in the open air, with two points."""
+    profiles, lines = 7200, 4096
+    valid = np.zeros((profiles, lines), bool)
+    valid[3, 5] = valid[7000, 4000] = True
+
+    def spread(value, kind=np.float32):
+        # A view: the fields of such a grid take a gigabyte.
+        return np.broadcast_to(np.array(value, kind), valid.shape + np.shape(value))
+
+    numbers = np.arange(profiles, dtype=np.int32)
+    cloud = PointCloud(
+        xyz=spread([1, 2, 3]),
+        rgb=spread([4, 5, 6], np.uint8),
+        intensity=spread(7),
+        normals=spread([0, 0, 1]),
+        sigma_random=spread(0.5),
+        sigma_systematic=spread(0.25),
+        valid=valid,
+        record=numbers,
+        laser=np.zeros(profiles, np.int32),
+        angle=numbers / 1e3,
+    )
+    save_cloud(cloud, tmp_path / "a.ply")
+    assert load_cloud(tmp_path / "a.ply").xyz.tolist() == [[[1, 2, 3], [1, 2, 3]]]
 
 
 LONG = "q" * 5000

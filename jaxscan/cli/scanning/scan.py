@@ -70,6 +70,7 @@ def scan(
     from jaxscan.cli.scanning.boards import scan_boards
     from jaxscan.cli.scanning.live import LiveCloud
     from jaxscan.cli.scanning.plan import CaptureFolder, ScanPlan, sweep_header
+    from jaxscan.files.calibration import calibration_notes
     from jaxscan.files.capture import HEADER_NAME
 
     _check_options(boards=boards, calibration=calibration, cloud=cloud, place_command=place_command)
@@ -88,10 +89,15 @@ def scan(
     out = console(json)
     plan = ScanPlan.of(rig, boards=boards)
     plan.show(out, rig, output)
+    notes = [*plan.notes]
     with contextlib.ExitStack() as stack:
         live = None
         if calibration is not None:
             scanner = jaxscan.load_scanner(calibration)
+            doubts = calibration_notes(calibration)
+            for note in doubts:
+                out.print(f"note: {note}")
+            notes += doubts
             live = stack.enter_context(LiveCloud(output, sweep_header(rig), scanner, steps=plan.records))
             if resume and (output / HEADER_NAME).exists():
                 # A capture without records cannot be opened, and has none to add.
@@ -111,9 +117,10 @@ def scan(
                 result = _scan_sweep(rig, folder, devices, interrupts, calibration, live)
         out.print(result.message)
         done = _finish_cloud(live, result, cloud, calibration, out)
+        notes += done.get("notes", [])
     if result.status == "complete":
         out.print(f"next: {_next_command(boards, output, calibration, cloud)}")
-    emit_json(json, "scan", {**_as_json(result), "capture": str(output), **done})
+    emit_json(json, "scan", {**_as_json(result), "capture": str(output), **done, "notes": notes})
     if result.status == "interrupted" and interrupts():
         raise KeyboardInterrupt(interrupts.received[0])
     if result.status != "complete":
@@ -182,7 +189,7 @@ def _finish_cloud(
     jaxscan.save_cloud(done.cloud, cloud, calibration_digest=calibration_digest(calibration))
     points = int(np.count_nonzero(done.cloud.valid))
     out.print(f"{points} points, written: {cloud}")
-    return {"cloud": str(cloud), "points": points, "live": done.live}
+    return {"cloud": str(cloud), "points": points, "live": done.live, "notes": done.notes}
 
 
 def _as_json(result: "SessionResult") -> dict[str, Any]:

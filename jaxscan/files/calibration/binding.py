@@ -15,12 +15,12 @@ DIGESTS = "digests"
 """Key of the table that holds them."""
 
 
-def digests_of(tables: Mapping[str, Any], observations: Path | None) -> dict[str, str]:
+def digests_of(tables: Mapping[str, Any], observations: Path | None = None) -> dict[str, str]:
     """The table of digests of a calibration file.
 
     Args:
         tables: All others, as JSON values.
-        observations: The file beside it, if there is one.
+        observations: The file with the observations, if there is one.
 
     Raises:
         CalibrationError: If the observations cannot be read.
@@ -46,17 +46,30 @@ def values_note(tables: Mapping[str, Any], name: str) -> str:
     )
 
 
-def require_own(table: CalibrationTable, path: Path, observations: Path) -> None:
-    """Check that the observations beside a calibration file are its own, where it names their digest.
+def require_own(table: CalibrationTable, path: Path, beside: Path, *, found: bool) -> None:
+    """Check that the observations beside a calibration file are its own, where it has digests.
+
+    Args:
+        table: The calibration.
+        path: Its file.
+        beside: The file beside it.
+        found: Whether that file holds observations.
 
     Raises:
-        CalibrationError: If they are not.
+        CalibrationError: If they are not, or if it names none.
     """
-    expected = None if table.digests is None else table.digests.observations
-    if expected is not None and file_digest(observations, error=CalibrationError) != expected:
+    digests = table.digests
+    if digests is None:
+        return
+    if digests.observations is None:
+        # A file of something else may lie beside a calibration without observations.
+        own = not (found and digests.values is not None)
+    else:
+        own = file_digest(beside, error=CalibrationError) == digests.observations
+    if not own:
         raise CalibrationError(
-            f"{observations}: the observations beside {path.name} belong to another calibration or are damaged: copy "
-            "the right file here, or move this one away to use the calibration without observations."
+            f"{beside}: the observations beside {path.name} belong to another calibration or are damaged: calibrate "
+            "again, copy the right file here, or move this one away to use the calibration without observations."
         )
 
 

@@ -1,6 +1,7 @@
 """Calibrations on disk: a JSON file that suffices to reconstruct, and an NPZ file with the observations."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from jaxscan.files.calibration.observations import (
     find_observations,
     is_observations,
     observations_path,
-    write_observations,
+    observations_writer,
 )
 from jaxscan.files.calibration.quality import finite, quality_table, read_quality
 from jaxscan.files.disk import (
@@ -27,7 +28,7 @@ from jaxscan.files.disk import (
     parse_json,
     read_bounded,
     readable_json,
-    write_atomically,
+    write_together,
 )
 from jaxscan.geometry import Scanner
 
@@ -55,10 +56,23 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     tables = _value(text.encode(), name=str(path))
     _parse(tables, name=str(path))
     beside = observations_path(path)
+    tables[DIGESTS] = digests_of(tables)
+    writers: dict[Path, Callable[[Path], None]] = {}
     if calibration.observations is not None:
-        write_observations(calibration.observations, beside)
-    tables[DIGESTS] = digests_of(tables, None if calibration.observations is None else beside)
-    write_atomically(path, readable_json(tables).encode(), error=CalibrationError)
+        write = observations_writer(calibration.observations, beside)
+
+        def write_beside(part: Path) -> None:
+            write(part)
+            tables[DIGESTS] = digests_of(tables, part)
+
+        writers[beside] = write_beside
+
+    def write_own(part: Path) -> None:
+        part.write_bytes(readable_json(tables).encode())
+
+    # The names change one right after the other: a calibration with observations of another is refused.
+    writers[path] = write_own
+    write_together(writers, error=CalibrationError)
     if calibration.observations is None and is_observations(beside):
         # They belong to the calibration that was just replaced.
         beside.unlink()
@@ -103,7 +117,7 @@ def load_calibration(path: str | Path) -> Calibration:
     beside = observations_path(path)
     observations = find_observations(beside) if os.path.exists(beside) else None
     if os.path.exists(beside):
-        require_own(table, path, beside)
+        require_own(table, path, beside, found=observations is not None)
     return Calibration(
         camera=table.camera.camera() if scanner is None else scanner.camera,
         scanner=scanner,

@@ -2,6 +2,7 @@
 
 import operator
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,7 +20,6 @@ from jaxscan.files.disk import (
     read_arrays,
     readable_json,
     write_arrays,
-    write_atomically,
 )
 from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.turntable import Carries
@@ -89,11 +89,11 @@ def check_observations_path(path: Path) -> None:
         raise CalibrationError(f"{path}: exists and holds no observations; choose another name for the calibration.")
 
 
-def write_observations(observations: Observations, path: Path) -> None:
-    """Write the observations atomically.
+def observations_writer(observations: Observations, path: Path) -> Callable[[Path], None]:
+    """The function that writes the observations to a file, which is then to be renamed to `path`.
 
     Raises:
-        CalibrationError: If another file has this name, the board is of an unknown kind, or the file cannot be
+        CalibrationError: If another file has the name `path`, the board is of an unknown kind, or the file cannot be
             written.
     """
     check_observations_path(path)
@@ -104,11 +104,11 @@ def write_observations(observations: Observations, path: Path) -> None:
     check(_About, about, name=str(path), error=CalibrationError)
     arrays = {name: np.asarray(operator.attrgetter(name)(observations)) for name in _ARRAYS}
     arrays = {"about": np.array(readable_json(about)), **arrays}
-    write_atomically(path, lambda part: write_arrays(part, arrays), error=CalibrationError)
+    return lambda part: write_arrays(part, arrays)
 
 
 def is_observations(path: Path) -> bool:
-    """Whether a file is one that `write_observations` wrote."""
+    """Whether a file is one that `observations_writer` writes."""
     try:
         about = read_arrays(path, error=CalibrationError, limit=MAX_ARRAY_BYTES, only="about").get("about")
     except CalibrationError:

@@ -20,7 +20,7 @@ SPARSE_CELLS = 1 << 24
 SPARSE_CELLS_UNLISTED = 1 << 22
 """The same where it does not list them."""
 CELLS_PER_POINT = 256
-"""A larger grid must have a point in this many cells."""
+"""Of a larger grid with fewer points, the points are read alone."""
 
 _TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2"},
@@ -50,8 +50,8 @@ class _Header(NamedTuple):
 def read_ply(path: Path) -> PointCloud:
     """A cloud from a PLY file, ASCII or binary.
 
-    A file of this library is read onto its grid. Of other files, `x y z` and, where present,
-    colours, normals, intensity and sigmas are read, as a single profile.
+    A file of this library is read onto its grid, unless its points are too few for so large a one. Of other
+    files, `x y z` and, where present, colours, normals, intensity and sigmas are read, as a single profile.
 
     Raises:
         CloudError: If it is damaged or has no points.
@@ -181,16 +181,22 @@ def _organised(
     if len(words) != 3 or not all(word.isascii() and word.isdigit() and len(word) < 12 for word in words[1:]):
         raise CloudError(f'{path}: the comment "grid <profiles> <lines>" is missing or wrong.')
     profiles, lines = int(words[1]), int(words[2])
-    listed = per_profile is not None and len(per_profile) == profiles
-    most = max(SPARSE_CELLS if listed else SPARSE_CELLS_UNLISTED, CELLS_PER_POINT * len(vertices))
-    if not 0 < profiles * lines <= min(most, MAX_CELLS):
+    if not 0 < profiles * lines <= MAX_CELLS:
         raise CloudError(
-            f"{path}: found a grid of {profiles} x {lines}, more than the {min(most, MAX_CELLS)} cells that "
-            f"{len(vertices)} points can need; it is damaged."
+            f"{path}: found a grid of {profiles} x {lines}, none or more than the {MAX_CELLS} cells that a cloud can "
+            "have; it is damaged."
         )
     step, row = vertices["step"], vertices["row"]
     if step.min() < 0 or step.max() >= profiles or row.min() < 0 or row.max() >= lines:
         raise CloudError(f"{path}: a point lies outside the grid of {profiles} x {lines}.")
+    # "sigma" follows from the others and is not used.
+    for name in VERTEX.names or ():
+        if name != "sigma" and not np.isfinite(vertices[name]).all():
+            raise CloudError(f"{path}: {name} of a point is not finite.")
+    listed = per_profile is not None and len(per_profile) == profiles
+    if profiles * lines > max(SPARSE_CELLS if listed else SPARSE_CELLS_UNLISTED, CELLS_PER_POINT * len(vertices)):
+        # A few points ask for gigabytes.
+        return _unorganised(vertices, path, ours=True)
     valid = np.zeros((profiles, lines), bool)
     valid[step, row] = True
     if np.count_nonzero(valid) != len(vertices):
@@ -199,10 +205,7 @@ def _organised(
     def spread(dtype: type, *names: str) -> np.ndarray:
         field: np.ndarray = np.zeros((profiles, lines, len(names)), dtype)
         for k, name in enumerate(names):
-            values = vertices[name]
-            if not np.isfinite(values).all():
-                raise CloudError(f"{path}: {name} of a point is not finite.")
-            field[step, row, k] = values
+            field[step, row, k] = vertices[name]
         return field if len(names) > 1 else field[..., 0]
 
     if per_profile is not None and set(PROFILE.names or ()) <= set(per_profile.dtype.names or ()):

@@ -5,9 +5,9 @@ import errno
 import io
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from jaxscan.errors import JaxscanError
 from jaxscan.files.disk.bounded import reported
@@ -37,18 +37,53 @@ def write_atomically(
     Raises:
         JaxscanError: Of type `error`, if the file cannot be written. Then nothing has changed.
     """
-    with reported(f"{shown(path)}: cannot be written", error=error):
-        target = _target(path, links)
-        with partial_file(target) as part:
-            if callable(content):
-                content(part)
-            else:
-                part.write_bytes(content)
-            if durable:
-                sync_to_disk(part)
-            os.replace(part, target)
-            if durable and os.name == "posix":
-                sync_to_disk(target.parent)
+    _write({path: content}, durable=durable, error=error, links=links)
+
+
+def write_together(
+    contents: Mapping[Path, Callable[[Path], None]], *, error: type[JaxscanError] = JaxscanError
+) -> None:
+    """Write files that belong together: all are complete and on the disk before the first gets its name.
+
+    Args:
+        contents: The function that writes each file, as for `write_atomically`. They are called in their order, and
+            the files get their names in it, with nothing between.
+        error: Type of the error raised.
+
+    Raises:
+        JaxscanError: Of type `error`, if a file cannot be written. Then nothing has changed, unless the disk refused
+            only the name of a later one.
+    """
+    _write(contents, durable=True, error=error, links="follow")
+
+
+def _write(
+    contents: Mapping[Any, bytes | Callable[[Path], None]],
+    *,
+    durable: bool,
+    error: type[JaxscanError],
+    links: Literal["follow", "replace"],
+) -> None:
+    parts: list[tuple[str | Path, Path, Path]] = []
+    with contextlib.ExitStack() as stack:
+        for path, content in contents.items():
+            with _reported(path, error):
+                target = _target(path, links)
+                part = stack.enter_context(partial_file(target))
+                if callable(content):
+                    content(part)
+                else:
+                    part.write_bytes(content)
+                if durable:
+                    sync_to_disk(part)
+                parts.append((path, target, part))
+        for path, target, part in parts:
+            with _reported(path, error):
+                os.replace(part, target)
+        if durable and os.name == "posix":
+            for path, target, _ in parts:
+                with _reported(path, error):
+                    sync_to_disk(target.parent)
 
 
 def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError) -> None:
@@ -61,7 +96,7 @@ def check_writable(path: str | Path, *, error: type[JaxscanError] = JaxscanError
     Raises:
         JaxscanError: Of type `error`, if `write_atomically` would refuse.
     """
-    with reported(f"{shown(path)}: cannot be written", error=error):
+    with _reported(path, error):
         target = _target(path, "follow")
         if not os.access(target.parent, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
@@ -93,6 +128,10 @@ def append_whole(file: io.FileIO, data: bytes, *, durable: bool) -> None:
         with contextlib.suppress(OSError):
             os.ftruncate(file.fileno(), before)
         raise
+
+
+def _reported(path: str | Path, error: type[JaxscanError]) -> contextlib.AbstractContextManager[None]:
+    return reported(f"{shown(path)}: cannot be written", error=error)
 
 
 def _target(path: str | Path, links: Literal["follow", "replace"]) -> Path:
