@@ -97,13 +97,23 @@ def _folder(folder: Path) -> bool:
 
 
 def _look(job: Job) -> Found | None:
-    """The capture in the folder, if there is one and it may be continued."""
+    """The capture in the folder, if there is one and it may be continued.
+
+    Raises:
+        KeyboardInterrupt: If the operator asks to stop while it is verified.
+    """
     if not is_capture(job.folder):
         return None
     if not job.resume:
         raise SessionError(f"{job.folder}: holds a capture already; go on with --resume, or choose another folder.")
     job.hooks.notify(f"{job.folder}: verifying the capture.")
-    found = find_capture(job.folder)
+
+    def end_if_asked(done: int, total: int) -> None:
+        # At the end nothing is saved by it.
+        if done < total and job.hooks.should_stop():
+            raise KeyboardInterrupt
+
+    found = find_capture(job.folder, progress=end_if_asked)
     for problem in found.altered:
         if not problem.lasting:
             job.hooks.notify(str(problem))

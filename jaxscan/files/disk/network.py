@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 MOUNTS = Path("/proc/self/mountinfo")
-"""The mounted file systems, a line each; only Linux has it, and elsewhere every disk is taken for one of this computer."""
+"""The mounted file systems, a line each. Only Linux has it; elsewhere every disk is taken for one of this computer."""
 _KINDS = re.compile(r"nfs\d?|cifs|smb\w*|9p|ceph|afs|lustre|glusterfs|fuse\..+")
 _MOUNT_POINT, _AFTER = 4, " - "
 """Number of a line's field, and the mark before the kind of its file system."""
