@@ -170,7 +170,7 @@ def test_ctrl_c_ends_after_the_step_and_resume_goes_on(run, paper, config, tmp_p
 def test_ctrl_c_while_the_camera_is_not_free_ends_at_once(run, paper, config, tmp_path, monkeypatch):
     def waits(settings, say):
         os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(60)
+        time.sleep(5)
 
     monkeypatch.setattr("scanrig.cameras.open_camera", waits)
     ran = run("scan", config, "-o", tmp_path / "room")
