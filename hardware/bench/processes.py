@@ -18,7 +18,7 @@ def launch(
         folder: Its working folder.
         errors: File to which its stderr is appended.
         within_s: How long that may take.
-        apart: Whether Ctrl-C at the terminal is kept from it, because who started it ends it in order.
+        apart: Whether Ctrl-C at the terminal is kept from it, because its starter ends it in order.
 
     Raises:
         BenchError: With its last words, if it ends, says something else or takes longer; it is ended then.
