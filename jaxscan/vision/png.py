@@ -30,7 +30,7 @@ def png_size(data: bytes) -> tuple[int, int]:
 
 
 def decode_png(data: bytes) -> np.ndarray | bytes:
-    """The pixels of a PNG, after all of the file has been checked. Transparency is left out.
+    """The pixels of a PNG, after all of the file has been checked. A tRNS chunk is ignored.
 
     Args:
         data: The whole file. The caller has checked its size.

@@ -37,7 +37,7 @@ def test_there_and_back(room, run, tmp_path):
     *lines, seal = (json.loads(line) for line in (tmp_path / "back/frames.jsonl").read_text().splitlines())
     bare = [{key: value for key, value in line.items() if key != "sha256"} for line in lines]
     assert bare == [json.loads(line) for line in (room / "frames.jsonl").read_text().splitlines()]
-    assert seal["event"] == "seal" and seal["records"] == 4
+    assert seal["event"] == "seal" and seal["sealed_records"] == 4
     (chunk,) = open_capture(tmp_path / "back").chunks(4)
     assert np.array_equal(chunk.off, FRAMES[1::2])
 

@@ -215,7 +215,7 @@ def open_folder():
         yield Path(path)
 
 
-@pytest.mark.parametrize("home", ["", "HOME=/", "HOME=/nonexistent", "XDG_CACHE_HOME=/dev/null"])
+@pytest.mark.parametrize("home", ["", "HOME=/", "HOME=/nonexistent", "XDG_CACHE_HOME=/dev/null", "HOME=/root"])
 def test_no_home_and_an_unknown_user(cloud, open_folder, home):
     """As in `docker run -u 54321`: not in the list of users, and nothing of the installation may be written."""
     if os.getuid() != 0 or shell(f"{BECOME} true", cloud).returncode:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import time
 
 import numpy as np
 import pytest
@@ -186,7 +187,7 @@ CHANGES = {
     "the last record removed": lambda path: without_line(path, 3),
     "records in another order": swapped_lines,
     "a record added": lambda path: edited(path, "frames.jsonl", '{"event"', f'{{"i": 9, {RECORD}}}\n{{"event"'),
-    "the count in the seal": lambda path: edited(path, "frames.jsonl", '"records": 4', '"records": 3'),
+    "the count in the seal": lambda path: edited(path, "frames.jsonl", '"sealed_records": 4', '"sealed_records": 3'),
     "a digest": lambda path: edited(path, "frames.jsonl", '"sha256": {"on": "', '"sha256": {"on": "0'),
     "a space": lambda path: edited(path, "frames.jsonl", '"i": 2,', '"i":  2,'),
     "the header": lambda path: edited(path, "capture.toml", '"mono8"', '"bayer_rggb8"'),
@@ -247,8 +248,8 @@ def test_records_after_the_last_seal_are_counted(tmp_path):
     assert "not sealed: 2 records after the last seal" in note
     with resume_capture(path, digests=True) as capture:
         capture.seal()
-    assert open_capture(path).notes == () and journal(path)[-1]["records"] == 6
-    edited(path, "frames.jsonl", '"records": 4', '"records": 5')
+    assert open_capture(path).notes == () and journal(path)[-1]["sealed_records"] == 6
+    edited(path, "frames.jsonl", '"sealed_records": 4', '"sealed_records": 5')
     with pytest.raises(CaptureError, match="line 10: the seal does not fit"):
         open_capture(path)
 
@@ -257,10 +258,22 @@ def test_seals_without_header_and_captures_without_digests_stay_readable(tmp_pat
     path = write(tmp_path / "old")
     with resume_capture(path, digests=True) as capture:
         capture.flush()
-        capture.event("end", **{SEAL: seal(path)[SEAL]})
+        # Scans have always noted how many records they believed; a suspect record is in the journal all the same.
+        capture.event("end", records=3, **{SEAL: seal(path)[SEAL]})
     assert open_capture(path).notes == ()
     bare = write(tmp_path / "bare", digests=False)
     assert open_capture(bare).notes == () and "not sealed" in seal_note(bare)
     with resume_capture(bare, digests=True) as capture:
         capture.append(angle_deg=1.0, on=FRAMES[8], off=FRAMES[9])
     assert "4 of 5 records have no digests" in seal_note(bare)
+
+
+def test_a_file_larger_than_any_image_is_not_read(tmp_path):
+    """Ten gigabytes of nothing, which take no room on the disk, would take half a minute."""
+    path = sealed(tmp_path / "room")
+    victim = sorted((path / "on").iterdir())[0]
+    with open(victim, "r+b") as file:
+        file.truncate(10 << 30)
+    began = time.monotonic()
+    (problem,) = verify_capture(path)
+    assert "larger than" in problem.message and time.monotonic() - began < 5

@@ -1,5 +1,6 @@
 """Doubts about a sweep: what contradicts itself is noted, and healthy sweeps of all kinds are not."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -191,6 +192,24 @@ def test_angles_that_the_picture_contradicts(frames):
     assert "against the angles" in doubt
     (doubt,) = doubts_of(on, off, np.radians(np.radians(TURN)))
     assert re.search("5[678] times as far", doubt)
+
+
+def test_an_axis_that_lies_in_the_image(frames):
+    """As a person may write it by mistake, with the usual `up`: no motion is expected, and there is one."""
+    lying = dataclasses.replace(SCANNER, turntable=Turntable.from_axis(np.array([1.0, 0.0, 0.0]), np.zeros(3)))
+    assert any("does not stand upright" in doubt for doubt in doubts_of(*frames, scanner=lying))
+
+
+def test_a_bare_stretch_is_not_another_place(frames):
+    """Where the picture does not continue around a record either, nothing is known of that record."""
+    bare = [stack.copy() for stack in frames]
+    noise = np.random.default_rng(4).normal(90, 1.2, bare[0][10:17].shape)
+    for stack in bare:
+        stack[10:17] = np.rint(noise).astype(np.uint8)
+    assert not any(
+        "another place" in doubt
+        for doubt in turning_doubts(seen_of(*bare), np.arange(COUNT), np.radians(TURN), np.arange(COUNT), SCANNER)
+    )
 
 
 def test_the_mosaic_and_the_colour_of_the_laser(frames):

@@ -49,8 +49,10 @@ def keep_compiled_code() -> None:
         compiled.mkdir(parents=True, exist_ok=True)
         # Those of a process that was killed between opening and writing; JAX would never replace them.
         for entry in os.scandir(compiled):
-            if entry.stat().st_size == 0:
-                os.unlink(entry.path)
+            # Another process may remove it at the same time.
+            with contextlib.suppress(OSError):
+                if entry.is_file(follow_symlinks=False) and entry.stat().st_size == 0:
+                    os.unlink(entry.path)
     except OSError:
         return
     # Imported here, so that `--help` does not load JAX.
@@ -80,16 +82,17 @@ def _home_cache() -> Path | None:
 
 def _can_be_made(folder: Path) -> bool:
     """Whether a folder can be written, or be made below the first of its parents that exists."""
-    while not folder.exists():
+    # `Path.exists` raises where a folder above may not be looked into.
+    while not os.path.exists(folder):
         folder = folder.parent
-    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+    return os.path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)
 
 
 def _temporary_cache() -> Path | None:
     if os.name != "posix":
         return None
-    folder = Path(tempfile.gettempdir(), f"jaxscan-{os.getuid()}")
     try:
+        folder = Path(tempfile.gettempdir(), f"jaxscan-{os.getuid()}")
         with contextlib.suppress(FileExistsError):
             folder.mkdir(mode=0o700)
         status = os.lstat(folder)

@@ -23,12 +23,7 @@ def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> Abstrac
             lasers.
     """
     first = captures[0]
-    for number, capture in enumerate(captures):
-        same = next((other for other in captures[:number] if _same(capture, other)), None)
-        if same is not None:
-            raise CaptureError(
-                f"{capture.path}: is the same capture as {same.path}, so its images would count twice; name it once."
-            )
+    for capture in captures:
         if capture.board is None:
             raise CaptureError(f"{capture.path}: is a sweep; a calibration needs captures of a board.")
         for table in ("camera", "laser", "turntable", "board"):
@@ -52,16 +47,6 @@ def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> Abstrac
                     'needs one per record; capture a record for each, and name it there: "lasers": ["..."].'
                 )
     return cast(AbstractBoard, first.board)
-
-
-def _same(one: Capture, other: Capture) -> bool:
-    """Whether two captures are one, or copies of one: with the same words, and with the same first images."""
-    if one.path.resolve() == other.path.resolve():
-        return True
-    if one.digest() != other.digest():
-        return False
-    pairs = zip(one.frames(0), other.frames(0), strict=True)
-    return all(np.array_equal(a, b) if a is not None and b is not None else a is b for a, b in pairs)
 
 
 def _are_copies(one: Capture, other: Capture) -> bool:

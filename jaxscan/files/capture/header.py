@@ -106,6 +106,11 @@ def frame_shape(header: CaptureHeader) -> tuple[int, ...]:
     return (header.camera.height, header.camera.width, 3)[: frame_rank(header.camera.pixel_format)]
 
 
+def image_limit(header: CaptureHeader) -> int:
+    """Largest size of an image's file [bytes]: an uncompressed 32-bit image with a megabyte of metadata fits."""
+    return 4 * header.camera.width * header.camera.height + MEGABYTE
+
+
 def parse_header(data: bytes, *, name: str) -> CaptureHeader:
     """A header from the bytes of its file.
 

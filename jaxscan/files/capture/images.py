@@ -8,12 +8,12 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.exposures import exposure_levels, load_levels
-from jaxscan.files.capture.header import CaptureHeader, frame_shape
+from jaxscan.files.capture.header import CaptureHeader, frame_shape, image_limit
 from jaxscan.files.capture.journal import Record
 from jaxscan.files.capture.references import Folder, ImageRef
 from jaxscan.files.capture.seals import difference, frame_digest
 from jaxscan.files.capture.shards import Shards
-from jaxscan.files.disk import MEGABYTE, read_bounded
+from jaxscan.files.disk import read_bounded
 from jaxscan.stripes import frame_rank
 
 
@@ -70,9 +70,7 @@ class ImageReader:
             located = self._folder.locate(reference)
         except CaptureError as problem:
             raise CaptureError(f"{self._path}/{problem}") from problem
-        # An uncompressed 32-bit image with a megabyte of metadata still fits.
-        limit = 4 * camera.width * camera.height + MEGABYTE
-        data = read_bounded(located, limit, error=CaptureError, links="refuse")
+        data = read_bounded(located, image_limit(self._header), error=CaptureError, links="refuse")
         if self.compared and reference.sha256 is not None:
             self._compare(reference, hashlib.sha256(data).hexdigest())
         return decode_image(data, name=name, rank=frame_rank(camera.pixel_format), size=(camera.width, camera.height))

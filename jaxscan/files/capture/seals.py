@@ -24,7 +24,7 @@ SEAL = "journal_sha256"
 """Key of an event: the sha256 of the journal's bytes before the line of the event."""
 HEADER_SEAL = "header_sha256"
 """Key of the same event: the sha256 of the header's bytes; older seals lack it."""
-SEALED_RECORDS = "records"
+SEALED_RECORDS = "sealed_records"
 """Key of the same event: number of records before it, retakes counted once; older seals lack it."""
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.decode import cores
-from jaxscan.files.capture.header import frame_shape
+from jaxscan.files.capture.header import frame_shape, image_limit
 from jaxscan.files.capture.journal import Record
 from jaxscan.files.capture.references import Folder, ImageRef
 from jaxscan.files.capture.seals import difference, frame_digest, sealing
@@ -55,10 +55,11 @@ def verify_capture(path: str | Path, *, progress: Callable[[int, int], None] | N
     problems = [Problem(None, note) for note in texts.notes]
     problems += [Problem(None, broken, lasting=True) for broken in sealing(texts, path).broken]
     folder, shards = Folder(path), Shards(path, frame_shape(texts.header))
+    limit = image_limit(texts.header)
     with ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-verify") as pool:
         for start in range(0, len(records), _BLOCK):
             block = records[start : start + _BLOCK]
-            for found in pool.map(lambda record: _problems(record, folder, shards), block):
+            for found in pool.map(lambda record: _problems(record, folder, shards, limit), block):
                 problems += found
             if progress is not None:
                 progress(start + len(block), len(records))
@@ -81,12 +82,12 @@ def seal_note(path: str | Path) -> str:
     return state.note
 
 
-def _problems(record: Record, folder: Folder, shards: Shards) -> list[Problem]:
+def _problems(record: Record, folder: Folder, shards: Shards, limit: int) -> list[Problem]:
     """The problems of one record's images; called by several threads."""
     problems = []
     for image in (*record.on, *record.off):
         try:
-            message = _difference(image, folder.locate(image), shards)
+            message = _difference(image, folder.locate(image), shards, limit)
         except CaptureError as problem:
             message = str(problem)
         if message is not None:
@@ -94,12 +95,12 @@ def _problems(record: Record, folder: Folder, shards: Shards) -> list[Problem]:
     return problems
 
 
-def _difference(image: ImageRef, located: Path, shards: Shards) -> str | None:
+def _difference(image: ImageRef, located: Path, shards: Shards, limit: int) -> str | None:
     """How an image differs from its digest; None if it does not, or has no digest."""
     if image.sha256 is None:
         return None
     if image.index is not None:
         found = difference(image, frame_digest(shards.image(image)))
     else:
-        found = difference(image, file_digest(located, error=CaptureError).removeprefix("sha256:"))
+        found = difference(image, file_digest(located, limit=limit, error=CaptureError).removeprefix("sha256:"))
     return None if found is None else f"{image}: {found}; the file has changed."

@@ -75,11 +75,16 @@ def too_deep(name: str) -> str:
     return f"{name}: nested too deeply, expected at most {MAX_DEPTH} tables or lists within one another."
 
 
-def file_digest(path: str | Path, *, error: type[JaxscanError] = JaxscanError) -> str:
+def file_digest(path: str | Path, *, limit: int | None = None, error: type[JaxscanError] = JaxscanError) -> str:
     """The sha256 of a file, as "sha256:<hex>".
 
+    Args:
+        path: The file.
+        limit: Largest accepted size [bytes].
+        error: Type of the error raised.
+
     Raises:
-        JaxscanError: Of type `error`, if it cannot be read.
+        JaxscanError: Of type `error`, if it cannot be read, or is larger.
     """
-    with reported(f"{path}: cannot be read", error=error), open_regular(path, error=error) as file:
+    with reported(f"{path}: cannot be read", error=error), open_regular(path, error=error, limit=limit) as file:
         return "sha256:" + hashlib.file_digest(file, "sha256").hexdigest()

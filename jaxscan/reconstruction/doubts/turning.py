@@ -20,6 +20,8 @@ _ELSEWHERE = 0.4
 """Correlation of another place, in that of most neighbours [1]."""
 _CONTINUED = 0.6
 """Correlation around records that are elsewhere, in that of most neighbours [1]."""
+_STILL = 1e-6
+"""Motion of the picture from step to step that is none [bins]."""
 _RATIO = (0.55, 1.8)
 """Motion over the calibrated one that near things can explain [1]."""
 _AT_ONCE = 256
@@ -142,6 +144,8 @@ def _direction(rate: float, turned: float, scanner: Scanner) -> list[str]:
     expected = float(np.asarray(table.gain)) * bins * float(focal)
     if turned * max(abs(rate), abs(expected)) < _BINS:
         return []
+    if turned * abs(expected) < _STILL:
+        return ["the calibrated axis does not stand upright in the image: the axis, or `up`, may be wrong"]
     ratio = rate / expected
     if _RATIO[0] < ratio < _RATIO[1]:
         return []
