@@ -4,9 +4,13 @@ import os
 import re
 from pathlib import Path
 
+from jaxscan.errors import JaxscanError
+from jaxscan.files.disk.opening import MEGABYTE, open_regular
+
 
 MOUNTS = Path("/proc/self/mountinfo")
 """The mounted file systems, a line each. Only Linux has it; elsewhere every disk is taken for one of this computer."""
+_LONGEST = 16 * MEGABYTE
 _KINDS = re.compile(r"nfs\d?|cifs|smb\w*|9p|ceph|afs|lustre|glusterfs|fuse\..+")
 _MOUNT_POINT, _AFTER = 4, " - "
 """Number of a line's field, and the mark before the kind of its file system."""
@@ -20,8 +24,10 @@ def is_on_network(folder: str | Path, *, mounts: Path = MOUNTS) -> bool:
         mounts: The table of the mounted file systems.
     """
     try:
-        table = mounts.read_text(errors="surrogateescape")
-    except OSError:
+        # The system tells no size of this file.
+        with open_regular(mounts, error=JaxscanError) as file:
+            table = os.fsdecode(file.read(_LONGEST))
+    except (JaxscanError, OSError):
         return False
     folder = Path(os.path.realpath(folder))
     deepest, kind = -1, ""

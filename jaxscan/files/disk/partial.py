@@ -115,7 +115,7 @@ def _lock_new(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> 
             del _held[part]
             tries += 1
             # Another process may have removed it, as a left one, before it was opened.
-            if isinstance(problem, FileNotFoundError) and folder.is_dir() and tries < _TRIES:
+            if isinstance(problem, FileNotFoundError) and os.path.isdir(folder) and tries < _TRIES:
                 continue
             raise
         _held[part] = os.getpid(), handle
@@ -192,14 +192,15 @@ def _remove_if_left(part: Path, quiet_s: float | None) -> None:
 
 def _changed_at(part: Path) -> float:
     """When a file, or the newest of a folder's entries, was last changed [s since 1970]."""
-    newest, waiting, left = os.lstat(part).st_mtime, deque([part] if part.is_dir() else []), _LOOKED_AT
+    newest, waiting, left = os.lstat(part).st_mtime, deque([part] if os.path.isdir(part) else []), _LOOKED_AT
     while waiting and left > 0:
         folder = waiting.popleft()
         with os.scandir(folder) as entries:
             for entry in itertools.islice(entries, left):
                 left -= 1
-                newest = max(newest, entry.stat(follow_symlinks=False).st_mtime)
-                if entry.is_dir(follow_symlinks=False):
+                status = entry.stat(follow_symlinks=False)
+                newest = max(newest, status.st_mtime)
+                if stat.S_ISDIR(status.st_mode):
                     waiting.append(Path(entry.path))
     return newest
 
