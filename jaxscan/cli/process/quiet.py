@@ -63,9 +63,9 @@ def keep_compiled_code() -> None:
     # Code that cannot be read back is compiled again, and nothing else follows from that.
     warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
 
-    """The folder for files that are kept from run to run: at home, else in the temporary folder; None without either.
+
 def cache_folder() -> Path | None:
-    """The folder for files that are kept from run to run: at home, or else in the temporary folder; None without either.
+    """The folder for files that are kept from run to run: at home, else in the temporary folder; None without either.
 
     It may not exist yet.
     """
