@@ -29,7 +29,7 @@ def main() -> int:
     def tell(answer: dict) -> None:
         nonlocal done
         done += 1
-        silent = answer.get("differs") and "note:" not in answer["out"]
+        silent = answer.get("differs") and not answer["noted"]
         if log is not None and (chosen.all or answer["faults"] or silent):
             log.write(json.dumps(answer) + "\n")
             log.flush()

@@ -1,6 +1,7 @@
 """Small valid files of every format, from which cases are made; the outputs that they give unchanged."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -83,6 +84,8 @@ def make_corpus(tiny: Path, folder: Path, configs: Path) -> None:
     reconstruct = ["reconstruct", str(folder / "unsealed"), "-c", str(folder / "calibration.json")]
     assert main([*reconstruct, "--no-cache", "-o", str(folder / "cloud.npz")]) == 0
     assert main([*reconstruct, "-o", str(folder / "cloud.ply"), "--json", str(folder / "reconstruct.json")]) == 0
+    # A note on an unchanged capture would hide that a change is not noticed.
+    assert json.loads((folder / "reconstruct.json").read_text())["notes"] == []
     (folder / "unsealed" / "stripes.npz").rename(folder / "stripes.npz")
     (folder / "foreign.ply").write_text(FOREIGN_PLY)
     (folder / "rig.toml").write_text(RIG)
@@ -93,7 +96,8 @@ def make_corpus(tiny: Path, folder: Path, configs: Path) -> None:
 def _thinned(source: Path, target: Path, count: int, *, plain: bool) -> None:
     """A capture of `count` records, spread over those of another; `plain`: without digests and events."""
     target.mkdir()
-    shutil.copy(source / "capture.toml", target / "capture.toml")
+    header = re.sub(r"(?m)^steps = \d+$", f"steps = {count}", (source / "capture.toml").read_text())
+    (target / "capture.toml").write_text(header)
     records = [json.loads(line) for line in (source / "frames.jsonl").read_text().splitlines()]
     records = [record for record in records if "i" in record]
     chosen = [records[k] for k in np.linspace(0, len(records) - 1, count).astype(int)]

@@ -110,7 +110,6 @@ def counts(answers: Iterable[dict[str, Any]]) -> Counter[str]:
         found.update(answer["faults"])
         if answer.get("differs"):
             kind = "sealed" if "unsealed" not in answer["kind"] else "unsealed"
-            noticed = "note:" in answer["out"]
             found[f"different cloud, {kind}"] += 1
-            found[f"different cloud, {kind}, without a word"] += not noticed
+            found[f"different cloud, {kind}, without a word"] += not answer["noted"]
     return found

@@ -67,6 +67,7 @@ def _answer(seed: int, number: int, corpus: Path, folder: Path, files: tuple[int
         "resting": _memory("VmRSS:"),
         "faults": faults,
         "left": left[:5],
+        "noted": b"note:" in out + err,
         "err": err.decode("utf-8", "backslashreplace")[:2000],
         "out": out.decode("utf-8", "backslashreplace")[-1000:],
     }
