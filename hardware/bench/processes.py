@@ -18,7 +18,7 @@ def launch(
         folder: Its working folder.
         errors: File to which its stderr is appended.
         within_s: How long that may take.
-        apart: Whether Ctrl-C at the terminal is kept from it, because who started it ends it in order.
+        apart: Whether Ctrl-C at the terminal is kept from it, because its starter ends it in order.
 
     Raises:
         BenchError: With its last words, if it ends, says something else or takes longer; it is ended then.
@@ -35,16 +35,19 @@ def launch(
         )
     if process.stdout is None:
         raise BenchError("A program without an output cannot say that it is ready.")
-    with selectors.DefaultSelector() as selector:
-        selector.register(process.stdout, selectors.EVENT_READ)
-        came = selector.select(within_s)
-    line = process.stdout.readline() if came else ""
+    try:
+        with selectors.DefaultSelector() as selector:
+            selector.register(process.stdout, selectors.EVENT_READ)
+            came = selector.select(within_s)
+        line = process.stdout.readline() if came else ""
+    except BaseException:
+        # Ctrl-C, which may be kept from the program.
+        end(process, kill=True)
+        raise
     if line.startswith("ready"):
         return process
-    process.kill()
-    process.wait(5)
-    process.stdout.close()
-    words = errors.read_text().strip().splitlines()
+    end(process, kill=True)
+    words = errors.read_text(errors="replace").strip().splitlines()
     name = Path(command[0]).name if len(command) < 3 or command[1] != "-m" else command[2]
     raise BenchError(f"{name} did not start: {words[-1] if words else 'it said nothing'}")
 

@@ -160,7 +160,7 @@ class SimulatedRig:
         self.control("plug")
 
     def kill(self) -> None:
-        """Take the power away, in the middle of whatever it does."""
+        """Take the power away, in the middle of any action."""
         self._end(kill=True)
 
     def restart(self) -> None:

@@ -1,6 +1,9 @@
 """Captured sweeps to clouds, with the stripes kept beside the capture for the next time."""
 
+from collections.abc import Hashable
 from typing import NamedTuple
+
+import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import Capture, cache_path, cached_stripes, code_digest, frames_key, save_stripes
@@ -71,10 +74,10 @@ def reconstruct_capture(
     upright, coloured = scanner.up in ("-v", "+v"), capture.pixel_format == "rgb8"
     watch = FrameWatch(len(capture), upright=upright, brackets=len(capture.exposures) > 1, colours=coloured)
     plan = make_plan(capture.watched(watch.look), scanner, settings)
-    numbers = [record.i for record in capture.records]
+    numbers, off_images = [record.i for record in capture.records], _off_images(capture)
     if not cache:
         cloud = cloud_of_plan(plan, noise=noise, progress=progress)
-        doubts = sweep_doubts(plan, cloud, watch.seen, numbers)
+        doubts = sweep_doubts(plan, cloud, watch.seen, numbers, off_images)
         return Reconstruction(cloud, notes=(*pair_notes(plan, capture.frames, numbers), *doubts))
     key = {"frames": frames_key(capture), "code": code_digest(), **extraction_key(settings, noise)}
     path = cache_path(capture)
@@ -83,13 +86,21 @@ def reconstruct_capture(
     stripes = None if arrays is None or seen is None else usable_stripes(arrays, plan)
     if stripes is not None and seen is not None:
         cloud = cloud_of_plan(plan, stripes=stripes, progress=progress)
-        return Reconstruction(cloud, from_cache=True, kept=True, notes=sweep_doubts(plan, cloud, seen, numbers))
+        return Reconstruction(
+            cloud, from_cache=True, kept=True, notes=sweep_doubts(plan, cloud, seen, numbers, off_images)
+        )
     stripes = stripes_of_plan(plan, noise=noise, progress=progress)
     cloud = cloud_of_plan(plan, stripes=stripes)
-    doubts = sweep_doubts(plan, cloud, watch.seen, numbers)
+    doubts = sweep_doubts(plan, cloud, watch.seen, numbers, off_images)
     notes = (*pair_notes(plan, capture.frames, numbers), *doubts)
     try:
         save_stripes(path, kept_arrays(stripes, plan) | watch.seen.arrays(), key)
     except CaptureError as problem:
         return Reconstruction(cloud, notes=(*notes, f"the stripes are not kept for next time: {problem}"))
     return Reconstruction(cloud, kept=True, notes=notes)
+
+
+def _off_images(capture: Capture) -> np.ndarray:
+    """A number for each record's laser-off image, int [records]: records that name the same image have the same."""
+    known: dict[Hashable, int] = {}
+    return np.array([known.setdefault(record.off, len(known)) for record in capture.records], int)

@@ -86,7 +86,7 @@ def inputs_in_words() -> str:
 
 
 def _identity(place: Place) -> set[object]:
-    """What tells that two names are of one file: where links lead, and, for one that exists, its number on the disk."""
+    """Marks that two names of one file share: where links lead, and, for a file that exists, its number on the disk."""
     try:
         found: set[object] = {os.path.realpath(place.path)}
         status = os.stat(place.path)

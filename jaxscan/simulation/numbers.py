@@ -1,4 +1,4 @@
-"""Ranges of the numbers in the configuration of a simulated rig: all finite, and none beyond what can be rendered."""
+"""Ranges of the numbers in the configuration of a simulated rig: all finite, and all within the limits of rendering."""
 
 from typing import Annotated
 

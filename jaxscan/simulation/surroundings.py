@@ -1,4 +1,4 @@
-"""Configuration of what a simulated rig sees: a room, or an object on the table, and its light."""
+"""Configuration of the surroundings of a simulated rig: a room, or an object on the table, and its light."""
 
 from pydantic import model_validator
 

@@ -133,7 +133,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
 
 
 def _decode_jpeg(data: bytes) -> np.ndarray:
-    """Pixels of a JPEG; whatever libjpeg only warns of, such as missing data, is an error."""
+    """Pixels of a JPEG; a mere warning of libjpeg, as of missing data, is an error."""
     try:
         import simplejpeg
     except ImportError as problem:

@@ -37,7 +37,7 @@ def decode_png(data: bytes) -> np.ndarray | bytes:
 
     Returns:
         uint8 [rows, columns], or RGB [rows, columns, 3], where samples have 8 bits and rows are whole. For other kinds
-        a PNG with nothing but what the pixels need, for a decoder.
+        a PNG with only the chunks that the pixels need, for a decoder.
 
     Raises:
         ValueError: With the damage.

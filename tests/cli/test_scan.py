@@ -6,6 +6,7 @@ import shlex
 import shutil
 import signal
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -164,6 +165,17 @@ def test_ctrl_c_ends_after_the_step_and_resume_goes_on(run, paper, config, tmp_p
     ran = run("scan", config, "-o", tmp_path / "room", "--resume")
     assert ran.code == 0, ran.err
     assert len(open_capture(tmp_path / "room")) == 10
+
+
+def test_ctrl_c_while_the_camera_is_not_free_ends_at_once(run, paper, config, tmp_path, monkeypatch):
+    def waits(settings, say):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+
+    monkeypatch.setattr("scanrig.cameras.open_camera", waits)
+    ran = run("scan", config, "-o", tmp_path / "room")
+    assert ran.code == 130 and ran.err.endswith("jaxscan: interrupted\n")
+    assert paper.closed == ["controller"]
 
 
 def test_two_ctrl_c_end_at_once(run, paper, config, tmp_path):

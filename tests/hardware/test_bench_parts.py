@@ -13,6 +13,7 @@ from bench.camera import loopback
 from bench.desk import Desk, claimed
 from bench.errors import BenchError
 from bench.locks import held, own_folder, private_folder
+from bench.processes import launch
 
 
 def held_at(path, timeout_s=0.0):
@@ -153,3 +154,27 @@ def test_a_bench_whose_part_is_killed_ends_and_leaves_the_place_free(tmp_path, w
         time.sleep(0.05)
     with claimed(folder), loopback(timeout_s=5.0):
         pass
+
+
+def test_ctrl_c_while_a_program_starts_ends_it(tmp_path, monkeypatch):
+    begun, popen = [], subprocess.Popen
+
+    def noted(*given, **options):
+        begun.append(popen(*given, **options))
+        return begun[-1]
+
+    def interrupt(selector, timeout_s):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(subprocess, "Popen", noted)
+    monkeypatch.setattr("selectors.DefaultSelector.select", interrupt)
+    silent = [sys.executable, "-c", "import time; time.sleep(60)"]
+    with pytest.raises(KeyboardInterrupt):
+        launch(silent, folder=tmp_path, errors=tmp_path / "errors", within_s=20)
+    assert begun[0].returncode == -signal.SIGKILL and begun[0].stdout.closed
+
+
+def test_last_words_of_a_program_may_be_of_any_bytes(tmp_path):
+    dying = [sys.executable, "-c", r"import os; os.write(2, b'no port \xff')"]
+    with pytest.raises(BenchError, match="did not start: no port"):
+        launch(dying, folder=tmp_path, errors=tmp_path / "errors", within_s=20)

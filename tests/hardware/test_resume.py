@@ -173,13 +173,20 @@ def test_22_damage_in_a_complete_capture_is_repaired(tmp_path):
     assert verify_capture(tmp_path / "room") == []
 
 
-def test_22_a_journal_that_was_changed_is_said(room):
+def test_22_a_journal_that_was_changed_is_refused_before_anything_moves(room):
     """Angles have no digest of their own; the seal at the end of each session covers them."""
     text = (room / "frames.jsonl").read_text()
-    (room / "frames.jsonl").write_text(text.replace('"angle_deg": 3.6', '"angle_deg": 8.6', 1))
+    changed = text.replace('"angle_deg": 3.6', '"angle_deg": 8.6', 1)
+    (room / "frames.jsonl").write_text(changed)
     desk = Desk()
-    sweep(desk, room, resume=True)
-    assert [sentence for sentence in desk.said if "the seal does not fit the lines before it" in sentence]
+    with pytest.raises(SessionError, match="the seal does not fit the lines before it; the capture cannot be continue"):
+        sweep(desk, room, resume=True)
+    assert desk.controller.log == [] and (room / "frames.jsonl").read_text() == changed
+    # The cure that the message names.
+    lines = [line for line in changed.splitlines(True) if "journal_sha256" not in line]
+    (room / "frames.jsonl").write_text("".join(lines))
+    assert sweep(Desk(), room, resume=True).status == "complete"
+    assert len(open_capture(room)) == 10
     well = Desk()
     sweep(well, room.parent / "other")
     sweep(well, room.parent / "other", resume=True)

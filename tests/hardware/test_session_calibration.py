@@ -194,6 +194,29 @@ def test_what_befalls_the_rig_while_somebody_looks_through_the_camera_ends_nothi
     assert verify_capture(tmp_path / "boards") == []
 
 
+def test_a_link_that_is_lost_twice_while_the_camera_is_reopened_for_a_look_ends_nothing(tmp_path):
+    desk = make()
+    controller = desk.controller
+    reopen, reconnect, lost = desk.camera.reopen, controller.reconnect, []
+
+    def losing(original):
+        def call(*given):
+            answer = original(*given)
+            if len(lost) < 2:
+                lost.append(original.__name__)
+                controller.lose_link(1)
+            return answer
+
+        return call
+
+    desk.camera.reopen, controller.reconnect = losing(reopen), losing(reconnect)
+    somebody = Looking(desk, **{f"look{k}": lambda controller: "no frame" for k in (2, 3)})
+    result = calibration(desk, tmp_path / "boards", somebody)
+    assert lost == ["reopen", "reconnect"]
+    assert (result.status, result.records) == ("complete", 9)
+    assert somebody.lit == [False] * 5
+
+
 def test_a_camera_that_shows_nothing_any_more_is_an_error(tmp_path):
     desk = make(checks={"retakes": 2})
     somebody = Looking(desk, **{f"look{k}": lambda controller: "no frame" for k in (2, 3, 4)})

@@ -27,6 +27,17 @@ def sweep(desk, folder, **options):
     return desk.sweep(folder, **options)
 
 
+class After:
+    """Asks to stop when so many steps are there."""
+
+    def __init__(self, steps):
+        self.left = steps
+
+    def __call__(self):
+        self.left -= 1
+        return self.left < 0
+
+
 def interrupt(controller=None):
     raise KeyboardInterrupt
 
@@ -55,6 +66,26 @@ def test_10_one_signal_in_mid_step_finishes_the_step(tmp_path):
     assert "4 of 10 records" in result.message and "--resume" in result.message
     assert "abort" not in desk.controller.log and not desk.table.contactor
     assert journal(tmp_path / "room")[-1]["status"] == "interrupted"
+
+
+def test_10_the_first_signal_is_answered(capfd):
+    with Interrupts(), pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGINT)
+        assert capfd.readouterr().err == "jaxscan: ends after this step; Ctrl-C again ends at once\n"
+        os.kill(os.getpid(), signal.SIGINT)
+    assert capfd.readouterr().err == ""
+
+
+def test_10_a_signal_while_a_large_capture_is_verified(tmp_path, monkeypatch):
+    folder = tmp_path / "room"
+    sweep(Desk(sweep={"steps": 12}), folder, should_stop=After(6))
+    before = (folder / "frames.jsonl").read_bytes()
+    monkeypatch.setattr("jaxscan.files.capture.verify._BLOCK", 2)
+    desk = Desk(sweep={"steps": 12})
+    with pytest.raises(KeyboardInterrupt, match="SIGTERM"), Interrupts() as interrupts:
+        desk.sweep(folder, resume=True, should_stop=lambda: os.kill(os.getpid(), signal.SIGTERM) or interrupts())
+    assert interrupts.received == ["SIGTERM"]
+    assert desk.controller.log == [] and (folder / "frames.jsonl").read_bytes() == before
 
 
 @pytest.mark.parametrize(

@@ -235,3 +235,27 @@ def test_arrays_that_were_exchanged_are_a_miss(capture, scanner):
     arrays["u"] = arrays["u"] + np.float32(1)
     np.savez(cache_path(capture), **arrays)
     assert not reconstruct_capture(capture, scanner, settings=SETTINGS).from_cache
+
+
+@pytest.mark.parametrize("named_once", [True, False])
+def test_only_copies_of_a_laser_off_image_are_doubted(frames, scanner, tmp_path, named_once):
+    """Records may name the same image; the same frame in several files is somebody's mistake."""
+    noise = np.random.default_rng(5).integers(0, 4, frames[0].shape, np.uint8)
+    on = np.minimum(frames[0], 250) + noise
+    off = np.repeat((np.minimum(frames[1], 250) + noise[::-1])[::2], 2, 0)
+    camera = {"width": WIDTH, "height": HEIGHT, "pixel_format": "mono8"}
+    header = CaptureHeader(kind="sweep", camera=camera, laser=[{"name": "left"}])
+    with create_capture(tmp_path / "room", header, digests=False) as writer:
+        for i in range(RECORDS):
+            writer.append(angle_deg=float(i), on=on[i], off=off[i])
+    journal = tmp_path / "room" / "frames.jsonl"
+    if named_once:
+        text = journal.read_text()
+        for i in range(1, RECORDS, 2):
+            text = text.replace(f"off/{i:06}.png", f"off/{i - 1:06}.png")
+        journal.write_text(text)
+    capture = open_capture(tmp_path / "room")
+    for from_cache in (False, True):
+        found = reconstruct_capture(capture, scanner, settings=SETTINGS)
+        assert found.from_cache is from_cache
+        assert any("laser-off frames of" in note for note in found.notes) is not named_once

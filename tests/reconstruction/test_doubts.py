@@ -147,6 +147,21 @@ def test_healthy_frames_give_no_doubt(frames):
     assert repeated_frames(seen_of(on, still), np.arange(COUNT)) == []
 
 
+def test_records_may_name_the_same_laser_off_image(frames):
+    """As two lasers at each angle may, or groups of steps."""
+    on, off = frames
+    names = np.arange(COUNT) // 2
+    off = off[2 * names]
+    seen = seen_of(on, off)
+    assert repeated_frames(seen, np.arange(COUNT), names) == []
+    assert "are the same frame again" in repeated_frames(seen, np.arange(COUNT))[0]
+    # One of the images is that of another angle.
+    off = off.copy()
+    off[6:8] = off[0]
+    found = repeated_frames(seen_of(on, off), np.arange(COUNT), names)
+    assert found == ["the laser-off frames of records 0, 1, 6 and 7 are the same frame again"]
+
+
 def test_repeated_and_exchanged_frames(frames):
     on, off = frames
     assert "records 3 and 20 are the same frame again" in doubts_of(put(on, 3, on[20]), off)[0]

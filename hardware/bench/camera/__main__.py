@@ -34,7 +34,7 @@ def main() -> int:
     options = parser.parse_args()
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: never outlives who started it.
     if os.getppid() != options.owner:
-        print("whoever started it has ended", file=sys.stderr)
+        print("the program that started it has ended", file=sys.stderr)
         return 1
     try:
         world = load_world(options.world, reach_deg=PLACEMENT_REACH_DEG)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from jaxscan.errors import ConfigError
+from jaxscan.files.capture import JOURNAL_NAME, SEAL
 from jaxscan.files.recording import make_folder
 from scanrig.controllers import require_allowed
 from scanrig.errors import SessionError
@@ -96,17 +97,39 @@ def _folder(folder: Path) -> bool:
 
 
 def _look(job: Job) -> Found | None:
-    """The capture in the folder, if there is one and it may be continued."""
+    """The capture in the folder, if there is one and it may be continued.
+
+    Raises:
+        KeyboardInterrupt: If the operator asks to stop while it is verified.
+    """
     if not is_capture(job.folder):
         return None
     if not job.resume:
         raise SessionError(f"{job.folder}: holds a capture already; go on with --resume, or choose another folder.")
     job.hooks.notify(f"{job.folder}: verifying the capture.")
-    found = find_capture(job.folder)
+
+    def end_if_asked(done: int, total: int) -> None:
+        # At the end nothing is saved by it.
+        if done < total and job.hooks.should_stop():
+            raise KeyboardInterrupt
+
+    found = find_capture(job.folder, progress=end_if_asked)
     for problem in found.altered:
-        job.hooks.notify(str(problem))
+        if not problem.lasting:
+            job.hooks.notify(str(problem))
     require_same_plan(found, job.config, job.kind, folder=job.folder, calibration_digest=job.calibration_digest)
+    _require_seals(found)
     return found
+
+
+def _require_seals(found: Found) -> None:
+    """Check that no seal is broken: new records do not mend it, and the whole capture could never be opened."""
+    for problem in found.altered:
+        if problem.lasting:
+            raise SessionError(
+                f"{problem.message.removesuffix('.')}; the capture cannot be continued: restore the file from a copy, "
+                f"or, if the change is meant, remove the lines with {SEAL} from {JOURNAL_NAME}."
+            )
 
 
 def _complete_already(job: Job, found: Found) -> SessionResult:

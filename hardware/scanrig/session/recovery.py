@@ -145,14 +145,15 @@ class RecoveringRig:
         """
         for attempt in range(self.config.checks.retakes):
             try:
-                return self.doing(self._look, "a look")
+                return self.doing(partial(self._look, attempt), "a look")
             except CameraTimeout as problem:
                 self._note("retake", reason=str(problem))
-            if attempt % 2:
-                self._open_anew("a look")
-        return self.doing(self._look, "a look")
+        return self.doing(partial(self._look, self.config.checks.retakes), "a look")
 
-    def _look(self) -> np.ndarray:
+    def _look(self, attempt: int) -> np.ndarray:
+        if attempt > 0 and attempt % 2 == 0:
+            # Here, where a fault during the reopening is recovered too.
+            self._open_anew("a look")
         camera, settings = self.camera, self.config.camera
         self._numbers.next = None
         camera.drop()

@@ -1,7 +1,7 @@
 """Reads an interrupted capture, and checks whether it may be continued."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -62,15 +62,19 @@ def is_capture(folder: Path) -> bool:
     return (folder / HEADER_NAME).exists()
 
 
-def find_capture(folder: Path) -> Found:
+def find_capture(folder: Path, *, progress: Callable[[int, int], None] | None = None) -> Found:
     """Read and verify a whole capture.
+
+    Args:
+        folder: The capture.
+        progress: Called while it is verified, with (records done, records in all).
 
     Raises:
         CaptureError: If header or journal are damaged in a way that no interruption causes, or hold values
             that no session writes.
     """
     texts = read_texts(folder)
-    problems = verify_capture(folder)
+    problems = verify_capture(folder, progress=progress)
     records: dict[int, dict[str, Any]] = {}
     since_home: list[int] = []
     suspect: set[int] = set()

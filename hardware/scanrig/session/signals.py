@@ -1,5 +1,6 @@
 """Signals that end a session: the first after the step, the second at once."""
 
+import contextlib
 import os
 import signal
 from types import FrameType, TracebackType
@@ -7,10 +8,12 @@ from typing import Any
 
 
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+_ANSWER = b"jaxscan: ends after this step; Ctrl-C again ends at once\n"
 
 
 class Interrupts:
-    """Within `with`, the first SIGINT, SIGTERM or SIGHUP is only noted, and the second raises KeyboardInterrupt.
+    """Within `with`, the first SIGINT, SIGTERM or SIGHUP is only noted and said, and the second raises
+    KeyboardInterrupt.
 
     Pass it as `should_stop`. Further signals do nothing, so that switching the laser off is not interrupted.
     Works only in the main thread, as all signal handlers of Python.
@@ -42,10 +45,17 @@ class Interrupts:
         for number, handler in self._before.items():
             signal.signal(number, handler if handler is not None else signal.SIG_DFL)
         self._before.clear()
+        if isinstance(problem, KeyboardInterrupt) and not problem.args:
+            # Raised where the request was seen, which does not know the signal.
+            problem.args = tuple(self.received[:1])
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.received.append(signal.Signals(number).name)
         self._let_go_of_dead_terminals()
+        if len(self.received) == 1:
+            # Not through `sys.stderr`, which the signal may have interrupted; below a bar that is being drawn.
+            with contextlib.suppress(OSError):
+                os.write(2, b"\n" * os.isatty(2) + _ANSWER)
         if len(self.received) == 2:
             raise KeyboardInterrupt(f"{self.received[0]}, then {self.received[1]}")
 

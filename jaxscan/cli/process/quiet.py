@@ -23,7 +23,7 @@ def open_standard_files() -> None:
 
 
 def hush_libraries() -> None:
-    """Before they are loaded: let libraries not say what is answered anyway."""
+    """Before they are loaded: silence those messages of libraries that jaxscan answers itself."""
     # An image that OpenCV cannot decode is an error of ours, with the file's name.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     # XLA's and absl's notes on their own work; errors are shown.
@@ -65,7 +65,7 @@ def keep_compiled_code() -> None:
 
 
 def cache_folder() -> Path | None:
-    """The folder for what is kept from run to run: at home, or else in the temporary folder; None where neither can be.
+    """The folder for files that are kept from run to run: at home, else in the temporary folder; None without either.
 
     It may not exist yet.
     """

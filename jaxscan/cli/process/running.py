@@ -99,7 +99,7 @@ def _answer(problem: BaseException) -> int:
 
 
 def _defect(problem: BaseException) -> str:
-    """An error that nobody foresaw: where and what, for a report."""
+    """An error that nobody foresaw, with its place and message, for a report."""
     places = [frame for frame in traceback.extract_tb(problem.__traceback__) if _is_ours(frame.filename)]
     where = f" in {Path(places[-1].filename).name}, line {places[-1].lineno}" if places else ""
     said = " ".join(str(problem).split())
@@ -122,7 +122,7 @@ def _say(line: str) -> None:
 
 
 def _keep_to_lines() -> None:
-    """What other libraries and threads say comes as lines of ours, with nothing for the terminal to obey."""
+    """Print messages of other libraries and of threads as lines of ours, with nothing for the terminal to obey."""
 
     def show_warning(message: Warning | str, category: type[Warning], *_: object) -> None:
         _say(f"note: {category.__name__}: {' '.join(str(message).split())}")

@@ -58,7 +58,9 @@ def exit_code(interrupt: KeyboardInterrupt) -> int:
 
 
 def leave_behind(screen: bytes) -> None:
-    """What to write to standard error before the process ends by a signal: it puts the terminal in order."""
+    """Set the bytes that are written to standard error before the process ends by a signal: they put the terminal in
+    order.
+    """
     _screen[0] = screen
 
 

@@ -103,13 +103,13 @@ def scan(
                 # A capture without records cannot be opened, and has none to add.
                 with contextlib.suppress(CaptureError):
                     live.add_from_disk()
-        # Signals ask for an end only while the rig is in use.
-        with (
-            RigInUse(),
-            Interrupts() as interrupts,
-            open_controller(rig.controller, rig.microsteps_per_turn, port=port) as controller,
-            open_camera(rig.camera, out.print) as camera,
-        ):
+        with contextlib.ExitStack() as opened:
+            in_use = opened.enter_context(RigInUse())
+            controller = opened.enter_context(open_controller(rig.controller, rig.microsteps_per_turn, port=port))
+            camera = opened.enter_context(open_camera(rig.camera, out.print))
+            opened.callback(in_use.closing)
+            # Not before: nobody sees its request while the program waits for a camera.
+            interrupts = opened.enter_context(Interrupts())
             devices, folder = Devices(controller, camera), CaptureFolder(output, resume)
             if boards:
                 result = scan_boards(rig, folder, devices, interrupts, place_command, out)

@@ -83,7 +83,8 @@ class ImageReader:
         number = next((f"record {i}: " for i, one in images if one == reference), "")
         raise CaptureError(
             f"{self._path}: {number}{reference}: {found}; the file has changed since it was written: jaxscan doctor "
-            "--capture lists all changes, and jaxscan scan --resume takes their records again."
+            "--capture lists all changes; restore the file from a copy; records of jaxscan scan are taken again by "
+            "--resume."
         )
 
     def frame(self, images: Sequence[ImageRef]) -> np.ndarray | None:

@@ -1,7 +1,7 @@
 """Seals and digests: how a change of a capture since it was written is noticed.
 
 A record holds the sha256 of its images. A seal, at the end of the journal, holds those of the journal before it and of
-the header, and the number of records. So whoever changes an image must change the journal, and then the seal.
+the header, and the number of records. A change of an image therefore needs a change of the journal, and of the seal.
 """
 
 import hashlib

@@ -126,7 +126,7 @@ def _open_shard(path: Path, *, name: str, shape: tuple[int, ...]) -> _Shard:
 def _check_length(mapped: mmap.mmap, start: int, count: int, frame: int, name: str) -> None:
     """Check that a shard has the length that its header announces: a byte too many moves all images behind it."""
     surplus = len(mapped) - start - count
-    # Whoever shortens a shard to its frames, and is stopped between header and file, leaves room for whole frames.
+    # A program that is stopped while it shortens a shard, between header and file, leaves room for whole frames.
     room = surplus >= 0 and surplus % frame == 0 and not np.frombuffer(mapped, np.uint8, offset=start + count).any()
     if surplus != 0 and not room:
         found, expected = len(mapped), start + count

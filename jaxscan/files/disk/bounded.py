@@ -13,7 +13,7 @@ from jaxscan.files.disk.opening import open_regular
 
 
 MAX_DEPTH = 64
-"""Most tables and lists within one another; what walks through a value may do so by recursion."""
+"""Most tables and lists within one another; a function that walks through a value may recurse."""
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""Doubts about a sweep, a sentence each: what contradicts the rest of it, by statistics of the sweep itself."""
+"""Doubts about a sweep, a sentence each: contradictions within it, found by statistics of the sweep itself."""
 
 from jaxscan.reconstruction.doubts.journal import journal_doubts
 from jaxscan.reconstruction.doubts.seen import FrameWatch, Seen

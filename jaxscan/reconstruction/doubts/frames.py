@@ -10,15 +10,24 @@ _FEW = 8
 """Records of one laser from which neighbours are compared."""
 
 
-def repeated_frames(seen: Seen, numbers: np.ndarray) -> list[str]:
-    """Frames that are the same to the last bit, which noise never makes."""
+def repeated_frames(seen: Seen, numbers: np.ndarray, off_images: np.ndarray | None = None) -> list[str]:
+    """Frames that are the same to the last bit, which noise never makes.
+
+    Args:
+        seen: Of all records.
+        numbers: Of all records.
+        off_images: A number for each record's laser-off image, int [records]; records that name the same image, as two
+            lasers at one angle may, have the same. None if each record has its own.
+    """
     doubts = []
     on, off = seen.prints[:, 0], seen.prints[:, 1]
     alike = np.flatnonzero((on == off) & (on != 0))
     if len(alike):
         doubts.append(f"the laser-on and the laser-off frame of {named(numbers[alike])} are the same")
-    for side, prints in (("on", on), ("off", off)):
-        known = np.flatnonzero(prints)
+    own = np.arange(len(off))
+    firsts = own if off_images is None else np.unique(off_images, return_index=True)[1]
+    for side, prints, counted in (("on", on, own), ("off", off, firsts)):
+        known = counted[prints[counted] != 0]
         values, counts = np.unique(prints[known], return_counts=True)
         # One laser-off frame for the whole sweep is somebody's intention.
         if len(known) and counts.max() > 1 and (side == "on" or len(values) > 1):

@@ -20,7 +20,7 @@ _LEAST_DN = 2.0
 
 
 def header_doubts(sweep: SweepSource, seen: Seen, scanner: Scanner) -> list[str]:
-    """What contradicts the frames, or the calibrated rig."""
+    """Entries of the header that contradict the frames, or the calibrated rig."""
     doubts = _mosaic(sweep.pixel_format, np.median(seen.colours, 0)) if len(seen.colours) else []
     lit = np.bincount(sweep.record, minlength=len(sweep))
     for laser in np.unique(sweep.laser):

@@ -22,7 +22,7 @@ _TURN_IN_RADIANS = 24
 def journal_doubts(
     numbers: Sequence[int], degrees: np.ndarray, lit: Sequence[tuple[int, ...]], planned: int | None
 ) -> list[str]:
-    """What contradicts itself in the journal of a sweep.
+    """Contradictions in the journal of a sweep.
 
     Args:
         numbers: Of the records, ascending.

@@ -14,17 +14,21 @@ from jaxscan.reconstruction.doubts.turning import turning_doubts
 from jaxscan.reconstruction.plan import Plan
 
 
-def sweep_doubts(plan: Plan, cloud: PointCloud, seen: Seen, numbers: Sequence[int]) -> tuple[str, ...]:
-    """Whatever contradicts the rest of a sweep, a sentence each; none for a healthy one.
+def sweep_doubts(
+    plan: Plan, cloud: PointCloud, seen: Seen, numbers: Sequence[int], off_images: np.ndarray | None = None
+) -> tuple[str, ...]:
+    """Contradictions between a part of a sweep and the rest of it, a sentence each; none for a healthy one.
 
     Args:
         plan: The sweep and its scanner.
         cloud: The sweep's cloud.
         seen: Statistics of its frames.
         numbers: The name of each record.
+        off_images: A number for each record's laser-off image, int [records], the same where records name the same
+            image; None if each record has its own.
     """
     sweep, number = plan.sweep, np.asarray(numbers)
-    doubts = repeated_frames(seen, number) + exchanged_frames(seen, number)
+    doubts = repeated_frames(seen, number, off_images) + exchanged_frames(seen, number)
     lit: list[tuple[int, ...]] = [()] * len(sweep)
     for record, laser in zip(sweep.record.tolist(), sweep.laser.tolist(), strict=True):
         lit[record] = (*lit[record], laser)
