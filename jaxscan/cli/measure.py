@@ -142,7 +142,7 @@ def compare(
 
 
 def _calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
-    """The scanner of a calibration, and what its users should know."""
+    """The scanner of a calibration, and notes for its users."""
     if path is None:
         return None, []
     from jaxscan.files.calibration import calibration_notes

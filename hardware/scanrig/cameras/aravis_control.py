@@ -19,7 +19,7 @@ _HEARTBEAT_TIMEOUT, _APPLICATION_ADDRESS = 0x0938, 0x0A14
 """Bootstrap registers of GigE Vision: milliseconds, and the address of the program that has control."""
 _MARGIN_S = 2.0
 _LONGEST_S = 60.0
-"""Longest wait, whatever heartbeat timeout a camera names."""
+"""Longest wait, also for a camera that names a longer heartbeat timeout."""
 _AGAIN_S = 0.25
 
 
