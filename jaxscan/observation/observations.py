@@ -1,14 +1,15 @@
 """Observations: board corners and stripe points on padded grids of views."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import AbstractBoard, Array
+from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 from jaxscan.observation.first_look import Look
 from jaxscan.observation.records import BoardSource
 from jaxscan.observation.stripes_on_board import BoardStripe
@@ -86,6 +87,16 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
         up=first.up,
         carries=first.carries or "scanner",
     )
+
+
+def with_lasers(observations: Observations, names: Sequence[str]) -> Observations:
+    """The observations with the stripes of some lasers alone."""
+    kept = [observations.laser_names.index(name) for name in names]
+    stripes, laser = observations.stripes, np.asarray(observations.stripes.laser)
+    rows = np.isin(laser, kept)
+    fields = {name: np.asarray(values)[rows] for name, values in vars(stripes).items()}
+    fields["laser"] = np.array([kept.index(number) for number in laser[rows]], np.int32)
+    return replace(observations, laser_names=tuple(names), stripes=StripeViews(**fields))
 
 
 def stack_stripes(stripes: Sequence[tuple[BoardStripe, int, int]], points: int = 512) -> StripeViews:
