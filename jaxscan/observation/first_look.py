@@ -71,8 +71,8 @@ def look_at_boards(
     if all(view.corners is None for view in seen.records):
         raise CalibrationError(
             f"The board ({board.describe()}) was found in none of {len(seen.records)} records: check the [board] table "
-            "of capture.toml (columns and rows count inner corners for a chessboard, squares for ChArUco, circles, or tags), "
-            "and that the board is sharp, well lit and wholly in the image."
+            "of capture.toml (columns and rows count inner corners for a chessboard, squares for ChArUco, circles, or "
+            "tags), and that the board is sharp, well lit and wholly in the image."
         )
     return seen
 

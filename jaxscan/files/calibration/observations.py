@@ -54,8 +54,10 @@ _RANGES = {
 _PLAIN = ("width", "height", "laser_names", "up", "carries")
 
 
-_LENGTHS = ("square", "marker", "spacing", "diameter", "tag", "gap")
+_LENGTHS = ("square", "marker", "diameter", "tag")
 """Fields of boards that are lengths."""
+_NAMES = {"circles": {"square": "spacing"}, "aprilgrid": {"square": "gap"}}
+"""Names of fields in the tables of captures, where they have others."""
 
 
 def _in_millimetres(board: Any) -> Any:
@@ -64,7 +66,8 @@ def _in_millimetres(board: Any) -> Any:
         return board
     lengths = {key: board[key] for key in _LENGTHS if isinstance(board.get(key), int | float)}
     others = {key: value for key, value in board.items() if key not in lengths}
-    return others | {f"{key}_mm": 1000 * value for key, value in lengths.items()}
+    names = _NAMES.get(str(board.get("type")), {})
+    return others | {f"{names.get(key, key)}_mm": 1000 * value for key, value in lengths.items()}
 
 
 class _About(ImageSize):

@@ -74,7 +74,7 @@ class CirclesTable(FileModel):
     def board(self) -> AbstractBoard:
         """The board that the table describes."""
         return Circles(
-            columns=self.columns, rows=self.rows, spacing=self.spacing_mm / 1000, diameter=self.diameter_mm / 1000
+            columns=self.columns, rows=self.rows, square=self.spacing_mm / 1000, diameter=self.diameter_mm / 1000
         )
 
 
@@ -95,7 +95,7 @@ class AprilGridTable(FileModel):
 
     def board(self) -> AbstractBoard:
         """The board that the table describes."""
-        return AprilGrid(columns=self.columns, rows=self.rows, tag=self.tag_mm / 1000, gap=self.gap_mm / 1000)
+        return AprilGrid(columns=self.columns, rows=self.rows, square=self.gap_mm / 1000, tag=self.tag_mm / 1000)
 
 
 BoardTable = Annotated[
