@@ -9,8 +9,8 @@ from jaxscan.geometry.board import AbstractBoard, even_grid
 class Circles(AbstractBoard):
     """Black circles in rows, every other row shifted by half the distance of its circles. Origin at circle 0.
 
-    Circle k stands at x = (2 column + row % 2) square, y = row * square. With an odd number of rows it looks
-    different turned by 180 degrees.
+    Circle k stands at x = (2 column + row % 2) square, y = row * square. The number of rows is odd: else the board
+    looks the same turned by 180 degrees.
     """
 
     columns: int = eqx.field(static=True)

@@ -59,6 +59,10 @@ def check_board(board: AbstractBoard) -> None:
     elif isinstance(board, Circles):
         lengths_mm = {"spacing_mm": 1000 * board.square, "diameter_mm": 1000 * board.diameter}
         least = (2, SMALLEST_COUNT)
+        if rows % 2 == 0:
+            raise ValueError(
+                f"rows: found {rows}, expected an odd number: this grid of circles looks the same turned by 180 degrees"
+            )
     elif isinstance(board, AprilGrid):
         lengths_mm, least = {"tag_mm": 1000 * board.tag, "gap_mm": 1000 * board.square}, (2, 2)
         columns, rows = board.columns, board.rows
