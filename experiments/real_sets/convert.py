@@ -2,8 +2,8 @@
 
     python -m experiments.real_sets.convert NAME FOLDER -o captures/NAME
 
-FOLDER is a copy of the repository, or a bare git snapshot of it. Pictures are copied as they are. A board's picture without
-a laser becomes a record's `off`, one with the laser on its `on`.
+FOLDER is a copy of the repository, or a bare git snapshot of it. Pictures are copied as they are. A board's picture
+without a laser becomes a record's `off`, one with the laser on its `on`.
 """
 
 import argparse

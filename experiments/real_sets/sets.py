@@ -155,8 +155,7 @@ SETS: tuple[RealSet, ...] = (
             laser=[{"colour": "red", "stripe_axis": "columns"}],
         ),
         pairs(("light_picture", r"light\d+\.jpg"), ("calib_picture", r"calib\d+\.jpg")),
-        "Parameters.xml: f 1144.44, 1142.49, c 916.06, 522.05 px; "
-        "-0.13051671 X - 6.3959525 Y + Z + 304.91858 mm = 0",
+        "Parameters.xml: f 1144.44, 1142.49, c 916.06, 522.05 px; -0.13051671 X - 6.3959525 Y + Z + 304.91858 mm = 0",
     ),
     RealSet(
         "ciclop",
