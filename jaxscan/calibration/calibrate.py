@@ -16,11 +16,10 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.rigs import Holdings, Rig, has_moved, largest_rig
 from jaxscan.calibration.seed import (
     average_placements,
-    lift_stripes,
     seed_camera,
     seed_motion,
-    seed_plane,
     seed_poses,
+    seed_sheets,
 )
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve import Adjustment, Prepared, adjust, make_problem, not_converged, prepare
@@ -102,13 +101,15 @@ def calibrate_observations(
             motion = known.motion if rig.moves else Still()
             if motion is None:
                 motion = seed_motion(poses, data, observations.carries, observations.up)
-            lasers, reason = _first_sheets(data, camera, poses, observations, rig, known)
+            lasers, observations, reason = _first_sheets(data, camera, poses, observations, rig, known)
         except CalibrationError:
             if first.converged:
                 raise
             # The diagnosis would be of numbers that mean nothing.
             raise CalibrationError(not_converged(settings)) from None
-        if rig.lasers and not lasers:
+        if rig.lasers and lasers:
+            data = prepare(observations)
+        elif rig.lasers:
             if not first.converged:
                 raise CalibrationError(not_converged(settings))
             rig, data = replace(rig, lasers=(), missing=(*rig.missing, f"no sheet: {reason}")), _without_stripes(data)
@@ -167,17 +168,14 @@ def _of_rig(observations: Observations, data: Prepared, rig: Rig) -> tuple[Obser
 
 def _first_sheets(
     data: Prepared, camera: AbstractCamera, poses: np.ndarray, observations: Observations, rig: Rig, known: KnownParts
-) -> tuple[list[LaserSheet], str]:
-    """First sheets of all lasers, or none and the reason."""
+) -> tuple[list[LaserSheet], Observations, str]:
+    """First sheets of all lasers, with the observations that agree with them; or none and the reason."""
     if known.sheets or not rig.lasers:
-        return list(known.sheets), ""
+        return list(known.sheets), observations, ""
     try:
-        return [
-            seed_plane(lift_stripes(data, camera, poses, index), name)
-            for index, name in enumerate(observations.laser_names)
-        ], ""
+        return *seed_sheets(observations, data, camera, poses), ""
     except CalibrationError as problem:
-        return [], str(problem)
+        return [], observations, str(problem)
 
 
 def _first_cameras(

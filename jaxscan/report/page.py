@@ -3,7 +3,7 @@
 from typing import Any
 
 from jaxscan.calibration import Calibration
-from jaxscan.geometry import Charuco, Turntable
+from jaxscan.geometry import Turntable
 from jaxscan.report import figures, tables, words
 from jaxscan.report.html import Html, bullets, element, joined, page, section, table
 
@@ -45,9 +45,7 @@ def _head(calibration: Calibration) -> Html:
     camera, observations = calibration.camera, calibration.observations
     lines = [f"{type(camera).__name__} camera, {camera.width} × {camera.height} px"]
     if observations is not None:
-        columns, rows = observations.board.grid()
-        kind = "ChArUco board" if isinstance(observations.board, Charuco) else "chessboard"
-        lines.append(f"{kind}, {columns} × {rows} inner corners of {1e3 * observations.board.square:g} mm")
+        lines.append(observations.board.describe())
     quality = calibration.quality
     if quality.views is not None and quality.corners is not None:
         lines.append(f"{quality.views} views, {quality.corners} corners")
