@@ -93,7 +93,7 @@ def calibrate_observations(
         if not rig.lasers and not rig.moves:
             starts = [make_problem(camera, stack_lasers([]), Still(), poses, apart, settings) for camera in cameras]
             problem = starts[0] if len(starts) == 1 else _lowest(starts, apart, settings).problem
-            return _concluded(adjust(problem, apart, settings), observations, settings, started, rig)
+            return _concluded(adjust(problem, apart, settings), observations, settings, started, rig, known)
         starts = [make_problem(camera, *stand_ins, poses, apart, held) for camera in cameras]
         first = _lowest(starts, apart, settings)
         camera, poses = _named(first.problem.camera, observations, settings), np.asarray(first.problem.poses)
@@ -118,7 +118,7 @@ def calibrate_observations(
         placements = average_placements(poses, data, motion)
         problem = make_problem(first.problem.camera, stack_lasers(lasers), motion, placements, data, settings)
         result = _pointed_up(adjust(problem, data, settings), observations, settings)
-        return _concluded(result, observations, settings, started, rig)
+        return _concluded(result, observations, settings, started, rig, known)
 
 
 def calibrate_camera(observations: Observations, *, settings: CalibrationSettings | None = None) -> Calibration:
@@ -236,8 +236,14 @@ def _pointed_up(result: Adjustment, observations: Observations, settings: Calibr
 
 
 def _concluded(
-    result: Adjustment, observations: Observations, settings: CalibrationSettings, started: float, rig: Rig
+    result: Adjustment,
+    observations: Observations,
+    settings: CalibrationSettings,
+    started: float,
+    rig: Rig,
+    known: KnownParts,
 ) -> Calibration:
     calibration = conclude(result, _named(result.problem.camera, observations, settings), observations, settings)
     quality = replace(calibration.quality, seconds=time.perf_counter() - started)
-    return replace(calibration, quality=quality, missing=rig.missing)
+    provenance = {**calibration.provenance, "held": list(known.held())} if known.held() else calibration.provenance
+    return replace(calibration, quality=quality, missing=rig.missing, provenance=provenance)
