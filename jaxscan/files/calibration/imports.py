@@ -93,7 +93,7 @@ def _mrcal(text: str, name: str, size: tuple[int, int] | None) -> dict[str, Any]
             f"{name}: is no .cameramodel, which is one Python dictionary of plain values."
         ) from problem
     value: dict[str, Any] = found if isinstance(found, dict) else {}
-    lens, numbers, given = (value.get(key) for key in ("lensmodel", "intrinsics", "imagersize"))
+    lens, numbers, given = value.get("lensmodel"), value.get("intrinsics", ()), value.get("imagersize", ())
     lens = lens.decode(errors="replace") if isinstance(lens, bytes) else lens
     counts = {"LENSMODEL_PINHOLE": 0, **{f"LENSMODEL_OPENCV{count}": count for count in (4, 5, 8)}}
     if lens not in counts:
