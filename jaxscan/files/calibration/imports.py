@@ -88,21 +88,20 @@ def _yaml(text: str, name: str, size: tuple[int, int] | None) -> dict[str, Any]:
 def _mrcal(text: str, name: str, size: tuple[int, int] | None) -> dict[str, Any]:
     try:
         found = ast.literal_eval(text.strip())
-    except (ValueError, SyntaxError, MemoryError, RecursionError) as problem:
-        raise CalibrationError(
-            f"{name}: is no .cameramodel, which is one Python dictionary of plain values."
-        ) from problem
+    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError) as problem:
+        raise CalibrationError(f"{name}: found no Python dictionary of plain values, expected one.") from problem
     value: dict[str, Any] = found if isinstance(found, dict) else {}
     lens, numbers, given = value.get("lensmodel"), value.get("intrinsics", ()), value.get("imagersize", ())
     lens = lens.decode(errors="replace") if isinstance(lens, bytes) else lens
     counts = {"LENSMODEL_PINHOLE": 0, **{f"LENSMODEL_OPENCV{count}": count for count in (4, 5, 8)}}
-    if lens not in counts:
+    if not isinstance(lens, str) or lens not in counts:
         raise CalibrationError(f"{name}: lensmodel: found {lens!r:.60}, expected one of {', '.join(counts)}.")
     if not _are_numbers(numbers, 4 + counts[lens]) or not _are_numbers(given, 2):
         raise CalibrationError(
             f"{name}: intrinsics, imagersize: expected {4 + counts[lens]} and 2 numbers, as {lens} has them."
         )
-    return _table(numbers[:4], numbers[4:], tuple(given), name)
+    values, (width, height) = [float(number) for number in numbers], given
+    return _table(values[:4], values[4:], (int(width), int(height)), name)
 
 
 def _table(
