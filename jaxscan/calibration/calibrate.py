@@ -12,7 +12,7 @@ import numpy as np
 from jaxscan.calibration.conclude import conclude
 from jaxscan.calibration.parameters import CAMERA_BLOCKS
 from jaxscan.calibration.result import Calibration
-from jaxscan.calibration.seed import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
+from jaxscan.calibration.seed import average_placements, seed_axis, seed_camera, seed_sheets
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve import Adjustment, Prepared, adjust, make_problem, not_converged, prepare
 from jaxscan.calibration.solve.noise import huber_weights
@@ -71,10 +71,8 @@ def calibrate_observations(observations: Observations, *, settings: CalibrationS
         first = _lowest(starts, apart, settings)
         camera, poses = _named(first.problem.camera, observations, settings), np.asarray(first.problem.poses)
         try:
-            lasers = [
-                seed_plane(lift_stripes(data, camera, poses, index), name)
-                for index, name in enumerate(observations.laser_names)
-            ]
+            lasers, observations = seed_sheets(observations, data, camera, poses)
+            data = prepare(observations)
             table = seed_axis(poses, data, observations.carries, observations.up)
         except CalibrationError:
             if first.converged:

@@ -6,18 +6,20 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.geometry import AbstractBoard, across_and_along
+from jaxscan.observation.board_lines import Candidates, find_lines
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.prediction import SolvedRig, lift_to_board, predict_stripe
 from jaxscan.observation.records import BoardSource, SeenRecord
-from jaxscan.observation.stripes_on_board import FoundStripe, select_board_stripe
+from jaxscan.observation.stripes_on_board import BoardStripe, select_board_stripe
 from jaxscan.stripes import (
+    ChunkStripes,
+    ExtractionSetup,
     FrameFormat,
     LaserLine,
     NoiseModel,
-    Stripes,
     StripeSettings,
     estimate_noise,
-    extract_stripes,
+    prepare_engines,
     with_colour,
 )
 
@@ -68,14 +70,26 @@ def find_stripes(
                 continue
             noise, stripes = _extract([views[i] for i in group], capture, line, rig)
             for row, i in enumerate(group):
-                found, view = FoundStripe.of(stripes, row, line.stripe_axis), views[i]
-                board_xy = None
-                if rig is not None and view.pose is not None:
-                    board_xy = lift_to_board(rig, view.pose, found.pixels())
-                off, corners = None if view.off is None else view.grey, cast(FoundCorners, view.corners)
-                stripe = select_board_stripe(found, corners, board, off=off, board_xy=board_xy)
-                views[i] = view._replace(stripe=stripe, noise=noise)
+                found = Candidates.of(stripes, row, line.stripe_axis)
+                views[i] = views[i]._replace(stripes=_lines_of(views[i], found, board, rig), noise=noise)
     return views
+
+
+def _lines_of(
+    view: SeenRecord, found: Candidates, board: AbstractBoard, rig: SolvedRig | None
+) -> tuple[BoardStripe, ...]:
+    """The lines on one board that may be the stripe, the likeliest first."""
+    off, corners = None if view.off is None else view.grey, cast(FoundCorners, view.corners)
+    board_xy = None
+    if rig is not None and view.pose is not None:
+        q = found.pixels()
+        board_xy = lift_to_board(rig, view.pose, q.reshape(-1, 2)).reshape(q.shape)
+    stripes = []
+    for number in find_lines(found, corners, board, board_xy):
+        at = np.maximum(number, 0).astype(np.intp), np.arange(len(number))
+        own = None if board_xy is None else board_xy[at]
+        stripes.append(select_board_stripe(found.taken(number), corners, board, off=off, board_xy=own))
+    return tuple(stripe for stripe in stripes if stripe.valid.any())
 
 
 def _learn_colour(capture: BoardSource, laser: int) -> LaserLine:
@@ -97,7 +111,7 @@ def _learn_colour(capture: BoardSource, laser: int) -> LaserLine:
 
 def _extract(
     views: list[SeenRecord], capture: BoardSource, line: LaserLine, rig: SolvedRig | None
-) -> tuple[NoiseModel, Stripes]:
+) -> tuple[NoiseModel, ChunkStripes]:
     """Noise and stripes of one laser; all records have a laser-off frame, or none has."""
     # Padded to the batch size, so that the extraction compiles once.
     padded = [views[min(k, len(views) - 1)] for k in range(BATCH_RECORDS)]
@@ -110,8 +124,10 @@ def _extract(
     if rig is not None and off is not None:
         near = np.stack([_band(view, rig, line) for view in padded])
         on = np.where(near if on.ndim == 3 else near[..., None], on, off)
-    stripes = extract_stripes(on, off, pixel_format=frames, line=line, settings=_SETTINGS, noise=noise)
-    return noise, stripes
+    size = int(on.shape[2]), int(on.shape[1])
+    setup = ExtractionSetup(size, frames, line, _SETTINGS, all_candidates=True)
+    (engine,) = prepare_engines(on, off, [setup], noise=noise)
+    return noise, engine.extract(on, off)
 
 
 def _band(view: SeenRecord, rig: SolvedRig, line: LaserLine) -> np.ndarray:

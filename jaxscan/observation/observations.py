@@ -57,6 +57,8 @@ class Observations(eqx.Module):
     laser_names: tuple[str, ...] = eqx.field(static=True)
     up: Up = eqx.field(static=True, default="-v")
     carries: Carries = eqx.field(static=True, default="scanner")
+    other_lines: StripeViews | None = None
+    """Other lines on the same boards that may be the stripes; None once the views have agreed on a sheet."""
 
 
 def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations:
@@ -66,7 +68,8 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
     q, sigma, valid = map(np.stack, zip(*(view.corners for view in views if view.corners is not None), strict=True))
     keys = [view.placement or f"alone {index}" for index, view in enumerate(views)]
     number = {key: index for index, key in enumerate(dict.fromkeys(keys))}
-    stripes = [(view.stripe, index, view.laser) for index, view in enumerate(views) if view.stripe is not None]
+    lines = [[(stripe, index, view.laser) for stripe in view.stripes] for index, view in enumerate(views)]
+    others = [line for found in lines for line in found[1:]]
     width, height = first.image_size
     return Observations(
         board=look.board,
@@ -79,12 +82,13 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
             # 64 bits: a journal of another program may count milliseconds.
             record=np.array([view.record.i for view in views], np.int64),
         ),
-        stripes=stack_stripes(stripes),
+        stripes=stack_stripes([found[0] for found in lines if found]),
         width=width,
         height=height,
         laser_names=tuple(line.name for line in first.lasers),
         up=first.up,
         carries=first.carries or "scanner",
+        other_lines=stack_stripes(others) if others else None,
     )
 
 

@@ -1,4 +1,5 @@
 """First values, before any iteration."""
 
 from jaxscan.calibration.seed.camera import seed_camera
-from jaxscan.calibration.seed.closed_form import average_placements, lift_stripes, seed_axis, seed_plane
+from jaxscan.calibration.seed.closed_form import average_placements, seed_axis
+from jaxscan.calibration.seed.sheets import seed_sheets

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import (
-    AbstractCamera,
     Array,
     LaserSheet,
     Turntable,
@@ -208,32 +207,9 @@ def pose_from_homography(homography: np.ndarray, focal: float) -> np.ndarray:
     return pose
 
 
-def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray, laser: int) -> np.ndarray:
-    """Stripe points of one laser in the camera frame [n, 3], by the boards they lie on.
-
-    Source: PAPER.md equations (5)-(7).
-    """
-    rows = np.flatnonzero((data.stripe_laser == laser) & data.stripe_valid.any(1))
-    if len(rows) == 0:
-        return np.zeros((0, 3))
-    valid = data.stripe_valid[rows]
-    rays = np.asarray(_rays(camera, data.stripe_q.reshape(-1, 2))).reshape(*data.stripe_q.shape[:2], 3)[rows]
-    pose = poses[data.stripe_view[rows]]
-    along = np.einsum("si,spi->sp", pose[:, :3, 2], rays)
-    offset = np.einsum("si,si->s", pose[:, :3, 2], pose[:, :3, 3])
-    range_m = offset[:, None] / np.where(along == 0, 1.0, along)
-    points = range_m[..., None] * rays
-    return points[valid & (along != 0) & (range_m > 0)]
-
-
 @jax.jit
 def _motions(table: Turntable, angle: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
     return jax.vmap(table.motion)(jnp.asarray(angle))
-
-
-@jax.jit
-def _rays(camera: AbstractCamera, q: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
-    return jax.vmap(camera.unproject)(jnp.asarray(q))
 
 
 def average_placements(poses: np.ndarray, data: Prepared, table: Turntable) -> np.ndarray:
