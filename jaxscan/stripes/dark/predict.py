@@ -43,7 +43,7 @@ Planes = Float[np.ndarray, "frames lines samples"]
 
 
 def predict_off(
-    on: Array, pixel_format: PixelFormat, line: LaserLine, *, elsewhere: UInt8[np.ndarray, "frames ..."] | None = None
+    on: Array, pixel_format: PixelFormat, line: LaserLine, *, elsewhere: Channels | None = None
 ) -> UInt8[np.ndarray, "frames ..."]:
     """Laser-off frames for laser-on frames that have none; each from its own frame alone.
 
@@ -51,7 +51,7 @@ def predict_off(
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         pixel_format: How a frame is to be read.
         line: The laser, of which the colour is known.
-        elsewhere: Frames of the same shape that other frames predict, a prediction more where it is good.
+        elsewhere: Levels that other frames predict for the only frame, taken where they are good.
 
     Returns:
         Frames of the same shape: the laser's channel predicted, the others as they are.
@@ -60,8 +60,7 @@ def predict_off(
     off = on.copy()
     for k in range(len(on)):
         part = slice(k, k + 1)
-        other = None if elsewhere is None else read_channels(elsewhere[part], pixel_format, line)
-        room = _room(read_channels(on[part], pixel_format, line), other, laser_sites(pixel_format, line).pitch)
+        room = _room(read_channels(on[part], pixel_format, line), elsewhere, laser_sites(pixel_format, line).pitch)
         plane = np.clip(np.rint(room), 0, 255).astype(np.uint8)
         put_plane(off[part], plane, pixel_format=pixel_format, line=line)
     return off
@@ -95,7 +94,7 @@ def _best(level: Planes, rooms: Sequence[Planes], half: int) -> Planes:
     """Of all predictions the one with the smallest residuals around; the laser only adds light."""
     best, least = rooms[0], None
     for room in rooms:
-        size = _mean(np.minimum(np.abs(level - room), np.float32(_MOST_DN)), half)
+        size = box_mean(np.minimum(np.abs(level - room), np.float32(_MOST_DN)), half, _AROUND)
         if least is None:
             least = size
         else:
@@ -137,17 +136,18 @@ def _near(marked: Bool[np.ndarray, "frames lines samples"], half: int) -> Bool[n
     return before[:, :, 2 * half + 1 :] - before[:, :, : -2 * half - 1] > 0
 
 
-def _mean(values: Planes, half: int) -> Planes:
-    """Mean over the samples within `half`, and a few lines around."""
-    for axis, reach in ((2, half), (1, _AROUND)):
-        before = [(0, 0), (0, 0), (0, 0)]
-        before[axis] = (reach + 1, reach)
-        total = np.cumsum(np.pad(values, before), axis, dtype=np.float64)
-        counts = np.cumsum(np.pad(np.ones(values.shape[axis]), (reach + 1, reach)))
-        span = 2 * reach + 1
-        high, low = np.take(total, range(span, total.shape[axis]), axis), np.take(total, range(total.shape[axis] - span), axis)
-        number = counts[span:] - counts[:-span]
-        values = ((high - low) / (number if axis == 2 else number[:, None])).astype(np.float32)
+def box_mean(values: Planes, samples: int, lines: int) -> Planes:
+    """Mean over so many samples and lines on either side; over fewer at the borders."""
+    for axis, reach in ((2, samples), (1, lines)):
+        size = values.shape[axis]
+        total = np.zeros([size + 1 if k == axis else length for k, length in enumerate(values.shape)], np.float32)
+        np.cumsum(values, axis, out=total[:, 1:] if axis == 1 else total[:, :, 1:])
+        first, last = np.maximum(np.arange(size) - reach, 0), np.minimum(np.arange(size) + reach + 1, size)
+        number = (last - first).astype(np.float32)
+        if axis == 1:
+            values = (total[:, last] - total[:, first]) / number[:, None]
+        else:
+            values = (total[:, :, last] - total[:, :, first]) / number
     return values
 
 
