@@ -35,7 +35,11 @@ def choose(first: Calibration, second: Calibration) -> tuple[Calibration, Second
     """The second calibration unless it explains its observations worse, and the gains of the second look."""
     names = ("corner_rms_whitened", "stripe_rms_whitened", "views", "corners", "stripe_points")
     before, after = ({name: vars(calibration.quality)[name] for name in names} for calibration in (first, second))
-    kept = bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+    # A look that loses a part of the rig would explain the rest of its observations well.
+    whole = set(first.order) <= set(second.order)
+    kept = (
+        whole and bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+    )
     look = SecondLook(
         kept,
         **{f"{name}_gained": after[name] - before[name] for name in names[2:]},

@@ -30,6 +30,8 @@ class Rig:
     harmonics: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
     warp: tuple[float, float] = (0.0, 0.0)
     carries: str = "scanner"
+    travel: tuple[float, float, float] = (0.955, 0.05, -0.29)
+    """Where a linear stage moves the camera."""
     up: str = "-v"
     board: Chessboard = field(default_factory=lambda: Chessboard(9, 7, 0.035))
 
@@ -43,6 +45,10 @@ class Rig:
     def direction(self):
         a = np.array(self.axis)
         return a / np.linalg.norm(a)
+
+    def travelling(self):
+        t = np.array(self.travel)
+        return t / np.linalg.norm(t)
 
     def foot(self):
         p, a = np.array(self.axis_point), self.direction()
@@ -90,7 +96,9 @@ def project_double_sphere(rig, points):
 
 
 def seen_from(rig, rotation, translation, phi):
-    """A board pose of angle 0 as the camera sees it at table angle phi."""
+    """A board pose of angle 0 as the camera sees it at table angle phi, or at position phi [m] of a stage."""
+    if rig.carries == "linear":
+        return rotation, translation - rig.gain * phi * rig.travelling()
     c1, s1, c2, s2 = rig.harmonics
     theta = (
         rig.gain * phi + c1 * (np.cos(phi) - 1) + s1 * np.sin(phi) + c2 * (np.cos(2 * phi) - 1) + s2 * np.sin(2 * phi)
@@ -171,7 +179,9 @@ def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, s
     views, number = [], 0
     while number < free + placements:
         turning = number >= free
-        stops = np.radians(np.linspace(-span_deg / 2, span_deg / 2, angles)) if turning else np.zeros(1)
+        # A linear stage goes 0.16 m.
+        half = 0.08 if rig.carries == "linear" else np.radians(span_deg / 2)
+        stops = np.linspace(-half, half, angles) if turning else np.zeros(1)
         hold = hold_around if rig.wide() else hold_ahead
         rotation, translation = hold(rig, random, middle, tilt_deg)
         poses = [seen_from(rig, rotation, translation, phi) for phi in stops]
@@ -239,6 +249,11 @@ def errors(scanner, rig):
         # The truth seen from the estimate's tangent vectors, hence the minus.
         parts += list(-scanner.lasers.basis[laser] @ rig.normal(laser))
         parts += [scanner.lasers.distance[laser] - rig.distances[laser], *scanner.lasers.bow[laser]]
+    if rig.carries == "nothing":
+        return np.array([float(p) for p in parts])
+    if rig.carries == "linear":
+        parts += [*(-table.basis @ rig.travelling()), table.gain - rig.gain]
+        return np.array([float(p) for p in parts])
     sense = np.sign(table.direction @ rig.direction())
     parts += list(-table.basis @ (sense * rig.direction()))
     parts += list(table.basis @ (table.point - rig.foot()))
