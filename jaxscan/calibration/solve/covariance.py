@@ -205,8 +205,10 @@ def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]
         return Determination(covariance, 1.0, (), 0.0)
     information = reduced[np.ix_(free, free)]
     size = np.sqrt(np.diag(information))
-    eigenvalues = np.linalg.eigvalsh(information / np.outer(size, size))
-    inverse = np.linalg.inv(information / np.outer(size, size)) / np.outer(size, size)
+    eigenvalues, axes = np.linalg.eigh(information / np.outer(size, size))
+    # As the product of a matrix and its transpose it is symmetric to the last digit, however weak a direction is.
+    half = axes / np.sqrt(eigenvalues) / size[:, None]
+    inverse = half @ half.T
     covariance[np.ix_(free, free)] = inverse * np.outer(scales[free], scales[free])
     # Shares of the prior in the information: generalised eigenvalues, 0 (data only) ... 1.
     root = np.linalg.cholesky(inverse)
