@@ -44,6 +44,8 @@ class SolvedRig(NamedTuple):
     """bool [views]: the solve used corners of that view."""
     corner_rms_px: float
     """Root mean square residual of the corners."""
+    believed: tuple[bool, ...] = ()
+    """Of each sheet whether most boards agree with it, so that stripes need be looked for near it only."""
 
     @property
     def laser_names(self) -> tuple[str, ...]:

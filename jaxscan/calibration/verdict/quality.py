@@ -67,6 +67,8 @@ class ViewQuality:
     """Of all corners, rejected ones too."""
     stripe_points: int = 0
     stripe_rms_px: float | None = None
+    stripe_elsewhere: bool = False
+    """A line was found on the board, but none on the sheet of its laser."""
     board_z_m: float | None = None
     """Depth of the board's origin in the camera frame [m]."""
 
