@@ -112,8 +112,8 @@ def _by_words(folder: Path, names: Sequence[str], request: ImportRequest) -> Rol
     said = ["the roles of the images are read from the words in their names"]
     if found.texture:
         said.append(
-            f"texture images ({len(found.texture)}) are not used, for they may have another exposure; where they do not, "
-            "--off names them"
+            f"texture images ({len(found.texture)}) are not used, for they may have another exposure; where they do "
+            "not, --off names them"
         )
     boards = tuple(sorted(found.board, key=lambda file: natural(file.name))) if request.board is not None else ()
     if request.board is not None and not on and not boards:
