@@ -5,6 +5,7 @@ all of it for frames in memory.
 """
 
 from jaxscan.stripes.choosing import pick_by_steps
+from jaxscan.stripes.dark import Channels, box_mean, predict_off, read_channels
 from jaxscan.stripes.engine import ChunkStripes, Continuation, StripeEngine, prepare_engines, stripes_of_frames
 from jaxscan.stripes.estimators import ESTIMATORS, Estimator, estimator_of
 from jaxscan.stripes.extract import extract_stripes
@@ -18,6 +19,7 @@ from jaxscan.stripes.frames import (
     LearnedResponse,
     PixelFormat,
     Response,
+    Sites,
     check_frames,
     decode_table,
     estimate_noise,

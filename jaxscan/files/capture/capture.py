@@ -20,8 +20,8 @@ from jaxscan.files.capture.seals import require_whole, sealing
 from jaxscan.files.capture.texts import read_texts
 from jaxscan.files.disk import shown
 from jaxscan.geometry import AbstractBoard
+from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 from jaxscan.reconstruction import FrameChunk, journal_doubts
 from jaxscan.stripes import LaserLine, PixelFormat, Response
 

@@ -9,8 +9,8 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.capture.boards import BoardTable
 from jaxscan.files.disk import MEGABYTE, FileModel, ImageSize, Integer, check, is_deep, parse_toml, too_deep
 from jaxscan.geometry import StripeAxis
+from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank, known_response
 
 
