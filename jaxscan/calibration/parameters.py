@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from jaxscan.geometry import CAMERAS, Array, ParameterBlock, exponential
 from jaxscan.geometry.laser import LASER_BLOCKS
-from jaxscan.geometry.turntable import ANGLE_BLOCKS, AXIS_BLOCKS
+from jaxscan.geometry.motions import MOTION_BLOCKS
 
 
 BOARD_BLOCKS = (
@@ -15,12 +15,11 @@ BOARD_BLOCKS = (
     ParameterBlock("pitch", ("pitch",), 0.001, prior="pitch", sigma=1e-4),
 )
 """Unknowns of the calibration board, after those of the scanner."""
-ANGLE_PARAMETERS = tuple(name for block in ANGLE_BLOCKS for name in block.parameters)
 LOCAL_SCALE = 1e-2
 """Unit of a board's pose steps [m, rad]."""
 
 _OF_CAMERAS = tuple(block for camera in CAMERAS.values() for block in camera.blocks())
-_OF_ALL = _OF_CAMERAS + LASER_BLOCKS + AXIS_BLOCKS + BOARD_BLOCKS
+_OF_ALL = _OF_CAMERAS + LASER_BLOCKS + MOTION_BLOCKS + BOARD_BLOCKS
 _HELD = ("bow", "pitch")
 
 CAMERA_BLOCKS = tuple(dict.fromkeys(block.name for block in _OF_CAMERAS))

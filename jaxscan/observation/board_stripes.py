@@ -64,6 +64,8 @@ def find_stripes(
     views = list(views)
     lit = [i for i, view in enumerate(views) if view.corners is not None and view.on is not None]
     for laser, line in enumerate(lines):
+        if rig is not None and line.name not in rig.laser_names:
+            continue  # The first solve has no sheet of it, so it predicts nothing.
         for with_off in (True, False):
             group = [i for i in lit if views[i].laser == laser and (views[i].off is not None) == with_off]
             if not group:
@@ -135,7 +137,7 @@ def _band(view: SeenRecord, rig: SolvedRig, line: LaserLine) -> np.ndarray:
     camera = rig.camera
     if view.pose is None:
         return np.ones((camera.height, camera.width), bool)
-    stripe = predict_stripe(rig, view.pose, view.laser, line.stripe_axis)
+    stripe = predict_stripe(rig, view.pose, rig.laser_names.index(line.name), line.stripe_axis)
     samples = np.arange(across_and_along(camera.width, camera.height, line.stripe_axis)[0])
     near = stripe.on_board[:, None] & (np.abs(samples - stripe.u[:, None]) <= _BAND_PX)
     return near if line.stripe_axis == "rows" else near.T

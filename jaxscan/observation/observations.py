@@ -1,14 +1,15 @@
 """Observations: board corners and stripe points on padded grids of views."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import AbstractBoard, Array
+from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 from jaxscan.observation.first_look import Look
 from jaxscan.observation.records import BoardSource
 from jaxscan.observation.stripes_on_board import BoardStripe
@@ -90,6 +91,22 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
         carries=first.carries or "scanner",
         other_lines=stack_stripes(others) if others else None,
     )
+
+
+def with_lasers(observations: Observations, names: Sequence[str]) -> Observations:
+    """The observations with the stripes of some lasers alone."""
+    kept = [observations.laser_names.index(name) for name in names]
+
+    def of_kept(stripes: StripeViews) -> StripeViews:
+        laser = np.asarray(stripes.laser)
+        rows = np.isin(laser, kept)
+        fields = {name: np.asarray(values)[rows] for name, values in vars(stripes).items()}
+        fields["laser"] = np.array([kept.index(number) for number in laser[rows]], np.int32)
+        return StripeViews(**fields)
+
+    others = None if observations.other_lines is None else of_kept(observations.other_lines)
+    stripes = of_kept(observations.stripes)
+    return replace(observations, laser_names=tuple(names), stripes=stripes, other_lines=others)
 
 
 def stack_stripes(stripes: Sequence[tuple[BoardStripe, int, int]], points: int = 512) -> StripeViews:

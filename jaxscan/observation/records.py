@@ -5,8 +5,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.stripes_on_board import BoardStripe
 from jaxscan.stripes import LaserLine, NoiseModel, PixelFormat, Response

@@ -87,11 +87,11 @@ def circles_texture(board: Circles, pixels_per_square: int) -> np.ndarray:
 
 def _find(image: np.ndarray, board: Circles) -> np.ndarray | None:
     """Rough centres in the board's order."""
-    settings = cv2.SimpleBlobDetector_Params()
+    settings = cv2.SimpleBlobDetector.Params()
     settings.minArea = _SMALLEST_AREA_PX
     settings.maxArea = max(4 * _SMALLEST_AREA_PX, image.size / (board.columns * board.rows))
     settings.minDistBetweenBlobs = 3.0
-    blobs = cv2.SimpleBlobDetector_create(settings)
+    blobs = cv2.SimpleBlobDetector.create(settings)
     for extra in (0, cv2.CALIB_CB_CLUSTERING):
         flags = cv2.CALIB_CB_ASYMMETRIC_GRID | extra
         found, centres = cv2.findCirclesGrid(image, board.grid(), flags=flags, blobDetector=blobs)

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from jaxscan.calibration.parameters import ANGLE_PARAMETERS
 from jaxscan.calibration.solve.adjust import Adjustment
 from jaxscan.calibration.solve.covariance import Determination
 from jaxscan.calibration.verdict import limits
 from jaxscan.calibration.verdict.quality import Direction, PriorShare, Quality, ViewQuality
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.observation import Observations
 
 

@@ -21,8 +21,8 @@ from jaxscan.files.disk import (
     readable_json,
     write_arrays,
 )
+from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 from jaxscan.observation import BoardViews, Observations, StripeViews
 
 

@@ -20,8 +20,8 @@ from jaxscan.files.capture.seals import require_whole, sealing
 from jaxscan.files.capture.texts import read_texts
 from jaxscan.files.disk import shown
 from jaxscan.geometry import AbstractBoard
+from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 from jaxscan.reconstruction import FrameChunk, journal_doubts
 from jaxscan.stripes import LaserLine, PixelFormat, Response
 
@@ -242,7 +242,7 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
         check_exposures(records, name=journal_name)
     reader = ImageReader(path, header, compare=compare)
     reader.check(records)
-    notes = [*texts.notes, *((seals.note,) if seals.note else ())]
+    notes = [*texts.notes, *((seals.note,) if seals.note else ()), *_image_notes(header, records)]
     if header.kind == "sweep":
         degrees = np.degrees([record.angle or 0.0 for record in records])
         lit = [record.lasers for record in records]
@@ -250,3 +250,10 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
         doubts = journal_doubts([record.i for record in records], degrees, lit, planned)
         notes += [f"{journal_name}: {doubt}" for doubt in doubts]
     return Capture(path, header, records, tuple(notes), texts.digest(), reader)
+
+
+def _image_notes(header: CaptureHeader, records: tuple[Record, ...]) -> list[str]:
+    """Notes on the kind of images; files with the name of a JPEG are such, whether or not the header says so."""
+    first = (*records[0].on, *records[0].off)[0].path.lower()
+    jpeg = header.camera.compression is None and first.endswith((".jpg", ".jpeg"))
+    return (header.camera.model_copy(update={"compression": "jpeg"}) if jpeg else header.camera).notes()
