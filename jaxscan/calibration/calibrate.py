@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxscan.calibration.board_shape import choose_shape, describe_board
 from jaxscan.calibration.conclude import conclude
 from jaxscan.calibration.parameters import CAMERA_BLOCKS
 from jaxscan.calibration.result import Calibration
@@ -104,7 +105,7 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
     """
     settings = settings or CalibrationSettings()
     started = time.perf_counter()
-    free = tuple(block for block in settings.free if block in (*CAMERA_BLOCKS, "warp", "pitch"))
+    free = tuple(block for block in settings.free if block in (*CAMERA_BLOCKS, "warp", "pitch", "shape"))
     settings = replace(settings, free=free)
     with jax.enable_x64(True), _contradictions():
         data = _without_stripes(_apart(prepare(observations)))
@@ -161,5 +162,8 @@ def _pointed_up(result: Adjustment, observations: Observations, settings: Calibr
 def _concluded(
     result: Adjustment, observations: Observations, settings: CalibrationSettings, started: float
 ) -> Calibration:
+    result, choice = choose_shape(result, observations, settings)
     calibration = conclude(result, _named(result.problem.camera, observations, settings), observations, settings)
-    return replace(calibration, quality=replace(calibration.quality, seconds=time.perf_counter() - started))
+    board = describe_board(result, observations, calibration, choice)
+    seconds = time.perf_counter() - started
+    return replace(calibration, quality=replace(calibration.quality, board=board, seconds=seconds))
