@@ -7,7 +7,7 @@ import numpy as np
 from jaxscan.calibration.board_shape.held_out import HeldOut, hold_out
 from jaxscan.calibration.board_shape.modes import corner_modes, smooth_modes
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve import Adjustment, adjust, undetermined_shares, with_modes
+from jaxscan.calibration.solve import Adjustment, adjust_further, undetermined_shares, with_modes
 from jaxscan.calibration.solve.problem import BoardModes
 from jaxscan.errors import CalibrationError
 from jaxscan.observation import Observations
@@ -57,30 +57,26 @@ def choose_shape(
     board, frame = np.asarray(observations.board.corners(), np.float64), np.asarray(result.problem.frame)
     smooth = smooth_modes(board, frame, len(result.data.board))
     before, promise = hold_out(result, (smooth,))
-    choice = ShapeChoice("parabola", _rms(before), _rms(before))
     if not _is_better(promise, before, result):
-        return result, choice
-    tried = _solved(result, smooth, settings)
-    if tried is None:
-        return result, choice
-    finer = (corner_modes(smooth, board, frame),) if len(board) <= _MOST_CORNERS else ()
-    found, *promises = hold_out(tried, finer)
-    if not _is_better(found, before, result):
-        return result, choice
-    best, choice = tried, choice._replace(free="smooth", after_px=_rms(found))
-    if promises and _rms(promises[0]) < _WORTH * _rms(found) and _is_better(promises[0], found, tried):
-        single = _solved(tried, finer[0], settings)
-        if single is not None:
-            (last,) = hold_out(single)
-            if _is_better(last, found, tried):
-                best, choice = single, choice._replace(free="corners", after_px=_rms(last))
-    return best, choice
+        return result, ShapeChoice("parabola", _rms(before), _rms(before))
+    shapes: list[tuple[FreeShape, BoardModes]] = [("smooth", smooth)]
+    if len(board) <= _MOST_CORNERS:
+        corners = corner_modes(smooth, board, frame)
+        _, promise, finest = hold_out(result, (smooth, corners))
+        if _rms(finest) < _WORTH * _rms(promise) and _is_better(finest, promise, result):
+            shapes.insert(0, ("corners", corners))
+    for free, modes in shapes:
+        found = _solved(result, modes, settings)
+        after = None if found is None else hold_out(found)[0]
+        if found is not None and after is not None and _is_better(after, before, result):
+            return found, ShapeChoice(free, _rms(before), _rms(after))
+    return result, ShapeChoice("parabola", _rms(before), _rms(before))
 
 
 def _solved(result: Adjustment, modes: BoardModes, settings: CalibrationSettings) -> Adjustment | None:
     """The solve with other modes; None where it finds no minimum."""
     try:
-        found = adjust(with_modes(result.problem, modes, settings), result.data, settings)
+        found = adjust_further(result, with_modes(result.problem, modes, settings), settings)
     except CalibrationError:
         # The parabola did find one, and is kept.
         return None

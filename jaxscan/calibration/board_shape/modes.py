@@ -15,6 +15,8 @@ _HEIGHT, _PRINT, _FALL, _CORNER = 4e-4, 1e-4, 0.6, 5e-5
 # Part of a function that is left beside the functions before it, below which it is one of them.
 _DEPENDENT = 1e-6
 _HEIGHTS, _PRINTS = 23, 16
+# The number of modes is rounded up to this, so that boards of about the same size share a compilation.
+_STEP = 48
 
 
 def smooth_modes(board: np.ndarray, frame: np.ndarray, padded: int) -> BoardModes:
@@ -56,9 +58,10 @@ def corner_modes(smooth: BoardModes, board: np.ndarray, frame: np.ndarray) -> Bo
     height = _complement(np.concatenate([plane, own[:, 2, :_HEIGHTS]], axis=1))
     shifts = np.concatenate([_motions(board), own[:, :2].reshape(2 * count, -1)], axis=1)
     shift = _complement(shifts).reshape(count, 2, -1)
-    extra = np.zeros((padded, 3, 3 * padded))
+    free = height.shape[1] + shift.shape[2]
+    extra = np.zeros((padded, 3, -(-free // _STEP) * _STEP))
     extra[:count, 2, : height.shape[1]] = _CORNER * height
-    extra[:count, :2, height.shape[1] : height.shape[1] + shift.shape[2]] = _CORNER * shift
+    extra[:count, :2, height.shape[1] : free] = _CORNER * shift
     return BoardModes(np.concatenate([smooth.corner, extra], axis=-1), smooth.height)
 
 
