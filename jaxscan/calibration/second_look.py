@@ -27,6 +27,8 @@ def solved_rig(calibration: Calibration) -> SolvedRig:
         scanner=calibration.scanner,
         board=observations.board,
         shape=np.array([*fit.warp, fit.pitch]),
+        bend=fit.bend,
+        offset=fit.offset,
         poses=fit.pose,
         used=np.any(fit.corner_kept, axis=1),
         corner_rms_px=calibration.quality.corner_rms_px or 0.0,
