@@ -10,7 +10,6 @@ import argparse
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -39,7 +38,7 @@ def convert(one: RealSet, source: Source, folder: Path) -> int:
     size: dict[str, int] = {}
     lines = []
     for k, record in enumerate(records):
-        written: dict[str, Any] = {"i": k, **record}
+        written = {"i": k, **record}
         for which in ("on", "off"):
             path = record[which]
             if path is None:

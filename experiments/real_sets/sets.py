@@ -23,6 +23,10 @@ class RealSet(NamedTuple):
     records: Callable[[Source], Files]
     reference: str = ""
     """Values that the authors published."""
+    lens: tuple[str, ...] = ()
+    """Options of `jaxscan calibrate` for the lens, as a user who knows it would give them."""
+    inner_m: float = 0.0
+    """Of a sweep: radius of the part of the table that is covered [m]."""
 
 
 NONE = "no licence stated: measured only"
@@ -82,14 +86,6 @@ def turning(folder: str, stem: str, steps: int, step_deg: float) -> Callable[[So
     ]
 
 
-def _ciclop(source: Source) -> Files:
-    found = [{"on": None, "off": path} for path in source.find("camera", r"frame\d+\.jpg")]
-    for end in ("", "-x"):
-        lit, dark = (f"pattern/{stem}-0-255-255-8{end}.png" for stem in ("laser", "laser-background"))
-        found.append({"lasers": ["left", "right"], "on": lit, "off": dark})
-    return found
-
-
 def _green(**more: Any) -> dict[str, Any]:
     return {"laser": [{"colour": "green", **more}]}
 
@@ -98,7 +94,6 @@ DESK = chessboard(8, 6, 40.0)
 TABLE = {"kind": "sweep", "camera": {"pixel_format": "rgb8"}, "turntable": {"carries": "object"}, **_green()}
 LASER = "python/calib_images/Laser"
 CAMERA = "python/calib_images/Camera"
-SIDES = [{"name": "left", "colour": "red"}, {"name": "right", "colour": "red"}]
 
 SETS: tuple[RealSet, ...] = (
     RealSet(
@@ -124,6 +119,7 @@ SETS: tuple[RealSet, ...] = (
         "the same scanner: sweep of a plush toy on the table, the line overexposed, nothing with the laser off",
         TABLE,
         turning("python/DataOffline", "step_num", 320, 1.125),
+        inner_m=0.06,
     ),
     RealSet(
         "srv_laser_1207",
@@ -160,11 +156,10 @@ SETS: tuple[RealSet, ...] = (
     RealSet(
         "ciclop",
         *CICLOP,
-        "desk scanner: 16 boards and two pairs with both red lines on the board; portrait pictures",
-        boards(chessboard(11, 6, 13.0), laser=SIDES),
-        _ciclop,
-        "notebooks: f 1430.39, 1429.66 px (landscape); left plane (0.8511, -0.0012, 0.5250), 159.53 mm, or "
-        "(0.8494, -0.0013, 0.5278), 160.24 mm",
+        "desk scanner, portrait pictures; boards without laser (those with its lines are too dark to be found)",
+        boards(chessboard(11, 6, 13.0)),
+        plain_boards("camera", r"frame\d+\.jpg"),
+        "notebook 4.2: f 1430.39, 1429.66 px (landscape)",
     ),
     RealSet(
         "srv_boards_1707",
@@ -202,6 +197,7 @@ SETS: tuple[RealSet, ...] = (
         "left camera of a stereo rig with fisheye lenses",
         boards(chessboard(9, 6, 24.23)),
         plain_boards("imgs", r"left\d+\.jpg"),
+        lens=("--lens", "fisheye"),
     ),
     RealSet(
         "fisheye_right",
@@ -209,6 +205,7 @@ SETS: tuple[RealSet, ...] = (
         "right camera of the same rig",
         boards(chessboard(9, 6, 24.23)),
         plain_boards("imgs", r"right\d+\.jpg"),
+        lens=("--lens", "fisheye"),
     ),
     RealSet(
         "opencv_left",

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxscan.calibration.board_shape import choose_shape, describe_board
 from jaxscan.calibration.conclude import conclude
 from jaxscan.calibration.known import NOTHING_KNOWN, KnownParts
 from jaxscan.calibration.parameters import CAMERA_BLOCKS
@@ -250,7 +251,9 @@ def _concluded(
     rig: Rig,
     known: KnownParts,
 ) -> Calibration:
+    result, choice = choose_shape(result, observations, settings)
     calibration = conclude(result, _named(result.problem.camera, observations, settings), observations, settings)
-    quality = replace(calibration.quality, seconds=time.perf_counter() - started)
+    board = describe_board(result, observations, calibration, choice)
+    quality = replace(calibration.quality, board=board, seconds=time.perf_counter() - started)
     provenance = {**calibration.provenance, "held": list(known.held())} if known.held() else calibration.provenance
     return replace(calibration, quality=quality, missing=rig.missing, provenance=provenance)

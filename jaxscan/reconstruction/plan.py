@@ -14,6 +14,7 @@ from jaxscan.reconstruction.points import Aim, Limits, Rig, line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.streaming import chunk_records
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
+from jaxscan.reconstruction.without_off import with_off
 from jaxscan.stripes import (
     ExtractionSetup,
     FrameFormat,
@@ -186,7 +187,8 @@ def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSetting
     by_name = all(name in known for name in names) and len(set(names)) == len(names)
     of_scanner = [known.index(name) if by_name else i for i, name in enumerate(names)]
     sheet = np.asarray(of_scanner, np.int32)[sweep.laser]
-    return Plan(sweep, scanner, settings, stripe_axis, sheet, chunk_records(sweep, settings))
+    paired = with_off(sweep, scanner, settings)
+    return Plan(paired, scanner, settings, stripe_axis, sheet, chunk_records(sweep, settings))
 
 
 def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:

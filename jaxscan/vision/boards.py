@@ -36,8 +36,8 @@ def find_corners(
 
     A chessboard or a grid of circles must be wholly visible; of a ChArUco board or an AprilGrid a
     part suffices. The orientation of a plain chessboard is ambiguous. The returned order is
-    right-handed as seen. Of a plain chessboard: if one of `columns`
-    and `rows` is even and the other odd, the square beside corner 0 is black. Otherwise the
+    right-handed as seen. Of a plain chessboard, if one of `columns` and `rows` is even and the
+    other odd, the square beside corner 0 is black. Otherwise the
     board's x axis points right rather than left in the image, so such a board must not be turned
     by more than 90 degrees in its plane between views of one placement.
 
@@ -46,8 +46,9 @@ def find_corners(
         board: The board to look for.
         detector: "auto": chessboards by the sector based detector, or by the classic one where
             that finds nothing; corners refined by `fit_corners`, or by `cornerSubPix` where its
-            model does not fit; circles by the weight of their ink. "classic": OpenCV's first detector and `cornerSubPix` (of a
-            ChArUco board, the latter alone). "sb": the sector based detector, not refined.
+            model does not fit; circles by the weight of their ink. "classic": OpenCV's first
+            detector and `cornerSubPix` (of a ChArUco board, the latter alone). "sb": the sector
+            based detector, not refined.
         half_window: Half side of the window in which corners are refined [px]. By default it
             follows from the size of the squares. If it is too large, it spoils the corners.
 

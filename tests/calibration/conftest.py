@@ -4,6 +4,7 @@ Nothing here comes from the package but the board and the containers: projection
 the stripe are written out again, so a wrong sign on one side shows as a misfit.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,6 +30,10 @@ class Rig:
     gain: float = 1.0
     harmonics: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
     warp: tuple[float, float] = (0.0, 0.0)
+    bend: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    """Height [m] beside the bow at coordinates that are +-1 at the outer corners."""
+    print_error: Callable[[np.ndarray], np.ndarray] | None = None
+    """Shifts [n, 2] of the printed corners [n, 2], m."""
     carries: str = "scanner"
     travel: tuple[float, float, float] = (0.955, 0.05, -0.29)
     """Where a linear stage moves the camera."""
@@ -112,11 +117,12 @@ def board_height(rig, x, y):
     columns, rows = rig.board.grid()
     half = np.array([columns - 1, rows - 1]) / 2 * rig.board.square
     a, b = (x - half[0]) / half[0], (y - half[1]) / half[1]
-    return rig.warp[0] * (1 - a * a) + rig.warp[1] * (1 - b * b)
+    bow = rig.warp[0] * (1 - a * a) + rig.warp[1] * (1 - b * b)
+    return bow if rig.bend is None else bow + rig.bend(a, b)
 
 
 def stripe_on_board(rig, rotation, translation, laser, count):
-    """Points [n, 3] of the board (with its bow) on the sheet, camera frame."""
+    """Points [n, 3] of the board (with its bow and bend) on the sheet, camera frame."""
     n = rig.normal(laser)
     # In board coordinates the sheet is a x + b y + c z = d; walk along y, or along x.
     a, b, c = rotation.T @ n
@@ -175,6 +181,8 @@ def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, s
     random = np.random.default_rng(seed)
     corners = rig.board.corners()
     corners = corners + np.column_stack([np.zeros((len(corners), 2)), board_height(rig, corners[:, 0], corners[:, 1])])
+    if rig.print_error is not None:
+        corners[:, :2] += rig.print_error(corners[:, :2])
     middle = corners.mean(0)
     views, number = [], 0
     while number < free + placements:

@@ -243,7 +243,7 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
         check_exposures(records, name=journal_name)
     reader = ImageReader(path, header, compare=compare)
     reader.check(records)
-    notes = [*texts.notes, *((seals.note,) if seals.note else ())]
+    notes = [*texts.notes, *((seals.note,) if seals.note else ()), *_image_notes(header, records)]
     if header.kind == "sweep":
         turns = header.turntable is None or header.turntable.carries in ("scanner", "object")
         degrees = np.degrees([record.angle or 0.0 for record in records]) if turns else None
@@ -252,3 +252,10 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
         doubts = journal_doubts([record.i for record in records], degrees, lit, planned)
         notes += [f"{journal_name}: {doubt}" for doubt in doubts]
     return Capture(path, header, records, tuple(notes), texts.digest(), reader)
+
+
+def _image_notes(header: CaptureHeader, records: tuple[Record, ...]) -> list[str]:
+    """Notes on the kind of images; files with the name of a JPEG are such, whether or not the header says so."""
+    first = (*records[0].on, *records[0].off)[0].path.lower()
+    jpeg = header.camera.compression is None and first.endswith((".jpg", ".jpeg"))
+    return (header.camera.model_copy(update={"compression": "jpeg"}) if jpeg else header.camera).notes()

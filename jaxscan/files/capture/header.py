@@ -11,7 +11,7 @@ from jaxscan.files.capture.boards import BoardTable
 from jaxscan.files.disk import MEGABYTE, FileModel, ImageSize, Integer, check, is_deep, parse_toml, too_deep
 from jaxscan.geometry import Carries, StripeAxis
 from jaxscan.geometry.scanner import Up
-from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank
+from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank, known_response
 
 
 CAPTURE_FORMAT: Literal["jaxscan-capture/1"] = "jaxscan-capture/1"
@@ -38,10 +38,30 @@ class CameraTable(ImageSize):
 
     pixel_format: Annotated[PixelFormat, pydantic.BeforeValidator(_supported)]
     """How an image is to be read."""
-    response: Response = "linear"
-    """"linear", or "srgb" (decoded before the fit)."""
+    response: Annotated[Response, pydantic.AfterValidator(known_response)] = "linear"
+    """"linear", or "srgb" or "gamma 2.2" (decoded before the fit)."""
     up: Up = "-v"
     """Which direction of the image is up."""
+    shutter: Literal["global", "rolling"] | None = None
+    """"rolling" where rows are exposed one after another; None if unknown."""
+    compression: Literal["jpeg", "video"] | None = None
+    """What the images went through before they were stored; None: nothing that loses."""
+
+    def notes(self) -> list[str]:
+        """What a user should know of such images, a sentence each."""
+        notes = []
+        if self.compression is not None:
+            kind = "JPEG files" if self.compression == "jpeg" else "a video"
+            notes.append(
+                f"the images come from {kind}: errors of neighbouring pixels belong together, and colour may have half "
+                "the resolution, so sigmas are estimates; PNG images would be better."
+            )
+        if self.shutter == "rolling":
+            notes.append(
+                "the shutter is rolling: this does no harm where the table stood still for every image; where it "
+                "turned, every row saw another angle."
+            )
+        return notes
 
 
 class TurntableTable(FileModel):
