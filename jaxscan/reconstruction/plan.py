@@ -200,6 +200,11 @@ def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:
             'of the board, or say carries = "nothing" for profiles in the frame of the camera.'
         )
     if known != "nothing" and sweep.carries is not None and sweep.carries != known:
+        if {known, sweep.carries} == {"scanner", "object"}:
+            raise CalibrationError(
+                f"The table of the sweep carries the {sweep.carries}, that of the calibration the {known}; use a "
+                "calibration made in the same arrangement."
+            )
         raise CalibrationError(
             f'The sweep says carries = "{sweep.carries}", the calibration "{known}"; use a calibration made in the '
             "same arrangement."
