@@ -21,7 +21,7 @@ from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjust import Adjustment
 from jaxscan.calibration.solve.problem import Problem
 from jaxscan.calibration.verdict.extra_terms import extents_of
-from jaxscan.calibration.verdict.halves import compare_halves
+from jaxscan.calibration.verdict.halves import Halves, compare_halves
 from jaxscan.calibration.verdict.quality import ModelTest
 from jaxscan.calibration.verdict.score import Score, score_models
 
@@ -33,15 +33,29 @@ _IMITATED = 1e-2
 _RADIAL_IMITATED = 1e-3
 _ORDER = ("lens", "board", "table", "axis", "sheet")
 _REPEATED = 0.05
+# Square of what noise alone gives a direction, at two standard deviations.
+_CHANCE = 4.0
+
+
+class Missing(NamedTuple):
+    """Terms that a model lacks, as far as the residuals show them: the residuals ask for `-size` of each."""
+
+    size: np.ndarray
+    """Of every term; less the part that noise alone would give where `shrunk`."""
+    noise: np.ndarray
+    """Root of the covariance of `size` before it was shrunk [terms, seen]."""
+    shift: np.ndarray
+    """How far the shared unknowns would go [scaled units], to first order, if the model had these terms."""
 
 
 class Finding(NamedTuple):
-    """A test, and the remedy that it sees."""
+    """A test, and the terms or the difference that it found."""
 
     test: ModelTest
-    shift: np.ndarray | None = None
-    """How far the shared unknowns would go [scaled units], to first order, if the model had the
-    terms that it lacks; None where the test does not know."""
+    missing: Missing | None = None
+    radial: bool = False
+    """Whether the terms of the lens are the next powers of the radius, rather than polynomials."""
+    halves: Halves | None = None
 
 
 def judge(result: Adjustment, settings: CalibrationSettings) -> list[Finding]:
@@ -60,17 +74,17 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> list[Finding]:
     scores = score_models(problem, result.linearised, extents_of(result.data))
     noise = {**dict.fromkeys(_ORDER, corner_noise), "sheet": stripe_noise}
     findings = []
-    repeated = _repeated_views(problem, result.view_kept & result.data.usable)
+    repeated = repeated_views(problem, result.view_kept & result.data.usable)
     angle_statistic, angle_dof = 0.0, 0
     for name in (name for name in _ORDER if name in scores):
         score = scores[name]
         if name in ("table", "axis"):
             score = score.only(np.repeat(repeated, len(score.gradient) // len(repeated)))
-        statistic, dof, shift = _statistic(score)
+        statistic, dof, missing = _statistic(score, shrunk=name not in ("table", "axis"))
         if name == "lens":
             radial = _statistic(scores["radial"], _RADIAL_IMITATED)
-            whole = _tested(name, statistic, dof, shift, noise)
-            findings.append(_likelier_failure(whole, _tested(name, *radial, noise)))
+            whole = _tested(name, statistic, dof, missing, noise)
+            findings.append(_likelier_failure(whole, _tested(name, *radial, noise)._replace(radial=True)))
             continue
         if name == "table":
             angle_statistic, angle_dof = statistic, dof
@@ -78,27 +92,36 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> list[Finding]:
             # Less the part that a wrong angle at every stop would explain.
             statistic, dof = max(statistic - angle_statistic, 0.0), dof - angle_dof
         if dof > 0:
-            findings.append(_tested(name, statistic, dof, shift, noise))
+            findings.append(_tested(name, statistic, dof, missing, noise))
     halves = compare_halves(result, settings, (1.0, 1.0))
     if halves is not None:
         given = halves
         if max(abs(corner_noise - 1.0), abs(stripe_noise - 1.0)) > _REPEATED:
             # With weights of the noise that the detector promised.
             given = compare_halves(result, settings, (corner_noise, stripe_noise)) or halves
-        findings.append(Finding(ModelTest("halves", *given, _p_value(*given), _p_value(*halves))))
+        p, p_structure = _p_value(given.distance(), given.dof), _p_value(halves.distance(), halves.dof)
+        findings.append(Finding(ModelTest("halves", given.distance(), given.dof, p, p_structure), halves=halves))
     return findings
 
 
-def _tested(name: str, statistic: float, dof: int, shift: np.ndarray, noise: dict[str, float]) -> Finding:
+def repeated_views(problem: Problem, used: np.ndarray) -> np.ndarray:
+    """Views of placements that were seen from several angles: only there can a turn be wrong."""
+    placement = np.asarray(problem.placement)
+    count = np.bincount(placement[used], minlength=len(placement))
+    return used & (count[placement] > 1)
+
+
+def _tested(name: str, statistic: float, dof: int, missing: Missing, noise: dict[str, float]) -> Finding:
     given = statistic * noise[name] ** 2
-    return Finding(ModelTest(name, given, dof, _p_value(given, dof), _p_value(statistic, dof)), shift)
+    return Finding(ModelTest(name, given, dof, _p_value(given, dof), _p_value(statistic, dof)), missing)
 
 
 def _likelier_failure(one: Finding, other: Finding) -> Finding:
     """Of two tests of the same model the one that fails, if any; two chances of chance count."""
-    test, shift = one if one.test.p_structure <= other.test.p_structure else other
+    found = one if one.test.p_structure <= other.test.p_structure else other
+    test = found.test
     doubled = replace(test, p=min(1.0, 2.0 * test.p), p_structure=min(1.0, 2.0 * test.p_structure))
-    return Finding(doubled, shift)
+    return found._replace(test=doubled)
 
 
 def _p_value(statistic: float, dof: int) -> float:
@@ -107,21 +130,23 @@ def _p_value(statistic: float, dof: int) -> float:
     return float(jax.scipy.special.gammaincc(0.5 * dof, 0.5 * max(statistic, 0.0)))
 
 
-def _statistic(score: Score, imitated: float = _IMITATED) -> tuple[float, int, np.ndarray]:
-    """The score's chi-squared, its degrees of freedom, and how far the unknowns would go with the terms."""
-    score = score.only(np.asarray(score.own) > 0)
-    if not len(score.own):
-        return 0.0, 0, np.zeros(score.taken.shape[1])
-    size = np.sqrt(score.own)
-    values, vectors = np.linalg.eigh(score.variance / np.outer(size, size))
+def _statistic(score: Score, imitated: float = _IMITATED, *, shrunk: bool = True) -> tuple[float, int, Missing]:
+    """The score's chi-squared, its degrees of freedom, and the terms that it asks for."""
+    known = np.asarray(score.own) > 0
+    size = np.zeros(len(known))
+    if not known.any():
+        return 0.0, 0, Missing(size, np.zeros((len(known), 0)), np.zeros(score.taken.shape[1]))
+    score = score.only(known)
+    unit = np.sqrt(score.own)
+    values, vectors = np.linalg.eigh(score.variance / np.outer(unit, unit))
     seen = values > imitated
-    parts = (vectors.T @ (score.gradient / size))[seen]
-    missing = (vectors[:, seen] @ (parts / values[seen])) / size
-    return float(np.sum(parts**2 / values[seen])), int(seen.sum()), missing @ score.taken
-
-
-def _repeated_views(problem: Problem, used: np.ndarray) -> np.ndarray:
-    """Views of placements that were seen from several angles: only there can a turn be wrong."""
-    placement = np.asarray(problem.placement)
-    count = np.bincount(placement[used], minlength=len(placement))
-    return used & (count[placement] > 1)
+    root = np.zeros((len(known), int(seen.sum())))
+    root[known] = vectors[:, seen] / np.sqrt(values[seen]) / unit[:, None]
+    # In units of their standard deviations.
+    parts = (vectors.T @ (score.gradient / unit))[seen] / np.sqrt(values[seen])
+    statistic = float(np.sum(parts**2))
+    if shrunk:
+        # Directions that say no more than noise does would add its error, not the model's.
+        parts = parts * np.maximum(1.0 - _CHANCE / np.maximum(parts**2, _CHANCE), 0.0)
+    size = root @ parts
+    return statistic, int(seen.sum()), Missing(size, root, size[known] @ score.taken)

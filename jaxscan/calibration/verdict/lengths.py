@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.verdict.lit import Lit, lit_lines
-from jaxscan.calibration.verdict.propagate import change, no_steps, scan_points, sigma_of, sigma_steps
+from jaxscan.calibration.verdict.propagate import change, no_steps, pad_steps, scan_points, sigma_of, sigma_steps
 from jaxscan.calibration.verdict.quality import DepthSigma, LaserLengths, Lengths, LengthSigma
 from jaxscan.geometry import Scanner
 
@@ -90,6 +90,38 @@ def lit_in_reach(scanner: Scanner, laser: int) -> list[Lit]:
     return [lit for lit in candidates if len(lit.q) and lit.per_pixel <= _MAX_PIXEL_SHARE * lit.depth]
 
 
+def working_depth(scanner: Scanner, laser: int) -> float | None:
+    """The depth at which people judge a rig: 2.5 m, or the middle one of those in reach; the near side of an object [m].
+
+    None where no depth is in reach.
+    """
+    reached = lit_in_reach(scanner, laser)
+    if not reached:
+        return None
+    if scanner.turntable.carries == "object":
+        return (1.0 - _OBJECT_SHARE) * float(scanner.turntable.point[2])
+    return _middle(reached).depth
+
+
+def point_error(scanner: Scanner, laser: int, depth: float, steps: Float[np.ndarray, "steps params"]) -> float | None:
+    """Root sum of squares over steps of the error of the points of one full turn, as `DepthSigma.sigma_point_mm` [mm].
+
+    Args:
+        scanner: Its covariance is not used.
+        laser: Which sheet.
+        depth: Of the points, z in the camera frame [m].
+        steps: In its minimal coordinates, at most one for each; each counts as one standard deviation.
+
+    Returns:
+        The error; None where that depth is nowhere in the image.
+    """
+    lit = lit_lines(scanner, laser, (depth,))
+    if not len(lit[0].q):
+        return None
+    (found,) = _at_depths(scanner, laser, lit, pad_steps(scanner, steps))
+    return found.sigma_point_mm
+
+
 def stripe_pixels(scanner: Scanner, laser: int, depth: float) -> Float[np.ndarray, "lines 2"]:
     """Where the stripe of one depth is seen: one pixel for each row of the image that it crosses.
 
@@ -135,22 +167,6 @@ def measure_lengths(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray
     return _lengths(scanner, lengths, no_steps(scanner))[0]
 
 
-def length_changes(
-    scanner: Scanner, lengths: list[Length], steps: Float[np.ndarray, "steps params"]
-) -> Float[np.ndarray, "steps lengths"]:
-    """How `measure_lengths` changes if the scanner is moved by steps in its minimal coordinates [m].
-
-    Raises:
-        ValueError: If there are more than two steps a parameter.
-    """
-    padded = no_steps(scanner)
-    if len(steps) >= len(padded):
-        raise ValueError(f"{len(steps)} steps are more than {len(padded) - 1}.")
-    padded[1 : 1 + len(steps)] = steps
-    values = _lengths(scanner, lengths, padded)
-    return values[1 : 1 + len(steps)] - values[0]
-
-
 def length_sigma(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, " lengths"]:
     """Standard deviation that the calibration causes in `measure_lengths` [m].
 
@@ -163,7 +179,7 @@ def length_sigma(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, "
 def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
     if not reached:
         return []
-    lit = next((each for each in reached if each.depth == _COMMON_DEPTH_M), reached[len(reached) // 2])
+    lit = _middle(reached)
     halves: tuple[float, ...] = HALF_TURN_DEPTHS_M
     if scanner.turntable.carries == "object":
         halves = ((1.0 - _OBJECT_SHARE) * float(scanner.turntable.point[2]),)
@@ -175,6 +191,10 @@ def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
         *(_half_turn(laser, each) for each in lit_lines(scanner, laser, halves)),
     ]
     return [length for length in found if length is not None]
+
+
+def _middle(reached: list[Lit]) -> Lit:
+    return next((each for each in reached if each.depth == _COMMON_DEPTH_M), reached[len(reached) // 2])
 
 
 def _lengths(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> np.ndarray:

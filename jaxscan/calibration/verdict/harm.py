@@ -1,0 +1,200 @@
+r"""The error that the structure in the residuals does to a rig, as steps of its parameters.
+
+Steps are like standard deviations along independent directions: a covariance that has $\sum_k s_k s_k^T$ added
+covers each of them at one sigma. With the sizes $-m$ of the terms that a model lacks, the shared unknowns are off by
+$\delta = (J^T J)^{-1} J^T E m$ ("imitation"), and the missing shape itself remains beside it. Of lens and sheet the two
+are added first, since they cancel in part; the shape that their parameters can follow becomes a step of these, and the
+rest a step of those that act alike.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.calibration.settings import CalibrationSettings
+from jaxscan.calibration.solve.adjust import Adjustment
+from jaxscan.calibration.solve.problem import problem_layout
+from jaxscan.calibration.verdict.extra_terms import extents_of, lens_terms, radial_terms, sheet_terms
+from jaxscan.calibration.verdict.halves import Halves
+from jaxscan.calibration.verdict.judge import Finding, Missing, judge, repeated_views
+from jaxscan.calibration.verdict.limits import result_of_test
+from jaxscan.calibration.verdict.quality import ModelTest
+from jaxscan.geometry import Layout
+
+
+# Zones of the image by the place in it, -1 ... 1: corners where both coordinates are beyond this, edges where one is,
+# and the middle within half of it.
+_OUTER = 0.6
+# A zone is named where its error is this many times that of the whole image.
+_STANDS_OUT = 1.3
+
+
+class Harm(NamedTuple):
+    """A test, and the error that the structure it found does."""
+
+    test: ModelTest
+    steps: np.ndarray
+    """[steps, shared], in px, rad, m: at most one for each parameter of the rig; none without structure."""
+
+
+def find_harm(result: Adjustment, settings: CalibrationSettings) -> list[Harm]:
+    """Test the models of a finished solve, and find the error that the structure in its residuals does.
+
+    Args:
+        result: Of `adjust`, converged; call in 64 bit.
+        settings: Of the solve.
+    """
+    findings = judge(result, settings)
+    fails = lambda test: result_of_test(test.p, test.p_structure, len(findings)) == "fails"
+    scales = np.asarray(result.problem.scales)
+    found = []
+    # The halves come last: they count for the part that the others do not cover.
+    for finding in findings:
+        steps, where = np.zeros((0, len(scales))), None
+        if fails(finding.test):
+            before = np.concatenate([steps, *(harm.steps for harm in found)])
+            steps, where = _steps_of(result, finding, before.T @ before)
+        found.append(Harm(replace(finding.test, where=where), steps))
+    return found
+
+
+def _steps_of(result: Adjustment, finding: Finding, before: np.ndarray) -> tuple[np.ndarray, str | None]:
+    """The steps of one finding, with the covariance of those before, and where in the image they tell most."""
+    problem, missing = result.problem, finding.missing
+    if finding.halves is not None:
+        return _of_halves(finding.halves, np.asarray(problem.scales), before), None
+    assert missing is not None
+    layout = problem_layout(problem.camera, problem.lasers, problem.turntable)
+    imitation = missing.shift * np.asarray(problem.scales)
+    if finding.test.name == "lens":
+        return _of_lens(result, layout, finding, imitation)
+    if finding.test.name == "sheet":
+        return _of_sheets(result, layout, missing, imitation), None
+    if finding.test.name == "table":
+        turned = _angle_error(missing)
+        return np.stack([imitation, *(_one(layout, name, turned) for name in ("c1", "s1"))]), None
+    if finding.test.name == "axis":
+        tilt = _axis_error(result, missing)
+        return np.stack([imitation, *(_one(layout, name, tilt) for name in ("axis.d1", "axis.d2"))]), None
+    return imitation[None], None
+
+
+def _of_halves(halves: Halves, scales: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """The part of the halves' difference that neither noise nor the other findings cover.
+
+    Half of the difference of two independent halves is as large as the error of their mean.
+    """
+    unit = scales[halves.free]
+    covered = before[np.ix_(halves.free, halves.free)] / np.outer(unit, unit)
+    share = min(halves.dof / max(halves.distance(covered), 1e-300), 1.0)
+    step = np.zeros(len(scales))
+    step[halves.free] = 0.5 * np.sqrt(1.0 - share) * halves.difference * unit
+    return step[None]
+
+
+def _of_lens(
+    result: Adjustment, layout: Layout, finding: Finding, imitation: np.ndarray
+) -> tuple[np.ndarray, str | None]:
+    problem, linearised = result.problem, result.linearised
+    assert finding.missing is not None
+    weight = np.repeat(np.asarray(problem.corner_weight), 2, axis=1)
+    used = weight > 0
+    count = layout.camera.stop
+    slopes = np.asarray(linearised.corner_slopes)[used] / weight[used][:, None]
+    by_camera = slopes[:, :count]
+    corner_q = np.asarray(problem.corner_q) + np.asarray(linearised.corner_error).reshape(problem.corner_q.shape)
+    extents = extents_of(result.data)
+    terms = (radial_terms if finding.radial else lens_terms)(corner_q, extents)
+    # The rays of the fitted camera are off by this much [px], rows u and v in turn.
+    field = by_camera @ imitation[layout.camera] - terms[used] @ finding.missing.size
+    free = np.asarray(problem.scales)[layout.camera]
+    followed, _, _, _ = np.linalg.lstsq(by_camera * free, field, rcond=1e-9)
+    step = imitation.copy()
+    step[layout.camera] = followed * free
+    rest = (field - by_camera @ step[layout.camera]).reshape(-1, 2)
+    steps = [step]
+    for axis, (focal, centre) in enumerate((("fx", "cx"), ("fy", "cy"))):
+        size, reach = (np.sqrt(np.mean(np.square(values))) for values in (rest[:, axis], by_camera[axis::2, axis]))
+        # A turn of the camera takes up what moves its centre, so the focal length has all of it and the centre half.
+        steps += [_one(layout, focal, size / reach), _one(layout, centre, np.sqrt(0.5) * size)]
+    place = (corner_q[used[:, ::2]] - extents.image[0]) / extents.image[1]
+    return np.stack(steps), _zone(place, field.reshape(-1, 2))
+
+
+def _zone(place: np.ndarray, field: np.ndarray) -> str | None:
+    """Where in the image a field is largest, what looks like a turn of the camera (about a shift) taken off."""
+    error = np.sum(np.square(field - field.mean(0)), axis=1)
+    outer = np.abs(place) > _OUTER
+    zones = {
+        "in the corners": outer.all(1),
+        "at the edges": outer.any(1) & ~outer.all(1),
+        "in the middle": np.linalg.norm(place, axis=1) < _OUTER / 2.0,
+    }
+    sizes = {name: np.sqrt(np.mean(error[inside])) for name, inside in zones.items() if inside.any()}
+    name = max(sizes, key=lambda name: sizes[name]) if sizes else None
+    return name if name is not None and sizes[name] > _STANDS_OUT * np.sqrt(np.mean(error)) else None
+
+
+def _of_sheets(result: Adjustment, layout: Layout, missing: Missing, imitation: np.ndarray) -> np.ndarray:
+    problem, linearised = result.problem, result.linearised
+    weight, slope = np.asarray(problem.stripe_weight), np.asarray(linearised.slope)
+    by_q, offset = np.asarray(linearised.by_q), np.asarray(linearised.offset)
+    square = np.where(slope > 0, slope, 1.0) ** 2
+    q = np.asarray(problem.stripe_q) - by_q * (offset / square)[..., None]
+    # How far the points of the sheet are from their plane [m] beside the imitation.
+    bend = -slope * (sheet_terms(q, problem, extents_of(result.data)) @ missing.size)
+    parts = np.asarray(linearised.stripe_slopes) / np.where(weight > 0, weight, 1.0)[..., None]
+    every = [imitation]
+    for laser in range(len(problem.lasers.distance)):
+        lit = (weight > 0) & (np.asarray(problem.stripe_laser) == laser)[:, None]
+        if not lit.any():
+            continue
+        # The derivative by the normal is the point itself.
+        points = parts[lit][:, -6:-3]
+        basis = np.asarray(problem.lasers.basis)[laser]
+        own = slice(layout.lasers.start + 5 * laser, layout.lasers.start + 5 * (laser + 1))
+        by_sheet = np.concatenate([points @ basis.T, parts[lit][:, -3:]], axis=1)
+        free = np.asarray(problem.scales)[own]
+        followed, _, _, _ = np.linalg.lstsq(by_sheet * free, bend[lit], rcond=1e-9)
+        rest = (bend[lit] - by_sheet @ (followed * free)) / np.linalg.norm(points, axis=1)
+        every[0] = every[0].copy()
+        every[0][own] += followed * free
+        # A turn about the line across the rays moves all points of the sheet alike, for their distance.
+        ahead = points.mean(0) / np.linalg.norm(points.mean(0))
+        turn = np.zeros_like(imitation)
+        turn[own.start : own.start + 2] = basis @ ahead * np.sqrt(np.mean(np.square(rest)))
+        every.append(turn)
+    return np.stack(every)
+
+
+def _angle_error(missing: Missing) -> float:
+    """Root mean square error of the table's angles [rad], less the part of noise."""
+    return float(np.sqrt(max(np.mean(missing.size**2) - np.mean(np.sum(missing.noise**2, axis=1)), 0.0)))
+
+
+def _axis_error(result: Adjustment, missing: Missing) -> float:
+    """Root mean square tilt [rad] that moves boards across their line of sight other than turning does, less noise."""
+    problem = result.problem
+    assert problem.turntable is not None
+    views = np.flatnonzero(repeated_views(problem, result.view_kept & result.data.usable))
+    pose = np.asarray(result.linearised.view_poses)[views]
+    middle = np.append(np.asarray(problem.frame)[:2], 0.0)
+    point = pose[:, :3, :3] @ middle + pose[:, :3, 3]
+    x, y, z = middle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # Motion of the board's middle in the camera frame by a twist in the board's own axes.
+    moved = np.concatenate([pose[:, :3, :3], -pose[:, :3, :3] @ cross], axis=2)
+    turning = np.cross(np.asarray(problem.turntable.direction), point - np.asarray(problem.turntable.point))
+    for direction in (turning, point):
+        unit = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
+        moved = moved - unit[:, :, None] * np.einsum("vi,vij->vj", unit, moved)[:, None, :]
+    far = np.linalg.norm(point, axis=1)[:, None, None]
+    size = np.einsum("vij,vj->vi", moved / far, missing.size.reshape(len(views), 6))
+    noise = np.einsum("vij,vjk->vik", moved / far, missing.noise.reshape(len(views), 6, -1))
+    return float(np.sqrt(max(np.sum(size**2) - np.sum(noise**2), 0.0) / len(views)))
+
+
+def _one(layout: Layout, name: str, size: float) -> np.ndarray:
+    """A step of one parameter."""
+    return size * (np.array(layout.names) == name)
