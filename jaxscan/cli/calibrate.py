@@ -1,5 +1,6 @@
 """`jaxscan calibrate`: calibrates a scanner from captures of boards."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -31,12 +32,16 @@ def calibrate(
     free: tuple[Block, ...] = (),
     hold: tuple[Block, ...] = (),
     redetect: bool = True,
+    limit_mm: float | None = None,
+    at_m: float | None = None,
+    limit_px: float | None = None,
     json: JsonTarget = None,
 ) -> None:
     """Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.
 
-    The exit code is 1 if the calibration is not accepted or its solve did not converge. The file is written in any
-    case.
+    The first line says what the calibration is good for. The exit code is 1 if it cannot be used at all, because its
+    solve did not converge or its points are off by more than 5 % of their distance, or if it breaks a limit. The file
+    is written in any case.
 
     Args:
         captures: One or more captures of the same board with the same rig.
@@ -48,6 +53,9 @@ def calibrate(
         free: Blocks of parameters to estimate in addition to the usual ones.
         hold: Blocks of parameters not to estimate.
         redetect: Take a second look at the images, where the first solve predicts corners and stripes.
+        limit_mm: Refuse a rig whose points are not good to this.
+        at_m: Depth at which points are judged; 2.5 m if not given, or as far as the rig reaches.
+        limit_px: Refuse a camera whose rays are not good to this, over the image.
         json: Write the result as JSON too.
     """
     check_paths(
@@ -58,6 +66,8 @@ def calibrate(
     check_json(json)
     if report is not None:
         check_writable(report)
+    settings = calibration_settings(lens, free, hold)
+    settings = replace(settings, limit_mm=limit_mm, at_m=at_m, limit_px=limit_px)
     opened = [api.open_capture(path) for path in captures]
     out = console(json)
     for capture in opened:
@@ -66,7 +76,7 @@ def calibrate(
     with progress_bar("Looking for boards") as progress:
         result = api.calibrate(
             opened,
-            settings=calibration_settings(lens, free, hold),
+            settings=settings,
             only_camera=only == "camera",
             redetect=redetect,
             progress=progress,

@@ -52,11 +52,14 @@ def measure_good_to(
     """
     groups = [statistical, *(steps for _, steps in structure)]
     by_camera = ray_slopes(camera)
-    px = [float(np.sqrt(np.mean(np.sum((by_camera @ steps[:, : by_camera.shape[-1]].T) ** 2, (1, 2))))) for steps in groups]
+    px = [
+        float(np.sqrt(np.mean(np.sum((by_camera @ steps[:, : by_camera.shape[-1]].T) ** 2, (1, 2)))))
+        for steps in groups
+    ]
     mm, depth = _at_work(scanner, groups, at_m)
     tests = [
-        replace(test, effect_px=own_px, effect_mm=own_mm) if len(steps) else test
-        for (test, steps), own_px, own_mm in zip(structure, px[1:], mm[1:] or [None] * len(structure), strict=True)
+        replace(test, effect_px=px[index], effect_mm=mm[index] if mm else None) if len(steps) else test
+        for index, (test, steps) in enumerate(structure, 1)
     ]
     whole = lambda parts: float(np.linalg.norm(parts)) if parts else None
     return GoodTo(whole(mm), mm[0] if mm else None, depth, whole(px), px[0]), tuple(tests)
@@ -82,7 +85,10 @@ def refusal(good_to: GoodTo, camera: AbstractCamera, settings: CalibrationSettin
 
 def ray_slopes(camera: AbstractCamera) -> Float[np.ndarray, "places 2 params"]:
     """Motion of the image by the camera's parameters at places all over it, after the best rotation [px]."""
-    u, v = ((np.arange(count) + 0.5) / count * size - 0.5 for count, size in zip(_GRID, (camera.width, camera.height), strict=True))
+    u, v = (
+        (np.arange(count) + 0.5) / count * size - 0.5
+        for count, size in zip(_GRID, (camera.width, camera.height), strict=True)
+    )
     q = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     with jax.enable_x64(True):
         exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), replace(camera, width=0, height=0))

@@ -48,9 +48,7 @@ class Halves(NamedTuple):
         return float(parts @ np.linalg.solve(covariance, parts))
 
 
-def compare_halves(
-    result: Adjustment, settings: CalibrationSettings, promise: tuple[float, float]
-) -> Halves | None:
+def compare_halves(result: Adjustment, settings: CalibrationSettings, promise: tuple[float, float]) -> Halves | None:
     """Two calibrations from half of the records each; None where they cannot be had.
 
     Records are dealt out in turn inside each placement, so that both halves keep several angles.

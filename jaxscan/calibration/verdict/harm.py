@@ -46,13 +46,13 @@ def find_harm(result: Adjustment, settings: CalibrationSettings) -> list[Harm]:
         settings: Of the solve.
     """
     findings = judge(result, settings)
-    fails = lambda test: result_of_test(test.p, test.p_structure, len(findings)) == "fails"
+    structured = lambda test: result_of_test(test.p, test.p_structure, len(findings)) == "structure"
     scales = np.asarray(result.problem.scales)
-    found = []
+    found: list[Harm] = []
     # The halves come last: they count for the part that the others do not cover.
     for finding in findings:
         steps, where = np.zeros((0, len(scales))), None
-        if fails(finding.test):
+        if structured(finding.test):
             before = np.concatenate([steps, *(harm.steps for harm in found)])
             steps, where = _steps_of(result, finding, before.T @ before)
         found.append(Harm(replace(finding.test, where=where), steps))
@@ -64,11 +64,13 @@ def _steps_of(result: Adjustment, finding: Finding, before: np.ndarray) -> tuple
     problem, missing = result.problem, finding.missing
     if finding.halves is not None:
         return _of_halves(finding.halves, np.asarray(problem.scales), before), None
-    assert missing is not None
+    if missing is None:
+        raise ValueError(f"The test {finding.test.name!r} found nothing.")
     layout = problem_layout(problem.camera, problem.lasers, problem.turntable)
     imitation = missing.shift * np.asarray(problem.scales)
     if finding.test.name == "lens":
-        return _of_lens(result, layout, finding, imitation)
+        terms = radial_terms if finding.radial else lens_terms
+        return _of_lens(result, layout, terms(_seen_corners(result), extents_of(result.data)) @ missing.size, imitation)
     if finding.test.name == "sheet":
         return _of_sheets(result, layout, missing, imitation), None
     if finding.test.name == "table":
@@ -94,20 +96,17 @@ def _of_halves(halves: Halves, scales: np.ndarray, before: np.ndarray) -> np.nda
 
 
 def _of_lens(
-    result: Adjustment, layout: Layout, finding: Finding, imitation: np.ndarray
+    result: Adjustment, layout: Layout, shape: np.ndarray, imitation: np.ndarray
 ) -> tuple[np.ndarray, str | None]:
+    """Steps of a lens that lacks a shape [views, rows], px."""
     problem, linearised = result.problem, result.linearised
-    assert finding.missing is not None
     weight = np.repeat(np.asarray(problem.corner_weight), 2, axis=1)
     used = weight > 0
     count = layout.camera.stop
     slopes = np.asarray(linearised.corner_slopes)[used] / weight[used][:, None]
     by_camera = slopes[:, :count]
-    corner_q = np.asarray(problem.corner_q) + np.asarray(linearised.corner_error).reshape(problem.corner_q.shape)
-    extents = extents_of(result.data)
-    terms = (radial_terms if finding.radial else lens_terms)(corner_q, extents)
     # The rays of the fitted camera are off by this much [px], rows u and v in turn.
-    field = by_camera @ imitation[layout.camera] - terms[used] @ finding.missing.size
+    field = by_camera @ imitation[layout.camera] - shape[used]
     free = np.asarray(problem.scales)[layout.camera]
     followed, _, _, _ = np.linalg.lstsq(by_camera * free, field, rcond=1e-9)
     step = imitation.copy()
@@ -118,8 +117,14 @@ def _of_lens(
         size, reach = (np.sqrt(np.mean(np.square(values))) for values in (rest[:, axis], by_camera[axis::2, axis]))
         # A turn of the camera takes up what moves its centre, so the focal length has all of it and the centre half.
         steps += [_one(layout, focal, size / reach), _one(layout, centre, np.sqrt(0.5) * size)]
-    place = (corner_q[used[:, ::2]] - extents.image[0]) / extents.image[1]
-    return np.stack(steps), _zone(place, field.reshape(-1, 2))
+    centre, half = extents_of(result.data).image
+    return np.stack(steps), _zone((_seen_corners(result)[used[:, ::2]] - centre) / half, field.reshape(-1, 2))
+
+
+def _seen_corners(result: Adjustment) -> np.ndarray:
+    """Where corners should have been seen [views, corners, 2], px."""
+    observed = np.asarray(result.problem.corner_q)
+    return observed + np.asarray(result.linearised.corner_error).reshape(observed.shape)
 
 
 def _zone(place: np.ndarray, field: np.ndarray) -> str | None:
@@ -176,7 +181,8 @@ def _angle_error(missing: Missing) -> float:
 def _axis_error(result: Adjustment, missing: Missing) -> float:
     """Root mean square tilt [rad] that moves boards across their line of sight other than turning does, less noise."""
     problem = result.problem
-    assert problem.turntable is not None
+    if problem.turntable is None:
+        return 0.0
     views = np.flatnonzero(repeated_views(problem, result.view_kept & result.data.usable))
     pose = np.asarray(result.linearised.view_poses)[views]
     middle = np.append(np.asarray(problem.frame)[:2], 0.0)

@@ -91,9 +91,9 @@ def lit_in_reach(scanner: Scanner, laser: int) -> list[Lit]:
 
 
 def working_depth(scanner: Scanner, laser: int) -> float | None:
-    """The depth at which people judge a rig: 2.5 m, or the middle one of those in reach; the near side of an object [m].
+    """The depth at which people judge a rig [m]; None where none is in reach.
 
-    None where no depth is in reach.
+    It is 2.5 m, or the middle one of those in reach; of an object on a table its near side.
     """
     reached = lit_in_reach(scanner, laser)
     if not reached:

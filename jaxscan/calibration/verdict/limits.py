@@ -6,10 +6,9 @@ from typing import Literal
 
 STRUCTURE_P = 0.01
 """Chance of finding structure in good data, all tests together."""
-USELESS_SHARE = 0.02
-"""A calibration is of no use where its points are off by more than this share of their distance, or its rays by more
-than this share of the focal length, which is the same: the depths where one pixel is worth so much are not judged
-either. A length would be wrong in its second digit."""
+USELESS_SHARE = 0.05
+"""A calibration cannot be used where its points are off by more than this share of their distance, or its rays by more
+than this share of the focal length, which is the same: a room of 4 m wrong by 20 cm is told better by pacing it."""
 _NAMED_SHARE = 0.3
 """A cause is named where its part is at least this share of the whole: a smaller one adds less than 5 % to it."""
 
@@ -26,8 +25,8 @@ _QUIET, _NOISY = 0.75, 1.33
 # A direction of which the priors know more than this share is theirs rather than the data's.
 _PRIOR_SHARE = 0.5
 
-Result = Literal["passes", "noisy", "fails"]
-"""A test "fails" where the residuals have structure; they are "noisy" where they are only larger than promised."""
+Result = Literal["passes", "noisy", "structure"]
+"""What a test found: "structure" in the residuals, or that they are only larger than promised ("noisy")."""
 
 
 def chance(p: Sequence[float]) -> float:
@@ -39,7 +38,7 @@ def result_of_test(p: float, p_structure: float, tests: int) -> Result:
     """How one of several tests ended; together they find structure in good data with `STRUCTURE_P`."""
     limit = STRUCTURE_P / tests
     if p_structure <= limit:
-        return "fails"
+        return "structure"
     return "noisy" if p <= limit else "passes"
 
 
