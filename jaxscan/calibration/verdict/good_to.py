@@ -35,7 +35,7 @@ def measure_good_to(
     camera: AbstractCamera,
     scanner: Scanner | None,
     statistical: Float[np.ndarray, "steps params"],
-    structure: Sequence[tuple[ModelTest, Float[np.ndarray, "steps params"]]],
+    structure: Sequence[tuple[ModelTest, np.ndarray]],
     at_m: float | None,
 ) -> tuple[GoodTo, tuple[ModelTest, ...]]:
     """The error of rays and of scanned points, and the part of each cause.
