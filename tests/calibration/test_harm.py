@@ -5,12 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
-from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
-from jaxscan.calibration.verdict.good_to import refusal
-from jaxscan.calibration.verdict.quality import GoodTo
-from jaxscan.errors import CalibrationError
-from jaxscan.geometry import Pinhole
+from jaxscan.calibration import CalibrationSettings, calibrate_observations
 
 
 FREE = CalibrationSettings().free

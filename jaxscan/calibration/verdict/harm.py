@@ -17,9 +17,10 @@ from jaxscan.calibration.solve.adjust import Adjustment
 from jaxscan.calibration.solve.problem import problem_layout
 from jaxscan.calibration.verdict.extra_terms import extents_of, lens_terms, radial_terms, sheet_terms
 from jaxscan.calibration.verdict.halves import Halves
-from jaxscan.calibration.verdict.judge import Finding, Missing, judge, repeated_views
+from jaxscan.calibration.verdict.judge import Judged, Missing, judge
 from jaxscan.calibration.verdict.limits import result_of_test
 from jaxscan.calibration.verdict.quality import ModelTest
+from jaxscan.calibration.verdict.score import repeated_views
 from jaxscan.geometry import Layout
 
 
@@ -45,38 +46,40 @@ def find_harm(result: Adjustment, settings: CalibrationSettings) -> list[Harm]:
         result: Of `adjust`, converged; call in 64 bit.
         settings: Of the solve.
     """
-    findings = judge(result, settings)
-    structured = lambda test: result_of_test(test.p, test.p_structure, len(findings)) == "structure"
+    judged = judge(result, settings)
     scales = np.asarray(result.problem.scales)
     found: list[Harm] = []
     # The halves come last: they count for the part that the others do not cover.
-    for finding in findings:
+    for test in judged.tests:
         steps, where = np.zeros((0, len(scales))), None
-        if structured(finding.test):
+        name = "radial" if test.name == "lens" and "radial" in judged.missing else test.name
+        if name in judged.missing:
+            steps, where = _steps_of(result, name, judged.missing[name])
+        elif name == "halves" and judged.halves and _has_structure(test, judged):
             before = np.concatenate([steps, *(harm.steps for harm in found)])
-            steps, where = _steps_of(result, finding, before.T @ before)
-        found.append(Harm(replace(finding.test, where=where), steps))
+            steps = _of_halves(judged.halves, scales, before.T @ before)
+        found.append(Harm(replace(test, where=where), steps))
     return found
 
 
-def _steps_of(result: Adjustment, finding: Finding, before: np.ndarray) -> tuple[np.ndarray, str | None]:
-    """The steps of one finding, with the covariance of those before, and where in the image they tell most."""
-    problem, missing = result.problem, finding.missing
-    if finding.halves is not None:
-        return _of_halves(finding.halves, np.asarray(problem.scales), before), None
-    if missing is None:
-        raise ValueError(f"The test {finding.test.name!r} found nothing.")
+def _has_structure(test: ModelTest, judged: Judged) -> bool:
+    return result_of_test(test.p, test.p_structure, len(judged.tests)) == "structure"
+
+
+def _steps_of(result: Adjustment, name: str, missing: Missing) -> tuple[np.ndarray, str | None]:
+    """The steps of the terms that one model lacks, and where in the image they tell most."""
+    problem = result.problem
     layout = problem_layout(problem.camera, problem.lasers, problem.turntable)
     imitation = missing.shift * np.asarray(problem.scales)
-    if finding.test.name == "lens":
-        terms = radial_terms if finding.radial else lens_terms
+    if name in ("lens", "radial"):
+        terms = radial_terms if name == "radial" else lens_terms
         return _of_lens(result, layout, terms(_seen_corners(result), extents_of(result.data)) @ missing.size, imitation)
-    if finding.test.name == "sheet":
+    if name == "sheet":
         return _of_sheets(result, layout, missing, imitation), None
-    if finding.test.name == "table":
+    if name == "table":
         turned = _angle_error(missing)
         return np.stack([imitation, *(_one(layout, name, turned) for name in ("c1", "s1"))]), None
-    if finding.test.name == "axis":
+    if name == "axis":
         tilt = _axis_error(result, missing)
         return np.stack([imitation, *(_one(layout, name, tilt) for name in ("axis.d1", "axis.d2"))]), None
     return imitation[None], None
@@ -183,7 +186,7 @@ def _axis_error(result: Adjustment, missing: Missing) -> float:
     problem = result.problem
     if problem.turntable is None:
         return 0.0
-    views = np.flatnonzero(repeated_views(problem, result.view_kept & result.data.usable))
+    views = repeated_views(problem)
     pose = np.asarray(result.linearised.view_poses)[views]
     middle = np.append(np.asarray(problem.frame)[:2], 0.0)
     point = pose[:, :3, :3] @ middle + pose[:, :3, 3]

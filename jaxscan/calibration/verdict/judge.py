@@ -11,6 +11,7 @@ is solved again, and the failing model is named. A cross-validation, two halves 
 solved apart, asks the same of all models together.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,9 +20,9 @@ import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjust import Adjustment
-from jaxscan.calibration.solve.problem import Problem
 from jaxscan.calibration.verdict.extra_terms import extents_of
 from jaxscan.calibration.verdict.halves import Halves, compare_halves
+from jaxscan.calibration.verdict.limits import result_of_test
 from jaxscan.calibration.verdict.quality import ModelTest
 from jaxscan.calibration.verdict.score import Score, score_models
 
@@ -41,58 +42,72 @@ class Missing(NamedTuple):
     """Terms that a model lacks, as far as the residuals show them: the residuals ask for `-size` of each."""
 
     size: np.ndarray
-    """Of every term; less the part that noise alone would give where `shrunk`."""
+    """Of every term; less the part that noise alone would give, but of terms of single views."""
     noise: np.ndarray
-    """Root of the covariance of `size` before it was shrunk [terms, seen]."""
+    """Root of the covariance of `size` as noise causes it [terms, seen]."""
     shift: np.ndarray
     """How far the shared unknowns would go [scaled units], to first order, if the model had these terms."""
 
 
-class Finding(NamedTuple):
-    """A test, and the terms or the difference that it found."""
+class Judged(NamedTuple):
+    """The tests of the models, and the terms that explain the structure in the residuals."""
 
-    test: ModelTest
-    missing: Missing | None = None
-    radial: bool = False
-    """Whether the terms of the lens are the next powers of the radius, rather than polynomials."""
-    halves: Halves | None = None
+    tests: tuple[ModelTest, ...]
+    """"lens", "board", "table" (its angles), "axis" (whether it stands still), "sheet" and "halves", those that the
+    data allow."""
+    missing: dict[str, Missing]
+    """By the name of the test, "radial" for "lens" where that is the likelier. The same residuals may fail several
+    tests: terms that add nothing to those of others are not here."""
+    halves: Halves | None
 
 
-def judge(result: Adjustment, settings: CalibrationSettings) -> list[Finding]:
+class _Seen(NamedTuple):
+    """Directions of the terms in which the score says something."""
+
+    root: np.ndarray
+    """Independent directions [terms, seen], of unit variance."""
+    parts: np.ndarray
+    """The score along them, in standard deviations."""
+
+    @property
+    def statistic(self) -> float:
+        """Chi-squared, with as many degrees of freedom as directions."""
+        return float(np.sum(self.parts**2))
+
+    @property
+    def surprise(self) -> float:
+        """About -2 log p, also where p is too small for numbers (Chernoff's bound)."""
+        dof = max(len(self.parts), 1)
+        ratio = max(self.statistic / dof, 1.0)
+        return dof * (ratio - 1.0 - float(np.log(ratio)))
+
+
+def judge(result: Adjustment, settings: CalibrationSettings) -> Judged:
     """Test the models of a finished solve; call in 64 bit.
 
     Args:
         result: Of `adjust`, converged.
         settings: Of the solve.
-
-    Returns:
-        Tests "lens", "board", "table" (its angles), "axis" (whether it stands still), "sheet" and
-        "halves", those that the data allow.
     """
     corner_noise, stripe_noise = result.corner_noise, result.stripe_noise
-    problem = result.problem
-    scores = score_models(problem, result.linearised, extents_of(result.data))
-    noise = {**dict.fromkeys(_ORDER, corner_noise), "sheet": stripe_noise}
-    findings = []
-    repeated = repeated_views(problem, result.view_kept & result.data.usable)
-    angle_statistic, angle_dof = 0.0, 0
-    for name in (name for name in _ORDER if name in scores):
-        score = scores[name]
-        if name in ("table", "axis"):
-            score = score.only(np.repeat(repeated, len(score.gradient) // len(repeated)))
-        statistic, dof, missing = _statistic(score, shrunk=name not in ("table", "axis"))
-        if name == "lens":
-            radial = _statistic(scores["radial"], _RADIAL_IMITATED)
-            whole = _tested(name, statistic, dof, missing, noise)
-            findings.append(_likelier_failure(whole, _tested(name, *radial, noise)._replace(radial=True)))
-            continue
-        if name == "table":
-            angle_statistic, angle_dof = statistic, dof
+    score = score_models(result.problem, result.linearised, extents_of(result.data))
+    seen = {name: _look(score, name) for name in (*_ORDER, "radial") if name in score.places}
+    tests = []
+    for name in (name for name in _ORDER if name in seen):
+        noise = stripe_noise if name == "sheet" else corner_noise
+        statistic, dof = seen[name].statistic, len(seen[name].parts)
         if name == "axis":
             # Less the part that a wrong angle at every stop would explain.
-            statistic, dof = max(statistic - angle_statistic, 0.0), dof - angle_dof
-        if dof > 0:
-            findings.append(_tested(name, statistic, dof, missing, noise))
+            statistic, dof = max(statistic - seen["table"].statistic, 0.0), dof - len(seen["table"].parts)
+        test = _tested(name, statistic, dof, noise)
+        if name == "lens":
+            radial = _tested(name, seen["radial"].statistic, len(seen["radial"].parts), noise)
+            # Of two tests of the same model the one that fails, if any; two chances of chance count.
+            found, loser = (test, "radial") if test.p_structure <= radial.p_structure else (radial, "lens")
+            del seen[loser]
+            test = replace(found, p=min(1.0, 2.0 * found.p), p_structure=min(1.0, 2.0 * found.p_structure))
+        if test.dof > 0 or name == "lens":
+            tests.append(test)
     halves = compare_halves(result, settings, (1.0, 1.0))
     if halves is not None:
         given = halves
@@ -100,28 +115,15 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> list[Finding]:
             # With weights of the noise that the detector promised.
             given = compare_halves(result, settings, (corner_noise, stripe_noise)) or halves
         p, p_structure = _p_value(given.distance(), given.dof), _p_value(halves.distance(), halves.dof)
-        findings.append(Finding(ModelTest("halves", given.distance(), given.dof, p, p_structure), halves=halves))
-    return findings
+        tests.append(ModelTest("halves", given.distance(), given.dof, p, p_structure))
+    failed = {test.name for test in tests if result_of_test(test.p, test.p_structure, len(tests)) == "structure"}
+    suspects = [name for name in seen if ("lens" if name == "radial" else name) in failed]
+    return Judged(tuple(tests), _explain(score, suspects, len(tests)), halves)
 
 
-def repeated_views(problem: Problem, used: np.ndarray) -> np.ndarray:
-    """Views of placements that were seen from several angles: only there can a turn be wrong."""
-    placement = np.asarray(problem.placement)
-    count = np.bincount(placement[used], minlength=len(placement))
-    return used & (count[placement] > 1)
-
-
-def _tested(name: str, statistic: float, dof: int, missing: Missing, noise: dict[str, float]) -> Finding:
-    given = statistic * noise[name] ** 2
-    return Finding(ModelTest(name, given, dof, _p_value(given, dof), _p_value(statistic, dof)), missing)
-
-
-def _likelier_failure(one: Finding, other: Finding) -> Finding:
-    """Of two tests of the same model the one that fails, if any; two chances of chance count."""
-    found = one if one.test.p_structure <= other.test.p_structure else other
-    test = found.test
-    doubled = replace(test, p=min(1.0, 2.0 * test.p), p_structure=min(1.0, 2.0 * test.p_structure))
-    return found._replace(test=doubled)
+def _tested(name: str, statistic: float, dof: int, noise: float) -> ModelTest:
+    given = statistic * noise**2
+    return ModelTest(name, given, dof, _p_value(given, dof), _p_value(statistic, dof))
 
 
 def _p_value(statistic: float, dof: int) -> float:
@@ -130,23 +132,49 @@ def _p_value(statistic: float, dof: int) -> float:
     return float(jax.scipy.special.gammaincc(0.5 * dof, 0.5 * max(statistic, 0.0)))
 
 
-def _statistic(score: Score, imitated: float = _IMITATED, *, shrunk: bool = True) -> tuple[float, int, Missing]:
-    """The score's chi-squared, its degrees of freedom, and the terms that it asks for."""
-    known = np.asarray(score.own) > 0
-    size = np.zeros(len(known))
-    if not known.any():
-        return 0.0, 0, Missing(size, np.zeros((len(known), 0)), np.zeros(score.taken.shape[1]))
-    score = score.only(known)
-    unit = np.sqrt(score.own)
-    values, vectors = np.linalg.eigh(score.variance / np.outer(unit, unit))
-    seen = values > imitated
-    root = np.zeros((len(known), int(seen.sum())))
-    root[known] = vectors[:, seen] / np.sqrt(values[seen]) / unit[:, None]
-    # In units of their standard deviations.
-    parts = (vectors.T @ (score.gradient / unit))[seen] / np.sqrt(values[seen])
-    statistic = float(np.sum(parts**2))
-    if shrunk:
-        # Directions that say no more than noise does would add its error, not the model's.
-        parts = parts * np.maximum(1.0 - _CHANCE / np.maximum(parts**2, _CHANCE), 0.0)
-    size = root @ parts
-    return statistic, int(seen.sum()), Missing(size, root, size[known] @ score.taken)
+def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
+    """What the score says of the terms of one model beside those that are known.
+
+    The directions are independent of the known ones: from the terms of the model, those that would explain the same
+    are taken off (Gram and Schmidt, with the score's variance as the product).
+    """
+    places = score.places[name]
+    places = places[score.own[places] > 0]
+    gradient, variance = score.gradient[places], score.variance[np.ix_(places, places)]
+    alike = np.zeros((len(places), 0))
+    if known is not None:
+        alike = score.variance[places] @ known.root
+        gradient, variance = gradient - alike @ known.parts, variance - alike @ alike.T
+    unit = np.sqrt(score.own[places])
+    values, vectors = np.linalg.eigh(variance / np.outer(unit, unit))
+    kept = values > (_RADIAL_IMITATED if name == "radial" else _IMITATED)
+    own = vectors[:, kept] / np.sqrt(values[kept]) / unit[:, None]
+    root = np.zeros((len(score.own), own.shape[1]))
+    root[places] = own
+    if known is not None:
+        root = root - known.root @ (alike.T @ own)
+    return _Seen(root, own.T @ gradient)
+
+
+def _explain(score: Score, suspects: Sequence[str], tests: int) -> dict[str, Missing]:
+    """The terms that explain the structure: those of the likeliest model first, then what is left, and so on."""
+    known, chosen, left = _Seen(np.zeros((len(score.own), 0)), np.zeros(0)), [], list(suspects)
+    while left:
+        looks = {name: _look(score, name, known) for name in left}
+        name = max(left, key=lambda name: looks[name].surprise)
+        found = looks[name]
+        p = _p_value(found.statistic, len(found.parts))
+        if result_of_test(p, p, tests) != "structure":
+            break
+        left.remove(name)
+        chosen.append(name)
+        parts = found.parts
+        if name not in ("table", "axis"):
+            # Directions that say no more than noise does would add its error, not the model's.
+            parts = parts * np.maximum(1.0 - _CHANCE / np.maximum(parts**2, _CHANCE), 0.0)
+        known = _Seen(np.concatenate([known.root, found.root], axis=1), np.concatenate([known.parts, parts]))
+    size = known.root @ known.parts
+    return {
+        name: Missing(size[places], known.root[places], size[places] @ score.taken[places])
+        for name, places in ((name, score.places[name]) for name in chosen)
+    }
