@@ -21,11 +21,11 @@ def settings(held=None, **others):
 
 def bend(q):
     """A sheet that is bent by up to 0.6 px across, in a shape that neither plane nor bow has."""
-    return BEND_PX * np.sin(q[..., 1] / 120.0)[..., None] * np.array([1.0, 0.0])
+    return BEND_PX * np.cos(np.pi * q[..., 1] / 1023.0 * 1.5)[..., None] * np.array([1.0, 0.0])
 
 
 CASES = {
-    "lens": ({"lens": (-0.10, 0.06, 2e-3, 0.0, 0.0)}, "tangential"),
+    "lens": ({"lens": (-0.10, 0.06, 6e-3, 0.0, 0.0)}, "tangential"),
     "board": ({"warp": (4e-4, 0.0)}, "warp"),
     "axis": ({"wobble": tuple(map(tuple, 5e-4 * np.random.default_rng(3).normal(size=(40, 3)) * [1, 0, 1]))}, None),
     "sheet": ({}, None),

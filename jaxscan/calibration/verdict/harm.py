@@ -52,10 +52,9 @@ def find_harm(result: Adjustment, settings: CalibrationSettings) -> list[Harm]:
     # The halves come last: they count for the part that the others do not cover.
     for test in judged.tests:
         steps, where = np.zeros((0, len(scales))), None
-        name = "radial" if test.name == "lens" and "radial" in judged.missing else test.name
-        if name in judged.missing:
-            steps, where = _steps_of(result, name, judged.missing[name])
-        elif name == "halves" and judged.halves and _has_structure(test, judged):
+        if test.name in judged.missing:
+            steps, where = _steps_of(result, judged.missing[test.name], judged.places)
+        elif test.name == "halves" and judged.halves and _has_structure(test, judged):
             before = np.concatenate([steps, *(harm.steps for harm in found)])
             steps = _of_halves(judged.halves, scales, before.T @ before)
         found.append(Harm(replace(test, where=where), steps))
@@ -66,23 +65,27 @@ def _has_structure(test: ModelTest, judged: Judged) -> bool:
     return result_of_test(test.p, test.p_structure, len(judged.tests)) == "structure"
 
 
-def _steps_of(result: Adjustment, name: str, missing: Missing) -> tuple[np.ndarray, str | None]:
-    """The steps of the terms that one model lacks, and where in the image they tell most."""
-    problem = result.problem
+def _steps_of(result: Adjustment, missing: Missing, places: dict[str, np.ndarray]) -> tuple[np.ndarray, str | None]:
+    """The steps of missing terms, and where in the image they tell most."""
+    problem, where = result.problem, None
     layout = problem_layout(problem.camera, problem.lasers, problem.turntable)
-    imitation = missing.shift * np.asarray(problem.scales)
-    if name in ("lens", "radial"):
-        terms = radial_terms if name == "radial" else lens_terms
-        return _of_lens(result, layout, terms(_seen_corners(result), extents_of(result.data)) @ missing.size, imitation)
-    if name == "sheet":
-        return _of_sheets(result, layout, missing, imitation), None
-    if name == "table":
-        turned = _angle_error(missing)
-        return np.stack([imitation, *(_one(layout, name, turned) for name in ("c1", "s1"))]), None
-    if name == "axis":
-        tilt = _axis_error(result, missing)
-        return np.stack([imitation, *(_one(layout, name, tilt) for name in ("axis.d1", "axis.d2"))]), None
-    return imitation[None], None
+    steps = [missing.shift * np.asarray(problem.scales)]
+    has = lambda name: name in places and np.any(missing.size[places[name]] != 0)
+    if has("lens") or has("radial"):
+        corner_q, extents = _seen_corners(result), extents_of(result.data)
+        shape = lens_terms(corner_q, extents) @ missing.size[places["lens"]]
+        shape = shape + radial_terms(corner_q, extents) @ missing.size[places["radial"]]
+        rest, where = _of_lens(result, layout, shape, steps[0])
+        steps += rest
+    if has("sheet"):
+        steps += _of_sheets(result, layout, missing.size[places["sheet"]], steps[0])
+    if has("table"):
+        turned = _angle_error(missing.size[places["table"]], missing.noise[places["table"]])
+        steps += [_one(layout, name, turned) for name in ("c1", "s1")]
+    if has("axis"):
+        tilt = _axis_error(result, missing.size[places["axis"]], missing.noise[places["axis"]])
+        steps += [_one(layout, name, tilt) for name in ("axis.d1", "axis.d2")]
+    return np.stack(steps), where
 
 
 def _of_halves(halves: Halves, scales: np.ndarray, before: np.ndarray) -> np.ndarray:
@@ -100,8 +103,8 @@ def _of_halves(halves: Halves, scales: np.ndarray, before: np.ndarray) -> np.nda
 
 def _of_lens(
     result: Adjustment, layout: Layout, shape: np.ndarray, imitation: np.ndarray
-) -> tuple[np.ndarray, str | None]:
-    """Steps of a lens that lacks a shape [views, rows], px."""
+) -> tuple[list[np.ndarray], str | None]:
+    """Steps of a lens that lacks a shape [views, rows], px; the imitation is changed to the part it can follow."""
     problem, linearised = result.problem, result.linearised
     weight = np.repeat(np.asarray(problem.corner_weight), 2, axis=1)
     used = weight > 0
@@ -112,16 +115,15 @@ def _of_lens(
     field = by_camera @ imitation[layout.camera] - shape[used]
     free = np.asarray(problem.scales)[layout.camera]
     followed, _, _, _ = np.linalg.lstsq(by_camera * free, field, rcond=1e-9)
-    step = imitation.copy()
-    step[layout.camera] = followed * free
-    rest = (field - by_camera @ step[layout.camera]).reshape(-1, 2)
-    steps = [step]
+    imitation[layout.camera] = followed * free
+    rest = (field - by_camera @ imitation[layout.camera]).reshape(-1, 2)
+    steps = []
     for axis, (focal, centre) in enumerate((("fx", "cx"), ("fy", "cy"))):
         size, reach = (np.sqrt(np.mean(np.square(values))) for values in (rest[:, axis], by_camera[axis::2, axis]))
         # A turn of the camera takes up what moves its centre, so the focal length has all of it and the centre half.
         steps += [_one(layout, focal, size / reach), _one(layout, centre, np.sqrt(0.5) * size)]
     centre, half = extents_of(result.data).image
-    return np.stack(steps), _zone((_seen_corners(result)[used[:, ::2]] - centre) / half, field.reshape(-1, 2))
+    return steps, _zone((_seen_corners(result)[used[:, ::2]] - centre) / half, field.reshape(-1, 2))
 
 
 def _seen_corners(result: Adjustment) -> np.ndarray:
@@ -144,16 +146,17 @@ def _zone(place: np.ndarray, field: np.ndarray) -> str | None:
     return name if name is not None and sizes[name] > _STANDS_OUT * np.sqrt(np.mean(error)) else None
 
 
-def _of_sheets(result: Adjustment, layout: Layout, missing: Missing, imitation: np.ndarray) -> np.ndarray:
+def _of_sheets(result: Adjustment, layout: Layout, size: np.ndarray, imitation: np.ndarray) -> list[np.ndarray]:
+    """Steps of sheets that lack terms; the imitation is changed to the part it can follow."""
     problem, linearised = result.problem, result.linearised
     weight, slope = np.asarray(problem.stripe_weight), np.asarray(linearised.slope)
     by_q, offset = np.asarray(linearised.by_q), np.asarray(linearised.offset)
     square = np.where(slope > 0, slope, 1.0) ** 2
     q = np.asarray(problem.stripe_q) - by_q * (offset / square)[..., None]
     # How far the points of the sheet are from their plane [m] beside the imitation.
-    bend = -slope * (sheet_terms(q, problem, extents_of(result.data)) @ missing.size)
+    bend = -slope * (sheet_terms(q, problem, extents_of(result.data)) @ size)
     parts = np.asarray(linearised.stripe_slopes) / np.where(weight > 0, weight, 1.0)[..., None]
-    every = [imitation]
+    turns = []
     for laser in range(len(problem.lasers.distance)):
         lit = (weight > 0) & (np.asarray(problem.stripe_laser) == laser)[:, None]
         if not lit.any():
@@ -166,22 +169,21 @@ def _of_sheets(result: Adjustment, layout: Layout, missing: Missing, imitation: 
         free = np.asarray(problem.scales)[own]
         followed, _, _, _ = np.linalg.lstsq(by_sheet * free, bend[lit], rcond=1e-9)
         rest = (bend[lit] - by_sheet @ (followed * free)) / np.linalg.norm(points, axis=1)
-        every[0] = every[0].copy()
-        every[0][own] += followed * free
+        imitation[own] += followed * free
         # A turn about the line across the rays moves all points of the sheet alike, for their distance.
         ahead = points.mean(0) / np.linalg.norm(points.mean(0))
         turn = np.zeros_like(imitation)
         turn[own.start : own.start + 2] = basis @ ahead * np.sqrt(np.mean(np.square(rest)))
-        every.append(turn)
-    return np.stack(every)
+        turns.append(turn)
+    return turns
 
 
-def _angle_error(missing: Missing) -> float:
+def _angle_error(size: np.ndarray, noise: np.ndarray) -> float:
     """Root mean square error of the table's angles [rad], less the part of noise."""
-    return float(np.sqrt(max(np.mean(missing.size**2) - np.mean(np.sum(missing.noise**2, axis=1)), 0.0)))
+    return float(np.sqrt(max(np.mean(size**2) - np.mean(np.sum(noise**2, axis=1)), 0.0)))
 
 
-def _axis_error(result: Adjustment, missing: Missing) -> float:
+def _axis_error(result: Adjustment, size: np.ndarray, noise: np.ndarray) -> float:
     """Root mean square tilt [rad] that moves boards across their line of sight other than turning does, less noise."""
     problem = result.problem
     if problem.turntable is None:
@@ -199,9 +201,9 @@ def _axis_error(result: Adjustment, missing: Missing) -> float:
         unit = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
         moved = moved - unit[:, :, None] * np.einsum("vi,vij->vj", unit, moved)[:, None, :]
     far = np.linalg.norm(point, axis=1)[:, None, None]
-    size = np.einsum("vij,vj->vi", moved / far, missing.size.reshape(len(views), 6))
-    noise = np.einsum("vij,vjk->vik", moved / far, missing.noise.reshape(len(views), 6, -1))
-    return float(np.sqrt(max(np.sum(size**2) - np.sum(noise**2), 0.0) / len(views)))
+    shift = np.einsum("vij,vj->vi", moved / far, size.reshape(len(views), 6))
+    chance = np.einsum("vij,vjk->vik", moved / far, noise.reshape(len(views), 6, -1))
+    return float(np.sqrt(max(np.sum(shift**2) - np.sum(chance**2), 0.0) / len(views)))
 
 
 def _one(layout: Layout, name: str, size: float) -> np.ndarray:

@@ -39,10 +39,13 @@ _CHANCE = 4.0
 
 
 class Missing(NamedTuple):
-    """Terms that a model lacks, as far as the residuals show them: the residuals ask for `-size` of each."""
+    """Terms that a model lacks, as far as the residuals show them, and what they change in terms found before.
+
+    Terms of several models are in one order (`Score.places`).
+    """
 
     size: np.ndarray
-    """Of every term; less the part that noise alone would give, but of terms of single views."""
+    """The residuals ask for `-size` of each term; less the part that noise alone would give, but of single views."""
     noise: np.ndarray
     """Root of the covariance of `size` as noise causes it [terms, seen]."""
     shift: np.ndarray
@@ -56,8 +59,10 @@ class Judged(NamedTuple):
     """"lens", "board", "table" (its angles), "axis" (whether it stands still), "sheet" and "halves", those that the
     data allow."""
     missing: dict[str, Missing]
-    """By the name of the test, "radial" for "lens" where that is the likelier. The same residuals may fail several
-    tests: terms that add nothing to those of others are not here."""
+    """By the name of the test. The same residuals may fail several tests: models that add nothing to others are not
+    here."""
+    places: dict[str, np.ndarray]
+    """Positions of the terms of each model in `Missing`."""
     halves: Halves | None
 
 
@@ -118,7 +123,7 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> Judged:
         tests.append(ModelTest("halves", given.distance(), given.dof, p, p_structure))
     failed = {test.name for test in tests if result_of_test(test.p, test.p_structure, len(tests)) == "structure"}
     suspects = [name for name in seen if ("lens" if name == "radial" else name) in failed]
-    return Judged(tuple(tests), _explain(score, suspects, len(tests)), halves)
+    return Judged(tuple(tests), _explain(score, suspects, len(tests)), score.places, halves)
 
 
 def _tested(name: str, statistic: float, dof: int, noise: float) -> ModelTest:
@@ -158,23 +163,19 @@ def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
 
 def _explain(score: Score, suspects: Sequence[str], tests: int) -> dict[str, Missing]:
     """The terms that explain the structure: those of the likeliest model first, then what is left, and so on."""
-    known, chosen, left = _Seen(np.zeros((len(score.own), 0)), np.zeros(0)), [], list(suspects)
+    known, left, found = _Seen(np.zeros((len(score.own), 0)), np.zeros(0)), list(suspects), {}
     while left:
         looks = {name: _look(score, name, known) for name in left}
         name = max(left, key=lambda name: looks[name].surprise)
-        found = looks[name]
-        p = _p_value(found.statistic, len(found.parts))
+        root, parts = looks[name]
+        p = _p_value(looks[name].statistic, len(parts))
         if result_of_test(p, p, tests) != "structure":
             break
         left.remove(name)
-        chosen.append(name)
-        parts = found.parts
         if name not in ("table", "axis"):
             # Directions that say no more than noise does would add its error, not the model's.
             parts = parts * np.maximum(1.0 - _CHANCE / np.maximum(parts**2, _CHANCE), 0.0)
-        known = _Seen(np.concatenate([known.root, found.root], axis=1), np.concatenate([known.parts, parts]))
-    size = known.root @ known.parts
-    return {
-        name: Missing(size[places], known.root[places], size[places] @ score.taken[places])
-        for name, places in ((name, score.places[name]) for name in chosen)
-    }
+        known = _Seen(np.concatenate([known.root, root], axis=1), np.concatenate([known.parts, parts]))
+        size = root @ parts
+        found["lens" if name == "radial" else name] = Missing(size, root, size @ score.taken)
+    return found
