@@ -10,6 +10,7 @@ import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera
 from jaxscan.calibration.parameters import PRIORS
+from jaxscan.files.calibration import load_calibration, save_calibration
 from jaxscan.geometry import Chessboard, fit_axis, fit_plane, plane_sigma
 from jaxscan.observation import BoardViews, Observations, StripeViews
 from jaxscan.vision import find_corners
@@ -151,6 +152,17 @@ def test_opencv_chessboards(side, detector):
         )
     # The same board in both cameras: bowed by -0.17 mm along its short side, to 0.02 mm.
     assert calibration.quality.board_warp_m[1] == pytest.approx(-1.7e-4, abs=4e-5)
+
+
+def test_a_rational_lens_of_few_views_can_be_written(tmp_path):
+    # k1 to k6 are nearly one direction here (condition 1e8): inverted without care, the covariance lost its symmetry.
+    observed = pictures("opencv_stereo_chess/right*.jpg", Chessboard(9, 6, 0.025), "auto")
+    settings = CalibrationSettings(free=(*CalibrationSettings().free, "rational"), judge=False)
+    calibration = calibrate_camera(observed, settings=settings)
+    np.testing.assert_array_equal(calibration.covariance, calibration.covariance.T)
+    save_calibration(calibration, tmp_path / "camera.json")
+    read = load_calibration(tmp_path / "camera.json")
+    np.testing.assert_allclose(read.covariance, calibration.covariance, rtol=1e-12)
 
 
 def test_ciclop_laser_plane():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.verdict.extra_terms import turning_twist
+from jaxscan.calibration.verdict.extra_terms import moving_twist
 from jaxscan.calibration.verdict.halves import deal_halves
 from jaxscan.calibration.verdict.limits import chance
 from jaxscan.geometry import exponential, invert
@@ -89,7 +89,7 @@ def test_turning_is_the_derivative_of_the_board_pose_by_the_angle(clean):
     # Differences err by half a step times the second derivative, some 1e-6; the table turns by the
     # derivative of its angle model, about its gain.
     rate = jax.grad(rig.turntable.angle)(0.2)
-    np.testing.assert_allclose(rate * turning_twist(np.asarray(seen(0.2)), rig.turntable), twist, atol=1e-5)
+    np.testing.assert_allclose(rate * moving_twist(np.asarray(seen(0.2)), rig.turntable), twist, atol=1e-5)
 
 
 def test_halves_are_dealt_inside_placements():

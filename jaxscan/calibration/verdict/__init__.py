@@ -16,6 +16,7 @@ from jaxscan.calibration.verdict.lengths import (
 )
 from jaxscan.calibration.verdict.limits import Result, chance, is_held_by_priors, is_named, noise_kind
 from jaxscan.calibration.verdict.quality import (
+    BoardMap,
     DepthSigma,
     Direction,
     GoodTo,

@@ -18,10 +18,11 @@ from jaxscan.calibration.solve.problem import problem_layout
 from jaxscan.calibration.verdict.extra_terms import extents_of, lens_terms, radial_terms, sheet_terms
 from jaxscan.calibration.verdict.halves import Halves
 from jaxscan.calibration.verdict.judge import Judged, Missing, judge
+from jaxscan.calibration.verdict.lengths import TRAVEL_M
 from jaxscan.calibration.verdict.limits import result_of_test
 from jaxscan.calibration.verdict.quality import ModelTest
 from jaxscan.calibration.verdict.score import repeated_views
-from jaxscan.geometry import Layout
+from jaxscan.geometry import Layout, LinearStage
 
 
 # Zones of the image by the place in it, -1 ... 1: corners where both coordinates are beyond this, edges where one is,
@@ -68,7 +69,7 @@ def _has_structure(test: ModelTest, judged: Judged) -> bool:
 def _steps_of(result: Adjustment, missing: Missing, places: dict[str, np.ndarray]) -> tuple[np.ndarray, str | None]:
     """The steps of missing terms, and where in the image they tell most."""
     problem, where = result.problem, None
-    layout = problem_layout(problem.camera, problem.lasers, problem.turntable)
+    layout = problem_layout(problem.camera, problem.lasers, problem.turntable, problem.modes.corner.shape[-1])
     steps = [missing.shift * np.asarray(problem.scales)]
     has = lambda name: name in places and np.any(missing.size[places[name]] != 0)
     if has("lens") or has("radial"):
@@ -79,12 +80,8 @@ def _steps_of(result: Adjustment, missing: Missing, places: dict[str, np.ndarray
         steps += rest
     if has("sheet"):
         steps += _of_sheets(result, layout, missing.size[places["sheet"]], steps[0])
-    if has("table"):
-        turned = _angle_error(missing.size[places["table"]], missing.noise[places["table"]])
-        steps += [_one(layout, name, turned) for name in ("c1", "s1")]
-    if has("axis"):
-        tilt = _axis_error(result, missing.size[places["axis"]], missing.noise[places["axis"]])
-        steps += [_one(layout, name, tilt) for name in ("axis.d1", "axis.d2")]
+    if has("table") or has("axis"):
+        steps += _of_motion(result, layout, missing, places)
     return np.stack(steps), where
 
 
@@ -178,16 +175,26 @@ def _of_sheets(result: Adjustment, layout: Layout, size: np.ndarray, imitation: 
     return turns
 
 
-def _angle_error(size: np.ndarray, noise: np.ndarray) -> float:
-    """Root mean square error of the table's angles [rad], less the part of noise."""
-    return float(np.sqrt(max(np.mean(size**2) - np.mean(np.sum(noise**2, axis=1)), 0.0)))
+def _of_motion(result: Adjustment, layout: Layout, missing: Missing, places: dict[str, np.ndarray]) -> list[np.ndarray]:
+    """Steps of a motion that does not go where its model says: along it, and any other way."""
+    along, aside = (missing.size[places[name]] for name in ("table", "axis"))
+    error = np.sqrt(max(np.mean(along**2) - np.mean(np.sum(missing.noise[places["table"]] ** 2, axis=1)), 0.0))
+    shift, distance = _shift_aside(result, aside, missing.noise[places["axis"]])
+    if isinstance(result.problem.turntable, LinearStage):
+        # Errors of places count over a usual travel.
+        names = (("gain", error / TRAVEL_M), ("travel.t1", shift / TRAVEL_M), ("travel.t2", shift / TRAVEL_M))
+        return [_one(layout, name, float(size)) for name, size in names]
+    tilts = (("axis.d1", shift / distance), ("axis.d2", shift / distance))
+    return [_one(layout, name, float(size)) for name, size in (("c1", error), ("s1", error), *tilts)]
 
 
-def _axis_error(result: Adjustment, size: np.ndarray, noise: np.ndarray) -> float:
-    """Root mean square tilt [rad] that moves boards across their line of sight other than turning does, less noise."""
+def _shift_aside(result: Adjustment, size: np.ndarray, noise: np.ndarray) -> tuple[float, float]:
+    """Root mean square shift [m] of boards across their line of sight and across the motion, less that of noise.
+
+    Returns:
+        The shift, and the distance of the boards [m].
+    """
     problem = result.problem
-    if problem.turntable is None:
-        return 0.0
     views = repeated_views(problem)
     pose = np.asarray(result.linearised.view_poses)[views]
     middle = np.append(np.asarray(problem.frame)[:2], 0.0)
@@ -196,14 +203,14 @@ def _axis_error(result: Adjustment, size: np.ndarray, noise: np.ndarray) -> floa
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     # Motion of the board's middle in the camera frame by a twist in the board's own axes.
     moved = np.concatenate([pose[:, :3, :3], -pose[:, :3, :3] @ cross], axis=2)
-    turning = np.cross(np.asarray(problem.turntable.direction), point - np.asarray(problem.turntable.point))
-    for direction in (turning, point):
+    speed, axis = np.split(np.asarray(problem.turntable.twist()), 2)
+    for direction in (speed + np.cross(axis, point), point):
         unit = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
         moved = moved - unit[:, :, None] * np.einsum("vi,vij->vj", unit, moved)[:, None, :]
-    far = np.linalg.norm(point, axis=1)[:, None, None]
-    shift = np.einsum("vij,vj->vi", moved / far, size.reshape(len(views), 6))
-    chance = np.einsum("vij,vjk->vik", moved / far, noise.reshape(len(views), 6, -1))
-    return float(np.sqrt(max(np.sum(shift**2) - np.sum(chance**2), 0.0) / len(views)))
+    shift = np.einsum("vij,vj->vi", moved, size.reshape(len(views), 6))
+    chance = np.einsum("vij,vjk->vik", moved, noise.reshape(len(views), 6, -1))
+    mean_square = max(np.sum(shift**2) - np.sum(chance**2), 0.0) / len(views)
+    return float(np.sqrt(mean_square)), float(np.sqrt(np.mean(np.sum(point**2, axis=1))))
 
 
 def _one(layout: Layout, name: str, size: float) -> np.ndarray:

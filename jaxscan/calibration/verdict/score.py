@@ -23,9 +23,9 @@ from jaxscan.calibration.verdict.extra_terms import (
     Extents,
     board_terms,
     lens_terms,
+    moving_twist,
     radial_terms,
     sheet_terms,
-    turning_twist,
 )
 from jaxscan.geometry import Array
 
@@ -83,10 +83,10 @@ def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> 
         name: _shared(system, extra, corner_residual, system.corner, system.view_owner)
         for name, extra in (("lens", lens), ("radial", radial), ("board", board), ("bend", bend[..., None]))
     }
-    if problem.turntable is not None:
+    if problem.turntable.blocks:
         views = repeated_views(problem)
         twist = twist[views]
-        turn = turning_twist(np.asarray(linearised.view_poses)[views], problem.turntable)
+        turn = moving_twist(np.asarray(linearised.view_poses)[views], problem.turntable)
         groups["table"] = _by_view(system, np.einsum("vrd,vd->vr", twist, turn)[..., None], corner_residual, views)
         groups["axis"] = _by_view(system, twist, corner_residual, views)
     if len(problem.lasers.distance):
