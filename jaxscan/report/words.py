@@ -3,7 +3,7 @@
 import math
 from typing import Literal, NamedTuple
 
-from jaxscan.calibration import Calibration, ModelTest, Verdict
+from jaxscan.calibration import Calibration, ModelTest, Quality
 from jaxscan.calibration.verdict import GoodTo, is_named, judge_views, noise_kind
 
 
@@ -14,7 +14,7 @@ TESTS = {
     ),
     "board": (
         "Do the corner residuals still depend on where on the board they lie?",
-        "the board does not have the shape of its model",
+        "the board is not flat",
     ),
     "table": (
         "Would every view have its board turned a little further?",
@@ -70,11 +70,13 @@ def headline(calibration: Calibration) -> Headline:
     if verdict.usable is None or good_to is None:
         reason = "The verdict of this file does not say what the calibration is good for: calibrate again."
         return Headline("open", "Not judged", reason)
-    size, parts = _size(good_to), _parts(verdict, good_to)
+    size, parts = _size(good_to), _parts(calibration.quality, good_to)
     if verdict.usable is False:
         because = f"; {parts}" if parts else ""
         return Headline("bad", f"Good to only {size}", f"Refused: {verdict.refused or 'it cannot be used'}{because}.")
-    return Headline("good", f"Good to {size}{f'; {parts}' if parts else ''}", _explanation(verdict, good_to))
+    return Headline(
+        "good", f"Good to {size}{f'; {parts}' if parts else ''}", _explanation(calibration.quality, good_to)
+    )
 
 
 def _size(good_to: GoodTo) -> str:
@@ -84,33 +86,45 @@ def _size(good_to: GoodTo) -> str:
     return "an unknown size" if good_to.sigma_px is None else f"{good_to.sigma_px:.2g} px over the image"
 
 
-def _parts(verdict: Verdict, good_to: GoodTo) -> str:
+def _parts(quality: Quality, good_to: GoodTo) -> str:
     """The causes that are worth a word, the largest first."""
     rig = good_to.sigma_mm is not None
     whole = (good_to.sigma_mm if rig else good_to.sigma_px) or 0.0
-    sizes = [((test.effect_mm if rig else test.effect_px) or 0.0, test) for test in verdict.tests]
+    tests = quality.verdict.tests if quality.verdict else ()
+    sizes = [((test.effect_mm if rig else test.effect_px) or 0.0, test) for test in tests]
     named = sorted(((size, test) for size, test in sizes if is_named(size, whole)), key=lambda part: -part[0])
     texts = [
-        f"{millimetres(size) if rig else f'{size:.2g} px'}{'' if index else ' of that'} because {_cause(test)}"
+        f"{millimetres(size) if rig else f'{size:.2g} px'}{'' if index else ' of that'} because {_cause(test, quality)}"
         for index, (size, test) in enumerate(named)
     ]
     return ", and ".join(texts) if len(texts) < 3 else f"{', '.join(texts[:-1])}, and {texts[-1]}"
 
 
-def _cause(test: ModelTest) -> str:
+def _cause(test: ModelTest, quality: Quality) -> str:
     cause = TESTS[test.name][1] if test.name in TESTS else f"the test {test.name!r} found structure"
+    if test.name == "board":
+        freed = quality.board is not None and quality.board.free != "parabola"
+        cause = "the board's shape falls short, though it was freed" if freed else f"{cause} and its shape not free"
     return f"{cause} {test.where}" if test.where else cause
 
 
-def _explanation(verdict: Verdict, good_to: GoodTo) -> str:
-    results = [verdict.result(test) for test in verdict.tests]
-    rays = f" Its rays are good to {good_to.sigma_px:.2g} px." if good_to.sigma_mm and good_to.sigma_px else ""
-    if "structure" not in results:
-        noisy = "The noise has no structure, but it is larger than the detectors promise; the sigmas include that."
-        return (noisy if "noisy" in results else "The residuals look like noise.") + rays
-    rig = good_to.sigma_mm is not None
-    alone = millimetres(good_to.statistical_mm or 0.0) if rig else f"{good_to.statistical_px or 0.0:.2g} px"
-    return f"All sigmas include this; noise alone would give {alone}.{rays}"
+def _explanation(quality: Quality, good_to: GoodTo) -> str:
+    verdict, board = quality.verdict, quality.board
+    results = [verdict.result(test) for test in verdict.tests] if verdict else []
+    sentences = ["The residuals look like noise."]
+    if "structure" in results:
+        rig = good_to.sigma_mm is not None
+        alone = millimetres(good_to.statistical_mm or 0.0) if rig else f"{good_to.statistical_px or 0.0:.2g} px"
+        sentences = [f"All sigmas include this; noise alone would give {alone}."]
+    elif "noisy" in results:
+        sentences = [
+            "The noise has no structure, but it is larger than the detectors promise; the sigmas include that."
+        ]
+    if good_to.sigma_mm is not None and good_to.sigma_px is not None:
+        sentences.append(f"Its rays are good to {good_to.sigma_px:.2g} px.")
+    if board is not None and board.free != "parabola":
+        sentences.append(f"The board's shape was freed: {millimetres(1e3 * board.rms_off_flat_m)} RMS off flat.")
+    return " ".join(sentences)
 
 
 def lengths(calibration: Calibration) -> list[LengthLine]:

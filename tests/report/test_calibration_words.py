@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import Quality, SecondLook
-from jaxscan.calibration.verdict import GoodTo, Lengths, judge_views
+from jaxscan.calibration.verdict import BoardMap, GoodTo, Lengths, judge_views
 from jaxscan.report import Parameter, outcome_rows, parameters, quality_rows, words
 from jaxscan.report.tables import view_rows
 
@@ -58,13 +58,22 @@ class TestHeadline:
     def test_the_largest_cause_comes_first_and_small_ones_are_not_named(self, calibration):
         tests = structured(calibration, lens=0.3, board=0.6, axis=0.2)
         assert words.headline(judged(calibration, tests)).headline == (
-            "Good to 0.80 mm at 2.5 m; 0.60 mm of that because the board does not have the shape of its model, "
+            "Good to 0.80 mm at 2.5 m; 0.60 mm of that because the board is not flat and its shape not free, "
             "and 0.30 mm because the lens model falls short"
         )
         assert [row[6] for row in outcome_rows(judged(calibration, tests))].count("structure") == 3
         assert [row[5] for row in outcome_rows(judged(calibration, tests))][:3] == [
             "0.3 mm, 0.03 px", "0.6 mm, 0.06 px", ""
         ]  # fmt: skip
+
+    def test_a_board_whose_shape_was_freed(self, calibration):
+        freed = judged(calibration, structured(calibration, board=0.6))
+        found = words.headline(having(freed, board=BoardMap("corners", 2.5e-4)))
+        assert "because the board's shape falls short, though it was freed" in found.headline
+        assert "The board's shape was freed: 0.25 mm RMS off flat." in found.explanation
+        held = words.headline(having(freed, board=BoardMap("parabola", 2.5e-4)))
+        assert "because the board is not flat and its shape not free" in held.headline
+        assert "freed" not in held.explanation
 
     def test_noise_without_structure_is_told_from_a_wrong_model(self, calibration):
         tests = [replace(test, p=1e-9) for test in calibration.quality.verdict.tests]

@@ -101,8 +101,7 @@ def working_depth(scanner: Scanner, laser: int) -> float | None:
     reached = lit_in_reach(scanner, laser)
     if not reached:
         return None
-    table = scanner.turntable
-    if isinstance(table, Turntable) and table.carries == "object":
+    if isinstance(table := scanner.turntable, Turntable) and table.carries == "object":
         return (1.0 - _OBJECT_SHARE) * float(table.point[2])
     return _middle(reached).depth
 
@@ -119,10 +118,10 @@ def point_error(scanner: Scanner, laser: int, depth: float, steps: Float[np.ndar
     Returns:
         The error; None where that depth is nowhere in the image.
     """
-    lit = lit_lines(scanner, laser, (depth,))
-    if not len(lit[0].q):
+    (lit,) = lit_lines(scanner, laser, (depth,))
+    if not len(lit.q):
         return None
-    (found,) = _at_depths(scanner, laser, lit, pad_steps(scanner, steps))
+    (found,) = _at_depths(scanner, laser, [lit], pad_steps(scanner, steps))
     return found.sigma_range_mm if isinstance(scanner.turntable, Still) else found.sigma_point_mm
 
 
@@ -213,7 +212,7 @@ def _lengths(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> np.n
     """[steps, lengths], metres."""
     if not lengths:
         return np.zeros((len(steps), 0))
-    q, angle = (np.concatenate([getattr(length, name) for length in lengths]) for name in ("q", "angle"))
+    q, angle = (np.concatenate(parts) for parts in zip(*((one.q, one.angle) for one in lengths), strict=True))
     p = scan_points(scanner, steps, q, np.repeat([length.laser for length in lengths], 2), angle)
     return np.linalg.norm(p[:, 1::2] - p[:, 0::2], axis=-1)
 
