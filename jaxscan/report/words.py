@@ -118,7 +118,7 @@ def _explanation(quality: Quality, good_to: GoodTo) -> str:
         sentences = [f"All sigmas include this; noise alone would give {alone}."]
     elif "noisy" in results:
         sentences = [
-            "The noise has no structure, but it is larger than the detectors promise; the sigmas include that."
+            "The noise has no structure but is larger than the detectors promise; the sigmas include that."
         ]
     if good_to.sigma_mm is not None and good_to.sigma_px is not None:
         sentences.append(f"Its rays are good to {good_to.sigma_px:.2g} px.")
