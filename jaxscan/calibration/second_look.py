@@ -27,6 +27,8 @@ def solved_rig(calibration: Calibration) -> SolvedRig:
         scanner=calibration.scanner,
         board=observations.board,
         shape=np.array([*fit.warp, fit.pitch]),
+        bend=fit.bend,
+        offset=fit.offset,
         poses=fit.pose,
         used=np.any(fit.corner_kept, axis=1),
         corner_rms_px=calibration.quality.corner_rms_px or 0.0,
@@ -45,7 +47,11 @@ def choose(first: Calibration, second: Calibration) -> tuple[Calibration, Second
     """The second calibration unless it explains its observations worse, and the gains of the second look."""
     names = ("corner_rms_whitened", "stripe_rms_whitened", "views", "corners", "stripe_points")
     before, after = ({name: vars(calibration.quality)[name] for name in names} for calibration in (first, second))
-    kept = bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+    # A look that loses a part of the rig would explain the rest of its observations well.
+    whole = set(first.order) <= set(second.order)
+    kept = (
+        whole and bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+    )
     look = SecondLook(
         kept,
         **{f"{name}_gained": after[name] - before[name] for name in names[2:]},

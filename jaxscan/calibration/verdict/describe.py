@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from jaxscan.calibration.parameters import is_mode
 from jaxscan.calibration.solve.adjust import Adjustment
 from jaxscan.calibration.solve.covariance import Determination
 from jaxscan.calibration.verdict import limits
@@ -26,11 +27,14 @@ def describe_quality(
         names: Of the shared unknowns.
     """
     data, prior = result.data, np.asarray(result.linearised.prior_residual)
+    # Modes of the board are held by their priors on purpose; that is no doubt of the rig's numbers.
+    rig = np.array([not is_mode(name) for name in names])
     corner_rms, stripe_rms = result.whitened_rms()
     corners, stripes = int(data.corner_valid.sum()), int(data.stripe_valid.sum())
     distance = np.linalg.norm(result.corner_error, axis=-1)
     sigma = np.sqrt(np.diag(determination.covariance)).tolist()
-    warp_x, warp_y, pitch = (float(value) for value in result.problem.shape)
+    warp_x, warp_y, pitch = (float(value) for value in result.problem.shape[:3])
+    warp_sigma_x, warp_sigma_y, pitch_sigma = (sigma[names.index(name)] for name in ("warp.x", "warp.y", "pitch"))
     spectrum = tuple(Direction(*row) for row in determination.spectrum)
     per_view = _per_view(result, observations, distance)
     return Quality(
@@ -55,16 +59,16 @@ def describe_quality(
         condition=determination.condition,
         unobserved=tuple(row.direction for row in spectrum if limits.is_held_by_priors(row.sigma_over_prior)),
         spectrum=spectrum,
-        prior_share=PriorShare(_prior_cost(result, prior), determination.prior_share),
+        prior_share=PriorShare(_prior_cost(result, prior[rig]), determination.prior_share),
         prior_residuals={
             "fx/fy" if name == "fx" else name: float(value)
             for name, value in zip(names, prior, strict=True)
-            if value != 0
+            if value != 0 and not is_mode(name)
         },
         board_warp_m=(warp_x, warp_y),
-        board_warp_sigma_m=(sigma[-3], sigma[-2]),
+        board_warp_sigma_m=(warp_sigma_x, warp_sigma_y),
         board_pitch=pitch,
-        board_pitch_sigma=sigma[-1],
+        board_pitch_sigma=pitch_sigma,
         steps=result.steps,
     )
 
