@@ -22,8 +22,8 @@ from jaxscan.files.importing import (
 )
 from jaxscan.files.recording import check_new_folder
 from jaxscan.geometry import StripeAxis
-from jaxscan.geometry.scanner import Up
 from jaxscan.geometry.motions import Carries
+from jaxscan.geometry.scanner import Up
 from jaxscan.stripes import LaserColour, PixelFormat
 
 
