@@ -9,8 +9,8 @@ from experiments.real_sets.plain.boards import Lens, pose_of, residuals, rms
 from experiments.real_sets.plain.stripes import Plane, angle_deg, least_squares, spread
 
 
-RING = (0.06, 0.115)
-"""Radii of the table's rim, which the toy leaves free [m]."""
+RIM = 0.115
+"""Radius of the table that counts [m]."""
 NEAR_TABLE = 0.015
 """The table's surface is looked for so near to its markers [m]: the camera was moved between calibration and sweep."""
 ON_TABLE = 0.006
@@ -104,17 +104,18 @@ def _lift(solved: Solved, line: BoardLine) -> np.ndarray:
     return plane.meet(solved.lens.straight(line.q))
 
 
-def table_figures(xyz: np.ndarray, height: float, normal: np.ndarray) -> dict[str, Any]:
-    """Points of a sweep of the turntable: all of the scene, and those on the table's rim.
+def table_figures(xyz: np.ndarray, height: float, normal: np.ndarray, inner: float) -> dict[str, Any]:
+    """Points of a sweep of the turntable: all of the scene, and those on the table's surface.
 
     Args:
         xyz: Points [n, 3] in the table's coordinates: origin on the axis, z along it, up; m.
         height: Of the markers above the origin [m].
         normal: Of the plane of the markers [3].
+        inner: Radius of the part of the table that is covered [m].
     """
     above, radius = xyz[:, 2] - height, np.hypot(xyz[:, 0], xyz[:, 1])
-    scene = (radius < RING[1] + 0.01) & (above > -NEAR_TABLE) & (above < ABOVE)
-    rim = xyz[(radius > RING[0]) & (radius < RING[1]) & (np.abs(above) < NEAR_TABLE)]
+    scene = (radius < RIM + 0.01) & (above > -NEAR_TABLE) & (above < ABOVE)
+    rim = xyz[(radius >= inner) & (radius < RIM) & (np.abs(above) < NEAR_TABLE)]
     found: dict[str, Any] = {"points": len(xyz), "scene": int(scene.sum()), "on_table": 0}
     if len(rim) < 50:
         return found

@@ -23,6 +23,10 @@ class RealSet(NamedTuple):
     records: Callable[[Source], Files]
     reference: str = ""
     """Values that the authors published."""
+    lens: tuple[str, ...] = ()
+    """Options of `jaxscan calibrate` for the lens, as a user who knows it would give them."""
+    inner_m: float = 0.0
+    """Of a sweep: radius of the part of the table that is covered [m]."""
 
 
 NONE = "no licence stated: measured only"
@@ -115,6 +119,7 @@ SETS: tuple[RealSet, ...] = (
         "the same scanner: sweep of a plush toy on the table, the line overexposed, nothing with the laser off",
         TABLE,
         turning("python/DataOffline", "step_num", 320, 1.125),
+        inner_m=0.06,
     ),
     RealSet(
         "srv_laser_1207",
@@ -192,6 +197,7 @@ SETS: tuple[RealSet, ...] = (
         "left camera of a stereo rig with fisheye lenses",
         boards(chessboard(9, 6, 24.23)),
         plain_boards("imgs", r"left\d+\.jpg"),
+        lens=("--lens", "fisheye"),
     ),
     RealSet(
         "fisheye_right",
@@ -199,6 +205,7 @@ SETS: tuple[RealSet, ...] = (
         "right camera of the same rig",
         boards(chessboard(9, 6, 24.23)),
         plain_boards("imgs", r"right\d+\.jpg"),
+        lens=("--lens", "fisheye"),
     ),
     RealSet(
         "opencv_left",

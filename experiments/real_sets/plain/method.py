@@ -38,13 +38,15 @@ class PlainBoards:
         """From every so many views."""
         lens, shape = calibrate(self.corners[first::every], self.points, self.pictures.size, self.kind)
         lines = self._lines(lens) if lines is None else lines
-        sheets = []
+        sheets, agreeing = [], []
         for laser in range(len(self.pictures.lasers)):
             own = [line for line in lines if line.laser == laser and (line.view - first) % every == 0]
             lifted = [self._plane(lens, line.view).meet(lens.straight(line.q)) for line in own]
             if len(lifted) >= 2:
-                sheets.append(consensus(lifted)[0])
-        return Solved(lens, shape, self.corners, lines, sheets)
+                sheet, agree = consensus(lifted)
+                sheets.append(sheet)
+                agreeing += [line for line, is_one in zip(own, agree, strict=True) if is_one]
+        return Solved(lens, shape, self.corners, agreeing, sheets)
 
     def _plane(self, lens: Lens, view: int) -> Plane:
         return board_plane(pose_of(lens, self.points, self.corners[view]))
@@ -119,8 +121,8 @@ class TableFrame:
         return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
 
 
-def sweep(pictures: Pictures, lens: Lens, sheet: Plane, table: Table) -> dict[str, Any]:
-    """Figures of the plain method on a sweep."""
+def sweep(pictures: Pictures, lens: Lens, sheet: Plane, table: Table, inner: float) -> dict[str, Any]:
+    """Figures of the plain method on a sweep; `inner` is the radius of the part of the table that is covered [m]."""
     start, frame, laser = time.perf_counter(), TableFrame(table), pictures.lasers[0]
     points = []
     for record in pictures.records:
@@ -128,5 +130,5 @@ def sweep(pictures: Pictures, lens: Lens, sheet: Plane, table: Table) -> dict[st
         q = centres(light, laser.get("stripe_axis", "rows"))
         # The table's own step is not what a user has: the nominal angle is used, by every method.
         points.append(frame.bring(sheet.meet(lens.straight(q)), np.radians(record["angle_deg"])))
-    figures = table_figures(np.concatenate(points), frame.height, frame.normal)
+    figures = table_figures(np.concatenate(points), frame.height, frame.normal, inner)
     return figures | {"seconds": time.perf_counter() - start, "records": len(pictures.records)}

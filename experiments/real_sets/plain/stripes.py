@@ -9,8 +9,8 @@ from experiments.real_sets.plain.boards import Lens
 
 
 CHANNEL = {"red": 0, "green": 1, "blue": 2}
-LEAST_DN, LEAST_NOISES = 3.0, 4.0
-"""Height of a peak above its surroundings that counts as laser: in DN, and in standard deviations of the picture."""
+LEAST_DN = 4.0
+"""Height of a peak above its surroundings that counts as laser."""
 HALF = 6
 """Half window of the centroid [px]."""
 LINE_PX = 1.5
@@ -47,8 +47,7 @@ def centres(light: np.ndarray, stripe_axis: str, inside: np.ndarray | None = Non
     window = peak[:, None] + np.arange(-HALF, HALF + 1)
     values = np.take_along_axis(light, window, axis=1)
     values = values - values.min(1, keepdims=True)
-    least = max(LEAST_DN, LEAST_NOISES * spread(light[::4, ::4].ravel()))
-    found = (masked.max(1) > least) & (values.max(1) > least)
+    found = (masked.max(1) > LEAST_DN) & (values.max(1) > LEAST_DN)
     # Half of the peak and more: what lies lower pulls the centre towards the middle of the window.
     weights = np.where(values > 0.5 * values.max(1, keepdims=True), values, 0.0)
     u = (weights * window).sum(1) / np.maximum(weights.sum(1), 1e-9)
