@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxscan.calibration.board_shape import choose_shape, describe_board
 from jaxscan.calibration.conclude import conclude
 from jaxscan.calibration.known import NOTHING_KNOWN, KnownParts
 from jaxscan.calibration.parameters import CAMERA_BLOCKS
@@ -78,7 +79,7 @@ def calibrate_observations(
     """
     settings = settings or CalibrationSettings()
     started = time.perf_counter()
-    known.check(observations)
+    known.check((observations.width, observations.height), observations.laser_names, observations.carries)
     settings = replace(settings, free=known.free(settings))
     with jax.enable_x64(True), _contradictions():
         data = prepare(observations)
@@ -93,7 +94,7 @@ def calibrate_observations(
         if not rig.lasers and not rig.moves:
             starts = [make_problem(camera, stack_lasers([]), Still(), poses, apart, settings) for camera in cameras]
             problem = starts[0] if len(starts) == 1 else _lowest(starts, apart, settings).problem
-            return _concluded(adjust(problem, apart, settings), observations, settings, started, rig)
+            return _concluded(adjust(problem, apart, settings), observations, settings, started, rig, known)
         starts = [make_problem(camera, *stand_ins, poses, apart, held) for camera in cameras]
         first = _lowest(starts, apart, settings)
         camera, poses = _named(first.problem.camera, observations, settings), np.asarray(first.problem.poses)
@@ -118,7 +119,7 @@ def calibrate_observations(
         placements = average_placements(poses, data, motion)
         problem = make_problem(first.problem.camera, stack_lasers(lasers), motion, placements, data, settings)
         result = _pointed_up(adjust(problem, data, settings), observations, settings)
-        return _concluded(result, observations, settings, started, rig)
+        return _concluded(result, observations, settings, started, rig, known)
 
 
 def calibrate_camera(observations: Observations, *, settings: CalibrationSettings | None = None) -> Calibration:
@@ -184,7 +185,11 @@ def _first_cameras(
     """First cameras, one or several to try, and the poses of all views before them."""
     if known.camera is None:
         return seed_camera(apart, settings.camera)
-    return [known.camera], seed_poses(apart, known.camera)
+    # With all coefficients that the model knows, as first cameras have them.
+    camera, names = known.camera, [name for block in known.camera.lens for name in block.parameters]
+    lens = np.pad(np.asarray(camera.distortion), (0, len(names) - len(camera.distortion)))
+    camera = replace(camera, distortion=lens)
+    return [camera], seed_poses(apart, camera)
 
 
 def _lowest(starts: list[Problem], data: Prepared, settings: CalibrationSettings) -> Adjustment:
@@ -221,8 +226,11 @@ def _stand_ins(observations: Observations, rig: Rig) -> tuple[LaserSheet, Abstra
 
 def _named(camera: AbstractCamera, observations: Observations, settings: CalibrationSettings) -> AbstractCamera:
     """The solver's camera with its size, and without optional coefficients that nobody asked for."""
+    distortion = np.asarray(camera.distortion)
     count = sum(len(block.parameters) for block in camera.lens if not block.optional or block.name in settings.free)
-    distortion = np.asarray(camera.distortion)[:count]
+    # A known camera may have them.
+    count = count if not distortion[count:].any() else len(distortion)
+    distortion = distortion[:count]
     return replace(camera, distortion=distortion, width=observations.width, height=observations.height)
 
 
@@ -236,8 +244,16 @@ def _pointed_up(result: Adjustment, observations: Observations, settings: Calibr
 
 
 def _concluded(
-    result: Adjustment, observations: Observations, settings: CalibrationSettings, started: float, rig: Rig
+    result: Adjustment,
+    observations: Observations,
+    settings: CalibrationSettings,
+    started: float,
+    rig: Rig,
+    known: KnownParts,
 ) -> Calibration:
+    result, choice = choose_shape(result, observations, settings)
     calibration = conclude(result, _named(result.problem.camera, observations, settings), observations, settings)
-    quality = replace(calibration.quality, seconds=time.perf_counter() - started)
-    return replace(calibration, quality=quality, missing=rig.missing)
+    board = describe_board(result, observations, calibration, choice)
+    quality = replace(calibration.quality, board=board, seconds=time.perf_counter() - started)
+    provenance = {**calibration.provenance, "held": list(known.held())} if known.held() else calibration.provenance
+    return replace(calibration, quality=quality, missing=rig.missing, provenance=provenance)

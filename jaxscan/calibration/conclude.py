@@ -5,12 +5,13 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.parameters import BOARD_BLOCKS
+from jaxscan.calibration.parameters import board_blocks
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve import (
     Adjustment,
     Determination,
+    bend_of,
     determine,
     not_converged,
     undetermined_shares,
@@ -57,9 +58,10 @@ def conclude(
     """
     problem, motion = result.problem, result.problem.turntable
     lasers = observations.laser_names[: len(problem.lasers.distance)]
-    names = make_layout(problem.camera, lasers, motion=motion.blocks, board=BOARD_BLOCKS).names
+    board = board_blocks(problem.modes.corner.shape[-1])
+    names = make_layout(problem.camera, lasers, motion=motion.blocks, board=board).names
     determination = _determined(result, names)
-    layout = make_layout(camera, lasers, motion=motion.blocks, board=BOARD_BLOCKS)
+    layout = make_layout(camera, lasers, motion=motion.blocks, board=board)
     every, count = layout.names, layout.board.start
     kept = np.array([names.index(name) for name in every])
     turned = -1.0 if observations.carries == "object" else 1.0
@@ -138,8 +140,9 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
     stripes, points = np.shape(observations.stripes.valid)
     corner = lambda values: np.ascontiguousarray(values[:views, :corners])
     stripe = lambda values: np.ascontiguousarray(values[:stripes, :points])
-    kx, ky, pitch = (float(value) for value in result.problem.shape)
+    kx, ky, pitch = (float(value) for value in result.problem.shape[:3])
     leverage = np.asarray(result.linearised.corner_leverage).reshape(result.corner_error.shape)
+    bend, offset = bend_of(result.problem)
     return Fit(
         pose=np.asarray(result.linearised.view_poses)[:views],
         warp=np.array([kx, ky]),
@@ -153,4 +156,6 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
         stripe_leverage=stripe(np.asarray(result.linearised.stripe_leverage)),
         stripe_kept=stripe(result.stripe_kept),
         covariance=covariance,
+        bend=bend,
+        offset=offset[:corners],
     )

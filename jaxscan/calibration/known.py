@@ -1,5 +1,6 @@
 """Parts of a rig that are known before a calibration: held as they are, or refined from there."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,7 +10,6 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, AbstractMotion, LaserSheet
 from jaxscan.geometry.laser import LASER_BLOCKS
 from jaxscan.geometry.motions import MOTION_BLOCKS
-from jaxscan.observation import Observations
 
 
 Part = Literal["camera", "sheet", "axis"]
@@ -43,29 +43,34 @@ class KnownParts:
         held = {block for part in self.held() for block in _BLOCKS_OF[part]}
         return tuple(block for block in settings.free if block not in held)
 
-    def check(self, observations: Observations) -> None:
+    def check(self, size: tuple[int, int], laser_names: Sequence[str], carries: str) -> None:
         """Refuse parts of another rig.
+
+        Args:
+            size: Width and height of its images [px].
+            laser_names: Of the lasers that it has.
+            carries: Its kind of motion.
 
         Raises:
             CalibrationError: With what was found and expected.
         """
-        camera, size = self.camera, (observations.width, observations.height)
+        camera = self.camera
         if camera is not None and (camera.width, camera.height) != size:
             raise CalibrationError(
                 f"The known camera has images of {camera.width} x {camera.height} px, the capture of {size[0]} x "
                 f"{size[1]} px; give the calibration of this camera mode."
             )
-        count = len(observations.laser_names)
+        count = len(laser_names)
         if self.sheets and len(self.sheets) != count:
             raise CalibrationError(
                 f"{len(self.sheets)} known sheets were given for {count} lasers of the capture "
-                f"({', '.join(observations.laser_names) or 'its header lists no [[laser]]'}); give one for each, in "
+                f"({', '.join(laser_names) or 'its header lists no [[laser]]'}); give one for each, in "
                 "their order."
             )
-        if self.motion is not None and self.motion.carries != observations.carries:
+        if self.motion is not None and self.motion.carries != carries:
             raise CalibrationError(
                 f'The known axis belongs to carries = "{self.motion.carries}", the capture says '
-                f'"{observations.carries}"; give the axis of this arrangement.'
+                f'"{carries}"; give the axis of this arrangement.'
             )
 
 

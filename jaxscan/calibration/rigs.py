@@ -121,6 +121,7 @@ def planned_rig(captures: Sequence[BoardSource], only: RigKind | None = None, kn
         line.name: any(record.on and k in record.lasers for record in records) for k, line in enumerate(first.lasers)
     }
     carries = first.carries or "scanner"
+    known.check(first.image_size, tuple(lit), carries)
     placed = [
         ((number, record.placement), record.angle)
         for number, capture in enumerate(captures)

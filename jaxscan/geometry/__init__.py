@@ -1,7 +1,7 @@
 """Geometry of the rig: cameras, laser sheets, motions, scanner, boards."""
 
 from jaxscan.geometry.arrays import MAX_PIXELS, Array
-from jaxscan.geometry.board import AbstractBoard, BowedBoard, Charuco, Chessboard, corner_frame
+from jaxscan.geometry.board import AbstractBoard, BowedBoard, Charuco, Chessboard, bend_functions, corner_frame
 from jaxscan.geometry.boards import DICTIONARIES, AprilGrid, Circles, check_board, known_dictionary
 from jaxscan.geometry.cameras import CAMERAS, AbstractCamera, CameraModel, DoubleSphere, Fisheye, Pinhole
 from jaxscan.geometry.fit import AxisFit, PlaneFit, fit_axis, fit_plane, plane_sigma

@@ -8,6 +8,7 @@ into the board, so a board seen upright has the camera's axes. Corner k stands a
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +18,8 @@ from jaxscan.geometry.arrays import Array
 
 _ROUNDS = 4
 """Iterations of the intersection of a ray and a bowed board; each divides the error by a hundred or more."""
+BEND_DEGREE = 6
+"""Highest degree of the polynomials that a board's height may have."""
 
 
 class AbstractBoard(eqx.Module):
@@ -102,7 +105,7 @@ class Charuco(AbstractBoard):
 
 
 class BowedBoard(eqx.Module):
-    """The true surface of a board, with its bow and its true pitch.
+    """The true surface of a board, with its bow, its bend and its true pitch.
 
     (x, y) are coordinates on the board as drawn [m].
     """
@@ -111,14 +114,24 @@ class BowedBoard(eqx.Module):
     """Centre x, y and half extents in x, y of the corner grid [m]; see `corner_frame`."""
     shape: Float[Array, "3"]
     """Height kx, ky [m] of the bow along x and y (z into the board), and the relative error of the pitch [1]."""
+    bend: Float[Array, " functions"] = eqx.field(default_factory=lambda: np.zeros(0))
+    """Coefficients [m] of `bend_functions`, heights beside the bow; empty for a board that is a parabola."""
 
     def height(self, xy: Float[Array, "2"]) -> Float[Array, ""]:
-        """z [m]: kx (1 - x'^2) + ky (1 - y'^2), with x', y' = +-1 at the outer corners.
+        """z [m]: kx (1 - x'^2) + ky (1 - y'^2) and the bend, with x', y' = +-1 at the outer corners.
 
         Source: mrcal's `calobject_warp`.
         """
         rise = self.rise(xy)
-        return self.shape[0] * rise[0] + self.shape[1] * rise[1]
+        bow = self.shape[0] * rise[0] + self.shape[1] * rise[1]
+        return bow + self._bent(xy) if self.bend.shape[0] else bow
+
+    def bends(self, xy: Float[Array, "2"]) -> Float[Array, " functions"]:
+        """Derivatives of the height by the coefficients of the bend [1]."""
+        return jnp.stack(bend_functions((xy - self.frame[:2]) / self.frame[2:]))
+
+    def _bent(self, xy: Float[Array, "2"]) -> Float[Array, ""]:
+        return jnp.dot(jnp.asarray(self.bend), self.bends(xy))
 
     def rise(self, xy: Float[Array, "2"]) -> Float[Array, "2"]:
         """Derivatives of the height by kx and ky [1]."""
@@ -133,6 +146,8 @@ class BowedBoard(eqx.Module):
         """The surface's normal, scaled to z = 1, board frame; the error of the pitch is neglected."""
         half = self.frame[2:]
         slope = 2.0 * self.shape[:2] * (xy - self.frame[:2]) / (half * half)
+        if self.bend.shape[0]:
+            slope = slope - jax.grad(self._bent)(xy)
         return jnp.stack([slope[0], slope[1], jnp.ones_like(slope[0])])
 
     def meet(self, pose: Float[Array, "4 4"], ray: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
@@ -155,6 +170,26 @@ class BowedBoard(eqx.Module):
             xy = (origin[:2] + range_m * direction[:2]) / (1.0 + self.shape[2])
             range_m = jnp.asarray((self.height(xy) - origin[2]) / along_z)
         return range_m, origin + range_m * direction
+
+
+def bend_functions(place: Array) -> list[Array]:
+    """Products of Chebyshev polynomials, up to `BEND_DEGREE` in total, the lowest degrees first.
+
+    Beyond the outer corners each polynomial goes on as a straight line: nothing holds a higher power there.
+
+    Args:
+        place: Coordinates [..., 2], +-1 at the outer corners [1].
+
+    Returns:
+        28 arrays [...].
+    """
+    inside = place.clip(-1.0, 1.0)
+    values, slopes = [inside * 0.0 + 1.0, inside], [inside * 0.0, inside * 0.0 + 1.0]
+    for _ in range(BEND_DEGREE - 1):
+        slopes.append(2.0 * values[-1] + 2.0 * inside * slopes[-1] - slopes[-2])
+        values.append(2.0 * inside * values[-1] - values[-2])
+    lines = [value + (place - inside) * slope for value, slope in zip(values, slopes, strict=True)]
+    return [lines[d - j][..., 0] * lines[j][..., 1] for d in range(BEND_DEGREE + 1) for j in range(d + 1)]
 
 
 def corner_frame(corners: Float[np.ndarray, "corners 3"]) -> Float[np.ndarray, "4"]:

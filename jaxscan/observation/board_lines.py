@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.geometry import AbstractBoard, StripeAxis, stripe_pixel
-from jaxscan.observation.board_map import map_error_px, map_to_board, on_print, to_pixels
-from jaxscan.observation.corners import FoundCorners
+from jaxscan.geometry import StripeAxis, stripe_pixel
+from jaxscan.observation.board_map import BoardMap
 from jaxscan.observation.stripes_on_board import FoundStripe
 from jaxscan.stripes import ChunkStripes
 
@@ -65,9 +64,7 @@ class Candidates(NamedTuple):
         return FoundStripe(u, sigma, width, valid, self.stripe_axis)
 
 
-def find_lines(
-    found: Candidates, corners: FoundCorners, board: AbstractBoard, board_xy: np.ndarray | None = None
-) -> list[np.ndarray]:
+def find_lines(found: Candidates, xy: np.ndarray, usable: np.ndarray, view: BoardMap) -> list[np.ndarray]:
     """Straight lines on the board among the candidates, that of the best path first.
 
     On a flat board the stripe of a flat sheet is straight, and the map from pixels to the board, fitted to
@@ -76,25 +73,23 @@ def find_lines(
 
     Args:
         found: All candidates of one image.
-        corners: Corners found on the same board pose.
-        board: The board they belong to.
-        board_xy: Board coordinates of every candidate from the pose [k, lines, 2], m; None: by the corners.
+        xy: Their board coordinates [k, lines, 2], m.
+        usable: Those that count [k, lines].
+        view: The map from this image to the board.
 
     Returns:
         Up to three lines, each as the number of its candidate on every line of the image [lines], -1 for
-        none; without any line the path that the extraction chose.
+        none.
 
     Source: M. A. Fischler, R. C. Bolles, Random sample consensus, Communications of the ACM 24, 1981.
     """
-    q = found.pixels()
-    xy = (map_to_board(corners, board, q.reshape(-1, 2)) if board_xy is None else board_xy).reshape(q.shape)
-    number, line = np.nonzero(found.valid & on_print(xy, corners, board, near_corners=board_xy is None))
-    xy, to_px = xy[number, line], to_pixels(corners, board, q[number, line])
-    tolerance = _TOLERANCE_PX + _MAP_ERRORS * map_error_px(corners, board)
+    number, line = np.nonzero(usable)
+    xy, by_pixel = xy[number, line], view.by_pixel(found.pixels()[number, line])
+    tolerance = _TOLERANCE_PX + _MAP_ERRORS * view.error_px()
     random, free = np.random.default_rng(0), np.ones(len(xy), bool)
     lines: list[np.ndarray] = []
     for _ in range(_MAX_LINES):
-        distance = _best_line(xy[free], to_px[free], tolerance, random)
+        distance = _best_line(xy[free], by_pixel[free], tolerance, random)
         if distance is None:
             break
         near = np.full(len(xy), np.inf)
@@ -103,8 +98,6 @@ def find_lines(
             break
         lines.append(_nearest(near, number, line, tolerance, found.u.shape[1]))
         free &= near > 2.0 * tolerance
-    if not lines:
-        return [found.chosen]
     on_path = lambda taken: int(((taken >= 0) & (taken == found.chosen)).sum())
     return sorted(lines, key=on_path, reverse=True)
 
@@ -123,12 +116,14 @@ def _nearest(distance: np.ndarray, number: np.ndarray, line: np.ndarray, toleran
     return taken
 
 
-def _best_line(xy: np.ndarray, to_px: np.ndarray, tolerance: float, random: np.random.Generator) -> np.ndarray | None:
+def _best_line(
+    xy: np.ndarray, by_pixel: np.ndarray, tolerance: float, random: np.random.Generator
+) -> np.ndarray | None:
     """Distances [n], px, from the line that most points [n, 2] vote for; None where there are too few.
 
     Args:
         xy: Points on the board [n, 2], m.
-        to_px: Derivative of the points by their pixels [n, 2, 2], m per px.
+        by_pixel: Derivative of the points by their pixels [n, 2, 2], m per px.
         tolerance: Distance within which a point votes [px].
         random: Draws the lines that are tried.
     """
@@ -142,26 +137,26 @@ def _best_line(xy: np.ndarray, to_px: np.ndarray, tolerance: float, random: np.r
     normal = along[:, ::-1] * np.array([1.0, -1.0]) / np.linalg.norm(along, axis=1)[:, None]
     voters = np.unique(np.linspace(0, len(xy) - 1, _VOTERS).astype(np.intp))
     offset = xy[voters] @ normal.T - np.sum(xy[first] * normal, axis=1)
-    share = np.square(offset / _slope(to_px[voters], normal.T) / tolerance)
+    share = np.square(offset / _slope(by_pixel[voters], normal.T) / tolerance)
     best = int(np.argmax(np.maximum(1.0 - share, 0.0).sum(0)))
     middle, normal = xy[first[best]], normal[best]
-    distance = (xy - middle) @ normal / _slope(to_px, normal)
+    distance = (xy - middle) @ normal / _slope(by_pixel, normal)
     for _ in range(_ROUNDS):
         near = np.abs(distance) <= tolerance
         if near.sum() < 3:
             break
         place = (xy - middle) @ np.array([-normal[1], normal[0]])
         reach = max(float(np.abs(place[near]).max()), 1e-12)
-        fit = np.polynomial.polynomial.polyfit(
-            place[near] / reach, ((xy - middle) @ normal)[near], 2 if near.sum() >= _BENDING_POINTS else 1
-        )
-        # A bend is known where the points are, and not beyond them.
-        curve = np.polynomial.polynomial.polyval(np.clip(place / reach, -1.0, 1.0), fit)
-        distance = ((xy - middle) @ normal - curve) / _slope(to_px, normal)
+        place = place / reach
+        terms = np.column_stack([np.ones_like(place), place, np.minimum(place**2, 1.0)])
+        # A bend is known where the points are; beyond them the line goes on straight.
+        terms = terms[:, : 3 if near.sum() >= _BENDING_POINTS else 2]
+        curve = terms @ np.linalg.lstsq(terms[near], ((xy - middle) @ normal)[near], rcond=None)[0]
+        distance = ((xy - middle) @ normal - curve) / _slope(by_pixel, normal)
     return distance
 
 
-def _slope(to_px: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _slope(by_pixel: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """How far a point moves along `normal` for one pixel across the line's image [..., m per px]."""
-    by_u, by_v = to_px[:, 0] @ normal, to_px[:, 1] @ normal
+    by_u, by_v = by_pixel[:, 0] @ normal, by_pixel[:, 1] @ normal
     return np.maximum(np.hypot(by_u, by_v), 1e-12)

@@ -1,59 +1,73 @@
 """The map from pixels to a board, fitted to the corners found on it: good before any camera is known."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from jaxscan.geometry import AbstractBoard, apply_homography, direct_homography
 from jaxscan.observation.corners import FoundCorners
 
 
-# Margin inside the printed area, and largest distance from the found corners, both in squares: farther
-# away the map to the board is a guess.
+# Margin inside the printed area, and distance from the found corners beyond which the map is a guess, in squares.
 _EDGE_MARGIN = 0.1
 _REACH = 1.2
-# A cubic is fitted to what the homography leaves where there are so many corners.
+# Where there are so many corners, a cubic is fitted to what the homography leaves.
 _CUBIC_CORNERS = 30
 
 
-def map_to_board(corners: FoundCorners, board: AbstractBoard, q: np.ndarray) -> np.ndarray:
-    """Board coordinates [n, 2], m, of pixels [n, 2]: a homography, and a cubic for the lens."""
-    seen, xy = corners.q[corners.valid], board.corners()[corners.valid, :2]
-    homography = direct_homography(seen, xy)
-    mapped = apply_homography(homography, q)
-    if len(seen) < _CUBIC_CORNERS:
-        return mapped
-    centre, size = seen.mean(0), max(float(np.abs(seen - seen.mean(0)).max()), 1e-12)
-    a, b = (seen - centre) / size, (q - centre) / size
-    fit = np.linalg.lstsq(_cubic(a), xy - apply_homography(homography, seen), rcond=None)[0]
-    # Beyond the corners the cubic diverges; its value at their edge is used there.
-    return mapped + _cubic(np.clip(b, a.min(0), a.max(0))) @ fit
+class BoardMap(NamedTuple):
+    """A homography, and a cubic for the lens."""
+
+    board: AbstractBoard
+    seen: np.ndarray
+    """The corners found [n, 2], px."""
+    places: np.ndarray
+    """Their places on the board [n, 2], m."""
+    homography: np.ndarray
+    """From pixels to the board [3, 3]."""
+    cubic: np.ndarray | None
+    """Coefficients of the cubic [10, 2], m; None where the corners are few."""
+
+    @staticmethod
+    def of(corners: FoundCorners, board: AbstractBoard) -> "BoardMap":
+        """The map fitted to the corners of one view."""
+        seen, places = corners.q[corners.valid], board.corners()[corners.valid, :2]
+        found = BoardMap(board, seen, places, direct_homography(seen, places), None)
+        if len(seen) < _CUBIC_CORNERS:
+            return found
+        left = places - apply_homography(found.homography, seen)
+        return found._replace(cubic=np.linalg.lstsq(found._terms(seen), left, rcond=None)[0])
+
+    def to_board(self, q: np.ndarray) -> np.ndarray:
+        """Board coordinates [n, 2], m, of pixels [n, 2]."""
+        mapped = apply_homography(self.homography, q)
+        return mapped if self.cubic is None else mapped + self._terms(q) @ self.cubic
+
+    def by_pixel(self, q: np.ndarray) -> np.ndarray:
+        """Derivatives of the board coordinates by the pixels [n, 2 of pixels, 2 of the board], m per px, roughly."""
+        here = apply_homography(self.homography, q)
+        return np.stack([apply_homography(self.homography, q + step) - here for step in np.eye(2)], 1)
+
+    def error_px(self) -> float:
+        """Root mean square error at the corners [px]."""
+        error = np.sum(np.square(self.to_board(self.seen) - self.places), axis=1)
+        scale = np.abs(np.linalg.det(self.by_pixel(self.seen)))
+        return float(np.sqrt(np.mean(error / np.maximum(scale, 1e-24))))
+
+    def is_near(self, xy: np.ndarray) -> np.ndarray:
+        """Whether board coordinates [..., 2] lie so near the corners found that the map is good there, bool [...]."""
+        reach = _REACH * self.board.square
+        return np.all((xy > self.places.min(0) - reach) & (xy < self.places.max(0) + reach), axis=-1)
+
+    def _terms(self, q: np.ndarray) -> np.ndarray:
+        centre = self.seen.mean(0)
+        size = max(float(np.abs(self.seen - centre).max()), 1e-12)
+        # Beyond the corners the cubic diverges; its value at their edge is used there.
+        x, y = ((np.clip(q, self.seen.min(0), self.seen.max(0)) - centre) / size).T
+        return np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
 
 
-def on_print(xy: np.ndarray, corners: FoundCorners, board: AbstractBoard, *, near_corners: bool) -> np.ndarray:
-    """Whether board coordinates [..., 2] lie inside the printed area, bool [...]; on request only near the corners."""
-    outline = board.outline()
-    low, high = outline.min(0) + _EDGE_MARGIN * board.square, outline.max(0) - _EDGE_MARGIN * board.square
-    if near_corners:
-        found = board.corners()[corners.valid, :2]
-        low = np.maximum(low, found.min(0) - _REACH * board.square)
-        high = np.minimum(high, found.max(0) + _REACH * board.square)
-    return np.all((xy > low) & (xy < high), axis=-1)
-
-
-def to_pixels(corners: FoundCorners, board: AbstractBoard, q: np.ndarray) -> np.ndarray:
-    """Derivative of the board coordinates by the pixel [n, 2 of pixel, 2 of board], m per px, without the lens."""
-    homography = direct_homography(corners.q[corners.valid], board.corners()[corners.valid, :2])
-    here = apply_homography(homography, q)
-    return np.stack([apply_homography(homography, q + step) - here for step in np.eye(2)], 1)
-
-
-def map_error_px(corners: FoundCorners, board: AbstractBoard) -> float:
-    """Root mean square error of the map at the corners [px]."""
-    seen, xy = corners.q[corners.valid], board.corners()[corners.valid, :2]
-    error = np.linalg.norm(map_to_board(corners, board, seen) - xy, axis=1)
-    size = np.sqrt(np.abs(np.linalg.det(to_pixels(corners, board, seen))))
-    return float(np.sqrt(np.mean(np.square(error / np.maximum(size, 1e-12)))))
-
-
-def _cubic(points: np.ndarray) -> np.ndarray:
-    x, y = points[:, 0], points[:, 1]
-    return np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
+def is_on_print(xy: np.ndarray, board: AbstractBoard) -> np.ndarray:
+    """Whether board coordinates [..., 2], m, lie inside the printed area, bool [...]."""
+    outline, margin = board.outline(), _EDGE_MARGIN * board.square
+    return np.all((xy > outline.min(0) + margin) & (xy < outline.max(0) - margin), axis=-1)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxscan.errors import CaptureError
 from jaxscan.geometry import AbstractBoard, across_and_along
 from jaxscan.observation.board_lines import Candidates, find_lines
+from jaxscan.observation.board_map import BoardMap, is_on_print
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.prediction import SolvedRig, lift_to_board, predict_stripe
 from jaxscan.observation.records import BoardSource, SeenRecord
@@ -58,8 +59,8 @@ def find_stripes(
         capture: Their capture.
         lines: Its lasers, their colours learned.
         board: The board in it.
-        rig: Result of a first solve: stripes are then looked for near their predictions only, and
-            the poses of the records decide which points lie on the print.
+        rig: Result of a first solve: stripes are then looked for near their predictions only, where its
+            sheet is believed, and the poses of the records decide which points lie on the print.
     """
     views = list(views)
     lit = [i for i, view in enumerate(views) if view.corners is not None and view.on is not None]
@@ -82,15 +83,18 @@ def _lines_of(
 ) -> tuple[BoardStripe, ...]:
     """The lines on one board that may be the stripe, the likeliest first."""
     off, corners = None if view.off is None else view.grey, cast(FoundCorners, view.corners)
-    board_xy = None
+    known, q = BoardMap.of(corners, board), found.pixels()
+    usable, pixels = found.valid, q.reshape(-1, 2)
     if rig is not None and view.pose is not None:
-        q = found.pixels()
-        board_xy = lift_to_board(rig, view.pose, q.reshape(-1, 2)).reshape(q.shape)
+        xy = lift_to_board(rig, view.pose, pixels).reshape(q.shape)
+    else:
+        xy = known.to_board(pixels).reshape(q.shape)
+        usable = usable & known.is_near(xy)
+    usable = usable & is_on_print(xy, board)
     stripes = []
-    for number in find_lines(found, corners, board, board_xy):
+    for number in find_lines(found, xy, usable, known):
         at = np.maximum(number, 0).astype(np.intp), np.arange(len(number))
-        own = None if board_xy is None else board_xy[at]
-        stripes.append(select_board_stripe(found.taken(number), corners, board, off=off, board_xy=own))
+        stripes.append(select_board_stripe(found.taken(number), corners, board, off=off, board_xy=xy[at]))
     return tuple(stripe for stripe in stripes if stripe.valid.any())
 
 
@@ -123,7 +127,7 @@ def _extract(
     frames = FrameFormat(capture.pixel_format, capture.response)
     # Estimated from whole frames: outside the band there would be no noise.
     noise = views[0].noise or estimate_noise(on, off, **vars(frames), line=line)
-    if rig is not None and off is not None:
+    if rig is not None and off is not None and rig.believed[views[0].laser]:
         near = np.stack([_band(view, rig, line) for view in padded])
         on = np.where(near if on.ndim == 3 else near[..., None], on, off)
     size = int(on.shape[2]), int(on.shape[1])

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.geometry import AbstractBoard, StripeAxis, stripe_pixel
-from jaxscan.observation.board_map import map_to_board, on_print
+from jaxscan.observation.board_map import BoardMap, is_on_print
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.ink import ink_shift
 
@@ -80,8 +80,11 @@ def select_board_stripe(
     q, spread = stripe.pixels(), stripe.sigma.astype(np.float64)
     centre, lines = q.T if stripe.stripe_axis == "rows" else q[:, ::-1].T
     keep = stripe.valid & np.isfinite(centre)
-    xy = map_to_board(corners, board, q) if board_xy is None else board_xy
-    keep &= on_print(xy, corners, board, near_corners=board_xy is None)
+    if board_xy is None:
+        view = BoardMap.of(corners, board)
+        board_xy = view.to_board(q)
+        keep &= view.is_near(board_xy)
+    keep &= is_on_print(board_xy, board)
     if off is not None and keep.any():
         on_board = np.flatnonzero(keep)
         image = off if stripe.stripe_axis == "rows" else off.T

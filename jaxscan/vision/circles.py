@@ -1,4 +1,4 @@
-"""Centres of the circles of an asymmetric grid: found by OpenCV, then measured by the weight of their ink."""
+"""Centres of the circles of a grid: found by OpenCV, then measured by the weight of their ink."""
 
 from typing import NamedTuple
 
@@ -42,7 +42,7 @@ def find_circles(image: np.ndarray, board: Circles) -> FoundCorners | None:
         board: The grid, which must be wholly visible.
 
     Returns:
-        The centres, or None where the grid is not found.
+        The centres, or None where the grid is not found. The x axis of a symmetric grid points right in the image.
 
     Source: Heikkilä, Geometric camera calibration using circular control points (2000), for the difference.
     """
@@ -56,7 +56,7 @@ def find_circles(image: np.ndarray, board: Circles) -> FoundCorners | None:
     centre = q.copy()
     for k, place in enumerate(places):
         slope = seen.slope(place[None])[0]
-        reach = np.sqrt(0.5) * board.square
+        reach = 0.5 * board.nearest()
         centre[k], sigma[k], valid[k] = _weigh(level, q[k], slope, radius, reach)
     if not valid.all():
         # As for chessboards, the grid is seen as a whole.
@@ -93,7 +93,8 @@ def _find(image: np.ndarray, board: Circles) -> np.ndarray | None:
     settings.minDistBetweenBlobs = 3.0
     blobs = cv2.SimpleBlobDetector.create(settings)
     for extra in (0, cv2.CALIB_CB_CLUSTERING):
-        flags = cv2.CALIB_CB_ASYMMETRIC_GRID | extra
+        kind = cv2.CALIB_CB_SYMMETRIC_GRID if board.layout == "symmetric" else cv2.CALIB_CB_ASYMMETRIC_GRID
+        flags = kind | extra
         found, centres = cv2.findCirclesGrid(image, board.grid(), flags=flags, blobDetector=blobs)
         if found:
             return _ordered(np.asarray(centres, np.float64).reshape(-1, 2), board)
@@ -101,16 +102,23 @@ def _find(image: np.ndarray, board: Circles) -> np.ndarray | None:
 
 
 def _ordered(q: np.ndarray, board: Circles) -> np.ndarray | None:
-    """The centres in the board's order, or None where no order fits a plane seen from its front."""
+    """The centres in the board's order, or None where no order fits a plane seen from its front.
+
+    Of several that fit, the one in which the board's x axis points right.
+    """
     columns, rows = board.grid()
     grid, places = q.reshape(rows, columns, 2), board.places()
-    for turned in (grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1]):
+    orders = [grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1]]
+    if columns == rows:
+        orders += [turned.transpose(1, 0, 2) for turned in orders]
+    fitting = []
+    for turned in orders:
         flat = np.ascontiguousarray(turned).reshape(-1, 2)
         along, down = (turned[:, -1] - turned[:, 0]).mean(0), (turned[-1] - turned[0]).mean(0)
         error = np.sqrt(np.mean((apply_homography(direct_homography(places, flat), places) - flat) ** 2))
         if along[0] * down[1] - along[1] * down[0] > 0 and error < _MISFIT * np.hypot(*along) / columns:
-            return flat
-    return None
+            fitting.append((-float(along[0]), flat))
+    return min(fitting, key=lambda one: one[0])[1] if fitting else None
 
 
 def _weigh(

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.prepare import Prepared
-from jaxscan.calibration.solve.problem import Problem, problem_layout
+from jaxscan.calibration.solve.problem import BoardModes, Problem, no_modes, problem_layout
 from jaxscan.geometry import AbstractCamera, AbstractMotion, LaserSheet, Layout, corner_frame
 
 
@@ -43,6 +43,7 @@ def make_problem(
         prior_weight=prior_weights(layout, settings),
         board=data.board,
         frame=corner_frame(data.board),
+        modes=no_modes(len(data.board)),
         corner_q=data.corner_q,
         corner_weight=np.zeros(data.corner_valid.shape),
         angle=data.angle,
@@ -51,6 +52,23 @@ def make_problem(
         stripe_weight=np.zeros(data.stripe_valid.shape),
         stripe_view=data.stripe_view,
         stripe_laser=data.stripe_laser,
+    )
+
+
+def with_modes(problem: Problem, modes: BoardModes, settings: CalibrationSettings) -> Problem:
+    """The same problem with more modes of the board's shape, which begin at 0; modes that move nothing are held."""
+    layout = problem_layout(problem.camera, problem.lasers, problem.turntable, modes.corner.shape[-1])
+    count = layout.board.start + 3
+    there = np.concatenate([np.ones(count), np.any(modes.corner != 0, axis=(0, 1))])
+    expected = np.zeros(len(there))
+    expected[:count] = problem.expected[:count]
+    return replace(
+        problem,
+        shape=np.pad(np.asarray(problem.shape), (0, len(there) - count + 3 - len(problem.shape))),
+        scales=parameter_scales(layout, settings.free) * there,
+        expected=expected,
+        prior_weight=prior_weights(layout, settings) * there,
+        modes=modes,
     )
 
 

@@ -31,7 +31,7 @@ from jaxscan.files.disk import (
     readable_json,
     write_together,
 )
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import AbstractCamera, Scanner
 
 
 MAX_CALIBRATION_BYTES = 16 * MEGABYTE
@@ -150,6 +150,16 @@ def load_scanner(path: str | Path) -> Scanner:
             "has laser images, or add the sheet's plane under lasers."
         )
     return scanner
+
+
+def load_parts(path: str | Path) -> tuple[AbstractCamera, Scanner | None]:
+    """Camera, and sheets and motion where there are any, of a calibration file; the JSON alone suffices.
+
+    Raises:
+        CalibrationError: If the file is missing or wrong.
+    """
+    table = _parse(_read(Path(path)), name=str(path))
+    return table.camera.camera(), table.scanner()
 
 
 def calibration_notes(path: str | Path) -> list[str]:

@@ -57,14 +57,15 @@ class ChessboardTable(FileModel):
 
 
 class CirclesTable(FileModel):
-    """An asymmetric grid of circles; columns count the circles of a row."""
+    """A grid of circles; columns count the circles of a row."""
 
     type: Literal["circles"] = "circles"
     columns: Count
     rows: Count
     spacing_mm: Length
-    """Distance of two rows, and half the distance of neighbours in a row."""
+    """Distance of two rows; of neighbours in a row too, or, asymmetric, half of that."""
     diameter_mm: Length
+    layout: Literal["asymmetric", "symmetric"] = "asymmetric"
 
     @pydantic.model_validator(mode="after")
     def _possible(self) -> "CirclesTable":
@@ -74,7 +75,11 @@ class CirclesTable(FileModel):
     def board(self) -> AbstractBoard:
         """The board that the table describes."""
         return Circles(
-            columns=self.columns, rows=self.rows, square=self.spacing_mm / 1000, diameter=self.diameter_mm / 1000
+            columns=self.columns,
+            rows=self.rows,
+            square=self.spacing_mm / 1000,
+            diameter=self.diameter_mm / 1000,
+            layout=self.layout,
         )
 
 

@@ -19,8 +19,7 @@ from jaxscan.files.capture.references import ImageRef
 from jaxscan.files.capture.seals import require_whole, sealing
 from jaxscan.files.capture.texts import read_texts
 from jaxscan.files.disk import shown
-from jaxscan.geometry import AbstractBoard
-from jaxscan.geometry.motions import Carries
+from jaxscan.geometry import AbstractBoard, Carries
 from jaxscan.geometry.scanner import Up
 from jaxscan.reconstruction import FrameChunk, journal_doubts
 from jaxscan.stripes import LaserLine, PixelFormat, Response
@@ -68,7 +67,7 @@ class Capture:
 
     @property
     def carries(self) -> Carries | None:
-        """Whether the table carries the scanner or the object; None if the header does not say."""
+        """The part that the table carries, "linear" or "nothing"; None if the header does not say."""
         return None if self.header.turntable is None else self.header.turntable.carries
 
     @property
@@ -83,15 +82,17 @@ class Capture:
 
     @functools.cached_property
     def angles(self) -> np.ndarray:
-        """The table's angle of each record, float64 [records], rad from home.
+        """The table's angle of each record, float64 [records], rad from home; of a linear stage, its position [m].
 
         Raises:
-            CaptureError: If an angle is unknown, as it may be in a calibration capture.
+            CaptureError: If one is unknown, as it may be in a calibration capture.
         """
+        if self.carries == "nothing":
+            return np.zeros(len(self.records))
         for record in self.records:
             if record.angle is None:
                 raise CaptureError(
-                    f"{self.path}: record {record.i}: angle_deg is null; only a sweep can be reconstructed."
+                    f"{self.path}: record {record.i}: its angle or position is null; only a sweep can be reconstructed."
                 )
         return np.array([record.angle for record in self.records], np.float64)
 
@@ -244,7 +245,8 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
     reader.check(records)
     notes = [*texts.notes, *((seals.note,) if seals.note else ()), *_image_notes(header, records)]
     if header.kind == "sweep":
-        degrees = np.degrees([record.angle or 0.0 for record in records])
+        turns = header.turntable is None or header.turntable.carries in ("scanner", "object")
+        degrees = np.degrees([record.angle or 0.0 for record in records]) if turns else None
         lit = [record.lasers for record in records]
         planned = None if header.plan is None else header.plan.steps
         doubts = journal_doubts([record.i for record in records], degrees, lit, planned)

@@ -1,5 +1,6 @@
 """The header of a capture: `capture.toml`."""
 
+import math
 from typing import Annotated, Any, Literal
 
 import pydantic
@@ -8,8 +9,7 @@ import tomli_w
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.boards import BoardTable
 from jaxscan.files.disk import MEGABYTE, FileModel, ImageSize, Integer, check, is_deep, parse_toml, too_deep
-from jaxscan.geometry import StripeAxis
-from jaxscan.geometry.motions import Carries
+from jaxscan.geometry import Carries, StripeAxis
 from jaxscan.geometry.scanner import Up
 from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank, known_response
 
@@ -65,10 +65,10 @@ class CameraTable(ImageSize):
 
 
 class TurntableTable(FileModel):
-    """The turntable."""
+    """The motion between records."""
 
     carries: Carries = "scanner"
-    """"scanner", or "object" where the camera stands still."""
+    """A turntable's "scanner", or "object" where the camera stands still; a "linear" stage; or "nothing"."""
 
 
 class LaserTable(FileModel):
@@ -129,6 +129,39 @@ def frame_shape(header: CaptureHeader) -> tuple[int, ...]:
 def image_limit(header: CaptureHeader) -> int:
     """Largest size of an image's file [bytes]: an uncompressed 32-bit image with a megabyte of metadata fits."""
     return 4 * header.camera.width * header.camera.height + MEGABYTE
+
+
+def record_position(
+    angle_deg: float | None, position_m: float | None, rig: tuple[str, Carries], *, where: str
+) -> float | None:
+    """Position of a record: the table's angle [rad], or the place of a stage [m]; None where unknown.
+
+    Args:
+        angle_deg: As the record has it.
+        position_m: As the record has it.
+        rig: Kind of the capture, and the part that its table carries.
+        where: The record, for messages.
+
+    Raises:
+        CaptureError: If it is missing in a sweep, or belongs to another kind of motion.
+    """
+    kind, carries = rig
+    linear = carries == "linear"
+    wanted, found = (position_m, angle_deg) if linear else (angle_deg, position_m)
+    if wanted is not None:
+        return wanted if linear else math.radians(wanted)
+    if found is not None and carries != "nothing":
+        key, other = ("position_m", "angle_deg") if linear else ("angle_deg", "position_m")
+        kinds = 'carries = "linear"' if linear else 'carries = "scanner" or "object"'
+        raise CaptureError(f"{where}: {key}: missing beside {other}, expected with {kinds} under [turntable].")
+    if kind != "sweep" or carries == "nothing":
+        return None
+    if linear:
+        raise CaptureError(f"{where}: position_m: found null, but a sweep needs the position of every record.")
+    raise CaptureError(
+        f"{where}: angle_deg: found null, but a sweep needs the angle of every record; of a scanner that stands still, "
+        'say carries = "nothing" under [turntable].'
+    )
 
 
 def parse_header(data: bytes, *, name: str) -> CaptureHeader:

@@ -22,8 +22,8 @@ SMALLEST_MARKER = 0.2
 """Least side of a marker, in sides of a square."""
 APRIL_TAGS = "DICT_APRILTAG_36h11"
 """The tags of an AprilGrid."""
-CIRCLE_SHARES = (0.2, 1.3)
-"""Diameters of circles, in distances of rows: larger ones touch."""
+CIRCLE_SHARES = (0.15, 0.9)
+"""Diameters of circles, in distances of their centres."""
 GAP_SHARES = (0.1, 2.0)
 """Distances between tags, in sides of a tag."""
 SMALLEST_MM, LARGEST_MM = 0.01, 10_000.0
@@ -59,7 +59,7 @@ def check_board(board: AbstractBoard) -> None:
     elif isinstance(board, Circles):
         lengths_mm = {"spacing_mm": 1000 * board.square, "diameter_mm": 1000 * board.diameter}
         least = (2, SMALLEST_COUNT)
-        if rows % 2 == 0:
+        if board.layout == "asymmetric" and rows % 2 == 0:
             raise ValueError(
                 f"rows: found {rows}, expected an odd number: this grid of circles looks the same turned by 180 degrees"
             )
@@ -99,7 +99,7 @@ def _check_shares(board: AbstractBoard) -> None:
             f"{1000 * board.square:g}, or no camera reads it"
         )
     if isinstance(board, Circles):
-        low, high = (share * board.square for share in CIRCLE_SHARES)
+        low, high = (share * board.nearest() for share in CIRCLE_SHARES)
         if not low <= board.diameter <= high:
             raise ValueError(
                 f"diameter_mm: found {1000 * board.diameter:g}, expected {1000 * low:g} to {1000 * high:g} for circles "

@@ -46,7 +46,7 @@ def turning_doubts(seen: Seen, numbers: np.ndarray, angles: np.ndarray, own: np.
         own: The records of one laser.
         scanner: The calibrated rig.
     """
-    if len(own) < _FEW or not seen.trace[own].any():
+    if len(own) < _FEW or not seen.trace[own].any() or not isinstance(scanner.turntable, Turntable):
         return []
     found = motion(seen.trace[own])
     shift = found.lags[np.argmax(found.alike, axis=1)]
