@@ -112,10 +112,13 @@ def read_solved(path: Path, pictures: Pictures) -> Solved | None:
         for k, (view, laser) in enumerate(zip(kept["stripes.view"], kept["stripes.laser"], strict=True))
     ]
     sheets = [Plane(np.array(one["normal"]), float(one["distance_m"])) for one in tables.get("lasers", [])]
-    shape = board_shape(tables, kept, pictures)
+    shape = board_shape(tables, pictures)
     return Solved(Lens(matrix, values, camera["model"] == "fisheye"), shape, list(q), lines, sheets)
 
 
-def board_shape(tables: dict[str, Any], arrays: dict[str, Any], pictures: Pictures) -> np.ndarray:
+def board_shape(tables: dict[str, Any], pictures: Pictures) -> np.ndarray:
     """Corners of the board as calibrated [n, 3]; m. A flat board where the file says nothing else."""
-    return grid(pictures.header["board"])
+    flat, found = grid(pictures.header["board"]), tables["quality"].get("board") or {}
+    if "height_m" not in found:
+        return flat
+    return flat + np.column_stack([np.array(found["shift_m"]), np.array(found["height_m"])])
