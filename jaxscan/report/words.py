@@ -117,9 +117,7 @@ def _explanation(quality: Quality, good_to: GoodTo) -> str:
         alone = millimetres(good_to.statistical_mm or 0.0) if rig else f"{good_to.statistical_px or 0.0:.2g} px"
         sentences = [f"All sigmas include this; noise alone would give {alone}."]
     elif "noisy" in results:
-        sentences = [
-            "The noise has no structure but is larger than the detectors promise; the sigmas include that."
-        ]
+        sentences = ["The noise has no structure but is larger than the detectors promise; the sigmas include that."]
     if good_to.sigma_mm is not None and good_to.sigma_px is not None:
         sentences.append(f"Its rays are good to {good_to.sigma_px:.2g} px.")
     if board is not None and board.free != "parabola":
