@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.dark.channels import Channels, put_plane, read_channels
-from jaxscan.stripes.dark.running_median import CODES, running_median
+from jaxscan.stripes.dark.native import CODES, running_median
 from jaxscan.stripes.frames import LaserLine, PixelFormat, laser_sites
 
 
