@@ -123,7 +123,7 @@ def judge(
     evident = len(won) - len(lost) > _CERTAIN * np.sqrt(len(won) + len(lost)) and len(lost) < _HOPELESS * len(won)
     if not evident or len(good) == 0:
         raise CaptureError(
-            f"The stripes of the sweep are not told from chance: {len(won)} lines have a stripe, {len(lost)} a clearer one "
+            f"The stripes of the sweep are not told from chance: {len(won)} lines have one, {len(lost)} a clearer one "
             "with laser on and off exchanged; check that the laser was lit in the on images, or take off images."
         )
     kept = left[good[0]] / len(won)
