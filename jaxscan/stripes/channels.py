@@ -1,6 +1,7 @@
 """The channels of a colour camera as a bracket: where the laser's is clipped, another one sees the stripe well."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxscan.geometry import Array
 from jaxscan.stripes.frames import Colour, LaserLine
 from jaxscan.stripes.search import LineGate
 from jaxscan.stripes.setup import ExtractionSetup
+from jaxscan.stripes.stripes import FrameStripes
 
 
 _COLOURS: tuple[Colour, ...] = ("red", "green", "blue")
@@ -72,3 +74,33 @@ def _tiles(frames: np.ndarray, setup: ExtractionSetup) -> np.ndarray:
         corner = [frames[:, tile.index(c) // 2 : rows : 2, tile.index(c) % 2 : columns : 2] for c in "rgb"]
         frames = np.stack(corner, -1)
     return frames.swapaxes(1, 2) if setup.line.stripe_axis == "columns" else frames
+
+
+def doubts_of(found: Sequence[FrameStripes], setups: Sequence[ExtractionSetup]) -> tuple[float, ...]:
+    """Factors of at least 1 by which the standard deviations of channels grow until all are equally honest.
+
+    Args:
+        found: Stripes of the same frames [frames, lines] in each channel.
+        setups: Of each channel.
+    """
+    rough = [_roughness(stripes, setup.sites.line_step) for stripes, setup in zip(found, setups, strict=True)]
+    return tuple(max(one / max(min(rough), 1e-3), 1.0) for one in rough)
+
+
+def _roughness(stripes: FrameStripes, step: int) -> float:
+    """How far a centre lies from the middle of its neighbours, in standard deviations [1]; 1 where nothing is known.
+
+    A smooth surface gives 1 where the standard deviations are honest, and all channels see the same surface.
+
+    Args:
+        stripes: Of some frames [frames, lines].
+        step: Distance of the lines that the channel has.
+    """
+    u, sigma, valid = (np.asarray(field) for field in (stripes.u, stripes.sigma, stripes.valid))
+    before, here, after = np.s_[:, : -2 * step], np.s_[:, step:-step], np.s_[:, 2 * step :]
+    known = valid[before] & valid[here] & valid[after]
+    if np.count_nonzero(known) < _FEW:
+        return 1.0
+    bend = u[here] - 0.5 * (u[before] + u[after])
+    expected = np.sqrt(sigma[here] ** 2 + 0.25 * (sigma[before] ** 2 + sigma[after] ** 2))
+    return float(np.quantile(np.abs(bend[known]) / np.maximum(expected[known], 1e-4), 0.683))

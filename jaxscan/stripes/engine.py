@@ -12,7 +12,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int8, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.channels import other_channels
+from jaxscan.stripes.channels import doubts_of, other_channels
 from jaxscan.stripes.choosing import choose, chosen_of
 from jaxscan.stripes.estimators import Estimator, estimator_of
 from jaxscan.stripes.exposures import merge_brackets
@@ -66,6 +66,8 @@ class StripeEngine(eqx.Module):
     """Engines of the other channels, where the laser's own is often clipped."""
     responses: tuple[float, ...] = eqx.field(static=True, default=())
     """Light of the laser in each of them, in that of its own channel [1]."""
+    doubts: tuple[float, ...] = ()
+    """Factors by which the standard deviations of all channels, the own first, grow until they are equally honest."""
 
     @property
     def estimator(self) -> Estimator:
@@ -82,12 +84,15 @@ class StripeEngine(eqx.Module):
 
         Arguments as of `extract`, so that nothing else is compiled.
         """
+        if self.channels:
+            engines = [one.learn_width(on, off) for one in (StripeEngine(self.setup, self.search), *self.channels)]
+            found = [one.extract(on, off) for one in engines]
+            doubts = doubts_of([chosen_of(one.stripes, one.chosen) for one in found], [one.setup for one in engines])
+            return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses, doubts)
         if not self.setup.settings.learn_width:
             return self
-        found = StripeEngine(self.setup, self.search).extract(on, off, NOTHING_MORE if self.channels else then)
-        search = learn_search(self.search, chosen_of(found.stripes, found.chosen))
-        others = tuple(channel.learn_width(on, off) for channel in self.channels)
-        return StripeEngine(self.setup, search, others, self.responses)
+        first = self.extract(on, off, then)
+        return StripeEngine(self.setup, learn_search(self.search, chosen_of(first.stripes, first.chosen)))
 
     def extract(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> ChunkStripes:
         """Stripes of a chunk of records, a profile for each; with all candidates one for each of them.
@@ -114,13 +119,14 @@ class StripeEngine(eqx.Module):
 
     def _of_channels(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
         """Of every line the channel in which its stripe is known best."""
-        engines = (StripeEngine(self.setup, self.search), *self.channels)
-        found = [engine.extract(on, off) for engine in engines]
-        off = off if then.needs_frames else None
+        found = [one.extract(on, off) for one in (StripeEngine(self.setup, self.search), *self.channels)]
+        parts = [
+            (one.stripes._replace(sigma=one.stripes.sigma * np.float32(doubt)), one.chosen)
+            for one, doubt in zip(found, self.doubts or (1.0,) * len(found), strict=True)
+        ]
         with jax.enable_x64(False):
-            parts = [(one.stripes, one.chosen) for one in found]
-            merged = _merge_channels(parts, off, then, self.setup, (1.0, *self.responses))
-            return jax.tree.map(np.asarray, merged)
+            off = off if then.needs_frames else None
+            return jax.tree.map(np.asarray, _merge_channels(parts, off, then, self.setup, (1.0, *self.responses)))
 
     def _compute(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
         devices = jax.local_devices()
