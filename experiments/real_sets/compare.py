@@ -40,7 +40,9 @@ def measure_boards(one: RealSet, capture: Path, version: Version, work: Path) ->
     """`jaxscan calibrate` as a user types it first, and with fewer wishes where that gives nothing."""
     output = work / f"{one.name}.json"
     runs = [calibrate(version, capture, output, one.lens)]
-    if "views" not in runs[-1]:
+    if "views" not in runs[-1] and one.pattern == "circles":
+        runs.append(calibrate(version, capture, output, ("given",)))
+    elif "views" not in runs[-1]:
         runs.append(calibrate(version, capture, output, ("--only", "camera", *one.lens)))
     return runs[-1] | {"first": runs[0]["sentence"], "first_exit_code": runs[0]["exit_code"], "runs": len(runs)}
 

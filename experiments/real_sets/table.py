@@ -40,8 +40,8 @@ CORNERS = """
 the half of the views that was not solved from. "shape" is the RMS by which the board is off flat, as calibrated.
 """
 LINES = """
-The spread is 1.48 of the median distance of the line's points on the boards from the sheet; "held out" is the RMS
-distance from the sheet of the other half of the views, "halves" the angle between the sheets of both halves.
+The spread is 1.48 times the median distance of the line's points on the boards from the sheet, "held out" the same for
+the sheet of the other half of the views, "halves" the angle between the sheets of both halves.
 """
 SWEEPS = """
 Camera and sheet come from `srv_laser_1707`, the axis from the ArUco markers on the table. Before, no sheet was found,
@@ -149,7 +149,7 @@ def _lines(boards: list[RealSet], results: dict[str, Any]) -> str:
         for which, name in (("before", "before"), ("after", "now"), ("plain", "plain")):
             sheet = (results[one.name].get(which, {}).get("sheets") or [None])[0]
             cells = [one.name if which == "before" else "", name]
-            rows.append(cells + (["no sheet"] + ["–"] * 6 if sheet is None else _sheet(one, sheet, plain)))
+            rows.append(cells + (["no sheet"] + ["–"] * 5 if sheet is None else _sheet(one, sheet, plain)))
     return _rows(head, rows)
 
 
@@ -165,8 +165,7 @@ def _sheet(one: RealSet, sheet: dict[str, Any], plain: dict[str, Any] | None) ->
         ("lines", str),
         ("points", str),
         ("spread_mm", _number),
-        ("rms_mm", _number),
-        ("held_out_rms_mm", _number),
+        ("held_out_mm", _number),
         ("halves_deg", lambda value: _number(value, "{:.2f}")),
     ]
     return [write(sheet.get(key)) for key, write in keys] + [angle]

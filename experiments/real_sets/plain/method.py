@@ -30,7 +30,8 @@ class PlainBoards:
         """Find corners and lines; `kind` is "flat" or "fisheye"."""
         self.pictures, self.kind, self.points = pictures, kind, grid(pictures.header["board"])
         board = pictures.header["board"]
-        found = [(record, find(pictures.grey(record), board)) for record in pictures.records]
+        pattern = pictures.header["acquisition"].get("pattern", "chessboard")
+        found = [(record, find(pictures.grey(record), board, pattern)) for record in pictures.records]
         self.records = [record for record, q in found if q is not None]
         self.corners = [q for _, q in found if q is not None]
 
