@@ -166,15 +166,31 @@ def test_angles_from_a_file(pairs, run, refused, tmp_path):
     np.testing.assert_allclose(np.degrees(open_capture(tmp_path / "b").angles), np.arange(12.0) ** 2)
     wrong = ("import", folder, "-o", tmp_path / "c", *PATTERNS, "--angles", angles)
     for text, said in (
-        ("1\n2\n", "found 2 angles, expected one for each of 12 images"),
+        ("1\n2\n", "found 2 lines, expected one for each of 12 images"),
         ("1\nnan\n", "line 2: found 'nan'"),
         ("l_0.png 1\n2\n", "some lines have a name"),
         ("l_0.png 1\n", "no line for l_1.png"),
         ("1 2 3 4\n", "line 1"),
-        ("-\n" * 12, "an angle is unknown"),
+        ("-\n" * 12, "a place is unknown"),
     ):
         angles.write_text(text)
         assert said in refused(*wrong)
+
+
+def test_a_linear_stage_and_a_scanner_that_stands_still(pairs, run, refused, tmp_path):
+    folder, _ = pairs
+    stage = ("--carries", "linear")
+    assert run("import", folder, "-o", tmp_path / "a", *PATTERNS, *stage, "--step-mm", "2.5").code == 0
+    np.testing.assert_allclose(open_capture(tmp_path / "a").angles, 0.0025 * np.arange(12))
+    (tmp_path / "mm.txt").write_text("".join(f"{k * k}\n" for k in range(12)))
+    assert run("import", folder, "-o", tmp_path / "b", *PATTERNS, *stage, "--positions", tmp_path / "mm.txt").code == 0
+    np.testing.assert_allclose(open_capture(tmp_path / "b").angles, 0.001 * np.arange(12) ** 2)
+    assert run("import", folder, "-o", tmp_path / "c", *PATTERNS, "--carries", "nothing").code == 0
+    assert open_capture(tmp_path / "c").carries == "nothing"
+    words = ("import", folder, "-o", tmp_path / "d", *PATTERNS)
+    assert "--step-mm: is needed" in refused(*words, *stage)
+    assert "--step-deg: is for --carries scanner or object" in refused(*words, *stage, "--step-deg", "1")
+    assert "--step-mm: is for --carries linear" in refused(*words, "--step-mm", "1")
 
 
 def test_placements_of_a_board(run, tmp_path):
