@@ -63,7 +63,7 @@ def calibrate(version: Version, capture: Path, output: Path, options: tuple[str,
         code, out, problem, seconds = version.verb("calibrate", str(capture), *target, *options)
     # Notes on the capture come before the verdict; the verdict is the first sentence.
     lines = [line for line in out.splitlines() if line and not line.startswith("note: ")]
-    notes = [line for line in out.splitlines() if line.startswith("note: ")]
+    notes = [line.replace(str(capture), capture.name) for line in out.splitlines() if line.startswith("note: ")]
     ended = problem.strip().splitlines()
     found: dict[str, Any] = {
         "options": " ".join(options),
@@ -71,7 +71,7 @@ def calibrate(version: Version, capture: Path, output: Path, options: tuple[str,
         "seconds": seconds,
         "sentence": (lines or ended or [""])[0].replace(str(capture), capture.name).replace(str(output), output.name),
         "notes": notes,
-        "error": ended[-1].replace(str(output.parent), "") if ended else "",
+        "error": ended[-1].replace(str(output), output.name).replace(str(capture), capture.name) if ended else "",
     }
     if not output.exists():
         return found

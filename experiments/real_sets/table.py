@@ -185,7 +185,7 @@ def _sweeps(sweeps: list[RealSet], results: dict[str, Any]) -> str:
         for k, (name, run) in enumerate(runs):
             if run is None:
                 continue
-            said = [line for line in run.get("said", []) if line.startswith(("note:", "warning:"))]
+            said = run.get("said", [])
             said = said or [run["error"]] if run.get("error") else said
             cells = [str(run.get(key, "–")) for key in ("points", "scene", "on_table")]
             cells += [_number(run.get(key)) for key in ("spread_mm", "rms_mm")] + [
