@@ -81,12 +81,13 @@ def _sentences(boards: list[RealSet], results: dict[str, Any]) -> str:
             if found is None:
                 continue
             text = found["first"].replace("|", "/")
+            how = "With centres found by OpenCV" if one.pattern == "circles" else "With `--only camera`"
             if found["runs"] > 1:
-                text += f" **With `--only camera`:** {found['sentence']}".replace("|", "/")
+                text += f" **{how}:** {found['sentence']}".replace("|", "/")
             name = one.name if which == "before" else ""
             when = "before" if which == "before" else "now"
-            rows.append([name, when, str(found["exit_code"]), f"{found['seconds']:.0f} s", text])
-    return _rows(["set", "", "exit code", "time", "first sentence"], rows)
+            rows.append([name, when, str(found["exit_code"]), text])
+    return _rows(["set", "", "exit code", "first sentence"], rows)
 
 
 def _corners(boards: list[RealSet], results: dict[str, Any]) -> str:
@@ -130,17 +131,7 @@ PUBLISHED = {"zhaocongyang": (np.array([-0.13051671, -6.3959525, 1.0]), 304.9185
 
 
 def _lines(boards: list[RealSet], results: dict[str, Any]) -> str:
-    head = [
-        "set",
-        "method",
-        "lines",
-        "points",
-        "spread [mm]",
-        "RMS [mm]",
-        "held out [mm]",
-        "halves [°]",
-        "angle to plain [°]",
-    ]
+    head = ["set", "method", "lines", "points", "spread [mm]", "held out [mm]", "halves [°]", "angle to plain [°]"]
     rows = []
     for one in boards:
         if not one.header.get("laser"):
@@ -172,7 +163,7 @@ def _sheet(one: RealSet, sheet: dict[str, Any], plain: dict[str, Any] | None) ->
 
 
 def _sweeps(sweeps: list[RealSet], results: dict[str, Any]) -> str:
-    head = ["set", "method", "points", "scene", "on table", "spread [mm]", "RMS [mm]", "tilt [°]", "time", "said"]
+    head = ["set", "method", "points", "scene", "on table", "spread [mm]", "RMS [mm]", "tilt [°]", "said"]
     rows = []
     for one in sweeps:
         found = results[one.name]
@@ -192,5 +183,5 @@ def _sweeps(sweeps: list[RealSet], results: dict[str, Any]) -> str:
                 _number(run.get("tilt_deg"), "{:.2f}")
             ]
             text = " ".join(said).replace("|", "/") or "nothing"
-            rows.append([one.name if k == 0 else "", name, *cells, f"{run['seconds']:.0f} s", text if k < 3 else ""])
+            rows.append([one.name if k == 0 else "", name, *cells, text if k < 3 else ""])
     return _rows(head, rows)
