@@ -47,6 +47,12 @@ class CalibrationSettings:
     None: estimated from the residuals."""
     judge: bool = True
     """Test whether the models suffice, and predict the uncertainty of lengths."""
+    limit_mm: float | None = None
+    """A rig whose points are not good to this is refused [mm] (`GoodTo.sigma_mm`)."""
+    limit_px: float | None = None
+    """A camera whose rays are not good to this is refused [px] (`GoodTo.sigma_px`)."""
+    at_m: float | None = None
+    """Depth at which points are judged [m]; None: 2.5 m, or as far as the rig reaches."""
     max_steps: int = 60
     """Steps of one least-squares solve."""
 
@@ -55,6 +61,10 @@ class CalibrationSettings:
         _check_known("only", [] if self.only is None else [self.only], get_args(RigKind))
         _check_known("free", self.free, BLOCKS)
         _check_known("priors", self.priors, PRIORS)
+        for key in ("limit_mm", "limit_px", "at_m"):
+            value = getattr(self, key)
+            if value is not None and not 0 < value < float("inf"):
+                raise CalibrationError(f"CalibrationSettings.{key}: found {value:g}, expected a number above 0.")
 
 
 def _check_known(key: str, found: Iterable[str], known: Iterable[str]) -> None:

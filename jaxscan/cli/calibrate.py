@@ -38,12 +38,16 @@ def calibrate(
     free: tuple[Block, ...] = (),
     hold: tuple[Block, ...] = (),
     redetect: bool = True,
+    limit_mm: float | None = None,
+    at_m: float | None = None,
+    limit_px: float | None = None,
     json: JsonTarget = None,
 ) -> None:
     """Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.
 
-    The exit code is 1 if the calibration is not accepted or its solve did not converge. The file is written in any
-    case.
+    The first line says what the calibration is good for. The exit code is 1 if it cannot be used at all, because its
+    solve did not converge or its points are off by more than 5 % of their distance, or if it breaks a limit. The file
+    is written in any case.
 
     Args:
         captures: One or more captures of the same board with the same rig.
@@ -62,6 +66,9 @@ def calibrate(
         free: Blocks of parameters to estimate in addition to the usual ones.
         hold: Blocks of parameters not to estimate.
         redetect: Take a second look at the images, where the first solve predicts corners and stripes.
+        limit_mm: Refuse a rig whose points are not good to this.
+        at_m: Depth at which points are judged; 2.5 m if not given, or as far as the rig reaches.
+        limit_px: Refuse a camera whose rays are not good to this, over the image.
         json: Write the result as JSON too.
     """
     parts = [("--camera", camera)] if camera else []
@@ -74,12 +81,13 @@ def calibrate(
     check_json(json)
     if report is not None:
         check_writable(report)
+    settings = replace(calibration_settings(lens, free, hold), only=only)
+    settings = replace(settings, limit_mm=limit_mm, at_m=at_m, limit_px=limit_px)
     opened = [api.open_capture(path) for path in captures]
     out = console(json)
     for capture in opened:
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
-    settings = replace(calibration_settings(lens, free, hold), only=only)
     known = known_parts(opened[0], camera, sheet, axis, refine) if opened else KnownParts()
     plan = api.plan_calibration(opened, settings=settings, known=known)
     out.print(f"solving for {plan.words()}{_held(known)}")

@@ -13,7 +13,7 @@ _STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
 
 
 def print_summary(out: Terminal, calibration: Calibration) -> None:
-    """Print the verdict first, then lengths, noise, faults, advice and parameters."""
+    """Print what the calibration is good for first, then lengths, noise, faults, advice and parameters."""
     first = words.headline(calibration)
     out.print(f"{first.headline}. {first.explanation}", style=_STYLE[first.kind])
     lengths = words.lengths(calibration)
@@ -32,7 +32,7 @@ def print_summary(out: Terminal, calibration: Calibration) -> None:
     outcomes = outcome_rows(calibration)
     if outcomes:
         rows = [row[:7] for row in outcomes]
-        out.print(table("Tests", ("", "statistic", "dof", "p", "p of structure", "moves a length by", "result"), rows))
+        out.print(table("Tests", ("", "statistic", "dof", "p", "p of structure", "harm", "result"), rows))
     if calibration.quality.converged is False:
         return
     rows = [parameter.row() for parameter in parameters(calibration)]

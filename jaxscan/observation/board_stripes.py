@@ -92,7 +92,7 @@ def _lines_of(
         usable = usable & known.is_near(xy)
     usable = usable & is_on_print(xy, board)
     stripes = []
-    for number in find_lines(found, xy, usable, known):
+    for number in find_lines(found, xy, usable, known, print_shows=view.off is None):
         at = np.maximum(number, 0).astype(np.intp), np.arange(len(number))
         stripes.append(select_board_stripe(found.taken(number), corners, board, off=off, board_xy=xy[at]))
     return tuple(stripe for stripe in stripes if stripe.valid.any())

@@ -115,7 +115,7 @@ def _board(quality: Quality) -> list[Parameter]:
 
 
 _STATISTICS = ("statistic", "degrees of freedom", "p", "p of structure")
-OUTCOME_COLUMNS = ("test", *_STATISTICS, "moves a length by", "result", "question")
+OUTCOME_COLUMNS = ("test", *_STATISTICS, "harm", "result", "question")
 
 
 def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
@@ -130,7 +130,7 @@ def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
             str(test.dof),
             _probability(test.p),
             _probability(test.p_structure),
-            _moved(test) if verdict.result(test) == "fails" else "",
+            _harm(test),
             verdict.result(test),
             TESTS.get(test.name, ("", ""))[0],
         )
@@ -138,10 +138,9 @@ def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
     ]
 
 
-def _moved(test: ModelTest) -> str:
-    if test.effect_mm is None or test.effect_sigma is None:
-        return ""
-    return f"{test.effect_mm:.2g} mm, {test.effect_sigma:.1f} sigma"
+def _harm(test: ModelTest) -> str:
+    sizes = (test.effect_mm, "mm"), (test.effect_px, "px")
+    return ", ".join(f"{size:.2g} {unit}" for size, unit in sizes if size is not None)
 
 
 def view_columns(calibration: Calibration) -> tuple[str, ...]:

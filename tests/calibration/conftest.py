@@ -38,6 +38,10 @@ class Rig:
     travel: tuple[float, float, float] = (0.955, 0.05, -0.29)
     """Where a linear stage moves the camera."""
     up: str = "-v"
+    wobble: tuple[tuple[float, float, float], ...] = ()
+    """Tilt of the axis at each stop of a placement, as a rotation vector [rad]; none where empty."""
+    spread: float = 0.2
+    """How far above and below the middle boards are held, over their depth [1]."""
     board: Chessboard = field(default_factory=lambda: Chessboard(9, 7, 0.035))
 
     def wide(self):
@@ -113,6 +117,36 @@ def seen_from(rig, rotation, translation, phi):
     return back @ rotation, back @ (translation - rig.foot()) + rig.foot()
 
 
+def tilted(rig, rotation, translation, tilt):
+    """A board pose as the camera sees it whose axis is tilted about its foot."""
+    turn = rodrigues(np.array(tilt))
+    return turn @ rotation, turn @ (translation - rig.foot()) + rig.foot()
+
+
+def scanned(camera, sheet, table, q, phi):
+    """Points [n, 3] of a rig given by plain numbers: rays of the pixels, sheet, turn about the axis.
+
+    Args:
+        camera: `(focal, centre, lens)` of a pinhole.
+        sheet: `(normal, distance)`.
+        table: `(direction, foot, gain, harmonics)`.
+        q: Pixels [n, 2].
+        phi: Angles of the table [n].
+    """
+    focal, centre, lens = camera
+    target = (q - np.array(centre)) / np.array(focal)
+    x, lens_only = target, Rig(focal=(1.0, 1.0), centre=(0.0, 0.0), lens=tuple(lens))
+    for _ in range(60):
+        x = x + target - project(lens_only, np.column_stack([x, np.ones(len(x))]))
+    p = np.column_stack([x, np.ones(len(x))])
+    normal, distance = sheet
+    p = p * (distance / (p @ np.array(normal)))[:, None]
+    direction, foot, gain, (c1, s1, c2, s2) = table
+    theta = gain * phi + c1 * (np.cos(phi) - 1) + s1 * np.sin(phi) + c2 * (np.cos(2 * phi) - 1) + s2 * np.sin(2 * phi)
+    turned = [rodrigues(angle * np.array(direction)) @ (at - foot) + foot for angle, at in zip(theta, p, strict=True)]
+    return np.array(turned)
+
+
 def board_height(rig, x, y):
     columns, rows = rig.board.grid()
     half = np.array([columns - 1, rows - 1]) / 2 * rig.board.square
@@ -155,7 +189,7 @@ def hold_ahead(rig, random, middle, tilt_deg):
     x = rig.distances[0] / rig.normal()[0] - z * rig.normal()[2] / rig.normal()[0] + random.uniform(-0.05, 0.05)
     axis = random.normal(size=3) * np.array([1, 1, 0.3])
     rotation = rodrigues(np.radians(random.uniform(10, tilt_deg)) * axis / np.linalg.norm(axis))
-    return rotation, np.array([x, random.uniform(-0.2, 0.2) * z, z]) - rotation @ middle
+    return rotation, np.array([x, random.uniform(-rig.spread, rig.spread) * z, z]) - rotation @ middle
 
 
 def hold_around(rig, random, middle, tilt_deg):
@@ -193,6 +227,9 @@ def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, s
         hold = hold_around if rig.wide() else hold_ahead
         rotation, translation = hold(rig, random, middle, tilt_deg)
         poses = [seen_from(rig, rotation, translation, phi) for phi in stops]
+        if turning and rig.wobble:
+            poses = [tilted(rig, *pose, rig.wobble[(number * angles + stop) % len(rig.wobble)])
+                     for stop, pose in enumerate(poses)]  # fmt: skip
         q = [project(rig, corners @ r.T + t) for r, t in poses]
         if all((p > 5).all() and (p < np.array(rig.size) - 6).all() for p in q) and all(
             in_reach(rig, corners @ r.T + t) for r, t in poses
@@ -283,6 +320,7 @@ def world():
         "errors": errors,
         "project": project,
         "rodrigues": rodrigues,
+        "scanned": scanned,
     }.items():
         setattr(World, name, staticmethod(value) if not isinstance(value, type) else value)
     return World

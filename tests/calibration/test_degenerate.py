@@ -136,9 +136,9 @@ class TestConvergence:
     def test_too_few_steps_for_a_camera_alone(self, observed):
         quality = calibrate_camera(observed, settings=CalibrationSettings(max_steps=1)).quality
         assert quality.converged is False
-        assert quality.verdict.accepted is False and quality.verdict.tests == ()
-        (advice,) = quality.verdict.advice
-        assert advice.startswith("The solve did not converge in 1 step")
+        assert quality.verdict.usable is False and quality.verdict.tests == ()
+        assert quality.verdict.refused.startswith("The solve did not converge in 1 step")
+        assert quality.verdict.advice == () and quality.verdict.good_to is None
         assert quality.unobserved == quality.spectrum == quality.warnings == () and quality.lengths is None
         # The residuals are told: there they show where it hangs.
         assert quality.corner_rms_px > 0.2 and len(quality.per_view) == quality.views

@@ -11,15 +11,17 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.verdict.lit import Lit, lit_lines
-from jaxscan.calibration.verdict.propagate import change, no_steps, scan_points, sigma_of, sigma_steps
+from jaxscan.calibration.verdict.propagate import change, no_steps, pad_steps, scan_points, sigma_of, sigma_steps
 from jaxscan.calibration.verdict.quality import DepthSigma, LaserLengths, Lengths, LengthSigma
-from jaxscan.geometry import AbstractMotion, LinearStage, Scanner, Turntable
+from jaxscan.geometry import AbstractMotion, LinearStage, Scanner, Still, Turntable
 
 
 DEPTHS_M = (0.1, 0.15, 0.25, 0.4, 0.6, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 15.0, 25.0)
 """Depths at which a rig is judged, where it reaches them [m]."""
 HALF_TURN_DEPTHS_M = (1.91, 3.075)
 """Depths of two opposite walls, seen half a turn apart: rooms about 3.8 and 6.1 m wide [m]."""
+TRAVEL_M = 0.5
+"""Travel over which a linear stage is judged [m]."""
 # As long, for its depth, as 300 mm at 2.5 m, by which scanners of rooms are compared.
 _LENGTH_SHARE = 0.12
 _COMMON_DEPTH_M = 2.5
@@ -31,7 +33,6 @@ _OBJECT_SHARE = 0.15
 _LINES = 64
 _TURN_LINES = 8
 _TURN_STOPS = 24
-_TRAVEL_M = 0.5
 
 
 class Length(NamedTuple):
@@ -92,6 +93,38 @@ def lit_in_reach(scanner: Scanner, laser: int) -> list[Lit]:
     return [lit for lit in candidates if len(lit.q) and lit.per_pixel <= _MAX_PIXEL_SHARE * lit.depth]
 
 
+def working_depth(scanner: Scanner, laser: int) -> float | None:
+    """The depth at which people judge a rig [m]; None where none is in reach.
+
+    It is 2.5 m, or the middle one of those in reach; of an object on a table its near side.
+    """
+    reached = lit_in_reach(scanner, laser)
+    if not reached:
+        return None
+    if isinstance(table := scanner.turntable, Turntable) and table.carries == "object":
+        return (1.0 - _OBJECT_SHARE) * float(table.point[2])
+    return _middle(reached).depth
+
+
+def point_error(scanner: Scanner, laser: int, depth: float, steps: Float[np.ndarray, "steps params"]) -> float | None:
+    """Error of points at a depth [mm] as `DepthSigma.sigma_point_mm` has it, or of their range without a motion.
+
+    Args:
+        scanner: Its covariance is not used.
+        laser: Which sheet.
+        depth: Of the points [m].
+        steps: In the minimal coordinates; each counts as one standard deviation.
+
+    Returns:
+        The error; None where that depth is nowhere in the image.
+    """
+    (lit,) = lit_lines(scanner, laser, (depth,))
+    if not len(lit.q):
+        return None
+    (found,) = _at_depths(scanner, laser, [lit], pad_steps(scanner, steps))
+    return found.sigma_range_mm if isinstance(scanner.turntable, Still) else found.sigma_point_mm
+
+
 def stripe_pixels(scanner: Scanner, laser: int, depth: float) -> Float[np.ndarray, "lines 2"]:
     """Where the stripe of one depth is seen: one pixel for each row of the image that it crosses.
 
@@ -137,22 +170,6 @@ def measure_lengths(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray
     return _lengths(scanner, lengths, no_steps(scanner))[0]
 
 
-def length_changes(
-    scanner: Scanner, lengths: list[Length], steps: Float[np.ndarray, "steps params"]
-) -> Float[np.ndarray, "steps lengths"]:
-    """How `measure_lengths` changes if the scanner is moved by steps in its minimal coordinates [m].
-
-    Raises:
-        ValueError: If there are more than two steps a parameter.
-    """
-    padded = no_steps(scanner)
-    if len(steps) >= len(padded):
-        raise ValueError(f"{len(steps)} steps are more than {len(padded) - 1}.")
-    padded[1 : 1 + len(steps)] = steps
-    values = _lengths(scanner, lengths, padded)
-    return values[1 : 1 + len(steps)] - values[0]
-
-
 def length_sigma(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, " lengths"]:
     """Standard deviation that the calibration causes in `measure_lengths` [m].
 
@@ -165,7 +182,7 @@ def length_sigma(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, "
 def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
     if not reached:
         return []
-    lit = next((each for each in reached if each.depth == _COMMON_DEPTH_M), reached[len(reached) // 2])
+    lit = _middle(reached)
     found = [
         _along_stripe(laser, lit, _LENGTH_SHARE * lit.depth),
         _across_sweep(scanner, laser, lit, _LENGTH_SHARE * lit.depth),
@@ -187,11 +204,15 @@ def _half_turns(scanner: Scanner, laser: int, farthest: float) -> list[Length | 
     return [_half_turn(laser, lit) for lit in lit_lines(scanner, laser, halves)]
 
 
+def _middle(reached: list[Lit]) -> Lit:
+    return next((each for each in reached if each.depth == _COMMON_DEPTH_M), reached[len(reached) // 2])
+
+
 def _lengths(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> np.ndarray:
     """[steps, lengths], metres."""
     if not lengths:
         return np.zeros((len(steps), 0))
-    q, angle = (np.concatenate([getattr(length, name) for length in lengths]) for name in ("q", "angle"))
+    q, angle = (np.concatenate(parts) for parts in zip(*((one.q, one.angle) for one in lengths), strict=True))
     p = scan_points(scanner, steps, q, np.repeat([length.laser for length in lengths], 2), angle)
     return np.linalg.norm(p[:, 1::2] - p[:, 0::2], axis=-1)
 
@@ -224,9 +245,7 @@ def _stops(motion: AbstractMotion) -> np.ndarray:
     """Positions of a motion at which points stand for a whole cloud [rad or m]."""
     if isinstance(motion, Turntable):
         return 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
-    return (
-        np.linspace(-0.5 * _TRAVEL_M, 0.5 * _TRAVEL_M, _TURN_STOPS) if isinstance(motion, LinearStage) else np.zeros(1)
-    )
+    return np.linspace(-0.5 * TRAVEL_M, 0.5 * TRAVEL_M, _TURN_STOPS) if isinstance(motion, LinearStage) else np.zeros(1)
 
 
 def _shape_sigma(p: np.ndarray) -> float:

@@ -12,6 +12,9 @@ from jaxscan.files.importing.listing import Matched
 from jaxscan.files.importing.pairing import Columns, pair
 
 
+_MOST_DEG = 1e5
+
+
 @dataclass(frozen=True)
 class ImportRequest:
     """The wishes of a user, as far as they decide on records; everything may be left open."""
@@ -140,6 +143,8 @@ def _places(
 ) -> tuple[list[Place], str | None]:
     """The table's angle in every record."""
     step = known if request.step_deg is None else request.step_deg
+    if step is not None and not abs(step) * max(1, len(keys)) <= _MOST_DEG:
+        raise OptionError(f"--step-deg: found {step:g}, expected the angle between two images in degrees.")
     if request.step_deg is not None and request.angles is not None:
         raise OptionError("--step-deg and --angles: found both, expected one of them.")
     if request.angles is not None:
