@@ -80,8 +80,11 @@ def _sentences(boards: list[RealSet], results: dict[str, Any]) -> str:
             found = results[one.name].get(which)
             if found is None:
                 continue
-            text = found["first"].replace("|", "/")
-            how = "With centres found by OpenCV" if one.pattern == "circles" else "With `--only camera`"
+            plan = found.get("plan", "")
+            text = f"({plan}) {found['first']}" if plan else found["first"]
+            text = text.replace("|", "/")
+            ways = {"given": "With centres found by OpenCV", "--only camera": "With `--only camera`"}
+            how = ways.get(found["options"], "With the known camera")
             if found["runs"] > 1:
                 text += f" **{how}:** {found['sentence']}".replace("|", "/")
             name = one.name if which == "before" else ""
