@@ -7,6 +7,7 @@ import numpy as np
 
 from experiments.real_sets.plain.stripes import angle_deg
 from experiments.real_sets.sets import SETS, RealSet
+from experiments.real_sets.worse import worse
 
 
 HEAD = """# Strangers' captures
@@ -32,6 +33,7 @@ def markdown(results: dict[str, Any]) -> str:
     parts += ["## Lines on boards", LINES, _lines(boards, results)]
     sweeps = [one for one in known if one.header["kind"] == "sweep"]
     parts += ["## Sweeps", SWEEPS, _sweeps(sweeps, results)]
+    parts += ["## Worse than the plain method", worse(results)]
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
