@@ -61,17 +61,19 @@ def calibrate(version: Version, capture: Path, output: Path, options: tuple[str,
     else:
         target = ("-o", str(output), "--json", str(summary))
         code, out, problem, seconds = version.verb("calibrate", str(capture), *target, *options)
-    # Notes on the capture come before the verdict; the verdict is the first sentence.
-    lines = [line for line in out.splitlines() if line and not line.startswith("note: ")]
-    notes = [line for line in out.splitlines() if line.startswith("note: ")]
+    # Notes on the capture and the plan come before the verdict; the verdict is the first sentence.
+    plan = [line for line in out.splitlines() if line.startswith("solving for ")]
+    lines = [line for line in out.splitlines() if line and not line.startswith(("note: ", "solving for "))]
+    notes = [line.replace(str(capture), capture.name) for line in out.splitlines() if line.startswith("note: ")]
     ended = problem.strip().splitlines()
     found: dict[str, Any] = {
-        "options": " ".join(options),
+        "options": " ".join(options).replace(str(output.parent), "").replace("/", ""),
+        "plan": plan[0] if plan else "",
         "exit_code": code,
         "seconds": seconds,
         "sentence": (lines or ended or [""])[0].replace(str(capture), capture.name).replace(str(output), output.name),
         "notes": notes,
-        "error": ended[-1].replace(str(output.parent), "") if ended else "",
+        "error": ended[-1].replace(str(output), output.name).replace(str(capture), capture.name) if ended else "",
     }
     if not output.exists():
         return found
