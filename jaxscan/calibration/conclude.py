@@ -5,13 +5,13 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.parameters import ANGLE_PARAMETERS, BOARD_BLOCKS
+from jaxscan.calibration.parameters import board_blocks
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve import (
     Adjustment,
     Determination,
-    carrying,
+    bend_of,
     determine,
     not_converged,
     undetermined_shares,
@@ -32,6 +32,7 @@ from jaxscan.calibration.verdict import (
 )
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Scanner, make_layout
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.observation import Observations
 
 
@@ -55,11 +56,12 @@ def conclude(
     Raises:
         CalibrationError: If the observations do not determine the parameters; it names the captures that are missing.
     """
-    problem, table = result.problem, result.problem.turntable
-    lasers = observations.laser_names if table is not None else ()
-    names = make_layout(problem.camera, lasers, turns=table is not None, board=BOARD_BLOCKS).names
+    problem, motion = result.problem, result.problem.turntable
+    lasers = observations.laser_names[: len(problem.lasers.distance)]
+    board = board_blocks(problem.modes.corner.shape[-1])
+    names = make_layout(problem.camera, lasers, motion=motion.blocks, board=board).names
     determination = _determined(result, names)
-    layout = make_layout(camera, lasers, turns=table is not None, board=BOARD_BLOCKS)
+    layout = make_layout(camera, lasers, motion=motion.blocks, board=board)
     every, count = layout.names, layout.board.start
     kept = np.array([names.index(name) for name in every])
     turned = -1.0 if observations.carries == "object" else 1.0
@@ -67,9 +69,9 @@ def conclude(
     covariance = determination.covariance[np.ix_(kept, kept)] * np.outer(sign, sign)
     own = np.ascontiguousarray(covariance[:count, :count])
     scanner = None
-    if table is not None:
-        turntable = carrying(table, observations.carries)
-        scanner = Scanner(camera, problem.lasers, turntable, own, lasers, observations.up)
+    if lasers or motion.blocks:
+        motion = motion.carrying(observations.carries)
+        scanner = Scanner(camera, problem.lasers, motion, own, lasers, observations.up)
     quality = describe_quality(result, determination, observations, names)
     if not result.converged:
         refused = Verdict(accepted=False, advice=(not_converged(settings),))
@@ -138,8 +140,9 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
     stripes, points = np.shape(observations.stripes.valid)
     corner = lambda values: np.ascontiguousarray(values[:views, :corners])
     stripe = lambda values: np.ascontiguousarray(values[:stripes, :points])
-    kx, ky, pitch = (float(value) for value in result.problem.shape)
+    kx, ky, pitch = (float(value) for value in result.problem.shape[:3])
     leverage = np.asarray(result.linearised.corner_leverage).reshape(result.corner_error.shape)
+    bend, offset = bend_of(result.problem)
     return Fit(
         pose=np.asarray(result.linearised.view_poses)[:views],
         warp=np.array([kx, ky]),
@@ -153,4 +156,6 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
         stripe_leverage=stripe(np.asarray(result.linearised.stripe_leverage)),
         stripe_kept=stripe(result.stripe_kept),
         covariance=covariance,
+        bend=bend,
+        offset=offset[:corners],
     )

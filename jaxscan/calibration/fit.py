@@ -1,6 +1,6 @@
 """Residuals of a finished solve, and how much each observation counted in it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -33,4 +33,9 @@ class Fit:
     stripe_leverage: np.ndarray
     stripe_kept: np.ndarray
     covariance: np.ndarray
-    """Of the shared unknowns and of the board: `Calibration.order`, then warp.x, warp.y, pitch."""
+    """Of the shared unknowns and of the board: `Calibration.order`, then warp.x, warp.y, pitch, and the modes of
+    its shape."""
+    bend: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """Coefficients of the board's `bend_functions` [m]; empty for a parabola."""
+    offset: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    """Where every corner stands beside the bowed and bent surface [corners, 3], m; empty for a parabola."""

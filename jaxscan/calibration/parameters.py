@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from jaxscan.geometry import CAMERAS, Array, ParameterBlock, exponential
 from jaxscan.geometry.laser import LASER_BLOCKS
-from jaxscan.geometry.turntable import ANGLE_BLOCKS, AXIS_BLOCKS
+from jaxscan.geometry.motions import MOTION_BLOCKS
 
 
 BOARD_BLOCKS = (
@@ -15,12 +15,24 @@ BOARD_BLOCKS = (
     ParameterBlock("pitch", ("pitch",), 0.001, prior="pitch", sigma=1e-4),
 )
 """Unknowns of the calibration board, after those of the scanner."""
-ANGLE_PARAMETERS = tuple(name for block in ANGLE_BLOCKS for name in block.parameters)
+
+
+def board_blocks(modes: int) -> tuple[ParameterBlock, ...]:
+    """`BOARD_BLOCKS`, and a block for the modes of a free shape, in units of their priors' standard deviations."""
+    names = tuple(f"shape.{mode}" for mode in range(modes))
+    return (*BOARD_BLOCKS, ParameterBlock("shape", names, 1.0, prior="shape", sigma=1.0))
+
+
+def is_mode(name: str) -> bool:
+    """Whether an unknown is a mode of the board's shape."""
+    return name.startswith("shape.")
+
+
 LOCAL_SCALE = 1e-2
 """Unit of a board's pose steps [m, rad]."""
 
 _OF_CAMERAS = tuple(block for camera in CAMERAS.values() for block in camera.blocks())
-_OF_ALL = _OF_CAMERAS + LASER_BLOCKS + AXIS_BLOCKS + BOARD_BLOCKS
+_OF_ALL = _OF_CAMERAS + LASER_BLOCKS + MOTION_BLOCKS + board_blocks(0)
 _HELD = ("bow", "pitch")
 
 CAMERA_BLOCKS = tuple(dict.fromkeys(block.name for block in _OF_CAMERAS))

@@ -4,11 +4,13 @@ import numpy as np
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.verdict import SecondLook
-from jaxscan.observation import SolvedRig
+from jaxscan.observation import Observations, SolvedRig
 
 
 # The second solve may whiten worse by this factor: corners at the rim of the image are harder to explain.
 _NOT_WORSE = 1.05
+# Share of the boards with a line that must agree with a sheet, so that stripes are looked for near it only.
+_BELIEVED = 0.5
 
 
 def solved_rig(calibration: Calibration) -> SolvedRig:
@@ -25,17 +27,31 @@ def solved_rig(calibration: Calibration) -> SolvedRig:
         scanner=calibration.scanner,
         board=observations.board,
         shape=np.array([*fit.warp, fit.pitch]),
+        bend=fit.bend,
+        offset=fit.offset,
         poses=fit.pose,
         used=np.any(fit.corner_kept, axis=1),
         corner_rms_px=calibration.quality.corner_rms_px or 0.0,
+        believed=_believed(observations),
     )
+
+
+def _believed(observations: Observations) -> tuple[bool, ...]:
+    """Whether the lines on most boards lie on the sheet of each laser: a stripe elsewhere has a row without a point."""
+    laser, found = np.asarray(observations.stripes.laser), np.any(np.asarray(observations.stripes.valid), axis=1)
+    shares = [found[laser == index] for index in range(len(observations.laser_names))]
+    return tuple(bool(share.sum() > _BELIEVED * len(share)) for share in shares)
 
 
 def choose(first: Calibration, second: Calibration) -> tuple[Calibration, SecondLook]:
     """The second calibration unless it explains its observations worse, and the gains of the second look."""
     names = ("corner_rms_whitened", "stripe_rms_whitened", "views", "corners", "stripe_points")
     before, after = ({name: vars(calibration.quality)[name] for name in names} for calibration in (first, second))
-    kept = bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+    # A look that loses a part of the rig would explain the rest of its observations well.
+    whole = set(first.order) <= set(second.order)
+    kept = (
+        whole and bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+    )
     look = SecondLook(
         kept,
         **{f"{name}_gained": after[name] - before[name] for name in names[2:]},

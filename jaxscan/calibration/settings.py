@@ -2,10 +2,15 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 from jaxscan.calibration.parameters import BLOCKS, PRIORS, USUALLY_FREE, Block, PriorName
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import CAMERAS, CameraModel
+
+
+RigKind = Literal["camera", "profile", "axis"]
+"""A rig that is smaller than the captures would allow: the camera alone; camera and sheets; camera and axis."""
 
 
 @dataclass(frozen=True)
@@ -14,6 +19,8 @@ class CalibrationSettings:
 
     camera: CameraModel = "pinhole"
     """Model of the camera, of `CAMERAS`."""
+    only: RigKind | None = None
+    """A smaller rig on purpose; None: the largest that the captures determine."""
     free: tuple[Block, ...] = USUALLY_FREE
     """Blocks that are estimated; everything else is held. Blocks that the camera's model lacks do
     nothing; "rational" adds k4, k5, k6 to a pinhole.
@@ -45,6 +52,7 @@ class CalibrationSettings:
 
     def __post_init__(self) -> None:
         _check_known("camera", [self.camera], CAMERAS)
+        _check_known("only", [] if self.only is None else [self.only], get_args(RigKind))
         _check_known("free", self.free, BLOCKS)
         _check_known("priors", self.priors, PRIORS)
 

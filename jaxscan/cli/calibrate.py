@@ -1,13 +1,16 @@
 """`jaxscan calibrate`: calibrates a scanner from captures of boards."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from jaxscan import api
-from jaxscan.calibration import CalibrationSettings
+from jaxscan.calibration import CalibrationSettings, KnownParts, Part
 from jaxscan.calibration.parameters import Block
+from jaxscan.calibration.settings import RigKind
+from jaxscan.cli.known import known_files, known_parts
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
@@ -26,7 +29,11 @@ def calibrate(
     *,
     output: OutputPath,
     report: Path | None = None,
-    only: Literal["camera"] | None = None,
+    only: RigKind | None = None,
+    camera: Path | None = None,
+    sheet: tuple[str, ...] = (),
+    axis: tuple[str, ...] = (),
+    refine: tuple[Part, ...] = (),
     lens: CameraModel = "pinhole",
     free: tuple[Block, ...] = (),
     hold: tuple[Block, ...] = (),
@@ -42,16 +49,25 @@ def calibrate(
         captures: One or more captures of the same board with the same rig.
         output: Calibration file to write; its observations go into `<stem>.npz` beside it.
         report: Report to write: an HTML page by which to judge the calibration.
-        only: `camera` calibrates the camera model alone, from boards without laser or turning. Such a calibration
-            cannot reconstruct.
+        only: A smaller rig than the captures determine: `camera` alone; `profile`, camera and sheets; `axis`, camera
+            and axis. Without sheets a calibration cannot reconstruct.
+        camera: Camera that is known: a calibration (.json), OpenCV's or ROS' .yaml, or mrcal's .cameramodel. A known
+            part is held.
+        sheet: Laser sheet that is known: four numbers a b c d of the plane a X + b Y + c Z = d, in metres, of each
+            laser; or a calibration (.json).
+        axis: Axis that is known: a point, in metres, and a direction; for a linear stage its direction; or a
+            calibration (.json).
+        refine: Known parts to estimate from there: `camera`, `sheet`, `axis`.
         lens: Camera model; `fisheye` and `double_sphere` are for wide-angle lenses.
         free: Blocks of parameters to estimate in addition to the usual ones.
         hold: Blocks of parameters not to estimate.
         redetect: Take a second look at the images, where the first solve predicts corners and stripes.
         json: Write the result as JSON too.
     """
+    parts = [("--camera", camera)] if camera else []
+    known_places = [place for option, path in (*parts, *known_files(sheet, axis)) for place in file_at(option, path)]
     check_paths(
-        reads=[place for path in captures for place in capture_at("CAPTURE", path)],
+        reads=[*(place for path in captures for place in capture_at("CAPTURE", path)), *known_places],
         writes=[*calibration_at("--output", output), *file_at("--report", report), *file_at("--json", json)],
     )
     check_calibration_path(output)
@@ -63,14 +79,17 @@ def calibrate(
     for capture in opened:
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
+    settings = replace(calibration_settings(lens, free, hold), only=only)
+    known = known_parts(opened[0], camera, sheet, axis, refine) if opened else KnownParts()
+    plan = api.plan_calibration(opened, settings=settings, known=known)
+    out.print(f"solving for {plan.words()}{_held(known)}")
+    for sentence in plan.missing:
+        out.print(sentence)
     with progress_bar("Looking for boards") as progress:
-        result = api.calibrate(
-            opened,
-            settings=calibration_settings(lens, free, hold),
-            only_camera=only == "camera",
-            redetect=redetect,
-            progress=progress,
-        )
+        result = api.calibrate(opened, settings=settings, known=known, redetect=redetect, progress=progress)
+    for sentence in result.missing:
+        if sentence not in plan.missing:
+            out.print(sentence, style="yellow")
     api.save_calibration(result, output)
     files = {"calibration": str(output)}
     if report is not None:
@@ -78,10 +97,15 @@ def calibrate(
         files["report"] = str(report)
     print_summary(out, result)
     out.print(f"written: {', '.join(files.values())}")
-    emit_json(json, "calibrate", files | summary(result) | {"quality": quality_table(result.quality)})
+    found = {"missing": result.missing, "quality": quality_table(result.quality)}
+    emit_json(json, "calibrate", files | summary(result) | found)
     first = words.headline(result)
     if first.kind == "bad":
         raise CalibrationError(f"{output}: written, but {first.headline.lower()}. {first.explanation}")
+
+
+def _held(known: KnownParts) -> str:
+    return f"; held: {' and '.join(known.held())}" if known.held() else ""
 
 
 def calibration_settings(lens: CameraModel, free: tuple[Block, ...], hold: tuple[Block, ...]) -> CalibrationSettings:

@@ -2,12 +2,13 @@
 
 The board frame has its origin at a corner, x along the rows of squares, y down the columns, z
 into the board, so a board seen upright has the camera's axes. Corner k stands at column
-`k % columns`, row `k // columns` of the inner corners, for both kinds.
+`k % columns`, row `k // columns` of the corners' grid, for every kind.
 """
 
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -17,34 +18,44 @@ from jaxscan.geometry.arrays import Array
 
 _ROUNDS = 4
 """Iterations of the intersection of a ray and a bowed board; each divides the error by a hundred or more."""
+BEND_DEGREE = 6
+"""Highest degree of the polynomials that a board's height may have."""
 
 
 class AbstractBoard(eqx.Module):
-    """A flat printed target with point features."""
+    """A flat printed target with point features, called corners also where they are centres of circles."""
 
     square: eqx.AbstractVar[float]
+    """Side of a square, or the least distance of neighbouring corners along an axis [m]."""
 
     @abc.abstractmethod
     def grid(self) -> tuple[int, int]:
-        """Columns and rows of inner corners."""
+        """Columns and rows of corners."""
 
     @abc.abstractmethod
-    def first_corner(self) -> tuple[float, float]:
-        """Board coordinates (x, y) of corner 0 [m]."""
+    def places(self) -> np.ndarray:
+        """Board coordinates (x, y) of all corners, float64 [columns * rows, 2], m."""
+
+    @abc.abstractmethod
+    def describe(self) -> str:
+        """The board in words, for messages and reports."""
 
     def corners(self) -> np.ndarray:
         """All corners, float64 [columns * rows, 3], metres, board frame."""
-        columns, rows = self.grid()
-        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-        flat = np.stack([x.ravel(), y.ravel()], -1) * self.square + np.array(self.first_corner())
+        flat = self.places()
         return np.column_stack([flat, np.zeros(len(flat))])
 
     def outline(self) -> np.ndarray:
         """Corners of the printed area, float64 [4, 2], metres: x0 y0, x1 y0, x1 y1, x0 y1."""
-        columns, rows = self.grid()
-        x0, y0 = np.array(self.first_corner()) - self.square
-        x1, y1 = x0 + (columns + 1) * self.square, y0 + (rows + 1) * self.square
+        flat = self.places()
+        (x0, y0), (x1, y1) = flat.min(0) - self.square, flat.max(0) + self.square
         return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+
+
+def even_grid(columns: int, rows: int) -> np.ndarray:
+    """Column and row of every corner of a grid, in the order of corners, float64 [columns * rows, 2]."""
+    x, y = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
+    return np.stack([x.ravel(), y.ravel()], -1)
 
 
 class Chessboard(AbstractBoard):
@@ -61,8 +72,11 @@ class Chessboard(AbstractBoard):
     def grid(self) -> tuple[int, int]:
         return self.columns, self.rows
 
-    def first_corner(self) -> tuple[float, float]:
-        return 0.0, 0.0
+    def places(self) -> np.ndarray:
+        return even_grid(self.columns, self.rows) * self.square
+
+    def describe(self) -> str:
+        return f"chessboard, {self.columns} x {self.rows} inner corners, {1e3 * self.square:g} mm"
 
 
 class Charuco(AbstractBoard):
@@ -82,12 +96,16 @@ class Charuco(AbstractBoard):
     def grid(self) -> tuple[int, int]:
         return self.columns - 1, self.rows - 1
 
-    def first_corner(self) -> tuple[float, float]:
-        return self.square, self.square
+    def places(self) -> np.ndarray:
+        return even_grid(*self.grid()) * self.square + self.square
+
+    def describe(self) -> str:
+        columns, rows = self.grid()
+        return f"ChArUco board, {columns} x {rows} inner corners, {1e3 * self.square:g} mm"
 
 
 class BowedBoard(eqx.Module):
-    """The true surface of a board, with its bow and its true pitch.
+    """The true surface of a board, with its bow, its bend and its true pitch.
 
     (x, y) are coordinates on the board as drawn [m].
     """
@@ -96,14 +114,24 @@ class BowedBoard(eqx.Module):
     """Centre x, y and half extents in x, y of the corner grid [m]; see `corner_frame`."""
     shape: Float[Array, "3"]
     """Height kx, ky [m] of the bow along x and y (z into the board), and the relative error of the pitch [1]."""
+    bend: Float[Array, " functions"] = eqx.field(default_factory=lambda: np.zeros(0))
+    """Coefficients [m] of `bend_functions`, heights beside the bow; empty for a board that is a parabola."""
 
     def height(self, xy: Float[Array, "2"]) -> Float[Array, ""]:
-        """z [m]: kx (1 - x'^2) + ky (1 - y'^2), with x', y' = +-1 at the outer corners.
+        """z [m]: kx (1 - x'^2) + ky (1 - y'^2) and the bend, with x', y' = +-1 at the outer corners.
 
         Source: mrcal's `calobject_warp`.
         """
         rise = self.rise(xy)
-        return self.shape[0] * rise[0] + self.shape[1] * rise[1]
+        bow = self.shape[0] * rise[0] + self.shape[1] * rise[1]
+        return bow + self._bent(xy) if self.bend.shape[0] else bow
+
+    def bends(self, xy: Float[Array, "2"]) -> Float[Array, " functions"]:
+        """Derivatives of the height by the coefficients of the bend [1]."""
+        return jnp.stack(bend_functions((xy - self.frame[:2]) / self.frame[2:]))
+
+    def _bent(self, xy: Float[Array, "2"]) -> Float[Array, ""]:
+        return jnp.dot(jnp.asarray(self.bend), self.bends(xy))
 
     def rise(self, xy: Float[Array, "2"]) -> Float[Array, "2"]:
         """Derivatives of the height by kx and ky [1]."""
@@ -118,6 +146,8 @@ class BowedBoard(eqx.Module):
         """The surface's normal, scaled to z = 1, board frame; the error of the pitch is neglected."""
         half = self.frame[2:]
         slope = 2.0 * self.shape[:2] * (xy - self.frame[:2]) / (half * half)
+        if self.bend.shape[0]:
+            slope = slope - jax.grad(self._bent)(xy)
         return jnp.stack([slope[0], slope[1], jnp.ones_like(slope[0])])
 
     def meet(self, pose: Float[Array, "4 4"], ray: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
@@ -140,6 +170,26 @@ class BowedBoard(eqx.Module):
             xy = (origin[:2] + range_m * direction[:2]) / (1.0 + self.shape[2])
             range_m = jnp.asarray((self.height(xy) - origin[2]) / along_z)
         return range_m, origin + range_m * direction
+
+
+def bend_functions(place: Array) -> list[Array]:
+    """Products of Chebyshev polynomials, up to `BEND_DEGREE` in total, the lowest degrees first.
+
+    Beyond the outer corners each polynomial goes on as a straight line: nothing holds a higher power there.
+
+    Args:
+        place: Coordinates [..., 2], +-1 at the outer corners [1].
+
+    Returns:
+        28 arrays [...].
+    """
+    inside = place.clip(-1.0, 1.0)
+    values, slopes = [inside * 0.0 + 1.0, inside], [inside * 0.0, inside * 0.0 + 1.0]
+    for _ in range(BEND_DEGREE - 1):
+        slopes.append(2.0 * values[-1] + 2.0 * inside * slopes[-1] - slopes[-2])
+        values.append(2.0 * inside * values[-1] - values[-2])
+    lines = [value + (place - inside) * slope for value, slope in zip(values, slopes, strict=True)]
+    return [lines[d - j][..., 0] * lines[j][..., 1] for d in range(BEND_DEGREE + 1) for j in range(d + 1)]
 
 
 def corner_frame(corners: Float[np.ndarray, "corners 3"]) -> Float[np.ndarray, "4"]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractBoard, Charuco
+from jaxscan.geometry import AbstractBoard
 from jaxscan.observation.board_stripes import BATCH_RECORDS, find_stripes, learn_colours
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.prediction import SolvedRig
@@ -70,9 +70,9 @@ def look_at_boards(
     seen = go_through(captures, look, Look(board, [], lines), progress=progress)
     if all(view.corners is None for view in seen.records):
         raise CalibrationError(
-            f"The board ({_describe(board)}) was found in none of {len(seen.records)} records: check the [board] table "
-            "of capture.toml (columns and rows count inner corners for a chessboard, squares for ChArUco), and that "
-            "the board is sharp, well lit and wholly in the image."
+            f"The board ({board.describe()}) was found in none of {len(seen.records)} records: check the [board] table "
+            "of capture.toml (columns and rows count inner corners for a chessboard, squares for ChArUco, circles, or "
+            "tags), and that the board is sharp, well lit and wholly in the image."
         )
     return seen
 
@@ -109,9 +109,3 @@ def go_through(
                 if progress is not None:
                     progress(len(views), total)
     return like._replace(records=views)
-
-
-def _describe(board: AbstractBoard) -> str:
-    columns, rows = board.grid()
-    kind = "ChArUco" if isinstance(board, Charuco) else "chessboard"
-    return f"{kind}, {columns} x {rows} inner corners, {1e3 * board.square:g} mm"

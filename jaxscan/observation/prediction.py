@@ -10,12 +10,12 @@ from jaxtyping import Float
 from jaxscan.geometry import (
     AbstractBoard,
     AbstractCamera,
+    AbstractMotion,
     Array,
     BowedBoard,
     LaserSheet,
     Scanner,
     StripeAxis,
-    Turntable,
     across_and_along,
     corner_frame,
     invert,
@@ -44,10 +44,22 @@ class SolvedRig(NamedTuple):
     """bool [views]: the solve used corners of that view."""
     corner_rms_px: float
     """Root mean square residual of the corners."""
+    believed: tuple[bool, ...] = ()
+    """Of each sheet whether most boards agree with it, so that stripes need be looked for near it only."""
+    bend: np.ndarray = np.zeros(0)
+    """Coefficients of the board's `bend_functions` [m]; empty for a parabola."""
+    offset: np.ndarray = np.zeros((0, 3))
+    """Where every corner stands beside the surface [corners, 3], m; empty for a parabola."""
+
+    @property
+    def laser_names(self) -> tuple[str, ...]:
+        """The lasers whose sheets were solved."""
+        return () if self.scanner is None else self.scanner.laser_names
 
     def surface(self) -> BowedBoard:
         """The bowed board; call in 64 bit."""
-        return BowedBoard(jnp.asarray(corner_frame(self.board.corners())), jnp.asarray(self.shape))
+        frame = corner_frame(self.board.corners())
+        return BowedBoard(*(jnp.asarray(part) for part in (frame, self.shape, self.bend)))
 
 
 class PredictedCorners(NamedTuple):
@@ -72,21 +84,21 @@ class PredictedStripe(NamedTuple):
     """bool [lines]: the sheet meets the printed area there."""
 
 
-def turn_boards(table: Turntable, poses: np.ndarray, at: np.ndarray, to: np.ndarray) -> np.ndarray:
-    """T_cam_board of unmoved boards at other angles of the table.
+def turn_boards(motion: AbstractMotion, poses: np.ndarray, at: np.ndarray, to: np.ndarray) -> np.ndarray:
+    """T_cam_board of unmoved boards at other positions of the scanner.
 
     Args:
-        table: The turntable.
+        motion: Of the scanner.
         poses: T_cam_board [n, 4, 4].
-        at: The table's angles of these poses [n], rad from home.
-        to: The table's angles of the new poses [n], rad from home.
+        at: Angles of the table, or positions of the stage, of these poses [n], rad or m.
+        to: Those of the new poses [n].
 
     Returns:
         Poses [n, 4, 4].
     """
     with jax.enable_x64(True):
-        table = jax.tree.map(jnp.asarray, table)
-        turn = jax.vmap(lambda pose, at, to: invert(table.motion(to)) @ table.motion(at) @ pose)
+        motion = jax.tree.map(jnp.asarray, motion)
+        turn = jax.vmap(lambda pose, at, to: invert(motion.motion(to)) @ motion.motion(at) @ pose)
         return np.asarray(turn(jnp.asarray(poses), jnp.asarray(at), jnp.asarray(to)))
 
 
@@ -101,8 +113,10 @@ def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
         Corners of all views.
     """
     with jax.enable_x64(True):
-        camera, corners = jax.tree.map(jnp.asarray, (rig.camera, rig.board.corners()[:, :2]))
-        found = _corners(camera, jnp.asarray(poses), corners, rig.surface())
+        corners = rig.board.corners()[:, :2]
+        offset = rig.offset if len(rig.offset) else np.zeros((len(corners), 3))
+        camera, corners, offset = jax.tree.map(jnp.asarray, (rig.camera, corners, offset))
+        found = _corners(camera, jnp.asarray(poses), (corners, offset), rig.surface())
         q, by_x, by_y, same = (np.asarray(part) for part in found)
     length = np.stack([np.linalg.norm(by, axis=-1) for by in (by_x, by_y)], -1)
     edges = np.stack([by_x, by_y], -2) / np.maximum(length, 1e-12)[..., None]
@@ -157,15 +171,20 @@ def _seen(camera: AbstractCamera, p: Float[Array, "3"]) -> tuple[Float[Array, "2
 
 @jax.jit
 def _corners(
-    camera: AbstractCamera, poses: Float[Array, "views 4 4"], corners: Float[Array, "corners 2"], surface: BowedBoard
+    camera: AbstractCamera,
+    poses: Float[Array, "views 4 4"],
+    corners: tuple[Float[Array, "corners 2"], Float[Array, "corners 3"]],
+    surface: BowedBoard,
 ) -> tuple[Array, Array, Array, Array]:
-    def one(pose, corner):
-        place = lambda xy: transform(pose, surface.point(xy))
+    """Of corners, and their places beside the surface: pixels, slopes, and whether they are seen."""
+
+    def one(pose, corner, offset):
+        place = lambda xy: transform(pose, surface.point(xy) + offset)
         slopes = jax.jacfwd(lambda xy: camera.project(place(xy)))(corner)
         q, same = _seen(camera, place(corner))
         return q, slopes[:, 0], slopes[:, 1], same
 
-    return jax.vmap(lambda pose: jax.vmap(lambda corner: one(pose, corner))(corners))(poses)
+    return jax.vmap(lambda pose: jax.vmap(lambda *corner: one(pose, *corner))(*corners))(poses)
 
 
 @jax.jit

@@ -70,6 +70,6 @@ def _poses(views: Sequence[SeenRecord], rig: SolvedRig) -> list[np.ndarray | Non
                 seen[placement] = pose[None], np.array([views[number].record.angle])
     for number, view in enumerate(views):
         there = None if view.placement is None else seen.get(view.placement)
-        if rig.scanner is not None and poses[number] is None and there is not None:
+        if rig.scanner is not None and rig.scanner.turntable.blocks and poses[number] is None and there is not None:
             poses[number] = turn_boards(rig.scanner.turntable, *there, np.array([view.record.angle]))[0]
     return poses

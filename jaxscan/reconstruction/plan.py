@@ -169,10 +169,11 @@ def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSetting
             f"The scanner is calibrated for images of {camera.width} x {camera.height} px, the sweep has "
             f"{width} x {height} px; use the calibration of this camera mode."
         )
-    if sweep.carries is not None and sweep.carries != scanner.turntable.carries:
+    _check_motion(sweep, scanner)
+    if not scanner.laser_names:
         raise CalibrationError(
-            f"The table of the sweep carries the {sweep.carries}, that of the calibration the "
-            f"{scanner.turntable.carries}; use a calibration made in the same arrangement."
+            "The calibration holds no laser sheet, so nothing can be reconstructed; calibrate with a capture that has "
+            "laser images."
         )
     known, names = scanner.laser_names, [line.name for line in sweep.lasers]
     used = int(sweep.laser.max()) + 1
@@ -195,6 +196,21 @@ def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSetting
     sheet = np.asarray(of_scanner, np.int32)[sweep.laser]
     paired = with_off(sweep, scanner, settings)
     return Plan(paired, scanner, settings, stripe_axis, sheet, chunk_records(sweep, settings))
+
+
+def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:
+    """Refuse a sweep that moves otherwise than the scanner."""
+    known = scanner.turntable.carries
+    if known == "nothing" and sweep.carries != "nothing" and (sweep.carries or np.ptp(sweep.angles) > 0):
+        raise CalibrationError(
+            "The sweep moves, and the calibration holds camera and sheet without a motion; calibrate with placements "
+            'of the board, or say carries = "nothing" for profiles in the frame of the camera.'
+        )
+    if known != "nothing" and sweep.carries is not None and sweep.carries != known:
+        raise CalibrationError(
+            f'The sweep says carries = "{sweep.carries}", the calibration "{known}"; use a calibration made in the '
+            "same arrangement."
+        )
 
 
 def check_stripes(plan: Plan, stripes: Stripes) -> None:

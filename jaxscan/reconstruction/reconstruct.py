@@ -109,13 +109,16 @@ def cloud_of_plan(
             )
         else:
             parts, watch = _from_stripes(plan, stripes, each, progress), None
-        cloud = GrowingCloud(each * len(sweep.record), plan.lines)
+        carries = plan.scanner.turntable.carries
+        cloud = GrowingCloud(each * len(sweep.record), plan.lines, travels=carries == "linear")
         for part in parts:
             cloud.store(*part)
         if watch is not None:
             cloud.keep_clear(watch().least)
         _check_result(cloud, settings)
-        between_lines = line_step(camera, plan.stripe_axis) if settings.normals else None
+        # Profiles of a scanner that stands still are no neighbours.
+        normals = settings.normals and carries != "nothing"
+        between_lines = line_step(camera, plan.stripe_axis) if normals else None
         profile, rank = np.divmod(np.arange(each * len(sweep.record)), each)
         record = sweep.record[profile]
         return cloud.finish(record, plan.sheet[profile], sweep.angles[record], rank, between_lines)

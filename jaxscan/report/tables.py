@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxscan.calibration import Calibration, ModelTest, Quality
 from jaxscan.calibration.verdict import judge_views
-from jaxscan.geometry import Scanner, make_layout
+from jaxscan.geometry import AbstractMotion, LinearStage, Scanner, Turntable, make_layout
 from jaxscan.report.words import TESTS
 
 
@@ -49,13 +49,13 @@ def parameters(calibration: Calibration) -> list[Parameter]:
     camera = calibration.camera
     with jax.enable_x64(True):
         values = np.asarray(camera.parameters()).tolist()
-    layout = make_layout(camera, (), turns=False)
+    layout = make_layout(camera, ())
     rows = [
         Parameter(name, (value,), sigma.get(name, 0.0), block.unit)
         for name, value, block in zip(layout.names, values, layout.blocks, strict=True)
     ]
     if calibration.scanner is not None:
-        rows += _lasers(calibration.scanner, sigma) + _table(calibration.scanner, sigma)
+        rows += _lasers(calibration.scanner, sigma) + _motion(calibration.scanner.turntable, sigma)
     return rows + _board(calibration.quality)
 
 
@@ -75,8 +75,19 @@ def _lasers(scanner: Scanner, sigma: dict[str, float]) -> list[Parameter]:
     return rows
 
 
-def _table(scanner: Scanner, sigma: dict[str, float]) -> list[Parameter]:
-    table = scanner.turntable
+def _motion(motion: AbstractMotion, sigma: dict[str, float]) -> list[Parameter]:
+    if isinstance(motion, Turntable):
+        return _table(motion, sigma)
+    if not isinstance(motion, LinearStage):
+        return []
+    tilt = 1e3 * math.hypot(sigma.get("travel.t1", 0.0), sigma.get("travel.t2", 0.0))
+    return [
+        Parameter("travel: direction", _tuple(motion.direction), tilt, "direction"),
+        Parameter("gain of the travel", (float(motion.gain),), sigma.get("gain", 0.0), ""),
+    ]
+
+
+def _table(table: Turntable, sigma: dict[str, float]) -> list[Parameter]:
     of = lambda name: sigma.get(name, 0.0)
     tilt, shift = (1e3 * math.hypot(of(f"axis.{part}1"), of(f"axis.{part}2")) for part in "dp")
     rows = [

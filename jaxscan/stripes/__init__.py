@@ -12,9 +12,11 @@ from jaxscan.stripes.extract import extract_stripes
 from jaxscan.stripes.frames import (
     PIXEL_FORMATS,
     Colour,
+    ExposurePair,
     FrameFormat,
     LaserColour,
     LaserLine,
+    LearnedResponse,
     PixelFormat,
     Response,
     Sites,
@@ -22,8 +24,10 @@ from jaxscan.stripes.frames import (
     decode_table,
     estimate_noise,
     frame_rank,
+    known_response,
     laser_plane,
     laser_sites,
+    learn_response,
     with_colour,
 )
 from jaxscan.stripes.pairs import judge_pairs

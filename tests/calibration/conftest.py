@@ -4,6 +4,7 @@ Nothing here comes from the package but the board and the containers: projection
 the stripe are written out again, so a wrong sign on one side shows as a misfit.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,7 +30,13 @@ class Rig:
     gain: float = 1.0
     harmonics: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
     warp: tuple[float, float] = (0.0, 0.0)
+    bend: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    """Height [m] beside the bow at coordinates that are +-1 at the outer corners."""
+    print_error: Callable[[np.ndarray], np.ndarray] | None = None
+    """Shifts [n, 2] of the printed corners [n, 2], m."""
     carries: str = "scanner"
+    travel: tuple[float, float, float] = (0.955, 0.05, -0.29)
+    """Where a linear stage moves the camera."""
     up: str = "-v"
     board: Chessboard = field(default_factory=lambda: Chessboard(9, 7, 0.035))
 
@@ -43,6 +50,10 @@ class Rig:
     def direction(self):
         a = np.array(self.axis)
         return a / np.linalg.norm(a)
+
+    def travelling(self):
+        t = np.array(self.travel)
+        return t / np.linalg.norm(t)
 
     def foot(self):
         p, a = np.array(self.axis_point), self.direction()
@@ -90,7 +101,9 @@ def project_double_sphere(rig, points):
 
 
 def seen_from(rig, rotation, translation, phi):
-    """A board pose of angle 0 as the camera sees it at table angle phi."""
+    """A board pose of angle 0 as the camera sees it at table angle phi, or at position phi [m] of a stage."""
+    if rig.carries == "linear":
+        return rotation, translation - rig.gain * phi * rig.travelling()
     c1, s1, c2, s2 = rig.harmonics
     theta = (
         rig.gain * phi + c1 * (np.cos(phi) - 1) + s1 * np.sin(phi) + c2 * (np.cos(2 * phi) - 1) + s2 * np.sin(2 * phi)
@@ -104,11 +117,12 @@ def board_height(rig, x, y):
     columns, rows = rig.board.grid()
     half = np.array([columns - 1, rows - 1]) / 2 * rig.board.square
     a, b = (x - half[0]) / half[0], (y - half[1]) / half[1]
-    return rig.warp[0] * (1 - a * a) + rig.warp[1] * (1 - b * b)
+    bow = rig.warp[0] * (1 - a * a) + rig.warp[1] * (1 - b * b)
+    return bow if rig.bend is None else bow + rig.bend(a, b)
 
 
 def stripe_on_board(rig, rotation, translation, laser, count):
-    """Points [n, 3] of the board (with its bow) on the sheet, camera frame."""
+    """Points [n, 3] of the board (with its bow and bend) on the sheet, camera frame."""
     n = rig.normal(laser)
     # In board coordinates the sheet is a x + b y + c z = d; walk along y, or along x.
     a, b, c = rotation.T @ n
@@ -167,11 +181,15 @@ def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, s
     random = np.random.default_rng(seed)
     corners = rig.board.corners()
     corners = corners + np.column_stack([np.zeros((len(corners), 2)), board_height(rig, corners[:, 0], corners[:, 1])])
+    if rig.print_error is not None:
+        corners[:, :2] += rig.print_error(corners[:, :2])
     middle = corners.mean(0)
     views, number = [], 0
     while number < free + placements:
         turning = number >= free
-        stops = np.radians(np.linspace(-span_deg / 2, span_deg / 2, angles)) if turning else np.zeros(1)
+        # A linear stage goes 0.16 m.
+        half = 0.08 if rig.carries == "linear" else np.radians(span_deg / 2)
+        stops = np.linspace(-half, half, angles) if turning else np.zeros(1)
         hold = hold_around if rig.wide() else hold_ahead
         rotation, translation = hold(rig, random, middle, tilt_deg)
         poses = [seen_from(rig, rotation, translation, phi) for phi in stops]
@@ -239,6 +257,11 @@ def errors(scanner, rig):
         # The truth seen from the estimate's tangent vectors, hence the minus.
         parts += list(-scanner.lasers.basis[laser] @ rig.normal(laser))
         parts += [scanner.lasers.distance[laser] - rig.distances[laser], *scanner.lasers.bow[laser]]
+    if rig.carries == "nothing":
+        return np.array([float(p) for p in parts])
+    if rig.carries == "linear":
+        parts += [*(-table.basis @ rig.travelling()), table.gain - rig.gain]
+        return np.array([float(p) for p in parts])
     sense = np.sign(table.direction @ rig.direction())
     parts += list(-table.basis @ (sense * rig.direction()))
     parts += list(table.basis @ (table.point - rig.foot()))

@@ -137,6 +137,21 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
     return replace(state, problem=jax.tree.map(np.asarray, state.problem))
 
 
+def adjust_further(result: Adjustment, problem: Problem, settings: CalibrationSettings) -> Adjustment:
+    """Solve on from where a solve ended, with other unknowns; outliers and noise are found again.
+
+    Args:
+        result: The finished solve.
+        problem: The same observations, seen from the same point.
+        settings: Of the solve.
+
+    Raises:
+        CalibrationError: If the solve breaks down.
+    """
+    state = _reject(_solved(replace(result, problem=problem), settings, _ROUGH), settings)
+    return replace(state, problem=jax.tree.map(np.asarray, state.problem))
+
+
 def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
     data = state.data
     limits = {"reject_any": settings.reject_any, "reject_all": settings.reject_all}

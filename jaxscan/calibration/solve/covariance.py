@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxscan.calibration.parameters import is_mode
 from jaxscan.calibration.solve.levenberg_marquardt import Blocks, reduce_blocks
 from jaxscan.calibration.solve.problem import Problem, Step, camera_from_board, move, zero_step
 from jaxscan.calibration.solve.residuals import priors
@@ -95,7 +96,8 @@ def chains(problem: Problem) -> Departures:
     start = zero_step(problem)
     count = len(start.shared)
     product = jax.linearize(lambda step: departures(step, problem), start)[1]
-    unit = jnp.eye(count + 6, dtype=start.shared.dtype)
+    # Behind the barrier, or the compiler works out products with these constants itself, slowly.
+    unit = jax.lax.optimization_barrier(jnp.eye(count + 6, dtype=start.shared.dtype))
     # Poses of different placements meet different views, so all are moved at once.
     return jax.vmap(lambda e: product(Step(e[:count], jnp.broadcast_to(e[None, count:], start.local.shape))))(unit)
 
@@ -210,7 +212,10 @@ def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]
     half = axes / np.sqrt(eigenvalues) / size[:, None]
     inverse = half @ half.T
     covariance[np.ix_(free, free)] = inverse * np.outer(scales[free], scales[free])
-    # Shares of the prior in the information: generalised eigenvalues, 0 (data only) ... 1.
+    # Shares of the prior in the information: generalised eigenvalues, 0 (data only) ... 1. Modes of the board
+    # are nuisances: of those the priors may know most.
+    told = np.array([not is_mode(names[index]) for index in free])
+    free, inverse = free[told], inverse[np.ix_(told, told)]
     root = np.linalg.cholesky(inverse)
     shares, vectors = np.linalg.eigh(root.T @ prior[np.ix_(free, free)] @ root)
     sigma = np.sqrt(np.diag(inverse))

@@ -155,7 +155,8 @@ def jacobian_columns(product: Callable[[Step], Residuals], y: Step) -> Jacobian:
         y: Any step, for its shapes.
     """
     count = y.shared.shape[0]
-    unit = jnp.eye(count + 6, dtype=y.shared.dtype)
+    # Behind the barrier, or the compiler works out products with these constants itself, slowly.
+    unit = jax.lax.optimization_barrier(jnp.eye(count + 6, dtype=y.shared.dtype))
     # Poses of different placements meet different residuals, so all are moved at once.
     columns = jax.vmap(lambda e: product(Step(e[:count], jnp.broadcast_to(e[None, count:], y.local.shape))))(unit)
     split = lambda array: Columns(*jnp.split(array, [count]))

@@ -5,10 +5,35 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float, Int
 
-from jaxscan.calibration.parameters import BOARD_BLOCKS, move_pose
-from jaxscan.geometry import AbstractCamera, Array, BowedBoard, LaserSheet, Layout, Turntable, invert, make_layout
+from jaxscan.calibration.parameters import board_blocks, move_pose
+from jaxscan.geometry import (
+    AbstractCamera,
+    AbstractMotion,
+    Array,
+    BowedBoard,
+    LaserSheet,
+    Layout,
+    bend_functions,
+    invert,
+    make_layout,
+)
+
+
+class BoardModes(eqx.Module):
+    """Departures of a board from a parabola whose sizes may be unknowns, each of the size that its prior expects."""
+
+    corner: Float[Array, "corners 3 modes"]
+    """Displacement of every corner by one unit of each mode [m]."""
+    height: Float[Array, "heights functions"]
+    """Coefficients of `bend_functions` for the first modes, which are heights between the corners too [m]."""
+
+
+def no_modes(corners: int) -> BoardModes:
+    """A board that is a parabola."""
+    return BoardModes(np.zeros((corners, 3, 0)), np.zeros((0, 0)))
 
 
 class Problem(eqx.Module):
@@ -20,14 +45,14 @@ class Problem(eqx.Module):
 
     camera: AbstractCamera
     lasers: LaserSheet
-    """All sheets stacked; of length 0 where only the camera is sought."""
-    turntable: Turntable | None
-    """None where only the camera is sought: every view is then a placement of its own."""
+    """All sheets stacked; of length 0 where none is sought."""
+    turntable: AbstractMotion
+    """The motion between the views of a placement; `Still` where every view is a placement of its own."""
     poses: Float[Array, "placements 4 4"]
     """T_cam0_board of every placement."""
-    shape: Float[Array, "3"]
-    """Height kx, ky [m] of the board's bow along its x and y (z into the board), and the relative
-    error of its pitch [1]."""
+    shape: Float[Array, " 3+modes"]
+    """Height kx, ky [m] of the board's bow along its x and y (z into the board), the relative error
+    of its pitch [1], and sizes of the modes [1]."""
     scales: Float[Array, " shared"]
     expected: Float[Array, " shared"]
     """Expected value of each shared unknown before any image, in the terms of `shared_values`."""
@@ -36,6 +61,8 @@ class Problem(eqx.Module):
     """Corners of the flat board [m]."""
     frame: Float[Array, "4"]
     """Centre x, y and half extents in x, y of the corner grid [m]."""
+    modes: BoardModes
+    """The modes of the board's shape; none for a board that is a parabola."""
     corner_q: Float[Array, "views corners 2"]
     corner_weight: Float[Array, "views corners"]
     """1 / sigma [1 / px]."""
@@ -52,10 +79,10 @@ class Problem(eqx.Module):
         return self.placement[self.stripe_view]
 
 
-def problem_layout(camera: AbstractCamera, lasers: LaserSheet, table: Turntable | None) -> Layout:
+def problem_layout(camera: AbstractCamera, lasers: LaserSheet, motion: AbstractMotion, modes: int = 0) -> Layout:
     """Where the shared unknowns of each part stand; `lasers` are stacked, and their names do not matter."""
     names = tuple(map(str, range(len(lasers.distance))))
-    return make_layout(camera, names, turns=table is not None, board=BOARD_BLOCKS)
+    return make_layout(camera, names, motion=motion.blocks, board=board_blocks(modes))
 
 
 class Step(NamedTuple):
@@ -73,32 +100,46 @@ def zero_step(problem: Problem) -> Step:
 def move(step: Step, problem: Problem) -> Problem:
     """The same problem seen from the point that `step` leads to."""
     shared = step.shared * problem.scales
-    layout = problem_layout(problem.camera, problem.lasers, problem.turntable)
+    layout = problem_layout(problem.camera, problem.lasers, problem.turntable, problem.modes.corner.shape[-1])
     moved = (
         problem.camera.retract(shared[layout.camera]),
         jax.vmap(LaserSheet.retract)(problem.lasers, shared[layout.lasers].reshape(-1, 5)),
-        None if problem.turntable is None else problem.turntable.retract(shared[layout.turntable]),
+        problem.turntable.retract(shared[layout.turntable]),
         jax.vmap(move_pose)(problem.poses, step.local),
         problem.shape + shared[layout.board],
     )
-    return eqx.tree_at(
-        lambda p: (p.camera, p.lasers, p.turntable, p.poses, p.shape), problem, moved, is_leaf=lambda x: x is None
-    )
+    return eqx.tree_at(lambda p: (p.camera, p.lasers, p.turntable, p.poses, p.shape), problem, moved)
 
 
 def camera_from_board(problem: Problem) -> Float[Array, "views 4 4"]:
     """T_cam(phi)_board of every view."""
-    turntable = problem.turntable
-    if turntable is None:
-        return jnp.asarray(problem.poses)[problem.placement]
-    motion = jax.vmap(turntable.motion)(jnp.asarray(problem.angle))
+    motion = jax.vmap(problem.turntable.motion)(jnp.asarray(problem.angle))
     return jax.vmap(lambda still, pose: invert(still) @ pose)(motion, jnp.asarray(problem.poses)[problem.placement])
 
 
 def board_points(problem: Problem) -> Float[Array, "corners 3"]:
-    """Corners of the board as it is: of its true pitch, and bowed [m]."""
-    surface = BowedBoard(problem.frame, problem.shape)
-    return jax.vmap(surface.point)(jnp.asarray(problem.board)[:, :2])
+    """Corners of the board as it is: of its true pitch, bowed, and shaped by its modes [m]."""
+    parabola = BowedBoard(problem.frame, problem.shape[:3])
+    points = jax.vmap(parabola.point)(jnp.asarray(problem.board)[:, :2])
+    return points + jnp.asarray(problem.modes.corner) @ jnp.asarray(problem.shape[3:])
+
+
+def bend_of(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of the bend [functions], and places of the corners beside the bent surface [corners, 3], m."""
+    modes, sizes, board = problem.modes, np.asarray(problem.shape)[3:], np.asarray(problem.board)
+    if not len(modes.height):
+        return np.zeros(0), np.zeros((0, 3))
+    bend = sizes[: len(modes.height)] @ modes.height
+    offset = modes.corner @ sizes
+    frame = np.asarray(problem.frame)
+    offset[:, 2] -= np.stack(bend_functions((board[:, :2] - frame[:2]) / frame[2:]), axis=-1) @ bend
+    return np.asarray(bend), np.asarray(offset)
+
+
+def board_surface(problem: Problem) -> BowedBoard:
+    """The surface of the board between its corners."""
+    heights = problem.modes.height
+    return BowedBoard(problem.frame, problem.shape[:3], problem.shape[3 : 3 + len(heights)] @ heights)
 
 
 def shared_values(problem: Problem) -> Float[Array, " shared"]:
@@ -109,7 +150,4 @@ def shared_values(problem: Problem) -> Float[Array, " shared"]:
     """
     bow = jnp.asarray(problem.lasers.bow)
     parts = [problem.camera.prior_values(), jnp.pad(bow, ((0, 0), (3, 0))).ravel()]
-    if problem.turntable is not None:
-        angle = jnp.append(jnp.abs(problem.turntable.gain), problem.turntable.harmonics)
-        parts.append(jnp.pad(angle, (4, 0)))
-    return jnp.concatenate([*parts, jnp.asarray(problem.shape)])
+    return jnp.concatenate([*parts, problem.turntable.prior_values(), jnp.asarray(problem.shape)])

@@ -7,11 +7,12 @@ departures follow from the unknowns of the joint solve is a small matrix per vie
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jaxscan.calibration.solve.problem import Problem, Step, board_points, camera_from_board, move
+from jaxscan.calibration.solve.problem import Problem, Step, board_points, board_surface, camera_from_board, move
 from jaxscan.geometry import AbstractCamera, Array, BowedBoard, LaserSheet, invert, transform
 
 
@@ -28,7 +29,7 @@ class Departures(NamedTuple):
     corner: Float[Array, "views departures"]
     """Camera, pose of the board in the camera frame (translation, rotation; in board axes), board."""
     stripe: Float[Array, "stripes departures"]
-    """The same without the board's pitch; then normal, distance and bow of the sheet."""
+    """The same with the board's heights alone; then normal, distance and bow of the sheet."""
 
 
 def departures(step: Step, problem: Problem) -> Departures:
@@ -47,9 +48,8 @@ def departures(step: Step, problem: Problem) -> Departures:
     corner = jnp.concatenate([spread(camera, views), twist, spread(board, views)], axis=1)
     sheets = _sheet_numbers(moved.lasers) - _sheet_numbers(fixed.lasers)
     sheet = sheets[problem.stripe_laser] if len(sheets) else jnp.zeros((stripes, 6), twist.dtype)
-    stripe = jnp.concatenate(
-        [spread(camera, stripes), twist[problem.stripe_view], spread(board[:2], stripes), sheet], 1
-    )
+    heights = jnp.concatenate([board[:2], board[3 : 3 + len(problem.modes.height)]])
+    stripe = jnp.concatenate([spread(camera, stripes), twist[problem.stripe_view], spread(heights, stripes), sheet], 1)
     return Departures(corner, stripe)
 
 
@@ -62,15 +62,15 @@ def corner_rows(problem: Problem) -> Rows:
 
     Source: PAPER.md equations (1), (2), (4).
     """
-    camera, surface = problem.camera, BowedBoard(problem.frame, problem.shape)
+    camera, surface = problem.camera, BowedBoard(problem.frame, problem.shape[:3])
     points = board_points(problem)
     count = len(camera.parameter_names())
 
-    def by_shape(flat):
+    def by_shape(flat, modes):
         lift = jnp.concatenate([jnp.zeros((2, 2), flat.dtype), surface.rise(flat[:2])[None]])
-        return jnp.concatenate([lift, flat[:, None]], axis=1)
+        return jnp.concatenate([lift, flat[:, None], modes], axis=1)
 
-    by_shape_points = jax.vmap(by_shape)(jnp.asarray(problem.board))
+    by_shape_points = jax.vmap(by_shape)(jnp.asarray(problem.board), jnp.asarray(problem.modes.corner))
 
     def corner(pose, point, by_shape_point):
         p = transform(pose, point)
@@ -100,12 +100,16 @@ def stripe_rows(problem: Problem) -> tuple[Rows, Float[Array, "stripes points 2"
     """
     count = len(problem.camera.parameter_names())
     if len(problem.lasers.distance) == 0:
-        empty = jnp.zeros((*problem.stripe_q.shape[:2], count + 14), problem.shape.dtype)
+        numbers = count + 14 + len(problem.modes.height)
+        empty = jnp.zeros((*problem.stripe_q.shape[:2], numbers), problem.shape.dtype)
         return Rows(empty[..., 0], empty), empty[..., :2]
+
+    # Stripes say nothing of the pitch, which moves the bow by less than a thousandth of its height.
+    board = board_surface(eqx.tree_at(lambda p: p.shape, problem, jnp.asarray(problem.shape).at[2].set(0.0)))
 
     def stripe(pose, laser, q):
         sheet = jax.tree.map(lambda leaf: leaf[laser], problem.lasers)
-        return jax.vmap(lambda q: _stripe_row(problem, count, pose, sheet, q))(q)
+        return jax.vmap(lambda q: _stripe_row(problem, board, pose, sheet, q))(q)
 
     poses = camera_from_board(problem)[problem.stripe_view]
     value, slopes, by_q = jax.vmap(stripe)(poses, problem.stripe_laser, problem.stripe_q)
@@ -113,13 +117,11 @@ def stripe_rows(problem: Problem) -> tuple[Rows, Float[Array, "stripes points 2"
 
 
 def _stripe_row(
-    problem: Problem, count: int, pose: Float[Array, "4 4"], sheet: LaserSheet, q: Float[Array, "2"]
+    problem: Problem, board: BowedBoard, pose: Float[Array, "4 4"], sheet: LaserSheet, q: Float[Array, "2"]
 ) -> tuple[Float[Array, ""], Float[Array, " departures"], Float[Array, "2"]]:
     # Sums are written out: products of 3 x 3 matrices by the ten thousand are slow.
-    camera = problem.camera
+    camera, count = problem.camera, len(problem.camera.parameter_names())
     ray = camera.unproject(q)
-    # Stripes say nothing of the pitch, which moves the bow by less than a thousandth of its height.
-    board = BowedBoard(problem.frame, jnp.asarray(problem.shape).at[2].set(0.0))
     range_m, point = board.meet(pose, ray)
     normal = board.normal(point[:2])
     value, (by_sheet, by_point) = jax.value_and_grad(LaserSheet.offset, argnums=(0, 1))(sheet, range_m * ray)
@@ -135,6 +137,7 @@ def _stripe_row(
         along * normal,
         along * _cross(point, normal),
         along * board.rise(point[:2]),
+        *([along * (problem.modes.height @ board.bends(point[:2]))] if len(problem.modes.height) else []),
         by_sheet.normal,
         by_sheet.distance[None],
         by_sheet.bow,

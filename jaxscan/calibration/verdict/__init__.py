@@ -16,6 +16,7 @@ from jaxscan.calibration.verdict.lengths import (
 )
 from jaxscan.calibration.verdict.limits import Result, is_held_by_priors, noise_kind
 from jaxscan.calibration.verdict.quality import (
+    BoardMap,
     DepthSigma,
     Direction,
     LaserLengths,

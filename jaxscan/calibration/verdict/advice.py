@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxscan.calibration.parameters import ANGLE_PARAMETERS
 from jaxscan.calibration.solve.adjust import Adjustment
-from jaxscan.geometry import CAMERAS, coverage
+from jaxscan.geometry import CAMERAS, Turntable, coverage
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
 
 
 _MIN_TURN_DEG = 15.0
@@ -22,6 +22,7 @@ _CURES = {
     ("b2", "b3"): "the stripe on boards at both ends of the lit field (bow of the sheet)",
     ("axis.d1", "axis.d2", "axis.p1", "axis.p2"): "placements at more and wider table angles (axis)",
     ("warp.x", "warp.y"): "strongly tilted boards close up (bow of the board)",
+    ("travel.t1", "travel.t2"): "placements at more and wider positions of the stage (direction of travel)",
     ANGLE_PARAMETERS: "placements all around, at about 0, 90, 180 and 270 degrees of the table (its angle errors)",
 }
 
@@ -43,9 +44,10 @@ def advise(result: Adjustment, unobserved: Sequence[dict[str, float]]) -> tuple[
     tilt = np.degrees(np.arccos(np.clip(np.abs(poses[:, 2, 2]), 0.0, 1.0)))
     if len(tilt) and np.quantile(tilt, 0.9) < coverage.MIN_TILT_DEG:
         lines.append(coverage.ASK_FOR_TILT.format(f"hardly one is tilted by more than {tilt.max():.0f} degrees"))
-    if result.problem.turntable is None:
-        return tuple(lines)
-    return (*lines, *_about_stripes(result), *_about_turning(result))
+    lines += _about_stripes(result)
+    if isinstance(result.problem.turntable, Turntable):
+        lines += _about_turning(result)
+    return tuple(lines)
 
 
 def cures(unobserved: Sequence[dict[str, float]]) -> list[str]:

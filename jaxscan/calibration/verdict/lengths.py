@@ -13,7 +13,7 @@ from jaxtyping import Float
 from jaxscan.calibration.verdict.lit import Lit, lit_lines
 from jaxscan.calibration.verdict.propagate import change, no_steps, scan_points, sigma_of, sigma_steps
 from jaxscan.calibration.verdict.quality import DepthSigma, LaserLengths, Lengths, LengthSigma
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import AbstractMotion, LinearStage, Scanner, Turntable
 
 
 DEPTHS_M = (0.1, 0.15, 0.25, 0.4, 0.6, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 15.0, 25.0)
@@ -31,6 +31,7 @@ _OBJECT_SHARE = 0.15
 _LINES = 64
 _TURN_LINES = 8
 _TURN_STOPS = 24
+_TRAVEL_M = 0.5
 
 
 class Length(NamedTuple):
@@ -44,7 +45,7 @@ class Length(NamedTuple):
     q: np.ndarray
     """Pixels of the two points [2, 2]."""
     angle: np.ndarray
-    """Table angles of the two points [2], rad."""
+    """Table angles [rad] or positions of the stage [m] of the two points [2]."""
 
 
 def predict_lengths(scanner: Scanner) -> Lengths:
@@ -85,7 +86,8 @@ def lit_in_reach(scanner: Scanner, laser: int) -> list[Lit]:
 
     A table that carries the object is never looked at far beyond itself.
     """
-    limit = 2.0 * float(scanner.turntable.point[2]) if scanner.turntable.carries == "object" else np.inf
+    table = scanner.turntable
+    limit = 2.0 * float(table.point[2]) if isinstance(table, Turntable) and table.carries == "object" else np.inf
     candidates = lit_lines(scanner, laser, [depth for depth in DEPTHS_M if depth <= limit])
     return [lit for lit in candidates if len(lit.q) and lit.per_pixel <= _MAX_PIXEL_SHARE * lit.depth]
 
@@ -164,17 +166,25 @@ def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
     if not reached:
         return []
     lit = next((each for each in reached if each.depth == _COMMON_DEPTH_M), reached[len(reached) // 2])
-    halves: tuple[float, ...] = HALF_TURN_DEPTHS_M
-    if scanner.turntable.carries == "object":
-        halves = ((1.0 - _OBJECT_SHARE) * float(scanner.turntable.point[2]),)
-    elif reached[-1].depth < max(halves):
-        halves = (reached[-1].depth,)
     found = [
         _along_stripe(laser, lit, _LENGTH_SHARE * lit.depth),
         _across_sweep(scanner, laser, lit, _LENGTH_SHARE * lit.depth),
-        *(_half_turn(laser, each) for each in lit_lines(scanner, laser, halves)),
+        *_half_turns(scanner, laser, reached[-1].depth),
     ]
     return [length for length in found if length is not None]
+
+
+def _half_turns(scanner: Scanner, laser: int, farthest: float) -> list[Length | None]:
+    """Between opposite walls, or two sides of an object; none without a table."""
+    table = scanner.turntable
+    halves: tuple[float, ...] = HALF_TURN_DEPTHS_M
+    if not isinstance(table, Turntable):
+        return []
+    if table.carries == "object":
+        halves = ((1.0 - _OBJECT_SHARE) * float(table.point[2]),)
+    elif farthest < max(halves):
+        halves = (farthest,)
+    return [_half_turn(laser, lit) for lit in lit_lines(scanner, laser, halves)]
 
 
 def _lengths(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> np.ndarray:
@@ -189,8 +199,8 @@ def _lengths(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> np.n
 def _at_depths(scanner: Scanner, laser: int, reached: list[Lit], steps: np.ndarray) -> tuple[DepthSigma, ...]:
     lines = [_some(lit.q, _LINES) for lit in reached]
     turned = [_some(lit.q, _TURN_LINES) for lit in reached]
-    stops = 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
-    q = [part for one, other in zip(lines, turned, strict=True) for part in (one, np.tile(other, (_TURN_STOPS, 1)))]
+    stops = _stops(scanner.turntable)
+    q = [part for one, other in zip(lines, turned, strict=True) for part in (one, np.tile(other, (len(stops), 1)))]
     angle = [
         part for one, other in zip(lines, turned, strict=True) for part in (0.0 * one[:, 0], stops.repeat(len(other)))
     ]
@@ -207,6 +217,15 @@ def _at_depths(scanner: Scanner, laser: int, reached: list[Lit], steps: np.ndarr
             sigma_point_mm=1000.0 * _shape_sigma(turning),
         )
         for lit, still, turning in zip(reached, parts[0::2], parts[1::2], strict=True)
+    )
+
+
+def _stops(motion: AbstractMotion) -> np.ndarray:
+    """Positions of a motion at which points stand for a whole cloud [rad or m]."""
+    if isinstance(motion, Turntable):
+        return 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
+    return (
+        np.linspace(-0.5 * _TRAVEL_M, 0.5 * _TRAVEL_M, _TURN_STOPS) if isinstance(motion, LinearStage) else np.zeros(1)
     )
 
 
@@ -233,8 +252,13 @@ def _along_stripe(laser: int, lit: Lit, length: float) -> Length | None:
 
 
 def _across_sweep(scanner: Scanner, laser: int, lit: Lit, length: float) -> Length | None:
-    """The middle of the stripe, turned so far that the point moves by the length."""
+    """The middle of the stripe, turned or moved so far that the point moves by the length; None without a motion."""
     table = scanner.turntable
+    if isinstance(table, LinearStage):
+        moved = np.array([0.0, length / float(table.gain)])
+        return Length("across the sweep", lit.depth, laser, np.tile(lit.middle(), (2, 1)), moved)
+    if not isinstance(table, Turntable):
+        return None
     point = scan_points(scanner, no_steps(scanner), lit.middle()[None], laser)[0, 0]
     radius = float(np.linalg.norm(np.cross(np.asarray(table.direction), point - np.asarray(table.point))))
     if length > 2.0 * radius:

@@ -67,6 +67,8 @@ class ViewQuality:
     """Of all corners, rejected ones too."""
     stripe_points: int = 0
     stripe_rms_px: float | None = None
+    stripe_elsewhere: bool = False
+    """A line was found on the board, but none on the sheet of its laser."""
     board_z_m: float | None = None
     """Depth of the board's origin in the camera frame [m]."""
 
@@ -134,6 +136,26 @@ class Lengths:
 
 
 @dataclass(frozen=True)
+class BoardMap:
+    """The shape of the calibration board as the solve found it; corners in their usual order."""
+
+    free: str
+    """"parabola" (a bow along x and y alone), "smooth" (polynomial heights and prints too) or "corners" (every corner)."""
+    rms_off_flat_m: float
+    """Root mean square height over the best plane [m]."""
+    held_out_rms_parabola_px: float | None = None
+    """Root mean square corner distance of views that had no part in the solve, with a parabola [px]."""
+    held_out_rms_px: float | None = None
+    """The same with this shape."""
+    height_m: tuple[float, ...] = ()
+    """Height of every corner over the best plane, into the board [m]."""
+    height_sigma_m: tuple[float, ...] = ()
+    shift_m: tuple[tuple[float, float], ...] = ()
+    """Shift of every corner along x and y in the plane, without motion, turn and scale of the whole [m]."""
+    shift_sigma_m: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
 class SecondLook:
     """Gains of a second look at the images, with the geometry known."""
 
@@ -188,6 +210,7 @@ class Quality:
     """Departure of each prior's parameter in units of the prior's standard deviation."""
     board_warp_m: tuple[float, float] | None = None
     board_warp_sigma_m: tuple[float, float] | None = None
+    board: BoardMap | None = None
     board_pitch: float | None = None
     board_pitch_sigma: float | None = None
     steps: int | None = None

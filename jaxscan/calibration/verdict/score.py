@@ -23,9 +23,9 @@ from jaxscan.calibration.verdict.extra_terms import (
     Extents,
     board_terms,
     lens_terms,
+    moving_twist,
     radial_terms,
     sheet_terms,
-    turning_twist,
 )
 from jaxscan.geometry import Array
 
@@ -90,8 +90,8 @@ def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> 
         name: everywhere.only(slice(start, end))
         for name, start, end in zip(("lens", "radial", "board"), (0, *ends), ends, strict=False)
     }
-    if problem.turntable is not None:
-        turn = turning_twist(np.asarray(linearised.view_poses), problem.turntable)
+    if problem.turntable.blocks:
+        turn = moving_twist(np.asarray(linearised.view_poses), problem.turntable)
         scores["table"] = _score_views(system, np.einsum("vrd,vd->vr", twist, turn)[..., None], corner_residual)
         scores["axis"] = _score_views(system, twist, corner_residual)
     if len(problem.lasers.distance):

@@ -12,8 +12,10 @@ from jaxscan.stripes import KEPT_FIELDS, FrameStripes, Stripes
 class GrowingCloud:
     """Arrays of the full grid, allocated once: all the memory a sweep needs beyond its chunks."""
 
-    def __init__(self, profiles: int, lines: int):
+    def __init__(self, profiles: int, lines: int, *, travels: bool = False):
+        """Args: the size of the grid, and whether profiles differ by metres of travel rather than by an angle."""
         grid = profiles, lines
+        self.travels = travels
         self.fields: dict[str, np.ndarray] = {
             "xyz": np.zeros((*grid, 3), np.float32),
             "rgb": np.zeros((*grid, 3), np.uint8),
@@ -59,7 +61,7 @@ class GrowingCloud:
         Args:
             record: Record of each profile.
             laser: Laser of each profile.
-            angle: The table's angle of each profile [rad].
+            angle: The table's angle of each profile [rad], or the stage's position [m].
             rank: Number of each profile among those of the same record and laser.
             line_step: Angle between neighbouring lines [rad]; None for no normals.
         """
@@ -75,13 +77,14 @@ class GrowingCloud:
             profiles = profiles[np.argsort(angle[profiles], kind="stable")]
             whole = len(profiles) == len(laser) and bool(np.all(np.diff(profiles) == 1))
             rows = slice(None) if whole else profiles
+            step = float(np.median(np.diff(angle[profiles]))) if len(profiles) > 1 else np.inf
             found = grid_normals(
                 self.fields["xyz"][rows],
                 self.fields["sigma_random"][rows],
                 self.fields["valid"][rows],
                 self.centre[rows],
                 line_step=line_step,
-                profile_step=float(np.median(np.diff(angle[profiles]))) if len(profiles) > 1 else np.inf,
+                profile_step=step / self._usual_range() if self.travels else step,
             )
             if whole:
                 return found
@@ -90,6 +93,11 @@ class GrowingCloud:
         for rows, found in parts:
             normals[rows] = found
         return normals
+
+    def _usual_range(self) -> float:
+        """Median distance of the points from the camera [m]."""
+        away = np.linalg.norm(self.fields["xyz"] - self.centre[:, None], axis=-1)[self.fields["valid"]]
+        return float(np.median(away))
 
 
 class GrowingStripes:

@@ -1,0 +1,98 @@
+"""Which shape a board may have: the one that predicts views best that had no part in the solve."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from jaxscan.calibration.board_shape.held_out import HeldOut, hold_out
+from jaxscan.calibration.board_shape.modes import corner_modes, smooth_modes
+from jaxscan.calibration.settings import CalibrationSettings
+from jaxscan.calibration.solve import Adjustment, adjust_further, undetermined_shares, with_modes
+from jaxscan.calibration.solve.problem import BoardModes
+from jaxscan.errors import CalibrationError
+from jaxscan.observation import Observations
+
+
+FreeShape = Literal["parabola", "smooth", "corners"]
+# Fewer placements are too few to leave some out.
+_LEAST_PLACEMENTS = 8
+# A shape must raise the likelihood of the views left out by this much (natural logarithm) ...
+_LEAST_GAIN = 10.0
+# ... and in the mean over placements by this many of its standard errors.
+_LEAST_SIGNIFICANCE = 2.5
+# Single corners take their time: the residuals left out must promise to fall by this factor.
+_WORTH = 0.95
+_MOST_CORNERS = 192
+
+
+class ShapeChoice(NamedTuple):
+    """The shape of the board that was freed, and residuals of views that were left out."""
+
+    free: FreeShape
+    before_px: float | None = None
+    """Root mean square corner distance of the views left out, with a parabola [px]; None where nobody has tried."""
+    after_px: float | None = None
+    """The same with the shape that was chosen."""
+
+
+def choose_shape(
+    result: Adjustment, observations: Observations, settings: CalibrationSettings
+) -> tuple[Adjustment, ShapeChoice]:
+    """The solve with the shape of the board that predicts best; call in 64 bit.
+
+    Whether other shapes are worth a solve is seen to first order from the solve that is there.
+
+    Args:
+        result: The solve with a parabola.
+        observations: Its observations.
+        settings: Of the solve; the shape stays a parabola where "shape" or "warp" is held.
+    """
+    stay = result, ShapeChoice("parabola")
+    placements = len(np.unique(result.data.placement[result.view_kept & result.data.usable]))
+    wanted = {"shape", "warp"} <= set(settings.free)
+    if not wanted or not result.converged or placements < _LEAST_PLACEMENTS:
+        return stay
+    if undetermined_shares(result.linearised, np.asarray(result.problem.scales)).any():
+        return stay
+    board, frame = np.asarray(observations.board.corners(), np.float64), np.asarray(result.problem.frame)
+    smooth = smooth_modes(board, frame, len(result.data.board))
+    before, promise = hold_out(result, (smooth,))
+    if not _is_better(promise, before, result):
+        return result, ShapeChoice("parabola", _rms(before), _rms(before))
+    shapes: list[tuple[FreeShape, BoardModes]] = [("smooth", smooth)]
+    if len(board) <= _MOST_CORNERS:
+        corners = corner_modes(smooth, board, frame)
+        _, promise, finest = hold_out(result, (smooth, corners))
+        if _rms(finest) < _WORTH * _rms(promise) and _is_better(finest, promise, result):
+            shapes.insert(0, ("corners", corners))
+    for free, modes in shapes:
+        found = _solved(result, modes, settings)
+        after = None if found is None else hold_out(found)[0]
+        if found is not None and after is not None and _is_better(after, before, result):
+            return found, ShapeChoice(free, _rms(before), _rms(after))
+    return result, ShapeChoice("parabola", _rms(before), _rms(before))
+
+
+def _solved(result: Adjustment, modes: BoardModes, settings: CalibrationSettings) -> Adjustment | None:
+    """The solve with other modes; None where it finds no minimum."""
+    try:
+        found = adjust_further(result, with_modes(result.problem, modes, settings), settings)
+    except CalibrationError:
+        # The parabola did find one, and is kept.
+        return None
+    return found if found.converged else None
+
+
+def _is_better(after: HeldOut, before: HeldOut, result: Adjustment) -> bool:
+    """Whether one model predicts the views that were left out better than another, beyond chance."""
+    both = after.counted & before.counted
+    squares = lambda held: np.where(both, np.sum(held.error**2, axis=-1) / result.corner_sigma**2, 0.0).sum(1)
+    used = both.any(1)
+    owner = np.unique(result.data.placement[used], return_inverse=True)[1]
+    gain = np.bincount(owner, (squares(before) - squares(after))[used])
+    error = float(np.std(gain, ddof=1)) * np.sqrt(len(gain))
+    return float(gain.sum()) / 2 > _LEAST_GAIN and float(gain.sum()) > _LEAST_SIGNIFICANCE * error
+
+
+def _rms(held: HeldOut) -> float:
+    return float(np.sqrt(np.sum(held.error**2) / max(int(held.counted.sum()), 1)))

@@ -1,0 +1,155 @@
+"""Residuals of views that had no part in a solve, to first order, without solving again.
+
+The normal equations of a solve are sums over placements of the board. Without those of some
+placements, their solution is the solve of all others, one Gauss-Newton step from the minimum; the
+placements left out then find their own pose, and their residuals tell how good the model is.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.calibration.solve.adjust import Adjustment
+from jaxscan.calibration.solve.problem import BoardModes
+from jaxscan.geometry import bend_functions
+
+
+FOLDS = 4
+"""Every placement is left out once, together with every fourth other."""
+
+
+class HeldOut(NamedTuple):
+    """Residuals of the corners of every view, from solves without it."""
+
+    error: Float[np.ndarray, "views corners 2"]
+    """Projected minus observed [px]; 0 where a corner does not count."""
+    counted: Float[np.ndarray, "views corners"]
+    """bool: corners that the solve kept."""
+
+
+class _Normal(NamedTuple):
+    """What every placement adds to the normal equations, its pose eliminated; and its corner rows."""
+
+    information: Float[np.ndarray, "placements unknowns unknowns"]
+    gradient: Float[np.ndarray, "placements unknowns"]
+    rows: Float[np.ndarray, "views rows unknowns"]
+    pose_rows: Float[np.ndarray, "views rows 6"]
+    residual: Float[np.ndarray, "views rows"]
+
+
+def hold_out(result: Adjustment, candidates: tuple[BoardModes, ...] = ()) -> list[HeldOut]:
+    """Residuals of views that were left out: of the solve as it is, then with other modes instead of its own.
+
+    Args:
+        result: A solve that converged.
+        candidates: Modes that begin with those of the solve.
+    """
+    problem = result.problem
+    before = problem.modes.corner.shape[-1]
+    widest = max((modes for modes in candidates), key=lambda modes: modes.corner.shape[-1], default=problem.modes)
+    extra = BoardModes(widest.corner[..., before:], widest.height[len(problem.modes.height) :])
+    normal = _normal(result, extra)
+    shared = len(problem.scales)
+    prior = np.zeros((shared + extra.corner.shape[-1],) * 2)
+    prior[:shared, :shared] = np.asarray(result.linearised.prior)
+    prior[range(shared, len(prior)), range(shared, len(prior))] = 1.0
+    # At the minimum the gradient of the solve's own unknowns is 0, priors included.
+    gradient = normal.gradient.sum(0)
+    gradient[:shared] = 0.0
+    whole = normal.information.sum(0) + prior
+    counts = (shared, *(shared + modes.corner.shape[-1] - before for modes in candidates))
+    return [_left_out(result, normal, whole, gradient, count) for count in counts]
+
+
+def _left_out(result: Adjustment, normal: _Normal, whole: np.ndarray, gradient: np.ndarray, count: int) -> HeldOut:
+    """With the first unknowns alone."""
+    owner = np.asarray(result.problem.placement)
+    used = np.any(result.corner_kept, axis=1)
+    fold = np.full(len(normal.information), -1)
+    there = np.unique(owner[used])
+    fold[there] = np.arange(len(there)) % FOLDS
+    residual = np.zeros_like(normal.residual)
+    for number in range(FOLDS):
+        out = fold == number
+        left = (whole - normal.information[out].sum(0))[:count, :count]
+        size = np.sqrt(np.where(np.diag(left) > 0, np.diag(left), 1.0))
+        scaled = left / np.outer(size, size)
+        scaled[np.diag_indices(count)] += np.diag(left) <= 0
+        right = (gradient - normal.gradient[out].sum(0))[:count] / size
+        step = -np.linalg.solve(scaled, right) / size
+        views = np.flatnonzero(out[owner] & used)
+        residual[views] = normal.residual[views] + normal.rows[views, :, :count] @ step
+    _find_poses(residual, normal.pose_rows, owner)
+    weight = np.asarray(result.problem.corner_weight)
+    error = residual.reshape(*weight.shape, 2) / np.where(weight > 0, weight, 1.0)[..., None]
+    counted = result.corner_kept & (weight > 0)
+    return HeldOut(np.where(counted[..., None], error, 0.0), counted)
+
+
+def _find_poses(residual: np.ndarray, rows: np.ndarray, owner: np.ndarray) -> None:
+    """Take off what the pose of each placement can explain."""
+    count = int(owner.max()) + 1
+    information, gradient = np.zeros((count, 6, 6)), np.zeros((count, 6))
+    np.add.at(information, owner, np.swapaxes(rows, 1, 2) @ rows)
+    np.add.at(gradient, owner, np.einsum("vrd,vr->vd", rows, residual))
+    step = -np.linalg.solve(_regular(information), gradient[..., None])[..., 0]
+    residual += np.einsum("vrd,vd->vr", rows, step[owner])
+
+
+def _normal(result: Adjustment, extra: BoardModes) -> _Normal:
+    problem, linear = result.problem, result.linearised
+    camera, shared = len(problem.camera.parameter_names()), len(problem.scales)
+    chain = lambda values: np.moveaxis(np.asarray(values), 0, -1)
+    slopes = np.asarray(linear.corner_slopes)
+    # A mode moves a corner of the board as a shift of the whole board would.
+    moved = slopes[..., camera : camera + 3].reshape(len(slopes), -1, 2, 3) @ extra.corner[None]
+    corner, corner_pose = _split(slopes @ chain(linear.corner_chain), shared, moved.reshape(*slopes.shape[:2], -1))
+    residual = np.asarray(linear.corner_error) * np.repeat(problem.corner_weight, 2, axis=1)
+    stripe_slopes = np.asarray(linear.stripe_slopes)
+    lifted = _lifted(stripe_slopes[..., camera : camera + 6], extra, np.asarray(problem.frame))
+    stripe, stripe_pose = _split(stripe_slopes @ chain(linear.stripe_chain), shared, lifted)
+    offset = np.asarray(linear.offset) * np.asarray(problem.stripe_weight)
+    owner, stripe_owner = np.asarray(problem.placement), np.asarray(problem.stripe_placement())
+    count, unknowns = len(problem.poses), corner.shape[-1] + 6
+    information, gradient = np.zeros((count, unknowns, unknowns)), np.zeros((count, unknowns))
+    for rows, poses, values, number in (
+        (corner, corner_pose, residual, owner),
+        (stripe, stripe_pose, offset, stripe_owner),
+    ):
+        every = np.concatenate([rows, poses], axis=-1)
+        np.add.at(information, number, np.swapaxes(every, 1, 2) @ every)
+        np.add.at(gradient, number, np.einsum("vru,vr->vu", every, values))
+    cross = information[:, :-6, -6:]
+    coupling = cross @ np.linalg.inv(_regular(information[:, -6:, -6:]))
+    return _Normal(
+        information[:, :-6, :-6] - coupling @ np.swapaxes(cross, 1, 2),
+        gradient[:, :-6] - np.einsum("pud,pd->pu", coupling, gradient[:, -6:]),
+        corner,
+        corner_pose,
+        residual,
+    )
+
+
+def _split(rows: np.ndarray, shared: int, extra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives by the shared unknowns with extra ones, and by the pose."""
+    return np.concatenate([rows[..., :shared], extra], axis=-1), rows[..., shared:]
+
+
+def _lifted(twist: np.ndarray, extra: BoardModes, frame: np.ndarray) -> Float[np.ndarray, "stripes points modes"]:
+    """Derivatives of stripe rows by the extra modes that are heights."""
+    result = np.zeros((*twist.shape[:2], extra.corner.shape[-1]))
+    if len(extra.height) and twist.size:
+        # A turn about x lifts a point by its y, one about y lowers it by its x.
+        along = twist[..., 2]
+        safe = np.where(along == 0, 1.0, along)
+        place = np.stack([-twist[..., 4] / safe, twist[..., 3] / safe], axis=-1)
+        functions = np.stack(bend_functions((place - frame[:2]) / frame[2:]), axis=-1)
+        result[..., : len(extra.height)] = along[..., None] * (functions @ extra.height.T)
+    return result
+
+
+def _regular(information: np.ndarray) -> np.ndarray:
+    """With 1 on the diagonal of placements that nobody saw."""
+    empty = np.trace(information, axis1=1, axis2=2) == 0
+    return information + empty[:, None, None] * np.eye(information.shape[-1])
