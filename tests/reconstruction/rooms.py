@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.geometry import Scanner
-from jaxscan.simulation import SimulationConfig, expose, render_sweep, true_scanner
+from jaxscan.simulation import SimulationConfig, develop, expect_sweep, expose, true_scanner
 
 
 WIDTH, HEIGHT, STEPS = 320, 256, 24
@@ -22,9 +22,14 @@ class Room(NamedTuple):
     dark: np.ndarray
     """A second laser-off frame of every step: a laser-on frame of a laser that is not lit."""
     angles: np.ndarray
-    u: np.ndarray
-    seen: np.ndarray
+    light: np.ndarray
+    """The laser's light without noise [DN], [steps, rows, columns]."""
     scanner: Scanner
+
+    def lit(self, u: np.ndarray, valid: np.ndarray) -> np.ndarray:
+        """Of stripes [steps, rows] those that lie on the laser's light: 2 DN of it within 2 px."""
+        at = np.clip(np.rint(u).astype(int)[..., None] + np.arange(-2, 3), 0, WIDTH - 1)
+        return valid & (np.take_along_axis(self.light, at, 2).max(-1) >= 2.0)
 
 
 def room(pixel_format: str, peak_dn: float, *, seed: int, yaw_deg: float, white_dn: float = 130.0) -> Room:
@@ -37,14 +42,17 @@ def room(pixel_format: str, peak_dn: float, *, seed: int, yaw_deg: float, white_
     config["room"]["yaw_deg"] = yaw_deg
     config["light"]["white_dn"] = white_dn
     spec = SimulationConfig(**config)
-    records = list(itertools.islice(render_sweep(spec, seed=seed), STEPS))
-    stack = lambda name: np.stack([getattr(record, name) for record in records])
-    off, rng = stack("off"), np.random.default_rng([seed, 1])
-    # Developed again: noisier than a frame, by its own noise.
-    dark = expose(off.astype(np.float32), spec.sensor, rng)
-    truth = [record.truth for record in records]
-    u, seen = (np.stack([getattr(one, name) for one in truth]) for name in ("u", "valid"))
-    return Room(stack("on"), off, dark, np.array([record.angle for record in records]), u, seen, true_scanner(spec))
+    rng = np.random.default_rng(seed)
+    expected = list(itertools.islice(expect_sweep(spec), STEPS))
+    records = [develop(one, spec, rng) for one in expected]
+    on, off = (np.stack(frames) for frames in zip(*((one.on, one.off) for one in records), strict=True))
+    dark = np.stack([expose(one.off, spec.sensor, rng) for one in expected])
+    light = np.stack([one.laser if one.laser.ndim == 2 else one.laser.max(-1) for one in expected])
+    if pixel_format.startswith("bayer"):
+        # Where a mosaic has another colour, the light of the laser's pixels around.
+        light = np.maximum.reduce([np.roll(light, (i, j), (1, 2)) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    angles = np.array([one.angle for one in records])
+    return Room(on, off, dark, angles, light, true_scanner(spec))
 
 
 def moving_light(frames: np.ndarray, seed: int) -> np.ndarray:
