@@ -23,6 +23,7 @@ from jaxscan.calibration.verdict.quality import (
     LaserLengths,
     Lengths,
     LengthSigma,
+    Missed,
     ModelTest,
     PriorShare,
     Quality,
