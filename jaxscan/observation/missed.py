@@ -18,6 +18,8 @@ _SOME_SQUARES = 0.25
 # A crossing's curvature over the square of the image's contrast; reach of its stencil and of its rivals [px], in an
 # image of about this many pixels.
 _CROSSING, _STENCIL, _RIVALS, _WIDTH = 0.3, 3, 5, 800
+# Less contrast than this is noise.
+_LEAST_CONTRAST_DN = 20.0
 
 
 class Light(NamedTuple):
@@ -73,7 +75,7 @@ def count_crossings(grey: UInt8[np.ndarray, "rows columns"]) -> int:
         highest = np.max([np.roll(highest, by, axis) for by in range(-_RIVALS, _RIVALS + 1)], axis=0)
     low, high = np.percentile(image, (2, 98))
     inner = slice(_RIVALS + _STENCIL, -_RIVALS - _STENCIL)
-    found = (saddle == highest) & (saddle > _CROSSING * (high - low) ** 2) & (saddle > 0)
+    found = (saddle == highest) & (saddle > _CROSSING * max(high - low, _LEAST_CONTRAST_DN) ** 2)
     return int(np.count_nonzero(found[inner, inner]))
 
 

@@ -27,7 +27,7 @@ def blurred(image, times):
 
 def as_image(image, seed=0):
     """With noise of 1 DN."""
-    return np.clip(np.rint(image + np.random.default_rng(seed).normal(size=SIZE)), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(image + np.random.default_rng(seed).normal(size=image.shape)), 0, 255).astype(np.uint8)
 
 
 def test_crossings_of_squares_are_counted():
@@ -38,7 +38,7 @@ def test_crossings_of_squares_are_counted():
 
 def test_large_images_are_counted_alike():
     large = np.kron(blurred(board(), 2), np.ones((3, 3)))
-    assert count_crossings(np.rint(large).astype(np.uint8)) == CORNERS
+    assert count_crossings(as_image(large)) == CORNERS
 
 
 @pytest.mark.parametrize(
