@@ -53,7 +53,13 @@ def convert(one: RealSet, source: Source, folder: Path) -> int:
         lines.append(json.dumps(written))
     (folder / "frames.jsonl").write_text("\n".join(lines) + "\n")
     camera = {**size, **one.header["camera"]}
-    origin = {"repository": one.repository, "commit": one.commit, "licence": one.licence, "about": one.about}
+    origin = {
+        "repository": one.repository,
+        "commit": one.commit,
+        "licence": one.licence,
+        "about": one.about,
+        "pattern": one.pattern,
+    }
     header = {"format": "jaxscan-capture/1", **one.header, "camera": camera, "acquisition": origin}
     (folder / "capture.toml").write_text(tomli_w.dumps(header))
     return len(records)

@@ -84,13 +84,17 @@ def _sheet(solved: Solved, halves: list[Solved] | None, laser: int) -> dict[str,
         "distance_mm": 1e3 * float(sheet.distance),
         "lines": len(lines),
         "points": int(sum(len(line.q) for line in lines)),
-        "spread_mm": 1e3 * spread(np.concatenate(off)) if off else None,
-        "rms_mm": 1e3 * rms(np.concatenate(off)) if off else None,
+        "spread_mm": 1e3 * around_zero(np.concatenate(off)) if off else None,
     }
     if beyond:
-        found["held_out_rms_mm"] = 1e3 * rms(np.concatenate(beyond))
+        found["held_out_mm"] = 1e3 * around_zero(np.concatenate(beyond))
         found["halves_deg"] = angle_deg(*(half.sheets[laser].normal for half in halves or ()))
     return found
+
+
+def around_zero(distances: np.ndarray) -> float:
+    """1.4826 times the median of the sizes: a standard deviation, whatever a few points do."""
+    return float(1.4826 * np.median(np.abs(distances)))
 
 
 def _lift(solved: Solved, line: BoardLine) -> np.ndarray:

@@ -20,6 +20,7 @@ LIMIT_S = 1800
 """A run that takes longer is ended."""
 ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 HALVES = Path(__file__).parent / "halves.py"
+GIVEN = Path(__file__).parent / "given_corners.py"
 
 
 class Version(NamedTuple):
@@ -44,24 +45,35 @@ class Version(NamedTuple):
 
 
 def calibrate(version: Version, capture: Path, output: Path, options: tuple[str, ...]) -> dict[str, Any]:
-    """One run of `jaxscan calibrate`: the first sentence that its user reads, and figures if it wrote a calibration."""
+    """One run of `jaxscan calibrate`: the first sentence that its user reads, and figures if it wrote a calibration.
+
+    Args:
+        version: The code.
+        capture: Its capture.
+        output: Calibration file to write.
+        options: Of the verb; ("given",) for `given_corners` instead of the verb.
+    """
     for old in output.parent.glob(f"{output.stem}.*"):
         old.unlink()
     summary = output.with_suffix(".summary")
-    code, out, problem, seconds = version.verb(
-        "calibrate", str(capture), "-o", str(output), "--json", str(summary), *options
-    )
-    # Notes on the capture come before the verdict; the verdict is the first sentence.
-    lines = [line for line in out.splitlines() if line and not line.startswith("note: ")]
-    notes = [line for line in out.splitlines() if line.startswith("note: ")]
+    if options == ("given",):
+        code, out, problem, seconds = version.run(str(GIVEN), str(capture), str(output), str(summary))
+    else:
+        target = ("-o", str(output), "--json", str(summary))
+        code, out, problem, seconds = version.verb("calibrate", str(capture), *target, *options)
+    # Notes on the capture and the plan come before the verdict; the verdict is the first sentence.
+    plan = [line for line in out.splitlines() if line.startswith("solving for ")]
+    lines = [line for line in out.splitlines() if line and not line.startswith(("note: ", "solving for "))]
+    notes = [line.replace(str(capture), capture.name) for line in out.splitlines() if line.startswith("note: ")]
     ended = problem.strip().splitlines()
     found: dict[str, Any] = {
-        "options": " ".join(options),
+        "options": " ".join(options).replace(str(output.parent), "").replace("/", ""),
+        "plan": plan[0] if plan else "",
         "exit_code": code,
         "seconds": seconds,
         "sentence": (lines or ended or [""])[0].replace(str(capture), capture.name).replace(str(output), output.name),
         "notes": notes,
-        "error": ended[-1].replace(str(output.parent), "") if ended else "",
+        "error": ended[-1].replace(str(output), output.name).replace(str(capture), capture.name) if ended else "",
     }
     if not output.exists():
         return found
@@ -102,10 +114,13 @@ def read_solved(path: Path, pictures: Pictures) -> Solved | None:
         for k, (view, laser) in enumerate(zip(kept["stripes.view"], kept["stripes.laser"], strict=True))
     ]
     sheets = [Plane(np.array(one["normal"]), float(one["distance_m"])) for one in tables.get("lasers", [])]
-    shape = board_shape(tables, kept, pictures)
+    shape = board_shape(tables, pictures)
     return Solved(Lens(matrix, values, camera["model"] == "fisheye"), shape, list(q), lines, sheets)
 
 
-def board_shape(tables: dict[str, Any], arrays: dict[str, Any], pictures: Pictures) -> np.ndarray:
+def board_shape(tables: dict[str, Any], pictures: Pictures) -> np.ndarray:
     """Corners of the board as calibrated [n, 3]; m. A flat board where the file says nothing else."""
-    return grid(pictures.header["board"])
+    flat, found = grid(pictures.header["board"]), tables["quality"].get("board") or {}
+    if "height_m" not in found:
+        return flat
+    return flat + np.column_stack([np.array(found["shift_m"]), np.array(found["height_m"])])

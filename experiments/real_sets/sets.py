@@ -25,6 +25,10 @@ class RealSet(NamedTuple):
     """Values that the authors published."""
     lens: tuple[str, ...] = ()
     """Options of `jaxscan calibrate` for the lens, as a user who knows it would give them."""
+    camera: tuple[float, ...] = ()
+    """The camera that the authors calibrated elsewhere: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    pattern: str = "chessboard"
+    """What is printed on the board; jaxscan has no finder for symmetric "circles"."""
     inner_m: float = 0.0
     """Of a sweep: radius of the part of the table that is covered [m]."""
 
@@ -140,18 +144,21 @@ SETS: tuple[RealSet, ...] = (
         "nothing with the laser off",
         boards(chessboard(6, 8, 40.0), **_green()),
         lit_boards("images", r"\d+_right\.jpg"),
-        "calibrate.py: f 514.41, 685.93, c 329.84, 237.71 px, k1 -0.350373, k2 0.158447",
+        "calibrate.py: f 514.41, 685.93, c 329.84, 237.71 px, k1 -0.350373, k2 0.158447: taken as known",
+        camera=(514.41205, 685.92876, 329.83671, 237.71471, -0.350373, 0.158447, 0.000735, -0.000231, 0.0),
     ),
     RealSet(
         "zhaocongyang",
         *ZHAO,
         "fixed light plane: 12 pairs without and with a red line across a grid of circles",
         boards(
-            {"type": "circles", "columns": 7, "rows": 7, "spacing_mm": 37.5},
+            # Symmetric circles, given as a chessboard of their centres.
+            chessboard(7, 7, 37.5),
             laser=[{"colour": "red", "stripe_axis": "columns"}],
         ),
         pairs(("light_picture", r"light\d+\.jpg"), ("calib_picture", r"calib\d+\.jpg")),
         "Parameters.xml: f 1144.44, 1142.49, c 916.06, 522.05 px; -0.13051671 X - 6.3959525 Y + Z + 304.91858 mm = 0",
+        pattern="circles",
     ),
     RealSet(
         "ciclop",

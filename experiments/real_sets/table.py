@@ -7,6 +7,7 @@ import numpy as np
 
 from experiments.real_sets.plain.stripes import angle_deg
 from experiments.real_sets.sets import SETS, RealSet
+from experiments.real_sets.worse import worse
 
 
 HEAD = """# Strangers' captures
@@ -32,6 +33,7 @@ def markdown(results: dict[str, Any]) -> str:
     parts += ["## Lines on boards", LINES, _lines(boards, results)]
     sweeps = [one for one in known if one.header["kind"] == "sweep"]
     parts += ["## Sweeps", SWEEPS, _sweeps(sweeps, results)]
+    parts += ["## Worse than the plain method", worse(results)]
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
@@ -40,8 +42,8 @@ CORNERS = """
 the half of the views that was not solved from. "shape" is the RMS by which the board is off flat, as calibrated.
 """
 LINES = """
-The spread is 1.48 of the median distance of the line's points on the boards from the sheet; "held out" is the RMS
-distance from the sheet of the other half of the views, "halves" the angle between the sheets of both halves.
+The spread is 1.48 times the median distance of the line's points on the boards from the sheet, "held out" the same for
+the sheet of the other half of the views, "halves" the angle between the sheets of both halves.
 """
 SWEEPS = """
 Camera and sheet come from `srv_laser_1707`, the axis from the ArUco markers on the table. Before, no sheet was found,
@@ -80,13 +82,17 @@ def _sentences(boards: list[RealSet], results: dict[str, Any]) -> str:
             found = results[one.name].get(which)
             if found is None:
                 continue
-            text = found["first"].replace("|", "/")
+            plan = found.get("plan", "")
+            text = f"({plan}) {found['first']}" if plan else found["first"]
+            text = text.replace("|", "/")
+            ways = {"given": "With centres found by OpenCV", "--only camera": "With `--only camera`"}
+            how = ways.get(found["options"], "With the known camera")
             if found["runs"] > 1:
-                text += f" **With `--only camera`:** {found['sentence']}".replace("|", "/")
+                text += f" **{how}:** {found['sentence']}".replace("|", "/")
             name = one.name if which == "before" else ""
             when = "before" if which == "before" else "now"
-            rows.append([name, when, str(found["exit_code"]), f"{found['seconds']:.0f} s", text])
-    return _rows(["set", "", "exit code", "time", "first sentence"], rows)
+            rows.append([name, when, str(found["exit_code"]), text])
+    return _rows(["set", "", "exit code", "first sentence"], rows)
 
 
 def _corners(boards: list[RealSet], results: dict[str, Any]) -> str:
@@ -130,17 +136,7 @@ PUBLISHED = {"zhaocongyang": (np.array([-0.13051671, -6.3959525, 1.0]), 304.9185
 
 
 def _lines(boards: list[RealSet], results: dict[str, Any]) -> str:
-    head = [
-        "set",
-        "method",
-        "lines",
-        "points",
-        "spread [mm]",
-        "RMS [mm]",
-        "held out [mm]",
-        "halves [°]",
-        "angle to plain [°]",
-    ]
+    head = ["set", "method", "lines", "points", "spread [mm]", "held out [mm]", "halves [°]", "angle to plain [°]"]
     rows = []
     for one in boards:
         if not one.header.get("laser"):
@@ -149,7 +145,7 @@ def _lines(boards: list[RealSet], results: dict[str, Any]) -> str:
         for which, name in (("before", "before"), ("after", "now"), ("plain", "plain")):
             sheet = (results[one.name].get(which, {}).get("sheets") or [None])[0]
             cells = [one.name if which == "before" else "", name]
-            rows.append(cells + (["no sheet"] + ["–"] * 6 if sheet is None else _sheet(one, sheet, plain)))
+            rows.append(cells + (["no sheet"] + ["–"] * 5 if sheet is None else _sheet(one, sheet, plain)))
     return _rows(head, rows)
 
 
@@ -165,15 +161,14 @@ def _sheet(one: RealSet, sheet: dict[str, Any], plain: dict[str, Any] | None) ->
         ("lines", str),
         ("points", str),
         ("spread_mm", _number),
-        ("rms_mm", _number),
-        ("held_out_rms_mm", _number),
+        ("held_out_mm", _number),
         ("halves_deg", lambda value: _number(value, "{:.2f}")),
     ]
     return [write(sheet.get(key)) for key, write in keys] + [angle]
 
 
 def _sweeps(sweeps: list[RealSet], results: dict[str, Any]) -> str:
-    head = ["set", "method", "points", "scene", "on table", "spread [mm]", "RMS [mm]", "tilt [°]", "time", "said"]
+    head = ["set", "method", "points", "scene", "on table", "spread [mm]", "RMS [mm]", "tilt [°]", "said"]
     rows = []
     for one in sweeps:
         found = results[one.name]
@@ -186,12 +181,12 @@ def _sweeps(sweeps: list[RealSet], results: dict[str, Any]) -> str:
         for k, (name, run) in enumerate(runs):
             if run is None:
                 continue
-            said = [line for line in run.get("said", []) if line.startswith(("note:", "warning:"))]
+            said = run.get("said", [])
             said = said or [run["error"]] if run.get("error") else said
             cells = [str(run.get(key, "–")) for key in ("points", "scene", "on_table")]
             cells += [_number(run.get(key)) for key in ("spread_mm", "rms_mm")] + [
                 _number(run.get("tilt_deg"), "{:.2f}")
             ]
             text = " ".join(said).replace("|", "/") or "nothing"
-            rows.append([one.name if k == 0 else "", name, *cells, f"{run['seconds']:.0f} s", text if k < 3 else ""])
+            rows.append([one.name if k == 0 else "", name, *cells, text if k < 3 else ""])
     return _rows(head, rows)

@@ -113,7 +113,7 @@ def planned_rig(captures: Sequence[BoardSource], only: RigKind | None = None, kn
     records = [record for capture in captures for record in capture.records]
     if known.camera is None and len(records) < MIN_VIEWS:
         raise CalibrationError(
-            f"The captures have {len(records)} record(s), and a camera needs at least {MIN_VIEWS} views of the board: "
+            f"The captures have {len(records)} view(s) of the board, and a camera needs at least {MIN_VIEWS}: "
             "capture 10 or more, tilted by 20 to 45 degrees in different directions, or give a known camera."
         )
     first = captures[0]

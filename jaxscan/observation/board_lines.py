@@ -10,16 +10,26 @@ from jaxscan.observation.stripes_on_board import FoundStripe
 from jaxscan.stripes import ChunkStripes
 
 
-# Distance from a line [px] within which a candidate votes for it; the map from pixels to the board adds to it.
+# Distance across the image's lines [px] within which a candidate votes for a line; the error of the map from pixels
+# to the board adds to it.
 _TOLERANCE_PX = 3.0
 _MAP_ERRORS = 3.0
-# Lines that are tried, candidates that vote, and lines that are kept.
+# Lines through two candidates that are tried, and candidates that vote.
 _TRIALS = 200
 _VOTERS = 400
+# Lines that are kept of those that are looked for: the print makes some, too.
 _MAX_LINES = 3
-# A line has this many points at least, and this share of those of the longest one.
+_MAX_FOUND = 20
+# A line has this many points at least, this share of those of the longest one, and more than scattered candidates
+# give by so many standard deviations.
 _MIN_POINTS = 8
 _MIN_SHARE = 0.2
+_BY_CHANCE = 8.0
+# Share of the image's lines between its ends on which it has a point.
+_MIN_DENSITY = 0.25
+# A line that keeps so close to one edge or middle of squares [px] with this share of its points is print.
+_EDGE_PX = 1.5
+_EDGE_SHARE = 0.9
 # From so many points on a line may bend: boards and sheets are not quite flat.
 _BENDING_POINTS = 30
 _ROUNDS = 4
@@ -64,7 +74,9 @@ class Candidates(NamedTuple):
         return FoundStripe(u, sigma, width, valid, self.stripe_axis)
 
 
-def find_lines(found: Candidates, xy: np.ndarray, usable: np.ndarray, view: BoardMap) -> list[np.ndarray]:
+def find_lines(
+    found: Candidates, xy: np.ndarray, usable: np.ndarray, view: BoardMap, *, print_shows: bool
+) -> list[np.ndarray]:
     """Straight lines on the board among the candidates, that of the best path first.
 
     On a flat board the stripe of a flat sheet is straight, and the map from pixels to the board, fitted to
@@ -76,6 +88,7 @@ def find_lines(found: Candidates, xy: np.ndarray, usable: np.ndarray, view: Boar
         xy: Their board coordinates [k, lines, 2], m.
         usable: Those that count [k, lines].
         view: The map from this image to the board.
+        print_shows: The print was not taken off by a laser-off image, so lines along it are dropped.
 
     Returns:
         Up to three lines, each as the number of its candidate on every line of the image [lines], -1 for
@@ -84,22 +97,37 @@ def find_lines(found: Candidates, xy: np.ndarray, usable: np.ndarray, view: Boar
     Source: M. A. Fischler, R. C. Bolles, Random sample consensus, Communications of the ACM 24, 1981.
     """
     number, line = np.nonzero(usable)
-    xy, by_pixel = xy[number, line], view.by_pixel(found.pixels()[number, line])
-    tolerance = _TOLERANCE_PX + _MAP_ERRORS * view.error_px()
+    across = 0 if found.stripe_axis == "rows" else 1
+    xy, slope = xy[number, line], view.by_pixel(found.pixels()[number, line])[:, across]
+    error = view.error_px()
+    tolerance = _TOLERANCE_PX + _MAP_ERRORS * error
+    chance = 2.0 * tolerance / max(float(np.ptp(view.seen[:, across])), 1.0)
     random, free = np.random.default_rng(0), np.ones(len(xy), bool)
     lines: list[np.ndarray] = []
-    for _ in range(_MAX_LINES):
-        distance = _best_line(xy[free], by_pixel[free], tolerance, random)
-        if distance is None:
+    for _ in range(_MAX_FOUND):
+        distance = _best_line(xy[free], slope[free], tolerance, random)
+        if distance is None or len(lines) == _MAX_LINES:
             break
+        expected = chance * free.sum()
         near = np.full(len(xy), np.inf)
         near[free] = np.abs(distance)
-        if (near <= tolerance).sum() < max(_MIN_POINTS, _MIN_SHARE * max(map(_count, lines), default=0)):
+        least = max(_MIN_SHARE * max(map(_count, lines), default=0), expected + _BY_CHANCE * np.sqrt(expected))
+        own = near <= tolerance
+        if own.sum() < max(_MIN_POINTS, least):
             break
-        lines.append(_nearest(near, number, line, tolerance, found.u.shape[1]))
+        dense = len(np.unique(line[own])) > _MIN_DENSITY * np.ptp(line[own])
+        if dense and not (print_shows and _is_printed(xy[own], slope[own], view, _EDGE_PX + _MAP_ERRORS * error)):
+            lines.append(_nearest(near, number, line, tolerance, found.u.shape[1]))
         free &= near > 2.0 * tolerance
     on_path = lambda taken: int(((taken >= 0) & (taken == found.chosen)).sum())
     return sorted(lines, key=on_path, reverse=True)
+
+
+def _is_printed(xy: np.ndarray, slope: np.ndarray, view: BoardMap, reach: float) -> bool:
+    """Whether points [n, 2] follow one edge or middle of the printed squares; a laser's line crosses them aslant."""
+    half, start = 0.5 * view.board.square, view.board.corners()[0, :2]
+    nearest = start + half * np.round((np.median(xy, axis=0) - start) / half)
+    return bool((np.abs(xy - nearest) <= reach * np.abs(slope)).mean(0).max() >= _EDGE_SHARE)
 
 
 def _count(taken: np.ndarray) -> int:
@@ -116,14 +144,12 @@ def _nearest(distance: np.ndarray, number: np.ndarray, line: np.ndarray, toleran
     return taken
 
 
-def _best_line(
-    xy: np.ndarray, by_pixel: np.ndarray, tolerance: float, random: np.random.Generator
-) -> np.ndarray | None:
-    """Distances [n], px, from the line that most points [n, 2] vote for; None where there are too few.
+def _best_line(xy: np.ndarray, slope: np.ndarray, tolerance: float, random: np.random.Generator) -> np.ndarray | None:
+    """Distances across [n], px, from the line that most points [n, 2] vote for; None where there are too few.
 
     Args:
         xy: Points on the board [n, 2], m.
-        by_pixel: Derivative of the points by their pixels [n, 2, 2], m per px.
+        slope: Their derivatives by the pixel across the image's lines [n, 2], m per px.
         tolerance: Distance within which a point votes [px].
         random: Draws the lines that are tried.
     """
@@ -137,10 +163,10 @@ def _best_line(
     normal = along[:, ::-1] * np.array([1.0, -1.0]) / np.linalg.norm(along, axis=1)[:, None]
     voters = np.unique(np.linspace(0, len(xy) - 1, _VOTERS).astype(np.intp))
     offset = xy[voters] @ normal.T - np.sum(xy[first] * normal, axis=1)
-    share = np.square(offset / _slope(by_pixel[voters], normal.T) / tolerance)
+    share = np.square(offset / _along(slope[voters], normal.T) / tolerance)
     best = int(np.argmax(np.maximum(1.0 - share, 0.0).sum(0)))
     middle, normal = xy[first[best]], normal[best]
-    distance = (xy - middle) @ normal / _slope(by_pixel, normal)
+    distance = (xy - middle) @ normal / _along(slope, normal)
     for _ in range(_ROUNDS):
         near = np.abs(distance) <= tolerance
         if near.sum() < 3:
@@ -152,11 +178,11 @@ def _best_line(
         # A bend is known where the points are; beyond them the line goes on straight.
         terms = terms[:, : 3 if near.sum() >= _BENDING_POINTS else 2]
         curve = terms @ np.linalg.lstsq(terms[near], ((xy - middle) @ normal)[near], rcond=None)[0]
-        distance = ((xy - middle) @ normal - curve) / _slope(by_pixel, normal)
+        distance = ((xy - middle) @ normal - curve) / _along(slope, normal)
     return distance
 
 
-def _slope(by_pixel: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """How far a point moves along `normal` for one pixel across the line's image [..., m per px]."""
-    by_u, by_v = by_pixel[:, 0] @ normal, by_pixel[:, 1] @ normal
-    return np.maximum(np.hypot(by_u, by_v), 1e-12)
+def _along(slope: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """How far a point moves along `normal` for one pixel across [..., m per px]; never 0."""
+    moved = slope @ normal
+    return np.where(np.abs(moved) < 1e-12, 1e-12, moved)

@@ -11,6 +11,8 @@ SMALL_SQUARE_PX = 12.0
 _WINDOW_SHARE, _SMALL_SHARE = 0.3, 0.5
 """Half side of a window, in squares: such a window stays clear of the next corner; of an AprilGrid, whose small squares
 are far from the next ones, in small squares."""
+# Side of the smallest squares between tags whose corners are fitted [px].
+_LEAST_SMALL_PX = 9.0
 # Reach of the blur of a marker's edge [px].
 _MARKER_BLUR_PX = 1.5
 
@@ -27,8 +29,12 @@ def fit_found_corners(
         half_window: Half the side of the window [px], instead of a share of the squares.
     """
     edges, known = edge_directions(found.q, found.valid, board)
+    sizes = square_sizes(found.q, found.valid, board)
+    if isinstance(board, AprilGrid):
+        # The least window would reach beyond smaller ones.
+        known = known & (sizes >= _LEAST_SMALL_PX)
     use = np.flatnonzero(found.valid & known)
-    sizes = square_sizes(found.q, found.valid, board)[use]
+    sizes = sizes[use]
     half = window_share(board) * sizes if half_window is None else np.full(len(use), float(half_window))
     fit = fit_corners(image, found.q[use], edges[use], half, clear=clear_of_markers(board, sizes))
     q, sigma = found.q.copy(), found.sigma.copy()

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 
@@ -14,7 +14,7 @@ from jaxscan.reconstruction.points import Aim, Limits, Rig, line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.streaming import chunk_records
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
-from jaxscan.reconstruction.without_off import with_off
+from jaxscan.reconstruction.without_off import PredictedPairs, with_off
 from jaxscan.stripes import (
     ExtractionSetup,
     FrameFormat,
@@ -48,6 +48,8 @@ class Plan:
     """The scanner's laser of each profile of the sweep."""
     size: int
     """Records computed at a time."""
+    notes: list[str] = field(default_factory=list)
+    """What a user should know of the stripes, once they are found; a sentence each."""
 
     @property
     def lines(self) -> int:
@@ -58,6 +60,11 @@ class Plan:
     def frames(self) -> FrameFormat:
         """How a frame is to be read."""
         return FrameFormat(self.sweep.pixel_format, self.sweep.response)
+
+    @property
+    def predicts(self) -> bool:
+        """Whether the sweep has no laser-off frames, so that they are predicted."""
+        return isinstance(self.sweep, PredictedPairs) and self.sweep.predicts
 
     @property
     def lit_together(self) -> bool:
@@ -200,6 +207,11 @@ def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:
             'of the board, or say carries = "nothing" for profiles in the frame of the camera.'
         )
     if known != "nothing" and sweep.carries is not None and sweep.carries != known:
+        if {known, sweep.carries} == {"scanner", "object"}:
+            raise CalibrationError(
+                f"The table of the sweep carries the {sweep.carries}, that of the calibration the {known}; use a "
+                "calibration made in the same arrangement."
+            )
         raise CalibrationError(
             f'The sweep says carries = "{sweep.carries}", the calibration "{known}"; use a calibration made in the '
             "same arrangement."

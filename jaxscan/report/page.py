@@ -36,7 +36,7 @@ def calibration_page(calibration: Calibration, *, notes: tuple[str, ...] = ()) -
             parts.append(figures.distributions(fit))
     parts.append(figures.views(calibration))
     if concluded:
-        parts += [figures.correlations(calibration), figures.spectrum(calibration)]
+        parts += [figures.board(calibration), figures.correlations(calibration), figures.spectrum(calibration)]
     parts += [_quality(calibration), _provenance(calibration)]
     return page("Calibration report", *(part for part in parts if part))
 

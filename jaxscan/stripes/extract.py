@@ -31,7 +31,8 @@ def extract_stripes(
     Args:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3), or a single one without its
             leading axis; NumPy or JAX.
-        off: Laser-off frames of the same shape; where there are none they are predicted (`predict_off`).
+        off: Laser-off frames of the same shape; where there are none, the other channels of a colour
+            camera predict them (`predict_off`).
         pixel_format: How a frame is to be read; a `FrameFormat` where its response is not linear.
         line: Which stripe to look for; a colour "auto" is learned from the frames.
         settings: How stripes are found, chosen and believed.
@@ -53,7 +54,7 @@ def extract_stripes(
     if len(on) == 0:
         raise ValueError("`on` must hold at least one frame, got none.")
     size = int(on.shape[2]), int(on.shape[1])
-    if off is None and (line.colour != "auto" or frames.pixel_format == "mono8"):
+    if off is None and frames.pixel_format != "mono8" and line.colour != "auto":
         off = predict_off(on, frames.pixel_format, line)
     (engine,) = prepare_engines(on, off, [ExtractionSetup(size, frames, line, settings)], noise=noise)
     chunks = [slice(start, start + _CHUNK) for start in range(0, len(on), _CHUNK)]

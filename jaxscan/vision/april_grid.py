@@ -11,10 +11,12 @@ from jaxscan.observation.corners import FoundCorners, is_enough, square_sizes
 
 _DICTIONARY = "DICT_APRILTAG_36h11"
 _FEWEST_ROWS = 2
-# Noise of corners that are not fitted [px], as of tags without small squares.
-_SIGMA_PX = 0.08
+# Noise of corners that are not fitted [px]; without small squares the blur pulls them into the tag.
+_SIGMA_PX = 0.2
 # Half side of the window in which they are refined, and how far they may move, in sides of a small square.
 _WINDOW_SHARE, _MOST_MOVED = 0.5, 0.6
+# The last window, in widths of a tag's black border, and the cells of a tag within it.
+_CLEAR_SHARE, _CELLS = 0.8, 6
 # A tag is where the others say that it is within this share of its side.
 _NEAR = 0.25
 _TEXTURE_BORDER = 2
@@ -40,7 +42,7 @@ def find_april_grid(image: np.ndarray, board: AprilGrid) -> FoundCorners | None:
             if found is not None and (best is None or found.valid.sum() > best.valid.sum()):
                 best = found
         if best is not None:
-            return _refined(image, best, board)
+            return _refined(image, best, board, border)
     return None
 
 
@@ -99,16 +101,22 @@ def _numbered(board: AprilGrid, ids: np.ndarray, tags: np.ndarray) -> FoundCorne
     return FoundCorners(q, np.where(valid, _SIGMA_PX, 1.0), valid) if is_enough(board, valid) else None
 
 
-def _refined(image: np.ndarray, found: FoundCorners, board: AprilGrid) -> FoundCorners | None:
-    """The corners moved to where tag and small square touch, without those that are not there."""
+def _refined(image: np.ndarray, found: FoundCorners, board: AprilGrid, border: int) -> FoundCorners | None:
+    """The corners moved to where tag and small square touch, without those that are not there.
+
+    First in a window as large as the small squares allow, then in one that the cells of the tag do not reach.
+    """
     q, valid = found.q.copy(), found.valid.copy()
     sizes = square_sizes(q, valid, board)[valid]
-    half = int(np.clip(np.floor(_WINDOW_SHARE * sizes.min()), 2, 11))
+    clear = min(1.0, border / (_CELLS + 2 * border) * board.tag / board.square)
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
-    start = np.ascontiguousarray(q[valid], np.float32).reshape(-1, 1, 2)
-    q[valid] = np.asarray(cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria), np.float64).reshape(-1, 2)
-    moved = np.hypot(*(q - found.q)[valid].T)
-    valid[np.flatnonzero(valid)[moved > _MOST_MOVED * sizes]] = False
+    for share in (_WINDOW_SHARE, _CLEAR_SHARE * clear):
+        half = int(np.clip(np.floor(share * sizes.min()), 2, 11))
+        start = np.ascontiguousarray(q[valid], np.float32).reshape(-1, 1, 2)
+        moved = cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria)
+        q[valid] = np.asarray(moved, np.float64).reshape(-1, 2)
+    far = np.hypot(*(q - found.q)[valid].T) > _MOST_MOVED * sizes
+    valid[np.flatnonzero(valid)[far]] = False
     if not is_enough(board, valid):
         return None
     return FoundCorners(np.where(valid[:, None], q, 0.0), np.where(valid, _SIGMA_PX, 1.0), valid)

@@ -61,9 +61,13 @@ def straight_line(q: np.ndarray, lens: Lens, seed: int = 0) -> np.ndarray:
         return np.zeros(len(q), bool)
     p, limit = lens.straight(q), LINE_PX / float(np.sqrt(lens.matrix[0, 0] * lens.matrix[1, 1]))
     draws = np.random.default_rng(seed).integers(0, len(p), (TRIALS, 2))
+    # Two draws of one point are no line.
+    draws = draws[np.linalg.norm(p[draws[:, 0]] - p[draws[:, 1]], axis=1) > 1e-9]
+    if len(draws) == 0:
+        return np.zeros(len(q), bool)
     a, b = p[draws[:, 0]], p[draws[:, 1]]
     normal = np.stack([a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]], axis=1)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     far = np.abs(normal @ p.T - (normal * a).sum(1)[:, None])
     return far[(far < limit).sum(1).argmax()] < limit
 

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from jaxscan.calibration.board_shape.held_out import HeldOut, hold_out
-from jaxscan.calibration.board_shape.modes import corner_modes, smooth_modes
+from jaxscan.calibration.board_shape.modes import bent_modes, corner_modes, smooth_modes
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve import Adjustment, adjust_further, undetermined_shares, with_modes
 from jaxscan.calibration.solve.problem import BoardModes
@@ -13,13 +13,13 @@ from jaxscan.errors import CalibrationError
 from jaxscan.observation import Observations
 
 
-FreeShape = Literal["parabola", "smooth", "corners"]
+FreeShape = Literal["parabola", "bent", "smooth", "corners"]
 # Fewer placements are too few to leave some out.
 _LEAST_PLACEMENTS = 8
 # A shape must raise the likelihood of the views left out by this much (natural logarithm) ...
 _LEAST_GAIN = 10.0
 # ... and in the mean over placements by this many of its standard errors.
-_LEAST_SIGNIFICANCE = 2.5
+_LEAST_SIGNIFICANCE = 2.0
 # Single corners take their time: the residuals left out must promise to fall by this factor.
 _WORTH = 0.95
 _MOST_CORNERS = 192
@@ -56,21 +56,28 @@ def choose_shape(
         return stay
     board, frame = np.asarray(observations.board.corners(), np.float64), np.asarray(result.problem.frame)
     smooth = smooth_modes(board, frame, len(result.data.board))
-    before, promise = hold_out(result, (smooth,))
-    if not _is_better(promise, before, result):
-        return result, ShapeChoice("parabola", _rms(before), _rms(before))
-    shapes: list[tuple[FreeShape, BoardModes]] = [("smooth", smooth)]
+    bent = bent_modes(smooth)
+    before, *promises = hold_out(result, (bent, smooth))
+    parabola = result, ShapeChoice("parabola", _rms(before), _rms(before))
+    if not any(_is_better(promise, before, result) for promise in promises):
+        return parabola
+    # The fewest unknowns first, but single corners are not reached by steps: each is a solve of its own size.
+    shapes: list[tuple[FreeShape, BoardModes]] = [("bent", bent), ("smooth", smooth)]
     if len(board) <= _MOST_CORNERS:
         corners = corner_modes(smooth, board, frame)
-        _, promise, finest = hold_out(result, (smooth, corners))
-        if _rms(finest) < _WORTH * _rms(promise) and _is_better(finest, promise, result):
-            shapes.insert(0, ("corners", corners))
-    for free, modes in shapes:
-        found = _solved(result, modes, settings)
-        after = None if found is None else hold_out(found)[0]
-        if found is not None and after is not None and _is_better(after, before, result):
-            return found, ShapeChoice(free, _rms(before), _rms(after))
-    return result, ShapeChoice("parabola", _rms(before), _rms(before))
+        _, least, finest = hold_out(result, (smooth, corners))
+        if _rms(finest) < _WORTH * _rms(least) and _is_better(finest, least, result):
+            found = _solved(result, corners, settings)
+            if found is not None and _is_better(hold_out(found)[0], before, result):
+                return found, ShapeChoice("corners", _rms(before), _rms(hold_out(found)[0]))
+    best, last = result, before
+    free: FreeShape = "parabola"
+    for name, modes in shapes:
+        promise = hold_out(best, (modes,))[1]
+        found = _solved(best, modes, settings) if _is_better(promise, last, best) else None
+        if found is not None and _is_better(hold_out(found)[0], last, best):
+            best, last, free = found, hold_out(found)[0], name
+    return best, ShapeChoice(free, _rms(before), _rms(last))
 
 
 def _solved(result: Adjustment, modes: BoardModes, settings: CalibrationSettings) -> Adjustment | None:

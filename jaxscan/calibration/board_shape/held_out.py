@@ -5,6 +5,7 @@ placements, their solution is the solve of all others, one Gauss-Newton step fro
 placements left out then find their own pose, and their residuals tell how good the model is.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,32 +39,40 @@ class _Normal(NamedTuple):
     residual: Float[np.ndarray, "views rows"]
 
 
-def hold_out(result: Adjustment, candidates: tuple[BoardModes, ...] = ()) -> list[HeldOut]:
-    """Residuals of views that were left out: of the solve as it is, then with other modes instead of its own.
+def hold_out(result: Adjustment, candidates: Sequence[BoardModes] = ()) -> list[HeldOut]:
+    """Residuals of views that were left out: of the solve as it is, then with more modes of the board's shape.
 
     Args:
         result: A solve that converged.
-        candidates: Modes that begin with those of the solve.
+        candidates: Modes to add, each a part of the last ones; of those that are not 0, some may be in the solve.
     """
-    problem = result.problem
-    before = problem.modes.corner.shape[-1]
-    widest = max((modes for modes in candidates), key=lambda modes: modes.corner.shape[-1], default=problem.modes)
-    extra = BoardModes(widest.corner[..., before:], widest.height[len(problem.modes.height) :])
-    normal = _normal(result, extra)
-    shared = len(problem.scales)
-    prior = np.zeros((shared + extra.corner.shape[-1],) * 2)
+    own, shared = result.problem.modes, len(result.problem.scales)
+    widest = candidates[-1] if candidates else own
+    there = lambda modes: _moving(modes, widest.corner.shape[-1])
+    extra = there(widest) & ~there(own)
+    heights = extra[: len(widest.height)]
+    normal = _normal(result, BoardModes(widest.corner[..., extra], widest.height[heights]))
+    information = normal.information.sum(0)
+    prior = np.eye(len(information))
     prior[:shared, :shared] = np.asarray(result.linearised.prior)
-    prior[range(shared, len(prior)), range(shared, len(prior))] = 1.0
     # At the minimum the gradient of the solve's own unknowns is 0, priors included.
     gradient = normal.gradient.sum(0)
     gradient[:shared] = 0.0
-    whole = normal.information.sum(0) + prior
-    counts = (shared, *(shared + modes.corner.shape[-1] - before for modes in candidates))
-    return [_left_out(result, normal, whole, gradient, count) for count in counts]
+    kept = [np.arange(shared)]
+    kept += [np.concatenate([kept[0], shared + np.flatnonzero(there(modes)[extra])]) for modes in candidates]
+    return [_left_out(result, normal, information + prior, gradient, unknowns) for unknowns in kept]
 
 
-def _left_out(result: Adjustment, normal: _Normal, whole: np.ndarray, gradient: np.ndarray, count: int) -> HeldOut:
-    """With the first unknowns alone."""
+def _moving(modes: BoardModes, count: int) -> np.ndarray:
+    """Which of so many modes are there and move a corner."""
+    moving = np.any(modes.corner != 0, axis=(0, 1))
+    return np.pad(moving, (0, count - len(moving)))
+
+
+def _left_out(
+    result: Adjustment, normal: _Normal, whole: np.ndarray, gradient: np.ndarray, kept: np.ndarray
+) -> HeldOut:
+    """With some of the unknowns alone."""
     owner = np.asarray(result.problem.placement)
     used = np.any(result.corner_kept, axis=1)
     fold = np.full(len(normal.information), -1)
@@ -72,14 +81,15 @@ def _left_out(result: Adjustment, normal: _Normal, whole: np.ndarray, gradient: 
     residual = np.zeros_like(normal.residual)
     for number in range(FOLDS):
         out = fold == number
-        left = (whole - normal.information[out].sum(0))[:count, :count]
+        left = (whole - normal.information[out].sum(0))[np.ix_(kept, kept)]
         size = np.sqrt(np.where(np.diag(left) > 0, np.diag(left), 1.0))
         scaled = left / np.outer(size, size)
-        scaled[np.diag_indices(count)] += np.diag(left) <= 0
-        right = (gradient - normal.gradient[out].sum(0))[:count] / size
+        # Held unknowns meet nothing.
+        scaled[np.diag_indices(len(kept))] += np.diag(left) <= 0
+        right = (gradient - normal.gradient[out].sum(0))[kept] / size
         step = -np.linalg.solve(scaled, right) / size
         views = np.flatnonzero(out[owner] & used)
-        residual[views] = normal.residual[views] + normal.rows[views, :, :count] @ step
+        residual[views] = normal.residual[views] + normal.rows[views][..., kept] @ step
     _find_poses(residual, normal.pose_rows, owner)
     weight = np.asarray(result.problem.corner_weight)
     error = residual.reshape(*weight.shape, 2) / np.where(weight > 0, weight, 1.0)[..., None]

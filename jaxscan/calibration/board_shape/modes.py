@@ -46,6 +46,13 @@ def smooth_modes(board: np.ndarray, frame: np.ndarray, padded: int) -> BoardMode
     return BoardModes(corner, coefficients)
 
 
+def bent_modes(smooth: BoardModes) -> BoardModes:
+    """The smooth modes that are heights; the others move nothing, so that the solve has the same size."""
+    corner = smooth.corner.copy()
+    corner[..., len(smooth.height) :] = 0.0
+    return BoardModes(corner, smooth.height)
+
+
 def corner_modes(smooth: BoardModes, board: np.ndarray, frame: np.ndarray) -> BoardModes:
     """The smooth modes, and with them every place and height that the corners of a board can have.
 

@@ -18,8 +18,8 @@ _SAMPLES = 9
 _NEAR_SHARE = 0.75
 # Distance in the image within which a line agrees with a plane [share of the image's diagonal]; more where the lines
 # that agree are as far off themselves.
-_TOLERANCE = 0.004
-_WIDENED = 4.0
+_TOLERANCE = 0.0025
+_WIDENED = 3.0
 # Planes that are tried, each through two lines; the best of them are fitted to all lines that agree.
 _TRIALS = 600
 _REFINED = 20

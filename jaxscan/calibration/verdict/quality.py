@@ -160,7 +160,8 @@ class BoardMap:
     """The shape of the calibration board as the solve found it; corners in their usual order."""
 
     free: str
-    """"parabola" (a bow along x and y alone), "smooth" (polynomial heights and prints too) or "corners" (every one)."""
+    """"parabola": a bow along x and y alone; "bent": other heights too, which are polynomials; "smooth": the print as
+    well; "corners": every corner by itself."""
     rms_off_flat_m: float
     """Root mean square height over the best plane [m]."""
     held_out_rms_parabola_px: float | None = None

@@ -4,8 +4,6 @@ The files may come from anyone. A small reader knows the few forms in which thes
 in a file is ever executed.
 """
 
-import ast
-import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +16,7 @@ from jaxscan.files.disk import MEGABYTE, check, read_bounded
 from jaxscan.geometry import CAMERAS, AbstractCamera
 
 
-MAX_CAMERA_BYTES = MEGABYTE
+MAX_CAMERA_BYTES = 16 * MEGABYTE
 _MAX_NUMBERS = 64
 
 _WIDTHS, _HEIGHTS = ("image_width", "image_Width", "width"), ("image_height", "image_Height", "height")
@@ -86,23 +84,20 @@ def _yaml(text: str, name: str, size: tuple[int, int] | None) -> dict[str, Any]:
 
 
 def _mrcal(text: str, name: str, size: tuple[int, int] | None) -> dict[str, Any]:
-    try:
-        found = ast.literal_eval(text.strip())
-    except (ValueError, SyntaxError, MemoryError, RecursionError) as problem:
-        raise CalibrationError(
-            f"{name}: is no .cameramodel, which is one Python dictionary of plain values."
-        ) from problem
-    value: dict[str, Any] = found if isinstance(found, dict) else {}
-    lens, numbers, given = (value.get(key) for key in ("lensmodel", "intrinsics", "imagersize"))
-    lens = lens.decode(errors="replace") if isinstance(lens, bytes) else lens
+    # Looked for rather than parsed: a model may hold megabytes of its optimisation, and a parser takes far more.
+    text = re.sub(r"#[^\n]*", "", text)
+    lens = (re.findall(r"""['"]lensmodel['"]\s*:\s*b?['"]([^'"\n]*)['"]""", text) or [""])[0]
     counts = {"LENSMODEL_PINHOLE": 0, **{f"LENSMODEL_OPENCV{count}": count for count in (4, 5, 8)}}
     if lens not in counts:
         raise CalibrationError(f"{name}: lensmodel: found {lens!r:.60}, expected one of {', '.join(counts)}.")
-    if not _are_numbers(numbers, 4 + counts[lens]) or not _are_numbers(given, 2):
+    lists = (re.findall(rf"""['"]{key}['"]\s*:\s*(\[[^\[\]]*\])""", text) for key in ("intrinsics", "imagersize"))
+    numbers, given = (_numbers(found[0], name) if found else [] for found in lists)
+    if len(numbers) != 4 + counts[lens] or len(given) != 2 or not all(side.is_integer() for side in given):
         raise CalibrationError(
-            f"{name}: intrinsics, imagersize: expected {4 + counts[lens]} and 2 numbers, as {lens} has them."
+            f"{name}: intrinsics, imagersize: found {len(numbers)} and {len(given)} numbers, expected "
+            f"{4 + counts[lens]} and 2 whole ones, as {lens} has them."
         )
-    return _table(numbers[:4], numbers[4:], tuple(given), name)
+    return _table(numbers[:4], numbers[4:], (int(given[0]), int(given[1])), name)
 
 
 def _table(
@@ -137,18 +132,18 @@ def _table(
 
 def _blocks(text: str) -> dict[str, str]:
     """The top-level keys of a YAML file, each with the text up to the next."""
-    blocks: dict[str, str] = {}
-    last = ""
+    blocks: dict[str, list[str]] = {}
+    lines: list[str] = []
     for line in text.splitlines():
         if line.startswith(("#", "%", "---", "...")):
             continue
         found = _KEY.match(line)
         if found:
-            last = found[1]
-            blocks[last] = found[2]
-        elif last:
-            blocks[last] += "\n" + line
-    return blocks
+            lines = blocks.setdefault(found[1], [])
+            lines.append(found[2])
+        else:
+            lines.append(line)
+    return {key: "\n".join(block) for key, block in blocks.items()}
 
 
 def _one(blocks: Mapping[str, str], names: Sequence[str], name: str) -> str:
@@ -160,14 +155,17 @@ def _one(blocks: Mapping[str, str], names: Sequence[str], name: str) -> str:
 
 def _numbers(block: str, where: str) -> list[float]:
     """The numbers of a list, or of the list `data` of a matrix: in brackets, or one on each line after a dash."""
-    matrix = re.search(r"^\s*data\s*:", block, re.MULTILINE)
+    matrix = re.search(r"^[ \t]*data[ \t]*:", block, re.MULTILINE)
     body = block[matrix.end() :] if matrix else block
     flow = re.match(r"\s*\[([^\[\]]*)\]\s*$", body)
-    words = flow[1].split(",") if flow else [line.strip().removeprefix("-") for line in body.strip().splitlines()]
-    words = [word.strip() for word in words if word.strip()]
-    if len(words) > _MAX_NUMBERS or not all(_NUMBER.fullmatch(word) for word in words):
-        odd = next((word for word in words if not _NUMBER.fullmatch(word)), f"{len(words)} of them")
-        raise CalibrationError(f"{where}: found {odd!r:.40}, expected at most {_MAX_NUMBERS} numbers in a list.")
+    separator, body = (",", flow[1]) if flow else ("\n", body.strip())
+    if body.count(separator) > _MAX_NUMBERS:
+        raise CalibrationError(f"{where}: found {body.count(separator)} numbers, expected at most {_MAX_NUMBERS}.")
+    words = [word.strip() if flow else word.strip().removeprefix("-").strip() for word in body.split(separator)]
+    words = [word for word in words if word]
+    for word in words:
+        if not _NUMBER.fullmatch(word):
+            raise CalibrationError(f"{where}: found {word!r:.40}, expected numbers in a list.")
     return [float(word) for word in words]
 
 
@@ -179,11 +177,3 @@ def _size(block: str | None, known: int | None, name: str) -> int:
     if not re.fullmatch(r"\s*\d{1,9}\s*", block):
         raise CalibrationError(f"{name}: image_width, image_height: found {block.strip()!r:.40}, expected pixels.")
     return int(block)
-
-
-def _are_numbers(values: Any, count: int) -> bool:
-    return (
-        isinstance(values, list | tuple)
-        and len(values) == count
-        and all(type(value) in (int, float) and math.isfinite(value) for value in values)
-    )

@@ -37,12 +37,8 @@ def parse_board(text: str) -> BoardTable:
     lengths = [re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,9})?)(mm|cm|m)", word) for word in words[2:]]
     known = [length for length in lengths if length]
     rest = [word for word, length in zip(words[2:], lengths, strict=True) if not length]
-    if (
-        kind not in _FORMS
-        or counts is None
-        or len(known) != len(_FORMS[kind])
-        or len(rest) > (kind in ("charuco", "circles"))
-    ):
+    more = {"charuco": "dictionary", "circles": "layout"}
+    if kind not in _FORMS or counts is None or len(known) != len(_FORMS[kind]) or len(rest) > (kind in more):
         raise OptionError(f"--board: found {text[:80]!r}, expected {_EXAMPLES}.")
     table = {"type": kind, "columns": int(counts[1]), "rows": int(counts[2])}
     table |= {key: float(hit[1]) * _UNITS[hit[2]] for key, hit in zip(_FORMS[kind], known, strict=True)}

@@ -1,6 +1,5 @@
 """The images in a stranger's folder: regular files only, no links, and names that match patterns."""
 
-import fnmatch
 import os
 import re
 from collections.abc import Sequence
@@ -86,8 +85,9 @@ def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
         raise OptionError(f"{option}: found {pattern[:60]!r}, expected a pattern such as 'l_*.png'.")
     if plain.startswith("/") or re.match(r"[A-Za-z]:", plain) or ".." in plain.split("/"):
         raise OptionError(f"{option}: found {pattern[:60]!r}, expected a pattern of names inside the folder.")
-    expression = _expression(plain)
-    found = [Matched(name, _key(hit.groups())) for name in names if (hit := expression.fullmatch(name))]
+    shape = _Pattern(plain)
+    parts = [(name, shape.open_parts(name)) for name in names]
+    found = [Matched(name, numbers_and_words(" ".join(texts))) for name, texts in parts if texts is not None]
     if not found:
         raise OptionError(
             f"{option}: no image or video in the folder has a name like '{plain[:60]}'; without patterns, `jaxscan "
@@ -96,25 +96,51 @@ def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
     return found
 
 
-def _expression(pattern: str) -> re.Pattern[str]:
-    """The pattern as an expression, with a group for each part that it leaves open."""
-    parts = re.split(r"(\*+|\?|\[!?\]?[^\]]*\])", pattern)
-    # Atomic groups would match less than a shell does; two stars in a row are one, so that nothing is tried twice.
+class _Pattern:
+    """A pattern in pieces between its stars; each piece has one length, so that nothing is tried twice."""
+
+    def __init__(self, pattern: str) -> None:
+        self._pieces = [_piece(text) for text in re.split(r"\*+", pattern)]
+        self._whole = "*" not in pattern
+
+    def open_parts(self, name: str) -> list[str] | None:
+        """The parts of a name that the pattern leaves open; None where it does not fit."""
+        (first, _), *middle = self._pieces
+        hit = first.match(name)
+        if hit is None:
+            return None
+        found, at = [*hit.groups()], hit.end()
+        if self._whole:
+            return found if at == len(name) else None
+        last, length = middle.pop()
+        for expression, _ in middle:
+            hit = expression.search(name, at)
+            if hit is None:
+                return None
+            found += [name[at : hit.start()], *hit.groups()]
+            at = hit.end()
+        end = last.fullmatch(name, len(name) - length) if len(name) - length >= at else None
+        return None if end is None else [*found, name[at : end.start()], *end.groups()]
+
+
+def _piece(text: str) -> tuple[re.Pattern[str], int]:
+    """A part of a pattern without stars as an expression, with groups for what it leaves open, and its length."""
+    letters = re.findall(r"\[!?\]?[^\]]*\]|.", text, re.DOTALL)
     made = []
-    for part in parts:
-        if part and set(part) == {"*"}:
-            made.append("(.*)")
-        elif part == "?" or (part.startswith("[") and part.endswith("]")):
-            made.append(f"({fnmatch.translate(part).removeprefix('(?s:').split(')')[0]})")
+    for letter in letters:
+        if letter == "?":
+            made.append("(.)")
+        elif len(letter) > 1:
+            inside = re.sub(r"([\\^\[\]&~|])", r"\\\1", letter[1:-1].removeprefix("!"))
+            made.append(f"([{'^' if letter[1] == '!' else ''}{inside}])")
         else:
-            made.append(re.escape(part))
-    if sum(part == "(.*)" for part in made) > 4:
-        raise OptionError(f"'{pattern[:60]}': found more than four stars, expected a simpler pattern.")
-    return re.compile("".join(made), re.DOTALL)
-
-
-def _key(texts: Sequence[str]) -> tuple[int | str, ...]:
-    return numbers_and_words(" ".join(texts))
+            made.append(re.escape(letter))
+    try:
+        return re.compile("".join(made), re.DOTALL), len(letters)
+    except re.error as problem:
+        raise OptionError(
+            f"{text[:60]!r}: found a pattern with wrong brackets ({problem}), expected [abc]."
+        ) from problem
 
 
 def numbers_and_words(text: str) -> tuple[int | str, ...]:

@@ -24,6 +24,7 @@ class GrowingCloud:
         for name in ("intensity", "sigma_random", "sigma_systematic"):
             self.fields[name] = np.zeros(grid, np.float32)
         self.centre = np.zeros((profiles, 3), np.float32)
+        self.clear = np.zeros(grid, np.float32)
         self.stripes = 0
         """Valid stripe centres so far, whether or not they gave a point."""
 
@@ -35,7 +36,7 @@ class GrowingCloud:
             points: The points.
             amplitude: Amplitude of every stripe [DN].
             rgb: Colour of every stripe.
-            found: Which stripes there were.
+            found: How clear the stripes were; 0 where there was none.
         """
         rows, count = _rows(profiles), len(profiles)
         parts = jax.tree.map(lambda field: np.asarray(field)[:count], {**points._asdict(), "rgb": rgb})
@@ -44,7 +45,13 @@ class GrowingCloud:
         for name, field in self.fields.items():
             field[rows] = parts[name]
         self.centre[rows] = parts["centre"]
+        self.clear[rows] = np.asarray(found, np.float32)[:count]
         self.stripes += int(np.count_nonzero(np.asarray(found)[:count]))
+
+    def keep_clear(self, least: float) -> None:
+        """Take out the points of stripes that are less clear."""
+        if least > 0.0:
+            _take_out(self.fields, self.clear < least)
 
     def finish(
         self, record: np.ndarray, laser: np.ndarray, angle: np.ndarray, rank: np.ndarray, line_step: float | None
@@ -110,9 +117,20 @@ class GrowingStripes:
         for name, field in self.fields.items():
             field[rows] = np.asarray(found[name])[: len(profiles)]
 
+    def keep_clear(self, least: float) -> None:
+        """Take out the stripes whose width is less than so many standard deviations of their centre."""
+        if least > 0.0:
+            width, sigma = self.fields["width"], self.fields["sigma"]
+            _take_out(self.fields, width < np.float32(least) * np.maximum(sigma, np.float32(1e-4)))
+
     def finish(self, record: np.ndarray, laser: np.ndarray) -> Stripes:
         """The stripes; record and laser of each profile."""
         return Stripes(**self.fields, record=record, laser=laser)
+
+
+def _take_out(fields: dict[str, np.ndarray], out: np.ndarray) -> None:
+    for field in fields.values():
+        field[out] = 0
 
 
 def _rows(profiles: np.ndarray) -> slice | np.ndarray:

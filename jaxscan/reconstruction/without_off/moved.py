@@ -6,16 +6,15 @@ sweep (R. T. Collins, A space-sweep approach to true multi-image matching, CVPR 
 """
 
 import functools
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numba
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Array, Scanner, StripeAxis, stripe_pixel
-from jaxscan.stripes import Channels, Sites, box_mean
+from jaxscan.stripes import Channels, Sites, box_mean, warped
 
 
 _NODES_PX = 16
@@ -58,8 +57,7 @@ def places(
     """
     with jax.enable_x64(True):
         exact = scanner.without_covariance().as_dtype(jnp.float64)
-        angles = (jnp.asarray(one, jnp.float64) for one in phi)
-        q = np.asarray(_places(exact, *angles, ranges, jnp.asarray(lattice.line), jnp.asarray(lattice.u), axis))
+        q = np.asarray(_places(exact, np.asarray(phi, np.float64), ranges, lattice.line, lattice.u, axis))
     sites, (u, line) = lattice.sites, (q[..., 0], q[..., 1]) if axis == "rows" else (q[..., 1], q[..., 0])
     found = np.stack([(line - sites.first_line) / sites.line_step, (u - sites.offsets[0]) / sites.pitch], -1)
     # A pixel that is nowhere in the other step is taken from its border, and will not agree.
@@ -67,10 +65,8 @@ def places(
 
 
 @functools.partial(jax.jit, static_argnames="axis")
-def _places(
-    scanner: Scanner, first: Array, second: Array, ranges: Array, line: Array, u: Array, axis: StripeAxis
-) -> Array:
-    motion = jnp.linalg.inv(scanner.pose(second)) @ scanner.pose(first)
+def _places(scanner: Scanner, phi: Array, ranges: Array, line: Array, u: Array, axis: StripeAxis) -> Array:
+    motion = jnp.linalg.inv(scanner.pose(phi[1])) @ scanner.pose(phi[0])
 
     def at(distance, line, u):
         point = distance * scanner.camera.unproject(stripe_pixel(u, line, axis))
@@ -93,7 +89,7 @@ def moved(seen: Channels, neighbours: tuple[Channels, Channels], where: tuple[np
     own = np.stack([level, *(other[0] for other in seen.others)])
     best, least = own, np.full_like(level, np.inf)
     for number in range(len(where[0])):
-        first, second = (_warped(stack, place[number]) for stack, place in zip(stacks, where, strict=True))
+        first, second = (warped(stack, place[number], _NODES_PX) for stack, place in zip(stacks, where, strict=True))
         apart, darker = np.abs(first - second), np.minimum(first, second)
         found = np.where(apart < np.float32(_AGREE_DN), 0.5 * (first + second), darker)
         size = np.minimum(apart, np.float32(_MOST_DN)) + np.minimum(np.abs(own - darker), np.float32(_MOST_DN))
@@ -101,36 +97,3 @@ def moved(seen: Channels, neighbours: tuple[Channels, Channels], where: tuple[np
         better = size < least
         best, least = np.where(better, found, best), np.minimum(size, least)
     return Channels(best[:1], tuple(plane[None] for plane in best[1:]))
-
-
-def _warped(planes: Float[np.ndarray, "planes lines samples"], where: Float[np.ndarray, "a b 2"]) -> np.ndarray:
-    out = np.empty_like(planes)
-    _warp(planes, where, out, _NODES_PX)
-    return out
-
-
-# Nested functions of numba are not typed.
-@numba.njit(nogil=True, cache=True, fastmath=True)
-@no_type_check
-def _warp(planes: Array, where: Array, out: Array, pitch: int) -> None:
-    """Bilinear in the planes, at places that are bilinear between the nodes; beyond the plane its border."""
-    count, lines, samples = planes.shape
-    for line in range(lines):
-        i = line // pitch
-        down = np.float32(line % pitch) / np.float32(pitch)
-        for sample in range(samples):
-            j = sample // pitch
-            right = np.float32(sample % pitch) / np.float32(pitch)
-            a, b = (1 - down) * (1 - right), (1 - down) * right
-            c, d = down * (1 - right), down * right
-            y = a * where[i, j, 0] + b * where[i, j + 1, 0] + c * where[i + 1, j, 0] + d * where[i + 1, j + 1, 0]
-            x = a * where[i, j, 1] + b * where[i, j + 1, 1] + c * where[i + 1, j, 1] + d * where[i + 1, j + 1, 1]
-            y = min(max(y, np.float32(0)), np.float32(lines - 1))
-            x = min(max(x, np.float32(0)), np.float32(samples - 1))
-            top, left = int(y), int(x)
-            bottom, after = min(top + 1, lines - 1), min(left + 1, samples - 1)
-            fy, fx = y - top, x - left
-            for p in range(count):
-                upper = (1 - fx) * planes[p, top, left] + fx * planes[p, top, after]
-                lower = (1 - fx) * planes[p, bottom, left] + fx * planes[p, bottom, after]
-                out[p, line, sample] = (1 - fy) * upper + fy * lower

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from jaxscan.reconstruction.ahead import workers
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
 from jaxscan.reconstruction.without_off.moved import Lattice, moved, places
-from jaxscan.stripes import Channels, LaserLine, PixelFormat, Response, laser_sites, predict_off, read_channels
+from jaxscan.stripes import LaserLine, PixelFormat, Response, laser_sites, predict_off, read_channels
 
 
 _APART_PX = 24.0
@@ -83,6 +84,11 @@ class PredictedPairs:
     def __len__(self) -> int:
         return len(self.sweep)
 
+    @cached_property
+    def predicts(self) -> bool:
+        """Whether there is no laser-off frame, as the first record says."""
+        return next(self.sweep.chunks(1)).off is None
+
     def chunks(self, size: int) -> Iterator[FrameChunk]:
         kept: list[np.ndarray] = []
         first, done = 0, 0
@@ -125,8 +131,7 @@ class PredictedPairs:
             places(self.scanner, (self.angles[record], self.angles[k]), self._ranges, lattice, line.stripe_axis)
             for k in neighbours
         ]
-        pair: tuple[Channels, Channels] = (others[0], others[-1])
-        elsewhere = moved(seen, pair, (where[0], where[-1]))
+        elsewhere = moved(seen, (others[0], others[1]), (where[0], where[1]))
         return predict_off(own, self.pixel_format, line, elsewhere=elsewhere)
 
     @property
@@ -135,7 +140,7 @@ class PredictedPairs:
         return 1.0 / np.linspace(1.0 / min(near, far), 1.0 / max(near, far), _RANGES)
 
     def _neighbours(self, record: int, frames: dict[int, np.ndarray]) -> list[int]:
-        """The nearest steps before and after in which the camera has turned far enough, and not too far."""
+        """Two steps in which the camera has turned far enough and not too far, if possible before and after."""
         if self.scanner.turntable.carries != "scanner":
             return []
         camera = self.scanner.camera
@@ -144,5 +149,9 @@ class PredictedPairs:
         motion = focal * np.abs(turn)
         fits = (motion >= _APART_PX) & (motion <= _SEEN * min(self.image_size))
         near = [k for k in frames if fits[k] and abs(k - record) <= _FARTHEST]
-        before, after = [k for k in near if k < record], [k for k in near if k > record]
-        return before[-1:] + after[:1]
+        before, after = [k for k in near if k < record][::-1], [k for k in near if k > record]
+        if before and after:
+            return [before[0], after[0]]
+        # At an end of the sweep two on one side, of which again only one has a stripe at any place.
+        one = before or after
+        return next(([one[0], k] for k in one[1:] if abs(motion[k] - motion[one[0]]) >= _APART_PX), [])

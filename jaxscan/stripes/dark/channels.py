@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from jaxscan.stripes.frames import LaserLine, PixelFormat, laser_plane, laser_sites
+from jaxscan.stripes.frames import Colour, LaserLine, PixelFormat, laser_plane, laser_sites
 
 
-_COLOURS = ("red", "green", "blue")
+COLOURS: tuple[Colour, ...] = ("red", "green", "blue")
 
 
 class Channels(NamedTuple):
@@ -23,11 +23,11 @@ class Channels(NamedTuple):
 def read_channels(on: UInt8[np.ndarray, "frames ..."], pixel_format: PixelFormat, line: LaserLine) -> Channels:
     """All channels of frames uint8 [frames, rows, columns] (rgb8: and 3) where the laser's is measured."""
     laser = np.ascontiguousarray(laser_plane(on, pixel_format=pixel_format, line=line))
-    names = [colour for colour in _COLOURS if colour != line.colour]
+    names = [colour for colour in COLOURS if colour != line.colour]
     if pixel_format == "mono8":
         return Channels(laser, ())
     if pixel_format == "rgb8":
-        planes = [on[..., _COLOURS.index(name)] for name in names]
+        planes = [on[..., COLOURS.index(name)] for name in names]
         if line.stripe_axis == "columns":
             planes = [plane.swapaxes(1, 2) for plane in planes]
         return Channels(laser, tuple(plane.astype(np.float32) for plane in planes))
@@ -45,7 +45,7 @@ def put_plane(
 ) -> None:
     """Write the samples of the laser's channel into frames; the inverse of `laser_plane`."""
     if pixel_format == "rgb8":
-        frames = frames[..., _COLOURS.index(str(line.colour))]
+        frames = frames[..., COLOURS.index(str(line.colour))]
     if line.stripe_axis == "columns":
         frames = frames.swapaxes(1, 2)
     sites = laser_sites(pixel_format, line)

@@ -11,14 +11,15 @@ Of several predictions each place takes the one that its surroundings bear out, 
 difference is added, so that the prediction is right on average around every stripe.
 """
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.dark.channels import Channels, put_plane, read_channels
-from jaxscan.stripes.dark.running_median import CODES, running_median
+from jaxscan.stripes.dark.channels import COLOURS, Channels, put_plane, read_channels
+from jaxscan.stripes.dark.native import CODES, running_median
 from jaxscan.stripes.frames import LaserLine, PixelFormat, laser_sites
 
 
@@ -63,7 +64,21 @@ def predict_off(
         room = _room(read_channels(on[part], pixel_format, line), elsewhere, laser_sites(pixel_format, line).pitch)
         plane = np.clip(np.rint(room), 0, 255).astype(np.uint8)
         put_plane(off[part], plane, pixel_format=pixel_format, line=line)
+        if pixel_format == "rgb8":
+            _clear_others(off[part], on[part], line)
     return off
+
+
+def _clear_others(off: np.ndarray, on: np.ndarray, line: LaserLine) -> None:
+    """The other channels along the line, where the laser's is clipped: they see the laser there."""
+    seen = read_channels(on, "rgb8", line)
+    clipped = _near(seen.laser >= _CLIPPED, _HALF_PX)
+    if not clipped.any():
+        return
+    for colour, plane in zip([one for one in COLOURS if one != line.colour], seen.others, strict=True):
+        room = np.where(clipped, _along(plane, _HALF_PX), plane)
+        other = dataclasses.replace(line, colour=colour)
+        put_plane(off, np.rint(room).astype(np.uint8), pixel_format="rgb8", line=other)
 
 
 def _room(seen: Channels, elsewhere: Channels | None, pitch: int) -> Planes:
