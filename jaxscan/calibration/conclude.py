@@ -21,6 +21,7 @@ from jaxscan.calibration.verdict import (
     Verdict,
     advise,
     chance,
+    cure_causes,
     cures,
     describe_quality,
     find_harm,
@@ -98,7 +99,7 @@ def conclude(
                 chance([test.p for test in tests]),
                 chance([test.p_structure for test in tests]),
                 tests,
-                advise(result, quality.unobserved),
+                (*cure_causes(tests, good_to, settings), *advise(result, quality.unobserved)),
             ),
         )
     return Calibration(

@@ -88,7 +88,9 @@ def _verdict(calibration: Calibration) -> Html:
 
 
 def _remarks(calibration: Calibration) -> Html:
-    parts = [bullets([*words.noise_lines(calibration), *words.second_look(calibration)])]
+    parts = [
+        bullets([*words.board_lines(calibration), *words.noise_lines(calibration), *words.second_look(calibration)])
+    ]
     bad = [f"Record {view.record}: {view.why}" for view in words.bad_views(calibration)]
     for title, lines in (
         ("Warnings", words.warnings(calibration)),

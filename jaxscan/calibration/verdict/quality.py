@@ -177,6 +177,16 @@ class BoardMap:
 
 
 @dataclass(frozen=True)
+class Missed:
+    """A record in which the board was not found."""
+
+    record: int
+    """The record's own number."""
+    why: str
+    """The likely reason, in words."""
+
+
+@dataclass(frozen=True)
 class SecondLook:
     """Gains of a second look at the images, with the geometry known."""
 
@@ -211,6 +221,10 @@ class Quality:
     stripe_correlation: float | None = None
     """Neighbouring stripe points that share one error [1]."""
     views: int | None = None
+    records: int | None = None
+    """Of the captures."""
+    missed: tuple[Missed, ...] = ()
+    """The records in which the board was not found."""
     views_without_board: int | None = None
     views_dropped: tuple[int, ...] = ()
     """Records of the views that were left out as a whole."""
