@@ -38,9 +38,9 @@ def markdown(results: dict[str, Any]) -> str:
 
 
 CORNERS = """
-"ratio" is the noise of the corners over that which the corner detector promised. "held out" is the RMS of corners in the
-half of the views that was not solved from; in brackets, jaxscan's own prediction of views that it left out. "shape" is
-the RMS by which the board is off flat, as calibrated.
+"ratio" is the noise of the corners over that which the corner detector promised. "held out" is the RMS of corners in
+the half of the views that was not solved from; in brackets, jaxscan's own prediction of views that it left out. "shape"
+is the RMS by which the board is off flat, as calibrated.
 """
 LINES = """
 The spread is 1.48 times the median distance of the line's points on the boards from the sheet, "held out" the same for
