@@ -14,9 +14,13 @@ import time
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+
 from experiments.real_sets.figures import Solved
 from experiments.real_sets.ours import Version, calibrate, read_solved
 from experiments.real_sets.pictures import Pictures
+from experiments.real_sets.plain.boards import Lens
 from experiments.real_sets.plain.method import PlainBoards, boards, sweep
 from experiments.real_sets.sets import SETS, RealSet
 from experiments.real_sets.sweeps import reconstruct, table_from, write_rig
@@ -42,9 +46,33 @@ def measure_boards(one: RealSet, capture: Path, version: Version, work: Path) ->
     runs = [calibrate(version, capture, output, one.lens)]
     if "views" not in runs[-1] and one.pattern == "circles":
         runs.append(calibrate(version, capture, output, ("given",)))
+    elif "views" not in runs[-1] and one.camera and version.folder == ROOT:
+        # The version before takes no known camera.
+        runs.append(calibrate(version, capture, output, ("--camera", str(write_camera(one, capture, work)))))
     elif "views" not in runs[-1]:
         runs.append(calibrate(version, capture, output, ("--only", "camera", *one.lens)))
     return runs[-1] | {"first": runs[0]["sentence"], "first_exit_code": runs[0]["exit_code"], "runs": len(runs)}
+
+
+def known_lens(one: RealSet) -> Lens | None:
+    """The camera that the authors calibrated elsewhere."""
+    if not one.camera:
+        return None
+    fx, fy, cx, cy, *distortion = one.camera
+    return Lens(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.array(distortion))
+
+
+def write_camera(one: RealSet, capture: Path, work: Path) -> Path:
+    """That camera as OpenCV writes it."""
+    path, lens, size = work / f"{one.name}_camera.yaml", known_lens(one), Pictures(capture).size
+    assert lens is not None
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    file.write("image_width", size[0])
+    file.write("image_height", size[1])
+    file.write("camera_matrix", lens.matrix)
+    file.write("distortion_coefficients", lens.distortion[None])
+    file.release()
+    return path
 
 
 def plain_rig(captures: Path) -> Solved:
@@ -72,7 +100,7 @@ def measure_plain(one: RealSet, captures: Path) -> dict[str, Any]:
     """The plain method."""
     pictures = Pictures(captures / one.name)
     if one.header["kind"] == "calibration":
-        return boards(pictures, kind_of(one))[0]
+        return boards(pictures, kind_of(one), known_lens(one))[0]
     rig = plain_rig(captures)
     return sweep(pictures, rig.lens, rig.sheets[0], table_from(captures / MARKED, rig.lens), one.inner_m)
 

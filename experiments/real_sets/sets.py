@@ -25,6 +25,8 @@ class RealSet(NamedTuple):
     """Values that the authors published."""
     lens: tuple[str, ...] = ()
     """Options of `jaxscan calibrate` for the lens, as a user who knows it would give them."""
+    camera: tuple[float, ...] = ()
+    """The camera that the authors calibrated elsewhere: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     pattern: str = "chessboard"
     """What is printed on the board; jaxscan has no finder for symmetric "circles"."""
     inner_m: float = 0.0
@@ -142,7 +144,8 @@ SETS: tuple[RealSet, ...] = (
         "nothing with the laser off",
         boards(chessboard(6, 8, 40.0), **_green()),
         lit_boards("images", r"\d+_right\.jpg"),
-        "calibrate.py: f 514.41, 685.93, c 329.84, 237.71 px, k1 -0.350373, k2 0.158447",
+        "calibrate.py: f 514.41, 685.93, c 329.84, 237.71 px, k1 -0.350373, k2 0.158447: taken as known",
+        camera=(514.41205, 685.92876, 329.83671, 237.71471, -0.350373, 0.158447, 0.000735, -0.000231, 0.0),
     ),
     RealSet(
         "zhaocongyang",

@@ -51,9 +51,14 @@ def reconstruct(version: Version, capture: Path, rig: Path, table: Table, inner:
     cloud.unlink(missing_ok=True)
     arguments = ("reconstruct", str(capture), "-c", str(rig), "-o", str(cloud), "--no-cache", "--max-range", "2")
     code, out, problem, seconds = version.verb(*arguments)
-    said = [line.replace(str(capture), capture.name) for line in out.splitlines() if line.strip()]
+    said = [line.replace(str(capture), capture.name) for line in out.splitlines() if line.startswith("note: ")]
     ended = problem.strip().splitlines()
-    found: dict[str, Any] = {"exit_code": code, "seconds": seconds, "said": said, "error": ended[-1] if ended else ""}
+    found: dict[str, Any] = {
+        "exit_code": code,
+        "seconds": seconds,
+        "said": said,
+        "error": ended[-1].replace(str(capture), capture.name) if ended else "",
+    }
     if not cloud.exists():
         return found
     frame = TableFrame(table)

@@ -26,9 +26,10 @@ EVERY = 12
 class PlainBoards:
     """Corners and lines of a capture of boards, found once, and what follows from all or some of the views."""
 
-    def __init__(self, pictures: Pictures, kind: str) -> None:
-        """Find corners and lines; `kind` is "flat" or "fisheye"."""
+    def __init__(self, pictures: Pictures, kind: str, known: Lens | None = None) -> None:
+        """Find corners; `kind` is "flat" or "fisheye", and a known lens is not calibrated."""
         self.pictures, self.kind, self.points = pictures, kind, grid(pictures.header["board"])
+        self.known = known
         board = pictures.header["board"]
         pattern = pictures.header["acquisition"].get("pattern", "chessboard")
         found = [(record, find(pictures.grey(record), board, pattern)) for record in pictures.records]
@@ -37,7 +38,10 @@ class PlainBoards:
 
     def solve(self, first: int = 0, every: int = 1, lines: list[BoardLine] | None = None) -> Solved:
         """From every so many views."""
-        lens, shape = calibrate(self.corners[first::every], self.points, self.pictures.size, self.kind)
+        views = self.corners[first::every]
+        lens, shape = self.known, self.points
+        if lens is None:
+            lens, shape = calibrate(views, self.points, self.pictures.size, self.kind)
         lines = self._lines(lens) if lines is None else lines
         sheets, agreeing = [], []
         for laser in range(len(self.pictures.lasers)):
@@ -80,10 +84,10 @@ def _light(pictures: Pictures, record: dict[str, Any], laser: dict[str, Any]) ->
     return signal(pictures.rgb(record["on"]), off, laser.get("colour", "red"))
 
 
-def boards(pictures: Pictures, kind: str) -> tuple[dict[str, Any], Solved]:
+def boards(pictures: Pictures, kind: str, known: Lens | None = None) -> tuple[dict[str, Any], Solved]:
     """Figures of the plain method on a capture of boards, and its calibration."""
     start = time.perf_counter()
-    plain = PlainBoards(pictures, kind)
+    plain = PlainBoards(pictures, kind, known)
     whole = plain.solve()
     halves = [plain.solve(first, 2, whole.lines) for first in (0, 1)] if len(plain.corners) >= 6 else None
     figures = board_figures(whole, halves) | {"seconds": time.perf_counter() - start, "records": len(pictures.records)}

@@ -70,7 +70,8 @@ def choose_shape(
             found = _solved(result, corners, settings)
             if found is not None and _is_better(hold_out(found)[0], before, result):
                 return found, ShapeChoice("corners", _rms(before), _rms(hold_out(found)[0]))
-    best, last, free = result, before, "parabola"
+    best, last = result, before
+    free: FreeShape = "parabola"
     for name, modes in shapes:
         promise = hold_out(best, (modes,))[1]
         found = _solved(best, modes, settings) if _is_better(promise, last, best) else None
