@@ -48,7 +48,7 @@ def board_map(found: BoardMap, corners: np.ndarray, square_m: float) -> "Figure"
     if longest > 0:
         scale = _LONGEST * 1e3 * square_m / longest
         path = arrows(np.column_stack([x, y]), scale * shift)
-        axes.add_patch(PathPatch(path, fill=False, edgecolor=INK, linewidth=0.8))
+        axes.add_patch(PathPatch(path, fill=False, edgecolor=INK, linewidth=0.8, clip_on=False))
         axes.set_title(f"arrows: place in the plane, the longest {longest:.3f} mm", color=SOFT, loc="left")
     bar = figure.colorbar(drawn, ax=axes, shrink=0.8, aspect=24, pad=0.02)
     bar.set_label("height into the board, mm")
