@@ -75,10 +75,11 @@ def _sheet(solved: Solved, halves: list[Solved] | None, laser: int) -> dict[str,
     sheet, lines = solved.sheets[laser], [line for line in solved.lines if line.laser == laser]
     off, beyond = [], []
     for line in lines:
-        points = _lift(solved, line)
-        off.append(sheet.off(points))
-        if halves is not None and laser < len(halves[1 - line.view % 2].sheets):
-            beyond.append(halves[1 - line.view % 2].sheets[laser].off(points))
+        off.append(sheet.off(_lift(solved.lens, solved.shape, solved.corners[line.view], line)))
+        other = None if halves is None else halves[1 - line.view % 2]
+        if other is not None and laser < len(other.sheets):
+            points = _lift(other.lens, other.shape, solved.corners[line.view], line)
+            beyond.append(other.sheets[laser].off(points))
     found: dict[str, Any] = {
         "normal": [float(x) for x in sheet.normal],
         "distance_mm": 1e3 * float(sheet.distance),
@@ -97,15 +98,14 @@ def around_zero(distances: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(distances)))
 
 
-def _lift(solved: Solved, line: BoardLine) -> np.ndarray:
+def _lift(lens: Lens, shape: np.ndarray, q: np.ndarray, line: BoardLine) -> np.ndarray:
     """Points [n, 3] of a line on its board; m. The board's best plane is used, its shape only for the pose."""
-    q = solved.corners[line.view]
     seen = np.isfinite(q).all(1)
-    pose = pose_of(solved.lens, solved.shape[seen], q[seen])
-    rotation, flat = cv2.Rodrigues(pose[:3])[0], least_squares(solved.shape)
+    pose = pose_of(lens, shape[seen], q[seen])
+    rotation, flat = cv2.Rodrigues(pose[:3])[0], least_squares(shape)
     normal = rotation @ flat.normal
-    plane = Plane(normal, float(normal @ (rotation @ solved.shape.mean(0) + pose[3:])))
-    return plane.meet(solved.lens.straight(line.q))
+    plane = Plane(normal, float(normal @ (rotation @ shape.mean(0) + pose[3:])))
+    return plane.meet(lens.straight(line.q))
 
 
 def table_figures(xyz: np.ndarray, height: float, normal: np.ndarray, inner: float) -> dict[str, Any]:

@@ -36,7 +36,7 @@ def find(image: np.ndarray, board: AbstractBoard) -> FoundCorners | None:
 
 
 def main() -> int:
-    """Calibrate, and say what `jaxscan calibrate` says first."""
+    """Calibrate, and write what `jaxscan calibrate` says first."""
     capture = jaxscan.open_capture(sys.argv[1])
     board = capture.header.board.board()
     seen = look_at_boards([capture], board, Eyes(to_grey, find))
@@ -46,9 +46,8 @@ def main() -> int:
         print(f"jaxscan: {problem}", file=sys.stderr)
         return 1
     jaxscan.save_calibration(result, sys.argv[2])
-    Path(sys.argv[3]).write_text(json.dumps({"quality": quality_table(result.quality)}))
-    first = words.headline(result)
-    print(f"{first.headline}. {first.explanation}")
+    told = {"quality": quality_table(result.quality), "verdict": words.headline(result)._asdict()}
+    Path(sys.argv[3]).write_text(json.dumps(told))
     return 0
 
 

@@ -61,25 +61,28 @@ def calibrate(version: Version, capture: Path, output: Path, options: tuple[str,
     else:
         target = ("-o", str(output), "--json", str(summary))
         code, out, problem, seconds = version.verb("calibrate", str(capture), *target, *options)
-    # Notes on the capture and the plan come before the verdict; the verdict is the first sentence.
     plan = [line for line in out.splitlines() if line.startswith("solving for ")]
-    lines = [line for line in out.splitlines() if line and not line.startswith(("note: ", "solving for "))]
     notes = [line.replace(str(capture), capture.name) for line in out.splitlines() if line.startswith("note: ")]
     ended = problem.strip().splitlines()
+    told = json.loads(summary.read_text()) if summary.exists() else {}
+    verdict = told.get("verdict", {})
+    sentence = f"{verdict['headline']}. {verdict['explanation']}" if verdict else (ended or [""])[-1]
     found: dict[str, Any] = {
         "options": " ".join(options).replace(str(output.parent), "").replace("/", ""),
         "plan": plan[0] if plan else "",
         "exit_code": code,
         "seconds": seconds,
-        "sentence": (lines or ended or [""])[0].replace(str(capture), capture.name).replace(str(output), output.name),
+        "sentence": sentence.replace(str(capture), capture.name).replace(str(output), output.name),
         "notes": notes,
         "error": ended[-1].replace(str(output), output.name).replace(str(capture), capture.name) if ended else "",
     }
     if not output.exists():
         return found
-    quality = json.loads(summary.read_text())["quality"] if summary.exists() else {}
+    quality = told.get("quality", {})
     kept = ("corner_noise_over_sigma", "stripe_noise_over_sigma", "corners_rejected", "corners", "stripe_points")
     found |= {key: quality.get(key) for key in (*kept, "stripe_rms_px", "converged")}
+    board = quality.get("board") or {}
+    found |= {"free": board.get("free"), "held_out_own_px": board.get("held_out_rms_px")}
     halves = version.run(str(HALVES), str(output), str(output.with_name(f"{output.stem}_half")))
     found["halves_seconds"] = halves[3]
     if halves[0]:

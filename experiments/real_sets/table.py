@@ -39,7 +39,8 @@ def markdown(results: dict[str, Any]) -> str:
 
 CORNERS = """
 "ratio" is the noise of the corners over that which the corner detector promised. "held out" is the RMS of corners in
-the half of the views that was not solved from. "shape" is the RMS by which the board is off flat, as calibrated.
+the half of the views that was not solved from; in brackets, jaxscan's own prediction of views that it left out. "shape"
+is the RMS by which the board is off flat, as calibrated.
 """
 LINES = """
 The spread is 1.48 times the median distance of the line's points on the boards from the sheet, "held out" the same for
@@ -121,7 +122,7 @@ def _corners(boards: list[RealSet], results: dict[str, Any]) -> str:
                 _change(found, "corner_noise_over_sigma", "{:.2f}"),
                 _change(found, "corner_rms_px"),
                 _number(plain.get("corner_rms_px")),
-                _change(found, "held_out_px"),
+                _held_out(found),
                 _number(plain.get("held_out_px")),
                 _number(plain.get("held_out_free_px")),
                 _change(found, "shape_mm"),
@@ -129,6 +130,14 @@ def _corners(boards: list[RealSet], results: dict[str, Any]) -> str:
             ]
         )
     return _rows(head, rows)
+
+
+def _held_out(found: dict[str, Any]) -> str:
+    """The halves' figure, or in brackets that of the solve itself, where the halves could not be solved."""
+    now = found.get("after", {})
+    if now.get("held_out_px") is None and now.get("held_out_own_px") is not None:
+        return f"{_number(found.get('before', {}).get('held_out_px'))} → ({_number(now['held_out_own_px'])})"
+    return _change(found, "held_out_px")
 
 
 PUBLISHED = {"zhaocongyang": (np.array([-0.13051671, -6.3959525, 1.0]), 304.91858)}

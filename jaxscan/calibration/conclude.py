@@ -88,7 +88,7 @@ def conclude(
             quality = replace(quality, sigma_statistical=dict(zip(every[:count], sigma.tolist(), strict=True)))
         structure = [(harm.test, harm.steps[:, :count]) for harm in harms]
         good_to, tests = measure_good_to(camera, scanner, root_of(noise[:count, :count]), structure, settings.at_m)
-        refused = refusal(good_to, camera, settings)
+        refused = refusal(good_to, camera, settings, has_sheets=bool(lasers))
         quality = replace(
             quality,
             lengths=None if scanner is None else predict_lengths(scanner),

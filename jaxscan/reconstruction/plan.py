@@ -206,6 +206,11 @@ def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:
             "The sweep moves, and the calibration holds camera and sheet without a motion; calibrate with placements "
             'of the board, or say carries = "nothing" for profiles in the frame of the camera.'
         )
+    if known == "linear" and sweep.carries is None:
+        raise CalibrationError(
+            "The calibration is that of a linear stage, and the sweep does not say what moves, so its positions count "
+            'as angles; say carries = "linear", with `position_m` in every record.'
+        )
     if known != "nothing" and sweep.carries is not None and sweep.carries != known:
         if {known, sweep.carries} == {"scanner", "object"}:
             raise CalibrationError(

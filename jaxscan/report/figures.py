@@ -234,8 +234,8 @@ def board(calibration: Calibration) -> Html | None:
     before, after = found.held_out_rms_parabola_px, found.held_out_rms_px
     if found.free != "parabola" and before is not None and after is not None:
         lines.append(
-            f"With it, the corners of views that had no part in the solve are {after:.3f} px off; with a bow alone they "
-            f"are {before:.3f} px off."
+            f"With it, the corners of views that had no part in the solve are {after:.3f} px off; with a bow alone "
+            f"they are {before:.3f} px off."
         )
     drawn = _figure(
         board_map(found, corners, observations.board.square),

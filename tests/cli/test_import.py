@@ -126,6 +126,12 @@ def test_two_lasers(run, tmp_path):
     assert [laser.name for laser in open_capture(tmp_path / "two").lasers] == ["a", "b"]
 
 
+def test_a_missing_image_on_either_side_pairs_no_wrong_steps(refused, tmp_path):
+    save(tmp_path / "in", [f"l_{k}.png" for k in (0, 1, 2, 4)] + [f"b_{k}.png" for k in (0, 1, 3, 4)])
+    message = refused("import", tmp_path / "in", "-o", tmp_path / "a", "--on", "l_*", "--off", "b_*", "--step-deg", "1")
+    assert "without a partner: l_2.png; too many: b_3.png" in message
+
+
 def test_layouts_of_programs(run, tmp_path):
     """The names that FabScanPi and thot give, after their sources."""
     scan = "20200101-101010"
@@ -137,12 +143,12 @@ def test_layouts_of_programs(run, tmp_path):
     # One laser picture more than the pictures of a turn.
     np.testing.assert_allclose(np.degrees(capture.angles), [0, 90, 180, 270, 360])
     assert not capture.records[0].off and any("JPEG" in note for note in capture.notes)
-    names = [f"capture/{kind}_{k:03d}.png" for kind in ("color", "laser0", "laser1") for k in (0, 1, 2, 4)]
+    names = [f"capture/{kind}_{k:03d}.png" for kind in ("color", "laser0", "laser1") for k in (0, 2, 4, 8)]
     save(tmp_path / "thot", names)
     ran = run("import", tmp_path / "thot", "-o", tmp_path / "b")
     assert ran.code == 0 and "the layout is that of thot" in ran.out
     capture = open_capture(tmp_path / "b")
-    np.testing.assert_allclose(np.degrees(capture.angles), np.repeat([0.0, 1, 2, 4], 2))
+    np.testing.assert_allclose(np.degrees(capture.angles), np.repeat([0.0, 2, 4, 8], 2))
     (chunk,) = capture.chunks(8)
     assert np.array_equal(chunk.on, FRAMES[[4, 8, 5, 9, 6, 10, 7, 11]])
     assert np.array_equal(chunk.off, FRAMES[[0, 0, 1, 1, 2, 2, 3, 3]])

@@ -105,7 +105,8 @@ def by_file(path: Path, names: Sequence[str]) -> tuple[list[Place], str]:
         return plain, f"from {path.name}"
     missing = [name for name in names if name not in named and name.rpartition("/")[2] not in named]
     if missing:
-        raise CaptureError(f"{path}: no line for {missing[0]}, and for {len(missing) - 1} more images.")
+        more = f", and for {len(missing) - 1} more images" if len(missing) > 1 else ""
+        raise CaptureError(f"{path}: no line for {missing[0]}{more}.")
     return [named.get(name) or named[name.rpartition("/")[2]] for name in names], f"from {path.name}, by name"
 
 
