@@ -9,7 +9,9 @@ from jaxscan.calibration import (
     Calibration,
     CalibrationSettings,
     KnownParts,
+    Missed,
     Rig,
+    advise_lens,
     calibrate_observations,
     choose,
     planned_rig,
@@ -109,9 +111,14 @@ def calibrate(
         again = look_again(captures, seen, solved_rig(result), eyes.to_grey, progress=progress)
         second = calibrate_observations(to_observations(captures, again), settings=settings, known=known)
         result, gains = choose(result, second)
-        if not gains.kept:
+        if gains.kept:
+            seen = again
+        else:
             result = calibrate_observations(to_observations(captures, seen), settings=settings, known=known)
         result = replace(result, quality=replace(result.quality, redetected=gains))
+    result = advise_lens(result, settings)
+    missed = tuple(Missed(*record) for record in seen.missed())
+    result = replace(result, quality=replace(result.quality, records=len(seen.records), missed=missed))
     provenance = {
         **result.provenance,
         "captures": [{"name": capture.path.name, "digest": capture.digest()} for capture in captures],

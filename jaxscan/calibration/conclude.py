@@ -21,6 +21,7 @@ from jaxscan.calibration.verdict import (
     Verdict,
     advise,
     chance,
+    cure_causes,
     cures,
     describe_quality,
     find_harm,
@@ -87,7 +88,7 @@ def conclude(
             quality = replace(quality, sigma_statistical=dict(zip(every[:count], sigma.tolist(), strict=True)))
         structure = [(harm.test, harm.steps[:, :count]) for harm in harms]
         good_to, tests = measure_good_to(camera, scanner, root_of(noise[:count, :count]), structure, settings.at_m)
-        refused = refusal(good_to, camera, settings)
+        refused = refusal(good_to, camera, settings, has_sheets=bool(lasers))
         quality = replace(
             quality,
             lengths=None if scanner is None else predict_lengths(scanner),
@@ -98,7 +99,7 @@ def conclude(
                 chance([test.p for test in tests]),
                 chance([test.p_structure for test in tests]),
                 tests,
-                advise(result, quality.unobserved),
+                (*cure_causes(tests, good_to, settings), *advise(result, quality.unobserved)),
             ),
         )
     return Calibration(

@@ -26,6 +26,7 @@ _TURN_MORE = (
     "leave the board standing and turn the table between images (same `placement`, other `angle_deg`): 4 placements "
     "at 9 table angles each"
 )
+IN_JOURNAL = "in the journal"
 _LIGHT_MORE = "capture each board pose with the laser on and off"
 
 
@@ -63,7 +64,7 @@ def _sheets(lasers: Sequence[str]) -> list[str]:
 
 
 def largest_rig(
-    held: Holdings, only: RigKind | None = None, known: KnownParts = NOTHING_KNOWN, *, seen: str = "in the journal"
+    held: Holdings, only: RigKind | None = None, known: KnownParts = NOTHING_KNOWN, *, seen: str = IN_JOURNAL
 ) -> Rig:
     """The largest rig that a capture determines, or the smaller one that is asked for.
 
@@ -88,8 +89,9 @@ def largest_rig(
         dark = [name for name in held.lit if name not in lasers]
         if not held.lit:
             missing.append(f"no sheet: the header lists no [[laser]]; list it, and {_LIGHT_MORE}")
+        unlit = "no record has it lit" if seen == IN_JOURNAL else f"its stripe was not seen {seen}"
         for name in dark:
-            missing.append(f"no sheet of laser {name!r}: its stripe was not seen {seen}; {_LIGHT_MORE}")
+            missing.append(f"no sheet of laser {name!r}: {unlit}; {_LIGHT_MORE}")
     moves = only not in ("camera", "profile") and held.carries != "nothing" and (held.moved or known.motion is not None)
     if only not in ("camera", "profile") and held.carries != "nothing" and not moves:
         places = "positions of the stage" if held.carries == "linear" else "table angles"
@@ -113,7 +115,7 @@ def planned_rig(captures: Sequence[BoardSource], only: RigKind | None = None, kn
     records = [record for capture in captures for record in capture.records]
     if known.camera is None and len(records) < MIN_VIEWS:
         raise CalibrationError(
-            f"The captures have {len(records)} record(s), and a camera needs at least {MIN_VIEWS} views of the board: "
+            f"The captures have {len(records)} view(s) of the board, and a camera needs at least {MIN_VIEWS}: "
             "capture 10 or more, tilted by 20 to 45 degrees in different directions, or give a known camera."
         )
     first = captures[0]

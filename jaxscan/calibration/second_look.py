@@ -36,11 +36,11 @@ def solved_rig(calibration: Calibration) -> SolvedRig:
     )
 
 
-def _believed(observations: Observations) -> tuple[bool, ...]:
-    """Whether the lines on most boards lie on the sheet of each laser: a stripe elsewhere has a row without a point."""
+def _believed(observations: Observations) -> tuple[str, ...]:
+    """The lasers on whose sheet the lines of most boards lie: a stripe elsewhere has a row without a point."""
     laser, found = np.asarray(observations.stripes.laser), np.any(np.asarray(observations.stripes.valid), axis=1)
-    shares = [found[laser == index] for index in range(len(observations.laser_names))]
-    return tuple(bool(share.sum() > _BELIEVED * len(share)) for share in shares)
+    own = {name: found[laser == index] for index, name in enumerate(observations.laser_names)}
+    return tuple(name for name, lit in own.items() if lit.sum() > _BELIEVED * len(lit))
 
 
 def choose(first: Calibration, second: Calibration) -> tuple[Calibration, SecondLook]:

@@ -45,7 +45,8 @@ def calibrate(
 ) -> None:
     """Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.
 
-    The first line says what the calibration is good for. The exit code is 1 if it cannot be used at all, because its
+    The first line says which parts of the rig the captures determine; the first line of the result says to how many
+    millimetres or pixels it is good. The exit code is 1 if it cannot be used at all, because its
     solve did not converge or its points are off by more than 5 % of their distance, or if it breaks a limit. The file
     is written in any case.
 
@@ -95,8 +96,9 @@ def calibrate(
         out.print(sentence)
     with progress_bar("Looking for boards") as progress:
         result = api.calibrate(opened, settings=settings, known=known, redetect=redetect, progress=progress)
+    told = {_part(sentence) for sentence in plan.missing}
     for sentence in result.missing:
-        if sentence not in plan.missing:
+        if _part(sentence) not in told:
             out.print(sentence, style="yellow")
     api.save_calibration(result, output)
     files = {"calibration": str(output)}
@@ -110,6 +112,11 @@ def calibrate(
     first = words.headline(result)
     if first.kind == "bad":
         raise CalibrationError(f"{output}: written, but {first.headline.lower()}. {first.explanation}")
+
+
+def _part(sentence: str) -> str:
+    """The part of the rig that a sentence says is missing."""
+    return sentence.partition(":")[0]
 
 
 def _held(known: KnownParts) -> str:

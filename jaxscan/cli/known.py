@@ -58,8 +58,14 @@ def _sheets(words: Sequence[str], names: Sequence[str]) -> tuple[LaserSheet, ...
         if scanner is None or not scanner.laser_names:
             raise OptionError(f"--sheet: {words[0]} holds no laser sheet, expected a calibration with one.")
         known = scanner.laser_names
-        order = [known.index(name) for name in names] if set(names) <= set(known) else range(len(known))
-        return tuple(scanner.laser(index) for index in order)
+        if set(names) <= set(known):
+            return tuple(scanner.laser(known.index(name)) for name in names)
+        if len(known) > 1:
+            raise OptionError(
+                f"--sheet: {words[0]} has the lasers {', '.join(known)}, the capture {', '.join(names) or 'none'}; "
+                "give the planes as numbers, in the order of the capture's lasers."
+            )
+        return (scanner.laser(0),)
     values = _numbers("--sheet", words, 4 * max(len(names), 1), "a b c d of the plane a X + b Y + c Z = d")
     try:
         return tuple(LaserSheet.from_plane(plane[:3], plane[3]) for plane in values.reshape(-1, 4))
@@ -79,7 +85,7 @@ def _motion(words: Sequence[str], carries: str) -> AbstractMotion:
     try:
         if linear:
             return LinearStage.from_direction(values)
-        return Turntable.from_axis(values[3:], values[:3]).carrying("object" if carries == "object" else "scanner")
+        return Turntable.from_axis(values[3:], values[:3], carries="object" if carries == "object" else "scanner")
     except ValueError as problem:
         raise OptionError(f"--axis: {problem}.") from problem
 

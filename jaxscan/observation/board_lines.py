@@ -24,7 +24,9 @@ _MAX_FOUND = 20
 # give by so many standard deviations.
 _MIN_POINTS = 8
 _MIN_SHARE = 0.2
-_BY_CHANCE = 5.0
+_BY_CHANCE = 8.0
+# Share of the image's lines between its ends on which it has a point.
+_MIN_DENSITY = 0.25
 # A line that keeps so close to one edge or middle of squares [px] with this share of its points is print.
 _EDGE_PX = 1.5
 _EDGE_SHARE = 0.9
@@ -113,7 +115,8 @@ def find_lines(
         own = near <= tolerance
         if own.sum() < max(_MIN_POINTS, least):
             break
-        if not (print_shows and _is_printed(xy[own], slope[own], view, _EDGE_PX + _MAP_ERRORS * error)):
+        dense = len(np.unique(line[own])) > _MIN_DENSITY * np.ptp(line[own])
+        if dense and not (print_shows and _is_printed(xy[own], slope[own], view, _EDGE_PX + _MAP_ERRORS * error)):
             lines.append(_nearest(near, number, line, tolerance, found.u.shape[1]))
         free &= near > 2.0 * tolerance
     on_path = lambda taken: int(((taken >= 0) & (taken == found.chosen)).sum())

@@ -20,6 +20,7 @@ from jaxscan.stripes import (
     NoiseModel,
     StripeSettings,
     estimate_noise,
+    predict_off,
     prepare_engines,
     with_colour,
 )
@@ -123,11 +124,11 @@ def _extract(
     padded = [views[min(k, len(views) - 1)] for k in range(BATCH_RECORDS)]
     on = np.stack([view.on for view in padded if view.on is not None])
     dark = [view.off for view in padded if view.off is not None]
-    off = np.stack(dark) if dark else None
+    off = np.stack(dark) if dark else predict_off(on, capture.pixel_format, line)
     frames = FrameFormat(capture.pixel_format, capture.response)
     # Estimated from whole frames: outside the band there would be no noise.
     noise = views[0].noise or estimate_noise(on, off, **vars(frames), line=line)
-    if rig is not None and off is not None and rig.believed[views[0].laser]:
+    if rig is not None and line.name in rig.believed:
         near = np.stack([_band(view, rig, line) for view in padded])
         on = np.where(near if on.ndim == 3 else near[..., None], on, off)
     size = int(on.shape[2]), int(on.shape[1])

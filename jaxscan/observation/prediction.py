@@ -44,8 +44,8 @@ class SolvedRig(NamedTuple):
     """bool [views]: the solve used corners of that view."""
     corner_rms_px: float
     """Root mean square residual of the corners."""
-    believed: tuple[bool, ...] = ()
-    """Of each sheet whether most boards agree with it, so that stripes need be looked for near it only."""
+    believed: tuple[str, ...] = ()
+    """The lasers with whose sheet most boards agree: their stripes are looked for near it only."""
     bend: np.ndarray = np.zeros(0)
     """Coefficients of the board's `bend_functions` [m]; empty for a parabola."""
     offset: np.ndarray = np.zeros((0, 3))

@@ -8,6 +8,7 @@ import numpy as np
 from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
 from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.missed import Light
 from jaxscan.observation.stripes_on_board import BoardStripe
 from jaxscan.stripes import LaserLine, NoiseModel, PixelFormat, Response
 
@@ -97,6 +98,8 @@ class SeenRecord(NamedTuple):
     """Noise of its frames, known once stripes were looked for."""
     pose: np.ndarray | None = None
     """T_cam_board [4, 4] from a first solve."""
+    light: Light | None = None
+    """How the image is exposed and focused; None without an image."""
 
     @staticmethod
     def read(captures: Sequence[BoardSource], number: int, index: int, to_grey: ToGrey) -> "SeenRecord":

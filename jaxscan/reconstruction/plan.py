@@ -206,7 +206,17 @@ def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:
             "The sweep moves, and the calibration holds camera and sheet without a motion; calibrate with placements "
             'of the board, or say carries = "nothing" for profiles in the frame of the camera.'
         )
+    if known == "linear" and sweep.carries is None:
+        raise CalibrationError(
+            "The calibration is that of a linear stage, and the sweep does not say what moves, so its positions count "
+            'as angles; say carries = "linear", with `position_m` in every record.'
+        )
     if known != "nothing" and sweep.carries is not None and sweep.carries != known:
+        if {known, sweep.carries} == {"scanner", "object"}:
+            raise CalibrationError(
+                f"The table of the sweep carries the {sweep.carries}, that of the calibration the {known}; use a "
+                "calibration made in the same arrangement."
+            )
         raise CalibrationError(
             f'The sweep says carries = "{sweep.carries}", the calibration "{known}"; use a calibration made in the '
             "same arrangement."

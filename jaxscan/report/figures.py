@@ -8,6 +8,7 @@ from jaxscan.calibration import Calibration, Fit
 from jaxscan.calibration.verdict import JudgedView, is_held_by_priors, judge_views, stripe_depths, stripe_pixels
 from jaxscan.observation import Observations
 from jaxscan.report import image_plots, residual_plots, uncertainty_plots, words
+from jaxscan.report.board_plots import board_map
 from jaxscan.report.drawing import as_svg
 from jaxscan.report.html import Html, element, joined, section, table
 from jaxscan.report.tables import view_columns, view_rows
@@ -207,6 +208,43 @@ def _panels(judged: list[JudgedView], observations: Observations, fit: Fit) -> H
         title = f"{len(more)} more views" + (f"; {left} better ones are not drawn" if left > 0 else "")
         parts.append(element("details", element("summary", title), element("div", *more, class_="panels")))
     return joined(parts)
+
+
+_SHAPES = {
+    "parabola": "a bow along x and along y",
+    "bent": "a bow and polynomial heights",
+    "smooth": "polynomial heights, and a print that is out of place by polynomials",
+    "corners": "a height and a place of its own for every corner",
+}
+
+
+def board(calibration: Calibration) -> Html | None:
+    """The shape of the calibration board."""
+    found, observations = calibration.quality.board, calibration.observations
+    if found is None or observations is None or not any(found.height_m):
+        return None
+    corners = observations.board.corners()
+    if not len(found.height_m) == len(found.shift_m) == len(found.height_sigma_m) == len(corners):
+        return None
+    sigma = 1e3 * float(np.sqrt(np.mean(np.square(found.height_sigma_m))))
+    lines = [
+        f"The board is {1e3 * found.rms_off_flat_m:.3f} mm off its best plane (root mean square over the corners; "
+        f"standard deviation of one corner {sigma:.3f} mm). Its shape in the solve: {_SHAPES.get(found.free, '')}."
+    ]
+    before, after = found.held_out_rms_parabola_px, found.held_out_rms_px
+    if found.free != "parabola" and before is not None and after is not None:
+        lines.append(
+            f"With it, the corners of views that had no part in the solve are {after:.3f} px off; with a bow alone "
+            f"they are {before:.3f} px off."
+        )
+    drawn = _figure(
+        board_map(found, corners, observations.board.square),
+        "board",
+        "Map of the board's heights and of the places of its corners",
+        "Heights of the corners over the best plane, in millimetres. Arrows lead from where a corner should be printed "
+        "to where it is, enlarged.",
+    )
+    return section("Shape of the board", element("p", " ".join(lines)), element("div", drawn, class_="figures"))
 
 
 def correlations(calibration: Calibration) -> Html | None:

@@ -36,7 +36,7 @@ def calibration_page(calibration: Calibration, *, notes: tuple[str, ...] = ()) -
             parts.append(figures.distributions(fit))
     parts.append(figures.views(calibration))
     if concluded:
-        parts += [figures.correlations(calibration), figures.spectrum(calibration)]
+        parts += [figures.board(calibration), figures.correlations(calibration), figures.spectrum(calibration)]
     parts += [_quality(calibration), _provenance(calibration)]
     return page("Calibration report", *(part for part in parts if part))
 
@@ -88,7 +88,9 @@ def _verdict(calibration: Calibration) -> Html:
 
 
 def _remarks(calibration: Calibration) -> Html:
-    parts = [bullets([*words.noise_lines(calibration), *words.second_look(calibration)])]
+    parts = [
+        bullets([*words.board_lines(calibration), *words.noise_lines(calibration), *words.second_look(calibration)])
+    ]
     bad = [f"Record {view.record}: {view.why}" for view in words.bad_views(calibration)]
     for title, lines in (
         ("Warnings", words.warnings(calibration)),

@@ -36,6 +36,10 @@ TESTS = {
 """The question of each test of the verdict, and the cause of harm when it finds structure."""
 
 
+# Records that are named in one line.
+_NAMED = 12
+
+
 class Headline(NamedTuple):
     """The first sentences of a report."""
 
@@ -162,6 +166,22 @@ def _promise(ratio: float, source: str) -> str:
         "quiet": f"{times}: less noise than promised",
         "promised": f"as the {source} promised (ratio {ratio:.2f})",
     }[noise_kind(ratio)]
+
+
+def board_lines(calibration: Calibration) -> list[str]:
+    """In how many records the board was found, and the others by their likely reasons."""
+    of = calibration.quality
+    if not of.records:
+        return []
+    reasons: dict[str, list[int]] = {}
+    for missed in of.missed:
+        reasons.setdefault(missed.why, []).append(missed.record)
+    lines = [f"Board found in {of.records - len(of.missed)} of {of.records} records."]
+    for why, records in sorted(reasons.items(), key=lambda item: -len(item[1])):
+        more = f" and {len(records) - _NAMED} more" if len(records) > _NAMED else ""
+        several = "records" if len(records) > 1 else "record"
+        lines.append(f"Not found in {several} {', '.join(map(str, records[:_NAMED]))}{more}: {why}.")
+    return lines
 
 
 def second_look(calibration: Calibration) -> list[str]:

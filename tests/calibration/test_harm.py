@@ -111,6 +111,9 @@ def test_the_cause_is_named_first(trials):
     for _, one, _ in found:
         effects = {test.name: test.effect_mm for test in one.quality.verdict.tests if test.effect_mm is not None}
         assert max(effects, key=effects.get) == name
+        advice = {"board": "free the board's shape", "axis": "can move while the table turns", "sheet": "`--free bow`"}
+        if effects[name] > 0.5 * one.quality.verdict.good_to.sigma_mm and name in advice:
+            assert advice[name] in one.quality.verdict.advice[0]
 
 
 def test_the_parts_add_up(trials):
@@ -183,6 +186,7 @@ class TestRefusal:
             (GoodTo(0.99, 0.5, 2.0, 0.1, 0.1), {"limit_mm": 1.0, "limit_px": 0.2}, None),
             (GoodTo(0.99, 0.5, 2.0, 0.25, 0.1), {"limit_px": 0.2}, "0.2 px were asked, and its rays are good to 0.25"),
             (GoodTo(sigma_px=0.1), {"limit_mm": 1.0, "at_m": 9.0}, "no stripe is in the image at 9 m"),
+            (GoodTo(sigma_px=0.1), {"limit_mm": 1.0}, "no stripe is within reach"),
         ],
     )
     def test_only_what_is_of_no_use_or_beyond_a_limit(self, good_to, limits, said):

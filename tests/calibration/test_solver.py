@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings
-from jaxscan.calibration.parameters import BLOCKS, BOARD_BLOCKS
+from jaxscan.calibration.parameters import BLOCKS, board_blocks
 from jaxscan.calibration.solve.assemble import parameter_scales, prior_weights
 from jaxscan.calibration.solve.covariance import linearise
 from jaxscan.calibration.solve.levenberg_marquardt import form_blocks, jacobian_columns, schur_step
 from jaxscan.calibration.solve.prepare import prepare
-from jaxscan.calibration.solve.problem import Problem, Step, camera_from_board, move, zero_step
+from jaxscan.calibration.solve.problem import BoardModes, Problem, Step, camera_from_board, move, zero_step
 from jaxscan.calibration.solve.residuals import residuals
 from jaxscan.calibration.solve.rows import stripe_rows
 from jaxscan.geometry import LaserSheet, Pinhole, Turntable, exponential, make_layout, stack_lasers
 
 
-LAYOUT = make_layout(Pinhole(1.0, 1.0, 0.0, 0.0, np.zeros(8), 1, 1), ("0",), board=BOARD_BLOCKS)
+LAYOUT = make_layout(Pinhole(1.0, 1.0, 0.0, 0.0, np.zeros(8), 1, 1), ("0",), board=board_blocks(3))
 
 
 @pytest.fixture(scope="module")
@@ -38,18 +38,26 @@ def problem(world):
     pose = jax.jit(exponential)
     poses = np.array([np.asarray(pose(np.array([-0.1, -0.1, 0.9 + 0.1 * i, 0.3, -0.2 * i, 0.1]))) for i in range(4)])
     half = np.ptp(rig.board.corners()[:, :2], axis=0) / 2
+    # A twist, a cubic along x, and a print out of place.
+    a, b = ((data.board[pick, :2] - half) / half).T
+    coefficients = np.zeros((2, 28))
+    coefficients[0, 4], coefficients[1, 6] = 3e-4, 2e-4
+    places = np.zeros((9, 3, 3))
+    places[:, 2, 0], places[:, 2, 1] = 3e-4 * a * b, 2e-4 * (4 * a**3 - 3 * a)
+    places[:, :2, 2] = 1e-4 * np.random.default_rng(0).normal(size=(9, 2))
     settings = CalibrationSettings(free=BLOCKS)
     return Problem(
         camera=camera,
         lasers=stack_lasers([sheet]),
         turntable=table,
         poses=poses,
-        shape=np.array([1e-3, -5e-4, 2e-4]),
+        shape=np.array([1e-3, -5e-4, 2e-4, 0.5, -0.3, 0.2]),
         scales=parameter_scales(LAYOUT, settings.free),
         expected=np.linspace(0, 1, len(LAYOUT.names)),
         prior_weight=prior_weights(LAYOUT, settings),
         board=data.board[pick],
         frame=np.concatenate([half, half]),
+        modes=BoardModes(places, coefficients),
         corner_q=data.corner_q[:5, pick],
         corner_weight=np.full((5, 9), 10.0),
         angle=data.angle[:5],
@@ -149,7 +157,9 @@ def test_stripe_rows_are_the_distance_of_the_lifted_point_from_the_sheet(problem
                 middle = 0.5 * (low + high)
                 x, y, z = still + middle * along
                 a, b = (x - problem.frame[0]) / problem.frame[2], (y - problem.frame[1]) / problem.frame[3]
+                cubic = 4 * a**3 - 3 * a if abs(a) <= 1 else np.sign(a) * (1 + 9 * (abs(a) - 1))
                 height = problem.shape[0] * (1 - a * a) + problem.shape[1] * (1 - b * b)
+                height += 3e-4 * problem.shape[3] * a * b + 2e-4 * problem.shape[4] * cubic
                 low, high = (middle, high) if (z - height) * along[2] < 0 else (low, middle)
             return float(to_sheet(middle * ray))
 

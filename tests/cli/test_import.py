@@ -126,6 +126,12 @@ def test_two_lasers(run, tmp_path):
     assert [laser.name for laser in open_capture(tmp_path / "two").lasers] == ["a", "b"]
 
 
+def test_a_missing_image_on_either_side_pairs_no_wrong_steps(refused, tmp_path):
+    save(tmp_path / "in", [f"l_{k}.png" for k in (0, 1, 2, 4)] + [f"b_{k}.png" for k in (0, 1, 3, 4)])
+    message = refused("import", tmp_path / "in", "-o", tmp_path / "a", "--on", "l_*", "--off", "b_*", "--step-deg", "1")
+    assert "without a partner: l_2.png; too many: b_3.png" in message
+
+
 def test_layouts_of_programs(run, tmp_path):
     """The names that FabScanPi and thot give, after their sources."""
     scan = "20200101-101010"
@@ -137,12 +143,12 @@ def test_layouts_of_programs(run, tmp_path):
     # One laser picture more than the pictures of a turn.
     np.testing.assert_allclose(np.degrees(capture.angles), [0, 90, 180, 270, 360])
     assert not capture.records[0].off and any("JPEG" in note for note in capture.notes)
-    names = [f"capture/{kind}_{k:03d}.png" for kind in ("color", "laser0", "laser1") for k in (0, 1, 2, 4)]
+    names = [f"capture/{kind}_{k:03d}.png" for kind in ("color", "laser0", "laser1") for k in (0, 2, 4, 8)]
     save(tmp_path / "thot", names)
     ran = run("import", tmp_path / "thot", "-o", tmp_path / "b")
     assert ran.code == 0 and "the layout is that of thot" in ran.out
     capture = open_capture(tmp_path / "b")
-    np.testing.assert_allclose(np.degrees(capture.angles), np.repeat([0.0, 1, 2, 4], 2))
+    np.testing.assert_allclose(np.degrees(capture.angles), np.repeat([0.0, 2, 4, 8], 2))
     (chunk,) = capture.chunks(8)
     assert np.array_equal(chunk.on, FRAMES[[4, 8, 5, 9, 6, 10, 7, 11]])
     assert np.array_equal(chunk.off, FRAMES[[0, 0, 1, 1, 2, 2, 3, 3]])
@@ -166,15 +172,31 @@ def test_angles_from_a_file(pairs, run, refused, tmp_path):
     np.testing.assert_allclose(np.degrees(open_capture(tmp_path / "b").angles), np.arange(12.0) ** 2)
     wrong = ("import", folder, "-o", tmp_path / "c", *PATTERNS, "--angles", angles)
     for text, said in (
-        ("1\n2\n", "found 2 angles, expected one for each of 12 images"),
+        ("1\n2\n", "found 2 lines, expected one for each of 12 images"),
         ("1\nnan\n", "line 2: found 'nan'"),
         ("l_0.png 1\n2\n", "some lines have a name"),
         ("l_0.png 1\n", "no line for l_1.png"),
         ("1 2 3 4\n", "line 1"),
-        ("-\n" * 12, "an angle is unknown"),
+        ("-\n" * 12, "a place is unknown"),
     ):
         angles.write_text(text)
         assert said in refused(*wrong)
+
+
+def test_a_linear_stage_and_a_scanner_that_stands_still(pairs, run, refused, tmp_path):
+    folder, _ = pairs
+    stage = ("--carries", "linear")
+    assert run("import", folder, "-o", tmp_path / "a", *PATTERNS, *stage, "--step-mm", "2.5").code == 0
+    np.testing.assert_allclose(open_capture(tmp_path / "a").angles, 0.0025 * np.arange(12))
+    (tmp_path / "mm.txt").write_text("".join(f"{k * k}\n" for k in range(12)))
+    assert run("import", folder, "-o", tmp_path / "b", *PATTERNS, *stage, "--positions", tmp_path / "mm.txt").code == 0
+    np.testing.assert_allclose(open_capture(tmp_path / "b").angles, 0.001 * np.arange(12) ** 2)
+    assert run("import", folder, "-o", tmp_path / "c", *PATTERNS, "--carries", "nothing").code == 0
+    assert open_capture(tmp_path / "c").carries == "nothing"
+    words = ("import", folder, "-o", tmp_path / "d", *PATTERNS)
+    assert "--step-mm: is needed" in refused(*words, *stage)
+    assert "--step-deg: is for --carries scanner or object" in refused(*words, *stage, "--step-deg", "1")
+    assert "--step-mm: is for --carries linear" in refused(*words, "--step-mm", "1")
 
 
 def test_placements_of_a_board(run, tmp_path):

@@ -167,6 +167,6 @@ def test_two_records_are_refused_before_any_image_is_read(folder, refused):
     plain_rig.board_capture(few, "", lit=False, free=2, placements=0)
     for image in (few / "off").iterdir():
         image.write_bytes(image.read_bytes()[:200])
-    assert "The captures have 2 record(s), and a camera needs at least 3" in refused(
+    assert "The captures have 2 view(s) of the board, and a camera needs at least 3" in refused(
         "calibrate", few, "-o", folder / "no.json"
     )

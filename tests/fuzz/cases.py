@@ -143,9 +143,9 @@ def _import(draft: Draft) -> Case:
             break
     patterns = ("on/*.png", "off/*", "*", "../*", "/etc/*", "[", "[!]", "*" * 300, "on/00000?.png", strange_name(rng))
     words = ["import", str(folder), "-o", draft.output("new")]
-    words += rng.choice((["--step-deg", "1"], ["--angles", str(folder / "angles.txt")], []))
+    words += rng.choice((["--step-deg", "1"], ["--step-deg", "1"], ["--angles", str(folder / "angles.txt")], []))
     for option in ("--on", "--off", "--boards"):
-        if rng.random() < 0.3:
+        if rng.random() < 0.12:
             words += [option, *(rng.choice(patterns) for _ in range(rng.choice((1, 1, 2))))]
     if rng.random() < 0.2:
         words += [

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration import Quality, SecondLook
+from jaxscan.calibration import Missed, Quality, SecondLook
 from jaxscan.calibration.verdict import BoardMap, GoodTo, Lengths, judge_views
 from jaxscan.report import Parameter, outcome_rows, parameters, quality_rows, words
 from jaxscan.report.tables import view_rows
@@ -131,6 +131,17 @@ def test_whitened_residuals_in_words(calibration, ratio, said):
     assert said in corners and f"{ratio:.2f}" in corners
     assert corners.startswith("Corners: 120, 0.8 % rejected; RMS 0.140 px")
     assert stripes.startswith("Stripes: 480, none rejected")
+
+
+def test_records_without_the_board_and_the_likely_reasons(calibration):
+    missed = [Missed(number, "too dark") for number in range(14)] + [Missed(40, "blurred")]
+    first, *others = words.board_lines(having(calibration, records=121, missed=tuple(missed)))
+    assert first == "Board found in 106 of 121 records."
+    assert others == [
+        "Not found in records 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11 and 2 more: too dark.",
+        "Not found in record 40: blurred.",
+    ]
+    assert words.board_lines(having(calibration, records=None)) == []
 
 
 def test_second_look(calibration):

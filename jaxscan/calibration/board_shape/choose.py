@@ -18,7 +18,7 @@ FreeShape = Literal["parabola", "bent", "smooth", "corners"]
 _LEAST_PLACEMENTS = 8
 # A shape must raise the likelihood of the views left out by this much (natural logarithm) ...
 _LEAST_GAIN = 10.0
-# ... and in the mean over placements by this many of its standard errors.
+# ... and be better for more placements than half of them by this many standard deviations of a toss-up.
 _LEAST_SIGNIFICANCE = 2.0
 # Single corners take their time: the residuals left out must promise to fall by this factor.
 _WORTH = 0.95
@@ -70,7 +70,8 @@ def choose_shape(
             found = _solved(result, corners, settings)
             if found is not None and _is_better(hold_out(found)[0], before, result):
                 return found, ShapeChoice("corners", _rms(before), _rms(hold_out(found)[0]))
-    best, last, free = result, before, "parabola"
+    best, last = result, before
+    free: FreeShape = "parabola"
     for name, modes in shapes:
         promise = hold_out(best, (modes,))[1]
         found = _solved(best, modes, settings) if _is_better(promise, last, best) else None
@@ -96,8 +97,9 @@ def _is_better(after: HeldOut, before: HeldOut, result: Adjustment) -> bool:
     used = both.any(1)
     owner = np.unique(result.data.placement[used], return_inverse=True)[1]
     gain = np.bincount(owner, (squares(before) - squares(after))[used])
-    error = float(np.std(gain, ddof=1)) * np.sqrt(len(gain))
-    return float(gain.sum()) / 2 > _LEAST_GAIN and float(gain.sum()) > _LEAST_SIGNIFICANCE * error
+    # Most placements must agree: a count, because few of them have most of the views.
+    agreeing = 2 * np.count_nonzero(gain > 0) - len(gain)
+    return float(gain.sum()) / 2 > _LEAST_GAIN and agreeing > _LEAST_SIGNIFICANCE * np.sqrt(len(gain))
 
 
 def _rms(held: HeldOut) -> float:

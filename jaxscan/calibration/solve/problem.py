@@ -50,7 +50,7 @@ class Problem(eqx.Module):
     """The motion between the views of a placement; `Still` where every view is a placement of its own."""
     poses: Float[Array, "placements 4 4"]
     """T_cam0_board of every placement."""
-    shape: Float[Array, " 3+modes"]
+    shape: Float[Array, " numbers"]
     """Height kx, ky [m] of the board's bow along its x and y (z into the board), the relative error
     of its pitch [1], and sizes of the modes [1]."""
     scales: Float[Array, " shared"]

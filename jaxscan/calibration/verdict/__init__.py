@@ -1,6 +1,6 @@
 """Is a calibration good? Tests of its models, the harm that they find, its uncertainty in lengths, advice, limits."""
 
-from jaxscan.calibration.verdict.advice import advise, cures
+from jaxscan.calibration.verdict.advice import advise, cure_causes, cures
 from jaxscan.calibration.verdict.describe import describe_quality, warn
 from jaxscan.calibration.verdict.good_to import measure_good_to, refusal, root_of
 from jaxscan.calibration.verdict.harm import Harm, find_harm
@@ -23,6 +23,7 @@ from jaxscan.calibration.verdict.quality import (
     LaserLengths,
     Lengths,
     LengthSigma,
+    Missed,
     ModelTest,
     PriorShare,
     Quality,

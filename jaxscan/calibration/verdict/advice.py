@@ -4,7 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjust import Adjustment
+from jaxscan.calibration.verdict.limits import is_named
+from jaxscan.calibration.verdict.quality import GoodTo, ModelTest
 from jaxscan.geometry import CAMERAS, Turntable, coverage
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
 
@@ -48,6 +51,32 @@ def advise(result: Adjustment, unobserved: Sequence[dict[str, float]]) -> tuple[
     if isinstance(result.problem.turntable, Turntable):
         lines += _about_turning(result)
     return tuple(lines)
+
+
+def cure_causes(tests: Sequence[ModelTest], good_to: GoodTo, settings: CalibrationSettings) -> tuple[str, ...]:
+    """Advice against the causes that are worth a word, the largest first.
+
+    Args:
+        tests: With their effects.
+        good_to: The error that they are parts of.
+        settings: Of the solve: a block that is held can be freed.
+    """
+    rig, held = good_to.sigma_mm is not None, lambda block: block not in settings.free
+    whole = (good_to.sigma_mm if rig else good_to.sigma_px) or 0.0
+    effects = [((test.effect_mm if rig else test.effect_px) or 0.0, test.name) for test in tests]
+    lines = {
+        "board": "free the board's shape (do not hold `warp` or `shape`)"
+        if held("warp") or held("shape")
+        else "glue the board to something flat and stiff, and take more poses of it",
+        "table": "do not hold `harmonics`" if held("harmonics") else f"capture {_CURES[ANGLE_PARAMETERS]}",
+        "axis": "check that no board, camera or laser can move while the table turns, and its bearing for play",
+        "sheet": "let the sheet bow (`--free bow`)"
+        if held("bow")
+        else "look at the laser's line on a flat wall: is it straight?",
+        "halves": "take more poses of the board, evenly over image and distances",
+    }
+    named = [name for effect, name in sorted(effects, reverse=True) if is_named(effect, whole)]
+    return tuple(lines[name] for name in named if name in lines)
 
 
 def cures(unobserved: Sequence[dict[str, float]]) -> list[str]:

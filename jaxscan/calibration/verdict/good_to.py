@@ -65,11 +65,16 @@ def measure_good_to(
     return GoodTo(whole(mm), mm[0] if mm else None, depth, whole(px), px[0]), tuple(tests)
 
 
-def refusal(good_to: GoodTo, camera: AbstractCamera, settings: CalibrationSettings) -> str | None:
+def refusal(
+    good_to: GoodTo, camera: AbstractCamera, settings: CalibrationSettings, *, has_sheets: bool = True
+) -> str | None:
     """Why a calibration cannot be used; None where it can."""
     mm, px, at_m = good_to.sigma_mm, good_to.sigma_px, good_to.at_m
-    if settings.at_m is not None and mm is None and settings.limit_mm is not None:
-        return f"no stripe is in the image at {settings.at_m:g} m, where {settings.limit_mm:g} mm were asked"
+    if mm is None and settings.limit_mm is not None:
+        if not has_sheets:
+            return f"{settings.limit_mm:g} mm were asked, and without a laser sheet there are no points"
+        where = "within reach" if settings.at_m is None else f"in the image at {settings.at_m:g} m"
+        return f"{settings.limit_mm:g} mm were asked, and no stripe is {where}"
     if mm is not None and settings.limit_mm is not None and mm > settings.limit_mm:
         return f"{settings.limit_mm:g} mm were asked"
     if px is not None and settings.limit_px is not None and px > settings.limit_px:

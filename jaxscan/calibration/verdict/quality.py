@@ -160,7 +160,8 @@ class BoardMap:
     """The shape of the calibration board as the solve found it; corners in their usual order."""
 
     free: str
-    """"parabola" (a bow along x and y alone), "smooth" (polynomial heights and prints too) or "corners" (every one)."""
+    """"parabola": a bow along x and y alone; "bent": other heights too, which are polynomials; "smooth": the print as
+    well; "corners": every corner by itself."""
     rms_off_flat_m: float
     """Root mean square height over the best plane [m]."""
     held_out_rms_parabola_px: float | None = None
@@ -173,6 +174,16 @@ class BoardMap:
     shift_m: tuple[tuple[float, float], ...] = ()
     """Shift of every corner along x and y in the plane, without motion, turn and scale of the whole [m]."""
     shift_sigma_m: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Missed:
+    """A record in which the board was not found."""
+
+    record: int
+    """The record's own number."""
+    why: str
+    """The likely reason, in words."""
 
 
 @dataclass(frozen=True)
@@ -210,6 +221,10 @@ class Quality:
     stripe_correlation: float | None = None
     """Neighbouring stripe points that share one error [1]."""
     views: int | None = None
+    records: int | None = None
+    """Of the captures."""
+    missed: tuple[Missed, ...] = ()
+    """The records in which the board was not found."""
     views_without_board: int | None = None
     views_dropped: tuple[int, ...] = ()
     """Records of the views that were left out as a whole."""

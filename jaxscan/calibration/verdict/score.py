@@ -83,8 +83,8 @@ def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> 
         name: _shared(system, extra, corner_residual, system.corner, system.view_owner)
         for name, extra in (("lens", lens), ("radial", radial), ("board", board), ("bend", bend[..., None]))
     }
-    if problem.turntable.blocks:
-        views = repeated_views(problem)
+    # An axis that is held may have no views that show it.
+    if problem.turntable.blocks and len(views := repeated_views(problem)):
         twist = twist[views]
         turn = moving_twist(np.asarray(linearised.view_poses)[views], problem.turntable)
         groups["table"] = _by_view(system, np.einsum("vrd,vd->vr", twist, turn)[..., None], corner_residual, views)

@@ -32,12 +32,15 @@ MEASURES = {
 }
 """The same for the verbs below `jaxscan measure`."""
 
+_ROOMS = {"scan": "scanning.scan", "convert": "exchange.convert", "import": "exchange.import_"}
+"""Modules of the verbs that are in rooms of their own."""
+
 
 def load_verb(verb: str) -> Callable[..., None]:
     """The function of a verb; its module is imported now."""
-    # No module and no function of Python can be called "import".
+    # No function of Python can be called "import".
     name = "import_" if verb == "import" else verb
-    module = "measure" if verb in MEASURES else "scanning.scan" if verb == "scan" else name
+    module = "measure" if verb in MEASURES else _ROOMS.get(verb, verb)
     function: Callable[..., None] = getattr(importlib.import_module(f"jaxscan.cli.{module}"), name)
     return function
 

@@ -89,11 +89,10 @@ class Capture:
         """
         if self.carries == "nothing":
             return np.zeros(len(self.records))
+        key = "position_m" if self.carries == "linear" else "angle_deg"
         for record in self.records:
             if record.angle is None:
-                raise CaptureError(
-                    f"{self.path}: record {record.i}: its angle or position is null; only a sweep can be reconstructed."
-                )
+                raise CaptureError(f"{self.path}: record {record.i}: {key} is null; only a sweep can be reconstructed.")
         return np.array([record.angle for record in self.records], np.float64)
 
     @property

@@ -1,4 +1,4 @@
-"""Angles of the table: from a step and the numbers in the names, or from a file."""
+"""Angles of the table, or positions of a stage: from a step and the numbers in the names, or from a file."""
 
 import functools
 import itertools
@@ -16,24 +16,25 @@ _MOST_DEG = 1e6
 
 
 class Place(NamedTuple):
-    """The table's angle in one record, and the placement of the board."""
+    """The table's angle [deg] or the stage's position [mm] in one record, and the placement of the board."""
 
-    angle_deg: float | None
+    value: float | None
     placement: int | None = None
 
 
-def by_step(keys: Sequence[tuple[int | str, ...]], step_deg: float) -> tuple[list[Place], str]:
-    """Angles from a step.
+def by_step(keys: Sequence[tuple[int | str, ...]], step: float, unit: str) -> tuple[list[Place], str]:
+    """Places from a step.
 
     Where one number alone changes from name to name, it counts the steps, so that a missing image shifts no angle;
     otherwise the images follow one another.
 
     Args:
         keys: The open part of every name, in natural order.
-        step_deg: The table's angle between two images.
+        step: From one image to the next [deg or mm].
+        unit: Its unit, for the sentence.
 
     Returns:
-        The places, and a sentence on the angles.
+        The places, and a sentence on them.
     """
     numbers = _counting(keys)
     if numbers is None:
@@ -43,8 +44,8 @@ def by_step(keys: Sequence[tuple[int | str, ...]], step_deg: float) -> tuple[lis
         steps = [(number - numbers[0]) // pace for number in numbers]
         missing = steps[-1] + 1 - len(steps)
         said = "by the numbers in the names" + (f", {missing} of which are missing" if missing else "")
-    angles = [step * step_deg for step in steps]
-    return [Place(angle) for angle in angles], f"{angles[0]:g} to {angles[-1]:g} degrees by {step_deg:g}, {said}"
+    values = [number * step for number in steps]
+    return [Place(value) for value in values], f"{values[0]:g} to {values[-1]:g} {unit} by {step:g}, {said}"
 
 
 def _counting(keys: Sequence[tuple[int | str, ...]]) -> list[int] | None:
@@ -62,10 +63,10 @@ def _counting(keys: Sequence[tuple[int | str, ...]]) -> list[int] | None:
 
 
 def by_file(path: Path, names: Sequence[str]) -> tuple[list[Place], str]:
-    """Angles from a text file: a line for each image, in order or with the image's name first.
+    """Places from a text file: a line for each image, in order or with the image's name first.
 
-    A line holds the angle [deg], "-" where it is not known, and perhaps the number of the board's placement, parted by
-    blanks, commas or semicolons. Lines that begin with # are left out.
+    A line holds the angle [deg] or position [mm], "-" where it is not known, and perhaps the number of the board's
+    placement, parted by blanks, commas or semicolons. Lines that begin with # are left out.
 
     Args:
         path: The file.
@@ -87,8 +88,8 @@ def by_file(path: Path, names: Sequence[str]) -> tuple[list[Place], str]:
         values = words if name is None else words[1:]
         if not 1 <= len(values) <= 2 or not _is_angle(values[0]) or not all(one.isdecimal() for one in values[1:]):
             raise CaptureError(
-                f"{path}: line {number}: found {' '.join(words)[:60]!r}, expected an angle in degrees, or an image's "
-                "name and its angle, and perhaps the number of a placement."
+                f"{path}: line {number}: found {' '.join(words)[:60]!r}, expected a number, or an image's name "
+                "and a number, and perhaps the number of a placement."
             )
         angle = None if values[0] == "-" else float(values[0])
         place = Place(angle, int(values[1][:9]) if len(values) > 1 else None)
@@ -100,11 +101,12 @@ def by_file(path: Path, names: Sequence[str]) -> tuple[list[Place], str]:
         raise CaptureError(f"{path}: some lines have a name and some have none; expected all or none.")
     if not named:
         if len(plain) != len(names):
-            raise CaptureError(f"{path}: found {len(plain)} angles, expected one for each of {len(names)} images.")
+            raise CaptureError(f"{path}: found {len(plain)} lines, expected one for each of {len(names)} images.")
         return plain, f"from {path.name}"
     missing = [name for name in names if name not in named and name.rpartition("/")[2] not in named]
     if missing:
-        raise CaptureError(f"{path}: no line for {missing[0]}, and for {len(missing) - 1} more images.")
+        more = f", and for {len(missing) - 1} more images" if len(missing) > 1 else ""
+        raise CaptureError(f"{path}: no line for {missing[0]}{more}.")
     return [named.get(name) or named[name.rpartition("/")[2]] for name in names], f"from {path.name}, by name"
 
 

@@ -79,13 +79,14 @@ def _follow(first: Sequence[Step], steps: Sequence[Step], kinds: tuple[str, str]
     if len(given) == len(steps) and len(set(wanted)) == len(wanted) and set(wanted) == set(given):
         said.append(f"{kinds[1]} images belong to {kinds[0]} images by their names")
         return tuple(given[key] for key in wanted)
-    if len(first) == len(steps):
+    shared = len(set(wanted) & set(given))
+    if len(first) == len(steps) and 2 * shared <= len(first):
         said.append(f"{kinds[1]} images belong to {kinds[0]} images by their order, for their names do not tell")
         return tuple(steps)
     alone = [step[0].name for step in first if step[0].key not in given]
     spare = [step[0].name for step in steps if step[0].key not in set(wanted)]
     raise CaptureError(
-        f"found {len(first)} {kinds[0]} images and {len(steps)} {kinds[1]} images, expected as many"
+        f"found {len(first)} {kinds[0]} images and {len(steps)} {kinds[1]} images, expected one of each in every step"
         + (f"; without a partner: {_some(alone)}" if 0 < len(alone) < len(first) else "")
         + (f"; too many: {_some(spare)}" if 0 < len(spare) < len(steps) else "")
         + "; name others by --on and --off, or move the surplus away."

@@ -10,9 +10,11 @@ from jaxscan.files.capture import BoardTable
 from jaxscan.files.importing.angles import Place, by_file, by_step
 from jaxscan.files.importing.listing import Matched
 from jaxscan.files.importing.pairing import Columns, pair
+from jaxscan.geometry.motions import Carries
 
 
-_MOST_DEG = 1e5
+_MOST = 1e5
+"""Largest angle [deg] or position [mm] at the end of a sweep."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,12 @@ class ImportRequest:
     """Patterns of images of a board without laser."""
     board: BoardTable | None = None
     """With a board the capture is one of a calibration."""
-    step_deg: float | None = None
-    angles: Path | None = None
+    carries: Carries | None = None
+    """The motion: it says whether there are angles, positions, or neither."""
+    step: float | None = None
+    """Of the table [deg], or of a linear stage [mm]."""
+    places: Path | None = None
+    """File of angles [deg] or positions [mm]."""
     exposures_ms: tuple[float, ...] = ()
     lasers: tuple[str, ...] = ()
     """Names of the lasers."""
@@ -74,7 +80,7 @@ class ImportPlan:
     said: tuple[str, ...]
     """How names, pairs and angles are understood, a sentence each."""
     lasers: tuple[str, ...]
-    board: BoardTable | None
+    request: ImportRequest
     exposures_s: tuple[float, ...] = ()
 
 
@@ -107,7 +113,7 @@ def plan_records(folder: Path, roles: Roles, request: ImportRequest) -> ImportPl
     first = [step[0] for step in columns.on[0][1]] if columns.on else list(roles.boards)
     names = [str(Source(one.name, one.frame)) for one in first]
     places, sentence = _places([one.key for one in first], names, roles.step_deg, request)
-    said += [f"angles: {sentence}"] if sentence else []
+    said += [f"{'positions' if request.carries == 'linear' else 'angles'}: {sentence}"] if sentence else []
     records = _with_laser(columns, places, several=len({name for name, _ in columns.on}) > 1)
     if roles.boards and columns.on:
         # Boards beside pairs: of other poses, so they take no part in the turning.
@@ -121,7 +127,7 @@ def plan_records(folder: Path, roles: Roles, request: ImportRequest) -> ImportPl
     rows += [Row("laser off", _sources(columns.off))] if columns.off else []
     rows += [Row("board, no laser", tuple(Source(one.name, one.frame) for one in roles.boards))] if roles.boards else []
     names_of_lasers = tuple(dict.fromkeys(name or "laser" for name, _ in columns.on))
-    return ImportPlan(folder, tuple(records), tuple(rows), tuple(said), names_of_lasers, request.board, exposures)
+    return ImportPlan(folder, tuple(records), tuple(rows), tuple(said), names_of_lasers, request, exposures)
 
 
 def _sources(steps: Sequence[Sequence[Matched]]) -> tuple[Source, ...]:
@@ -141,28 +147,45 @@ def _with_laser(columns: Columns, places: Sequence[Place], *, several: bool) -> 
 def _places(
     keys: Sequence[tuple[int | str, ...]], names: Sequence[str], known: float | None, request: ImportRequest
 ) -> tuple[list[Place], str | None]:
-    """The table's angle in every record."""
-    step = known if request.step_deg is None else request.step_deg
-    if step is not None and not abs(step) * max(1, len(keys)) <= _MOST_DEG:
-        raise OptionError(f"--step-deg: found {step:g}, expected the angle between two images in degrees.")
-    if request.step_deg is not None and request.angles is not None:
-        raise OptionError("--step-deg and --angles: found both, expected one of them.")
-    if request.angles is not None:
-        places, said = by_file(request.angles, names)
+    """The table's angle, or the position of the stage, in every record."""
+    words = _MILLIMETRES if request.carries == "linear" else _DEGREES
+    step = known if request.step is None else request.step
+    if request.step is not None and request.places is not None:
+        raise OptionError(f"{words.step} and {words.file}: found both, expected one of them.")
+    if step is not None and not abs(step) * max(1, len(keys)) <= _MOST:
+        raise OptionError(f"{words.step}: found {step:g}, expected {words.between}.")
+    if request.places is not None:
+        places, said = by_file(request.places, names)
     elif step is not None:
-        places, said = by_step(keys, step)
+        places, said = by_step(keys, step, words.unit)
         if request.board is not None:
             places = [place._replace(placement=0) for place in places]
-            said += "; the board stood still while the table turned"
+            said += "; the board stood still meanwhile"
     elif request.board is not None:
         return [Place(None) for _ in keys], "unknown; every image shows the board in another pose"
+    elif request.carries == "nothing":
+        return [Place(None) for _ in keys], None
     elif len(keys) == 1:
         return [Place(0.0)], None
     else:
+        turn = "" if words is _MILLIMETRES else f", which is {360 / len(keys):.4g} if they are one whole turn"
         raise OptionError(
-            f"--step-deg: is needed for a sweep of {len(keys)} steps: the table's angle between two images, which is "
-            f"{360 / len(keys):.4g} if they are one whole turn; or --angles FILE with an angle in each line."
+            f"{words.step}: is needed for a sweep of {len(keys)} steps: {words.between}{turn}; or {words.file} FILE "
+            "with a line for each image."
         )
-    if request.board is None and any(place.angle_deg is None for place in places):
-        raise CaptureError(f"{request.angles}: an angle is unknown, and a sweep needs the angle of every image.")
+    if request.board is None and any(place.value is None for place in places):
+        raise CaptureError(f"{request.places}: a place is unknown, and a sweep needs that of every image.")
     return places, said
+
+
+class _Words(NamedTuple):
+    """The words for places of a motion."""
+
+    step: str
+    file: str
+    between: str
+    unit: str
+
+
+_DEGREES = _Words("--step-deg", "--angles", "the table's angle between two images", "degrees")
+_MILLIMETRES = _Words("--step-mm", "--positions", "the way of the stage between two images", "mm")

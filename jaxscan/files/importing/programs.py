@@ -4,6 +4,7 @@ Horus keeps no images of a scan and FreeLSS none but a thumbnail, so there is no
 saved by hand, as those in the notebooks of Horus' author, are recognised by the words in their names.
 """
 
+import math
 import re
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -55,7 +56,10 @@ def _thot(names: Sequence[str]) -> ProgramCapture | None:
         return None
     on = {name: found for name, found in lasers.items() if found}
     said = "the colour images were taken at the same angles with the lasers off"
-    return ProgramCapture("thot", on if len(on) > 1 else {"": next(iter(on.values()))}, coloured, 1.0, said)
+    first = next(iter(on.values()))
+    numbers = [int(image.key[0]) for image in first]
+    step = math.gcd(*(number - numbers[0] for number in numbers)) or 1
+    return ProgramCapture("thot", on if len(on) > 1 else {"": first}, coloured, float(step), said)
 
 
 def _numbered(names: Sequence[str], expression: str) -> list[Matched]:

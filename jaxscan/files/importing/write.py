@@ -39,7 +39,6 @@ class ImageSettings:
     up: str = "-v"
     laser_colour: str = "auto"
     stripe_axis: str = "rows"
-    carries: str | None = None
 
 
 class ImportedHeader(NamedTuple):
@@ -89,11 +88,11 @@ def describe_images(plan: ImportPlan, settings: ImageSettings) -> ImportedHeader
         raise OptionError(f"--pixel-format: found {camera['pixel_format']}, but {first} is a {found} image.")
     look = {"colour": settings.laser_colour, "stripe_axis": settings.stripe_axis}
     tables: dict[str, Any] = {
-        "kind": "sweep" if plan.board is None else "calibration",
+        "kind": "sweep" if plan.request.board is None else "calibration",
         "camera": camera,
         "laser": [{"name": name, **look} for name in plan.lasers],
-        "board": plan.board,
-        "turntable": None if settings.carries is None else {"carries": settings.carries},
+        "board": plan.request.board,
+        "turntable": None if plan.request.carries is None else {"carries": plan.request.carries},
         "acquisition": {"program": "jaxscan import", "folder": os.path.basename(os.path.abspath(plan.folder))},
     }
     return ImportedHeader(check(CaptureHeader, tables, name="the capture", error=OptionError), kind, learned)
@@ -112,16 +111,17 @@ def write_import(plan: ImportPlan, found: ImportedHeader, target: Path, progress
         CaptureError: If an image cannot be read or is of another kind, or the target cannot be written. Then nothing
             is left behind.
     """
+    linear = plan.request.carries == "linear"
     with whole_capture(target) as part, FrameReader(plan.folder) as reader:
         reader.kind(_first(plan))
         with create_capture(part, found.header, durable=False, digests=True) as writer:
             for done, (record, on, off) in enumerate(reader.records(plan.records), 1):
                 writer.append(
-                    angle_deg=record.place.angle_deg,
+                    angle_deg=None if linear else record.place.value,
                     on=_given(on, plan.exposures_s),
                     off=_given(off, plan.exposures_s),
                     placement=record.place.placement,
-                    **_origin(record),
+                    **_extra(record, linear=linear),
                 )
                 if progress is not None:
                     progress(done, len(plan.records))
@@ -137,10 +137,15 @@ def _is_jpeg(name: str) -> bool:
     return name.lower().endswith((".jpg", ".jpeg"))
 
 
-def _origin(record: PlannedRecord) -> dict[str, Any]:
+def _extra(record: PlannedRecord, *, linear: bool) -> dict[str, Any]:
+    """Further keys of a record: the names of its images, its laser, and the position of a stage."""
     sides = {"on": record.on, "off": record.off}
-    source = {side: [str(one) for one in images] for side, images in sides.items() if images}
-    return {"source": source} | ({} if record.laser is None else {"lasers": [record.laser]})
+    extra: dict[str, Any] = {"source": {side: [str(one) for one in images] for side, images in sides.items() if images}}
+    if record.laser is not None:
+        extra["lasers"] = [record.laser]
+    if linear and record.place.value is not None:
+        extra["position_m"] = record.place.value / 1000
+    return extra
 
 
 def _given(images: list[np.ndarray], exposures_s: tuple[float, ...]) -> Any:

@@ -42,6 +42,8 @@ def import_(
     board: str | None = None,
     step_deg: float | None = None,
     angles: Path | None = None,
+    step_mm: float | None = None,
+    positions: Path | None = None,
     carries: Carries | None = None,
     lasers: tuple[str, ...] = (),
     laser_colour: LaserColour = "auto",
@@ -75,7 +77,9 @@ def import_(
         step_deg: Angle of the table between two images. With --board, the board stood still meanwhile.
         angles: Text file with the table's angle of each image in degrees, a line each, perhaps after the image's name,
             and for boards perhaps with the number of the placement.
-        carries: `scanner` or `object`: the load of the table.
+        step_mm: With `--carries linear`: way of the stage between two images.
+        positions: With `--carries linear`: text file like that of --angles, in millimetres.
+        carries: `scanner` or `object`: the load of the table; `linear` for a stage; `nothing` if nothing moves.
         lasers: Names of the lasers, one for each pattern of --on.
         laser_colour: Channel of colour images that shows the laser; `auto` learns it.
         stripe_axis: `rows` for a laser line that crosses the image rows, `columns` for one that lies along them.
@@ -94,20 +98,29 @@ def import_(
     if output is not None:
         check_new_folder(output)
     check_json(json)
+    linear = carries == "linear"
+    _fits("--carries", "linear", linear, {"--step-mm": step_mm, "--positions": positions})
+    _fits(
+        "--carries",
+        "scanner or object",
+        carries in (None, "scanner", "object"),
+        {"--step-deg": step_deg, "--angles": angles},
+    )
     request = ImportRequest(
         on=on,
         off=off,
         boards=boards,
         board=None if board is None else parse_board(board),
-        step_deg=step_deg,
-        angles=angles,
+        carries=carries,
+        step=step_mm if linear else step_deg,
+        places=positions if linear else angles,
         exposures_ms=_checked(exposures_ms),
         lasers=lasers,
         every=every,
     )
     if boards and board is None:
         raise OptionError('--board: is needed with --boards, such as --board "chessboard 11x6 13mm".')
-    settings = ImageSettings(pixel_format, response, shutter, up, laser_colour, stripe_axis, carries)
+    settings = ImageSettings(pixel_format, response, shutter, up, laser_colour, stripe_axis)
     plan = make_plan(folder, request)
     found = describe_images(plan, settings)
     out = console(json)
@@ -125,6 +138,13 @@ def import_(
     emit_json(json, "import", result)
 
 
+def _fits(option: str, values: str, fits: bool, given: dict[str, Any]) -> None:
+    """Refuse options that belong to other values of an option."""
+    for name, value in given.items():
+        if value is not None and not fits:
+            raise OptionError(f"{name}: is for {option} {values}.")
+
+
 def _checked(exposures_ms: tuple[float, ...]) -> tuple[float, ...]:
     if any(not 0 < one <= 1e9 for one in exposures_ms) or len(set(exposures_ms)) < len(exposures_ms):
         raise OptionError(f"--exposures-ms: found {exposures_ms}, expected different numbers above 0.")
@@ -140,7 +160,8 @@ def _show(out: Terminal, plan: ImportPlan, found: ImportedHeader) -> None:
     for at, name in ((0, "first"), (-1, "last")):
         record = plan.records[at]
         images = [" ".join(map(str, images)) for images in (record.on, record.off) if images]
-        where = "" if record.place.angle_deg is None else f", {record.place.angle_deg:g} degrees"
+        unit = "mm" if plan.request.carries == "linear" else "degrees"
+        where = "" if record.place.value is None else f", {record.place.value:g} {unit}"
         out.print(f"  {name} record: {' with '.join(images)}{where}")
     for sentence in plan.said:
         out.print(f"  {sentence}")
