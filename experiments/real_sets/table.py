@@ -86,8 +86,11 @@ def _sentences(boards: list[RealSet], results: dict[str, Any]) -> str:
             plan = found.get("plan", "")
             text = f"({plan}) {found['first']}" if plan else found["first"]
             text = text.replace("|", "/")
-            ways = {"given": "With centres found by OpenCV", "--only camera": "With `--only camera`"}
-            how = ways.get(found["options"], "With the known camera")
+            how = "With the known camera"
+            if found["options"] == "given":
+                how = "With centres found by OpenCV"
+            elif found["options"].startswith("--only"):
+                how = "With `--only camera`"
             if found["runs"] > 1:
                 text += f" **{how}:** {found['sentence']}".replace("|", "/")
             name = one.name if which == "before" else ""
