@@ -1,4 +1,4 @@
-"""Tests the verdict of a calibration: it must accept good data and reject insufficient models.
+"""Tests the verdict of a calibration: it must find no structure in good data, and find it where models fall short.
 
 The rig is configs/reference.toml, with the sigmas of the detector. Clean data have white or
 correlated stripe noise. The faults are a lens term that the model lacks, a bowed board with the

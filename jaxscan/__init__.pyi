@@ -8,6 +8,7 @@ from jaxscan.api import reconstruct_capture as reconstruct_capture
 from jaxscan.api import simulate as simulate
 from jaxscan.calibration import Calibration as Calibration
 from jaxscan.calibration import CalibrationSettings as CalibrationSettings
+from jaxscan.calibration import KnownParts as KnownParts
 from jaxscan.calibration import Quality as Quality
 from jaxscan.calibration import Verdict as Verdict
 from jaxscan.calibration import calibrate_observations as calibrate_observations
@@ -33,8 +34,10 @@ from jaxscan.geometry import Chessboard as Chessboard
 from jaxscan.geometry import DoubleSphere as DoubleSphere
 from jaxscan.geometry import Fisheye as Fisheye
 from jaxscan.geometry import LaserSheet as LaserSheet
+from jaxscan.geometry import LinearStage as LinearStage
 from jaxscan.geometry import Pinhole as Pinhole
 from jaxscan.geometry import Scanner as Scanner
+from jaxscan.geometry import Still as Still
 from jaxscan.geometry import Turntable as Turntable
 from jaxscan.geometry import fit_axis as fit_axis
 from jaxscan.geometry import fit_plane as fit_plane

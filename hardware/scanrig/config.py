@@ -10,7 +10,7 @@ import pydantic
 
 from jaxscan.files.capture import BoardTable, LaserTable
 from jaxscan.files.disk import FileModel, Integer, Number, load_toml
-from jaxscan.geometry.turntable import Carries
+from jaxscan.geometry.motions.turntable import Turns
 from jaxscan.stripes import LaserLine
 from scanrig.cameras import CameraSettings
 from scanrig.checks import ProofLimits
@@ -40,7 +40,7 @@ _RATES = {
 class TurntableTable(FileModel):
     """Turntable, gear and motion. Speeds that are not given have moderate defaults."""
 
-    carries: Carries = "scanner"
+    carries: Turns = "scanner"
     full_steps: Annotated[Integer, pydantic.Field(ge=4, le=100_000)] = 200
     """Full steps per turn of the motor."""
     microsteps: Annotated[Integer, pydantic.Field(ge=1, le=1024)] = 16

@@ -1,6 +1,6 @@
 """The public verbs: they join the core with files, OpenCV and the simulation."""
 
-from jaxscan.api.calibration import calibrate, observe_boards
+from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
 from jaxscan.api.simulation import load_simulation, simulate
 from jaxscan.api.sweeps import Reconstruction, reconstruct_capture
 from jaxscan.files import (

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-from jaxscan.calibration import Calibration, calibrate_camera, calibrate_observations, largest_departure
+from jaxscan.calibration import Calibration, KnownParts, calibrate_observations, largest_departure
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import stored_settings
 
@@ -45,9 +45,22 @@ def solve_again(stored: Calibration, *, name: str = "calibration") -> Again:
         )
     # Whoever asks again wants to know whether the models suffice.
     settings = replace(stored_settings(stored.provenance, name=name), judge=True)
-    solve = calibrate_camera if stored.scanner is None else calibrate_observations
-    again = solve(stored.observations, settings=settings)
+    if stored.scanner is None:
+        settings = replace(settings, only="camera")
+    again = calibrate_observations(stored.observations, settings=settings, known=_held(stored))
     departure, parameter = largest_departure(stored, again)
     # Only the images could tell again how much their second look gained.
     quality = replace(again.quality, redetected=stored.quality.redetected)
     return Again(replace(again, provenance=stored.provenance, quality=quality), departure, parameter)
+
+
+def _held(stored: Calibration) -> KnownParts:
+    """The parts that the stored solve did not estimate."""
+    held, scanner = stored.provenance.get("held", ()), stored.scanner
+    if not isinstance(held, list | tuple):
+        return KnownParts()
+    return KnownParts(
+        camera=stored.camera if "camera" in held else None,
+        sheets=tuple(scanner.laser(k) for k in range(len(scanner.laser_names))) if scanner and "sheet" in held else (),
+        motion=scanner.turntable if scanner and "axis" in held else None,
+    )

@@ -5,14 +5,19 @@ from dataclasses import replace
 from importlib import metadata
 
 from jaxscan.calibration import (
+    NOTHING_KNOWN,
     Calibration,
     CalibrationSettings,
-    calibrate_camera,
+    KnownParts,
+    Missed,
+    Rig,
+    advise_lens,
     calibrate_observations,
     choose,
+    planned_rig,
     solved_rig,
 )
-from jaxscan.errors import CalibrationError, CaptureError
+from jaxscan.errors import CaptureError
 from jaxscan.files.capture import Capture, common_board
 from jaxscan.observation import Eyes, Observations, Progress, look_again, look_at_boards, to_observations
 
@@ -42,20 +47,44 @@ def observe_boards(
     return to_observations(captures, seen)
 
 
+def plan_calibration(
+    captures: Sequence[Capture], *, settings: CalibrationSettings | None = None, known: KnownParts = NOTHING_KNOWN
+) -> Rig:
+    """The rig that `calibrate` will solve, by header and journal alone; no image is read.
+
+    Args:
+        captures: Calibration captures of the same board, camera and rig.
+        settings: Settings of the solve.
+        known: Parts that need not be determined.
+
+    Raises:
+        CaptureError: If there is no capture, or one is not a calibration capture.
+        CalibrationError: If not even the camera can be determined.
+    """
+    if not captures:
+        raise CaptureError("No capture was given; a calibration needs at least one capture of a board.")
+    common_board(captures, single_lasers=False)
+    return planned_rig(captures, (settings or CalibrationSettings()).only, known)
+
+
 def calibrate(
     captures: Capture | Sequence[Capture],
     *,
     settings: CalibrationSettings | None = None,
+    known: KnownParts = NOTHING_KNOWN,
     only_camera: bool = False,
     redetect: bool = True,
     progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate a rig from captures of a board: corners, stripes, one joint least squares.
 
+    The largest rig is solved that the captures determine; `missing` of the calibration says why not more.
+
     Args:
         captures: Calibration captures of the same board, camera and rig.
         settings: Settings of the solve.
-        only_camera: Calibrate the camera alone, without lasers and turntable.
+        known: Parts that are held, or refined.
+        only_camera: Calibrate the camera alone, as with `only="camera"` in the settings.
         redetect: Look for corners and stripes again at the places that the first solve predicts,
             and solve again; `quality.redetected` holds the gain.
         progress: Called with (records done, records in all), of both looks together.
@@ -65,31 +94,31 @@ def calibrate(
 
     Raises:
         CaptureError: If a capture is not a calibration capture, or they do not belong together.
-        CalibrationError: If a parameter cannot be determined; the message names the missing images.
+        CalibrationError: If not even the camera can be determined; the message names the missing images.
     """
     captures = [captures] if isinstance(captures, Capture) else list(captures)
-    if not captures:
-        raise CaptureError("No capture was given; a calibration needs at least one capture of a board.")
-    if not only_camera and not captures[0].lasers:
-        raise CalibrationError(
-            f"{captures[0].path}: lists no [[laser]], so no laser sheet can be found: capture the board with "
-            "the laser on and off, or calibrate the camera alone (`--only camera`, `only_camera=True`)."
-        )
     settings = settings or CalibrationSettings()
-    solve = calibrate_camera if only_camera else calibrate_observations
-    board, eyes, looks = common_board(captures, single_lasers=not only_camera), _eyes(), 2 if redetect else 1
-    seen = look_at_boards(captures, board, eyes, with_stripes=not only_camera, progress=_part(progress, 0, looks))
+    settings = replace(settings, only="camera") if only_camera else settings
+    stripes = bool(plan_calibration(captures, settings=settings, known=known).lasers)
+    board, eyes, looks = common_board(captures, single_lasers=stripes), _eyes(), 2 if redetect else 1
+    seen = look_at_boards(captures, board, eyes, with_stripes=stripes, progress=_part(progress, 0, looks))
     # The first of two solves only predicts places; the verdict is for the last one.
     first = replace(settings, judge=settings.judge and not redetect)
-    result = solve(to_observations(captures, seen), settings=first)
+    result = calibrate_observations(to_observations(captures, seen), settings=first, known=known)
     # A solve that did not converge predicts nothing.
     if redetect and result.quality.converged:
         progress = _part(progress, 1, looks)
         again = look_again(captures, seen, solved_rig(result), eyes.to_grey, progress=progress)
-        result, gains = choose(result, solve(to_observations(captures, again), settings=settings))
-        if not gains.kept:
-            result = solve(to_observations(captures, seen), settings=settings)
+        second = calibrate_observations(to_observations(captures, again), settings=settings, known=known)
+        result, gains = choose(result, second)
+        if gains.kept:
+            seen = again
+        else:
+            result = calibrate_observations(to_observations(captures, seen), settings=settings, known=known)
         result = replace(result, quality=replace(result.quality, redetected=gains))
+    result = advise_lens(result, settings)
+    missed = tuple(Missed(*record) for record in seen.missed())
+    result = replace(result, quality=replace(result.quality, records=len(seen.records), missed=missed))
     provenance = {
         **result.provenance,
         "captures": [{"name": capture.path.name, "digest": capture.digest()} for capture in captures],

@@ -78,7 +78,7 @@ def reconstruct_capture(
     if not cache:
         cloud = cloud_of_plan(plan, noise=noise, progress=progress)
         doubts = sweep_doubts(plan, cloud, watch.seen, numbers, off_images)
-        return Reconstruction(cloud, notes=(*pair_notes(plan, capture.frames, numbers), *doubts))
+        return Reconstruction(cloud, notes=(*plan.notes, *pair_notes(plan, capture.frames, numbers), *doubts))
     key = {"frames": frames_key(capture), "code": code_digest(), **extraction_key(settings, noise)}
     path = cache_path(capture)
     arrays = cached_stripes(path, key)
@@ -86,13 +86,12 @@ def reconstruct_capture(
     stripes = None if arrays is None or seen is None else usable_stripes(arrays, plan)
     if stripes is not None and seen is not None:
         cloud = cloud_of_plan(plan, stripes=stripes, progress=progress)
-        return Reconstruction(
-            cloud, from_cache=True, kept=True, notes=sweep_doubts(plan, cloud, seen, numbers, off_images)
-        )
+        doubts = sweep_doubts(plan, cloud, seen, numbers, off_images)
+        return Reconstruction(cloud, from_cache=True, kept=True, notes=(*plan.notes, *doubts))
     stripes = stripes_of_plan(plan, noise=noise, progress=progress)
     cloud = cloud_of_plan(plan, stripes=stripes)
     doubts = sweep_doubts(plan, cloud, watch.seen, numbers, off_images)
-    notes = (*pair_notes(plan, capture.frames, numbers), *doubts)
+    notes = (*plan.notes, *pair_notes(plan, capture.frames, numbers), *doubts)
     try:
         save_stripes(path, kept_arrays(stripes, plan) | watch.seen.arrays(), key)
     except CaptureError as problem:

@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import equinox as eqx
@@ -11,17 +11,34 @@ import numpy as np
 
 from jaxscan.calibration.board_shape import choose_shape, describe_board
 from jaxscan.calibration.conclude import conclude
+from jaxscan.calibration.known import NOTHING_KNOWN, KnownParts
 from jaxscan.calibration.parameters import CAMERA_BLOCKS
 from jaxscan.calibration.result import Calibration
-from jaxscan.calibration.seed import average_placements, lift_stripes, seed_axis, seed_camera, seed_plane
+from jaxscan.calibration.rigs import Holdings, Rig, has_moved, largest_rig
+from jaxscan.calibration.seed import (
+    average_placements,
+    seed_camera,
+    seed_motion,
+    seed_poses,
+    seed_sheets,
+)
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve import Adjustment, Prepared, adjust, make_problem, not_converged, prepare
 from jaxscan.calibration.solve.noise import huber_weights
 from jaxscan.calibration.solve.problem import Problem
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractCamera, LaserSheet, Turntable, point_up, stack_lasers
+from jaxscan.geometry import (
+    AbstractCamera,
+    AbstractMotion,
+    LaserSheet,
+    LinearStage,
+    Still,
+    Turntable,
+    point_up,
+    stack_lasers,
+)
 from jaxscan.geometry.scanner import UP_VECTORS
-from jaxscan.observation import Observations
+from jaxscan.observation import Observations, with_lasers
 
 
 @contextlib.contextmanager
@@ -36,56 +53,73 @@ def _contradictions() -> Iterator[None]:
         ) from problem
 
 
-def calibrate_observations(observations: Observations, *, settings: CalibrationSettings | None = None) -> Calibration:
-    """Camera, laser sheets and axis in one least-squares problem, with their covariance.
+def calibrate_observations(
+    observations: Observations, *, settings: CalibrationSettings | None = None, known: KnownParts = NOTHING_KNOWN
+) -> Calibration:
+    """Camera, laser sheets and motion in one least-squares problem, with their covariance.
 
-    Closed-form first values; then a robust joint solve, rejection of outliers, estimation of the
-    noise of corners and stripes, and a last plain solve. Runs in float64 whatever the caller's
-    JAX settings.
+    The largest rig is solved that the observations determine. Closed-form first values; then a robust
+    joint solve, rejection of outliers, estimation of the noise of corners and stripes, and a last
+    plain solve. Runs in float64 whatever the caller's JAX settings.
 
     Args:
-        observations: Board corners, stripes on boards, table angles.
-        settings: Free blocks, priors, thresholds.
+        observations: Board corners, stripes on boards, positions of table or stage.
+        settings: Free blocks, priors, thresholds; a smaller rig on purpose.
+        known: Parts that are held, or refined.
 
     Returns:
         The calibration; its `quality` says first whether the solve converged, and with
-        `settings.judge` it has predicted lengths and a verdict.
+        `settings.judge` it has predicted lengths and a verdict. `missing` names the parts that were not solved.
 
     Raises:
-        CalibrationError: If the observations do not determine the scanner; it names the captures that are missing.
+        CalibrationError: If the observations do not determine a camera, contradict each other, or are not of the
+            known parts.
 
     Source: PAPER.md equations (1)-(12), solved together.
     """
     settings = settings or CalibrationSettings()
     started = time.perf_counter()
-    if not observations.laser_names:
-        raise CalibrationError("The observations name no laser, so there is no laser sheet to be found.")
+    known.check((observations.width, observations.height), observations.laser_names, observations.carries)
+    settings = replace(settings, free=known.free(settings))
     with jax.enable_x64(True), _contradictions():
         data = prepare(observations)
+        rig = _rig(data, observations, settings, known)
+        observations, data = _of_rig(observations, data, rig)
         # Each view by itself, without stripes and table: lasers and table are held and meet no
         # observation, so that both solves are one compiled function.
         apart = _apart(data)._replace(stripe_valid=np.zeros_like(data.stripe_valid))
-        cameras, poses = seed_camera(apart, settings.camera)
+        cameras, poses = _first_cameras(apart, settings, known)
         free = tuple(block for block in settings.free if block in CAMERA_BLOCKS)
-        held, stand_ins = replace(settings, free=free), _stand_ins(observations)
+        held, stand_ins = replace(settings, free=free), _stand_ins(observations, rig)
+        if not rig.lasers and not rig.moves:
+            starts = [make_problem(camera, stack_lasers([]), Still(), poses, apart, settings) for camera in cameras]
+            problem = starts[0] if len(starts) == 1 else _lowest(starts, apart, settings).problem
+            return _concluded(adjust(problem, apart, settings), observations, settings, started, rig, known)
         starts = [make_problem(camera, *stand_ins, poses, apart, held) for camera in cameras]
         first = _lowest(starts, apart, settings)
         camera, poses = _named(first.problem.camera, observations, settings), np.asarray(first.problem.poses)
         try:
-            lasers = [
-                seed_plane(lift_stripes(data, camera, poses, index), name)
-                for index, name in enumerate(observations.laser_names)
-            ]
-            table = seed_axis(poses, data, observations.carries, observations.up)
+            motion = known.motion if rig.moves else Still()
+            if motion is None:
+                motion = seed_motion(poses, data, observations.carries, observations.up)
+            lasers, observations, reason = _first_sheets(data, camera, poses, observations, rig, known)
         except CalibrationError:
             if first.converged:
                 raise
             # The diagnosis would be of numbers that mean nothing.
             raise CalibrationError(not_converged(settings)) from None
-        placements = average_placements(poses, data, table)
-        problem = make_problem(first.problem.camera, stack_lasers(lasers), table, placements, data, settings)
+        if rig.lasers and lasers:
+            data = prepare(observations)
+        elif rig.lasers:
+            if not first.converged:
+                raise CalibrationError(not_converged(settings))
+            rig, data = replace(rig, lasers=(), missing=(*rig.missing, f"no sheet: {reason}")), _without_stripes(data)
+        # Without a motion that is known, every view has a pose of its own.
+        data = data if rig.moves else _apart(data)
+        placements = average_placements(poses, data, motion)
+        problem = make_problem(first.problem.camera, stack_lasers(lasers), motion, placements, data, settings)
         result = _pointed_up(adjust(problem, data, settings), observations, settings)
-        return _concluded(result, observations, settings, started)
+        return _concluded(result, observations, settings, started, rig, known)
 
 
 def calibrate_camera(observations: Observations, *, settings: CalibrationSettings | None = None) -> Calibration:
@@ -103,16 +137,59 @@ def calibrate_camera(observations: Observations, *, settings: CalibrationSetting
 
     Source: PAPER.md equations (1), (2), (4), after Zhang.
     """
-    settings = settings or CalibrationSettings()
-    started = time.perf_counter()
-    free = tuple(block for block in settings.free if block in (*CAMERA_BLOCKS, "warp", "pitch", "shape"))
-    settings = replace(settings, free=free)
-    with jax.enable_x64(True), _contradictions():
-        data = _without_stripes(_apart(prepare(observations)))
-        cameras, poses = seed_camera(data, settings.camera)
-        starts = [make_problem(camera, None, None, poses, data, settings) for camera in cameras]
-        problem = starts[0] if len(starts) == 1 else _lowest(starts, data, settings).problem
-        return _concluded(adjust(problem, data, settings), observations, settings, started)
+    return calibrate_observations(observations, settings=replace(settings or CalibrationSettings(), only="camera"))
+
+
+def _rig(data: Prepared, observations: Observations, settings: CalibrationSettings, known: KnownParts) -> Rig:
+    """The largest rig that the observations determine."""
+    views = np.flatnonzero(data.usable)
+    if len(views) == 0:
+        raise CalibrationError(
+            "The board was not found in any view: "
+            "check `[board]` in capture.toml (type, columns, rows) and the exposure."
+        )
+    lit = {
+        name: bool((data.stripe_valid & (data.stripe_laser == index)[:, None]).any())
+        for index, name in enumerate(observations.laser_names)
+    }
+    placed = zip(data.placement[views].tolist(), data.angle[views].tolist(), strict=True)
+    held = Holdings(len(views), lit, has_moved(placed, observations.carries), observations.carries)
+    return largest_rig(held, settings.only, known, seen="where the board was found")
+
+
+def _of_rig(observations: Observations, data: Prepared, rig: Rig) -> tuple[Observations, Prepared]:
+    """The observations with those lasers alone that are solved."""
+    if rig.lasers == observations.laser_names:
+        return observations, data
+    if rig.lasers:
+        observations = with_lasers(observations, rig.lasers)
+        return observations, prepare(observations)
+    return observations, _without_stripes(data)
+
+
+def _first_sheets(
+    data: Prepared, camera: AbstractCamera, poses: np.ndarray, observations: Observations, rig: Rig, known: KnownParts
+) -> tuple[list[LaserSheet], Observations, str]:
+    """First sheets of all lasers, with the observations that agree with them; or none and the reason."""
+    if known.sheets or not rig.lasers:
+        return list(known.sheets), observations, ""
+    try:
+        return *seed_sheets(observations, data, camera, poses), ""
+    except CalibrationError as problem:
+        return [], observations, str(problem)
+
+
+def _first_cameras(
+    apart: Prepared, settings: CalibrationSettings, known: KnownParts
+) -> tuple[Sequence[AbstractCamera], np.ndarray]:
+    """First cameras, one or several to try, and the poses of all views before them."""
+    if known.camera is None:
+        return seed_camera(apart, settings.camera)
+    # With all coefficients that the model knows, as first cameras have them.
+    camera, names = known.camera, [name for block in known.camera.lens for name in block.parameters]
+    lens = np.pad(np.asarray(camera.distortion), (0, len(names) - len(camera.distortion)))
+    camera = replace(camera, distortion=lens)
+    return [camera], seed_poses(apart, camera)
 
 
 def _lowest(starts: list[Problem], data: Prepared, settings: CalibrationSettings) -> Adjustment:
@@ -137,33 +214,46 @@ def _without_stripes(data: Prepared) -> Prepared:
     return data._replace(**{name: getattr(data, name)[:0] for name in data._fields if name.startswith("stripe_")})
 
 
-def _stand_ins(observations: Observations) -> tuple[LaserSheet, Turntable]:
+def _stand_ins(observations: Observations, rig: Rig) -> tuple[LaserSheet, AbstractMotion]:
     sheet = LaserSheet.from_plane(np.array([1.0, 0.0, 0.0]), 1.0)
-    table = Turntable.from_axis(np.array(UP_VECTORS[observations.up]), np.array([0.0, 0.0, -0.1]))
-    return stack_lasers([sheet] * len(observations.laser_names)), table
+    motion: AbstractMotion = Still()
+    if rig.moves and rig.carries == "linear":
+        motion = LinearStage.from_direction([1.0, 0.0, 0.0])
+    elif rig.moves:
+        motion = Turntable.from_axis(np.array(UP_VECTORS[observations.up]), np.array([0.0, 0.0, -0.1]))
+    return stack_lasers([sheet] * len(rig.lasers)), motion
 
 
 def _named(camera: AbstractCamera, observations: Observations, settings: CalibrationSettings) -> AbstractCamera:
     """The solver's camera with its size, and without optional coefficients that nobody asked for."""
+    distortion = np.asarray(camera.distortion)
     count = sum(len(block.parameters) for block in camera.lens if not block.optional or block.name in settings.free)
-    distortion = np.asarray(camera.distortion)[:count]
+    # A known camera may have them.
+    count = count if not distortion[count:].any() else len(distortion)
+    distortion = distortion[:count]
     return replace(camera, distortion=distortion, width=observations.width, height=observations.height)
 
 
 def _pointed_up(result: Adjustment, observations: Observations, settings: CalibrationSettings) -> Adjustment:
     """The seed points up; only an axis that lies across the image can have swung over since."""
     before = result.problem.turntable
-    table = before if before is None else point_up(before, observations.up)
+    table = point_up(before, observations.up)
     if table is before:
         return result
     return adjust(eqx.tree_at(lambda p: p.turntable, result.problem, table), result.data, settings)
 
 
 def _concluded(
-    result: Adjustment, observations: Observations, settings: CalibrationSettings, started: float
+    result: Adjustment,
+    observations: Observations,
+    settings: CalibrationSettings,
+    started: float,
+    rig: Rig,
+    known: KnownParts,
 ) -> Calibration:
     result, choice = choose_shape(result, observations, settings)
     calibration = conclude(result, _named(result.problem.camera, observations, settings), observations, settings)
     board = describe_board(result, observations, calibration, choice)
-    seconds = time.perf_counter() - started
-    return replace(calibration, quality=replace(calibration.quality, board=board, seconds=seconds))
+    quality = replace(calibration.quality, board=board, seconds=time.perf_counter() - started)
+    provenance = {**calibration.provenance, "held": list(known.held())} if known.held() else calibration.provenance
+    return replace(calibration, quality=quality, missing=rig.missing, provenance=provenance)

@@ -5,34 +5,35 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from jaxscan.calibration.fit import Fit
-from jaxscan.calibration.parameters import ANGLE_PARAMETERS, board_blocks
+from jaxscan.calibration.parameters import board_blocks
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve import (
     Adjustment,
     Determination,
     bend_of,
-    carrying,
     determine,
     not_converged,
     undetermined_shares,
 )
 from jaxscan.calibration.verdict import (
-    ModelTest,
+    Harm,
     Verdict,
     advise,
+    chance,
+    cure_causes,
     cures,
     describe_quality,
-    judge,
-    length_changes,
-    length_sigma,
+    find_harm,
+    measure_good_to,
     predict_lengths,
-    reach_verdict,
-    typical_lengths,
+    refusal,
+    root_of,
     warn,
 )
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractCamera, Scanner, make_layout
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.observation import Observations
 
 
@@ -56,38 +57,51 @@ def conclude(
     Raises:
         CalibrationError: If the observations do not determine the parameters; it names the captures that are missing.
     """
-    problem, table = result.problem, result.problem.turntable
-    lasers = observations.laser_names if table is not None else ()
+    problem, motion = result.problem, result.problem.turntable
+    lasers = observations.laser_names[: len(problem.lasers.distance)]
     board = board_blocks(problem.modes.corner.shape[-1])
-    names = make_layout(problem.camera, lasers, turns=table is not None, board=board).names
+    names = make_layout(problem.camera, lasers, motion=motion.blocks, board=board).names
     determination = _determined(result, names)
-    layout = make_layout(camera, lasers, turns=table is not None, board=board)
+    layout = make_layout(camera, lasers, motion=motion.blocks, board=board)
     every, count = layout.names, layout.board.start
     kept = np.array([names.index(name) for name in every])
     turned = -1.0 if observations.carries == "object" else 1.0
     sign = np.array([turned if name in ANGLE_PARAMETERS else 1.0 for name in every])
-    covariance = determination.covariance[np.ix_(kept, kept)] * np.outer(sign, sign)
-    own = np.ascontiguousarray(covariance[:count, :count])
-    scanner = None
-    if table is not None:
-        turntable = carrying(table, observations.carries)
-        scanner = Scanner(camera, problem.lasers, turntable, own, lasers, observations.up)
-    quality = describe_quality(result, determination, observations, names)
+    noise = determination.covariance[np.ix_(kept, kept)] * np.outer(sign, sign)
+    quality, covariance = describe_quality(result, determination, observations, names), noise
+    harms: list[Harm] = []
     if not result.converged:
-        refused = Verdict(accepted=False, advice=(not_converged(settings),))
-        quality = replace(quality, unobserved=(), spectrum=(), verdict=refused)
+        quality = replace(quality, verdict=Verdict(False, refused=not_converged(settings)), unobserved=(), spectrum=())
     else:
         quality = replace(quality, warnings=warn(quality))
         if settings.judge:
-            findings = judge(result, settings)
-            units = sign * np.asarray(problem.scales)[kept]
-            steps = [None if shift is None else (units * shift[kept])[:count] for _, shift in findings]
-            tests = _with_effects([test for test, _ in findings], steps, scanner)
-            quality = replace(
-                quality,
-                lengths=None if scanner is None else predict_lengths(scanner),
-                verdict=reach_verdict(tests, advise(result, quality.unobserved)),
-            )
+            harms = [harm._replace(steps=harm.steps[:, kept] * sign) for harm in find_harm(result, settings)]
+            covariance = noise + sum(harm.steps.T @ harm.steps for harm in harms)
+    own = np.ascontiguousarray(covariance[:count, :count])
+    scanner = None
+    if lasers or motion.blocks:
+        motion = motion.carrying(observations.carries)
+        scanner = Scanner(camera, problem.lasers, motion, own, lasers, observations.up)
+    if harms:
+        if any(len(harm.steps) for harm in harms):
+            sigma = np.sqrt(np.diag(noise)[:count])
+            quality = replace(quality, sigma_statistical=dict(zip(every[:count], sigma.tolist(), strict=True)))
+        structure = [(harm.test, harm.steps[:, :count]) for harm in harms]
+        good_to, tests = measure_good_to(camera, scanner, root_of(noise[:count, :count]), structure, settings.at_m)
+        refused = refusal(good_to, camera, settings, has_sheets=bool(lasers))
+        quality = replace(
+            quality,
+            lengths=None if scanner is None else predict_lengths(scanner),
+            verdict=Verdict(
+                refused is None,
+                good_to,
+                refused,
+                chance([test.p for test in tests]),
+                chance([test.p_structure for test in tests]),
+                tests,
+                (*cure_causes(tests, good_to, settings), *advise(result, quality.unobserved)),
+            ),
+        )
     return Calibration(
         camera=camera,
         scanner=scanner,
@@ -113,25 +127,6 @@ def _determined(result: Adjustment, names: tuple[str, ...]) -> Determination:
         f"The observations say nothing about a combination of {', '.join(found)}: capture {wanted}, or hold "
         "parameters that are not needed (`free`)."
     )
-
-
-def _with_effects(
-    tests: list[ModelTest], steps: list[np.ndarray | None], scanner: Scanner | None
-) -> tuple[ModelTest, ...]:
-    """The tests, each with the change of typical lengths if its model had the terms that it lacks."""
-    if scanner is None:
-        return tuple(tests)
-    lengths = [length for laser in range(len(scanner.laser_names)) for length in typical_lengths(scanner, laser)]
-    known = [index for index, step in enumerate(steps) if step is not None]
-    if lengths and known:
-        change = length_changes(scanner, lengths, np.array([steps[index] for index in known]))
-        sigma = length_sigma(scanner, lengths)
-        share = np.abs(change) / np.where(sigma > 0, sigma, np.inf)
-        for row, index in enumerate(known):
-            worst = int(np.argmax(share[row]))
-            effect_mm = 1e3 * float(abs(change[row, worst]))
-            tests[index] = replace(tests[index], effect_mm=effect_mm, effect_sigma=float(share[row, worst]))
-    return tuple(tests)
 
 
 def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray) -> Fit:

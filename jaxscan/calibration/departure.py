@@ -35,13 +35,11 @@ def _camera(calibration: Calibration) -> np.ndarray:
 
 
 def _rig(stored: Scanner, again: Scanner) -> np.ndarray:
-    """Change of lasers and table in the minimal coordinates of the stored ones."""
+    """Change of lasers and motion in the minimal coordinates of the stored ones."""
     parts = []
     for index in range(len(stored.laser_names)):
         before, after = stored.laser(index), again.laser(index)
         parts += [before.basis @ (after.normal - before.normal), [after.distance - before.distance]]
         parts += [after.bow - before.bow]
-    table, turned = stored.turntable, again.turntable
-    parts += [table.basis @ (turned.direction - table.direction), table.basis @ (turned.point - table.point)]
-    parts += [[turned.gain - table.gain], turned.harmonics - table.harmonics]
+    parts.append(stored.turntable.departure(again.turntable))
     return np.concatenate([np.asarray(part, np.float64) for part in parts])

@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from jaxscan.geometry import CAMERAS, Array, ParameterBlock, exponential
 from jaxscan.geometry.laser import LASER_BLOCKS
-from jaxscan.geometry.turntable import ANGLE_BLOCKS, AXIS_BLOCKS
+from jaxscan.geometry.motions import MOTION_BLOCKS
 
 
 BOARD_BLOCKS = (
@@ -28,12 +28,11 @@ def is_mode(name: str) -> bool:
     return name.startswith("shape.")
 
 
-ANGLE_PARAMETERS = tuple(name for block in ANGLE_BLOCKS for name in block.parameters)
 LOCAL_SCALE = 1e-2
 """Unit of a board's pose steps [m, rad]."""
 
 _OF_CAMERAS = tuple(block for camera in CAMERAS.values() for block in camera.blocks())
-_OF_ALL = _OF_CAMERAS + LASER_BLOCKS + AXIS_BLOCKS + board_blocks(0)
+_OF_ALL = _OF_CAMERAS + LASER_BLOCKS + MOTION_BLOCKS + board_blocks(0)
 _HELD = ("bow", "pitch")
 
 CAMERA_BLOCKS = tuple(dict.fromkeys(block.name for block in _OF_CAMERAS))

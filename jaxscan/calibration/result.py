@@ -17,7 +17,8 @@ class Calibration:
 
     camera: AbstractCamera
     scanner: Scanner | None
-    """None where only the camera was calibrated; otherwise it carries `covariance` too."""
+    """None where only the camera was calibrated; otherwise it carries `covariance` too. It has no sheets where only
+    camera and motion were calibrated."""
     order: tuple[str, ...]
     """Names of the minimal coordinates that `covariance` refers to."""
     covariance: np.ndarray
@@ -25,6 +26,8 @@ class Calibration:
     quality: Quality = field(default_factory=Quality)
     """Numbers by which to judge the result: whether it converged, residuals, counts, verdict, ..."""
     observations: Observations | None = None
+    missing: tuple[str, ...] = ()
+    """A sentence for each part that was not solved: why, and the captures that it needs."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """Inputs by digest, settings, versions."""
     fit: Fit | None = None

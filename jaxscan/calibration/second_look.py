@@ -4,11 +4,13 @@ import numpy as np
 
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.verdict import SecondLook
-from jaxscan.observation import SolvedRig
+from jaxscan.observation import Observations, SolvedRig
 
 
 # The second solve may whiten worse by this factor: corners at the rim of the image are harder to explain.
 _NOT_WORSE = 1.05
+# Share of the boards with a line that must agree with a sheet, so that stripes are looked for near it only.
+_BELIEVED = 0.5
 
 
 def solved_rig(calibration: Calibration) -> SolvedRig:
@@ -30,14 +32,26 @@ def solved_rig(calibration: Calibration) -> SolvedRig:
         poses=fit.pose,
         used=np.any(fit.corner_kept, axis=1),
         corner_rms_px=calibration.quality.corner_rms_px or 0.0,
+        believed=_believed(observations),
     )
+
+
+def _believed(observations: Observations) -> tuple[str, ...]:
+    """The lasers on whose sheet the lines of most boards lie: a stripe elsewhere has a row without a point."""
+    laser, found = np.asarray(observations.stripes.laser), np.any(np.asarray(observations.stripes.valid), axis=1)
+    own = {name: found[laser == index] for index, name in enumerate(observations.laser_names)}
+    return tuple(name for name, lit in own.items() if lit.sum() > _BELIEVED * len(lit))
 
 
 def choose(first: Calibration, second: Calibration) -> tuple[Calibration, SecondLook]:
     """The second calibration unless it explains its observations worse, and the gains of the second look."""
     names = ("corner_rms_whitened", "stripe_rms_whitened", "views", "corners", "stripe_points")
     before, after = ({name: vars(calibration.quality)[name] for name in names} for calibration in (first, second))
-    kept = bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+    # A look that loses a part of the rig would explain the rest of its observations well.
+    whole = set(first.order) <= set(second.order)
+    kept = (
+        whole and bool(second.quality.converged) and all(after[name] <= _NOT_WORSE * before[name] for name in names[:2])
+    )
     look = SecondLook(
         kept,
         **{f"{name}_gained": after[name] - before[name] for name in names[2:]},

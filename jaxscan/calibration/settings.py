@@ -2,10 +2,15 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 from jaxscan.calibration.parameters import BLOCKS, PRIORS, USUALLY_FREE, Block, PriorName
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import CAMERAS, CameraModel
+
+
+RigKind = Literal["camera", "profile", "axis"]
+"""A rig that is smaller than the captures would allow: the camera alone; camera and sheets; camera and axis."""
 
 
 @dataclass(frozen=True)
@@ -14,6 +19,8 @@ class CalibrationSettings:
 
     camera: CameraModel = "pinhole"
     """Model of the camera, of `CAMERAS`."""
+    only: RigKind | None = None
+    """A smaller rig on purpose; None: the largest that the captures determine."""
     free: tuple[Block, ...] = USUALLY_FREE
     """Blocks that are estimated; everything else is held. Blocks that the camera's model lacks do
     nothing; "rational" adds k4, k5, k6 to a pinhole.
@@ -40,13 +47,24 @@ class CalibrationSettings:
     None: estimated from the residuals."""
     judge: bool = True
     """Test whether the models suffice, and predict the uncertainty of lengths."""
+    limit_mm: float | None = None
+    """A rig whose points are not good to this is refused [mm] (`GoodTo.sigma_mm`)."""
+    limit_px: float | None = None
+    """A camera whose rays are not good to this is refused [px] (`GoodTo.sigma_px`)."""
+    at_m: float | None = None
+    """Depth at which points are judged [m]; None: 2.5 m, or as far as the rig reaches."""
     max_steps: int = 60
     """Steps of one least-squares solve."""
 
     def __post_init__(self) -> None:
         _check_known("camera", [self.camera], CAMERAS)
+        _check_known("only", [] if self.only is None else [self.only], get_args(RigKind))
         _check_known("free", self.free, BLOCKS)
         _check_known("priors", self.priors, PRIORS)
+        for key in ("limit_mm", "limit_px", "at_m"):
+            value = getattr(self, key)
+            if value is not None and not 0 < value < float("inf"):
+                raise CalibrationError(f"CalibrationSettings.{key}: found {value:g}, expected a number above 0.")
 
 
 def _check_known(key: str, found: Iterable[str], known: Iterable[str]) -> None:

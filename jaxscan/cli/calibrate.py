@@ -1,13 +1,16 @@
 """`jaxscan calibrate`: calibrates a scanner from captures of boards."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from jaxscan import api
-from jaxscan.calibration import CalibrationSettings
+from jaxscan.calibration import CalibrationSettings, KnownParts, Part
 from jaxscan.calibration.parameters import Block
+from jaxscan.calibration.settings import RigKind
+from jaxscan.cli.known import known_files, known_parts
 from jaxscan.cli.options import OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
@@ -26,51 +29,77 @@ def calibrate(
     *,
     output: OutputPath,
     report: Path | None = None,
-    only: Literal["camera"] | None = None,
+    only: RigKind | None = None,
+    camera: Path | None = None,
+    sheet: tuple[str, ...] = (),
+    axis: tuple[str, ...] = (),
+    refine: tuple[Part, ...] = (),
     lens: CameraModel = "pinhole",
     free: tuple[Block, ...] = (),
     hold: tuple[Block, ...] = (),
     redetect: bool = True,
+    limit_mm: float | None = None,
+    at_m: float | None = None,
+    limit_px: float | None = None,
     json: JsonTarget = None,
 ) -> None:
     """Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.
 
-    The exit code is 1 if the calibration is not accepted or its solve did not converge. The file is written in any
-    case.
+    The first line says which parts of the rig the captures determine; the first line of the result says to how many
+    millimetres or pixels it is good. The exit code is 1 if it cannot be used at all, because its
+    solve did not converge or its points are off by more than 5 % of their distance, or if it breaks a limit. The file
+    is written in any case.
 
     Args:
         captures: One or more captures of the same board with the same rig.
         output: Calibration file to write; its observations go into `<stem>.npz` beside it.
         report: Report to write: an HTML page by which to judge the calibration.
-        only: `camera` calibrates the camera model alone, from boards without laser or turning. Such a calibration
-            cannot reconstruct.
+        only: A smaller rig than the captures determine: `camera` alone; `profile`, camera and sheets; `axis`, camera
+            and axis. Without sheets a calibration cannot reconstruct.
+        camera: Camera that is known: a calibration (.json), OpenCV's or ROS' .yaml, or mrcal's .cameramodel. A known
+            part is held.
+        sheet: Laser sheet that is known: four numbers a b c d of the plane a X + b Y + c Z = d, in metres, of each
+            laser; or a calibration (.json).
+        axis: Axis that is known: a point, in metres, and a direction; for a linear stage its direction; or a
+            calibration (.json).
+        refine: Known parts to estimate from there: `camera`, `sheet`, `axis`.
         lens: Camera model; `fisheye` and `double_sphere` are for wide-angle lenses.
         free: Blocks of parameters to estimate in addition to the usual ones.
         hold: Blocks of parameters not to estimate.
         redetect: Take a second look at the images, where the first solve predicts corners and stripes.
+        limit_mm: Refuse a rig whose points are not good to this.
+        at_m: Depth at which points are judged; 2.5 m if not given, or as far as the rig reaches.
+        limit_px: Refuse a camera whose rays are not good to this, over the image.
         json: Write the result as JSON too.
     """
+    parts = [("--camera", camera)] if camera else []
+    known_places = [place for option, path in (*parts, *known_files(sheet, axis)) for place in file_at(option, path)]
     check_paths(
-        reads=[place for path in captures for place in capture_at("CAPTURE", path)],
+        reads=[*(place for path in captures for place in capture_at("CAPTURE", path)), *known_places],
         writes=[*calibration_at("--output", output), *file_at("--report", report), *file_at("--json", json)],
     )
     check_calibration_path(output)
     check_json(json)
     if report is not None:
         check_writable(report)
+    settings = replace(calibration_settings(lens, free, hold), only=only)
+    settings = replace(settings, limit_mm=limit_mm, at_m=at_m, limit_px=limit_px)
     opened = [api.open_capture(path) for path in captures]
     out = console(json)
     for capture in opened:
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
+    known = known_parts(opened[0], camera, sheet, axis, refine) if opened else KnownParts()
+    plan = api.plan_calibration(opened, settings=settings, known=known)
+    out.print(f"solving for {plan.words()}{_held(known)}")
+    for sentence in plan.missing:
+        out.print(sentence)
     with progress_bar("Looking for boards") as progress:
-        result = api.calibrate(
-            opened,
-            settings=calibration_settings(lens, free, hold),
-            only_camera=only == "camera",
-            redetect=redetect,
-            progress=progress,
-        )
+        result = api.calibrate(opened, settings=settings, known=known, redetect=redetect, progress=progress)
+    told = {_part(sentence) for sentence in plan.missing}
+    for sentence in result.missing:
+        if _part(sentence) not in told:
+            out.print(sentence, style="yellow")
     api.save_calibration(result, output)
     files = {"calibration": str(output)}
     if report is not None:
@@ -78,10 +107,20 @@ def calibrate(
         files["report"] = str(report)
     print_summary(out, result)
     out.print(f"written: {', '.join(files.values())}")
-    emit_json(json, "calibrate", files | summary(result) | {"quality": quality_table(result.quality)})
+    found = {"missing": result.missing, "quality": quality_table(result.quality)}
+    emit_json(json, "calibrate", files | summary(result) | found)
     first = words.headline(result)
     if first.kind == "bad":
         raise CalibrationError(f"{output}: written, but {first.headline.lower()}. {first.explanation}")
+
+
+def _part(sentence: str) -> str:
+    """The part of the rig that a sentence says is missing."""
+    return sentence.partition(":")[0]
+
+
+def _held(known: KnownParts) -> str:
+    return f"; held: {' and '.join(known.held())}" if known.held() else ""
 
 
 def calibration_settings(lens: CameraModel, free: tuple[Block, ...], hold: tuple[Block, ...]) -> CalibrationSettings:

@@ -4,7 +4,7 @@ import importlib.resources
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 import tyro
@@ -17,7 +17,7 @@ from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import CaptureError, MeasurementError
 from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomically
-from jaxscan.geometry import Array, Scanner
+from jaxscan.geometry import Array, Scanner, Turntable
 from jaxscan.measurement import RoomBox
 from jaxscan.report import draw_cloud
 from jaxscan.simulation import SimulationConfig, true_scanner
@@ -200,7 +200,8 @@ def _calibration_rows(found: Scanner, true: Scanner) -> list[tuple[str, ...]]:
     rows.append(_number("laser distance, mm", distances[0], distances[1], 1e3 * sigma[f"laser.{name}.d"]))
     tilt = np.hypot(sigma[f"laser.{name}.n1"], sigma[f"laser.{name}.n2"])
     rows.append(_angle("laser normal, mrad", sheets[0].normal, sheets[1].normal, tilt))
-    axes = found.turntable, true.turntable
+    # The demo's rig has a table.
+    axes = cast(Turntable, found.turntable), cast(Turntable, true.turntable)
     tilt = np.hypot(sigma["axis.d1"], sigma["axis.d2"])
     rows.append(_angle("axis direction, mrad", axes[0].direction, axes[1].direction, tilt))
     offset = 1e3 * float(np.linalg.norm(axes[0].point - axes[1].point))

@@ -13,7 +13,7 @@ _STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
 
 
 def print_summary(out: Terminal, calibration: Calibration) -> None:
-    """Print the verdict first, then lengths, noise, faults, advice and parameters."""
+    """Print what the calibration is good for first, then lengths, noise, faults, advice and parameters."""
     first = words.headline(calibration)
     out.print(f"{first.headline}. {first.explanation}", style=_STYLE[first.kind])
     lengths = words.lengths(calibration)
@@ -21,7 +21,7 @@ def print_summary(out: Terminal, calibration: Calibration) -> None:
         out.print("Uncertainty that the calibration alone causes (one standard deviation):")
     for line in lengths:
         out.print(f"  {words.millimetres(line.sigma_mm):>9}  {line.what}")
-    for text in (*words.noise_lines(calibration), *words.second_look(calibration)):
+    for text in (*words.board_lines(calibration), *words.noise_lines(calibration), *words.second_look(calibration)):
         out.print(text)
     for view in words.bad_views(calibration):
         out.print(f"record {view.record}: {view.why}", style="yellow")
@@ -32,7 +32,7 @@ def print_summary(out: Terminal, calibration: Calibration) -> None:
     outcomes = outcome_rows(calibration)
     if outcomes:
         rows = [row[:7] for row in outcomes]
-        out.print(table("Tests", ("", "statistic", "dof", "p", "p of structure", "moves a length by", "result"), rows))
+        out.print(table("Tests", ("", "statistic", "dof", "p", "p of structure", "harm", "result"), rows))
     if calibration.quality.converged is False:
         return
     rows = [parameter.row() for parameter in parameters(calibration)]
@@ -44,6 +44,7 @@ def summary(calibration: Calibration) -> dict[str, Any]:
     return {
         "verdict": words.headline(calibration)._asdict(),
         "lengths": [line._asdict() for line in words.lengths(calibration)],
+        "boards": words.board_lines(calibration),
         "noise": words.noise_lines(calibration),
         "second_look": words.second_look(calibration),
         "bad_views": [view._asdict() for view in words.bad_views(calibration)],

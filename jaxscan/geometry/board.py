@@ -2,7 +2,7 @@
 
 The board frame has its origin at a corner, x along the rows of squares, y down the columns, z
 into the board, so a board seen upright has the camera's axes. Corner k stands at column
-`k % columns`, row `k // columns` of the inner corners, for both kinds.
+`k % columns`, row `k // columns` of the corners' grid, for every kind.
 """
 
 import abc
@@ -23,31 +23,39 @@ BEND_DEGREE = 6
 
 
 class AbstractBoard(eqx.Module):
-    """A flat printed target with point features."""
+    """A flat printed target with point features, called corners also where they are centres of circles."""
 
     square: eqx.AbstractVar[float]
+    """Side of a square, or the least distance of neighbouring corners along an axis [m]."""
 
     @abc.abstractmethod
     def grid(self) -> tuple[int, int]:
-        """Columns and rows of inner corners."""
+        """Columns and rows of corners."""
 
     @abc.abstractmethod
-    def first_corner(self) -> tuple[float, float]:
-        """Board coordinates (x, y) of corner 0 [m]."""
+    def places(self) -> np.ndarray:
+        """Board coordinates (x, y) of all corners, float64 [columns * rows, 2], m."""
+
+    @abc.abstractmethod
+    def describe(self) -> str:
+        """The board in words, for messages and reports."""
 
     def corners(self) -> np.ndarray:
         """All corners, float64 [columns * rows, 3], metres, board frame."""
-        columns, rows = self.grid()
-        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-        flat = np.stack([x.ravel(), y.ravel()], -1) * self.square + np.array(self.first_corner())
+        flat = self.places()
         return np.column_stack([flat, np.zeros(len(flat))])
 
     def outline(self) -> np.ndarray:
         """Corners of the printed area, float64 [4, 2], metres: x0 y0, x1 y0, x1 y1, x0 y1."""
-        columns, rows = self.grid()
-        x0, y0 = np.array(self.first_corner()) - self.square
-        x1, y1 = x0 + (columns + 1) * self.square, y0 + (rows + 1) * self.square
+        flat = self.places()
+        (x0, y0), (x1, y1) = flat.min(0) - self.square, flat.max(0) + self.square
         return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+
+
+def even_grid(columns: int, rows: int) -> np.ndarray:
+    """Column and row of every corner of a grid, in the order of corners, float64 [columns * rows, 2]."""
+    x, y = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
+    return np.stack([x.ravel(), y.ravel()], -1)
 
 
 class Chessboard(AbstractBoard):
@@ -64,8 +72,11 @@ class Chessboard(AbstractBoard):
     def grid(self) -> tuple[int, int]:
         return self.columns, self.rows
 
-    def first_corner(self) -> tuple[float, float]:
-        return 0.0, 0.0
+    def places(self) -> np.ndarray:
+        return even_grid(self.columns, self.rows) * self.square
+
+    def describe(self) -> str:
+        return f"chessboard, {self.columns} x {self.rows} inner corners, {1e3 * self.square:g} mm"
 
 
 class Charuco(AbstractBoard):
@@ -85,8 +96,12 @@ class Charuco(AbstractBoard):
     def grid(self) -> tuple[int, int]:
         return self.columns - 1, self.rows - 1
 
-    def first_corner(self) -> tuple[float, float]:
-        return self.square, self.square
+    def places(self) -> np.ndarray:
+        return even_grid(*self.grid()) * self.square + self.square
+
+    def describe(self) -> str:
+        columns, rows = self.grid()
+        return f"ChArUco board, {columns} x {rows} inner corners, {1e3 * self.square:g} mm"
 
 
 class BowedBoard(eqx.Module):

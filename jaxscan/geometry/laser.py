@@ -104,5 +104,7 @@ LASER_BLOCKS = (
 
 
 def stack_lasers(lasers: list[LaserSheet]) -> LaserSheet:
-    """Several sheets as one pytree, every leaf with a leading axis over lasers."""
+    """Several sheets, or none, as one pytree, every leaf with a leading axis over lasers."""
+    if not lasers:
+        return jax.tree.map(lambda leaf: leaf[:0], stack_lasers([LaserSheet.from_plane([1.0, 0.0, 0.0], 1.0)]))
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *lasers)

@@ -6,11 +6,10 @@ from typing import NamedTuple
 from jaxscan.geometry.cameras import AbstractCamera
 from jaxscan.geometry.laser import LASER_BLOCKS
 from jaxscan.geometry.parameters import ParameterBlock
-from jaxscan.geometry.turntable import AXIS_BLOCKS
 
 
 class Layout(NamedTuple):
-    """The order of all minimal coordinates: camera, laser after laser, turntable, board."""
+    """The order of all minimal coordinates: camera, laser after laser, motion, board."""
 
     names: tuple[str, ...]
     blocks: tuple[ParameterBlock, ...]
@@ -25,7 +24,7 @@ def make_layout(
     camera: AbstractCamera,
     lasers: tuple[str, ...],
     *,
-    turns: bool = True,
+    motion: tuple[ParameterBlock, ...] = (),
     board: tuple[ParameterBlock, ...] = (),
 ) -> Layout:
     """The layout of a rig.
@@ -33,14 +32,14 @@ def make_layout(
     Args:
         camera: The camera.
         lasers: Names of the lasers.
-        turns: Whether there is a turntable.
+        motion: Blocks of the motion between records; none where there is no motion.
         board: Blocks of the board, if it is solved for too.
     """
     names = camera.parameter_names()
     parts = (
         list(zip(names, (block for block in camera.blocks() for _ in block.parameters), strict=False)),
         [(f"laser.{laser}.{name}", block) for laser in lasers for block in LASER_BLOCKS for name in block.parameters],
-        [(name, block) for block in AXIS_BLOCKS if turns for name in block.parameters],
+        [(name, block) for block in motion for name in block.parameters],
         [(name, block) for block in board for name in block.parameters],
     )
     ends = list(accumulate(map(len, parts)))

@@ -1,4 +1,4 @@
-"""The scanner: camera, laser sheets and turntable, calibrated, as one pytree."""
+"""The scanner: camera, laser sheets and motion, calibrated, as one pytree."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -13,8 +13,8 @@ from jaxscan.geometry.arrays import Array
 from jaxscan.geometry.cameras import AbstractCamera
 from jaxscan.geometry.laser import LaserSheet, stack_lasers
 from jaxscan.geometry.layout import Layout, make_layout
-from jaxscan.geometry.rigid import rigid, transform
-from jaxscan.geometry.turntable import Turntable
+from jaxscan.geometry.motions import AbstractMotion, Still
+from jaxscan.geometry.rigid import transform
 
 
 Up = Literal["-v", "+v", "+u", "-u"]
@@ -31,7 +31,8 @@ class Scanner(eqx.Module):
     camera: AbstractCamera
     lasers: LaserSheet
     """All sheets stacked: every field has a leading axis over lasers (`stack_lasers`)."""
-    turntable: Turntable
+    turntable: AbstractMotion
+    """The motion between records: a `Turntable`, a `LinearStage`, or `Still`."""
     covariance: Float[Array, "params params"] | None = None
     """Covariance of the minimal coordinates (`parameter_names`; px, rad, m), where known."""
     laser_names: tuple[str, ...] = eqx.field(static=True, default=("laser",))
@@ -42,17 +43,18 @@ class Scanner(eqx.Module):
     def from_parts(
         camera: AbstractCamera,
         lasers: LaserSheet | Sequence[LaserSheet],
-        turntable: Turntable,
+        turntable: AbstractMotion | None = None,
         *,
         laser_names: Sequence[str] = (),
         up: Up = "-v",
     ) -> "Scanner":
-        """A scanner from its parts, all in the camera frame at angle 0.
+        """A scanner from its parts, all in the camera frame at position 0.
 
         Args:
             camera: Any model.
             lasers: One sheet, or several.
-            turntable: Its axis in either sense; it is flipped to the image's up side, with the signs of its angles.
+            turntable: A turntable, its axis in either sense (it is flipped to the image's up side, with the signs of
+                its angles); a linear stage; or None for a scanner that stands still.
             laser_names: One for each sheet; without any, "laser", or "laser1", "laser2" and so on.
             up: The image direction that is up.
 
@@ -69,7 +71,7 @@ class Scanner(eqx.Module):
         names = tuple(laser_names) or tuple(counted)
         if len(names) != len(sheets) or len(set(names)) < len(names):
             raise ValueError(f"laser_names: found {', '.join(names)}, expected {len(sheets)} different names")
-        return Scanner(camera, stack_lasers(sheets), point_up(turntable, up), laser_names=names, up=up)
+        return Scanner(camera, stack_lasers(sheets), point_up(turntable or Still(), up), laser_names=names, up=up)
 
     def laser(self, index: int | Int[Array, ""]) -> LaserSheet:
         """One of the stacked sheets."""
@@ -84,21 +86,13 @@ class Scanner(eqx.Module):
         return Scanner(self.camera, self.lasers, self.turntable, None, self.laser_names, self.up)
 
     def scanner_from_camera(self) -> Float[Array, "4 4"]:
-        """T_scanner_cam at angle 0.
-
-        Origin at the point of the axis nearest the camera, z along the axis, x along the part
-        of the camera's z that is perpendicular to the axis.
-        """
-        z = jnp.asarray(self.turntable.direction)
-        forward = jnp.zeros_like(z).at[2].set(1.0)
-        x = forward - jnp.dot(forward, z) * z
-        x = x / jnp.linalg.norm(x)
-        rotation = jnp.stack([x, jnp.cross(z, x), z])
-        return rigid(rotation, -rotation @ self.turntable.point)
+        """T_scanner_cam at position 0; see `frame` of the motion."""
+        return self.turntable.frame()
 
     def pose(self, phi: Float[Array, ""]) -> Float[Array, "4 4"]:
-        """T_scanner_cam(phi) at the table's angle `phi` [rad from home]."""
-        return self.scanner_from_camera() @ self.turntable.motion(phi)
+        """T_scanner_cam(phi) at the table's angle [rad from home], or the position of a stage [m]."""
+        motion = self.turntable.motion(phi)
+        return jnp.asarray(self.scanner_from_camera(), motion.dtype) @ motion
 
     def point(
         self, q: Float[Array, "2"], laser: int | Int[Array, ""], phi: Float[Array, ""]
@@ -108,7 +102,7 @@ class Scanner(eqx.Module):
         Args:
             q: Stripe centre (u, v) [px].
             laser: Index of the sheet.
-            phi: The table's angle [rad from home].
+            phi: The table's angle [rad from home], or the position of a stage [m].
 
         Returns:
             p_scanner: Point [m], scanner frame.
@@ -119,12 +113,12 @@ class Scanner(eqx.Module):
         return transform(self.pose(phi), range_m * ray), incidence
 
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the minimal coordinates: camera, lasers, axis, angle model."""
+        """Names of the minimal coordinates: camera, lasers, motion."""
         return self.layout().names
 
     def layout(self) -> Layout:
         """Positions of the minimal coordinates of each part."""
-        return make_layout(self.camera, self.laser_names)
+        return make_layout(self.camera, self.laser_names, motion=self.turntable.blocks)
 
     def retract(self, step: Float[Array, " params"]) -> "Scanner":
         """The scanner moved by `step` in its minimal coordinates; it has no covariance."""
@@ -138,14 +132,6 @@ class Scanner(eqx.Module):
         )
 
 
-def point_up(turntable: Turntable, up: Up) -> Turntable:
-    """The same axis and motion with the axis on the image's up side.
-
-    Flipping the axis changes the sign of every angle, and so of gain and harmonics.
-    """
-    if np.dot(turntable.direction, UP_VECTORS[up]) >= 0:
-        return turntable
-    basis = np.asarray(turntable.basis)
-    return Turntable(
-        -turntable.direction, turntable.point, -turntable.gain, -turntable.harmonics, basis, turntable.carries
-    )
+def point_up(turntable: AbstractMotion, up: Up) -> AbstractMotion:
+    """The same motion in its canonical form: the axis of a turntable on the image's up side."""
+    return turntable.pointed(np.array(UP_VECTORS[up]))

@@ -2,7 +2,14 @@
 
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.first_look import Eyes, Look, Progress, look_at_boards
-from jaxscan.observation.observations import BoardViews, Observations, StripeViews, stack_stripes, to_observations
+from jaxscan.observation.observations import (
+    BoardViews,
+    Observations,
+    StripeViews,
+    stack_stripes,
+    to_observations,
+    with_lasers,
+)
 from jaxscan.observation.prediction import SolvedRig
 from jaxscan.observation.records import BoardRecord, BoardSource, SeenRecord
 from jaxscan.observation.second_look import look_again

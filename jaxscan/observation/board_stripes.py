@@ -6,18 +6,22 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.geometry import AbstractBoard, across_and_along
+from jaxscan.observation.board_lines import Candidates, find_lines
+from jaxscan.observation.board_map import BoardMap, is_on_print
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.prediction import SolvedRig, lift_to_board, predict_stripe
 from jaxscan.observation.records import BoardSource, SeenRecord
-from jaxscan.observation.stripes_on_board import FoundStripe, select_board_stripe
+from jaxscan.observation.stripes_on_board import BoardStripe, select_board_stripe
 from jaxscan.stripes import (
+    ChunkStripes,
+    ExtractionSetup,
     FrameFormat,
     LaserLine,
     NoiseModel,
-    Stripes,
     StripeSettings,
     estimate_noise,
-    extract_stripes,
+    predict_off,
+    prepare_engines,
     with_colour,
 )
 
@@ -56,26 +60,43 @@ def find_stripes(
         capture: Their capture.
         lines: Its lasers, their colours learned.
         board: The board in it.
-        rig: Result of a first solve: stripes are then looked for near their predictions only, and
-            the poses of the records decide which points lie on the print.
+        rig: Result of a first solve: stripes are then looked for near their predictions only, where its
+            sheet is believed, and the poses of the records decide which points lie on the print.
     """
     views = list(views)
     lit = [i for i, view in enumerate(views) if view.corners is not None and view.on is not None]
     for laser, line in enumerate(lines):
+        if rig is not None and line.name not in rig.laser_names:
+            continue  # The first solve has no sheet of it, so it predicts nothing.
         for with_off in (True, False):
             group = [i for i in lit if views[i].laser == laser and (views[i].off is not None) == with_off]
             if not group:
                 continue
             noise, stripes = _extract([views[i] for i in group], capture, line, rig)
             for row, i in enumerate(group):
-                found, view = FoundStripe.of(stripes, row, line.stripe_axis), views[i]
-                board_xy = None
-                if rig is not None and view.pose is not None:
-                    board_xy = lift_to_board(rig, view.pose, found.pixels())
-                off, corners = None if view.off is None else view.grey, cast(FoundCorners, view.corners)
-                stripe = select_board_stripe(found, corners, board, off=off, board_xy=board_xy)
-                views[i] = view._replace(stripe=stripe, noise=noise)
+                found = Candidates.of(stripes, row, line.stripe_axis)
+                views[i] = views[i]._replace(stripes=_lines_of(views[i], found, board, rig), noise=noise)
     return views
+
+
+def _lines_of(
+    view: SeenRecord, found: Candidates, board: AbstractBoard, rig: SolvedRig | None
+) -> tuple[BoardStripe, ...]:
+    """The lines on one board that may be the stripe, the likeliest first."""
+    off, corners = None if view.off is None else view.grey, cast(FoundCorners, view.corners)
+    known, q = BoardMap.of(corners, board), found.pixels()
+    usable, pixels = found.valid, q.reshape(-1, 2)
+    if rig is not None and view.pose is not None:
+        xy = lift_to_board(rig, view.pose, pixels).reshape(q.shape)
+    else:
+        xy = known.to_board(pixels).reshape(q.shape)
+        usable = usable & known.is_near(xy)
+    usable = usable & is_on_print(xy, board)
+    stripes = []
+    for number in find_lines(found, xy, usable, known, print_shows=view.off is None):
+        at = np.maximum(number, 0).astype(np.intp), np.arange(len(number))
+        stripes.append(select_board_stripe(found.taken(number), corners, board, off=off, board_xy=xy[at]))
+    return tuple(stripe for stripe in stripes if stripe.valid.any())
 
 
 def _learn_colour(capture: BoardSource, laser: int) -> LaserLine:
@@ -97,21 +118,23 @@ def _learn_colour(capture: BoardSource, laser: int) -> LaserLine:
 
 def _extract(
     views: list[SeenRecord], capture: BoardSource, line: LaserLine, rig: SolvedRig | None
-) -> tuple[NoiseModel, Stripes]:
+) -> tuple[NoiseModel, ChunkStripes]:
     """Noise and stripes of one laser; all records have a laser-off frame, or none has."""
     # Padded to the batch size, so that the extraction compiles once.
     padded = [views[min(k, len(views) - 1)] for k in range(BATCH_RECORDS)]
     on = np.stack([view.on for view in padded if view.on is not None])
     dark = [view.off for view in padded if view.off is not None]
-    off = np.stack(dark) if dark else None
+    off = np.stack(dark) if dark else predict_off(on, capture.pixel_format, line)
     frames = FrameFormat(capture.pixel_format, capture.response)
     # Estimated from whole frames: outside the band there would be no noise.
     noise = views[0].noise or estimate_noise(on, off, **vars(frames), line=line)
-    if rig is not None and off is not None:
+    if rig is not None and line.name in rig.believed:
         near = np.stack([_band(view, rig, line) for view in padded])
         on = np.where(near if on.ndim == 3 else near[..., None], on, off)
-    stripes = extract_stripes(on, off, pixel_format=frames, line=line, settings=_SETTINGS, noise=noise)
-    return noise, stripes
+    size = int(on.shape[2]), int(on.shape[1])
+    setup = ExtractionSetup(size, frames, line, _SETTINGS, all_candidates=True)
+    (engine,) = prepare_engines(on, off, [setup], noise=noise)
+    return noise, engine.extract(on, off)
 
 
 def _band(view: SeenRecord, rig: SolvedRig, line: LaserLine) -> np.ndarray:
@@ -119,7 +142,7 @@ def _band(view: SeenRecord, rig: SolvedRig, line: LaserLine) -> np.ndarray:
     camera = rig.camera
     if view.pose is None:
         return np.ones((camera.height, camera.width), bool)
-    stripe = predict_stripe(rig, view.pose, view.laser, line.stripe_axis)
+    stripe = predict_stripe(rig, view.pose, rig.laser_names.index(line.name), line.stripe_axis)
     samples = np.arange(across_and_along(camera.width, camera.height, line.stripe_axis)[0])
     near = stripe.on_board[:, None] & (np.abs(samples - stripe.u[:, None]) <= _BAND_PX)
     return near if line.stripe_axis == "rows" else near.T

@@ -2,14 +2,17 @@
 
 import numpy as np
 
-from jaxscan.geometry import AbstractBoard, Charuco, fixes_plane
+from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, fixes_plane
 from jaxscan.observation.corner_fit import FoundCorners, fit_corners
 
 
 SMALL_SQUARE_PX = 12.0
 """Smaller projected squares [px] have fewer edge pixels than a corner needs."""
-WINDOW_SHARE = 0.3
-"""Half side of a window, in squares: such a window stays clear of the next corner."""
+_WINDOW_SHARE, _SMALL_SHARE = 0.3, 0.5
+"""Half side of a window, in squares: such a window stays clear of the next corner; of an AprilGrid, whose small squares
+are far from the next ones, in small squares."""
+# Side of the smallest squares between tags whose corners are fitted [px].
+_LEAST_SMALL_PX = 9.0
 # Reach of the blur of a marker's edge [px].
 _MARKER_BLUR_PX = 1.5
 
@@ -26,13 +29,22 @@ def fit_found_corners(
         half_window: Half the side of the window [px], instead of a share of the squares.
     """
     edges, known = edge_directions(found.q, found.valid, board)
+    sizes = square_sizes(found.q, found.valid, board)
+    if isinstance(board, AprilGrid):
+        # The least window would reach beyond smaller ones.
+        known = known & (sizes >= _LEAST_SMALL_PX)
     use = np.flatnonzero(found.valid & known)
-    sizes = square_sizes(found.q, found.valid, board)[use]
-    half = WINDOW_SHARE * sizes if half_window is None else np.full(len(use), float(half_window))
+    sizes = sizes[use]
+    half = window_share(board) * sizes if half_window is None else np.full(len(use), float(half_window))
     fit = fit_corners(image, found.q[use], edges[use], half, clear=clear_of_markers(board, sizes))
     q, sigma = found.q.copy(), found.sigma.copy()
     q[use[fit.valid]], sigma[use[fit.valid]] = fit.q[fit.valid], fit.sigma[fit.valid]
     return FoundCorners(q, sigma, found.valid)
+
+
+def window_share(board: AbstractBoard) -> float:
+    """Half the side of the window in which a corner is fitted, in squares."""
+    return _SMALL_SHARE if isinstance(board, AprilGrid) else _WINDOW_SHARE
 
 
 def clear_of_markers(board: AbstractBoard, sizes: np.ndarray) -> np.ndarray | None:

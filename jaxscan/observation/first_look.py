@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractBoard, Charuco
+from jaxscan.geometry import AbstractBoard
 from jaxscan.observation.board_stripes import BATCH_RECORDS, find_stripes, learn_colours
 from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.missed import MissedRecord, count_reasons, measure_light, missed_records
 from jaxscan.observation.prediction import SolvedRig
 from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
 from jaxscan.stripes import LaserLine
@@ -35,6 +36,11 @@ class Look(NamedTuple):
     records: list[SeenRecord]
     lines: tuple[tuple[LaserLine, ...], ...] | None
     """The lasers of each capture, their colours learned; None where stripes were not looked for."""
+
+    def missed(self) -> tuple[MissedRecord, ...]:
+        """The records in which the board was not found, with the likely reasons."""
+        seen = [(view.record.i, view.corners is not None, view.light) for view in self.records]
+        return missed_records(seen, len(self.board.corners()))
 
 
 def look_at_boards(
@@ -65,14 +71,18 @@ def look_at_boards(
 
     def look(number: int, index: int) -> SeenRecord:
         view = SeenRecord.read(captures, number, index, eyes.to_grey)
-        return view if view.grey is None else view._replace(corners=eyes.find_corners(view.grey, board))
+        if view.grey is None:
+            return view
+        corners = eyes.find_corners(view.grey, board)
+        return view._replace(corners=corners, light=measure_light(view.grey, crossings=corners is None))
 
     seen = go_through(captures, look, Look(board, [], lines), progress=progress)
     if all(view.corners is None for view in seen.records):
         raise CalibrationError(
-            f"The board ({_describe(board)}) was found in none of {len(seen.records)} records: check the [board] table "
-            "of capture.toml (columns and rows count inner corners for a chessboard, squares for ChArUco), and that "
-            "the board is sharp, well lit and wholly in the image."
+            f"The board ({board.describe()}) was found in none of {len(seen.records)} records "
+            f"({count_reasons(seen.missed())}): check the [board] table of capture.toml (columns and rows count inner "
+            "corners for a chessboard, squares for ChArUco, circles, or tags), and that the board is sharp, well lit "
+            "and wholly in the image."
         )
     return seen
 
@@ -109,9 +119,3 @@ def go_through(
                 if progress is not None:
                     progress(len(views), total)
     return like._replace(records=views)
-
-
-def _describe(board: AbstractBoard) -> str:
-    columns, rows = board.grid()
-    kind = "ChArUco" if isinstance(board, Charuco) else "chessboard"
-    return f"{kind}, {columns} x {rows} inner corners, {1e3 * board.square:g} mm"

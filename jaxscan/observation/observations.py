@@ -1,14 +1,15 @@
 """Observations: board corners and stripe points on padded grids of views."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import AbstractBoard, Array
+from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 from jaxscan.observation.first_look import Look
 from jaxscan.observation.records import BoardSource
 from jaxscan.observation.stripes_on_board import BoardStripe
@@ -57,6 +58,8 @@ class Observations(eqx.Module):
     laser_names: tuple[str, ...] = eqx.field(static=True)
     up: Up = eqx.field(static=True, default="-v")
     carries: Carries = eqx.field(static=True, default="scanner")
+    other_lines: StripeViews | None = None
+    """Other lines on the same boards that may be the stripes; None once the views have agreed on a sheet."""
 
 
 def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations:
@@ -66,7 +69,8 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
     q, sigma, valid = map(np.stack, zip(*(view.corners for view in views if view.corners is not None), strict=True))
     keys = [view.placement or f"alone {index}" for index, view in enumerate(views)]
     number = {key: index for index, key in enumerate(dict.fromkeys(keys))}
-    stripes = [(view.stripe, index, view.laser) for index, view in enumerate(views) if view.stripe is not None]
+    lines = [[(stripe, index, view.laser) for stripe in view.stripes] for index, view in enumerate(views)]
+    others = [line for found in lines for line in found[1:]]
     width, height = first.image_size
     return Observations(
         board=look.board,
@@ -79,13 +83,30 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
             # 64 bits: a journal of another program may count milliseconds.
             record=np.array([view.record.i for view in views], np.int64),
         ),
-        stripes=stack_stripes(stripes),
+        stripes=stack_stripes([found[0] for found in lines if found]),
         width=width,
         height=height,
         laser_names=tuple(line.name for line in first.lasers),
         up=first.up,
         carries=first.carries or "scanner",
+        other_lines=stack_stripes(others) if others else None,
     )
+
+
+def with_lasers(observations: Observations, names: Sequence[str]) -> Observations:
+    """The observations with the stripes of some lasers alone."""
+    kept = [observations.laser_names.index(name) for name in names]
+
+    def of_kept(stripes: StripeViews) -> StripeViews:
+        laser = np.asarray(stripes.laser)
+        rows = np.isin(laser, kept)
+        fields = {name: np.asarray(values)[rows] for name, values in vars(stripes).items()}
+        fields["laser"] = np.array([kept.index(number) for number in laser[rows]], np.int32)
+        return StripeViews(**fields)
+
+    others = None if observations.other_lines is None else of_kept(observations.other_lines)
+    stripes = of_kept(observations.stripes)
+    return replace(observations, laser_names=tuple(names), stripes=stripes, other_lines=others)
 
 
 def stack_stripes(stripes: Sequence[tuple[BoardStripe, int, int]], points: int = 512) -> StripeViews:

@@ -10,12 +10,12 @@ from jaxtyping import Float
 from jaxscan.geometry import (
     AbstractBoard,
     AbstractCamera,
+    AbstractMotion,
     Array,
     BowedBoard,
     LaserSheet,
     Scanner,
     StripeAxis,
-    Turntable,
     across_and_along,
     corner_frame,
     invert,
@@ -44,10 +44,17 @@ class SolvedRig(NamedTuple):
     """bool [views]: the solve used corners of that view."""
     corner_rms_px: float
     """Root mean square residual of the corners."""
+    believed: tuple[str, ...] = ()
+    """The lasers with whose sheet most boards agree: their stripes are looked for near it only."""
     bend: np.ndarray = np.zeros(0)
     """Coefficients of the board's `bend_functions` [m]; empty for a parabola."""
     offset: np.ndarray = np.zeros((0, 3))
     """Where every corner stands beside the surface [corners, 3], m; empty for a parabola."""
+
+    @property
+    def laser_names(self) -> tuple[str, ...]:
+        """The lasers whose sheets were solved."""
+        return () if self.scanner is None else self.scanner.laser_names
 
     def surface(self) -> BowedBoard:
         """The bowed board; call in 64 bit."""
@@ -77,21 +84,21 @@ class PredictedStripe(NamedTuple):
     """bool [lines]: the sheet meets the printed area there."""
 
 
-def turn_boards(table: Turntable, poses: np.ndarray, at: np.ndarray, to: np.ndarray) -> np.ndarray:
-    """T_cam_board of unmoved boards at other angles of the table.
+def turn_boards(motion: AbstractMotion, poses: np.ndarray, at: np.ndarray, to: np.ndarray) -> np.ndarray:
+    """T_cam_board of unmoved boards at other positions of the scanner.
 
     Args:
-        table: The turntable.
+        motion: Of the scanner.
         poses: T_cam_board [n, 4, 4].
-        at: The table's angles of these poses [n], rad from home.
-        to: The table's angles of the new poses [n], rad from home.
+        at: Angles of the table, or positions of the stage, of these poses [n], rad or m.
+        to: Those of the new poses [n].
 
     Returns:
         Poses [n, 4, 4].
     """
     with jax.enable_x64(True):
-        table = jax.tree.map(jnp.asarray, table)
-        turn = jax.vmap(lambda pose, at, to: invert(table.motion(to)) @ table.motion(at) @ pose)
+        motion = jax.tree.map(jnp.asarray, motion)
+        turn = jax.vmap(lambda pose, at, to: invert(motion.motion(to)) @ motion.motion(at) @ pose)
         return np.asarray(turn(jnp.asarray(poses), jnp.asarray(at), jnp.asarray(to)))
 
 

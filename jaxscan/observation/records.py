@@ -5,9 +5,10 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 from jaxscan.observation.corners import FoundCorners
+from jaxscan.observation.missed import Light
 from jaxscan.observation.stripes_on_board import BoardStripe
 from jaxscan.stripes import LaserLine, NoiseModel, PixelFormat, Response
 
@@ -91,11 +92,14 @@ class SeenRecord(NamedTuple):
     grey: np.ndarray | None = None
     """The laser-off frame in grey, or the laser-on frame where there is no other."""
     corners: FoundCorners | None = None
-    stripe: BoardStripe | None = None
+    stripes: tuple[BoardStripe, ...] = ()
+    """Straight lines on the board that may be the laser's, the likeliest first."""
     noise: NoiseModel | None = None
     """Noise of its frames, known once stripes were looked for."""
     pose: np.ndarray | None = None
     """T_cam_board [4, 4] from a first solve."""
+    light: Light | None = None
+    """How the image is exposed and focused; None without an image."""
 
     @staticmethod
     def read(captures: Sequence[BoardSource], number: int, index: int, to_grey: ToGrey) -> "SeenRecord":

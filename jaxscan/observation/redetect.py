@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from jaxscan.geometry import AbstractBoard
+from jaxscan.geometry import AbstractBoard, Circles
 from jaxscan.observation.corner_fit import fit_corners
-from jaxscan.observation.corners import WINDOW_SHARE, FoundCorners, clear_of_markers, is_enough
+from jaxscan.observation.corners import FoundCorners, clear_of_markers, is_enough, window_share
 from jaxscan.observation.prediction import PredictedCorners
 
 
@@ -35,10 +35,15 @@ def redetect_corners(
 
     Source: Duisterhof et al., TartanCalib (2022).
     """
+    if isinstance(board, Circles):
+        # Centres of circles are measured from the ink alone, so a prediction would change nothing.
+        return first
     count = len(predicted.q)
     look = np.flatnonzero(predicted.visible & (predicted.size >= _SMALLEST_PX))
     start, size = predicted.q[look], predicted.size[look]
-    fit = fit_corners(image, start, predicted.edges[look], WINDOW_SHARE * size, clear=clear_of_markers(board, size))
+    fit = fit_corners(
+        image, start, predicted.edges[look], window_share(board) * size, clear=clear_of_markers(board, size)
+    )
     near = fit.valid & (np.hypot(*(fit.q - start).T) <= reach)
     q, sigma, valid = np.zeros((count, 2)), np.ones(count), np.zeros(count, bool)
     if first is not None:

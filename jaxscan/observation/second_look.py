@@ -46,7 +46,7 @@ def look_again(
         at = starts[number] + index
         before, pose = first.records[at], poses[at]
         view = SeenRecord.read(captures, number, index, to_grey)
-        view = view._replace(corners=before.corners, noise=before.noise, pose=pose)
+        view = view._replace(corners=before.corners, noise=before.noise, pose=pose, light=before.light)
         if pose is None or view.grey is None:
             return view
         reach = _REACH_SIGMA * rig.corner_rms_px + (_REACH_UNSEEN_PX if before.corners is None else _REACH_PX)
@@ -70,6 +70,6 @@ def _poses(views: Sequence[SeenRecord], rig: SolvedRig) -> list[np.ndarray | Non
                 seen[placement] = pose[None], np.array([views[number].record.angle])
     for number, view in enumerate(views):
         there = None if view.placement is None else seen.get(view.placement)
-        if rig.scanner is not None and poses[number] is None and there is not None:
+        if rig.scanner is not None and rig.scanner.turntable.blocks and poses[number] is None and there is not None:
             poses[number] = turn_boards(rig.scanner.turntable, *there, np.array([view.record.angle]))[0]
     return poses

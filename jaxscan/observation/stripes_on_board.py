@@ -4,16 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.geometry import AbstractBoard, StripeAxis, apply_homography, direct_homography, stripe_pixel
+from jaxscan.geometry import AbstractBoard, StripeAxis, stripe_pixel
+from jaxscan.observation.board_map import BoardMap, is_on_print
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.ink import ink_shift
-from jaxscan.stripes import Stripes
 
 
-# Margin inside the printed area, and largest distance from the found corners, both in squares: farther
-# away the map to the board is a guess.
-_EDGE_MARGIN = 0.1
-_REACH = 1.2
 # Points with a larger shift by the print [px] are dropped.
 _MAX_INK_SHIFT = 0.35
 # Assumed blur of lens and pixels [px].
@@ -34,14 +30,6 @@ class FoundStripe(NamedTuple):
     """bool [lines]."""
     stripe_axis: StripeAxis = "rows"
     """Whether a line is an image row or an image column."""
-
-    @staticmethod
-    def of(stripes: Stripes, profile: int, stripe_axis: StripeAxis) -> "FoundStripe":
-        """One profile of many."""
-        u, sigma, width, valid = (
-            np.asarray(field)[profile] for field in (stripes.u, stripes.sigma, stripes.width, stripes.valid)
-        )
-        return FoundStripe(u, sigma, width, valid, stripe_axis)
 
     def pixels(self) -> np.ndarray:
         """float64 [lines, 2]: (u, v) [px]; at 0 of its line where not valid."""
@@ -93,10 +81,10 @@ def select_board_stripe(
     centre, lines = q.T if stripe.stripe_axis == "rows" else q[:, ::-1].T
     keep = stripe.valid & np.isfinite(centre)
     if board_xy is None:
-        keep &= _on_board(q, corners, board)
-    else:
-        outline, margin = board.outline(), _EDGE_MARGIN * board.square
-        keep &= ((board_xy > outline.min(0) + margin) & (board_xy < outline.max(0) - margin)).all(-1)
+        view = BoardMap.of(corners, board)
+        board_xy = view.to_board(q)
+        keep &= view.is_near(board_xy)
+    keep &= is_on_print(board_xy, board)
     if off is not None and keep.any():
         on_board = np.flatnonzero(keep)
         image = off if stripe.stripe_axis == "rows" else off.T
@@ -116,29 +104,3 @@ def select_board_stripe(
     result.sigma[: len(chosen)] = spread[chosen] / np.hypot(1.0, slope)
     result.valid[: len(chosen)] = True
     return result
-
-
-def _on_board(q: np.ndarray, corners: FoundCorners, board: AbstractBoard) -> np.ndarray:
-    found = board.corners()[corners.valid, :2]
-    xy, outline = _board_map(corners.q[corners.valid], found, q), board.outline()
-    low = np.maximum(outline.min(0) + _EDGE_MARGIN * board.square, found.min(0) - _REACH * board.square)
-    high = np.minimum(outline.max(0) - _EDGE_MARGIN * board.square, found.max(0) + _REACH * board.square)
-    return np.all((xy > low) & (xy < high), axis=1)
-
-
-def _board_map(corners: np.ndarray, xy: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Board coordinates of pixels, interpolated between corners."""
-    homography = direct_homography(corners, xy)
-    mapped = apply_homography(homography, q)
-    if len(corners) < 30:
-        return mapped
-    centre, size = corners.mean(0), max(float(np.abs(corners - corners.mean(0)).max()), 1e-12)
-    a, b = (corners - centre) / size, (q - centre) / size
-    fit = np.linalg.lstsq(_cubic(a), xy - apply_homography(homography, corners), rcond=None)[0]
-    # Beyond the corners the cubic diverges; its value at their edge is used there.
-    return mapped + _cubic(np.clip(b, a.min(0), a.max(0))) @ fit
-
-
-def _cubic(points: np.ndarray) -> np.ndarray:
-    x, y = points[:, 0], points[:, 1]
-    return np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])

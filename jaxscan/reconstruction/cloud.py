@@ -54,7 +54,7 @@ class PointCloud(eqx.Module):
     record: Int[Array, " profiles"]
     laser: Int[Array, " profiles"]
     angle: Float[Array, " profiles"]
-    """The table's angle phi of the profile [rad from home]."""
+    """The table's angle phi of the profile [rad from home], or the stage's position [m]."""
 
     def points(self, start: int = 0, stop: int | None = None) -> CloudPoints:
         """The valid points as a flat list, of all profiles or of those from `start` to before `stop`."""

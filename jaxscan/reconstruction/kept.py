@@ -24,9 +24,10 @@ def extraction_key(settings: ReconstructSettings, noise: NoiseModel | None) -> d
 
 
 def kept_arrays(stripes: Stripes, plan: Plan) -> dict[str, np.ndarray]:
-    """The stripes and, of each laser, the searched part of every line and the near side."""
+    """The stripes, what a user should know of them and, of each laser, the searched part of lines and the near side."""
     fields = {name: np.asarray(field) for name, field in vars(stripes).items() if field is not None}
-    return fields | _searched(plan.gates)
+    notes = np.frombuffer("\n".join(plan.notes).encode(), np.uint8)
+    return fields | _searched(plan.gates) | {"notes": notes}
 
 
 def usable_stripes(arrays: dict[str, np.ndarray], plan: Plan) -> Stripes | None:
@@ -47,7 +48,11 @@ def usable_stripes(arrays: dict[str, np.ndarray], plan: Plan) -> Stripes | None:
             empty = wanted[0] >= wanted[1]
             if not np.all(empty | ((searched[0] <= wanted[0]) & (wanted[1] <= searched[1]))):
                 return None
-    return Stripes(**fields) if _fit(fields, plan) else None
+    notes = fields.pop("notes", None)
+    if notes is None or notes.dtype != np.uint8 or not _fit(fields, plan):
+        return None
+    plan.notes.extend(notes.tobytes().decode(errors="replace").splitlines())
+    return Stripes(**fields)
 
 
 def _fit(fields: dict[str, np.ndarray], plan: Plan) -> bool:

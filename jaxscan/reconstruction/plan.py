@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 
@@ -14,6 +14,7 @@ from jaxscan.reconstruction.points import Aim, Limits, Rig, line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.streaming import chunk_records
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
+from jaxscan.reconstruction.without_off import PredictedPairs, with_off
 from jaxscan.stripes import (
     ExtractionSetup,
     FrameFormat,
@@ -47,6 +48,8 @@ class Plan:
     """The scanner's laser of each profile of the sweep."""
     size: int
     """Records computed at a time."""
+    notes: list[str] = field(default_factory=list)
+    """What a user should know of the stripes, once they are found; a sentence each."""
 
     @property
     def lines(self) -> int:
@@ -57,6 +60,11 @@ class Plan:
     def frames(self) -> FrameFormat:
         """How a frame is to be read."""
         return FrameFormat(self.sweep.pixel_format, self.sweep.response)
+
+    @property
+    def predicts(self) -> bool:
+        """Whether the sweep has no laser-off frames, so that they are predicted."""
+        return isinstance(self.sweep, PredictedPairs) and self.sweep.predicts
 
     @property
     def lit_together(self) -> bool:
@@ -161,10 +169,11 @@ def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSetting
             f"The scanner is calibrated for images of {camera.width} x {camera.height} px, the sweep has "
             f"{width} x {height} px; use the calibration of this camera mode."
         )
-    if sweep.carries is not None and sweep.carries != scanner.turntable.carries:
+    _check_motion(sweep, scanner)
+    if not scanner.laser_names:
         raise CalibrationError(
-            f"The table of the sweep carries the {sweep.carries}, that of the calibration the "
-            f"{scanner.turntable.carries}; use a calibration made in the same arrangement."
+            "The calibration holds no laser sheet, so nothing can be reconstructed; calibrate with a capture that has "
+            "laser images."
         )
     known, names = scanner.laser_names, [line.name for line in sweep.lasers]
     used = int(sweep.laser.max()) + 1
@@ -185,7 +194,33 @@ def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSetting
     by_name = all(name in known for name in names) and len(set(names)) == len(names)
     of_scanner = [known.index(name) if by_name else i for i, name in enumerate(names)]
     sheet = np.asarray(of_scanner, np.int32)[sweep.laser]
-    return Plan(sweep, scanner, settings, stripe_axis, sheet, chunk_records(sweep, settings))
+    paired = with_off(sweep, scanner, settings)
+    return Plan(paired, scanner, settings, stripe_axis, sheet, chunk_records(sweep, settings))
+
+
+def _check_motion(sweep: SweepSource, scanner: Scanner) -> None:
+    """Refuse a sweep that moves otherwise than the scanner."""
+    known = scanner.turntable.carries
+    if known == "nothing" and sweep.carries != "nothing" and (sweep.carries or np.ptp(sweep.angles) > 0):
+        raise CalibrationError(
+            "The sweep moves, and the calibration holds camera and sheet without a motion; calibrate with placements "
+            'of the board, or say carries = "nothing" for profiles in the frame of the camera.'
+        )
+    if known == "linear" and sweep.carries is None:
+        raise CalibrationError(
+            "The calibration is that of a linear stage, and the sweep does not say what moves, so its positions count "
+            'as angles; say carries = "linear", with `position_m` in every record.'
+        )
+    if known != "nothing" and sweep.carries is not None and sweep.carries != known:
+        if {known, sweep.carries} == {"scanner", "object"}:
+            raise CalibrationError(
+                f"The table of the sweep carries the {sweep.carries}, that of the calibration the {known}; use a "
+                "calibration made in the same arrangement."
+            )
+        raise CalibrationError(
+            f'The sweep says carries = "{sweep.carries}", the calibration "{known}"; use a calibration made in the '
+            "same arrangement."
+        )
 
 
 def check_stripes(plan: Plan, stripes: Stripes) -> None:

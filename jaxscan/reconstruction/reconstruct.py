@@ -11,6 +11,7 @@ from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Array, Scanner, StripeAxis
 from jaxscan.reconstruction.ahead import map_ahead, workers
 from jaxscan.reconstruction.cloud import PointCloud
+from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness
 from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan
 from jaxscan.reconstruction.points import Centres, Points, coloured, line_step, points_alone, sample_colours
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
@@ -101,18 +102,23 @@ def cloud_of_plan(
     # Single precision throughout, so that the result does not depend on the caller's setting.
     with jax.enable_x64(False):
         if stripes is None:
-            each, chunks = _extracted(plan, noise, progress, with_points=True)
+            each, chunks, watch = _extracted(plan, noise, progress, with_points=True)
             parts: Iterator[tuple] = (
-                (rows, found.more.points, found.stripes.amplitude, found.more.rgb, found.stripes.valid)
+                (rows, found.more.points, found.stripes.amplitude, found.more.rgb, clearness(found.stripes))
                 for rows, found in chunks
             )
         else:
-            parts = _from_stripes(plan, stripes, each, progress)
-        cloud = GrowingCloud(each * len(sweep.record), plan.lines)
+            parts, watch = _from_stripes(plan, stripes, each, progress), None
+        carries = plan.scanner.turntable.carries
+        cloud = GrowingCloud(each * len(sweep.record), plan.lines, travels=carries == "linear")
         for part in parts:
             cloud.store(*part)
+        if watch is not None:
+            cloud.keep_clear(watch().least)
         _check_result(cloud, settings)
-        between_lines = line_step(camera, plan.stripe_axis) if settings.normals else None
+        # Profiles of a scanner that stands still are no neighbours.
+        normals = settings.normals and carries != "nothing"
+        between_lines = line_step(camera, plan.stripe_axis) if normals else None
         profile, rank = np.divmod(np.arange(each * len(sweep.record)), each)
         record = sweep.record[profile]
         return cloud.finish(record, plan.sheet[profile], sweep.angles[record], rank, between_lines)
@@ -122,7 +128,7 @@ def stripes_of_plan(plan: Plan, *, noise: NoiseModel | None = None, progress: Pr
     """`extract_sweep` by a plan that is made."""
     sweep = plan.sweep
     profiles = len(sweep.record)
-    each, chunks = _extracted(plan, noise, progress, with_points=False)
+    each, chunks, watch = _extracted(plan, noise, progress, with_points=False)
     stripes = GrowingStripes(each * profiles, plan.lines)
     chosen = np.full((profiles, plan.lines), -1, np.int8)
     for rows, result in chunks:
@@ -133,6 +139,7 @@ def stripes_of_plan(plan: Plan, *, noise: NoiseModel | None = None, progress: Pr
     if plan.settings.check_steps:
         stripes.fields = pick_by_steps(stripes.fields, chosen, sweep.laser, sweep.angles[sweep.record])
         each = 1
+    stripes.keep_clear(watch().least)
     profile = np.arange(each * profiles) // each
     return stripes.finish(sweep.record[profile], sweep.laser[profile])
 
@@ -143,8 +150,12 @@ def _rows(profiles: np.ndarray, each: int) -> np.ndarray:
 
 def _extracted(
     plan: Plan, noise: NoiseModel | None, progress: Progress, *, with_points: bool
-) -> tuple[int, Iterator[tuple[np.ndarray, ChunkStripes]]]:
-    """Stripes, colours and perhaps points of all chunks, with the profiles that they are; profiles of a record."""
+) -> tuple[int, Iterator[tuple[np.ndarray, ChunkStripes]], Callable[[], Chance]]:
+    """Stripes, colours and perhaps points of all chunks, with the profiles that they are.
+
+    Returns:
+        Profiles of a record; the chunks; and what chance has to do with them, to be asked after the last one.
+    """
     sweep, size = plan.sweep, plan.size
     engines, angles = plan.engines(noise), sweep.angles.astype(np.float32)
     each = next(iter(engines.values())).profiles_per_record
@@ -155,8 +166,20 @@ def _extracted(
         phi = padded(angles[sweep.record[batch.profiles]], size)
         return coloured(plan.frames, plan.aim(int(batch.profiles[0])), phi)
 
+    def search(batch: Batch) -> ChunkStripes:
+        return engines[batch.laser].extract(batch.on, batch.off, then(batch))
+
+    decoys = DecoyWatch(len(sweep.record), predicted=plan.predicts)
+
     def compute(batch: Batch) -> tuple[np.ndarray, ChunkStripes]:
-        return batch.profiles, engines[batch.laser].extract(batch.on, batch.off, then(batch))
+        found = search(batch)
+        decoys.look(batch, found)
+        return batch.profiles, found
+
+    def chance() -> Chance:
+        found = decoys.judge(search, size)
+        plan.notes.extend([found.note] if found.note else [])
+        return found
 
     def ready(waiting: Iterator[Batch]) -> Iterator[Batch]:
         """Each laser's first batch is computed twice: at first it says how wide the stripes are."""
@@ -174,7 +197,7 @@ def _extracted(
             if progress is not None:
                 progress(int(sweep.record[profiles[-1]]) + 1, len(sweep))
 
-    return each, chunks()
+    return each, chunks(), chance
 
 
 def _from_stripes(

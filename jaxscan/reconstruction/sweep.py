@@ -75,7 +75,7 @@ class Sweep:
         off: Laser-off frames of the same shape, or None.
         angles: The table's angle of each record [rad from home].
         pixel_format: How a frame is to be read.
-        response: "linear", or "srgb" (decoded before the fit).
+        response: "linear", or "srgb" or "gamma 2.2" (decoded before the fit).
         lasers: The lasers as the camera sees them.
         laser: The laser of each profile; the first where not given.
         record: The record of each profile; with one laser lit in each record, the record itself.

@@ -24,6 +24,9 @@ def board_map(found: BoardMap, corners: np.ndarray, square_m: float) -> "Figure"
         corners: Corners of the flat board [corners, 3], m.
         square_m: Side of a square [m].
     """
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import PathPatch
+
     x, y = 1e3 * corners[:, 0], 1e3 * corners[:, 1]
     height, shift = 1e3 * np.array(found.height_m), 1e3 * np.array(found.shift_m)
     wide, high = np.ptp(x), np.ptp(y)
@@ -31,19 +34,18 @@ def board_map(found: BoardMap, corners: np.ndarray, square_m: float) -> "Figure"
     axes = new_axes(figure, grid=False, xlabel="x on the board, mm", ylabel="y, mm", aspect="equal")
     limit = max(float(np.abs(height).max()), 1e-3)
     size = 0.44 * 1e3 * square_m
-    columns = len(np.unique(np.round(x, 6)))
-    shown = height.reshape(-1, columns)
     half = 0.5e3 * square_m
-    box = (x.min() - half, x.max() + half, y.max() + half, y.min() - half)
-    drawn = axes.imshow(shown, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=box, interpolation="nearest", alpha=0.75)
+    # Squares round the corners: those of some boards stand on no plain grid.
+    squares = np.stack([x, y], 1)[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    drawn = PolyCollection(list(squares), array=height, cmap="RdBu_r", clim=(-limit, limit), alpha=0.75, linewidths=0)
+    axes.add_collection(drawn)
+    axes.set(xlim=(x.min() - half, x.max() + half), ylim=(y.max() + half, y.min() - half))
     if len(height) <= 150:
         for px, py, value in zip(x, y, height, strict=True):
-            text = f"{value:+.2f}".replace("0.", ".")
+            text = f"{value:+.2f}"
             axes.text(px, py + size, text, ha="center", va="bottom", fontsize=6, color=INK)
     longest = float(np.linalg.norm(shift, axis=1).max()) if len(shift) else 0.0
     if longest > 0:
-        from matplotlib.patches import PathPatch
-
         scale = _LONGEST * 1e3 * square_m / longest
         path = arrows(np.column_stack([x, y]), scale * shift)
         axes.add_patch(PathPatch(path, fill=False, edgecolor=INK, linewidth=0.8, clip_on=False))

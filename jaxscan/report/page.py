@@ -3,7 +3,7 @@
 from typing import Any
 
 from jaxscan.calibration import Calibration
-from jaxscan.geometry import Charuco
+from jaxscan.geometry import Turntable
 from jaxscan.report import figures, tables, words
 from jaxscan.report.html import Html, bullets, element, joined, page, section, table
 
@@ -31,7 +31,7 @@ def calibration_page(calibration: Calibration, *, notes: tuple[str, ...] = ()) -
         parts += [_tests(calibration), _parameters(calibration), figures.uncertainty(calibration)]
     if observations is not None and fit is not None:
         parts.append(figures.residuals_over_image(observations, fit))
-        parts.append(figures.along_stripe_and_angle(observations, fit, turns=calibration.scanner is not None))
+        parts.append(figures.along_stripe_and_angle(observations, fit, turns=_turns(calibration)))
         if concluded:
             parts.append(figures.distributions(fit))
     parts.append(figures.views(calibration))
@@ -45,19 +45,23 @@ def _head(calibration: Calibration) -> Html:
     camera, observations = calibration.camera, calibration.observations
     lines = [f"{type(camera).__name__} camera, {camera.width} × {camera.height} px"]
     if observations is not None:
-        columns, rows = observations.board.grid()
-        kind = "ChArUco board" if isinstance(observations.board, Charuco) else "chessboard"
-        lines.append(f"{kind}, {columns} × {rows} inner corners of {1e3 * observations.board.square:g} mm")
+        lines.append(observations.board.describe())
     quality = calibration.quality
     if quality.views is not None and quality.corners is not None:
         lines.append(f"{quality.views} views, {quality.corners} corners")
     if calibration.scanner is None:
         lines.append("camera alone, without laser and turntable")
+    elif not calibration.scanner.laser_names:
+        lines.append("camera and axis, without laser")
     elif quality.stripe_points is not None:
         lines.append(f"{quality.stripe_points} stripe points")
     names = [str(capture.get("name")) for capture in _captures(calibration)]
     title = f"Calibration report: {', '.join(names)}" if names else "Calibration report"
     return element("header", element("h1", title), element("p", " · ".join(lines)))
+
+
+def _turns(calibration: Calibration) -> bool:
+    return calibration.scanner is not None and isinstance(calibration.scanner.turntable, Turntable)
 
 
 def _verdict(calibration: Calibration) -> Html:
@@ -84,7 +88,9 @@ def _verdict(calibration: Calibration) -> Html:
 
 
 def _remarks(calibration: Calibration) -> Html:
-    parts = [bullets([*words.noise_lines(calibration), *words.second_look(calibration)])]
+    parts = [
+        bullets([*words.board_lines(calibration), *words.noise_lines(calibration), *words.second_look(calibration)])
+    ]
     bad = [f"Record {view.record}: {view.why}" for view in words.bad_views(calibration)]
     for title, lines in (
         ("Warnings", words.warnings(calibration)),
@@ -110,9 +116,10 @@ def _tests(calibration: Calibration) -> Html | None:
             "p",
             "If a model suffices, its statistic is about as large as its degrees of freedom. p is the probability that "
             "chance alone gives a larger statistic, with the noise that the detectors promise; p of structure is the "
-            "same with the noise that was found. If only p is small, the residuals are noisy but have no structure.",
+            "same with the noise that was found. If only p is small, the residuals are noisy but have no structure. "
+            "Harm is the part of what the calibration is good to that the structure costs; the sigmas include it.",
         ),
-        table(tables.OUTCOME_COLUMNS, rows, kind="words", worse=[row[6] != "passes" for row in rows]),
+        table(tables.OUTCOME_COLUMNS, rows, kind="words", worse=[row[6] == "structure" for row in rows]),
     )
 
 

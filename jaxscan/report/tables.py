@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxscan.calibration import Calibration, ModelTest, Quality
 from jaxscan.calibration.verdict import judge_views
-from jaxscan.geometry import Scanner, make_layout
+from jaxscan.geometry import AbstractMotion, LinearStage, Scanner, Turntable, make_layout
 from jaxscan.report.words import TESTS
 
 
@@ -49,13 +49,13 @@ def parameters(calibration: Calibration) -> list[Parameter]:
     camera = calibration.camera
     with jax.enable_x64(True):
         values = np.asarray(camera.parameters()).tolist()
-    layout = make_layout(camera, (), turns=False)
+    layout = make_layout(camera, ())
     rows = [
         Parameter(name, (value,), sigma.get(name, 0.0), block.unit)
         for name, value, block in zip(layout.names, values, layout.blocks, strict=True)
     ]
     if calibration.scanner is not None:
-        rows += _lasers(calibration.scanner, sigma) + _table(calibration.scanner, sigma)
+        rows += _lasers(calibration.scanner, sigma) + _motion(calibration.scanner.turntable, sigma)
     return rows + _board(calibration.quality)
 
 
@@ -75,8 +75,19 @@ def _lasers(scanner: Scanner, sigma: dict[str, float]) -> list[Parameter]:
     return rows
 
 
-def _table(scanner: Scanner, sigma: dict[str, float]) -> list[Parameter]:
-    table = scanner.turntable
+def _motion(motion: AbstractMotion, sigma: dict[str, float]) -> list[Parameter]:
+    if isinstance(motion, Turntable):
+        return _table(motion, sigma)
+    if not isinstance(motion, LinearStage):
+        return []
+    tilt = 1e3 * math.hypot(sigma.get("travel.t1", 0.0), sigma.get("travel.t2", 0.0))
+    return [
+        Parameter("travel: direction", _tuple(motion.direction), tilt, "direction"),
+        Parameter("gain of the travel", (float(motion.gain),), sigma.get("gain", 0.0), ""),
+    ]
+
+
+def _table(table: Turntable, sigma: dict[str, float]) -> list[Parameter]:
     of = lambda name: sigma.get(name, 0.0)
     tilt, shift = (1e3 * math.hypot(of(f"axis.{part}1"), of(f"axis.{part}2")) for part in "dp")
     rows = [
@@ -104,7 +115,7 @@ def _board(quality: Quality) -> list[Parameter]:
 
 
 _STATISTICS = ("statistic", "degrees of freedom", "p", "p of structure")
-OUTCOME_COLUMNS = ("test", *_STATISTICS, "moves a length by", "result", "question")
+OUTCOME_COLUMNS = ("test", *_STATISTICS, "harm", "result", "question")
 
 
 def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
@@ -119,7 +130,7 @@ def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
             str(test.dof),
             _probability(test.p),
             _probability(test.p_structure),
-            _moved(test) if verdict.result(test) == "fails" else "",
+            _harm(test),
             verdict.result(test),
             TESTS.get(test.name, ("", ""))[0],
         )
@@ -127,10 +138,9 @@ def outcome_rows(calibration: Calibration) -> list[tuple[str, ...]]:
     ]
 
 
-def _moved(test: ModelTest) -> str:
-    if test.effect_mm is None or test.effect_sigma is None:
-        return ""
-    return f"{test.effect_mm:.2g} mm, {test.effect_sigma:.1f} sigma"
+def _harm(test: ModelTest) -> str:
+    sizes = (test.effect_mm, "mm"), (test.effect_px, "px")
+    return ", ".join(f"{size:.2g} {unit}" for size, unit in sizes if size is not None)
 
 
 def view_columns(calibration: Calibration) -> tuple[str, ...]:

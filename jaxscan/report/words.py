@@ -3,18 +3,18 @@
 import math
 from typing import Literal, NamedTuple
 
-from jaxscan.calibration import Calibration, ModelTest
-from jaxscan.calibration.verdict import Result, judge_views, noise_kind
+from jaxscan.calibration import Calibration, ModelTest, Quality
+from jaxscan.calibration.verdict import GoodTo, is_named, judge_views, noise_kind
 
 
 TESTS = {
     "lens": (
         "Do the corner residuals still depend on where in the image they lie?",
-        "the lens distorts in a way that its model cannot describe",
+        "the lens model falls short",
     ),
     "board": (
         "Do the corner residuals still depend on where on the board they lie?",
-        "the board does not have the shape of its model",
+        "the board is not flat",
     ),
     "table": (
         "Would every view have its board turned a little further?",
@@ -30,10 +30,14 @@ TESTS = {
     ),
     "halves": (
         "Do two halves of the records give the same rig?",
-        "two halves of the records do not give the same rig",
+        "two halves of the records disagree",
     ),
 }
-"""The question of each test of the verdict, and its meaning when it fails."""
+"""The question of each test of the verdict, and the cause of harm when it finds structure."""
+
+
+# Records that are named in one line.
+_NAMED = 12
 
 
 class Headline(NamedTuple):
@@ -59,52 +63,70 @@ class BadView(NamedTuple):
 
 
 def headline(calibration: Calibration) -> Headline:
-    """Whether the calibration is accepted, and why; "open" without a verdict."""
+    """What the calibration is good for, and why not for more; "open" without a verdict."""
     verdict = calibration.quality.verdict
     if calibration.quality.converged is False:
-        reason = " ".join(verdict.advice) if verdict else "The solve did not converge, so its numbers have no meaning."
-        return Headline("bad", "Not converged", reason)
+        reason = verdict.refused if verdict else None
+        return Headline("bad", "Not converged", reason or "The solve did not converge, so its numbers have no meaning.")
     if verdict is None:
-        return Headline(
-            "open",
-            "Not judged",
-            "There is no verdict on whether the models suffice for these data.",
-        )
-    results = [verdict.result(test) for test in verdict.tests]
-    if not verdict.accepted:
-        failed = [test for test, result in zip(verdict.tests, results, strict=True) if result == "fails"]
-        return Headline("bad", "Not accepted", f"The solve ended, but {_reason(failed, results)}. {_harm(failed)}")
-    agree = f"Data and models agree in all {len(results)} tests" if results else "Data and models agree"
-    left = (
-        "the noise has no structure, but it is larger than the detectors promise; the standard deviations "
-        "take that into account"
-        if "noisy" in results
-        else "the residuals look like noise"
+        return Headline("open", "Not judged", "There is no verdict on what this calibration is good for.")
+    good_to = verdict.good_to
+    if verdict.usable is None or good_to is None:
+        reason = "The verdict of this file does not say what the calibration is good for: calibrate again."
+        return Headline("open", "Not judged", reason)
+    size, parts = _size(good_to), _parts(calibration.quality, good_to)
+    if verdict.usable is False:
+        because = f"; {parts}" if parts else ""
+        return Headline("bad", f"Good to only {size}", f"Refused: {verdict.refused or 'it cannot be used'}{because}.")
+    return Headline(
+        "good", f"Good to {size}{f'; {parts}' if parts else ''}", _explanation(calibration.quality, good_to)
     )
-    return Headline("good", "Accepted", f"{agree}: {left}.")
 
 
-def _harm(failed: list[ModelTest]) -> str:
-    """The effect of the failed tests on lengths."""
-    known = [
-        (test.effect_sigma, test.effect_mm)
-        for test in failed
-        if test.effect_sigma is not None and test.effect_mm is not None
+def _size(good_to: GoodTo) -> str:
+    """Millimetres at a distance for a rig, pixels for a camera alone."""
+    if good_to.sigma_mm is not None and good_to.at_m is not None:
+        return f"{millimetres(good_to.sigma_mm)} at {metres(good_to.at_m)}"
+    return "an unknown size" if good_to.sigma_px is None else f"{good_to.sigma_px:.2g} px over the image"
+
+
+def _parts(quality: Quality, good_to: GoodTo) -> str:
+    """The causes that are worth a word, the largest first."""
+    rig = good_to.sigma_mm is not None
+    whole = (good_to.sigma_mm if rig else good_to.sigma_px) or 0.0
+    tests = quality.verdict.tests if quality.verdict else ()
+    sizes = [((test.effect_mm if rig else test.effect_px) or 0.0, test) for test in tests]
+    named = sorted(((size, test) for size, test in sizes if is_named(size, whole)), key=lambda part: -part[0])
+    texts = [
+        f"{millimetres(size) if rig else f'{size:.2g} px'}{'' if index else ' of that'} because {_cause(test, quality)}"
+        for index, (size, test) in enumerate(named)
     ]
-    if not known:
-        return "The standard deviations below do not include this."
-    sigma, change_mm = max(known)
-    moved = f"a typical length by {change_mm:.2g} mm, {sigma:.1f} of its standard deviations"
-    return f"To first order, terms missing in the models move {moved}; the sigmas below do not include this."
+    return ", and ".join(texts) if len(texts) < 3 else f"{', '.join(texts[:-1])}, and {texts[-1]}"
 
 
-def _reason(failed: list[ModelTest], results: list[Result]) -> str:
-    shaped = [TESTS[test.name][1] for test in failed if test.name in TESTS]
-    if shaped:
-        return "; ".join(shaped)
-    if "noisy" in results:
-        return "the residuals are larger than the noise that the detectors promise, but have no structure"
-    return "the residuals are not the noise of the models"
+def _cause(test: ModelTest, quality: Quality) -> str:
+    cause = TESTS[test.name][1] if test.name in TESTS else f"the test {test.name!r} found structure"
+    if test.name == "board":
+        freed = quality.board is not None and quality.board.free != "parabola"
+        cause = "the board's shape falls short, though it was freed" if freed else f"{cause} and its shape not free"
+    return f"{cause} {test.where}" if test.where else cause
+
+
+def _explanation(quality: Quality, good_to: GoodTo) -> str:
+    verdict, board = quality.verdict, quality.board
+    results = [verdict.result(test) for test in verdict.tests] if verdict else []
+    sentences = ["The residuals look like noise."]
+    if "structure" in results:
+        rig = good_to.sigma_mm is not None
+        alone = millimetres(good_to.statistical_mm or 0.0) if rig else f"{good_to.statistical_px or 0.0:.2g} px"
+        sentences = [f"All sigmas include this; noise alone would give {alone}."]
+    elif "noisy" in results:
+        sentences = ["The noise has no structure but is larger than the detectors promise; the sigmas include that."]
+    if good_to.sigma_mm is not None and good_to.sigma_px is not None:
+        sentences.append(f"Its rays are good to {good_to.sigma_px:.2g} px.")
+    if board is not None and board.free != "parabola":
+        sentences.append(f"The board's shape was freed: {millimetres(1e3 * board.rms_off_flat_m)} RMS off flat.")
+    return " ".join(sentences)
 
 
 def lengths(calibration: Calibration) -> list[LengthLine]:
@@ -144,6 +166,22 @@ def _promise(ratio: float, source: str) -> str:
         "quiet": f"{times}: less noise than promised",
         "promised": f"as the {source} promised (ratio {ratio:.2f})",
     }[noise_kind(ratio)]
+
+
+def board_lines(calibration: Calibration) -> list[str]:
+    """In how many records the board was found, and the others by their likely reasons."""
+    of = calibration.quality
+    if not of.records:
+        return []
+    reasons: dict[str, list[int]] = {}
+    for missed in of.missed:
+        reasons.setdefault(missed.why, []).append(missed.record)
+    lines = [f"Board found in {of.records - len(of.missed)} of {of.records} records."]
+    for why, records in sorted(reasons.items(), key=lambda item: -len(item[1])):
+        more = f" and {len(records) - _NAMED} more" if len(records) > _NAMED else ""
+        several = "records" if len(records) > 1 else "record"
+        lines.append(f"Not found in {several} {', '.join(map(str, records[:_NAMED]))}{more}: {why}.")
+    return lines
 
 
 def second_look(calibration: Calibration) -> list[str]:

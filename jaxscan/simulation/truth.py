@@ -1,11 +1,12 @@
 """The truth of a simulated rig, for comparison with estimates; never an input of one."""
 
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
 
-from jaxscan.geometry import CAMERAS, LaserSheet, Scanner, Turntable, point_up, stack_lasers
+from jaxscan.geometry import CAMERAS, LaserSheet, Scanner, Turntable, stack_lasers
+from jaxscan.geometry.scanner import UP_VECTORS
 from jaxscan.simulation.rig import Motion, make_rig
 from jaxscan.simulation.scene import room_from_scanner
 from jaxscan.simulation.spec import RoomSpec, SimulationConfig, TurntableSpec
@@ -21,7 +22,7 @@ def true_scanner(config: SimulationConfig) -> Scanner:
     camera = config.camera
     fx, fy, cx, cy = (np.asarray(value) for value in (camera.fx, camera.fy, *camera.centre()))
     lens = np.array(list(camera.coefficients().values()))
-    axis = point_up(_axis(table), camera.up)
+    axis = _axis(table).pointed(np.array(UP_VECTORS[camera.up]))
     turntable = Turntable(
         axis.direction, axis.point, np.asarray(table.gain), np.array(table.harmonics), axis.basis, table.carries
     )
@@ -86,7 +87,8 @@ def _axis(spec: TurntableSpec) -> Turntable:
 
 def _parameters(scanner: Scanner) -> dict[str, Any]:
     """Values of the minimal coordinates; a tangent coordinate is 0 at its own base point."""
-    camera, table = scanner.camera, scanner.turntable
+    # Simulated rigs have a table.
+    camera, table = scanner.camera, cast(Turntable, scanner.turntable)
     values: dict[str, Any] = dict.fromkeys(scanner.parameter_names(), 0.0)
     values |= dict(zip(camera.parameter_names(), np.asarray(camera.parameters()), strict=True))
     for index, name in enumerate(scanner.laser_names):

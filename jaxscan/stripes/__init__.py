@@ -4,24 +4,30 @@
 all of it for frames in memory.
 """
 
-from jaxscan.stripes.choosing import pick_by_steps
+from jaxscan.stripes.choosing import chosen_of, pick_by_steps
+from jaxscan.stripes.dark import Channels, box_mean, predict_off, read_channels, warped
 from jaxscan.stripes.engine import ChunkStripes, Continuation, StripeEngine, prepare_engines, stripes_of_frames
 from jaxscan.stripes.estimators import ESTIMATORS, Estimator, estimator_of
 from jaxscan.stripes.extract import extract_stripes
 from jaxscan.stripes.frames import (
     PIXEL_FORMATS,
     Colour,
+    ExposurePair,
     FrameFormat,
     LaserColour,
     LaserLine,
+    LearnedResponse,
     PixelFormat,
     Response,
+    Sites,
     check_frames,
     decode_table,
     estimate_noise,
     frame_rank,
+    known_response,
     laser_plane,
     laser_sites,
+    learn_response,
     with_colour,
 )
 from jaxscan.stripes.pairs import judge_pairs

@@ -12,6 +12,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int8, UInt8
 
 from jaxscan.geometry import Array
+from jaxscan.stripes.channels import doubts_of, other_channels
 from jaxscan.stripes.choosing import choose, chosen_of
 from jaxscan.stripes.estimators import Estimator, estimator_of
 from jaxscan.stripes.exposures import merge_brackets
@@ -61,6 +62,12 @@ class StripeEngine(eqx.Module):
 
     setup: ExtractionSetup = eqx.field(static=True)
     search: Search
+    channels: tuple["StripeEngine", ...] = ()
+    """Engines of the other channels, where the laser's own is often clipped."""
+    responses: tuple[float, ...] = eqx.field(static=True, default=())
+    """Light of the laser in each of them, in that of its own channel [1]."""
+    doubts: tuple[float, ...] = ()
+    """Factors by which the standard deviations of all channels, the own first, grow until they are equally honest."""
 
     @property
     def estimator(self) -> Estimator:
@@ -77,10 +84,15 @@ class StripeEngine(eqx.Module):
 
         Arguments as of `extract`, so that nothing else is compiled.
         """
+        if self.channels:
+            engines = [one.learn_width(on, off) for one in (StripeEngine(self.setup, self.search), *self.channels)]
+            found = [one.extract(on, off) for one in engines]
+            doubts = doubts_of([chosen_of(one.stripes, one.chosen) for one in found], [one.setup for one in engines])
+            return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses, doubts)
         if not self.setup.settings.learn_width:
             return self
-        found = self.extract(on, off, then)
-        return StripeEngine(self.setup, learn_search(self.search, chosen_of(found.stripes, found.chosen)))
+        first = self.extract(on, off, then)
+        return StripeEngine(self.setup, learn_search(self.search, chosen_of(first.stripes, first.chosen)))
 
     def extract(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> ChunkStripes:
         """Stripes of a chunk of records, a profile for each; with all candidates one for each of them.
@@ -98,10 +110,23 @@ class StripeEngine(eqx.Module):
         Returns:
             NumPy arrays in memory of their own.
         """
+        if self.channels:
+            return self._of_channels(on, off, then)
         if len(self.setup.exposures) > 1:
             on, off = on.reshape(-1, *on.shape[2:]), None if off is None else off.reshape(-1, *off.shape[2:])
         with jax.enable_x64(False):
             return jax.tree.map(np.asarray, self._compute(on, off, then))
+
+    def _of_channels(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
+        """Of every line the channel in which its stripe is known best."""
+        found = [one.extract(on, off) for one in (StripeEngine(self.setup, self.search), *self.channels)]
+        parts = [
+            (one.stripes._replace(sigma=one.stripes.sigma * np.float32(doubt)), one.chosen)
+            for one, doubt in zip(found, self.doubts or (1.0,) * len(found), strict=True)
+        ]
+        with jax.enable_x64(False):
+            off = off if then.needs_frames else None
+            return jax.tree.map(np.asarray, _merge_channels(parts, off, then, self.setup, (1.0, *self.responses)))
 
     def _compute(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
         devices = jax.local_devices()
@@ -149,7 +174,12 @@ def prepare_engines(
         # Lasers that look alike share their compiled functions: no name, and no colour for a mono camera.
         colour = "red" if setup.frames.pixel_format == "mono8" else line.colour
         setup = setup._replace(line=LaserLine(colour=colour, stripe_axis=line.stripe_axis))
-        engines.append(StripeEngine(setup, prepare_search(setup, noise, gate, has_off=off is not None)))
+        found = other_channels(on, off, setup, gate)
+        others = [setup._replace(line=channel.line) for channel in found]
+        own, *rest = (
+            StripeEngine(one, prepare_search(one, noise, gate, has_off=off is not None)) for one in (setup, *others)
+        )
+        engines.append(StripeEngine(own.setup, own.search, tuple(rest), tuple(channel.response for channel in found)))
     return engines
 
 
@@ -234,7 +264,31 @@ def choose_stripes(
     return jax.tree.map(on_image_lines, stripes), None if number is None else on_image_lines(number, -1)
 
 
+def merge_channels(
+    parts: list[tuple[FrameStripes, Array | None]],
+    off: Array | None,
+    then: Continuation,
+    setup: ExtractionSetup,
+    responses: tuple[float, ...],
+) -> ChunkStripes:
+    """Channels chosen like exposures, amplitudes as the first one sees them, and the continuation."""
+    each = estimator_of(setup.settings).candidates if setup.several else 1
+
+    def together(fields, each):
+        # [channels][records * each, lines] to [records * channels * each, lines].
+        lines = fields[0].shape[1]
+        return jnp.stack([field.reshape(-1, each, lines) for field in fields], 1).reshape(-1, lines)
+
+    stripes = jax.tree.map(lambda *fields: together(fields, each), *(one for one, _ in parts))
+    numbers = [number for _, number in parts if number is not None]
+    merged, chosen = merge_brackets(stripes, together(numbers, 1) if numbers else None, responses, each)
+    if off is not None and len(setup.exposures) > 1:
+        off = off[:, -1]
+    return ChunkStripes(merged, chosen, then.function(merged, off, then.shared, then.per_record, setup))
+
+
 _at_once, _from_located = jax.jit(compute_at_once), jax.jit(_finish)
+_merge_channels = jax.jit(merge_channels, static_argnums=(3, 4))
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.geometry import Array
+from jaxscan.stripes.dark import predict_off
 from jaxscan.stripes.engine import prepare_engines
 from jaxscan.stripes.frames import FrameFormat, LaserLine, PixelFormat, check_frames, frame_rank
 from jaxscan.stripes.setup import ExtractionSetup
@@ -30,7 +31,8 @@ def extract_stripes(
     Args:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3), or a single one without its
             leading axis; NumPy or JAX.
-        off: Laser-off frames of the same shape; None where there are none.
+        off: Laser-off frames of the same shape; where there are none, the other channels of a colour
+            camera predict them (`predict_off`).
         pixel_format: How a frame is to be read; a `FrameFormat` where its response is not linear.
         line: Which stripe to look for; a colour "auto" is learned from the frames.
         settings: How stripes are found, chosen and believed.
@@ -52,6 +54,8 @@ def extract_stripes(
     if len(on) == 0:
         raise ValueError("`on` must hold at least one frame, got none.")
     size = int(on.shape[2]), int(on.shape[1])
+    if off is None and frames.pixel_format != "mono8" and line.colour != "auto":
+        off = predict_off(on, frames.pixel_format, line)
     (engine,) = prepare_engines(on, off, [ExtractionSetup(size, frames, line, settings)], noise=noise)
     chunks = [slice(start, start + _CHUNK) for start in range(0, len(on), _CHUNK)]
     frames_of = lambda part: (_padded(on[part], len(on)), None if off is None else _padded(off[part], len(on)))

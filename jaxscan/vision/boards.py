@@ -6,7 +6,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from jaxscan.geometry import AbstractBoard, Charuco, Chessboard, known_dictionary
+from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, Chessboard, Circles, known_dictionary
 from jaxscan.observation.corners import (
     SMALL_SQUARE_PX,
     FoundCorners,
@@ -15,6 +15,8 @@ from jaxscan.observation.corners import (
     marker_gap,
     square_sizes,
 )
+from jaxscan.vision.april_grid import april_grid_texture, find_april_grid
+from jaxscan.vision.circles import circles_texture, find_circles
 
 
 Detector = Literal["auto", "sb", "classic"]
@@ -32,9 +34,10 @@ def find_corners(
 ) -> FoundCorners | None:
     """Find the corners of a board in one grey image, to a hundredth of a pixel where it is sharp.
 
-    A chessboard must be wholly visible; of a ChArUco board a part suffices. The orientation of a
-    plain chessboard is ambiguous. The returned order is right-handed as seen. If one of `columns`
-    and `rows` is even and the other odd, the square beside corner 0 is black. Otherwise the
+    A chessboard or a grid of circles must be wholly visible; of a ChArUco board or an AprilGrid a
+    part suffices. The orientation of a plain chessboard is ambiguous. The returned order is
+    right-handed as seen. Of a plain chessboard, if one of `columns` and `rows` is even and the
+    other odd, the square beside corner 0 is black. Otherwise the
     board's x axis points right rather than left in the image, so such a board must not be turned
     by more than 90 degrees in its plane between views of one placement.
 
@@ -43,8 +46,9 @@ def find_corners(
         board: The board to look for.
         detector: "auto": chessboards by the sector based detector, or by the classic one where
             that finds nothing; corners refined by `fit_corners`, or by `cornerSubPix` where its
-            model does not fit. "classic": OpenCV's first detector and `cornerSubPix` (of a
-            ChArUco board, the latter alone). "sb": the sector based detector, not refined.
+            model does not fit; circles by the weight of their ink. "classic": OpenCV's first
+            detector and `cornerSubPix` (of a ChArUco board, the latter alone). "sb": the sector
+            based detector, not refined.
         half_window: Half side of the window in which corners are refined [px]. By default it
             follows from the size of the squares. If it is too large, it spoils the corners.
 
@@ -60,8 +64,12 @@ def find_corners(
     if min(image.shape) < _SMALLEST_PX:
         return None
     image = np.ascontiguousarray(image)
+    if isinstance(board, Circles):
+        return find_circles(image, board)
     if isinstance(board, Charuco):
         found = _find_charuco(image, board, half_window)
+    elif isinstance(board, AprilGrid):
+        found = find_april_grid(image, board)
     elif isinstance(board, Chessboard):
         found = _find_chessboard(image, board, detector, half_window)
     else:
@@ -74,8 +82,12 @@ def board_texture(board: AbstractBoard, pixels_per_square: int) -> np.ndarray:
 
     Args:
         board: A chessboard is drawn with its top left square black.
-        pixels_per_square: Side of a square [px]; for ChArUco large enough to draw its markers.
+        pixels_per_square: Side of a square [px]; for boards with markers large enough to draw them.
     """
+    if isinstance(board, Circles):
+        return circles_texture(board, pixels_per_square)
+    if isinstance(board, AprilGrid):
+        return april_grid_texture(board, pixels_per_square)
     columns, rows = board.grid()
     if isinstance(board, Charuco):
         size = (board.columns * pixels_per_square, board.rows * pixels_per_square)

@@ -55,7 +55,7 @@ def encode_png(image: np.ndarray, *, compression: str = "rle") -> bytes:
     return data.tobytes()
 
 
-def decode_image(data: bytes, *, name: str, rank: int, size: tuple[int, int] | None) -> np.ndarray:
+def decode_image(data: bytes, *, name: str, rank: int | None, size: tuple[int, int] | None) -> np.ndarray:
     """One frame from the bytes of a PNG, TIFF, JPEG or BMP file; a damaged file gives no picture.
 
     Damage is not noticed where nothing in the file could tell: other pixels in a BMP or in a TIFF that is not packed
@@ -64,7 +64,7 @@ def decode_image(data: bytes, *, name: str, rank: int, size: tuple[int, int] | N
     Args:
         data: The whole file.
         name: The file's name in messages.
-        rank: 2 for grey or raw Bayer, 3 for colour.
+        rank: 2 for grey or raw Bayer, 3 for colour, or None for any.
         size: Width and height that it must have [px], or None for any.
 
     Returns:
@@ -84,12 +84,17 @@ def decode_image(data: bytes, *, name: str, rank: int, size: tuple[int, int] | N
         raise CaptureError(f"{name}: found {image.dtype} pixels, expected 8 bit.")
     channels = 1 if image.ndim == 2 else image.shape[2]
     if channels not in (1, 3):
-        raise CaptureError(f"{name}: found {channels} channels, expected {1 if rank == 2 else 3}; remove the alpha.")
+        raise CaptureError(f"{name}: found {channels} channels, expected {3 if rank == 3 else 1}; remove the alpha.")
     if rank == 2 and channels == 3:
         raise CaptureError(f"{name}: found a colour image, expected a grey one (or set pixel_format to rgb8).")
     if rank == 3 and channels == 1:
         raise CaptureError(f"{name}: found a grey image, expected a colour one (rgb8).")
     return image.reshape(image.shape[:2]) if channels == 1 else image
+
+
+def is_jpeg(data: bytes) -> bool:
+    """Whether the bytes are those of a JPEG file."""
+    return data.startswith(_BEGINNINGS["JPEG"])
 
 
 def _check_size(found: tuple[int, int], name: str, expected: tuple[int, int] | None) -> None:

@@ -35,7 +35,13 @@ class Rig:
     print_error: Callable[[np.ndarray], np.ndarray] | None = None
     """Shifts [n, 2] of the printed corners [n, 2], m."""
     carries: str = "scanner"
+    travel: tuple[float, float, float] = (0.955, 0.05, -0.29)
+    """Where a linear stage moves the camera."""
     up: str = "-v"
+    wobble: tuple[tuple[float, float, float], ...] = ()
+    """Tilt of the axis at each stop of a placement, as a rotation vector [rad]; none where empty."""
+    spread: float = 0.2
+    """How far above and below the middle boards are held, over their depth [1]."""
     board: Chessboard = field(default_factory=lambda: Chessboard(9, 7, 0.035))
 
     def wide(self):
@@ -48,6 +54,10 @@ class Rig:
     def direction(self):
         a = np.array(self.axis)
         return a / np.linalg.norm(a)
+
+    def travelling(self):
+        t = np.array(self.travel)
+        return t / np.linalg.norm(t)
 
     def foot(self):
         p, a = np.array(self.axis_point), self.direction()
@@ -95,7 +105,9 @@ def project_double_sphere(rig, points):
 
 
 def seen_from(rig, rotation, translation, phi):
-    """A board pose of angle 0 as the camera sees it at table angle phi."""
+    """A board pose of angle 0 as the camera sees it at table angle phi, or at position phi [m] of a stage."""
+    if rig.carries == "linear":
+        return rotation, translation - rig.gain * phi * rig.travelling()
     c1, s1, c2, s2 = rig.harmonics
     theta = (
         rig.gain * phi + c1 * (np.cos(phi) - 1) + s1 * np.sin(phi) + c2 * (np.cos(2 * phi) - 1) + s2 * np.sin(2 * phi)
@@ -103,6 +115,36 @@ def seen_from(rig, rotation, translation, phi):
     theta = theta if rig.carries == "scanner" else -theta
     back = rodrigues(-theta * rig.direction())
     return back @ rotation, back @ (translation - rig.foot()) + rig.foot()
+
+
+def tilted(rig, rotation, translation, tilt):
+    """A board pose as the camera sees it whose axis is tilted about its foot."""
+    turn = rodrigues(np.array(tilt))
+    return turn @ rotation, turn @ (translation - rig.foot()) + rig.foot()
+
+
+def scanned(camera, sheet, table, q, phi):
+    """Points [n, 3] of a rig given by plain numbers: rays of the pixels, sheet, turn about the axis.
+
+    Args:
+        camera: `(focal, centre, lens)` of a pinhole.
+        sheet: `(normal, distance)`.
+        table: `(direction, foot, gain, harmonics)`.
+        q: Pixels [n, 2].
+        phi: Angles of the table [n].
+    """
+    focal, centre, lens = camera
+    target = (q - np.array(centre)) / np.array(focal)
+    x, lens_only = target, Rig(focal=(1.0, 1.0), centre=(0.0, 0.0), lens=tuple(lens))
+    for _ in range(60):
+        x = x + target - project(lens_only, np.column_stack([x, np.ones(len(x))]))
+    p = np.column_stack([x, np.ones(len(x))])
+    normal, distance = sheet
+    p = p * (distance / (p @ np.array(normal)))[:, None]
+    direction, foot, gain, (c1, s1, c2, s2) = table
+    theta = gain * phi + c1 * (np.cos(phi) - 1) + s1 * np.sin(phi) + c2 * (np.cos(2 * phi) - 1) + s2 * np.sin(2 * phi)
+    turned = [rodrigues(angle * np.array(direction)) @ (at - foot) + foot for angle, at in zip(theta, p, strict=True)]
+    return np.array(turned)
 
 
 def board_height(rig, x, y):
@@ -147,7 +189,7 @@ def hold_ahead(rig, random, middle, tilt_deg):
     x = rig.distances[0] / rig.normal()[0] - z * rig.normal()[2] / rig.normal()[0] + random.uniform(-0.05, 0.05)
     axis = random.normal(size=3) * np.array([1, 1, 0.3])
     rotation = rodrigues(np.radians(random.uniform(10, tilt_deg)) * axis / np.linalg.norm(axis))
-    return rotation, np.array([x, random.uniform(-0.2, 0.2) * z, z]) - rotation @ middle
+    return rotation, np.array([x, random.uniform(-rig.spread, rig.spread) * z, z]) - rotation @ middle
 
 
 def hold_around(rig, random, middle, tilt_deg):
@@ -179,10 +221,15 @@ def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, s
     views, number = [], 0
     while number < free + placements:
         turning = number >= free
-        stops = np.radians(np.linspace(-span_deg / 2, span_deg / 2, angles)) if turning else np.zeros(1)
+        # A linear stage goes 0.16 m.
+        half = 0.08 if rig.carries == "linear" else np.radians(span_deg / 2)
+        stops = np.linspace(-half, half, angles) if turning else np.zeros(1)
         hold = hold_around if rig.wide() else hold_ahead
         rotation, translation = hold(rig, random, middle, tilt_deg)
         poses = [seen_from(rig, rotation, translation, phi) for phi in stops]
+        if turning and rig.wobble:
+            poses = [tilted(rig, *pose, rig.wobble[(number * angles + stop) % len(rig.wobble)])
+                     for stop, pose in enumerate(poses)]  # fmt: skip
         q = [project(rig, corners @ r.T + t) for r, t in poses]
         if all((p > 5).all() and (p < np.array(rig.size) - 6).all() for p in q) and all(
             in_reach(rig, corners @ r.T + t) for r, t in poses
@@ -247,6 +294,11 @@ def errors(scanner, rig):
         # The truth seen from the estimate's tangent vectors, hence the minus.
         parts += list(-scanner.lasers.basis[laser] @ rig.normal(laser))
         parts += [scanner.lasers.distance[laser] - rig.distances[laser], *scanner.lasers.bow[laser]]
+    if rig.carries == "nothing":
+        return np.array([float(p) for p in parts])
+    if rig.carries == "linear":
+        parts += [*(-table.basis @ rig.travelling()), table.gain - rig.gain]
+        return np.array([float(p) for p in parts])
     sense = np.sign(table.direction @ rig.direction())
     parts += list(-table.basis @ (sense * rig.direction()))
     parts += list(table.basis @ (table.point - rig.foot()))
@@ -268,6 +320,7 @@ def world():
         "errors": errors,
         "project": project,
         "rodrigues": rodrigues,
+        "scanned": scanned,
     }.items():
         setattr(World, name, staticmethod(value) if not isinstance(value, type) else value)
     return World

@@ -1,4 +1,4 @@
-"""Tests of models: they accept what is right and name what is wrong."""
+"""Tests of models: they find nothing where all is right, and name what is wrong."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.verdict.extra_terms import turning_twist
+from jaxscan.calibration.verdict.extra_terms import moving_twist
 from jaxscan.calibration.verdict.halves import deal_halves
 from jaxscan.calibration.verdict.limits import chance
 from jaxscan.geometry import exponential, invert
@@ -31,9 +31,10 @@ def clean(world):
     return world.with_noise(world.observe(world.Rig()), 1)
 
 
-def test_clean_data_are_accepted(clean):
+def test_clean_data_have_no_structure(clean):
     judged, tests = verdict(clean)
-    assert judged.accepted and judged.p > 0.01
+    assert judged.usable and judged.refused is None and judged.p > 0.01
+    assert {judged.result(test) for test in tests.values()} == {"passes"}
     assert set(tests) == {"lens", "board", "table", "axis", "sheet", "halves"}
     # The statistics are chi-squared: their degrees of freedom, within five standard deviations.
     for test in tests.values():
@@ -52,8 +53,9 @@ def test_clean_data_are_accepted(clean):
 def test_what_is_wrong_is_named(world, rig, held, name):
     # The clean data's poses and noise: fixed shapes, one compilation.
     judged, tests = verdict(world.with_noise(world.observe(world.Rig(**rig)), 1), without(held))
-    assert not judged.accepted
-    assert tests[name].p_structure < 1e-3
+    assert judged.result(tests[name]) == "structure" and tests[name].p_structure < 1e-3
+    # It does harm, and the calibration is of use all the same.
+    assert judged.usable and 0 < tests[name].effect_mm < judged.good_to.sigma_mm
 
 
 def test_a_bowed_sheet_is_named(world, clean):
@@ -71,7 +73,8 @@ def test_a_bowed_sheet_is_named(world, clean):
 def test_noise_that_was_promised_smaller_is_no_structure(world, clean):
     sigma = clean.corners.sigma / 3.0
     judged, tests = verdict(replace(clean, corners=replace(clean.corners, sigma=sigma)))
-    assert judged.accepted and tests["lens"].p_structure > 1e-3
+    assert {judged.result(test) for test in tests.values()} == {"passes", "noisy"}
+    assert judged.good_to.sigma_mm == judged.good_to.statistical_mm
     # With the detector at its word, nine times the expected squares are no chance.
     assert judged.p < 1e-6
 
@@ -86,7 +89,7 @@ def test_turning_is_the_derivative_of_the_board_pose_by_the_angle(clean):
     # Differences err by half a step times the second derivative, some 1e-6; the table turns by the
     # derivative of its angle model, about its gain.
     rate = jax.grad(rig.turntable.angle)(0.2)
-    np.testing.assert_allclose(rate * turning_twist(np.asarray(seen(0.2)), rig.turntable), twist, atol=1e-5)
+    np.testing.assert_allclose(rate * moving_twist(np.asarray(seen(0.2)), rig.turntable), twist, atol=1e-5)
 
 
 def test_halves_are_dealt_inside_placements():
@@ -110,5 +113,5 @@ def test_terms_are_finite_without_stripes_and_turning(world):
 
     judged = calibrate_camera(world.with_noise(world.observe(world.Rig(), free=12, placements=0), 0)).quality.verdict
     assert {test.name for test in judged.tests} == {"lens", "board", "halves"}
-    assert judged.accepted
+    assert judged.usable and judged.good_to.sigma_mm is None and judged.good_to.sigma_px > 0
     assert jnp.isfinite(jnp.array([test.p for test in judged.tests])).all()

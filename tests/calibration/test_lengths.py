@@ -198,3 +198,14 @@ def test_small_rig_with_two_lasers_and_a_stripe_along_the_rows():
 def test_a_scanner_without_covariance_is_refused():
     with pytest.raises(ValueError, match="no covariance"):
         predict_lengths(room_rig())
+
+
+def test_an_object_nearer_than_every_depth_has_no_lengths_but_is_judged():
+    """The axis 4 cm in front of the camera, with the object on the table: no listed depth is within twice that."""
+    rig = room_rig()
+    near = Turntable.from_axis([0.0, -1.0, 0.0], [0.0, 0.0, 0.04])
+    table = Turntable(near.direction, near.point, near.gain, near.harmonics, near.basis, "object")
+    scanner = uncertain(replace(rig, turntable=table), d=1e-4)
+    assert typical_lengths(scanner, 0) == []
+    (laser,) = predict_lengths(scanner).lasers
+    assert laser.depths == () and laser.lengths == ()

@@ -29,6 +29,7 @@ VERBS = {
     "reconstruct": "reconstruct sweep -c calibration.json -o new.ply --json result.json",
     "measure": "measure compare room.ply truth.npz -c calibration.json --json result.json",
     "convert": "convert sweep fast --storage npy --json result.json",
+    "import": "import sweep --output fast --step-deg 1 --json result.json",
     "convert-cloud": "convert room.ply new.e57 --json result.json",
     "report": "report calibration.json -o new.html --json result.json",
     "doctor": "doctor --json result.json",

@@ -11,15 +11,17 @@ import pytest
 
 import jaxscan
 from jaxscan.calibration import CalibrationSettings, ModelTest, Verdict, calibrate_camera
-from jaxscan.calibration.verdict import LaserLengths, Lengths, LengthSigma
+from jaxscan.calibration.verdict import GoodTo, LaserLengths, Lengths, LengthSigma
 from jaxscan.cli.calibrate import calibration_settings
 from jaxscan.cli.output import console
 from jaxscan.cli.summary import print_summary
 
 
 REFUSED = Verdict(
-    accepted=False,
-    tests=(ModelTest("sheet", statistic=90.0, dof=20, p=1e-9, p_structure=1e-9),),
+    usable=False,
+    good_to=GoodTo(sigma_mm=2.0, statistical_mm=0.5, at_m=2.5, sigma_px=0.3, statistical_px=0.2),
+    refused="1 mm were asked",
+    tests=(ModelTest("sheet", 90.0, 20, p=1e-9, p_structure=1e-9, effect_mm=1.9, effect_px=0.2),),
     advice=("Look at the sheet.",),
 )
 
@@ -75,16 +77,16 @@ class TestCalibrate:
         )
         print_summary(console(), dataclasses.replace(stored, quality=quality))
         lines = capsys.readouterr().out.splitlines()
-        assert lines[0].startswith("Not accepted. The solve ended, but the light sheet does not have the shape")
+        assert lines[0].startswith("Good to only 2.0 mm at 2.5 m. Refused: 1 mm were asked; 1.9 mm of that because the")
         assert lines[2].split() == "0.053 mm 300 mm along the stripe at 2.5 m".split()
         assert lines[3].startswith("Corners: ") and lines[4].startswith("Stripes: ")
         assert "warning: [bold]not markup[/bold]" in lines
         assert "next: Look at the sheet." in lines
-        assert any(line.startswith("│ sheet") and "fails" in line for line in lines)
+        assert any(line.startswith("│ sheet") and "structure" in line for line in lines)
         assert any(line.startswith("│ fx, px") for line in lines)
 
     @pytest.mark.parametrize("words", [(), ("--json", "-")])
-    def test_what_is_not_accepted_is_written_and_exits_with_1(self, tiny, run, tmp_path, monkeypatch, words):
+    def test_what_is_refused_is_written_and_exits_with_1(self, tiny, run, tmp_path, monkeypatch, words):
         stored = jaxscan.load_calibration(tiny.calibration)
         judged = dataclasses.replace(stored, quality=dataclasses.replace(stored.quality, verdict=REFUSED))
         monkeypatch.setattr("jaxscan.api.calibrate", lambda captures, **options: judged)
@@ -94,10 +96,10 @@ class TestCalibrate:
         ran = run("calibrate", tiny.boards, "-o", target, "--report", page, *words)
         assert ran.code == 1
         last = ran.err.splitlines()[-1]
-        assert last.startswith(f"jaxscan: {target}: written, but not accepted. The solve ended, but the light sheet")
+        assert last.startswith(f"jaxscan: {target}: written, but good to only 2.0 mm at 2.5 m. Refused: 1 mm")
         # It says why, and it is all there for whoever wants to look or to go on.
         assert "Look at the sheet." in ran.out
-        assert json.loads(target.read_text())["quality"]["verdict"]["accepted"] is False
+        assert json.loads(target.read_text())["quality"]["verdict"]["usable"] is False
         assert page.stat().st_size > 0
         if words:
             assert json.loads(ran.out)["verdict"]["kind"] == "bad"
@@ -116,13 +118,32 @@ class TestCalibrate:
             assert diagnosis not in ran.out
         result = json.loads((tmp_path / "result.json").read_text())
         assert result["quality"]["converged"] is False and result["verdict"]["kind"] == "bad"
-        assert json.loads(target.read_text())["quality"]["verdict"]["accepted"] is False
+        assert json.loads(target.read_text())["quality"]["verdict"]["usable"] is False
         # Solved again with the same few steps, it says so again.
         monkeypatch.setattr("jaxscan.report.figures.as_svg", lambda figure, name, description: "")
         page = tmp_path / "a.html"
         again = run("report", target, "-o", page, "--json", "-")
         assert again.code == 0 and json.loads(again.out)["reproduced"] is None
         assert "the solve did not converge" in again.err and "<strong>Not converged</strong>" in page.read_text()
+
+    def test_structure_that_is_in_the_sigmas_is_no_failure(self, tiny, run, tmp_path, monkeypatch):
+        stored = jaxscan.load_calibration(tiny.calibration)
+        usable = dataclasses.replace(REFUSED, usable=True, refused=None)
+        judged = dataclasses.replace(stored, quality=dataclasses.replace(stored.quality, verdict=usable))
+        given = {}
+        monkeypatch.setattr("jaxscan.api.calibrate", lambda captures, **options: given.update(options) or judged)
+        limits = "--limit-mm 3 --at-m 2.5 --limit-px 0.4".split()
+        ran = run("calibrate", tiny.boards, "-o", tmp_path / "a.json", *limits, "--json", tmp_path / "result.json")
+        assert ran.code == 0, ran.err
+        assert ran.out.startswith("Good to 2.0 mm at 2.5 m; 1.9 mm of that because the light sheet does not have")
+        settings = given["settings"]
+        assert (settings.limit_mm, settings.at_m, settings.limit_px) == (3.0, 2.5, 0.4)
+        verdict = json.loads((tmp_path / "result.json").read_text())["quality"]["verdict"]
+        assert verdict["usable"] is True and verdict["good_to"]["sigma_mm"] == 2.0
+        assert verdict["tests"][0]["effect_mm"] == 1.9
+
+    def test_a_limit_that_cannot_be_meant(self, tiny, refused, tmp_path):
+        assert "limit_mm: found 0, expected" in refused("calibrate", tiny.boards, "-o", tmp_path / "a", "--limit-mm", 0)
 
     def test_blocks_are_freed_and_held(self):
         settings = calibration_settings("fisheye", ("bow", "k3"), ("harmonics",))

@@ -17,7 +17,7 @@ from jaxscan.calibration import (
     Verdict,
     ViewQuality,
 )
-from jaxscan.calibration.verdict import DepthSigma, Direction, LaserLengths, Lengths, LengthSigma, PriorShare
+from jaxscan.calibration.verdict import DepthSigma, Direction, GoodTo, LaserLengths, Lengths, LengthSigma, PriorShare
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import (
     calibration_digest,
@@ -58,7 +58,15 @@ QUALITY = Quality(
     lengths=Lengths(
         (LaserLengths("red", (DepthSigma(1.0, 900, 0.1, 0.2, 0.3),), (LengthSigma("a", 2.5, 0.3, 0.05),)),)
     ),
-    verdict=Verdict(False, 0.5, 0.001, (ModelTest("lens", 90.0, 20, 0.1, 1e-9, 0.3, 2.0),), ("Look at the lens.",)),
+    verdict=Verdict(
+        False,
+        GoodTo(2.0, 0.5, 2.5, 0.3, 0.2),
+        "1 mm were asked",
+        0.5,
+        0.001,
+        (ModelTest("lens", 90.0, 20, 0.1, 1e-9, 0.3, 2.0, "in the corners"),),
+        ("Look at the lens.",),
+    ),
     redetected=SecondLook(True, views_gained=1, corner_rms_whitened_before=1.1),
 )
 """Something of every kind that a file can hold."""
@@ -300,8 +308,9 @@ NAN = float("nan")
         (["turntable", "gain"], 0.0, "turntable: gain = 0"),
         (["turntable", "harmonics"], [0.0] * 5, "turntable.harmonics"),
         (["turntable", "carries"], "camera", 'turntable.carries: found "camera", expected "scanner" or "object"'),
-        (["turntable"], KeyError, "lasers and turntable come together"),
-        (["lasers"], KeyError, "lasers and turntable come together"),
+        # Without one of them it is a smaller rig, whose covariance has other parameters.
+        (["turntable"], KeyError, "covariance.order: found fx"),
+        (["lasers"], KeyError, "covariance.order: found fx"),
         (["camera", "up"], "+v", 'turntable.direction: points down, expected towards the image\'s up "+v"'),
         (["covariance", "matrix", 0, 1], 1e9, "covariance: matrix: not symmetric"),
         (["covariance", "matrix", 3, 3], -1.0, "covariance: matrix: the variance of cy is negative"),
@@ -438,7 +447,7 @@ class TestQuality:
             ]
         }
         (test,) = table["verdict"]["tests"]
-        assert list(test) == ["name", "statistic", "dof", "p", "p_structure", "effect_mm", "effect_sigma"]
+        assert list(test) == ["name", "statistic", "dof", "p", "p_structure", "effect_mm", "effect_px", "where"]
         # Nobody knows, so nothing is written; and of nothing at all an empty table.
         assert "seconds" not in table and "stripe_points_gained" not in table["redetected"]
         assert quality_table(Quality()) == {} and read_quality({}) == Quality()
@@ -472,10 +481,11 @@ class TestQuality:
             ("lengths", 7),
             ("lengths", {"lasers": [{"name": 5}]}),
             ("lengths", {"lasers": [{"name": "red", "depths": [{"depth_m": "far"}]}]}),
-            ("verdict", {"accepted": "yes"}),
-            ("verdict", {"accepted": True, "tests": [1]}),
-            ("verdict", {"accepted": True, "tests": [{"name": "lens", "p": 0.5}]}),
-            ("verdict", {"accepted": True, "advice": [4]}),
+            ("verdict", {"usable": "yes"}),
+            ("verdict", {"usable": True, "good_to": {"sigma_mm": "small"}}),
+            ("verdict", {"usable": True, "tests": [1]}),
+            ("verdict", {"usable": True, "tests": [{"name": "lens", "p": 0.5}]}),
+            ("verdict", {"usable": True, "advice": [4]}),
             ("redetected", {"kept": 1}),
             ("redetected", None),
         ],
@@ -483,6 +493,12 @@ class TestQuality:
     def test_what_is_of_another_kind_counts_as_missing(self, key, value):
         """With its key alone: the rest is read."""
         assert read_quality({"placements": 3, key: value, "of a stranger": [1]}) == Quality(placements=3)
+
+    def test_a_verdict_of_an_earlier_version_is_read_but_says_nothing_of_use(self):
+        test = {"name": "lens", "statistic": 9.0, "dof": 3, "p": 0.1, "p_structure": 0.1, "effect_sigma": 2.0}
+        verdict = read_quality({"verdict": {"accepted": False, "tests": [test], "advice": ["more"]}}).verdict
+        assert verdict.usable is None and verdict.good_to is None
+        assert verdict.tests[0].dof == 3 and verdict.advice == ("more",)
 
     def test_a_deep_value_does_no_harm(self):
         deep = json.loads("[" * 900 + "]" * 900)

@@ -148,7 +148,11 @@ def test_a_charuco_board(folder):
         ('format = "jaxscan-capture/1"', "", "format: missing, so this is no capture"),
         ('kind = "sweep"', "", "kind: missing"),
         ('kind = "sweep"', 'kind = "calibration"', "board: missing, a calibration capture needs a [board] table"),
-        ('"scanner"', '"camera"', 'turntable.carries: found "camera", expected "scanner" or "object"'),
+        (
+            '"scanner"',
+            '"camera"',
+            'turntable.carries: found "camera", expected "scanner", "object", "linear" or "nothing"',
+        ),
         (LASER, "", "laser: missing, a sweep needs a [[laser]] table"),
         (LASER, LASER + LASER, "laser: found the names red, red, expected no name twice"),
         (LASER, LASER + BOARD, "board: found in a sweep"),

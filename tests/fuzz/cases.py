@@ -120,6 +120,44 @@ def _repack(draft: Draft) -> Case:
     return Case(f"convert {name}", words, {f"{OUT}/new"})
 
 
+def _import(draft: Draft) -> Case:
+    """A stranger's folder: images damaged or replaced by what is no file, and strange patterns, boards and angles."""
+    rng, folder = draft.rng, draft.take("unsealed")
+    images = sorted(one for side in ("on", "off") for one in (folder / side).iterdir())
+    for _ in range(rng.choice((0, 1, 1, 3))):
+        match rng.randrange(4):
+            case 0:
+                draft.change(rng.choice(images), change_image)
+            case 1:
+                replace_place(rng, rng.choice((*images, folder / "on", folder / "off")), draft.folder / VICTIM)
+                images = [one for one in images if one.is_file() and not one.is_symlink()]
+            case 2:
+                name = f"{rng.choice(('on', 'off', 'laser', 'x'))}{rng.randrange(10 ** rng.randrange(1, 20))}"
+                suffix = rng.choice((".png", ".mp4", ".avi", ".JPG"))
+                (folder / (name + suffix)).write_bytes(
+                    rng.choice((b"", b"RIFF0000AVI ", b"#EXTM3U\n/dev/zero\n", rng.randbytes(99)))
+                )
+            case _:
+                (folder / "angles.txt").write_bytes(change_bytes(rng, b"".join(b"%d.5 0\n" % k for k in range(12))))
+        if not images:
+            break
+    patterns = ("on/*.png", "off/*", "*", "../*", "/etc/*", "[", "[!]", "*" * 300, "on/00000?.png", strange_name(rng))
+    words = ["import", str(folder), "-o", draft.output("new")]
+    words += rng.choice((["--step-deg", "1"], ["--step-deg", "1"], ["--angles", str(folder / "angles.txt")], []))
+    for option in ("--on", "--off", "--boards"):
+        if rng.random() < 0.12:
+            words += [option, *(rng.choice(patterns) for _ in range(rng.choice((1, 1, 2))))]
+    if rng.random() < 0.2:
+        words += [
+            "--board",
+            rng.choice(("chessboard 9x6 25mm", "aprilgrid 6x6 24mm 7mm", "circles 4x11 1e9mm 2mm", "")),
+        ]
+    if rng.random() < 0.2:
+        option, value = rng.choice((("--every", nasty_number(rng)), ("--response", "learn"), ("--exposures-ms", "1")))
+        words += [option, str(value)]
+    return Case("import", words, {f"{OUT}/new"})
+
+
 def _verify(draft: Draft) -> Case:
     name = draft.rng.choice(("unsealed", "sealed", "shards"))
     return Case(f"doctor {name}", ["doctor", "--capture", str(_changed_capture(draft, name))])
@@ -255,6 +293,7 @@ KINDS: dict[Callable[[Draft], Case], float] = {
     _reconstruct: 30,
     _reconstruct_with: 6,
     _repack: 8,
+    _import: 6,
     _verify: 8,
     _calibrate: 1.5,
     _camera: 10,

@@ -49,7 +49,7 @@ def _answer(seed: int, number: int, corpus: Path, folder: Path, files: tuple[int
     # Where the result goes to standard output, everything for people goes to standard error.
     last = b"".join(err.splitlines(keepends=True)[-1:] if code else [])
     faults = verdict(code, out, last if "-" in case.words else err, seconds, peak)
-    # A verdict of "not accepted" is written all the same, and says so.
+    # A calibration that is refused is written all the same, and says so.
     written = code == 0 or b": written, but" in err
     left = changes(before, snapshot(folder), case.kept | (case.outputs if written else set()))
     # An output that was asked for under a strange name, perhaps in the working folder.

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from jaxscan.geometry import CAMERAS, DoubleSphere, Fisheye, Pinhole
 from jaxscan.geometry.cameras import CENTRE, FOCAL
 from jaxscan.geometry.laser import LASER_BLOCKS
-from jaxscan.geometry.turntable import AXIS_BLOCKS
+from jaxscan.geometry.motions import MOTION_BLOCKS
 
 
 def pinhole(distortion, skew=0.0):
@@ -363,7 +363,7 @@ def test_every_registered_model_has_a_contract():
 
 
 def test_blocks_and_priors_of_one_name_mean_the_same_everywhere():
-    of_rig = {block.name for block in (*LASER_BLOCKS, *AXIS_BLOCKS)}
+    of_rig = {block.name for block in (*LASER_BLOCKS, *MOTION_BLOCKS)}
     sigmas = {}
     for block in (block for camera in CAMERAS.values() for block in camera.blocks()):
         assert block.name not in of_rig

@@ -13,7 +13,7 @@ from jaxscan.calibration import (
     Verdict,
     ViewQuality,
 )
-from jaxscan.calibration.verdict import DepthSigma, Direction, LaserLengths, Lengths, LengthSigma, PriorShare
+from jaxscan.calibration.verdict import DepthSigma, Direction, GoodTo, LaserLengths, Lengths, LengthSigma, PriorShare
 from jaxscan.geometry import Chessboard, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
 from jaxscan.observation import BoardViews, Observations, StripeViews
 
@@ -115,7 +115,12 @@ def make_quality(observations, fit, laser_names):
         board_warp_m=(1e-4, -2e-4),
         board_warp_sigma_m=(1e-5, 2e-5),
         warnings=("the lamp was on",),
-        verdict=Verdict(True, tests=tests, advice=("Capture the board in the corners of the image.",)),
+        verdict=Verdict(
+            True,
+            GoodTo(sigma_mm=0.8, statistical_mm=0.8, at_m=2.5, sigma_px=0.1, statistical_px=0.1),
+            tests=tests,
+            advice=("Capture the board in the corners of the image.",),
+        ),
         spectrum=(Direction(0.97, {"c2": 0.9, "s1": -0.4}), Direction(0.01, {"fx": 0.7, "fy": 0.7})),
         lengths=Lengths(tuple(LaserLengths(name, depths, lengths) for name in laser_names)),
     )

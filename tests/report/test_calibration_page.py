@@ -102,7 +102,7 @@ def test_it_stands_alone(text, document):
 
 def test_the_verdict_comes_first_and_in_millimetres(document):
     words = document.all_words()
-    assert document.words["strong"] == ["Accepted"]
+    assert document.words["strong"] == ["Good to 0.80 mm at 2.5 m"]
     assert "± 0.053 mm" in document.words["b"] and "± 1.6 mm" in document.words["b"]
     assert "300 mm along the stripe at 2.5 m, laser red" in words
     assert "6.15 m between points half a turn apart, laser green" in words
@@ -125,17 +125,19 @@ def having(calibration, **quality):
 def test_refused_calibrations_say_why(made):
     good = made()
     tests = list(good.quality.verdict.tests)
-    tests[4] = dataclasses.replace(tests[4], p_structure=1e-9)
-    refused = having(good, verdict=dataclasses.replace(good.quality.verdict, accepted=False, tests=tuple(tests)))
-    page = Document(calibration_page(dataclasses.replace(refused, fit=None)))
-    assert page.words["strong"] == ["Not accepted"]
-    assert "the light sheet does not have the shape of its model" in page.all_words()
+    tests[4] = dataclasses.replace(tests[4], p_structure=1e-9, effect_mm=0.75, effect_px=0.02)
+    verdict = dataclasses.replace(good.quality.verdict, usable=False, refused="0.5 mm were asked", tests=tuple(tests))
+    page = Document(calibration_page(dataclasses.replace(having(good, verdict=verdict), fit=None)))
+    assert page.words["strong"] == ["Good to only 0.80 mm at 2.5 m"]
+    because = "0.75 mm of that because the light sheet does not have the shape of its model"
+    assert f"Refused: 0.5 mm were asked; {because}." in page.all_words()
+    assert "0.75 mm, 0.02 px" in page.words["td"]
     assert ("tr", "class", "worse") in page.attributes
 
 
 def test_nothing_is_concluded_from_a_solve_that_did_not_converge(calibration):
     """Whatever else stands in the file."""
-    verdict = Verdict(accepted=False, advice=("The solve did not converge in 1 step.",))
+    verdict = Verdict(False, refused="The solve did not converge in 1 step.")
     page = Document(calibration_page(having(calibration, converged=False, verdict=verdict)))
     assert page.words["strong"] == ["Not converged"]
     shown = ["In words", "Residuals over the image", "Stripe and table", "Views, worst first", "Numbers of the solve"]

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxscan.calibration import ModelTest, Quality, SecondLook, Verdict
-from jaxscan.calibration.verdict import Lengths, judge_views
+from jaxscan.calibration import Missed, Quality, SecondLook
+from jaxscan.calibration.verdict import BoardMap, GoodTo, Lengths, judge_views
 from jaxscan.report import Parameter, outcome_rows, parameters, quality_rows, words
 from jaxscan.report.tables import view_rows
 
@@ -15,49 +15,95 @@ def having(calibration, **quality):
     return replace(calibration, quality=replace(calibration.quality, **quality))
 
 
-def judged(calibration, accepted, tests):
-    return having(calibration, verdict=Verdict(accepted, tests=tuple(tests)))
+def judged(calibration, tests=None, **verdict):
+    """With other tests, and other parts of the verdict."""
+    changed = verdict if tests is None else {**verdict, "tests": tuple(tests)}
+    return having(calibration, verdict=replace(calibration.quality.verdict, **changed))
+
+
+def structured(calibration, **effects):
+    """With structure in some tests, by their names: their part of the error in mm; px are a tenth of that."""
+    return [
+        replace(test, p_structure=1e-5, effect_mm=effects[test.name], effect_px=0.1 * effects[test.name])
+        if test.name in effects
+        else test
+        for test in calibration.quality.verdict.tests
+    ]
 
 
 class TestHeadline:
-    def test_accepted(self, calibration):
+    def test_without_structure(self, calibration):
         found = words.headline(calibration)
-        assert (found.kind, found.headline) == ("good", "Accepted")
-        assert "all 6 tests" in found.explanation
+        assert found == words.Headline(
+            "good", "Good to 0.80 mm at 2.5 m", "The residuals look like noise. Its rays are good to 0.1 px."
+        )
+
+    def test_of_a_camera_alone(self, calibration):
+        alone = GoodTo(sigma_px=0.123, statistical_px=0.05)
+        tests = structured(calibration, lens=1.0)
+        tests[0] = replace(tests[0], effect_mm=None, where="in the corners")
+        found = words.headline(judged(calibration, tests, good_to=alone))
+        assert found.headline == (
+            "Good to 0.12 px over the image; 0.1 px of that because the lens model falls short in the corners"
+        )
+        assert found.explanation == "All sigmas include this; noise alone would give 0.05 px."
 
     @pytest.mark.parametrize(("index", "name"), list(enumerate(words.TESTS)))
-    def test_not_accepted_says_which_model(self, calibration, index, name):
-        tests = list(calibration.quality.verdict.tests)
-        tests[index] = replace(tests[index], p_structure=1e-5)
-        refused = judged(calibration, False, tests)
-        found = words.headline(refused)
-        assert found.kind == "bad"
-        for other, (_, meaning) in words.TESTS.items():
-            assert (meaning in found.explanation) == (other == name)
-        assert [row[6] for row in outcome_rows(refused)].count("fails") == 1
+    def test_says_the_cause_and_its_size(self, calibration, index, name):
+        found = words.headline(judged(calibration, structured(calibration, **{name: 0.5})))
+        assert found.kind == "good"
+        for other, (_, cause) in words.TESTS.items():
+            assert (f"; 0.50 mm of that because {cause}" in found.headline) == (other == name)
+
+    def test_the_largest_cause_comes_first_and_small_ones_are_not_named(self, calibration):
+        tests = structured(calibration, lens=0.3, board=0.6, axis=0.2)
+        assert words.headline(judged(calibration, tests)).headline == (
+            "Good to 0.80 mm at 2.5 m; 0.60 mm of that because the board is not flat and its shape not free, "
+            "and 0.30 mm because the lens model falls short"
+        )
+        assert [row[6] for row in outcome_rows(judged(calibration, tests))].count("structure") == 3
+        assert [row[5] for row in outcome_rows(judged(calibration, tests))][:3] == [
+            "0.3 mm, 0.03 px", "0.6 mm, 0.06 px", ""
+        ]  # fmt: skip
+
+    def test_a_board_whose_shape_was_freed(self, calibration):
+        freed = judged(calibration, structured(calibration, board=0.6))
+        found = words.headline(having(freed, board=BoardMap("corners", 2.5e-4)))
+        assert "because the board's shape falls short, though it was freed" in found.headline
+        assert "The board's shape was freed: 0.25 mm RMS off flat." in found.explanation
+        held = words.headline(having(freed, board=BoardMap("parabola", 2.5e-4)))
+        assert "because the board is not flat and its shape not free" in held.headline
+        assert "freed" not in held.explanation
 
     def test_noise_without_structure_is_told_from_a_wrong_model(self, calibration):
         tests = [replace(test, p=1e-9) for test in calibration.quality.verdict.tests]
-        noisy = judged(calibration, False, tests)
-        assert "larger than the noise that the detectors promise" in words.headline(noisy).explanation
+        noisy = judged(calibration, tests)
+        found = words.headline(noisy)
+        assert found.kind == "good" and "larger than the detectors promise" in found.explanation
         assert {row[6] for row in outcome_rows(noisy)} == {"noisy"}
-        accepted = words.headline(judged(calibration, True, tests))
-        assert accepted.kind == "good" and "larger than the detectors promise" in accepted.explanation
 
     def test_one_of_many_tests_may_be_a_little_unlikely(self, calibration):
         """Of six tests, each may be as unlikely as one in 600 before all together are one in a hundred."""
         first, *others = calibration.quality.verdict.tests
-        for p, result in ((0.002, "passes"), (0.0015, "fails")):
+        for p, result in ((0.002, "passes"), (0.0015, "structure")):
             tests = [replace(first, p_structure=p), *others]
-            assert outcome_rows(judged(calibration, True, tests))[0][6] == result
+            assert outcome_rows(judged(calibration, tests))[0][6] == result
+
+    def test_a_refused_one_says_its_size_and_the_reason(self, calibration):
+        found = words.headline(judged(calibration, usable=False, refused="0.5 mm were asked"))
+        assert found == words.Headline("bad", "Good to only 0.80 mm at 2.5 m", "Refused: 0.5 mm were asked.")
+
+    def test_files_of_earlier_versions_are_not_judged(self, calibration):
+        found = words.headline(judged(calibration, usable=None, good_to=None))
+        assert found.kind == "open" and found.headline == "Not judged" and "calibrate again" in found.explanation
 
     def test_a_solve_that_ended_is_never_called_right(self, calibration):
         found = words.headline(having(calibration, verdict=None))
-        assert found.kind == "open" and "ccepted" not in found.headline
+        assert found.kind == "open" and found.headline == "Not judged"
 
     def test_a_solve_that_did_not_converge_is_not_judged_by_its_numbers(self, calibration):
         """Neither by its tests nor by its residuals; and the advice is said once, as the explanation."""
-        verdict = Verdict(False, tests=calibration.quality.verdict.tests, advice=("It did not converge.",))
+        verdict = replace(calibration.quality.verdict, usable=False, refused="It did not converge.")
         ended = having(calibration, converged=False, verdict=verdict, corner_rms_whitened=9.0)
         assert words.headline(ended) == words.Headline("bad", "Not converged", "It did not converge.")
         assert words.advice(ended) == () and words.bad_views(ended) == []
@@ -85,6 +131,17 @@ def test_whitened_residuals_in_words(calibration, ratio, said):
     assert said in corners and f"{ratio:.2f}" in corners
     assert corners.startswith("Corners: 120, 0.8 % rejected; RMS 0.140 px")
     assert stripes.startswith("Stripes: 480, none rejected")
+
+
+def test_records_without_the_board_and_the_likely_reasons(calibration):
+    missed = [Missed(number, "too dark") for number in range(14)] + [Missed(40, "blurred")]
+    first, *others = words.board_lines(having(calibration, records=121, missed=tuple(missed)))
+    assert first == "Board found in 106 of 121 records."
+    assert others == [
+        "Not found in records 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11 and 2 more: too dark.",
+        "Not found in record 40: blurred.",
+    ]
+    assert words.board_lines(having(calibration, records=None)) == []
 
 
 def test_second_look(calibration):
@@ -181,14 +238,3 @@ class TestParameters:
 def test_numbers_of_the_solve_that_are_not_there_are_left_out(calibration):
     assert ("corner RMS, px", "0.1400") in quality_rows(calibration)
     assert quality_rows(replace(calibration, quality=Quality())) == []
-
-
-def test_what_a_failing_model_would_move_is_told_in_millimetres(calibration):
-    tests = (
-        ModelTest("lens", 400.0, 24, p=0.0, p_structure=0.0, effect_mm=0.37, effect_sigma=2.1),
-        ModelTest("sheet", 6.0, 6, p=0.4, p_structure=0.4, effect_mm=9.0, effect_sigma=9.0),
-    )
-    refused = judged(calibration, False, tests)
-    assert "0.37 mm, 2.1 of its standard deviations" in words.headline(refused).explanation
-    rows = outcome_rows(refused)
-    assert rows[0][5] == "0.37 mm, 2.1 sigma" and rows[1][5] == ""

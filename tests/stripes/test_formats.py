@@ -171,3 +171,18 @@ def test_wrong_arrays(render):
         extract_stripes(scene.on.astype(np.float32))
     with pytest.raises(ValueError, match="at least one frame"):
         extract_stripes(scene.on[:0])
+
+
+def test_an_exponent_is_decoded_before_the_fit(render, profile):
+    rng = np.random.default_rng(3)
+    u = rng.uniform(40, 56, 2048)
+    levels = [profile(u, 1.5, 100.0, 96) + 20.0, np.full((2048, 96), 20.0)]
+    frames = []
+    for level in levels:
+        linear = rng.poisson(level * 40) / 40 + rng.normal(size=level.shape)
+        frames.append(np.round(255 * (np.clip(linear, 0, 255) / 255) ** (1 / 2.2)).astype(np.uint8)[None])
+    stripes = extract_stripes(*frames, pixel_format=FrameFormat("mono8", "gamma 2.2"), noise=KNOWN)
+    assert np.asarray(stripes.valid).mean() > 0.99
+    error = np.asarray(stripes.u)[0] - u
+    assert 0.92 < np.sqrt(np.mean((error / np.asarray(stripes.sigma)[0]) ** 2)) < 1.08
+    assert np.median(np.asarray(stripes.width)) == pytest.approx(1.5, rel=0.02)

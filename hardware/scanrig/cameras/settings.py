@@ -6,7 +6,7 @@ import pydantic
 
 from jaxscan.files.disk import ImageSize, Integer, Number
 from jaxscan.geometry.scanner import Up
-from jaxscan.stripes import PixelFormat, Response
+from jaxscan.stripes import PixelFormat, Response, known_response
 
 
 CameraKind = Literal["aravis", "opencv", "folder", "simulated"]
@@ -23,8 +23,8 @@ class CameraSettings(ImageSize):
     URL. Folder: its path. Simulated: a TOML file of a synthetic scene, or ""."""
     pixel_format: PixelFormat = "mono8"
     """How a frame is to be read."""
-    response: Response = "linear"
-    """"linear", or "srgb"."""
+    response: Annotated[Response, pydantic.AfterValidator(known_response)] = "linear"
+    """"linear", "srgb" or "gamma 2.2"."""
     up: Up = "-v"
     """Which direction of the image is up."""
     exposure_ms: Annotated[Number, pydantic.Field(gt=0, le=10_000)] = 10.0

@@ -1,25 +1,15 @@
-"""Closed-form first values: camera, board poses, laser planes, axis."""
+"""Closed-form first values: camera, board poses, laser planes."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import (
-    AbstractCamera,
-    Array,
     LaserSheet,
-    Turntable,
     apply_homography,
     direct_homography,
-    fit_axis,
     fit_plane,
-    point_up,
 )
-from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 
 
 # Boards whose normals differ by less show the camera one vanishing line: focal length and
@@ -27,8 +17,6 @@ from jaxscan.geometry.turntable import Carries
 _MIN_TILT_DEG = 5.0
 # Stripe points reaching less far across than this share of their length are one line.
 _MIN_PLANE_SPREAD = 0.02
-# Angles closer than this are the same stop of the table [rad].
-_MIN_TURN = 1e-3
 
 
 def seed_narrow(data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -130,55 +118,6 @@ def seed_plane(points: np.ndarray, name: str) -> LaserSheet:
     return LaserSheet.from_plane(plane.normal, plane.distance)
 
 
-def seed_axis(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> Turntable:
-    """Axis and sense of the table from placements seen at several angles.
-
-    Args:
-        poses: T_cam_board of every view [views, 4, 4].
-        data: For the angle and placement of each view.
-        carries: Whether the table carries the scanner or the object.
-        up: The image's up direction.
-
-    Raises:
-        CalibrationError: If no placement was seen from two angles, or nothing turned.
-
-    Source: PAPER.md equation (10), for all pairs of angles.
-    """
-    turns, motions = [], []
-    for number in np.unique(data.placement[data.usable]):
-        views = np.flatnonzero(data.usable & (data.placement == number))
-        for i, first in enumerate(views):
-            for second in views[i + 1 :]:
-                turn = data.angle[first] - data.angle[second]
-                if abs(turn) > _MIN_TURN:
-                    turns.append(turn)
-                    motions.append(poses[second] @ np.linalg.inv(poses[first]))
-    if not turns:
-        raise CalibrationError(
-            "No board placement was seen from two table angles, so the axis cannot be determined: "
-            "leave the board standing and turn the table between images (same `placement`, other `angle_deg`)."
-        )
-    turn, motion = np.array(turns), np.array(motions)
-    try:
-        axis = fit_axis(motion)
-    except ValueError:
-        raise CalibrationError(
-            f"The commanded angles differ by up to {np.degrees(np.abs(turn).max()):.1f} degrees but the board did not "
-            "move in the image: the table did not turn, or the board turned with the camera."
-        ) from None
-    seen = _signed_angles(motion[:, :3, :3], axis.direction)
-    gain = _gain(turn, seen)
-    if not 0.8 < abs(gain) < 1.25:
-        raise CalibrationError(
-            f"The boards turned by {gain:.3f} times the commanded angles: check the steps per turn of the table, and "
-            "that records with the same `placement` saw the board unmoved."
-        )
-    if carries == "object":
-        gain = -gain
-    start = Turntable.from_axis(axis.direction, axis.point, gain=float(np.sign(gain)), carries=carries)
-    return point_up(start, up)
-
-
 def fit_homography(points: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Homography [3, 3] from board points [n, 2] to pixels [n, 2], robust against a few wrong corners.
 
@@ -208,47 +147,6 @@ def pose_from_homography(homography: np.ndarray, focal: float) -> np.ndarray:
     return pose
 
 
-def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray, laser: int) -> np.ndarray:
-    """Stripe points of one laser in the camera frame [n, 3], by the boards they lie on.
-
-    Source: PAPER.md equations (5)-(7).
-    """
-    rows = np.flatnonzero((data.stripe_laser == laser) & data.stripe_valid.any(1))
-    if len(rows) == 0:
-        return np.zeros((0, 3))
-    valid = data.stripe_valid[rows]
-    rays = np.asarray(_rays(camera, data.stripe_q.reshape(-1, 2))).reshape(*data.stripe_q.shape[:2], 3)[rows]
-    pose = poses[data.stripe_view[rows]]
-    along = np.einsum("si,spi->sp", pose[:, :3, 2], rays)
-    offset = np.einsum("si,si->s", pose[:, :3, 2], pose[:, :3, 3])
-    range_m = offset[:, None] / np.where(along == 0, 1.0, along)
-    points = range_m[..., None] * rays
-    return points[valid & (along != 0) & (range_m > 0)]
-
-
-@jax.jit
-def _motions(table: Turntable, angle: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
-    return jax.vmap(table.motion)(jnp.asarray(angle))
-
-
-@jax.jit
-def _rays(camera: AbstractCamera, q: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
-    return jax.vmap(camera.unproject)(jnp.asarray(q))
-
-
-def average_placements(poses: np.ndarray, data: Prepared, table: Turntable) -> np.ndarray:
-    """T_cam0_board of every placement [views, 4, 4] (as many as views; the rest is identity)."""
-    motions = np.asarray(_motions(table, data.angle))
-    result = np.tile(np.eye(4), (len(data.usable), 1, 1))
-    for number in np.unique(data.placement[data.usable]):
-        views = np.flatnonzero(data.usable & (data.placement == number))
-        still = motions[views] @ poses[views]
-        u, _, vt = np.linalg.svd(still[:, :3, :3].mean(0))
-        result[number, :3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-        result[number, :3, 3] = np.median(still[:, :3, 3], axis=0)
-    return result
-
-
 def _focal_length(homographies: list[np.ndarray]) -> float | None:
     a, b = [], []
     for homography in homographies:
@@ -259,21 +157,3 @@ def _focal_length(homographies: list[np.ndarray]) -> float | None:
         b += [-x[2] * y[2] / size, (y[2] ** 2 - x[2] ** 2) / size]
     inverse_square = np.dot(a, b) / max(np.dot(a, a), 1e-300)
     return float(1.0 / np.sqrt(inverse_square)) if inverse_square > 0 else None
-
-
-def _signed_angles(rotations: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    skew = rotations - np.swapaxes(rotations, 1, 2)
-    vector = np.column_stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]]) / 2
-    return np.arctan2(vector @ direction, (np.trace(rotations, axis1=1, axis2=2) - 1) / 2)
-
-
-def _gain(commanded: np.ndarray, seen: np.ndarray) -> float:
-    """Seen over commanded angle, whichever sense fits; `seen` is known up to full turns."""
-    best, error = 0.0, np.inf
-    for sense in (1.0, -1.0):
-        full = seen + 2 * np.pi * np.round((sense * commanded - seen) / (2 * np.pi))
-        gain = float(commanded @ full / (commanded @ commanded))
-        misfit = float(np.abs(full - gain * commanded).mean() + np.abs(full - sense * commanded).mean())
-        if misfit < error:
-            best, error = gain, misfit
-    return best

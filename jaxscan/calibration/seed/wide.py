@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from jaxscan.calibration.seed.closed_form import centred_corners, check_tilts, fit_homography, pose_from_homography
+from jaxscan.calibration.seed.closed_form import centred_corners, check_tilts
+from jaxscan.calibration.seed.poses import MIN_SHARE, pose_from_rays
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.errors import CalibrationError
 
@@ -17,12 +18,8 @@ _CUBIC = (-0.12, -0.06, 0.0, 0.06)
 _CUBIC_RANGE = (-0.18, 0.12)
 # As many views as this, spread over all, tell the focal length well enough for a start.
 _SEARCH_VIEWS = 9
-# A board is looked at along its middle ray: beyond this angle from it, tangents mean nothing.
-_MIN_COSINE = 0.1
 # Misfit of a lens with one coefficient [share of the image's radius]: for real lenses below 0.02.
 _MAX_MISFIT = 0.1
-# Share of a view's corners that must be possible under a lens: the rest may be wrong.
-_MIN_SHARE = 0.9
 
 
 def seed_wide(data: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -61,14 +58,8 @@ def _board_pose(points: np.ndarray, q: np.ndarray, focal: float, cubic: float) -
         where they are too few, that of any board where they are.
     """
     rays, exists = _rays(q, focal, cubic)
-    towards = _facing(rays[exists].mean(0) if exists.any() else np.array([0.0, 0.0, 1.0]))
-    turned = rays @ towards.T
-    usable = exists & (turned[:, 2] > _MIN_COSINE)
-    pose, back = np.eye(4), np.eye(4)
-    pose[2, 3], back[:3, :3] = 1.0, towards.T
-    if usable.mean() >= _MIN_SHARE:
-        pose = pose_from_homography(fit_homography(points[usable], turned[usable, :2] / turned[usable, 2:]), 1.0)
-    return back @ pose, float(usable.mean())
+    pose, share = pose_from_rays(points[exists], rays[exists])
+    return pose, share * float(exists.mean())
 
 
 def _search(seen: list[tuple[np.ndarray, np.ndarray]]) -> tuple[float, float]:
@@ -108,7 +99,7 @@ def _misfit(seen: list[tuple[np.ndarray, np.ndarray]], focal: float, cubic: floa
     distances = []
     for points, q in seen:
         pose, share = _board_pose(points, q, focal, cubic)
-        if share < _MIN_SHARE:
+        if share < MIN_SHARE:
             return np.inf
         p = np.column_stack([points, np.zeros(len(points))]) @ pose[:3, :3].T + pose[:3, 3]
         radius = np.hypot(p[:, 0], p[:, 1])
@@ -128,11 +119,3 @@ def _rays(q: np.ndarray, focal: float, cubic: float) -> tuple[np.ndarray, np.nda
     theta = np.interp(radius, grown, table)
     aside = np.sin(theta) / np.maximum(radius, 1e-12)
     return np.column_stack([aside[:, None] * q, np.cos(theta)]), radius < grown[-1]
-
-
-def _facing(direction: np.ndarray) -> np.ndarray:
-    """A rotation [3, 3] that turns `direction` to +z."""
-    z = direction / np.linalg.norm(direction)
-    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x = x / np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])

@@ -2,20 +2,18 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import BoardModes, Problem, no_modes, problem_layout
-from jaxscan.geometry import AbstractCamera, LaserSheet, Layout, Turntable, corner_frame, stack_lasers
-from jaxscan.geometry.turntable import Carries
+from jaxscan.geometry import AbstractCamera, AbstractMotion, LaserSheet, Layout, corner_frame
 
 
 def make_problem(
     camera: AbstractCamera,
-    lasers: LaserSheet | None,
-    table: Turntable | None,
+    lasers: LaserSheet,
+    motion: AbstractMotion,
     poses: np.ndarray,
     data: Prepared,
     settings: CalibrationSettings,
@@ -24,23 +22,20 @@ def make_problem(
 
     Args:
         camera: First camera.
-        lasers: First sheets, stacked; None where only the camera is sought.
-        table: First table; None where only the camera is sought.
+        lasers: First sheets, stacked, perhaps none.
+        motion: First motion between the records; `Still` where every view has a pose of its own.
         poses: T_cam0_board of every placement, as many as views [views, 4, 4].
         data: Of `prepare`.
         settings: Free blocks and priors.
     """
     # The solver needs neither names nor sizes, and would compile again for each.
     camera = replace(camera, width=0, height=0)
-    if lasers is None:
-        lasers = stack_lasers([LaserSheet.from_plane(np.array([1.0, 0.0, 0.0]), 1.0)])
-        lasers = jax.tree.map(lambda leaf: leaf[:0], lasers)
-    layout = problem_layout(camera, lasers, table)
+    layout = problem_layout(camera, lasers, motion)
     centre = {"cx": (data.size[0] - 1) / 2, "cy": (data.size[1] - 1) / 2}
     return Problem(
         camera=camera,
         lasers=lasers,
-        turntable=None if table is None else carrying(table, "scanner"),
+        turntable=motion.carrying("scanner"),
         poses=poses,
         shape=np.zeros(3),
         scales=parameter_scales(layout, settings.free),
@@ -90,10 +85,3 @@ def prior_weights(layout: Layout, settings: CalibrationSettings) -> np.ndarray:
     return np.array(
         [(block.name in settings.free) / settings.priors.get(block.prior, block.sigma) for block in layout.blocks]
     )
-
-
-def carrying(table: Turntable, carries: Carries) -> Turntable:
-    """The same motion of boards in front of the camera: a table that turns backwards turns the other part."""
-    if table.carries == carries:
-        return table
-    return Turntable(table.direction, table.point, -table.gain, -table.harmonics, table.basis, carries)

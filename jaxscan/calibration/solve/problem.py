@@ -11,11 +11,11 @@ from jaxtyping import Float, Int
 from jaxscan.calibration.parameters import board_blocks, move_pose
 from jaxscan.geometry import (
     AbstractCamera,
+    AbstractMotion,
     Array,
     BowedBoard,
     LaserSheet,
     Layout,
-    Turntable,
     bend_functions,
     invert,
     make_layout,
@@ -45,9 +45,9 @@ class Problem(eqx.Module):
 
     camera: AbstractCamera
     lasers: LaserSheet
-    """All sheets stacked; of length 0 where only the camera is sought."""
-    turntable: Turntable | None
-    """None where only the camera is sought: every view is then a placement of its own."""
+    """All sheets stacked; of length 0 where none is sought."""
+    turntable: AbstractMotion
+    """The motion between the views of a placement; `Still` where every view is a placement of its own."""
     poses: Float[Array, "placements 4 4"]
     """T_cam0_board of every placement."""
     shape: Float[Array, " numbers"]
@@ -79,10 +79,10 @@ class Problem(eqx.Module):
         return self.placement[self.stripe_view]
 
 
-def problem_layout(camera: AbstractCamera, lasers: LaserSheet, table: Turntable | None, modes: int = 0) -> Layout:
+def problem_layout(camera: AbstractCamera, lasers: LaserSheet, motion: AbstractMotion, modes: int = 0) -> Layout:
     """Where the shared unknowns of each part stand; `lasers` are stacked, and their names do not matter."""
     names = tuple(map(str, range(len(lasers.distance))))
-    return make_layout(camera, names, turns=table is not None, board=board_blocks(modes))
+    return make_layout(camera, names, motion=motion.blocks, board=board_blocks(modes))
 
 
 class Step(NamedTuple):
@@ -104,21 +104,16 @@ def move(step: Step, problem: Problem) -> Problem:
     moved = (
         problem.camera.retract(shared[layout.camera]),
         jax.vmap(LaserSheet.retract)(problem.lasers, shared[layout.lasers].reshape(-1, 5)),
-        None if problem.turntable is None else problem.turntable.retract(shared[layout.turntable]),
+        problem.turntable.retract(shared[layout.turntable]),
         jax.vmap(move_pose)(problem.poses, step.local),
         problem.shape + shared[layout.board],
     )
-    return eqx.tree_at(
-        lambda p: (p.camera, p.lasers, p.turntable, p.poses, p.shape), problem, moved, is_leaf=lambda x: x is None
-    )
+    return eqx.tree_at(lambda p: (p.camera, p.lasers, p.turntable, p.poses, p.shape), problem, moved)
 
 
 def camera_from_board(problem: Problem) -> Float[Array, "views 4 4"]:
     """T_cam(phi)_board of every view."""
-    turntable = problem.turntable
-    if turntable is None:
-        return jnp.asarray(problem.poses)[problem.placement]
-    motion = jax.vmap(turntable.motion)(jnp.asarray(problem.angle))
+    motion = jax.vmap(problem.turntable.motion)(jnp.asarray(problem.angle))
     return jax.vmap(lambda still, pose: invert(still) @ pose)(motion, jnp.asarray(problem.poses)[problem.placement])
 
 
@@ -155,7 +150,4 @@ def shared_values(problem: Problem) -> Float[Array, " shared"]:
     """
     bow = jnp.asarray(problem.lasers.bow)
     parts = [problem.camera.prior_values(), jnp.pad(bow, ((0, 0), (3, 0))).ravel()]
-    if problem.turntable is not None:
-        angle = jnp.append(jnp.abs(problem.turntable.gain), problem.turntable.harmonics)
-        parts.append(jnp.pad(angle, (4, 0)))
-    return jnp.concatenate([*parts, jnp.asarray(problem.shape)])
+    return jnp.concatenate([*parts, problem.turntable.prior_values(), jnp.asarray(problem.shape)])

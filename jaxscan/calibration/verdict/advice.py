@@ -4,9 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxscan.calibration.parameters import ANGLE_PARAMETERS
+from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjust import Adjustment
-from jaxscan.geometry import CAMERAS, coverage
+from jaxscan.calibration.verdict.limits import is_named
+from jaxscan.calibration.verdict.quality import GoodTo, ModelTest
+from jaxscan.geometry import CAMERAS, Turntable, coverage
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
 
 
 _MIN_TURN_DEG = 15.0
@@ -22,6 +25,7 @@ _CURES = {
     ("b2", "b3"): "the stripe on boards at both ends of the lit field (bow of the sheet)",
     ("axis.d1", "axis.d2", "axis.p1", "axis.p2"): "placements at more and wider table angles (axis)",
     ("warp.x", "warp.y"): "strongly tilted boards close up (bow of the board)",
+    ("travel.t1", "travel.t2"): "placements at more and wider positions of the stage (direction of travel)",
     ANGLE_PARAMETERS: "placements all around, at about 0, 90, 180 and 270 degrees of the table (its angle errors)",
 }
 
@@ -43,9 +47,36 @@ def advise(result: Adjustment, unobserved: Sequence[dict[str, float]]) -> tuple[
     tilt = np.degrees(np.arccos(np.clip(np.abs(poses[:, 2, 2]), 0.0, 1.0)))
     if len(tilt) and np.quantile(tilt, 0.9) < coverage.MIN_TILT_DEG:
         lines.append(coverage.ASK_FOR_TILT.format(f"hardly one is tilted by more than {tilt.max():.0f} degrees"))
-    if result.problem.turntable is None:
-        return tuple(lines)
-    return (*lines, *_about_stripes(result), *_about_turning(result))
+    lines += _about_stripes(result)
+    if isinstance(result.problem.turntable, Turntable):
+        lines += _about_turning(result)
+    return tuple(lines)
+
+
+def cure_causes(tests: Sequence[ModelTest], good_to: GoodTo, settings: CalibrationSettings) -> tuple[str, ...]:
+    """Advice against the causes that are worth a word, the largest first.
+
+    Args:
+        tests: With their effects.
+        good_to: The error that they are parts of.
+        settings: Of the solve: a block that is held can be freed.
+    """
+    rig, held = good_to.sigma_mm is not None, lambda block: block not in settings.free
+    whole = (good_to.sigma_mm if rig else good_to.sigma_px) or 0.0
+    effects = [((test.effect_mm if rig else test.effect_px) or 0.0, test.name) for test in tests]
+    lines = {
+        "board": "free the board's shape (do not hold `warp` or `shape`)"
+        if held("warp") or held("shape")
+        else "glue the board to something flat and stiff, and take more poses of it",
+        "table": "do not hold `harmonics`" if held("harmonics") else f"capture {_CURES[ANGLE_PARAMETERS]}",
+        "axis": "check that no board, camera or laser can move while the table turns, and its bearing for play",
+        "sheet": "let the sheet bow (`--free bow`)"
+        if held("bow")
+        else "look at the laser's line on a flat wall: is it straight?",
+        "halves": "take more poses of the board, evenly over image and distances",
+    }
+    named = [name for effect, name in sorted(effects, reverse=True) if is_named(effect, whole)]
+    return tuple(lines[name] for name in named if name in lines)
 
 
 def cures(unobserved: Sequence[dict[str, float]]) -> list[str]:

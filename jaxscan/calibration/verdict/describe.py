@@ -2,12 +2,17 @@
 
 import numpy as np
 
-from jaxscan.calibration.parameters import ANGLE_PARAMETERS, is_mode
+from jaxscan.calibration.parameters import is_mode
 from jaxscan.calibration.solve.adjust import Adjustment
 from jaxscan.calibration.solve.covariance import Determination
 from jaxscan.calibration.verdict import limits
 from jaxscan.calibration.verdict.quality import Direction, PriorShare, Quality, ViewQuality
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.observation import Observations
+
+
+# Records that are named in one warning.
+_NAMED = 8
 
 
 def describe_quality(
@@ -79,6 +84,13 @@ def warn(quality: Quality) -> tuple[str, ...]:
     ):
         if rejected > limits.REJECTED * max(count, 1):
             warnings.append(f"{100 * rejected / count:.1f} % of the {name} were rejected")
+    elsewhere = [view.record for view in quality.per_view if view.stripe_elsewhere]
+    if elsewhere:
+        lit = sum(view.stripe_points > 0 or view.stripe_elsewhere for view in quality.per_view)
+        warnings.append(
+            f"the line found on {len(elsewhere)} of {lit} boards is not the laser's and was left out: records "
+            f"{_listed(elsewhere)}"
+        )
     # Records of several captures may have the same number, so views are gone through one by one.
     sizes = [view.corner_rms_px or 0.0 for view in quality.per_view]
     usual = float(np.median(sizes)) if sizes else 0.0
@@ -101,6 +113,9 @@ def warn(quality: Quality) -> tuple[str, ...]:
 
 def _per_view(result: Adjustment, observations: Observations, distance: np.ndarray) -> tuple[ViewQuality, ...]:
     data, records = result.data, np.asarray(observations.corners.record)
+    # A stripe that agrees with no sheet keeps its row, without a point.
+    without = ~np.any(np.asarray(observations.stripes.valid), axis=1)
+    elsewhere = set(np.asarray(observations.stripes.view)[without].tolist())
     depth = np.asarray(result.linearised.view_poses)[:, 2, 3]
     views = []
     for view in np.flatnonzero(data.usable):
@@ -115,10 +130,17 @@ def _per_view(result: Adjustment, observations: Observations, distance: np.ndarr
                 corner_rms_px=_rms(distance[view, seen]),
                 stripe_points=int(points.sum()),
                 stripe_rms_px=_rms(result.stripe_error[points]),
+                stripe_elsewhere=int(view) in elsewhere,
                 board_z_m=float(depth[view]),
             )
         )
     return tuple(views)
+
+
+def _listed(records: list[int]) -> str:
+    """The first few numbers, and how many more there are."""
+    more = len(records) - _NAMED
+    return ", ".join(map(str, records[:_NAMED])) + (f" and {more} more" if more > 0 else "")
 
 
 def _prior_cost(result: Adjustment, prior: np.ndarray) -> float:

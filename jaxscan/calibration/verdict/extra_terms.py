@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem
-from jaxscan.geometry import Turntable
+from jaxscan.geometry import AbstractMotion
 
 
 # Degrees of the polynomials.
@@ -92,15 +92,15 @@ def _polynomials(where: Float[np.ndarray, "... 2"], degree: int) -> Float[np.nda
     return np.stack([x[i] * y[j] for i in range(degree + 1) for j in range(degree + 1 - i)], axis=-1)
 
 
-def turning_twist(pose: Float[np.ndarray, "... 4 4"], table: Turntable) -> Float[np.ndarray, "... 6"]:
-    """Twist (translation, rotation) of a board, in its own axes, that turning by 1 rad gives it in the image.
+def moving_twist(pose: Float[np.ndarray, "... 4 4"], motion: AbstractMotion) -> Float[np.ndarray, "... 6"]:
+    """Twist (translation, rotation) of a board, in its own axes, that a motion by 1 rad or 1 m gives it in the image.
 
     Args:
-        pose: T_cam_board; the axis is the same line at all angles, seen from the camera.
-        table: With the camera on it.
+        pose: T_cam_board; the axis or direction is the same at all positions, seen from the camera.
+        motion: Of the camera.
     """
-    # The camera moves about the axis, so the board moves the other way.
+    # The camera moves, so the board moves the other way.
     back = np.swapaxes(pose[..., :3, :3], -1, -2)
-    axis = np.asarray(table.direction)
-    shift = np.cross(axis, pose[..., :3, 3] - np.asarray(table.point))
+    speed, axis = np.split(np.asarray(motion.twist()), 2)
+    shift = speed + np.cross(axis, pose[..., :3, 3])
     return -np.concatenate([(back @ shift[..., None])[..., 0], back @ axis], axis=-1)

@@ -1,5 +1,7 @@
 """Cross-validation: two halves of the records, solved apart, must give the same rig."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import numpy as np
 
@@ -11,10 +13,43 @@ from jaxscan.calibration.solve.adjust import Adjustment, linearise_compiled, sol
 _PRIOR_HELD = 0.05
 
 
-def compare_halves(
-    result: Adjustment, settings: CalibrationSettings, promise: tuple[float, float]
-) -> tuple[float, int] | None:
-    """Distance of two calibrations from half of the records each, chi-squared; None where they cannot be had.
+class Halves(NamedTuple):
+    """Two calibrations from half of the records each; scaled units of the unknowns that are free."""
+
+    difference: np.ndarray
+    """Of the first and the second half's unknowns [free]."""
+    free: np.ndarray
+    """bool [shared]: which unknowns those are."""
+    root: np.ndarray
+    """Root of the covariance of the difference, with the priors' part [free, free]."""
+    scatter: np.ndarray
+    """Share of noise, in units of that root, along the independent directions [free]."""
+    directions: np.ndarray
+    """Those directions [free, free], as columns."""
+
+    @property
+    def dof(self) -> int:
+        """Directions that the data know beyond the priors."""
+        return int(np.count_nonzero(self.scatter > _PRIOR_HELD))
+
+    def distance(self, systematic: np.ndarray | None = None) -> float:
+        """Square of the difference in units of its standard deviation.
+
+        Args:
+            systematic: Covariance of the error of the whole calibration beside that of noise [free, free].
+        """
+        seen = self.scatter > _PRIOR_HELD
+        whiten = self.directions[:, seen].T @ np.linalg.inv(self.root)
+        covariance = np.diag(self.scatter[seen])
+        if systematic is not None:
+            # A mean of two errors that are independent has half the sigma of one, their difference twice that.
+            covariance = covariance + 4.0 * whiten @ systematic @ whiten.T
+        parts = whiten @ self.difference
+        return float(parts @ np.linalg.solve(covariance, parts))
+
+
+def compare_halves(result: Adjustment, settings: CalibrationSettings, promise: tuple[float, float]) -> Halves | None:
+    """Two calibrations from half of the records each; None where they cannot be had.
 
     Records are dealt out in turn inside each placement, so that both halves keep several angles.
     """
@@ -22,6 +57,7 @@ def compare_halves(
     if min(np.count_nonzero(half == 0), np.count_nonzero(half == 1)) < 3:
         return None
     steps, sampling, total = [], [], []
+    free = np.asarray(result.problem.scales) > 0
     for side in (0, 1):
         views = half == side
         stripes = views[result.data.stripe_view]
@@ -35,7 +71,6 @@ def compare_halves(
         )
         solution = solve_compiled(problem, settings)
         known = linearise_compiled(solution.problem)
-        free = np.asarray(problem.scales) > 0
         reduced, prior = (np.asarray(part)[np.ix_(free, free)] for part in (known.reduced, known.prior))
         # Rounding may leave a little less than 0 for unknowns that half of the records do not show.
         size = np.sqrt(np.maximum(np.diag(reduced), 0.0))
@@ -51,10 +86,7 @@ def compare_halves(
         steps.append(np.asarray(solution.step.shared)[free])
     root = np.linalg.cholesky(total[0] + total[1])
     scatter = np.linalg.solve(root, np.linalg.solve(root, sampling[0] + sampling[1]).T)
-    values, vectors = np.linalg.eigh(0.5 * (scatter + scatter.T))
-    seen = values > _PRIOR_HELD
-    parts = (vectors.T @ np.linalg.solve(root, steps[0] - steps[1]))[seen] ** 2 / values[seen]
-    return float(parts.sum()), int(seen.sum())
+    return Halves(steps[0] - steps[1], free, root, *np.linalg.eigh(0.5 * (scatter + scatter.T)))
 
 
 def deal_halves(placement: np.ndarray, used: np.ndarray) -> np.ndarray:

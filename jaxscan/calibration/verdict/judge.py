@@ -11,6 +11,7 @@ is solved again, and the failing model is named. A cross-validation, two halves 
 solved apart, asks the same of all models together.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,9 +20,9 @@ import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjust import Adjustment
-from jaxscan.calibration.solve.problem import Problem
 from jaxscan.calibration.verdict.extra_terms import extents_of
-from jaxscan.calibration.verdict.halves import compare_halves
+from jaxscan.calibration.verdict.halves import Halves, compare_halves
+from jaxscan.calibration.verdict.limits import result_of_test
 from jaxscan.calibration.verdict.quality import ModelTest
 from jaxscan.calibration.verdict.score import Score, score_models
 
@@ -33,72 +34,101 @@ _IMITATED = 1e-2
 _RADIAL_IMITATED = 1e-3
 _ORDER = ("lens", "board", "table", "axis", "sheet")
 _REPEATED = 0.05
+# Square of what noise alone gives a direction, at two standard deviations.
+_CHANCE = 4.0
 
 
-class Finding(NamedTuple):
-    """A test, and the remedy that it sees."""
+class Missing(NamedTuple):
+    """Terms that a model lacks, as far as the residuals show them, and what they change in terms found before.
 
-    test: ModelTest
-    shift: np.ndarray | None = None
-    """How far the shared unknowns would go [scaled units], to first order, if the model had the
-    terms that it lacks; None where the test does not know."""
+    Terms of several models are in one order (`Score.places`).
+    """
+
+    size: np.ndarray
+    """The residuals ask for `-size` of each term; less the part that noise alone would give, but of single views."""
+    noise: np.ndarray
+    """Root of the covariance of `size` as noise causes it [terms, seen]."""
+    shift: np.ndarray
+    """How far the shared unknowns would go [scaled units], to first order, if the model had these terms."""
 
 
-def judge(result: Adjustment, settings: CalibrationSettings) -> list[Finding]:
+class Judged(NamedTuple):
+    """The tests of the models, and the terms that explain the structure in the residuals."""
+
+    tests: tuple[ModelTest, ...]
+    """"lens", "board", "table" (its angles), "axis" (whether it stands still), "sheet" and "halves", those that the
+    data allow."""
+    missing: dict[str, Missing]
+    """By the name of the test. The same residuals may fail several tests: models that add nothing to others are not
+    here."""
+    places: dict[str, np.ndarray]
+    """Positions of the terms of each model in `Missing`."""
+    halves: Halves | None
+
+
+class _Seen(NamedTuple):
+    """Directions of the terms in which the score says something."""
+
+    root: np.ndarray
+    """Independent directions [terms, seen], of unit variance."""
+    parts: np.ndarray
+    """The score along them, in standard deviations."""
+
+    @property
+    def statistic(self) -> float:
+        """Chi-squared, with as many degrees of freedom as directions."""
+        return float(np.sum(self.parts**2))
+
+    @property
+    def surprise(self) -> float:
+        """About -2 log p, also where p is too small for numbers (Chernoff's bound)."""
+        dof = max(len(self.parts), 1)
+        ratio = max(self.statistic / dof, 1.0)
+        return dof * (ratio - 1.0 - float(np.log(ratio)))
+
+
+def judge(result: Adjustment, settings: CalibrationSettings) -> Judged:
     """Test the models of a finished solve; call in 64 bit.
 
     Args:
         result: Of `adjust`, converged.
         settings: Of the solve.
-
-    Returns:
-        Tests "lens", "board", "table" (its angles), "axis" (whether it stands still), "sheet" and
-        "halves", those that the data allow.
     """
     corner_noise, stripe_noise = result.corner_noise, result.stripe_noise
-    problem = result.problem
-    scores = score_models(problem, result.linearised, extents_of(result.data))
-    noise = {**dict.fromkeys(_ORDER, corner_noise), "sheet": stripe_noise}
-    findings = []
-    repeated = _repeated_views(problem, result.view_kept & result.data.usable)
-    angle_statistic, angle_dof = 0.0, 0
-    for name in (name for name in _ORDER if name in scores):
-        score = scores[name]
-        if name in ("table", "axis"):
-            score = score.only(np.repeat(repeated, len(score.gradient) // len(repeated)))
-        statistic, dof, shift = _statistic(score)
-        if name == "lens":
-            radial = _statistic(scores["radial"], _RADIAL_IMITATED)
-            whole = _tested(name, statistic, dof, shift, noise)
-            findings.append(_likelier_failure(whole, _tested(name, *radial, noise)))
-            continue
-        if name == "table":
-            angle_statistic, angle_dof = statistic, dof
+    score = score_models(result.problem, result.linearised, extents_of(result.data))
+    seen = {name: _look(score, name) for name in (*_ORDER, "radial") if name in score.places}
+    tests = []
+    for name in (name for name in _ORDER if name in seen):
+        noise = stripe_noise if name == "sheet" else corner_noise
+        statistic, dof = seen[name].statistic, len(seen[name].parts)
         if name == "axis":
             # Less the part that a wrong angle at every stop would explain.
-            statistic, dof = max(statistic - angle_statistic, 0.0), dof - angle_dof
-        if dof > 0:
-            findings.append(_tested(name, statistic, dof, shift, noise))
+            statistic, dof = max(statistic - seen["table"].statistic, 0.0), dof - len(seen["table"].parts)
+        test = _tested(name, statistic, dof, noise)
+        if name == "lens":
+            radial = _tested(name, seen["radial"].statistic, len(seen["radial"].parts), noise)
+            # Of two tests of the same model the one that fails, if any; two chances of chance count.
+            found, loser = (test, "radial") if test.p_structure <= radial.p_structure else (radial, "lens")
+            del seen[loser]
+            test = replace(found, p=min(1.0, 2.0 * found.p), p_structure=min(1.0, 2.0 * found.p_structure))
+        if test.dof > 0 or name == "lens":
+            tests.append(test)
     halves = compare_halves(result, settings, (1.0, 1.0))
     if halves is not None:
         given = halves
         if max(abs(corner_noise - 1.0), abs(stripe_noise - 1.0)) > _REPEATED:
             # With weights of the noise that the detector promised.
             given = compare_halves(result, settings, (corner_noise, stripe_noise)) or halves
-        findings.append(Finding(ModelTest("halves", *given, _p_value(*given), _p_value(*halves))))
-    return findings
+        p, p_structure = _p_value(given.distance(), given.dof), _p_value(halves.distance(), halves.dof)
+        tests.append(ModelTest("halves", given.distance(), given.dof, p, p_structure))
+    failed = {test.name for test in tests if result_of_test(test.p, test.p_structure, len(tests)) == "structure"}
+    suspects = [name for name in seen if ("lens" if name == "radial" else name) in failed]
+    return Judged(tuple(tests), _explain(score, suspects, len(tests)), score.places, halves)
 
 
-def _tested(name: str, statistic: float, dof: int, shift: np.ndarray, noise: dict[str, float]) -> Finding:
-    given = statistic * noise[name] ** 2
-    return Finding(ModelTest(name, given, dof, _p_value(given, dof), _p_value(statistic, dof)), shift)
-
-
-def _likelier_failure(one: Finding, other: Finding) -> Finding:
-    """Of two tests of the same model the one that fails, if any; two chances of chance count."""
-    test, shift = one if one.test.p_structure <= other.test.p_structure else other
-    doubled = replace(test, p=min(1.0, 2.0 * test.p), p_structure=min(1.0, 2.0 * test.p_structure))
-    return Finding(doubled, shift)
+def _tested(name: str, statistic: float, dof: int, noise: float) -> ModelTest:
+    given = statistic * noise**2
+    return ModelTest(name, given, dof, _p_value(given, dof), _p_value(statistic, dof))
 
 
 def _p_value(statistic: float, dof: int) -> float:
@@ -107,21 +137,45 @@ def _p_value(statistic: float, dof: int) -> float:
     return float(jax.scipy.special.gammaincc(0.5 * dof, 0.5 * max(statistic, 0.0)))
 
 
-def _statistic(score: Score, imitated: float = _IMITATED) -> tuple[float, int, np.ndarray]:
-    """The score's chi-squared, its degrees of freedom, and how far the unknowns would go with the terms."""
-    score = score.only(np.asarray(score.own) > 0)
-    if not len(score.own):
-        return 0.0, 0, np.zeros(score.taken.shape[1])
-    size = np.sqrt(score.own)
-    values, vectors = np.linalg.eigh(score.variance / np.outer(size, size))
-    seen = values > imitated
-    parts = (vectors.T @ (score.gradient / size))[seen]
-    missing = (vectors[:, seen] @ (parts / values[seen])) / size
-    return float(np.sum(parts**2 / values[seen])), int(seen.sum()), missing @ score.taken
+def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
+    """What the score says of the terms of one model beside those that are known.
+
+    The directions are independent of the known ones: from the terms of the model, those that would explain the same
+    are taken off (Gram and Schmidt, with the score's variance as the product).
+    """
+    places = score.places[name]
+    places = places[score.own[places] > 0]
+    gradient, variance = score.gradient[places], score.variance[np.ix_(places, places)]
+    alike = np.zeros((len(places), 0))
+    if known is not None:
+        alike = score.variance[places] @ known.root
+        gradient, variance = gradient - alike @ known.parts, variance - alike @ alike.T
+    unit = np.sqrt(score.own[places])
+    values, vectors = np.linalg.eigh(variance / np.outer(unit, unit))
+    kept = values > (_RADIAL_IMITATED if name == "radial" else _IMITATED)
+    own = vectors[:, kept] / np.sqrt(values[kept]) / unit[:, None]
+    root = np.zeros((len(score.own), own.shape[1]))
+    root[places] = own
+    if known is not None:
+        root = root - known.root @ (alike.T @ own)
+    return _Seen(root, own.T @ gradient)
 
 
-def _repeated_views(problem: Problem, used: np.ndarray) -> np.ndarray:
-    """Views of placements that were seen from several angles: only there can a turn be wrong."""
-    placement = np.asarray(problem.placement)
-    count = np.bincount(placement[used], minlength=len(placement))
-    return used & (count[placement] > 1)
+def _explain(score: Score, suspects: Sequence[str], tests: int) -> dict[str, Missing]:
+    """The terms that explain the structure: those of the likeliest model first, then what is left, and so on."""
+    known, left, found = _Seen(np.zeros((len(score.own), 0)), np.zeros(0)), list(suspects), {}
+    while left:
+        looks = {name: _look(score, name, known) for name in left}
+        name = max(left, key=lambda name: looks[name].surprise)
+        root, parts = looks[name]
+        p = _p_value(looks[name].statistic, len(parts))
+        if result_of_test(p, p, tests) != "structure":
+            break
+        left.remove(name)
+        if name not in ("table", "axis"):
+            # Directions that say no more than noise does would add its error, not the model's.
+            parts = parts * np.maximum(1.0 - _CHANCE / np.maximum(parts**2, _CHANCE), 0.0)
+        known = _Seen(np.concatenate([known.root, root], axis=1), np.concatenate([known.parts, parts]))
+        size = root @ parts
+        found["lens" if name == "radial" else name] = Missing(size, root, size @ score.taken)
+    return found

@@ -11,15 +11,17 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.verdict.lit import Lit, lit_lines
-from jaxscan.calibration.verdict.propagate import change, no_steps, scan_points, sigma_of, sigma_steps
+from jaxscan.calibration.verdict.propagate import change, no_steps, pad_steps, scan_points, sigma_of, sigma_steps
 from jaxscan.calibration.verdict.quality import DepthSigma, LaserLengths, Lengths, LengthSigma
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import AbstractMotion, LinearStage, Scanner, Still, Turntable
 
 
 DEPTHS_M = (0.1, 0.15, 0.25, 0.4, 0.6, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 15.0, 25.0)
 """Depths at which a rig is judged, where it reaches them [m]."""
 HALF_TURN_DEPTHS_M = (1.91, 3.075)
 """Depths of two opposite walls, seen half a turn apart: rooms about 3.8 and 6.1 m wide [m]."""
+TRAVEL_M = 0.5
+"""Travel over which a linear stage is judged [m]."""
 # As long, for its depth, as 300 mm at 2.5 m, by which scanners of rooms are compared.
 _LENGTH_SHARE = 0.12
 _COMMON_DEPTH_M = 2.5
@@ -44,7 +46,7 @@ class Length(NamedTuple):
     q: np.ndarray
     """Pixels of the two points [2, 2]."""
     angle: np.ndarray
-    """Table angles of the two points [2], rad."""
+    """Table angles [rad] or positions of the stage [m] of the two points [2]."""
 
 
 def predict_lengths(scanner: Scanner) -> Lengths:
@@ -85,9 +87,42 @@ def lit_in_reach(scanner: Scanner, laser: int) -> list[Lit]:
 
     A table that carries the object is never looked at far beyond itself.
     """
-    limit = 2.0 * float(scanner.turntable.point[2]) if scanner.turntable.carries == "object" else np.inf
+    table = scanner.turntable
+    limit = 2.0 * float(table.point[2]) if isinstance(table, Turntable) and table.carries == "object" else np.inf
     candidates = lit_lines(scanner, laser, [depth for depth in DEPTHS_M if depth <= limit])
     return [lit for lit in candidates if len(lit.q) and lit.per_pixel <= _MAX_PIXEL_SHARE * lit.depth]
+
+
+def working_depth(scanner: Scanner, laser: int) -> float | None:
+    """The depth at which people judge a rig [m]; None where none is in reach.
+
+    It is 2.5 m, or the middle one of those in reach; of an object on a table its near side.
+    """
+    reached = lit_in_reach(scanner, laser)
+    if not reached:
+        return None
+    if isinstance(table := scanner.turntable, Turntable) and table.carries == "object":
+        return (1.0 - _OBJECT_SHARE) * float(table.point[2])
+    return _middle(reached).depth
+
+
+def point_error(scanner: Scanner, laser: int, depth: float, steps: Float[np.ndarray, "steps params"]) -> float | None:
+    """Error of points at a depth [mm] as `DepthSigma.sigma_point_mm` has it, or of their range without a motion.
+
+    Args:
+        scanner: Its covariance is not used.
+        laser: Which sheet.
+        depth: Of the points [m].
+        steps: In the minimal coordinates; each counts as one standard deviation.
+
+    Returns:
+        The error; None where that depth is nowhere in the image.
+    """
+    (lit,) = lit_lines(scanner, laser, (depth,))
+    if not len(lit.q):
+        return None
+    (found,) = _at_depths(scanner, laser, [lit], pad_steps(scanner, steps))
+    return found.sigma_range_mm if isinstance(scanner.turntable, Still) else found.sigma_point_mm
 
 
 def stripe_pixels(scanner: Scanner, laser: int, depth: float) -> Float[np.ndarray, "lines 2"]:
@@ -135,22 +170,6 @@ def measure_lengths(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray
     return _lengths(scanner, lengths, no_steps(scanner))[0]
 
 
-def length_changes(
-    scanner: Scanner, lengths: list[Length], steps: Float[np.ndarray, "steps params"]
-) -> Float[np.ndarray, "steps lengths"]:
-    """How `measure_lengths` changes if the scanner is moved by steps in its minimal coordinates [m].
-
-    Raises:
-        ValueError: If there are more than two steps a parameter.
-    """
-    padded = no_steps(scanner)
-    if len(steps) >= len(padded):
-        raise ValueError(f"{len(steps)} steps are more than {len(padded) - 1}.")
-    padded[1 : 1 + len(steps)] = steps
-    values = _lengths(scanner, lengths, padded)
-    return values[1 : 1 + len(steps)] - values[0]
-
-
 def length_sigma(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, " lengths"]:
     """Standard deviation that the calibration causes in `measure_lengths` [m].
 
@@ -163,25 +182,37 @@ def length_sigma(scanner: Scanner, lengths: list[Length]) -> Float[np.ndarray, "
 def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
     if not reached:
         return []
-    lit = next((each for each in reached if each.depth == _COMMON_DEPTH_M), reached[len(reached) // 2])
-    halves: tuple[float, ...] = HALF_TURN_DEPTHS_M
-    if scanner.turntable.carries == "object":
-        halves = ((1.0 - _OBJECT_SHARE) * float(scanner.turntable.point[2]),)
-    elif reached[-1].depth < max(halves):
-        halves = (reached[-1].depth,)
+    lit = _middle(reached)
     found = [
         _along_stripe(laser, lit, _LENGTH_SHARE * lit.depth),
         _across_sweep(scanner, laser, lit, _LENGTH_SHARE * lit.depth),
-        *(_half_turn(laser, each) for each in lit_lines(scanner, laser, halves)),
+        *_half_turns(scanner, laser, reached[-1].depth),
     ]
     return [length for length in found if length is not None]
+
+
+def _half_turns(scanner: Scanner, laser: int, farthest: float) -> list[Length | None]:
+    """Between opposite walls, or two sides of an object; none without a table."""
+    table = scanner.turntable
+    halves: tuple[float, ...] = HALF_TURN_DEPTHS_M
+    if not isinstance(table, Turntable):
+        return []
+    if table.carries == "object":
+        halves = ((1.0 - _OBJECT_SHARE) * float(table.point[2]),)
+    elif farthest < max(halves):
+        halves = (farthest,)
+    return [_half_turn(laser, lit) for lit in lit_lines(scanner, laser, halves)]
+
+
+def _middle(reached: list[Lit]) -> Lit:
+    return next((each for each in reached if each.depth == _COMMON_DEPTH_M), reached[len(reached) // 2])
 
 
 def _lengths(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> np.ndarray:
     """[steps, lengths], metres."""
     if not lengths:
         return np.zeros((len(steps), 0))
-    q, angle = (np.concatenate([getattr(length, name) for length in lengths]) for name in ("q", "angle"))
+    q, angle = (np.concatenate(parts) for parts in zip(*((one.q, one.angle) for one in lengths), strict=True))
     p = scan_points(scanner, steps, q, np.repeat([length.laser for length in lengths], 2), angle)
     return np.linalg.norm(p[:, 1::2] - p[:, 0::2], axis=-1)
 
@@ -189,8 +220,8 @@ def _lengths(scanner: Scanner, lengths: list[Length], steps: np.ndarray) -> np.n
 def _at_depths(scanner: Scanner, laser: int, reached: list[Lit], steps: np.ndarray) -> tuple[DepthSigma, ...]:
     lines = [_some(lit.q, _LINES) for lit in reached]
     turned = [_some(lit.q, _TURN_LINES) for lit in reached]
-    stops = 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
-    q = [part for one, other in zip(lines, turned, strict=True) for part in (one, np.tile(other, (_TURN_STOPS, 1)))]
+    stops = _stops(scanner.turntable)
+    q = [part for one, other in zip(lines, turned, strict=True) for part in (one, np.tile(other, (len(stops), 1)))]
     angle = [
         part for one, other in zip(lines, turned, strict=True) for part in (0.0 * one[:, 0], stops.repeat(len(other)))
     ]
@@ -208,6 +239,13 @@ def _at_depths(scanner: Scanner, laser: int, reached: list[Lit], steps: np.ndarr
         )
         for lit, still, turning in zip(reached, parts[0::2], parts[1::2], strict=True)
     )
+
+
+def _stops(motion: AbstractMotion) -> np.ndarray:
+    """Positions of a motion at which points stand for a whole cloud [rad or m]."""
+    if isinstance(motion, Turntable):
+        return 2.0 * np.pi * np.arange(_TURN_STOPS) / _TURN_STOPS
+    return np.linspace(-0.5 * TRAVEL_M, 0.5 * TRAVEL_M, _TURN_STOPS) if isinstance(motion, LinearStage) else np.zeros(1)
 
 
 def _shape_sigma(p: np.ndarray) -> float:
@@ -233,8 +271,13 @@ def _along_stripe(laser: int, lit: Lit, length: float) -> Length | None:
 
 
 def _across_sweep(scanner: Scanner, laser: int, lit: Lit, length: float) -> Length | None:
-    """The middle of the stripe, turned so far that the point moves by the length."""
+    """The middle of the stripe, turned or moved so far that the point moves by the length; None without a motion."""
     table = scanner.turntable
+    if isinstance(table, LinearStage):
+        moved = np.array([0.0, length / float(table.gain)])
+        return Length("across the sweep", lit.depth, laser, np.tile(lit.middle(), (2, 1)), moved)
+    if not isinstance(table, Turntable):
+        return None
     point = scan_points(scanner, no_steps(scanner), lit.middle()[None], laser)[0, 0]
     radius = float(np.linalg.norm(np.cross(np.asarray(table.direction), point - np.asarray(table.point))))
     if length > 2.0 * radius:

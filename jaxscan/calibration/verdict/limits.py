@@ -4,8 +4,13 @@ from collections.abc import Sequence
 from typing import Literal
 
 
-ACCEPTED_P = 0.01
-"""Chance of refusing good data, all tests together."""
+STRUCTURE_P = 0.01
+"""Chance of finding structure in good data, all tests together."""
+USELESS_SHARE = 0.05
+"""A calibration cannot be used where its points are off by more than this share of their distance, or its rays by more
+than this share of the focal length, which is the same: a room of 4 m wrong by 20 cm is told better by pacing it."""
+_NAMED_SHARE = 0.3
+"""A cause is named where its part is at least this share of the whole: a smaller one adds less than 5 % to it."""
 
 PRIOR_COST = 0.01
 """A larger share of the priors in the cost is worth a warning: they should only hold unknowns that the data do not."""
@@ -20,8 +25,8 @@ _QUIET, _NOISY = 0.75, 1.33
 # A direction of which the priors know more than this share is theirs rather than the data's.
 _PRIOR_SHARE = 0.5
 
-Result = Literal["passes", "noisy", "fails"]
-"""A test "fails" where the residuals have structure; they are "noisy" where they are only larger than promised."""
+Result = Literal["passes", "noisy", "structure"]
+"""What a test found: "structure" in the residuals, or that they are only larger than promised ("noisy")."""
 
 
 def chance(p: Sequence[float]) -> float:
@@ -30,10 +35,10 @@ def chance(p: Sequence[float]) -> float:
 
 
 def result_of_test(p: float, p_structure: float, tests: int) -> Result:
-    """How one of several tests ended; together they refuse good data with `ACCEPTED_P`."""
-    limit = ACCEPTED_P / tests
+    """How one of several tests ended; together they find structure in good data with `STRUCTURE_P`."""
+    limit = STRUCTURE_P / tests
     if p_structure <= limit:
-        return "fails"
+        return "structure"
     return "noisy" if p <= limit else "passes"
 
 
@@ -45,3 +50,8 @@ def noise_kind(ratio: float) -> Literal["quiet", "promised", "noisy"]:
 def is_held_by_priors(sigma_over_prior: float) -> bool:
     """Whether a direction is known from priors rather than from the data."""
     return sigma_over_prior**2 > _PRIOR_SHARE
+
+
+def is_named(part: float, whole: float) -> bool:
+    """Whether a cause's part of a standard deviation is worth a word."""
+    return part > _NAMED_SHARE * whole

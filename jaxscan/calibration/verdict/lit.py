@@ -40,7 +40,9 @@ class Lit(NamedTuple):
 
 
 def lit_lines(scanner: Scanner, laser: int, depths: Sequence[float]) -> list[Lit]:
-    """The stripe of one sheet on planes at several depths [m]."""
+    """The stripe of one sheet on planes at several depths [m]; no depths, no stripes."""
+    if not len(depths):
+        return []
     size = np.array([scanner.camera.width, scanner.camera.height])
     tangents = np.linspace(-_WIDEST_TANGENT, _WIDEST_TANGENT, _SAMPLES)
     every = np.array([near * depth for depth in depths for near in (1.0, _NEARBY)])

@@ -28,8 +28,21 @@ def sigma_steps(scanner: Scanner) -> np.ndarray:
     # Pixels and radians differ by a million: in units of sigma all directions are of one size.
     unit = np.where(sigma > 0, sigma, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
-    forth = (unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))).T
-    return np.concatenate([np.zeros((1, len(sigma))), forth, -forth])
+    return pad_steps(scanner, (unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))).T)
+
+
+def pad_steps(scanner: Scanner, steps: Float[np.ndarray, "steps params"]) -> np.ndarray:
+    """No step, then the given ones forth, then back, as many as `sigma_steps` has [steps, params].
+
+    Raises:
+        ValueError: If there are more steps than parameters.
+    """
+    count = len(scanner.parameter_names())
+    if len(steps) > count:
+        raise ValueError(f"{len(steps)} steps are more than {count}.")
+    forth = np.zeros((count, count))
+    forth[: len(steps)] = steps
+    return np.concatenate([np.zeros((1, count)), forth, -forth])
 
 
 def no_steps(scanner: Scanner) -> np.ndarray:

@@ -3,15 +3,14 @@
 Fields have the names of the keys in files. None means that a file does not say.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from jaxscan.calibration.verdict.limits import ACCEPTED_P, Result, chance, result_of_test
+from jaxscan.calibration.verdict.limits import Result, result_of_test
 
 
 @dataclass(frozen=True)
 class ModelTest:
-    """Whether one model leaves structure in the residuals."""
+    """Whether one model leaves structure in the residuals, and the harm that this does."""
 
     name: str
     """"lens", "board", "table", "axis", "sheet" or "halves"."""
@@ -23,34 +22,55 @@ class ModelTest:
     p_structure: float
     """The same with the noise that was estimated, so that structure alone counts."""
     effect_mm: float | None = None
-    """How far the typical length that suffers most would go if the model had the terms that it lacks [mm]."""
-    effect_sigma: float | None = None
-    """The same over the standard deviation that the calibration causes in that length [1]."""
+    """Its part of `GoodTo.sigma_mm` [mm]; None where there is no structure."""
+    effect_px: float | None = None
+    """Its part of `GoodTo.sigma_px` [px]."""
+    where: str | None = None
+    """Where the lens falls short most: "in the corners", "at the edges" or "in the middle"; None where it is alike."""
+
+
+@dataclass(frozen=True)
+class GoodTo:
+    """Uses of a calibration: one standard deviation that it causes, with the structure that its models leave.
+
+    The squares of the statistical part and of the tests' effects add up to the square of the whole.
+    """
+
+    sigma_mm: float | None = None
+    """Distance of the points of one full turn (or of half a metre of travel) at `at_m` from where they should be, after
+    the best rigid motion of them all; without a motion the error of the range [mm]. None without a sheet."""
+    statistical_mm: float | None = None
+    """The part of it that noise causes."""
+    at_m: float | None = None
+    """Depth z of those points in the camera frame."""
+    sigma_px: float | None = None
+    """Distance of a ray from where it should be, root mean square over the image after the best rotation [px]."""
+    statistical_px: float | None = None
+    """The part of it that noise causes."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether the models suffice for the data."""
+    """Whether a calibration can be used, and what it is good for."""
 
-    accepted: bool
-    """True where no test finds structure; never of a solve that did not converge."""
+    usable: bool | None = None
+    """False of a solve that did not converge, where the harm leaves nothing to be used, and beyond a limit that was
+    set; None in files written before verdicts had it."""
+    good_to: GoodTo | None = None
+    """None of a solve that did not converge."""
+    refused: str | None = None
+    """Why it cannot be used."""
     p: float | None = None
     """Probability that chance alone gives so small a p in one of the tests."""
     p_structure: float | None = None
     """The same of the tests' `p_structure`."""
     tests: tuple[ModelTest, ...] = ()
     advice: tuple[str, ...] = ()
-    """Captures that would help, the most needed first."""
+    """Captures and settings that would help, the most needed first."""
 
     def result(self, test: ModelTest) -> Result:
         """How one of the tests ended."""
         return result_of_test(test.p, test.p_structure, len(self.tests))
-
-
-def reach_verdict(tests: Sequence[ModelTest], advice: Sequence[str]) -> Verdict:
-    """The verdict that follows from the tests of a solve that converged."""
-    structure = chance([test.p_structure for test in tests])
-    return Verdict(structure > ACCEPTED_P, chance([test.p for test in tests]), structure, tuple(tests), tuple(advice))
 
 
 @dataclass(frozen=True)
@@ -67,6 +87,8 @@ class ViewQuality:
     """Of all corners, rejected ones too."""
     stripe_points: int = 0
     stripe_rms_px: float | None = None
+    stripe_elsewhere: bool = False
+    """A line was found on the board, but none on the sheet of its laser."""
     board_z_m: float | None = None
     """Depth of the board's origin in the camera frame [m]."""
 
@@ -155,6 +177,16 @@ class BoardMap:
 
 
 @dataclass(frozen=True)
+class Missed:
+    """A record in which the board was not found."""
+
+    record: int
+    """The record's own number."""
+    why: str
+    """The likely reason, in words."""
+
+
+@dataclass(frozen=True)
 class SecondLook:
     """Gains of a second look at the images, with the geometry known."""
 
@@ -189,6 +221,10 @@ class Quality:
     stripe_correlation: float | None = None
     """Neighbouring stripe points that share one error [1]."""
     views: int | None = None
+    records: int | None = None
+    """Of the captures."""
+    missed: tuple[Missed, ...] = ()
+    """The records in which the board was not found."""
     views_without_board: int | None = None
     views_dropped: tuple[int, ...] = ()
     """Records of the views that were left out as a whole."""
@@ -217,6 +253,8 @@ class Quality:
     warnings: tuple[str, ...] = ()
     lengths: Lengths | None = None
     """None where nobody has predicted them (`CalibrationSettings.judge`, a camera alone)."""
+    sigma_statistical: dict[str, float] | None = None
+    """Standard deviation of each parameter by noise alone; None where there is no structure by which it was widened."""
     verdict: Verdict | None = None
     """None where nobody has judged."""
     seconds: float | None = None

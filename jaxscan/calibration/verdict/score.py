@@ -23,15 +23,15 @@ from jaxscan.calibration.verdict.extra_terms import (
     Extents,
     board_terms,
     lens_terms,
+    moving_twist,
     radial_terms,
     sheet_terms,
-    turning_twist,
 )
 from jaxscan.geometry import Array
 
 
 class Score(NamedTuple):
-    """Gradient of the cost by extra terms at the minimum, and its covariance."""
+    """Gradient of the cost by extra terms of several models at the minimum, and its covariance."""
 
     gradient: Float[np.ndarray, " terms"]
     own: Float[np.ndarray, " terms"]
@@ -39,10 +39,8 @@ class Score(NamedTuple):
     variance: Float[np.ndarray, "terms terms"]
     taken: Float[np.ndarray, "terms shared"]
     """$(J^T J)^{-1} J^T E$: how the shared unknowns imitate each term."""
-
-    def only(self, keep: np.ndarray | slice) -> "Score":
-        """The score of some of the terms."""
-        return Score(self.gradient[keep], self.own[keep], self.variance[keep][:, keep], self.taken[keep])
+    places: dict[str, np.ndarray]
+    """Positions of the terms of each model."""
 
 
 class _System(NamedTuple):
@@ -56,8 +54,8 @@ class _System(NamedTuple):
     shared: int
 
 
-def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> dict[str, Score]:
-    """Scores of every model; those of "table" and "axis" have as many terms a view, of all views.
+def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> Score:
+    """Score of every model; those of "table" and "axis" have as many terms a view, of `repeated_views`.
 
     Args:
         problem: At its minimum, with its weights.
@@ -65,7 +63,7 @@ def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> 
         extents: For the coordinates of the terms.
 
     Returns:
-        Scores of "lens", "radial" (a part of it), "board", and where there are any "table", "axis"
+        The score, with places of "lens", "radial" (a part of it), "board", and where there are any "table", "axis"
         and "sheet".
     """
     system = _system(problem, linearised)
@@ -81,26 +79,80 @@ def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> 
     lens, radial = (terms(corner_q, extents) * corner_weight[..., None] for terms in (lens_terms, radial_terms))
     board = board_terms(problem, twist[..., :3])
     bend = _mean_residual(problem, system) * corner_weight
-    extra = np.concatenate([lens, radial, board, bend[..., None]], axis=-1)
-    everywhere = _score(system, extra, corner_residual, system.corner, system.view_owner)
-    # The mean of the residuals is one more term, of known size, that the unknowns imitate in part.
-    everywhere = everywhere._replace(gradient=everywhere.gradient - everywhere.variance[:, -1])
-    ends = np.cumsum([terms.shape[-1] for terms in (lens, radial, board)])
-    scores = {
-        name: everywhere.only(slice(start, end))
-        for name, start, end in zip(("lens", "radial", "board"), (0, *ends), ends, strict=False)
+    groups = {
+        name: _shared(system, extra, corner_residual, system.corner, system.view_owner)
+        for name, extra in (("lens", lens), ("radial", radial), ("board", board), ("bend", bend[..., None]))
     }
-    if problem.turntable is not None:
-        turn = turning_twist(np.asarray(linearised.view_poses), problem.turntable)
-        scores["table"] = _score_views(system, np.einsum("vrd,vd->vr", twist, turn)[..., None], corner_residual)
-        scores["axis"] = _score_views(system, twist, corner_residual)
+    # An axis that is held may have no views that show it.
+    if problem.turntable.blocks and len(views := repeated_views(problem)):
+        twist = twist[views]
+        turn = moving_twist(np.asarray(linearised.view_poses)[views], problem.turntable)
+        groups["table"] = _by_view(system, np.einsum("vrd,vd->vr", twist, turn)[..., None], corner_residual, views)
+        groups["axis"] = _by_view(system, twist, corner_residual, views)
     if len(problem.lasers.distance):
         by_q = np.asarray(linearised.by_q)
         square = np.sum(by_q * by_q, axis=-1)
         stripe_q = np.asarray(problem.stripe_q) - by_q * (offset / np.where(square > 0, square, 1.0))[..., None]
         extra = sheet_terms(stripe_q, problem, extents) * (np.sqrt(square) * stripe_weight)[..., None]
-        scores["sheet"] = _score(system, extra, offset * stripe_weight, system.stripe, system.stripe_owner)
-    return scores
+        groups["sheet"] = _shared(system, extra, offset * stripe_weight, system.stripe, system.stripe_owner)
+    return _joined(system, groups)
+
+
+class _Terms(NamedTuple):
+    """Terms of one model: gradient, products with the unknowns, and the terms themselves."""
+
+    gradient: np.ndarray
+    met: np.ndarray
+    """J'E [terms, all]."""
+    extra: np.ndarray
+    """[owners, rows, terms], whitened."""
+    striped: bool
+    """Whether the rows are those of stripes rather than those of corners."""
+    views: np.ndarray | None = None
+    """The views that have terms of their own; None where all views or stripes share them."""
+
+
+def _joined(system: _System, groups: dict[str, _Terms]) -> Score:
+    """All terms as one score: different models may explain the same residuals."""
+    counts = np.cumsum([0, *(len(group.gradient) for group in groups.values())])
+    places = {name: np.arange(*ends) for name, *ends in zip(groups, counts[:-1], counts[1:], strict=True)}
+    met = np.concatenate([group.met for group in groups.values()])
+    gradient = np.concatenate([group.gradient for group in groups.values()])
+    gram = np.zeros((len(met),) * 2)
+    for one, first in groups.items():
+        for other, second in groups.items():
+            if places[one][0] <= places[other][0] and first.striped == second.striped:
+                block = _products(first, second)
+                gram[np.ix_(places[one], places[other])] = block
+                gram[np.ix_(places[other], places[one])] = block.T
+    solved = met @ system.inverse
+    variance = gram - solved @ met.T
+    # The mean of the residuals is one more term, of known size, that the unknowns imitate in part.
+    (bend,) = places.pop("bend")
+    for name in ("lens", "radial", "board"):
+        gradient[places[name]] -= variance[places[name], bend]
+    return Score(gradient, np.diag(gram).copy(), variance, solved[:, : system.shared], places)
+
+
+def _products(first: _Terms, second: _Terms) -> np.ndarray:
+    """E'E of two models."""
+    ahead = first.extra if second.views is None or first.views is not None else first.extra[second.views]
+    each = np.swapaxes(ahead, 1, 2) @ second.extra
+    views, one, other = each.shape
+    if second.views is None:
+        return each.sum(0)
+    if first.views is None:
+        return np.moveaxis(each, 0, 1).reshape(one, views * other)
+    block = np.zeros((views, one, views, other))
+    block[np.arange(views), :, np.arange(views)] = each
+    return block.reshape(views * one, views * other)
+
+
+def repeated_views(problem: Problem) -> np.ndarray:
+    """Numbers of the views in use whose placement was seen from several angles: only there can a turn be wrong."""
+    placement, used = np.asarray(problem.placement), np.any(np.asarray(problem.corner_weight) > 0, axis=1)
+    count = np.bincount(placement[used], minlength=len(placement))
+    return np.flatnonzero(used & (count[placement] > 1))
 
 
 def _system(problem: Problem, linearised: Linearised) -> _System:
@@ -128,30 +180,24 @@ def _unknowns(shared: int, placement: int | np.integer) -> np.ndarray:
     return np.concatenate([np.arange(shared), shared + 6 * placement + np.arange(6)])
 
 
-def _score(system: _System, extra: np.ndarray, residual: np.ndarray, rows: np.ndarray, owner: np.ndarray) -> Score:
+def _shared(system: _System, extra: np.ndarray, residual: np.ndarray, rows: np.ndarray, owner: np.ndarray) -> _Terms:
     """Of terms that every view or stripe has in common."""
     met = np.zeros((extra.shape[-1], len(system.inverse)))
     for own, number in zip(np.swapaxes(extra, 1, 2) @ rows, owner, strict=True):
         met[:, _unknowns(system.shared, number)] += own
-    flat = extra.reshape(-1, extra.shape[-1])
-    return _finish(system, flat.T @ residual.ravel(), flat.T @ flat, met)
+    gradient = extra.reshape(-1, extra.shape[-1]).T @ residual.ravel()
+    return _Terms(gradient, met, extra, striped=rows is system.stripe)
 
 
-def _score_views(system: _System, extra: np.ndarray, residual: np.ndarray) -> Score:
+def _by_view(system: _System, extra: np.ndarray, residual: np.ndarray, views: np.ndarray) -> _Terms:
     """Of terms of each view's own: those of all other views do not meet them."""
-    views, _, terms = extra.shape
-    met = np.zeros((views * terms, len(system.inverse)))
-    own = np.zeros((views * terms,) * 2)
-    for view in range(views):
-        here = slice(view * terms, (view + 1) * terms)
-        met[here, _unknowns(system.shared, system.view_owner[view])] = extra[view].T @ system.corner[view]
-        own[here, here] = extra[view].T @ extra[view]
-    return _finish(system, np.einsum("vrm,vr->vm", extra, residual).ravel(), own, met)
-
-
-def _finish(system: _System, gradient: np.ndarray, own: np.ndarray, met: np.ndarray) -> Score:
-    solved = met @ system.inverse
-    return Score(gradient, np.diag(own).copy(), own - solved @ met.T, solved[:, : system.shared])
+    count, _, terms = extra.shape
+    met = np.zeros((count * terms, len(system.inverse)))
+    for index, view in enumerate(views):
+        here = slice(index * terms, (index + 1) * terms)
+        met[here, _unknowns(system.shared, system.view_owner[view])] = extra[index].T @ system.corner[view]
+    gradient = np.einsum("vrm,vr->vm", extra, residual[views]).ravel()
+    return _Terms(gradient, met, extra, striped=False, views=views)
 
 
 def _mean_residual(problem: Problem, system: _System) -> Float[np.ndarray, "views rows"]:

@@ -26,6 +26,7 @@ def hush_libraries() -> None:
     """Before they are loaded: silence those messages of libraries that jaxscan answers itself."""
     # An image that OpenCV cannot decode is an error of ours, with the file's name.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     # XLA's and absl's notes on their own work; errors are shown.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     os.environ.setdefault("GLOG_minloglevel", "2")

@@ -18,6 +18,7 @@ VERBS = {
     "reconstruct": "Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.",
     "scan": "Scan with a rig: `jaxscan scan configs/scan.toml -o captures/room`.",
     "measure": "Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`).",
+    "import": "Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.",
     "convert": "Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.",
     "report": "Draw a calibration's report: `jaxscan report calibration.json -o report.html`.",
     "doctor": "Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config configs/scan.toml`.",
@@ -31,11 +32,16 @@ MEASURES = {
 }
 """The same for the verbs below `jaxscan measure`."""
 
+_ROOMS = {"scan": "scanning.scan", "convert": "exchange.convert", "import": "exchange.import_"}
+"""Modules of the verbs that are in rooms of their own."""
+
 
 def load_verb(verb: str) -> Callable[..., None]:
     """The function of a verb; its module is imported now."""
-    module = "measure" if verb in MEASURES else "scanning.scan" if verb == "scan" else verb
-    function: Callable[..., None] = getattr(importlib.import_module(f"jaxscan.cli.{module}"), verb)
+    # No function of Python can be called "import".
+    name = "import_" if verb == "import" else verb
+    module = "measure" if verb in MEASURES else _ROOMS.get(verb, verb)
+    function: Callable[..., None] = getattr(importlib.import_module(f"jaxscan.cli.{module}"), name)
     return function
 
 

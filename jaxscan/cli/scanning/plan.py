@@ -81,7 +81,12 @@ def _duration(seconds: float) -> str:
 def sweep_header(rig: "RigConfig") -> CaptureHeader:
     """The header that the capture is going to have, as far as it describes the frames."""
     camera = rig.camera
-    size = {"width": camera.width, "height": camera.height}
-    table = CameraTable(**size, pixel_format=camera.pixel_format, response=camera.response, up=camera.up)
+    table = CameraTable(
+        width=camera.width,
+        height=camera.height,
+        pixel_format=camera.pixel_format,
+        response=camera.response,
+        up=camera.up,
+    )
     turntable = TurntableTable(carries=rig.turntable.carries)
     return CaptureHeader(kind="sweep", camera=table, turntable=turntable, laser=tuple(one.table for one in rig.laser))

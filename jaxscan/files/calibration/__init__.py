@@ -5,10 +5,12 @@ from jaxscan.files.calibration.calibration import (
     calibration_notes,
     check_calibration_path,
     load_calibration,
+    load_parts,
     load_scanner,
     save_calibration,
 )
 from jaxscan.files.calibration.exports import CameraFormat, check_camera_path, export_camera
+from jaxscan.files.calibration.imports import load_camera
 from jaxscan.files.calibration.observations import observations_path
 from jaxscan.files.calibration.quality import quality_table
 from jaxscan.files.calibration.settings import stored_settings

@@ -12,6 +12,7 @@ from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration.binding import DIGESTS, digests_of, require_own, values_note
 from jaxscan.files.calibration.model import CALIBRATION_FORMAT, CalibrationTable, CameraTable
+from jaxscan.files.calibration.motions import motion_table
 from jaxscan.files.calibration.observations import (
     check_observations_path,
     find_observations,
@@ -30,7 +31,7 @@ from jaxscan.files.disk import (
     readable_json,
     write_together,
 )
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import AbstractCamera, Scanner
 
 
 MAX_CALIBRATION_BYTES = 16 * MEGABYTE
@@ -139,15 +140,26 @@ def load_scanner(path: str | Path) -> Scanner:
         The scanner with NumPy float64 leaves, and its covariance where the file has one.
 
     Raises:
-        CalibrationError: If the file is missing or wrong, or holds a camera alone.
+        CalibrationError: If the file is missing or wrong, or holds no laser sheet.
     """
     scanner = _parse(_read(Path(path)), name=str(path)).scanner()
-    if scanner is None:
+    if scanner is None or not scanner.laser_names:
+        parts = "a camera alone" if scanner is None else "camera and axis"
         raise CalibrationError(
-            f"{path}: holds a camera alone, without lasers and turntable, so it cannot reconstruct; "
-            f"calibrate with a capture that has laser images at several table angles."
+            f"{path}: holds {parts}, without a laser sheet, so it cannot reconstruct; calibrate with a capture that "
+            "has laser images, or add the sheet's plane under lasers."
         )
     return scanner
+
+
+def load_parts(path: str | Path) -> tuple[AbstractCamera, Scanner | None]:
+    """Camera, and sheets and motion where there are any, of a calibration file; the JSON alone suffices.
+
+    Raises:
+        CalibrationError: If the file is missing or wrong.
+    """
+    table = _parse(_read(Path(path)), name=str(path))
+    return table.camera.camera(), table.scanner()
 
 
 def calibration_notes(path: str | Path) -> list[str]:
@@ -198,21 +210,15 @@ def _tables(calibration: Calibration) -> dict[str, Any]:
     if scanner is not None:
         # Numbers in the file are float64.
         scanner = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), scanner)
-        sheets, turntable = scanner.lasers, scanner.turntable
+        sheets, motion = scanner.lasers, motion_table(scanner.turntable)
         tables["lasers"] = [
             {"name": name, "normal": normal, "distance_m": distance, "bow": bow, "basis": basis}
             for name, normal, distance, bow, basis in zip(
                 scanner.laser_names, sheets.normal, sheets.distance, sheets.bow, sheets.basis, strict=True
             )
         ]
-        tables["turntable"] = {
-            "carries": turntable.carries,
-            "direction": turntable.direction,
-            "point_m": turntable.point,
-            "gain": turntable.gain,
-            "harmonics": turntable.harmonics,
-            "basis": turntable.basis,
-        }
+        if motion is not None:
+            tables["turntable"] = motion
     tables["quality"] = quality_table(calibration.quality)
     tables["provenance"] = finite(calibration.provenance)
     if len(calibration.order) > 0:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files.disk import check_writable, write_atomically
-from jaxscan.geometry import AbstractCamera
+from jaxscan.geometry import AbstractCamera, AbstractMotion, LinearStage, Turntable
 
 
 CameraFormat = Literal["opencv", "ros", "mrcal", "kalibr"]
@@ -107,16 +107,28 @@ def _opencv(lens: str, calibration: Calibration, path: Path) -> str:
                 f"{key}_distance_m": _number(sheet.distance),
                 f"{key}_bow": _row(sheet.bow).T,
             }
-        table = scanner.turntable
-        fields |= {
-            "jaxscan_turntable_carries": _quoted(table.carries),
-            "jaxscan_axis_direction": _row(table.direction).T,
-            "jaxscan_axis_point_m": _row(table.point).T,
-            "jaxscan_turntable_gain": _number(table.gain),
-            "jaxscan_turntable_harmonics": _row(table.harmonics).T,
-        }
+        fields |= _motion(scanner.turntable)
     matrix = "{}: !!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: d\n   data: [ {} ]"
     return "%YAML:1.0\n---\n" + _yaml(fields, matrix)
+
+
+def _motion(motion: AbstractMotion) -> dict[str, object]:
+    """The motion between records, under keys of our own."""
+    if isinstance(motion, LinearStage):
+        return {
+            "jaxscan_turntable_carries": _quoted(motion.carries),
+            "jaxscan_travel_direction": _row(motion.direction).T,
+            "jaxscan_travel_gain": _number(motion.gain),
+        }
+    if not isinstance(motion, Turntable):
+        return {}
+    return {
+        "jaxscan_turntable_carries": _quoted(motion.carries),
+        "jaxscan_axis_direction": _row(motion.direction).T,
+        "jaxscan_axis_point_m": _row(motion.point).T,
+        "jaxscan_turntable_gain": _number(motion.gain),
+        "jaxscan_turntable_harmonics": _row(motion.harmonics).T,
+    }
 
 
 def _quoted(text: str) -> str:

@@ -6,30 +6,26 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 import numpy as np
 import pydantic
 
+from jaxscan.files.calibration.motions import MotionTable, TurntableTable
+from jaxscan.files.calibration.numbers import (
+    UNIT_TOLERANCE,
+    Basis,
+    Covariance,
+    Focal,
+    Limited,
+    Pair,
+    Triple,
+    arrays,
+    check_frame,
+)
 from jaxscan.files.disk import FileModel, ImageSize, Number
-from jaxscan.geometry import CAMERAS, AbstractCamera, LaserSheet, Scanner, Turntable, point_up, stack_lasers
+from jaxscan.geometry import CAMERAS, AbstractCamera, LaserSheet, Scanner, Still, point_up, stack_lasers
 from jaxscan.geometry.scanner import UP_VECTORS, Up
-from jaxscan.geometry.turntable import Carries
 
 
 CALIBRATION_FORMAT: Literal["jaxscan-calibration/1"] = "jaxscan-calibration/1"
-UNIT_TOLERANCE = 1e-6
-"""Accepted departure of a vector from unit length and from perpendicular: digits are lost when written by hand."""
-
-# Beyond these limits squares and quotients are not finite, in single precision at the latest.
-Limited = Annotated[Number, pydantic.Field(ge=-1e6, le=1e6)]
-"""Pixels, metres, coefficients, and components of vectors."""
-Focal = Annotated[Number, pydantic.Field(ge=0.1, le=1e6)]
-"""Focal length, px."""
-Bend = Annotated[Number, pydantic.Field(ge=-10, le=10)]
-"""Bows and harmonics, rad."""
-Covariance = Annotated[Number, pydantic.Field(ge=-1e12, le=1e12)]
-Pair = tuple[Bend, Bend]
-Triple = tuple[Limited, Limited, Limited]
-Basis = tuple[Triple, Triple]
 NEAREST_M, FARTHEST_M = 1e-6, 1e6
 """Range of the distance of a sheet from the camera centre."""
-SLOWEST = 1e-6  # The least gain.
 
 
 class LensTable(FileModel):
@@ -106,7 +102,7 @@ else:
 
 
 class LaserTable(FileModel):
-    """A laser sheet in the camera frame at angle 0: `normal` and `distance_m`, or the paper's `abc`.
+    """A laser sheet in the camera frame at position 0: `normal` and `distance_m`, or the paper's `abc`.
 
     With a `basis` it is canonical: a unit normal and a positive distance. Without one it was written by hand, and
     neither sign nor length of the normal matters.
@@ -143,57 +139,15 @@ class LaserTable(FileModel):
             )
         if self.basis is None:
             return self._bowed(LaserSheet.from_plane(self.normal, self.distance_m))
-        _check_frame("normal", self.normal, self.basis)
+        check_frame("normal", self.normal, self.basis)
         if self.distance_m <= 0:
             raise ValueError(f"distance_m: found {self.distance_m:g}, expected greater than 0 beside a basis")
-        return LaserSheet(*_arrays(self.normal, self.distance_m, self.bow, self.basis))
+        return LaserSheet(*arrays(self.normal, self.distance_m, self.bow, self.basis))
 
     def _bowed(self, flat: LaserSheet) -> LaserSheet:
         if any(self.bow) and not np.allclose(flat.normal, self.normal or 0.0, rtol=0, atol=UNIT_TOLERANCE):
             raise ValueError("bow: its signs and its size refer to a normal of length 1 and a distance_m above 0")
         return dataclasses.replace(flat, bow=np.array(self.bow, np.float64))
-
-
-class TurntableTable(FileModel):
-    """The axis in the camera frame at angle 0, and the model of the angle.
-
-    With a `basis` it is canonical: a unit direction on the image's up side, and the axis point nearest the camera.
-    Without one it was written by hand: any point of the axis, and a direction of any length and either sense.
-    """
-
-    carries: Carries = "scanner"
-    direction: Triple
-    point_m: Triple
-    gain: Limited = 1.0
-    """Turned angle, right-handed about `direction`, per angle of the table."""
-    harmonics: tuple[Bend, Bend, Bend, Bend] = (0.0, 0.0, 0.0, 0.0)
-    basis: Basis | None = None
-
-    @pydantic.model_validator(mode="after")
-    def _meaningful(self) -> "TurntableTable":
-        self.turntable()
-        return self
-
-    def turntable(self) -> Turntable:
-        """The turntable of the geometry, its axis in the sense that the file has.
-
-        Raises:
-            ValueError: If there is no axis, or it is not canonical beside a basis.
-        """
-        if abs(self.gain) < SLOWEST:
-            raise ValueError(f"gain = {self.gain:g}: the table does not turn")
-        harmonics = np.array(self.harmonics, np.float64)
-        if self.basis is None:
-            flat = Turntable.from_axis(self.direction, self.point_m, gain=self.gain, carries=self.carries)
-            return dataclasses.replace(flat, harmonics=harmonics)
-        _check_frame("direction", self.direction, self.basis)
-        along = float(np.dot(self.direction, self.point_m))
-        if abs(along) > UNIT_TOLERANCE * max(1.0, float(np.linalg.norm(self.point_m))):
-            raise ValueError(
-                f"direction · point_m = {along:.3g}, expected 0: point_m is the axis point nearest the camera"
-            )
-        direction, point, gain, basis = _arrays(self.direction, self.point_m, self.gain, self.basis)
-        return Turntable(direction, point, gain, harmonics, basis, self.carries)
 
 
 class CovarianceTable(FileModel):
@@ -241,12 +195,12 @@ class DigestTable(FileModel):
 
 
 class CalibrationTable(FileModel):
-    """A calibration file; without lasers and turntable it holds a camera alone."""
+    """A calibration file; without lasers or without turntable it holds a part of a rig."""
 
     format: Literal["jaxscan-calibration/1"]
     camera: AnyCameraTable
     lasers: Annotated[tuple[LaserTable, ...], pydantic.Field(max_length=16)] = ()
-    turntable: TurntableTable | None = None
+    turntable: MotionTable | None = None
     quality: dict[str, Any] = pydantic.Field(default_factory=dict)
     provenance: dict[str, Any] = pydantic.Field(default_factory=dict)
     covariance: CovarianceTable | None = None
@@ -254,16 +208,16 @@ class CalibrationTable(FileModel):
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> "CalibrationTable":
-        if bool(self.lasers) != (self.turntable is not None):
-            raise ValueError("lasers and turntable come together; a file without both holds a camera alone")
         names = [laser.name for laser in self.lasers]
         if len(set(names)) < len(names):
             raise ValueError(f"lasers: found the names {', '.join(names)[:60]}, expected no name twice")
-        if self.turntable is None:
-            return self
-        canonical = self.turntable.basis is not None
-        if canonical and np.dot(self.turntable.direction, UP_VECTORS[self.camera.up]) < 0:
-            raise ValueError(f'turntable.direction: points down, expected towards the image\'s up "{self.camera.up}"')
+        table = self.turntable
+        canonical = table is None or table.basis is not None
+        if canonical and isinstance(table, TurntableTable):
+            if np.dot(table.direction, UP_VECTORS[self.camera.up]) < 0:
+                raise ValueError(
+                    f'turntable.direction: points down, expected towards the image\'s up "{self.camera.up}"'
+                )
         if self.covariance is not None and not (canonical and all(laser.basis is not None for laser in self.lasers)):
             raise ValueError(
                 "covariance: refers to the basis of every laser and of the turntable, and one is missing; give them, "
@@ -273,26 +227,14 @@ class CalibrationTable(FileModel):
 
     def scanner(self) -> Scanner | None:
         """The scanner; None where the file holds a camera alone."""
-        if self.turntable is None:
+        if self.turntable is None and not self.lasers:
             return None
+        motion = Still() if self.turntable is None else self.turntable.motion()
         return Scanner(
             camera=self.camera.camera(),
             lasers=stack_lasers([one.sheet() for one in self.lasers]),
-            turntable=point_up(self.turntable.turntable(), self.camera.up),
+            turntable=point_up(motion, self.camera.up),
             covariance=None if self.covariance is None else self.covariance.array(),
             laser_names=tuple(one.name for one in self.lasers),
             up=self.camera.up,
         )
-
-
-def _arrays(*values: Any) -> tuple[np.ndarray, ...]:
-    return tuple(np.array(value, np.float64) for value in values)
-
-
-def _check_frame(name: str, direction: Triple, basis: Basis) -> None:
-    length = float(np.linalg.norm(direction))
-    if abs(length - 1) > UNIT_TOLERANCE:
-        raise ValueError(f"{name}: found a vector of length {length:.9g}, expected 1")
-    frame = np.array([direction, *basis], np.float64)
-    if np.abs(frame @ frame.T - np.eye(3)).max() > UNIT_TOLERANCE:
-        raise ValueError(f"basis: expected two unit vectors, perpendicular to each other and to {name}")

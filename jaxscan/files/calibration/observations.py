@@ -21,8 +21,8 @@ from jaxscan.files.disk import (
     readable_json,
     write_arrays,
 )
+from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 from jaxscan.observation import BoardViews, Observations, StripeViews
 
 
@@ -54,13 +54,20 @@ _RANGES = {
 _PLAIN = ("width", "height", "laser_names", "up", "carries")
 
 
+_LENGTHS = ("square", "marker", "diameter", "tag")
+"""Fields of boards that are lengths."""
+_NAMES = {"circles": {"square": "spacing"}, "aprilgrid": {"square": "gap"}}
+"""Names of fields in the tables of captures, where they have others."""
+
+
 def _in_millimetres(board: Any) -> Any:
     """A board with lengths in metres, as in this file, as the table of all other files, in millimetres."""
     if not isinstance(board, dict):
         return board
-    lengths = {key: board[key] for key in ("square", "marker") if isinstance(board.get(key), int | float)}
+    lengths = {key: board[key] for key in _LENGTHS if isinstance(board.get(key), int | float)}
     others = {key: value for key, value in board.items() if key not in lengths}
-    return others | {f"{key}_mm": 1000 * value for key, value in lengths.items()}
+    names = _NAMES.get(str(board.get("type")), {})
+    return others | {f"{names.get(key, key)}_mm": 1000 * value for key, value in lengths.items()}
 
 
 class _About(ImageSize):

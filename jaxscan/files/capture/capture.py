@@ -19,9 +19,8 @@ from jaxscan.files.capture.references import ImageRef
 from jaxscan.files.capture.seals import require_whole, sealing
 from jaxscan.files.capture.texts import read_texts
 from jaxscan.files.disk import shown
-from jaxscan.geometry import AbstractBoard
+from jaxscan.geometry import AbstractBoard, Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
 from jaxscan.reconstruction import FrameChunk, journal_doubts
 from jaxscan.stripes import LaserLine, PixelFormat, Response
 
@@ -68,7 +67,7 @@ class Capture:
 
     @property
     def carries(self) -> Carries | None:
-        """Whether the table carries the scanner or the object; None if the header does not say."""
+        """The part that the table carries, "linear" or "nothing"; None if the header does not say."""
         return None if self.header.turntable is None else self.header.turntable.carries
 
     @property
@@ -83,16 +82,17 @@ class Capture:
 
     @functools.cached_property
     def angles(self) -> np.ndarray:
-        """The table's angle of each record, float64 [records], rad from home.
+        """The table's angle of each record, float64 [records], rad from home; of a linear stage, its position [m].
 
         Raises:
-            CaptureError: If an angle is unknown, as it may be in a calibration capture.
+            CaptureError: If one is unknown, as it may be in a calibration capture.
         """
+        if self.carries == "nothing":
+            return np.zeros(len(self.records))
+        key = "position_m" if self.carries == "linear" else "angle_deg"
         for record in self.records:
             if record.angle is None:
-                raise CaptureError(
-                    f"{self.path}: record {record.i}: angle_deg is null; only a sweep can be reconstructed."
-                )
+                raise CaptureError(f"{self.path}: record {record.i}: {key} is null; only a sweep can be reconstructed.")
         return np.array([record.angle for record in self.records], np.float64)
 
     @property
@@ -242,11 +242,19 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
         check_exposures(records, name=journal_name)
     reader = ImageReader(path, header, compare=compare)
     reader.check(records)
-    notes = [*texts.notes, *((seals.note,) if seals.note else ())]
+    notes = [*texts.notes, *((seals.note,) if seals.note else ()), *_image_notes(header, records)]
     if header.kind == "sweep":
-        degrees = np.degrees([record.angle or 0.0 for record in records])
+        turns = header.turntable is None or header.turntable.carries in ("scanner", "object")
+        degrees = np.degrees([record.angle or 0.0 for record in records]) if turns else None
         lit = [record.lasers for record in records]
         planned = None if header.plan is None else header.plan.steps
         doubts = journal_doubts([record.i for record in records], degrees, lit, planned)
         notes += [f"{journal_name}: {doubt}" for doubt in doubts]
     return Capture(path, header, records, tuple(notes), texts.digest(), reader)
+
+
+def _image_notes(header: CaptureHeader, records: tuple[Record, ...]) -> list[str]:
+    """Notes on the kind of images; files with the name of a JPEG are such, whether or not the header says so."""
+    first = (*records[0].on, *records[0].off)[0].path.lower()
+    jpeg = header.camera.compression is None and first.endswith((".jpg", ".jpeg"))
+    return (header.camera.model_copy(update={"compression": "jpeg"}) if jpeg else header.camera).notes()

@@ -1,5 +1,6 @@
 """The header of a capture: `capture.toml`."""
 
+import math
 from typing import Annotated, Any, Literal
 
 import pydantic
@@ -8,10 +9,9 @@ import tomli_w
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.boards import BoardTable
 from jaxscan.files.disk import MEGABYTE, FileModel, ImageSize, Integer, check, is_deep, parse_toml, too_deep
-from jaxscan.geometry import StripeAxis
+from jaxscan.geometry import Carries, StripeAxis
 from jaxscan.geometry.scanner import Up
-from jaxscan.geometry.turntable import Carries
-from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank
+from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank, known_response
 
 
 CAPTURE_FORMAT: Literal["jaxscan-capture/1"] = "jaxscan-capture/1"
@@ -38,17 +38,37 @@ class CameraTable(ImageSize):
 
     pixel_format: Annotated[PixelFormat, pydantic.BeforeValidator(_supported)]
     """How an image is to be read."""
-    response: Response = "linear"
-    """"linear", or "srgb" (decoded before the fit)."""
+    response: Annotated[Response, pydantic.AfterValidator(known_response)] = "linear"
+    """"linear", or "srgb" or "gamma 2.2" (decoded before the fit)."""
     up: Up = "-v"
     """Which direction of the image is up."""
+    shutter: Literal["global", "rolling"] | None = None
+    """"rolling" where rows are exposed one after another; None if unknown."""
+    compression: Literal["jpeg", "video"] | None = None
+    """What the images went through before they were stored; None: nothing that loses."""
+
+    def notes(self) -> list[str]:
+        """What a user should know of such images, a sentence each."""
+        notes = []
+        if self.compression is not None:
+            kind = "JPEG files" if self.compression == "jpeg" else "a video"
+            notes.append(
+                f"the images come from {kind}: errors of neighbouring pixels belong together, and colour may have half "
+                "the resolution, so sigmas are estimates; PNG images would be better."
+            )
+        if self.shutter == "rolling":
+            notes.append(
+                "the shutter is rolling: this does no harm where the table stood still for every image; where it "
+                "turned, every row saw another angle."
+            )
+        return notes
 
 
 class TurntableTable(FileModel):
-    """The turntable."""
+    """The motion between records."""
 
     carries: Carries = "scanner"
-    """"scanner", or "object" where the camera stands still."""
+    """A turntable's "scanner", or "object" where the camera stands still; a "linear" stage; or "nothing"."""
 
 
 class LaserTable(FileModel):
@@ -109,6 +129,39 @@ def frame_shape(header: CaptureHeader) -> tuple[int, ...]:
 def image_limit(header: CaptureHeader) -> int:
     """Largest size of an image's file [bytes]: an uncompressed 32-bit image with a megabyte of metadata fits."""
     return 4 * header.camera.width * header.camera.height + MEGABYTE
+
+
+def record_position(
+    angle_deg: float | None, position_m: float | None, rig: tuple[str, Carries], *, where: str
+) -> float | None:
+    """Position of a record: the table's angle [rad], or the place of a stage [m]; None where unknown.
+
+    Args:
+        angle_deg: As the record has it.
+        position_m: As the record has it.
+        rig: Kind of the capture, and the part that its table carries.
+        where: The record, for messages.
+
+    Raises:
+        CaptureError: If it is missing in a sweep, or belongs to another kind of motion.
+    """
+    kind, carries = rig
+    linear = carries == "linear"
+    wanted, found = (position_m, angle_deg) if linear else (angle_deg, position_m)
+    if wanted is not None:
+        return wanted if linear else math.radians(wanted)
+    if found is not None and carries != "nothing":
+        key, other = ("position_m", "angle_deg") if linear else ("angle_deg", "position_m")
+        kinds = 'carries = "linear"' if linear else 'carries = "scanner" or "object"'
+        raise CaptureError(f"{where}: {key}: missing beside {other}, expected with {kinds} under [turntable].")
+    if kind != "sweep" or carries == "nothing":
+        return None
+    if linear:
+        raise CaptureError(f"{where}: position_m: found null, but a sweep needs the position of every record.")
+    raise CaptureError(
+        f"{where}: angle_deg: found null, but a sweep needs the angle of every record; of a scanner that stands still, "
+        'say carries = "nothing" under [turntable].'
+    )
 
 
 def parse_header(data: bytes, *, name: str) -> CaptureHeader:

@@ -2,7 +2,6 @@
 
 import io
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
@@ -10,8 +9,10 @@ from typing import Annotated, Any, Literal, NamedTuple
 import pydantic
 
 from jaxscan.errors import CaptureError
+from jaxscan.files.capture.header import record_position
 from jaxscan.files.capture.references import MAX_IMAGES, ImageRef, is_plain, parse_images, with_digests
 from jaxscan.files.disk import MAX_DEPTH, Integer, Number, check, is_deep, too_deep
+from jaxscan.geometry import Carries
 
 
 JOURNAL_NAME = "frames.jsonl"
@@ -22,10 +23,11 @@ MAX_LINES = 2_000_000
 
 _MAX_NUMBER = 1 << 53
 _MAX_ANGLE = 1e6
+_MAX_POSITION_M = 1e4
 _MAX_PLACEMENT = 1 << 31
 _MAX_LASERS = 64
 _MISSING = object()
-_OF_RECORDS = {"on", "off", "angle_deg"}
+_OF_RECORDS = {"on", "off", "angle_deg", "position_m"}
 """Keys that events do not have, unless they say so by the key `event`."""
 
 
@@ -36,7 +38,7 @@ class Record:
     i: int
     """Its own number."""
     angle: float | None
-    """The table's angle [rad from home]; None where unknown."""
+    """The table's angle [rad from home], or the position of a linear stage [m]; None where unknown."""
     placement: int | None
     """Which pose of the board it saw, in a calibration capture."""
     lasers: tuple[int, ...]
@@ -64,6 +66,7 @@ class _Line(pydantic.BaseModel):
     i: Annotated[Integer, pydantic.Field(ge=0, lt=_MAX_NUMBER)]
     # No table turns a million degrees, and squares and sums of such angles are finite.
     angle_deg: Annotated[Number, pydantic.Field(ge=-_MAX_ANGLE, le=_MAX_ANGLE)] | None = None
+    position_m: Annotated[Number, pydantic.Field(ge=-_MAX_POSITION_M, le=_MAX_POSITION_M)] | None = None
     placement: Annotated[Integer, pydantic.Field(ge=0, lt=_MAX_PLACEMENT)] | None = None
     lasers: Annotated[list[Integer | str], pydantic.Field(max_length=_MAX_LASERS)] | None = None
     on: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
@@ -76,6 +79,7 @@ class _Fields(NamedTuple):
 
     number: int
     angle_deg: float | None
+    position_m: float | None
     placement: int | None
     lasers: list[int | str] | None
     on: Any
@@ -86,7 +90,12 @@ class _Fields(NamedTuple):
 
 
 def read_journal(
-    data: bytes, *, name: str, kind: Literal["sweep", "calibration"], laser_names: tuple[str, ...]
+    data: bytes,
+    *,
+    name: str,
+    kind: Literal["sweep", "calibration"],
+    laser_names: tuple[str, ...],
+    carries: Carries = "scanner",
 ) -> Journal:
     """The records of a journal, in the order of their numbers.
 
@@ -98,6 +107,8 @@ def read_journal(
         name: Name of the file, for messages.
         kind: Kind of the capture: a sweep needs angles and `on` images, a calibration may lack them.
         laser_names: The lasers in the header's order.
+        carries: The kind of motion: records of a linear stage have positions in place of angles, those of a scanner
+            that stands still may have neither.
 
     Raises:
         CaptureError: With the number of the line that is broken or not a record.
@@ -122,7 +133,7 @@ def read_journal(
         takes[i] = takes.get(i, 0) + 1
         if len(latest) > MAX_RECORDS:
             raise CaptureError(f"{name}: line {number}: more than {MAX_RECORDS} records; split the capture.")
-    records = tuple(_complete(i, latest.pop(i), name, kind, laser_names) for i in sorted(latest))
+    records = tuple(_complete(i, latest.pop(i), name, kind, (laser_names, carries)) for i in sorted(latest))
     return Journal(records, (f"{torn}: the last line was cut off and is left out.",) if torn else (), takes)
 
 
@@ -132,11 +143,12 @@ def _fields(value: dict[str, Any], number: int) -> _Fields | None:
     A journal may have a million lines.
     """
     angle, placement, lasers = value.get("angle_deg"), value.get("placement"), value.get("lasers")
-    on, off = value.get("on"), value.get("off")
+    on, off, position = value.get("on"), value.get("off"), value.get("position_m")
     usual = (
         type(value["i"]) is int
         and 0 <= value["i"] < _MAX_NUMBER
         and (angle is None or (type(angle) is float and -_MAX_ANGLE <= angle <= _MAX_ANGLE))
+        and (position is None or (type(position) is float and -_MAX_POSITION_M <= position <= _MAX_POSITION_M))
         and (placement is None or (type(placement) is int and 0 <= placement < _MAX_PLACEMENT))
         and (
             lasers is None
@@ -145,12 +157,16 @@ def _fields(value: dict[str, Any], number: int) -> _Fields | None:
         and (on is None or (type(on) is str and is_plain(on)))
         and (off is None or (type(off) is str and is_plain(off)))
     )
-    return _Fields(number, angle, placement, lasers, on, off, _digests(value.get("sha256"))) if usual else None
+    return (
+        _Fields(number, angle, position, placement, lasers, on, off, _digests(value.get("sha256"))) if usual else None
+    )
 
 
 def _fields_slowly(value: dict[str, Any], name: str, number: int) -> _Fields:
     line = check(_Line, value, name=f"{name}: line {number}", error=CaptureError)
-    return _Fields(number, line.angle_deg, line.placement, line.lasers, line.on, line.off, _digests(line.sha256))
+    return _Fields(
+        number, line.angle_deg, line.position_m, line.placement, line.lasers, line.on, line.off, _digests(line.sha256)
+    )
 
 
 def _digests(given: Any) -> dict[str, Any]:
@@ -239,12 +255,10 @@ def _may_be_deep(line: bytes) -> bool:
     return line.count(b"{") + line.count(b"[") > MAX_DEPTH
 
 
-def _complete(i: int, line: _Fields, name: str, kind: str, laser_names: tuple[str, ...]) -> Record:
+def _complete(i: int, line: _Fields, name: str, kind: str, rig: tuple[tuple[str, ...], Carries]) -> Record:
+    laser_names, carries = rig
+    position = record_position(line.angle_deg, line.position_m, (kind, carries), where=f"{name}: line {line.number}")
     if kind == "sweep":
-        if line.angle_deg is None:
-            raise CaptureError(
-                f"{name}: line {line.number}: angle_deg: found null, but a sweep needs the angle of every record."
-            )
         if not line.on:
             raise CaptureError(
                 f"{name}: line {line.number}: on: found null, but a sweep needs a laser-on image in every record."
@@ -254,7 +268,7 @@ def _complete(i: int, line: _Fields, name: str, kind: str, laser_names: tuple[st
     on, off = (parse_images(given) if given is None or type(given) is str else given for given in (line.on, line.off))
     return Record(
         i=i,
-        angle=None if line.angle_deg is None else math.radians(line.angle_deg),
+        angle=position,
         placement=line.placement,
         lasers=() if not on else _lit(line.lasers, f"{name}: line {line.number}", laser_names),
         on=with_digests(on, line.digests.get("on")),

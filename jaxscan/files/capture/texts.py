@@ -41,5 +41,6 @@ def read_texts(folder: Path) -> CaptureTexts:
     header = parse_header(header_bytes, name=str(header_path))
     journal_bytes = read_bounded(journal_path, MAX_JOURNAL_BYTES, error=CaptureError, links="refuse")
     names = tuple(laser.name for laser in header.laser)
-    journal = read_journal(journal_bytes, name=str(journal_path), kind=header.kind, laser_names=names)
+    carries = "scanner" if header.turntable is None else header.turntable.carries
+    journal = read_journal(journal_bytes, name=str(journal_path), kind=header.kind, laser_names=names, carries=carries)
     return CaptureTexts(header, *journal, header_bytes, journal_bytes)

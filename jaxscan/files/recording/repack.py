@@ -24,8 +24,9 @@ from jaxscan.files.capture import (
     open_capture,
     read_texts,
 )
-from jaxscan.files.disk import check_name, partial_folder, reported, sync_to_disk, write_atomically
+from jaxscan.files.disk import write_atomically
 from jaxscan.files.recording.store import Storage
+from jaxscan.files.recording.whole import check_new_folder, whole_capture
 from jaxscan.files.recording.writer import CaptureWriter, create_capture
 
 
@@ -65,35 +66,13 @@ def repack_capture(
     if texts.digest() != capture.digest():
         raise CaptureError(f"{source}: has changed while it was read; end the capture first.")
     values = list(_ordered(texts.journal_bytes))
-    with reported(f"{target}: cannot be created", error=CaptureError), partial_folder(target) as part:
+    with whole_capture(target) as part:
         with create_capture(part, capture.header, storage=storage, durable=False, digests=True) as writer:
             _copy(capture, writer, values, progress)
             # Before the seal, which binds it.
             write_atomically(part / HEADER_NAME, texts.header_bytes, durable=False, error=CaptureError)
             writer.seal(source={SEAL: hashlib.sha256(texts.journal_bytes).hexdigest()})
-        # Check again: a folder may have appeared in the meantime.
-        check_new_folder(target)
-        # Wait for the disk here, once, so that the source may be deleted afterwards.
-        for place, _, names in os.walk(part):
-            for name in (*names, ""):
-                sync_to_disk(Path(place, name))
-        os.rename(part, target)
-        sync_to_disk(target.parent)
     return open_capture(target)
-
-
-def check_new_folder(target: str | Path) -> None:
-    """Check that a folder can be made under this name.
-
-    Raises:
-        CaptureError: If something exists there, or its own folder does not.
-    """
-    target = Path(os.path.abspath(target))
-    check_name(target, error=CaptureError)
-    if os.path.lexists(target):
-        raise CaptureError(f"{target}: exists; choose another folder, a capture is never overwritten.")
-    if not os.path.isdir(target.parent):
-        raise CaptureError(f"{target}: cannot be created, the folder {target.parent} does not exist; create it first.")
 
 
 def _copy(capture: Capture, writer: CaptureWriter, values: Iterable[dict[str, Any]], progress: Progress | None) -> None:

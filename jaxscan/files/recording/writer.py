@@ -79,7 +79,7 @@ class CaptureWriter:
     def append(
         self,
         *,
-        angle_deg: float | int | None,
+        angle_deg: float | int | None = None,
         on: Any | None = None,
         off: Any | None = None,
         placement: int | None = None,
@@ -90,7 +90,7 @@ class CaptureWriter:
 
         Args:
             angle_deg: The table's angle from home, as reached, unwrapped [deg]; None if unknown,
-                which only a calibration may hold.
+                which only a calibration may hold, or without a table.
             on: Laser-on image, uint8 [rows, columns(, 3)], copied; None without one. Or a list of
                 (image, exposure [s]): repetitions of an exposure are averaged by readers,
                 different exposures are a bracket.
@@ -98,7 +98,7 @@ class CaptureWriter:
             placement: Number of the board's pose.
             i: The record's number; the next free one if not given. A number used before is a
                 retake, and replaces that record.
-            extra: Further keys, as JSON holds them: `lasers`, `time`, `microsteps`, ...
+            extra: Further keys, as JSON holds them: `position_m` of a linear stage, `lasers`, `time`, ...
 
         Returns:
             The record's number.
@@ -112,8 +112,12 @@ class CaptureWriter:
         where = f"{self.path}: record {number}"
         if number < 0:
             raise CaptureError(f"{where}: i = {number} is negative.")
-        if self.header.kind == "sweep" and (angle_deg is None or on is None):
-            raise CaptureError(f"{where}: a sweep needs an angle and a laser-on image.")
+        carries = "scanner" if self.header.turntable is None else self.header.turntable.carries
+        known = carries == "nothing" or (extra.get("position_m") if carries == "linear" else angle_deg) is not None
+        if self.header.kind == "sweep" and (not known or on is None):
+            raise CaptureError(
+                f"{where}: a sweep needs {'a position_m' if carries == 'linear' else 'an angle'} and a laser-on image."
+            )
         if on is None and off is None:
             raise CaptureError(f"{where}: has no image.")
         if angle_deg is not None and not math.isfinite(angle_deg):

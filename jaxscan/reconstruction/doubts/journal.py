@@ -20,20 +20,20 @@ _TURN_IN_RADIANS = 24
 
 
 def journal_doubts(
-    numbers: Sequence[int], degrees: np.ndarray, lit: Sequence[tuple[int, ...]], planned: int | None
+    numbers: Sequence[int], degrees: np.ndarray | None, lit: Sequence[tuple[int, ...]], planned: int | None
 ) -> list[str]:
     """Contradictions in the journal of a sweep.
 
     Args:
         numbers: Of the records, ascending.
-        degrees: The table's angles, float64 [records], deg.
+        degrees: The table's angles, float64 [records], deg; None without a table.
         lit: The lasers that are lit in each record.
         planned: Records that the header plans, if it does.
     """
     number = np.asarray(numbers, np.int64)
     doubts = _missing(number, planned)
     for own in groups_of(lit):
-        if len(own) >= _FEW:
+        if degrees is not None and len(own) >= _FEW:
             doubts += _angles(number[own], degrees[own])
     return doubts
 

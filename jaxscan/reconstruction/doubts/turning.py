@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.geometry import Scanner
+from jaxscan.geometry import Scanner, Turntable
 from jaxscan.reconstruction.doubts.outliers import said
 from jaxscan.reconstruction.doubts.seen import TRACE_BINS, Seen
 
@@ -46,7 +46,7 @@ def turning_doubts(seen: Seen, numbers: np.ndarray, angles: np.ndarray, own: np.
         own: The records of one laser.
         scanner: The calibrated rig.
     """
-    if len(own) < _FEW or not seen.trace[own].any():
+    if len(own) < _FEW or not seen.trace[own].any() or not isinstance(scanner.turntable, Turntable):
         return []
     found = motion(seen.trace[own])
     shift = found.lags[np.argmax(found.alike, axis=1)]
@@ -134,9 +134,9 @@ def _direction(rate: float, turned: float, scanner: Scanner) -> list[str]:
         turned: Usual step [rad].
         scanner: The calibrated rig.
     """
-    if scanner.turntable.carries != "scanner":
-        return []
     camera, table = scanner.camera, scanner.turntable
+    if not isinstance(table, Turntable) or table.carries != "scanner":
+        return []
     upright = scanner.up in ("-v", "+v")
     x, y, _ = np.asarray(table.direction, np.float64)
     bins = TRACE_BINS / (camera.width if upright else camera.height)

@@ -12,8 +12,10 @@ from jaxscan.stripes import KEPT_FIELDS, FrameStripes, Stripes
 class GrowingCloud:
     """Arrays of the full grid, allocated once: all the memory a sweep needs beyond its chunks."""
 
-    def __init__(self, profiles: int, lines: int):
+    def __init__(self, profiles: int, lines: int, *, travels: bool = False):
+        """Args: the size of the grid, and whether profiles differ by metres of travel rather than by an angle."""
         grid = profiles, lines
+        self.travels = travels
         self.fields: dict[str, np.ndarray] = {
             "xyz": np.zeros((*grid, 3), np.float32),
             "rgb": np.zeros((*grid, 3), np.uint8),
@@ -22,6 +24,7 @@ class GrowingCloud:
         for name in ("intensity", "sigma_random", "sigma_systematic"):
             self.fields[name] = np.zeros(grid, np.float32)
         self.centre = np.zeros((profiles, 3), np.float32)
+        self.clear = np.zeros(grid, np.float32)
         self.stripes = 0
         """Valid stripe centres so far, whether or not they gave a point."""
 
@@ -33,7 +36,7 @@ class GrowingCloud:
             points: The points.
             amplitude: Amplitude of every stripe [DN].
             rgb: Colour of every stripe.
-            found: Which stripes there were.
+            found: How clear the stripes were; 0 where there was none.
         """
         rows, count = _rows(profiles), len(profiles)
         parts = jax.tree.map(lambda field: np.asarray(field)[:count], {**points._asdict(), "rgb": rgb})
@@ -42,7 +45,13 @@ class GrowingCloud:
         for name, field in self.fields.items():
             field[rows] = parts[name]
         self.centre[rows] = parts["centre"]
+        self.clear[rows] = np.asarray(found, np.float32)[:count]
         self.stripes += int(np.count_nonzero(np.asarray(found)[:count]))
+
+    def keep_clear(self, least: float) -> None:
+        """Take out the points of stripes that are less clear."""
+        if least > 0.0:
+            _take_out(self.fields, self.clear < least)
 
     def finish(
         self, record: np.ndarray, laser: np.ndarray, angle: np.ndarray, rank: np.ndarray, line_step: float | None
@@ -52,7 +61,7 @@ class GrowingCloud:
         Args:
             record: Record of each profile.
             laser: Laser of each profile.
-            angle: The table's angle of each profile [rad].
+            angle: The table's angle of each profile [rad], or the stage's position [m].
             rank: Number of each profile among those of the same record and laser.
             line_step: Angle between neighbouring lines [rad]; None for no normals.
         """
@@ -68,13 +77,14 @@ class GrowingCloud:
             profiles = profiles[np.argsort(angle[profiles], kind="stable")]
             whole = len(profiles) == len(laser) and bool(np.all(np.diff(profiles) == 1))
             rows = slice(None) if whole else profiles
+            step = float(np.median(np.diff(angle[profiles]))) if len(profiles) > 1 else np.inf
             found = grid_normals(
                 self.fields["xyz"][rows],
                 self.fields["sigma_random"][rows],
                 self.fields["valid"][rows],
                 self.centre[rows],
                 line_step=line_step,
-                profile_step=float(np.median(np.diff(angle[profiles]))) if len(profiles) > 1 else np.inf,
+                profile_step=step / self._usual_range() if self.travels else step,
             )
             if whole:
                 return found
@@ -83,6 +93,11 @@ class GrowingCloud:
         for rows, found in parts:
             normals[rows] = found
         return normals
+
+    def _usual_range(self) -> float:
+        """Median distance of the points from the camera [m]."""
+        away = np.linalg.norm(self.fields["xyz"] - self.centre[:, None], axis=-1)[self.fields["valid"]]
+        return float(np.median(away))
 
 
 class GrowingStripes:
@@ -102,9 +117,20 @@ class GrowingStripes:
         for name, field in self.fields.items():
             field[rows] = np.asarray(found[name])[: len(profiles)]
 
+    def keep_clear(self, least: float) -> None:
+        """Take out the stripes whose width is less than so many standard deviations of their centre."""
+        if least > 0.0:
+            width, sigma = self.fields["width"], self.fields["sigma"]
+            _take_out(self.fields, width < np.float32(least) * np.maximum(sigma, np.float32(1e-4)))
+
     def finish(self, record: np.ndarray, laser: np.ndarray) -> Stripes:
         """The stripes; record and laser of each profile."""
         return Stripes(**self.fields, record=record, laser=laser)
+
+
+def _take_out(fields: dict[str, np.ndarray], out: np.ndarray) -> None:
+    for field in fields.values():
+        field[out] = 0
 
 
 def _rows(profiles: np.ndarray) -> slice | np.ndarray:

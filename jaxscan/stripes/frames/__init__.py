@@ -13,8 +13,10 @@ from jaxscan.stripes.frames.formats import (
     check_frames,
     decode_table,
     frame_rank,
+    known_response,
     laser_plane,
     laser_sites,
 )
 from jaxscan.stripes.frames.learn_colour import with_colour
+from jaxscan.stripes.frames.learn_response import ExposurePair, LearnedResponse, learn_response
 from jaxscan.stripes.frames.noise import estimate_noise

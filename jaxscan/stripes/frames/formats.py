@@ -1,5 +1,6 @@
 """How a frame is to be read: pixel format, response, and the laser to look for."""
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,7 +15,13 @@ from jaxscan.geometry import StripeAxis as StripeAxis
 PixelFormat = Literal["mono8", "rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_grbg8", "bayer_gbrg8"]
 PIXEL_FORMATS: tuple[PixelFormat, ...] = ("mono8", "rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_grbg8", "bayer_gbrg8")
 
-Response = Literal["linear", "srgb"]
+Response = str
+"""How levels became codes: "linear", "srgb", or "gamma 2.2" with any exponent; see `known_response`."""
+RESPONSES = ("linear", "srgb", "gamma 2.2")
+"""Examples of all kinds, for messages."""
+GAMMAS = (1.0, 4.0)
+"""Range of exponents."""
+
 Colour = Literal["red", "green", "blue"]
 LaserColour = Literal["auto", "red", "green", "blue"]
 
@@ -37,7 +44,7 @@ class FrameFormat:
 
     pixel_format: PixelFormat = "mono8"
     response: Response = "linear"
-    """"linear", or "srgb": decoded before a stripe is measured, so that levels are linear DN."""
+    """"linear", or "srgb", or "gamma 2.2": decoded before a stripe is measured, so that levels are linear DN."""
 
 
 def frame_rank(pixel_format: PixelFormat) -> int:
@@ -127,19 +134,45 @@ def laser_plane(frames: Array, *, pixel_format: PixelFormat, line: LaserLine) ->
     return lines.reshape(len(frames), rows, columns // 2)
 
 
+def known_response(response: str) -> Response:
+    """The response, if there is one of this name.
+
+    Raises:
+        ValueError: With the names that there are.
+    """
+    if response in RESPONSES[:2] or _gamma(response) is not None:
+        return response
+    raise ValueError(f'found "{response[:60]}", expected "linear", "srgb" or "gamma 2.2", with a number from 1 to 4')
+
+
+def _gamma(response: str) -> float | None:
+    found = re.fullmatch(r"gamma ([0-9](?:\.[0-9]{1,4})?)", response)
+    return float(found[1]) if found and GAMMAS[0] <= float(found[1]) <= GAMMAS[1] else None
+
+
 def decode_table(response: Response) -> tuple[Float[np.ndarray, "256"], Float[np.ndarray, "256"]]:
     """The linear level of each code of a pixel.
+
+    Args:
+        response: "linear", "srgb" or "gamma <exponent>".
 
     Returns:
         level: Linear level [DN], 0 to 255.
         slope: Linear DN per code, by which the rounding of the code grows.
 
+    Raises:
+        ValueError: If the response is unknown.
+
     Source:
         IEC 61966-2-1 (sRGB), transfer function.
     """
+    known_response(response)
     code = np.arange(256) / 255.0
     if response == "linear":
         return 255.0 * code, np.ones(256)
+    gamma = _gamma(response)
+    if gamma is not None:
+        return 255.0 * code**gamma, gamma * code ** (gamma - 1.0)
     dark = code <= 0.04045
     level = np.where(dark, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
     slope = np.where(dark, 1 / 12.92, 2.4 / 1.055 * ((code + 0.055) / 1.055) ** 1.4)

@@ -79,7 +79,7 @@ def estimate_noise(
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
         pixel_format: How a frame is to be read.
-        response: "linear", or "srgb".
+        response: "linear", "srgb" or "gamma 2.2".
         line: The laser, which says which channel is looked at.
 
     Returns:

@@ -1,7 +1,7 @@
 """The turntable: one axis with four degrees of freedom, and a model of the angle about it."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -10,15 +10,24 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from jaxscan.geometry.arrays import Array, real
+from jaxscan.geometry.motions.motion import AbstractMotion, Carries
 from jaxscan.geometry.parameters import ParameterBlock
-from jaxscan.geometry.rigid import exponential
+from jaxscan.geometry.rigid import exponential, rigid
 from jaxscan.geometry.tangent import move_direction, tangent_basis, unit_vector
 
 
-Carries = Literal["scanner", "object"]
+Turns = Literal["scanner", "object"]
+
+_ANGLE = (
+    # The prior is for |gain|: the accuracy of the table's gears and step count.
+    ParameterBlock("gain", ("gain",), 0.001, prior="gain", sigma=1e-3, expected=1.0),
+    ParameterBlock("harmonics", ("c1", "s1", "c2", "s2"), 0.001, "rad", prior="harmonics", sigma=3e-4),
+)
+ANGLE_PARAMETERS = tuple(name for block in _ANGLE for name in block.parameters)
+"""Names of the coordinates of the angle about the axis."""
 
 
-class Turntable(eqx.Module):
+class Turntable(AbstractMotion):
     r"""Motion $\exp(\theta(\varphi)\,\xi)$ about the axis through `point` along `direction`.
 
     $$\theta(\varphi) = \mathrm{gain}\,\varphi
@@ -37,8 +46,13 @@ class Turntable(eqx.Module):
     """c1, s1, c2, s2 [rad]."""
     basis: Float[Array, "2 3"] = eqx.field(converter=real)
     """Tangent vectors of the minimal coordinates d1, d2 (and p1, p2)."""
-    carries: Carries = eqx.field(static=True, default="scanner")
+    carries: Turns = eqx.field(static=True, default="scanner")
     """Whether the scanner turns, or the object in front of a fixed scanner."""
+
+    blocks: ClassVar[tuple[ParameterBlock, ...]] = (
+        ParameterBlock("axis", ("axis.d1", "axis.d2", "axis.p1", "axis.p2"), 0.01, "rad, m"),
+        *_ANGLE,
+    )
 
     @staticmethod
     def from_axis(
@@ -46,7 +60,7 @@ class Turntable(eqx.Module):
         point: ArrayLike | Sequence[float],
         *,
         gain: float = 1.0,
-        carries: Carries = "scanner",
+        carries: Turns = "scanner",
     ) -> "Turntable":
         """An axis through any of its points, camera frame at angle 0.
 
@@ -131,15 +145,48 @@ class Turntable(eqx.Module):
         point = point - jnp.dot(point, direction) * direction
         return Turntable(direction, point, self.gain + step[4], self.harmonics + step[5:9], basis, self.carries)
 
+    def frame(self) -> Float[Array, "4 4"]:
+        """T_scanner_cam at angle 0.
 
-ANGLE_BLOCKS = (
-    # The prior is for |gain|: the accuracy of the table's gears and step count.
-    ParameterBlock("gain", ("gain",), 0.001, prior="gain", sigma=1e-3, expected=1.0),
-    ParameterBlock("harmonics", ("c1", "s1", "c2", "s2"), 0.001, "rad", prior="harmonics", sigma=3e-4),
-)
-"""The angle about the axis."""
-AXIS_BLOCKS = (
-    ParameterBlock("axis", ("axis.d1", "axis.d2", "axis.p1", "axis.p2"), 0.01, "rad, m"),
-    *ANGLE_BLOCKS,
-)
-"""Minimal coordinates of a turntable, in the order of `Turntable.retract`."""
+        Origin at the point of the axis nearest the camera, z along the axis, x along the part
+        of the camera's z that is perpendicular to the axis.
+        """
+        z = jnp.asarray(self.direction)
+        forward = jnp.zeros_like(z).at[2].set(1.0)
+        x = forward - jnp.dot(forward, z) * z
+        x = x / jnp.linalg.norm(x)
+        rotation = jnp.stack([x, jnp.cross(z, x), z])
+        return rigid(rotation, -rotation @ self.point)
+
+    def prior_values(self) -> Float[Array, "9"]:
+        """The values that the priors are for: those of the angle, with the size of the gain."""
+        return jnp.pad(jnp.append(jnp.abs(self.gain), self.harmonics), (4, 0))
+
+    def departure(self, other: AbstractMotion) -> Float[np.ndarray, "9"]:
+        """How far another table is away, in the minimal coordinates of this one."""
+        if not isinstance(other, Turntable):
+            raise TypeError(f"found {type(other).__name__}, expected a turntable")
+        axis = [self.basis @ (other.direction - self.direction), self.basis @ (other.point - self.point)]
+        return np.concatenate([*axis, [other.gain - self.gain], other.harmonics - self.harmonics])
+
+    def pointed(self, up: Float[Array, "3"]) -> "Turntable":
+        """The same axis and motion with the axis on the image's up side.
+
+        Flipping the axis changes the sign of every angle, and so of gain and harmonics.
+        """
+        if np.dot(self.direction, up) >= 0:
+            return self
+        basis = np.asarray(self.basis)
+        return Turntable(-self.direction, self.point, -self.gain, -self.harmonics, basis, self.carries)
+
+    def carrying(self, carries: Carries) -> "Turntable":
+        """The same motion of boards in front of the camera: a table that turns backwards turns the other part.
+
+        Raises:
+            ValueError: If neither part of a turntable is named.
+        """
+        if carries == self.carries:
+            return self
+        if carries not in ("scanner", "object"):
+            raise ValueError(f"carries: found {carries}, a turntable carries the scanner or the object")
+        return Turntable(self.direction, self.point, -self.gain, -self.harmonics, self.basis, carries)

@@ -1,0 +1,226 @@
+"""The real sets: who made them, where they are, and how their files become records of a capture."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from experiments.real_sets.source import Source
+
+
+Files = list[dict[str, Any]]
+"""Records in which a picture is a path of the repository."""
+
+
+class RealSet(NamedTuple):
+    """One capture of a stranger."""
+
+    name: str
+    repository: str
+    commit: str
+    licence: str
+    about: str
+    header: dict[str, Any]
+    """`capture.toml` without the size of the pictures."""
+    records: Callable[[Source], Files]
+    reference: str = ""
+    """Values that the authors published."""
+    lens: tuple[str, ...] = ()
+    """Options of `jaxscan calibrate` for the lens, as a user who knows it would give them."""
+    camera: tuple[float, ...] = ()
+    """The camera that the authors calibrated elsewhere: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    pattern: str = "chessboard"
+    """What is printed on the board; jaxscan has no finder for symmetric "circles"."""
+    inner_m: float = 0.0
+    """Of a sweep: radius of the part of the table that is covered [m]."""
+
+
+NONE = "no licence stated: measured only"
+SRV = ("srv/desktop_3d_scanner", "d7c7b7eca85b3932cb9da7b70983bd3a8bfe580b", NONE)
+ZHAO = ("zhaocongyang/structured_LineLight_calib", "672d6417f0ee723e0596a8f0ef03bdb3372768a9", NONE)
+HJAMAL = ("hjamal3/Light-Stripe-Calibration", "64ce9a67b32ad91e1f22ece0712a617656685b81", NONE)
+STEREO = ("sourishg/stereo-calibration", "257888988de4a1be1012effb41a6a756929f537a", NONE)
+FISHEYE = ("sourishg/fisheye-stereo-calibration", "e3074ab16e9768f6df705e91f15dca64b292f85b", NONE)
+CICLOP = ("Jesus89/3DScanScience", "29d70ad33084d965d2178730f447ff9aa95acc46", "CC BY-SA 4.0")
+OPENCV = ("opencv/opencv", "samples/data", "Apache-2.0")
+MOST = 60
+"""Boards of one set: more of the same hand-held board say little more and cost minutes."""
+
+
+def chessboard(columns: int, rows: int, square_mm: float) -> dict[str, Any]:
+    """The table of a chessboard with so many inner corners."""
+    return {"type": "chessboard", "columns": columns, "rows": rows, "square_mm": square_mm}
+
+
+def boards(board: dict[str, Any], *, pixel_format: str = "rgb8", **more: Any) -> dict[str, Any]:
+    """The header of a calibration."""
+    return {"kind": "calibration", "camera": {"pixel_format": pixel_format}, **more, "board": board}
+
+
+def plain_boards(folder: str, pattern: str, most: int = MOST) -> Callable[[Source], Files]:
+    """Pictures of boards without a laser; evenly chosen where there are many."""
+
+    def records(source: Source) -> Files:
+        paths = source.find(folder, pattern)
+        step = max(1, -(-len(paths) // most))
+        return [{"on": None, "off": path} for path in paths[::step]]
+
+    return records
+
+
+def lit_boards(folder: str, pattern: str) -> Callable[[Source], Files]:
+    """Pictures of boards with a laser on, without a picture of the same pose with the laser off."""
+    return lambda source: [{"on": path, "off": None} for path in source.find(folder, pattern)]
+
+
+def pairs(on: tuple[str, str], off: tuple[str, str]) -> Callable[[Source], Files]:
+    """Pictures of the same poses with the laser on and off, in the same order."""
+    return lambda source: [
+        {"on": lit, "off": dark} for lit, dark in zip(source.find(*on), source.find(*off), strict=True)
+    ]
+
+
+def both(*parts: Callable[[Source], Files]) -> Callable[[Source], Files]:
+    """Records of several folders."""
+    return lambda source: [record for part in parts for record in part(source)]
+
+
+def turning(folder: str, stem: str, steps: int, step_deg: float) -> Callable[[Source], Files]:
+    """A sweep without laser-off pictures."""
+    return lambda source: [
+        {"angle_deg": k * step_deg, "on": f"{folder}/{stem}{k + 1}.jpg", "off": None} for k in range(steps)
+    ]
+
+
+def _green(**more: Any) -> dict[str, Any]:
+    return {"laser": [{"colour": "green", **more}]}
+
+
+DESK = chessboard(8, 6, 40.0)
+TABLE = {"kind": "sweep", "camera": {"pixel_format": "rgb8"}, "turntable": {"carries": "object"}, **_green()}
+LASER = "python/calib_images/Laser"
+CAMERA = "python/calib_images/Camera"
+
+SETS: tuple[RealSet, ...] = (
+    RealSet(
+        "srv_laser_1707",
+        *SRV,
+        "desk scanner: a webcam and a green line; a hand-held board with the line on it, nothing with the laser off",
+        boards(DESK, **_green()),
+        lit_boards(f"{LASER}/Calibracio17_07", r"Image\d+\.jpg"),
+        "calibration4.yaml: f 620.27, 618.61, c 322.95, 239.42 px; LaserPlane4.npy: "
+        "-0.84630 X - 0.29551 Y + 0.38939 Z + 0.21172 m = 0",
+    ),
+    RealSet(
+        "srv_table",
+        *SRV,
+        "the same scanner: sweep of 320 steps of 1.125 degrees of the empty table with four ArUco markers "
+        "(DICT_4X4_50: 5, 42, 27, 18; 30 mm, centres 90 mm from the axis), nothing with the laser off",
+        TABLE,
+        turning("python/DataOffline", "step_num_table", 320, 1.125),
+    ),
+    RealSet(
+        "srv_toy",
+        *SRV,
+        "the same scanner: sweep of a plush toy on the table, the line overexposed, nothing with the laser off",
+        TABLE,
+        turning("python/DataOffline", "step_num", 320, 1.125),
+        inner_m=0.06,
+    ),
+    RealSet(
+        "srv_laser_1207",
+        *SRV,
+        "the same scanner, other days: 60 boards without laser and 15 dark ones with it, most of them cut off",
+        boards(DESK, **_green()),
+        both(
+            plain_boards(f"{CAMERA}/Calibracio12_07", r"Image\d+\.png"),
+            lit_boards(f"{LASER}/CalibracioLaser1207", r"Image\d+\.png"),
+        ),
+        "calibration2.yaml: f 1372.52, 1371.41, c 968.50, 544.49 px; LaserPlane2.npy: "
+        "0.09782 X - 0.08823 Y + 0.95783 Z + 0.25537 m = 0 (cannot be the line of these pictures)",
+    ),
+    RealSet(
+        "hjamal",
+        *HJAMAL,
+        "camera with oblong pixels and a green line; six pictures of a hand-held sheet of paper with a chessboard, "
+        "nothing with the laser off",
+        boards(chessboard(6, 8, 40.0), **_green()),
+        lit_boards("images", r"\d+_right\.jpg"),
+        "calibrate.py: f 514.41, 685.93, c 329.84, 237.71 px, k1 -0.350373, k2 0.158447: taken as known",
+        camera=(514.41205, 685.92876, 329.83671, 237.71471, -0.350373, 0.158447, 0.000735, -0.000231, 0.0),
+    ),
+    RealSet(
+        "zhaocongyang",
+        *ZHAO,
+        "fixed light plane: 12 pairs without and with a red line across a grid of circles",
+        boards(
+            # Symmetric circles, given as a chessboard of their centres.
+            chessboard(7, 7, 37.5),
+            laser=[{"colour": "red", "stripe_axis": "columns"}],
+        ),
+        pairs(("light_picture", r"light\d+\.jpg"), ("calib_picture", r"calib\d+\.jpg")),
+        "Parameters.xml: f 1144.44, 1142.49, c 916.06, 522.05 px; -0.13051671 X - 6.3959525 Y + Z + 304.91858 mm = 0",
+        pattern="circles",
+    ),
+    RealSet(
+        "ciclop",
+        *CICLOP,
+        "desk scanner, portrait pictures; boards without laser (those with its lines are too dark to be found)",
+        boards(chessboard(11, 6, 13.0)),
+        plain_boards("camera", r"frame\d+\.jpg"),
+        "notebook 4.2: f 1430.39, 1429.66 px (landscape)",
+    ),
+    RealSet(
+        "srv_boards_1707",
+        *SRV,
+        "the webcam of srv_laser_1707, hand-held boards without laser",
+        boards(DESK),
+        plain_boards(f"{CAMERA}/Calibracio17_07", r"Image\d+\.jpg"),
+        "calibration4.yaml: f 620.27, 618.61, c 322.95, 239.42 px",
+    ),
+    RealSet(
+        "srv_matlab",
+        *SRV,
+        "the same scanner's camera at 1920 x 1080, hand-held boards for Matlab's calibrator",
+        boards(DESK),
+        plain_boards("camera_calibration", r"Image\d+\.png"),
+        "calibration.yaml: f 1395.63, 1393.69, c 970.80, 532.54 px (perhaps of other pictures)",
+    ),
+    RealSet(
+        "stereo_left",
+        *STEREO,
+        "left webcam of a stereo rig, hand-held board",
+        boards(chessboard(9, 6, 24.23)),
+        plain_boards("calib_imgs/1", r"left\d+\.jpg"),
+    ),
+    RealSet(
+        "stereo_right",
+        *STEREO,
+        "right webcam of the same stereo rig, same board",
+        boards(chessboard(9, 6, 24.23)),
+        plain_boards("calib_imgs/1", r"right\d+\.jpg"),
+    ),
+    RealSet(
+        "fisheye_left",
+        *FISHEYE,
+        "left camera of a stereo rig with fisheye lenses",
+        boards(chessboard(9, 6, 24.23)),
+        plain_boards("imgs", r"left\d+\.jpg"),
+        lens=("--lens", "fisheye"),
+    ),
+    RealSet(
+        "fisheye_right",
+        *FISHEYE,
+        "right camera of the same rig",
+        boards(chessboard(9, 6, 24.23)),
+        plain_boards("imgs", r"right\d+\.jpg"),
+        lens=("--lens", "fisheye"),
+    ),
+    RealSet(
+        "opencv_left",
+        *OPENCV,
+        "left camera of OpenCV's stereo samples",
+        boards(chessboard(9, 6, 25.0), pixel_format="mono8"),
+        plain_boards(".", r"left\d+\.jpg"),
+        "left_intrinsics.yml: 0.3926 px",
+    ),
+)
+BY_NAME = {one.name: one for one in SETS}

@@ -1,0 +1,143 @@
+"""Which rig a capture determines: the largest of camera, sheets and motion, and why not more."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.calibration.known import NOTHING_KNOWN, KnownParts
+from jaxscan.calibration.settings import RigKind
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import Carries
+from jaxscan.observation import BoardSource
+
+
+MIN_VIEWS = 3
+"""Views of a board from which a camera can be found."""
+MIN_TURN_RAD, MIN_TRAVEL_M = 1e-3, 1e-4
+"""Positions closer than this are the same stop of the table or stage."""
+_MOTION: dict[str, str] = {"linear": "direction of travel"}
+_CAPTURE_MORE: dict[str, str] = {
+    "linear": "leave the board standing and move the stage between images (same `placement`, other `position_m`): "
+    "4 placements at 5 positions each",
+}
+_TURN_MORE = (
+    "leave the board standing and turn the table between images (same `placement`, other `angle_deg`): 4 placements "
+    "at 9 table angles each"
+)
+IN_JOURNAL = "in the journal"
+_LIGHT_MORE = "capture each board pose with the laser on and off"
+
+
+class Holdings(NamedTuple):
+    """The part of a capture, or of its observations, that decides which rig it determines."""
+
+    views: int
+    lit: dict[str, bool]
+    """Whether each laser of the header is seen."""
+    moved: bool
+    """Whether a placement was seen from two positions."""
+    carries: Carries
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The parts of a rig that are solved together with the camera."""
+
+    lasers: tuple[str, ...]
+    """Their sheets are solved, or known."""
+    moves: bool
+    """Whether the motion is solved, or known."""
+    carries: Carries = "scanner"
+    missing: tuple[str, ...] = ()
+    """A sentence for each part that is not solved: why, and the captures that it needs."""
+
+    def words(self) -> str:
+        """The parts: "camera, sheet and axis"."""
+        parts = ["camera", *_sheets(self.lasers), *([_MOTION.get(self.carries, "axis")] if self.moves else [])]
+        return f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else "camera alone"
+
+
+def _sheets(lasers: Sequence[str]) -> list[str]:
+    return [] if not lasers else ["sheet"] if len(lasers) == 1 else [f"{len(lasers)} sheets"]
+
+
+def largest_rig(
+    held: Holdings, only: RigKind | None = None, known: KnownParts = NOTHING_KNOWN, *, seen: str = IN_JOURNAL
+) -> Rig:
+    """The largest rig that a capture determines, or the smaller one that is asked for.
+
+    Args:
+        held: Of the capture.
+        only: A smaller rig on purpose.
+        known: Parts that need not be determined.
+        seen: Where was looked, for the sentences.
+
+    Raises:
+        CalibrationError: If not even the camera is determined.
+    """
+    if known.camera is None and held.views < MIN_VIEWS:
+        raise CalibrationError(
+            f"The board was found in {held.views} view(s) and a camera needs at least {MIN_VIEWS}: capture 10 or "
+            "more, tilted by 20 to 45 degrees in different directions."
+        )
+    missing: list[str] = []
+    lasers: tuple[str, ...] = ()
+    if only not in ("camera", "axis"):
+        lasers = tuple(name for name, lit in held.lit.items() if lit or known.sheets)
+        dark = [name for name in held.lit if name not in lasers]
+        if not held.lit:
+            missing.append(f"no sheet: the header lists no [[laser]]; list it, and {_LIGHT_MORE}")
+        unlit = "no record has it lit" if seen == IN_JOURNAL else f"its stripe was not seen {seen}"
+        for name in dark:
+            missing.append(f"no sheet of laser {name!r}: {unlit}; {_LIGHT_MORE}")
+    moves = only not in ("camera", "profile") and held.carries != "nothing" and (held.moved or known.motion is not None)
+    if only not in ("camera", "profile") and held.carries != "nothing" and not moves:
+        places = "positions of the stage" if held.carries == "linear" else "table angles"
+        wanted = _CAPTURE_MORE.get(held.carries, _TURN_MORE)
+        part = _MOTION.get(held.carries, "axis")
+        missing.append(f"no {part}: no board placement was seen from two {places} {seen}; {wanted}")
+    return Rig(lasers, moves, held.carries, tuple(missing))
+
+
+def planned_rig(captures: Sequence[BoardSource], only: RigKind | None = None, known: KnownParts = NOTHING_KNOWN) -> Rig:
+    """The largest rig by header and journal alone, before any image is read.
+
+    Args:
+        captures: Calibration captures of one rig.
+        only: A smaller rig on purpose.
+        known: Parts that need not be determined.
+
+    Raises:
+        CalibrationError: If not even the camera is determined.
+    """
+    records = [record for capture in captures for record in capture.records]
+    if known.camera is None and len(records) < MIN_VIEWS:
+        raise CalibrationError(
+            f"The captures have {len(records)} view(s) of the board, and a camera needs at least {MIN_VIEWS}: "
+            "capture 10 or more, tilted by 20 to 45 degrees in different directions, or give a known camera."
+        )
+    first = captures[0]
+    lit = {
+        line.name: any(record.on and k in record.lasers for record in records) for k, line in enumerate(first.lasers)
+    }
+    carries = first.carries or "scanner"
+    known.check(first.image_size, tuple(lit), carries)
+    placed = [
+        ((number, record.placement), record.angle)
+        for number, capture in enumerate(captures)
+        for record in capture.records
+        if record.placement is not None and record.angle is not None
+    ]
+    return largest_rig(Holdings(len(records), lit, has_moved(placed, carries), carries), only, known)
+
+
+def has_moved(placed: Iterable[tuple[object, float]], carries: Carries) -> bool:
+    """Whether a placement was seen from two positions; each view is (placement, position [rad or m])."""
+    least = MIN_TRAVEL_M if carries == "linear" else MIN_TURN_RAD
+    ends: dict[object, tuple[float, float]] = {}
+    for place, at in placed:
+        low, high = ends.get(place, (np.inf, -np.inf))
+        ends[place] = min(low, at), max(high, at)
+    return any(high - low > least for low, high in ends.values())

@@ -1,0 +1,135 @@
+"""A calibration in one number: pixels of ray for its camera, millimetres at a working distance for its rig."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.calibration.settings import CalibrationSettings
+from jaxscan.calibration.verdict import limits
+from jaxscan.calibration.verdict.lengths import point_error, working_depth
+from jaxscan.calibration.verdict.quality import GoodTo, ModelTest
+from jaxscan.geometry import AbstractCamera, Array, Scanner
+
+
+# Places of the image at which rays are compared, columns and rows.
+_GRID = (16, 12)
+# A lens model that does not come back to a pixel does not reach it.
+_RETURNS_PX = 1e-2
+
+
+def root_of(covariance: Float[np.ndarray, "params params"]) -> Float[np.ndarray, "params params"]:
+    """Steps whose outer products add up to a covariance."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    # Pixels and radians differ by a million: in units of sigma all directions are of one size.
+    unit = np.where(sigma > 0, sigma, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    return (unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))).T
+
+
+def measure_good_to(
+    camera: AbstractCamera,
+    scanner: Scanner | None,
+    statistical: Float[np.ndarray, "steps params"],
+    structure: Sequence[tuple[ModelTest, np.ndarray]],
+    at_m: float | None,
+) -> tuple[GoodTo, tuple[ModelTest, ...]]:
+    """The error of rays and of scanned points, and the part of each cause.
+
+    Args:
+        camera: The calibrated camera, with its size.
+        scanner: The calibrated rig; None of a camera alone.
+        statistical: Steps of noise, in the minimal coordinates of the rig, those of the camera first.
+        structure: The tests, each with the steps of its structure, none where there is none.
+        at_m: Depth of the points [m]; None: as people judge such a rig.
+
+    Returns:
+        The errors, and the tests with their parts of them.
+    """
+    groups = [statistical, *(steps for _, steps in structure)]
+    by_camera = ray_slopes(camera)
+    px = [
+        float(np.sqrt(np.mean(np.sum((by_camera @ steps[:, : by_camera.shape[-1]].T) ** 2, (1, 2)))))
+        for steps in groups
+    ]
+    mm, depth = _at_work(scanner, groups, at_m)
+    tests = [
+        replace(test, effect_px=px[index], effect_mm=mm[index] if mm else None) if len(steps) else test
+        for index, (test, steps) in enumerate(structure, 1)
+    ]
+    whole = lambda parts: float(np.linalg.norm(parts)) if parts else None
+    return GoodTo(whole(mm), mm[0] if mm else None, depth, whole(px), px[0]), tuple(tests)
+
+
+def refusal(
+    good_to: GoodTo, camera: AbstractCamera, settings: CalibrationSettings, *, has_sheets: bool = True
+) -> str | None:
+    """Why a calibration cannot be used; None where it can."""
+    mm, px, at_m = good_to.sigma_mm, good_to.sigma_px, good_to.at_m
+    if mm is None and settings.limit_mm is not None:
+        if not has_sheets:
+            return f"{settings.limit_mm:g} mm were asked, and without a laser sheet there are no points"
+        where = "within reach" if settings.at_m is None else f"in the image at {settings.at_m:g} m"
+        return f"{settings.limit_mm:g} mm were asked, and no stripe is {where}"
+    if mm is not None and settings.limit_mm is not None and mm > settings.limit_mm:
+        return f"{settings.limit_mm:g} mm were asked"
+    if px is not None and settings.limit_px is not None and px > settings.limit_px:
+        return f"{settings.limit_px:g} px were asked, and its rays are good to {px:.2g} px"
+    share = f"{100 * limits.USELESS_SHARE:.0f} %"
+    if mm is not None and at_m is not None and mm > 1e3 * limits.USELESS_SHARE * at_m:
+        return f"points that are off by more than {share} of their distance are of no use"
+    focal = 0.5 * (float(camera.fx) + float(camera.fy))
+    if px is not None and px > limits.USELESS_SHARE * focal:
+        return f"rays that are off by more than {share} of the focal length are of no use"
+    return None
+
+
+def ray_slopes(camera: AbstractCamera) -> Float[np.ndarray, "places 2 params"]:
+    """Motion of the image by the camera's parameters at places all over it, after the best rotation [px]."""
+    u, v = (
+        (np.arange(count) + 0.5) / count * size - 0.5
+        for count, size in zip(_GRID, (camera.width, camera.height), strict=True)
+    )
+    q = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    with jax.enable_x64(True):
+        exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), replace(camera, width=0, height=0))
+        back, slopes, turns = (np.asarray(part) for part in _slopes(exact, q))
+    reached = np.linalg.norm(back - q, axis=1) < _RETURNS_PX
+    reached &= np.isfinite(slopes).all((1, 2)) & np.isfinite(turns).all((1, 2))
+    slopes, turns = slopes[reached].reshape(-1, slopes.shape[-1]), turns[reached].reshape(-1, 3)
+    taken, _, _, _ = np.linalg.lstsq(turns, slopes, rcond=None)
+    return (slopes - turns @ taken).reshape(-1, 2, slopes.shape[-1])
+
+
+def _at_work(
+    scanner: Scanner | None, groups: Sequence[np.ndarray], at_m: float | None
+) -> tuple[list[float], float | None]:
+    """Errors of scanned points for each group of steps [mm], of the laser that is worst, and their depth [m]."""
+    if scanner is None:
+        return [], None
+    worst: list[float] = []
+    worst_depth = None
+    for laser in range(len(scanner.laser_names)):
+        depth = working_depth(scanner, laser) if at_m is None else at_m
+        found = [] if depth is None else [point_error(scanner, laser, depth, steps) for steps in groups]
+        known = [value for value in found if value is not None]
+        if known and len(known) == len(groups) and np.linalg.norm(known) > np.linalg.norm(worst):
+            worst, worst_depth = known, depth
+    return worst, worst_depth
+
+
+@eqx.filter_jit
+def _slopes(camera: AbstractCamera, q: Float[Array, "n 2"]) -> tuple[Array, Array, Array]:
+    """The pixels of the rays of pixels, and their derivatives by the camera's parameters and by a turn of the ray."""
+
+    def one(q):
+        ray = camera.unproject(q)
+        by_camera = jax.jacfwd(lambda step: camera.retract(step).project(ray))(jnp.zeros(len(camera.parameter_names())))
+        by_turn = jax.jacfwd(lambda turn: camera.project(ray + jnp.cross(turn, ray)))(jnp.zeros(3))
+        return camera.project(ray), by_camera, by_turn
+
+    return jax.vmap(one)(q)

@@ -1,0 +1,152 @@
+"""The images in a stranger's folder: regular files only, no links, and names that match patterns."""
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxscan.errors import CaptureError, OptionError
+from jaxscan.files.disk import shown
+
+
+MOST_FILES = 200_000
+MOST_FOLDERS = 10_000
+DEEPEST = 8
+IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+VIDEOS = (".avi", ".mp4", ".mov", ".m4v", ".mkv", ".webm")
+_LONGEST_PATTERN = 1024
+
+
+class Matched(NamedTuple):
+    """A file that a pattern names."""
+
+    name: str
+    """Relative to the folder, with "/" between its parts."""
+    key: tuple[int | str, ...]
+    """The text that the pattern leaves open, numbers as numbers: equal for files that belong together."""
+    frame: int | None = None
+    """Number of a frame, where the file is a video."""
+
+
+def list_images(folder: Path) -> list[str]:
+    """Names of all images and videos in a folder and the folders in it, in natural order.
+
+    Raises:
+        CaptureError: If it is no folder, cannot be read, or holds too many files.
+    """
+    if not os.path.isdir(folder):
+        found = "found a file" if os.path.exists(folder) else "no such folder"
+        raise CaptureError(f"{shown(folder)}: {found}, expected a folder of images.")
+    names: list[str] = []
+    waiting, seen, folders = [("", 0)], 0, 0
+    while waiting:
+        inside, depth = waiting.pop()
+        folders += 1
+        try:
+            with os.scandir(folder / inside) as entries:
+                for entry in entries:
+                    seen += 1
+                    if seen > MOST_FILES or folders > MOST_FOLDERS:
+                        raise CaptureError(f"{folder}: holds more than {MOST_FILES} files; name a smaller folder.")
+                    name = f"{inside}{entry.name}"
+                    # Links may lead anywhere, and nothing outside the folder is read.
+                    if entry.is_dir(follow_symlinks=False):
+                        if depth < DEEPEST and not entry.name.startswith("."):
+                            waiting.append((f"{name}/", depth + 1))
+                    elif entry.is_file(follow_symlinks=False) and name.lower().endswith((*IMAGES, *VIDEOS)):
+                        names.append(name)
+        except OSError as problem:
+            raise CaptureError(f"{folder / inside}: cannot be read: {problem.strerror or problem}.") from problem
+    return sorted(names, key=natural)
+
+
+def natural(text: str) -> tuple[tuple[bool, int, str], ...]:
+    """A key that sorts numbers in names by their value: l_2 before l_10."""
+    parts = re.split(r"([0-9]{1,18})", text)
+    return tuple((part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts if part)
+
+
+def match(pattern: str, names: Sequence[str], option: str) -> list[Matched]:
+    """The files that a pattern names, in natural order.
+
+    Args:
+        pattern: With `*`, `?` and `[...]`, as in a shell; `*` also stands for "/".
+        names: All names in the folder.
+        option: The option that holds the pattern, for messages.
+
+    Raises:
+        OptionError: If the pattern leads out of the folder, or names no file.
+    """
+    plain = pattern.replace("\\", "/")
+    while plain.startswith("./"):
+        plain = plain[2:]
+    if not plain or len(plain) > _LONGEST_PATTERN or any(ord(letter) < 32 for letter in plain):
+        raise OptionError(f"{option}: found {pattern[:60]!r}, expected a pattern such as 'l_*.png'.")
+    if plain.startswith("/") or re.match(r"[A-Za-z]:", plain) or ".." in plain.split("/"):
+        raise OptionError(f"{option}: found {pattern[:60]!r}, expected a pattern of names inside the folder.")
+    shape = _Pattern(plain)
+    parts = [(name, shape.open_parts(name)) for name in names]
+    found = [Matched(name, numbers_and_words(" ".join(texts))) for name, texts in parts if texts is not None]
+    if not found:
+        raise OptionError(
+            f"{option}: no image or video in the folder has a name like '{plain[:60]}'; without patterns, `jaxscan "
+            "import FOLDER --show` lists the names."
+        )
+    return found
+
+
+class _Pattern:
+    """A pattern in pieces between its stars; each piece has one length, so that nothing is tried twice."""
+
+    def __init__(self, pattern: str) -> None:
+        self._pieces = [_piece(text) for text in re.split(r"\*+", pattern)]
+        self._whole = "*" not in pattern
+
+    def open_parts(self, name: str) -> list[str] | None:
+        """The parts of a name that the pattern leaves open; None where it does not fit."""
+        (first, _), *middle = self._pieces
+        hit = first.match(name)
+        if hit is None:
+            return None
+        found, at = [*hit.groups()], hit.end()
+        if self._whole:
+            return found if at == len(name) else None
+        last, length = middle.pop()
+        for expression, _ in middle:
+            hit = expression.search(name, at)
+            if hit is None:
+                return None
+            found += [name[at : hit.start()], *hit.groups()]
+            at = hit.end()
+        end = last.fullmatch(name, len(name) - length) if len(name) - length >= at else None
+        return None if end is None else [*found, name[at : end.start()], *end.groups()]
+
+
+def _piece(text: str) -> tuple[re.Pattern[str], int]:
+    """A part of a pattern without stars as an expression, with groups for what it leaves open, and its length."""
+    letters = re.findall(r"\[!?\]?[^\]]*\]|.", text, re.DOTALL)
+    made = []
+    for letter in letters:
+        if letter == "?":
+            made.append("(.)")
+        elif len(letter) > 1:
+            inside = re.sub(r"([\\^\[\]&~|])", r"\\\1", letter[1:-1].removeprefix("!"))
+            made.append(f"([{'^' if letter[1] == '!' else ''}{inside}])")
+        else:
+            made.append(re.escape(letter))
+    try:
+        return re.compile("".join(made), re.DOTALL), len(letters)
+    except re.error as problem:
+        raise OptionError(
+            f"{text[:60]!r}: found a pattern with wrong brackets ({problem}), expected [abc]."
+        ) from problem
+
+
+def numbers_and_words(text: str) -> tuple[int | str, ...]:
+    """The numbers and words in a text, in order; everything between them separates.
+
+    A change from small to large letters separates too, so that `laserOn` is two words.
+    """
+    found = re.findall(r"[0-9]{1,18}|[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text))
+    return tuple(int(one) if one.isdecimal() else one.lower() for one in found)

@@ -1,0 +1,147 @@
+"""The roles of the images: by the user's patterns, by a known program's layout, or by the words in the names."""
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from jaxscan.errors import CaptureError, OptionError
+from jaxscan.files.importing.frames import count_frames
+from jaxscan.files.importing.listing import Matched, match, natural
+from jaxscan.files.importing.plan import ImportRequest, Roles
+from jaxscan.files.importing.programs import find_program
+from jaxscan.files.importing.words import group, is_video, recognise
+
+
+_GROUPS = 8
+
+
+def find_roles(folder: Path, names: Sequence[str], request: ImportRequest) -> Roles:
+    """Decide which images are laser-on, laser-off and board images.
+
+    Args:
+        folder: The stranger's folder, for messages.
+        names: All images and videos in it, in natural order.
+        request: The wishes of the user.
+
+    Raises:
+        OptionError: If patterns do not fit one another.
+        CaptureError: If there are no images, or nothing is recognised; with the groups of names that are there.
+    """
+    if not names:
+        raise CaptureError(
+            f"{folder}: holds no image and no video, expected PNG, JPEG, TIFF or BMP files; links are not followed."
+        )
+    if request.on or request.off or request.boards:
+        return _with_frames(folder, _by_patterns(names, request), request.every)
+    program = find_program(names)
+    if program is not None:
+        on = tuple((name, tuple(files)) for name, files in program.on.items())
+        said = f"the layout is that of {program.program}: {program.said}"
+        return Roles(_renamed(on, request), (tuple(program.off),) if program.off else (), (), program.step_deg, (said,))
+    return _with_frames(folder, _by_words(folder, names, request), request.every)
+
+
+def _with_frames(folder: Path, roles: Roles, every: int) -> Roles:
+    """The same with the frames of videos in place of the videos."""
+    files = [file for _, group in roles.on for file in group] + [file for group in roles.off for file in group]
+    videos = {file.name for file in (*files, *roles.boards) if is_video(file.name)}
+    if not videos:
+        return roles
+    counts = {name: count_frames(folder, name) for name in videos}
+
+    def frames(group: Sequence[Matched]) -> tuple[Matched, ...]:
+        made: list[Matched] = []
+        for file in group:
+            if file.name not in counts:
+                made.append(file)
+            else:
+                made += [Matched(file.name, (*file.key, at), at) for at in range(0, counts[file.name], every)]
+        return tuple(made)
+
+    # Frames are paired by their numbers, whatever the names of the videos leave open.
+    bare = lambda group: tuple(file._replace(key=()) for file in group) if len(group) == 1 else group
+    return roles._replace(
+        on=tuple((name, frames(bare(group))) for name, group in roles.on),
+        off=tuple(frames(bare(group)) for group in roles.off),
+        boards=frames(roles.boards),
+        said=(*roles.said, *(f"{name} has {count} frames" for name, count in counts.items())),
+    )
+
+
+def _by_patterns(names: Sequence[str], request: ImportRequest) -> Roles:
+    for option, patterns in (("--on", request.on), ("--off", request.off), ("--boards", request.boards)):
+        if len(patterns) > 16:
+            raise OptionError(
+                f"{option}: found {len(patterns)} patterns, expected one, or one for each laser or exposure; put the "
+                f"pattern in quotes, so that the shell does not expand it: {option} 'l_*.png'."
+            )
+    on = [tuple(match(pattern, names, "--on")) for pattern in request.on]
+    off = tuple(tuple(match(pattern, names, "--off")) for pattern in request.off)
+    boards = [file for pattern in request.boards for file in match(pattern, names, "--boards")]
+    _refuse_doubles([("--on", on), ("--off", off), ("--boards", [boards] if boards else [])])
+    several = len(on) > 1 and not request.exposures_ms
+    groups = tuple((f"laser {k + 1}" if several else "", files) for k, files in enumerate(on))
+    return Roles(_renamed(groups, request), off, tuple(boards), None, ())
+
+
+def _refuse_doubles(groups: Sequence[tuple[str, Sequence[Sequence[Matched]]]]) -> None:
+    seen: dict[str, str] = {}
+    for option, lists in groups:
+        for file in (file for files in lists for file in files):
+            if file.name in seen:
+                raise OptionError(f"{seen[file.name]} and {option}: both name {file.name}; expected patterns apart.")
+            seen[file.name] = option
+
+
+def _renamed(
+    on: tuple[tuple[str, tuple[Matched, ...]], ...], request: ImportRequest
+) -> tuple[tuple[str, tuple[Matched, ...]], ...]:
+    """Groups with the lasers' names that the user gives."""
+    if not request.lasers:
+        return on
+    if len(request.lasers) != len(on) or len(set(request.lasers)) != len(request.lasers):
+        raise OptionError(
+            f"--lasers: found {', '.join(request.lasers)}, expected {len(on)} different names, one for each laser."
+        )
+    return tuple((name, files) for name, (_, files) in zip(request.lasers, on, strict=True))
+
+
+def _by_words(folder: Path, names: Sequence[str], request: ImportRequest) -> Roles:
+    found = recognise(names)
+    on = tuple((side, tuple(files)) for side, files in sorted(found.on.items()))
+    said = ["the roles of the images are read from the words in their names"]
+    if found.texture:
+        said.append(
+            f"texture images ({len(found.texture)}) are not used, for they may have another exposure; where they do "
+            "not, --off names them"
+        )
+    boards = tuple(sorted(found.board, key=lambda file: natural(file.name))) if request.board is not None else ()
+    if request.board is not None and not on and not boards:
+        boards = tuple(Matched(name, ()) for name in found.unknown) if len(group(found.unknown)) == 1 else ()
+        boards = tuple(match(group(found.unknown)[0].pattern, found.unknown, "--boards")) if boards else ()
+        said = ["all images show the board"] if boards else said
+    if not on and not boards:
+        raise CaptureError(_not_recognised(folder, names, request))
+    if found.unknown and (on or found.board):
+        said.append(f"other images ({len(found.unknown)}) are not used: their names say nothing, as {found.unknown[0]}")
+    if found.board and request.board is None:
+        said.append(f"images of a board ({len(found.board)}) are not used: --board says which board it is")
+    return Roles(_renamed(on, request), (tuple(found.off),) if found.off else (), boards, None, tuple(said))
+
+
+def _not_recognised(folder: Path, names: Sequence[str], request: ImportRequest) -> str:
+    """The groups of names, and the command to type."""
+    groups = group(names)
+    listed = "; ".join(f"'{one.pattern}' ({one.files}: {one.first} ... {one.last})" for one in groups[:_GROUPS])
+    more = f"; and {len(groups) - _GROUPS} more" if len(groups) > _GROUPS else ""
+    pattern = shlex.quote(groups[0].pattern)
+    if request.board is not None:
+        command = f"--boards {pattern}"
+    elif len(groups) > 1:
+        command = f"--on {pattern} --off {shlex.quote(groups[1].pattern)} --step-deg 0.9"
+    else:
+        command = f"--on {pattern} --step-deg 0.9, or --boards {pattern} --board 'chessboard 11x6 13mm'"
+    return (
+        f"{folder}: the names do not say which images have the laser on. Found {listed}{more}. Expected, for example: "
+        f"jaxscan import {shlex.quote(str(folder))} {command}"
+    )

@@ -1,0 +1,135 @@
+"""How many stripes chance would find: the same search in frames whose difference is turned round.
+
+Noise, texture and motion give as many stripes where laser-on and laser-off frame are exchanged; the laser gives none.
+On every line the stripe competes with the decoy, and the decoys that win tell how many stripes are won by chance
+(J. E. Elias, S. P. Gygi, Target-decoy search strategy, Nature Methods 4, 2007).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.errors import CaptureError
+from jaxscan.reconstruction.streaming import Batch, padded
+from jaxscan.stripes import ChunkStripes, FrameStripes, chosen_of
+
+
+_LOOKS, _LOOKS_WITHOUT_OFF = 8, 16
+"""Profiles of a sweep that are searched for decoys."""
+_SHARE = 0.0025
+"""Decoys among the accepted stripes, at most [1]: half of the false points that are promised, as chance is not fair."""
+_HOPELESS = 0.25
+"""Decoys that win, over stripes that win, from which no threshold is trusted [1]."""
+_KEPT = 0.1
+"""Part of the stripes that a threshold must leave [1]."""
+_CERTAIN = 4.0
+"""Standard deviations by which stripes must be more than decoys."""
+_PER_PROFILE = 2.0
+"""Stripes of a profile, on average over the sweep, below which they may all be chance."""
+
+
+@dataclass(frozen=True)
+class Chance:
+    """What the decoys say about the stripes of a sweep."""
+
+    least: float = 0.0
+    """Smallest clearness (`clearness`) of a stripe that is believed; 0 for all."""
+    note: str | None = None
+    """What a user should know."""
+
+
+def clearness(stripes: FrameStripes) -> Float[np.ndarray, "profiles lines"]:
+    """Width over the standard deviation of the centre [1], which falls with noise and with misfit; 0 for none."""
+    valid, width, sigma = (np.asarray(field) for field in (stripes.valid, stripes.width, stripes.sigma))
+    return np.where(valid, width / np.maximum(sigma, 1e-4), 0.0).astype(np.float32)
+
+
+class DecoyWatch:
+    """Keeps some pairs of a sweep while they pass by, and searches them for decoys at the end."""
+
+    def __init__(self, profiles: int, *, predicted: bool) -> None:
+        """
+        Args:
+            profiles: Of the sweep.
+            predicted: Whether the laser-off frames are predicted.
+        """
+        looks = _LOOKS_WITHOUT_OFF if predicted else _LOOKS
+        self._chosen = set(np.unique(np.linspace(0, profiles - 1, min(looks, profiles)).astype(int)).tolist())
+        self._kept: list[tuple[Batch, np.ndarray]] = []
+        self._predicted, self._profiles, self._found = predicted, profiles, 0
+
+    def look(self, batch: Batch, found: ChunkStripes) -> None:
+        """Keep the chosen ones of a batch; in threads and in any order."""
+        stripes = clearness(chosen_of(found.stripes, found.chosen))
+        self._found += int(np.count_nonzero(stripes[: len(batch.profiles)]))
+        rows = [k for k, profile in enumerate(batch.profiles.tolist()) if profile in self._chosen]
+        if batch.off is None or not rows or len(stripes) != len(batch.on):
+            return
+        on, off = (np.asarray(frames)[rows] for frames in (batch.on, batch.off))
+        self._kept.append((Batch(batch.profiles[rows], batch.laser, on, off), stripes[rows]))
+
+    def judge(self, search: Callable[[Batch], ChunkStripes], size: int) -> Chance:
+        """Search for decoys, and compare.
+
+        Args:
+            search: Finds the stripes of a batch of `size` frames.
+            size: Frames of a batch.
+
+        Raises:
+            CaptureError: If the stripes are not more, or not clearer, than those of chance.
+        """
+        stripes, decoys = [], []
+        for laser in sorted({batch.laser for batch, _ in self._kept}):
+            own = [item for item in self._kept if item[0].laser == laser]
+            profiles, on, off, found = (
+                np.concatenate(parts)
+                for parts in zip(*((b.profiles, np.asarray(b.on), np.asarray(b.off), s) for b, s in own), strict=True)
+            )
+            for start in range(0, len(profiles), size):
+                part = slice(start, start + size)
+                turned = Batch(profiles[part], laser, padded(off[part], size), padded(on[part], size))
+                result = search(turned)
+                stripes.append(found[part])
+                decoys.append(clearness(chosen_of(result.stripes, result.chosen))[: len(profiles[part])])
+        if not stripes:
+            return Chance()
+        return judge(np.concatenate(stripes), np.concatenate(decoys), per_profile=self._found / self._profiles)
+
+
+def judge(
+    stripes: Float[np.ndarray, "profiles lines"], decoys: Float[np.ndarray, "profiles lines"], *, per_profile: float
+) -> Chance:
+    """What decoys say about the stripes of the same lines.
+
+    Args:
+        stripes: Clearness of the stripes [1].
+        decoys: Clearness of the decoys [1].
+        per_profile: Stripes of a profile, on average over the whole sweep.
+
+    Raises:
+        CaptureError: If the stripes are not more, or not clearer, than those of chance.
+    """
+    won, lost = np.sort(stripes[stripes > decoys]), np.sort(decoys[decoys >= np.maximum(stripes, 1e-9)])
+    if len(won) + len(lost) < _CERTAIN**2:
+        few = "the sweep is doubtful: hardly any record shows a stripe, and chance may have found those"
+        return Chance(note=few if per_profile < _PER_PROFILE else None)
+    if len(lost) <= _SHARE * len(won):
+        return Chance()
+    # From each decoy's clearness on: how many of both are left above it.
+    left, beyond = len(won) - np.searchsorted(won, lost, side="right"), len(lost) - 1 - np.arange(len(lost))
+    good = np.flatnonzero((beyond <= _SHARE * left) & (left >= _KEPT * len(won)))
+    evident = len(won) - len(lost) > _CERTAIN * np.sqrt(len(won) + len(lost)) and len(lost) < _HOPELESS * len(won)
+    if not evident or len(good) == 0:
+        raise CaptureError(
+            f"The stripes of the sweep are not told from chance: {len(won)} lines have one, {len(lost)} a clearer one "
+            "with laser on and off exchanged; check that the laser was lit in the on images, or take off images."
+        )
+    kept = left[good[0]] / len(won)
+    share = 100.0 * len(lost) / len(won)
+    return Chance(
+        float(np.nextafter(np.float32(lost[good[0]]), np.float32(np.inf))),
+        f"the sweep is doubtful: chance finds {share:.1f} % as many stripes; only the clearer "
+        f"{100.0 * kept:.0f} % of them were kept, among which it has about {100 * _SHARE:.2g} %",
+    )

@@ -1,0 +1,81 @@
+"""Frames of a video file, one after the other, by OpenCV."""
+
+import cv2
+import numpy as np
+
+from jaxscan.errors import CaptureError
+from jaxscan.geometry import MAX_PIXELS
+
+
+MOST_FRAMES = 1_000_000
+BEGINNING_BYTES = 12
+"""Bytes of a file that say whether it is a video."""
+
+
+class Video:
+    """A video that is read forwards; frames are counted from 0."""
+
+    def __init__(self, path: str, beginning: bytes) -> None:
+        """Open a video.
+
+        Args:
+            path: Absolute path of a regular file; it stands in messages too.
+            beginning: Its first 12 bytes. Lists of other files, which a decoder would open too, are refused by them.
+
+        Raises:
+            CaptureError: If it is no video that can be read.
+        """
+        self._path, self._next = path, 0
+        if not _is_video(beginning):
+            raise CaptureError(f"{path}: found another kind of file, expected a video: AVI, MP4, MOV, MKV or WebM.")
+        self._video = cv2.VideoCapture(path, cv2.CAP_FFMPEG)
+        width, height = (int(self._video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        # As stored on the sensor, whatever the file says about the way it was held.
+        self._video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        if not self._video.isOpened() or width < 1 or height < 1:
+            self.close()
+            raise CaptureError(f"{path}: cannot be decoded; the file is damaged, or its codec is not known.")
+        if width * height > MAX_PIXELS:
+            self.close()
+            raise CaptureError(f"{path}: found {width} x {height} px, more than {MAX_PIXELS // 1_000_000} megapixels.")
+
+    def count(self) -> int:
+        """Number of the frames from here to the end, all of which are read: what a file says of itself may be wrong.
+
+        Raises:
+            CaptureError: If there are too many.
+        """
+        found = 0
+        while self._video.grab():
+            found += 1
+            if found > MOST_FRAMES:
+                raise CaptureError(f"{self._path}: holds more than {MOST_FRAMES} frames; cut the video.")
+        self._next += found
+        return found
+
+    def frame(self, number: int) -> np.ndarray:
+        """A frame, RGB uint8 [rows, columns, 3]; frames are asked for in ascending order.
+
+        Raises:
+            CaptureError: If the video ends before it, or the frame is damaged.
+        """
+        if number < self._next:
+            raise ValueError(f"Frame {number} is behind frame {self._next}: a video is read forwards.")
+        found = True
+        while found and self._next <= number:
+            found = self._video.grab()
+            self._next += 1
+        image = self._video.retrieve()[1] if found else None
+        if image is None or image.dtype != np.uint8 or image.ndim not in (2, 3):
+            raise CaptureError(f"{self._path}: frame {number} cannot be decoded; the file is damaged.")
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2RGB if image.ndim == 2 else cv2.COLOR_BGR2RGB))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._video.release()
+
+
+def _is_video(beginning: bytes) -> bool:
+    riff = beginning[:4] == b"RIFF" and beginning[8:12] == b"AVI "
+    # ISO media, old QuickTime, and Matroska.
+    return riff or beginning[4:8] in (b"ftyp", b"moov", b"mdat", b"wide") or beginning[:4] == b"\x1a\x45\xdf\xa3"

@@ -1,0 +1,363 @@
+"""`jaxscan import`: the images of other programs, paired, written and refused."""
+
+import json
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxscan.files.capture import open_capture, verify_capture
+
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+RNG = np.random.default_rng(11)
+FRAMES = RNG.integers(0, 256, (16, 10, 12), np.uint8)
+
+
+def save(folder, names, frames=FRAMES):
+    """Grey images of random pixels, so that each is known by its pixels."""
+    for name, frame in zip(names, frames, strict=False):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(path), frame)
+    return folder
+
+
+@pytest.fixture
+def pairs(tmp_path):
+    """Laser-on images l_0 ... l_11 and laser-off images b_0 ... b_11, without leading zeros."""
+    frames = RNG.integers(0, 256, (24, 10, 12), np.uint8)
+    save(tmp_path / "pairs", [f"l_{k}.png" for k in range(12)], frames[:12])
+    save(tmp_path / "pairs", [f"b_{k}.png" for k in range(12)], frames[12:])
+    return tmp_path / "pairs", frames
+
+
+PATTERNS = ("--on", "l_*.png", "--off", "b_*.png")
+
+
+def test_pairs_by_patterns(pairs, run, tmp_path):
+    folder, frames = pairs
+    ran = run("import", folder, "-o", tmp_path / "room", *PATTERNS, "--step-deg", "0.9", "--json", "-")
+    assert ran.code == 0, ran.err
+    assert "l_0.png ... l_11.png" in ran.err and "b_0.png ... b_11.png" in ran.err and "12 records" in ran.err
+    result = json.loads(ran.out)
+    assert result["format"] == "jaxscan-import/1" and result["records"] == 12 and result["kind"] == "sweep"
+    capture = open_capture(tmp_path / "room")
+    assert capture.notes == () and not verify_capture(tmp_path / "room")
+    np.testing.assert_allclose(np.degrees(capture.angles), 0.9 * np.arange(12))
+    (chunk,) = capture.chunks(12)
+    # l_2 comes before l_10.
+    assert np.array_equal(chunk.on, frames[:12]) and np.array_equal(chunk.off, frames[12:])
+    first = json.loads((tmp_path / "room" / "frames.jsonl").read_text().splitlines()[0])
+    assert first["source"] == {"on": ["l_0.png"], "off": ["b_0.png"]}
+
+
+def test_show_writes_nothing(pairs, run, tmp_path):
+    folder, _ = pairs
+    ran = run("import", folder, "--show", *PATTERNS, "--step-deg", "0.9", "-o", tmp_path / "room")
+    assert ran.code == 0 and "nothing is written" in ran.out and "12  l_0.png ... l_11.png" in ran.out
+    assert not (tmp_path / "room").exists()
+    assert sorted(os.listdir(tmp_path)) == ["pairs"]
+
+
+def test_a_missing_image_shifts_no_angle(pairs, run, tmp_path):
+    folder, _ = pairs
+    for name in ("l_5.png", "b_5.png"):
+        (folder / name).unlink()
+    ran = run("import", folder, "-o", tmp_path / "room", *PATTERNS, "--step-deg", "2")
+    assert ran.code == 0 and "1 of which are missing" in ran.out
+    angles = np.degrees(open_capture(tmp_path / "room").angles)
+    np.testing.assert_allclose(angles, [0, 2, 4, 6, 8, 12, 14, 16, 18, 20, 22])
+
+
+def test_counts_that_differ_are_told_by_name(pairs, refused, tmp_path):
+    folder, _ = pairs
+    (folder / "b_7.png").unlink()
+    message = refused("import", folder, "-o", tmp_path / "room", *PATTERNS, "--step-deg", "1")
+    assert "found 12 laser on images and 11 laser off images" in message and "without a partner: l_7.png" in message
+    assert not (tmp_path / "room").exists()
+
+
+def test_the_words_of_names_tell_the_roles(run, tmp_path):
+    names = [f"scan/{role}_{k:03d}.png" for k in range(4) for role in ("laser", "background", "texture")]
+    save(tmp_path / "in", names)
+    ran = run("import", tmp_path / "in", "-o", tmp_path / "room", "--step-deg", "90", "--carries", "object")
+    assert ran.code == 0 and "read from the words" in ran.out and "texture images (4) are not used" in ran.out
+    capture = open_capture(tmp_path / "room")
+    assert len(capture) == 4 and capture.carries == "object"
+    (chunk,) = capture.chunks(4)
+    assert np.array_equal(chunk.on, FRAMES[0:12:3]) and np.array_equal(chunk.off, FRAMES[1:12:3])
+
+
+@pytest.mark.parametrize(
+    ("on", "off"),
+    [
+        ("laserOn{}", "laserOff{}"),
+        ("{}_linie", "{}_hintergrund"),
+        ("img{}_laser", "img{}_fondo"),
+        ("lit/{}", "dark/{}"),
+        ("{}-line-R", "{}-bg"),
+    ],
+)
+def test_words_in_several_languages(run, tmp_path, on, off):
+    save(tmp_path / "in", [f"{on.format(k)}.png" for k in range(3)] + [f"{off.format(k)}.png" for k in range(3)])
+    ran = run("import", tmp_path / "in", "-o", tmp_path / "room", "--step-deg", "1")
+    assert ran.code == 0, ran.err
+    (chunk,) = open_capture(tmp_path / "room").chunks(3)
+    assert np.array_equal(chunk.on, FRAMES[:3]) and np.array_equal(chunk.off, FRAMES[3:6])
+
+
+def test_two_lasers(run, tmp_path):
+    names = [f"laser_{side}_{k}.png" for side in ("L", "R") for k in range(3)] + [
+        f"background_{k}.png" for k in range(3)
+    ]
+    save(tmp_path / "in", names)
+    assert run("import", tmp_path / "in", "-o", tmp_path / "room", "--step-deg", "5").code == 0
+    capture = open_capture(tmp_path / "room")
+    assert [laser.name for laser in capture.lasers] == ["left", "right"]
+    assert [record.lasers for record in capture.records] == [(0,), (1,)] * 3
+    (chunk,) = capture.chunks(6)
+    assert np.array_equal(chunk.on[0::2], FRAMES[:3]) and np.array_equal(chunk.on[1::2], FRAMES[3:6])
+    assert np.array_equal(chunk.off, FRAMES[[6, 6, 7, 7, 8, 8]])
+    patterns = ("--on", "laser_L_*", "laser_R_*", "--off", "background_*", "--lasers", "a", "b")
+    assert run("import", tmp_path / "in", "-o", tmp_path / "two", *patterns, "--step-deg", "5").code == 0
+    assert [laser.name for laser in open_capture(tmp_path / "two").lasers] == ["a", "b"]
+
+
+def test_a_missing_image_on_either_side_pairs_no_wrong_steps(refused, tmp_path):
+    save(tmp_path / "in", [f"l_{k}.png" for k in (0, 1, 2, 4)] + [f"b_{k}.png" for k in (0, 1, 3, 4)])
+    message = refused("import", tmp_path / "in", "-o", tmp_path / "a", "--on", "l_*", "--off", "b_*", "--step-deg", "1")
+    assert "without a partner: l_2.png; too many: b_3.png" in message
+
+
+def test_layouts_of_programs(run, tmp_path):
+    """The names that FabScanPi and thot give, after their sources."""
+    scan = "20200101-101010"
+    names = [f"{scan}/raw_laser_raw/{scan}_{k:03d}.jpg" for k in range(5)]
+    save(tmp_path / "fabscan", names + [f"{scan}/color_raw/{scan}_{k:03d}.jpg" for k in range(4)])
+    ran = run("import", tmp_path / "fabscan", "-o", tmp_path / "a")
+    assert ran.code == 0 and "the layout is that of FabScanPi" in ran.out and "JPEG" in ran.out
+    capture = open_capture(tmp_path / "a")
+    # One laser picture more than the pictures of a turn.
+    np.testing.assert_allclose(np.degrees(capture.angles), [0, 90, 180, 270, 360])
+    assert not capture.records[0].off and any("JPEG" in note for note in capture.notes)
+    names = [f"capture/{kind}_{k:03d}.png" for kind in ("color", "laser0", "laser1") for k in (0, 2, 4, 8)]
+    save(tmp_path / "thot", names)
+    ran = run("import", tmp_path / "thot", "-o", tmp_path / "b")
+    assert ran.code == 0 and "the layout is that of thot" in ran.out
+    capture = open_capture(tmp_path / "b")
+    np.testing.assert_allclose(np.degrees(capture.angles), np.repeat([0.0, 2, 4, 8], 2))
+    (chunk,) = capture.chunks(8)
+    assert np.array_equal(chunk.on, FRAMES[[4, 8, 5, 9, 6, 10, 7, 11]])
+    assert np.array_equal(chunk.off, FRAMES[[0, 0, 1, 1, 2, 2, 3, 3]])
+
+
+def test_what_is_not_recognised_is_listed_with_a_command(refused, tmp_path):
+    save(tmp_path / "in", [f"a{k}.png" for k in range(5)] + [f"b{k}.png" for k in range(3)])
+    message = refused("import", tmp_path / "in", "-o", tmp_path / "room")
+    assert "'a*.png' (5: a0.png ... a4.png); 'b*.png' (3: b0.png ... b2.png)" in message
+    assert f"jaxscan import {tmp_path / 'in'} --on 'a*.png' --off 'b*.png' --step-deg 0.9" in message
+
+
+def test_angles_from_a_file(pairs, run, refused, tmp_path):
+    folder, _ = pairs
+    angles = tmp_path / "angles.txt"
+    angles.write_text("# degrees\n" + "".join(f"{3.5 * k}\n" for k in range(12)))
+    assert run("import", folder, "-o", tmp_path / "a", *PATTERNS, "--angles", angles).code == 0
+    np.testing.assert_allclose(np.degrees(open_capture(tmp_path / "a").angles), 3.5 * np.arange(12))
+    angles.write_text("".join(f"l_{k}.png; {k * k}\n" for k in reversed(range(12))))
+    assert run("import", folder, "-o", tmp_path / "b", *PATTERNS, "--angles", angles).code == 0
+    np.testing.assert_allclose(np.degrees(open_capture(tmp_path / "b").angles), np.arange(12.0) ** 2)
+    wrong = ("import", folder, "-o", tmp_path / "c", *PATTERNS, "--angles", angles)
+    for text, said in (
+        ("1\n2\n", "found 2 lines, expected one for each of 12 images"),
+        ("1\nnan\n", "line 2: found 'nan'"),
+        ("l_0.png 1\n2\n", "some lines have a name"),
+        ("l_0.png 1\n", "no line for l_1.png"),
+        ("1 2 3 4\n", "line 1"),
+        ("-\n" * 12, "a place is unknown"),
+    ):
+        angles.write_text(text)
+        assert said in refused(*wrong)
+
+
+def test_a_linear_stage_and_a_scanner_that_stands_still(pairs, run, refused, tmp_path):
+    folder, _ = pairs
+    stage = ("--carries", "linear")
+    assert run("import", folder, "-o", tmp_path / "a", *PATTERNS, *stage, "--step-mm", "2.5").code == 0
+    np.testing.assert_allclose(open_capture(tmp_path / "a").angles, 0.0025 * np.arange(12))
+    (tmp_path / "mm.txt").write_text("".join(f"{k * k}\n" for k in range(12)))
+    assert run("import", folder, "-o", tmp_path / "b", *PATTERNS, *stage, "--positions", tmp_path / "mm.txt").code == 0
+    np.testing.assert_allclose(open_capture(tmp_path / "b").angles, 0.001 * np.arange(12) ** 2)
+    assert run("import", folder, "-o", tmp_path / "c", *PATTERNS, "--carries", "nothing").code == 0
+    assert open_capture(tmp_path / "c").carries == "nothing"
+    words = ("import", folder, "-o", tmp_path / "d", *PATTERNS)
+    assert "--step-mm: is needed" in refused(*words, *stage)
+    assert "--step-deg: is for --carries scanner or object" in refused(*words, *stage, "--step-deg", "1")
+    assert "--step-mm: is for --carries linear" in refused(*words, "--step-mm", "1")
+
+
+def test_placements_of_a_board(run, tmp_path):
+    save(tmp_path / "in", [f"v{k}.png" for k in range(6)])
+    board = ("--board", "chessboard 6x4 25mm")
+    (tmp_path / "angles.txt").write_text("0 0\n10 0\n20 0\n0 1\n10 1\n- \n")
+    assert run("import", tmp_path / "in", "-o", tmp_path / "a", *board, "--angles", tmp_path / "angles.txt").code == 0
+    records = open_capture(tmp_path / "a").records
+    assert [record.placement for record in records] == [0, 0, 0, 1, 1, None] and records[5].angle is None
+    ran = run("import", tmp_path / "in", "-o", tmp_path / "b", *board, "--step-deg", "10")
+    assert ran.code == 0 and "the board stood still" in ran.out
+    assert {record.placement for record in open_capture(tmp_path / "b").records} == {0}
+
+
+@pytest.mark.parametrize(
+    ("text", "board"),
+    [
+        ("chessboard 11x6 13mm", {"type": "chessboard", "columns": 11, "rows": 6, "square_mm": 13.0}),
+        (
+            "ChArUco 12x9 3 cm 22 mm",
+            {"type": "charuco", "columns": 12, "square_mm": 30.0, "marker_mm": 22.0},
+        ),
+        ("charuco 5x4 0.03m 20mm DICT_4X4_50", {"square_mm": 30.0, "dictionary": "DICT_4X4_50"}),
+        ("circles 4x11 20mm 16mm", {"type": "circles", "rows": 11, "spacing_mm": 20.0, "layout": "asymmetric"}),
+        ("circles 7x7 37.5mm 22mm symmetric", {"diameter_mm": 22.0, "layout": "symmetric"}),
+        ("aprilgrid 6×6 24mm 7.2mm", {"type": "aprilgrid", "tag_mm": 24.0, "gap_mm": 7.2}),
+    ],
+)
+def test_boards_as_people_write_them(run, tmp_path, text, board):
+    save(tmp_path / "in", ["1.png"])
+    assert run("import", tmp_path / "in", "-o", tmp_path / "a", "--board", text).code == 0
+    found = open_capture(tmp_path / "a").header.board.model_dump()
+    assert {key: found[key] for key in board} == board
+
+
+@pytest.mark.parametrize(
+    "text", ["", "chess", "chessboard 11x6", "chessboard 11x6 13", "disc 3x3 1mm", "circles 4x11 20mm"]
+)
+def test_boards_that_are_not_understood(refused, tmp_path, text):
+    save(tmp_path / "in", ["1.png"])
+    message = refused("import", tmp_path / "in", "-o", tmp_path / "a", "--board", text)
+    assert 'expected "chessboard 11x6 13mm"' in message
+
+
+def test_boards_that_cannot_be(refused, tmp_path):
+    save(tmp_path / "in", ["1.png"])
+    words = ("import", tmp_path / "in", "-o", tmp_path / "a", "--board")
+    assert "expected an odd number" in refused(*words, "circles 4x10 20mm 16mm")
+    assert "diameter_mm: found 40" in refused(*words, "circles 4x11 20mm 40mm")
+    assert "gap_mm" in refused(*words, "aprilgrid 6x6 24mm 1mm")
+    assert "tags, and there are 587" in refused(*words, "aprilgrid 30x30 24mm 7mm")
+    assert "layout" in refused(*words, "circles 4x11 20mm 16mm round")
+
+
+def test_a_bracket_and_its_response(run, refused, tmp_path):
+    """The response of a gamma camera is learned from the exposures that the patterns name."""
+    v, u = np.mgrid[0:60, 0:80] / 12.0
+    level = 5 + 240 * (0.5 + 0.5 * np.sin(u + np.sin(v))) ** 2
+    for k in range(2):
+        for side, factor in (("l", 1.0), ("b", 0.9)):
+            for ms in (2, 8):
+                code = 255 * (np.clip(level * factor * ms / 8 / 255, 0, 1)) ** (1 / 2.2)
+                save(tmp_path / "in", [f"{side}_{ms}ms_{k}.png"], [np.rint(code).astype(np.uint8)])
+    bracket = (
+        "--on",
+        "l_2ms_*",
+        "l_8ms_*",
+        "--off",
+        "b_2ms_*",
+        "b_8ms_*",
+        "--exposures-ms",
+        "2",
+        "8",
+        "--step-deg",
+        "1",
+    )
+    ran = run("import", tmp_path / "in", "-o", tmp_path / "a", *bracket, "--response", "learn")
+    assert ran.code == 0, ran.err
+    capture = open_capture(tmp_path / "a")
+    assert capture.exposures == (0.002, 0.008)
+    kind, gamma = capture.response.split()
+    assert kind == "gamma" and abs(float(gamma) - 2.2) <= 0.05
+    assert "response learned" in ran.out
+    single = ("--on", "l_2ms_*", "--step-deg", "1", "--response", "learn")
+    assert "needs images of several exposures" in refused("import", tmp_path / "in", "-o", tmp_path / "b", *single)
+    few = ("--on", "l_2ms_*", "--exposures-ms", "2", "8", "--step-deg", "1")
+    assert "expected a pattern for each exposure" in refused("import", tmp_path / "in", "-o", tmp_path / "b", *few)
+
+
+def test_properties_that_no_image_says(pairs, run, tmp_path):
+    folder, _ = pairs
+    words = ("--response", "srgb", "--shutter", "rolling", "--up", "+u", "--stripe-axis", "columns")
+    ran = run(
+        "import", folder, "-o", tmp_path / "a", *PATTERNS, "--step-deg", "1", *words, "--pixel-format", "bayer_rggb8"
+    )
+    assert ran.code == 0, ran.err
+    capture = open_capture(tmp_path / "a")
+    assert capture.response == "srgb" and capture.up == "+u" and capture.pixel_format == "bayer_rggb8"
+    assert capture.lasers[0].stripe_axis == "columns"
+    assert any("the shutter is rolling" in note for note in capture.notes)
+
+
+@pytest.mark.parametrize(("suffix", "codec"), [(".avi", "FFV1"), (".avi", "MJPG"), (".mp4", "mp4v")])
+def test_videos(run, tmp_path, suffix, codec):
+    """Frames of a laser-on and a laser-off video, every second one; coded without loss they are exact."""
+    (tmp_path / "in").mkdir()
+    v, u = np.mgrid[0:48, 0:64]
+    frames = [np.stack([(u * 3 + 9 * k) % 256, v * 4, np.full_like(u, 10 * k)], -1).astype(np.uint8) for k in range(9)]
+    for name, light in (("laser", frames), ("background", [frame // 2 for frame in frames])):
+        writer = cv2.VideoWriter(
+            str(tmp_path / "in" / (name + suffix)), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), 10, (64, 48)
+        )
+        if not writer.isOpened():
+            pytest.skip(f"OpenCV cannot write {codec} here")
+        for frame in light:
+            writer.write(frame[..., ::-1])
+        writer.release()
+    ran = run("import", tmp_path / "in", "-o", tmp_path / "room", "--step-deg", "3", "--every", "2")
+    assert ran.code == 0, ran.err
+    assert f"laser{suffix}#0 ... laser{suffix}#8" in ran.out and f"laser{suffix} has 9 frames" in ran.out
+    capture = open_capture(tmp_path / "room")
+    np.testing.assert_allclose(np.degrees(capture.angles), 3.0 * np.arange(5))
+    assert any("video" in note for note in capture.notes)
+    (chunk,) = capture.chunks(5)
+    # Codecs with losses halve the resolution of colours, and some lose half a frame's levels.
+    error = np.abs(chunk.on.astype(int) - np.array(frames[::2]))
+    assert np.median(error) <= (1 if codec == "FFV1" else 12)
+
+
+CICLOP = {
+    "camera": (["--board", "chessboard 11x6 13mm"], "calibration", 16),
+    "scene": ([], "sweep", 1),
+    "pattern": (["--board", "chessboard 11x6 13mm"], "calibration", 3),
+    ".": (
+        "--boards camera/* --on pattern/laser-0* --off pattern/laser-background* --board".split()
+        + ["chessboard 11x6 13mm"],
+        "calibration",
+        18,
+    ),
+}
+
+
+@pytest.mark.parametrize("folder", CICLOP)
+def test_the_ciclop_in_one_command(run, tmp_path, folder):
+    words, kind, records = CICLOP[folder]
+    ran = run("import", DATA / "ciclop" / folder, "-o", tmp_path / "a", *words)
+    assert ran.code == 0, ran.err
+    capture = open_capture(tmp_path / "a")
+    assert capture.header.kind == kind and len(capture) == records and capture.image_size == (960, 1280)
+    lit = [record for record in capture.records if record.on]
+    assert len(lit) == {"camera": 0, "scene": 1, "pattern": 2, ".": 2}[folder]
+    if lit:
+        on, off = capture.frames(0)
+        # The laser is red and in one of the two.
+        assert on[..., 0].astype(int).max() > off[..., 0].max() and (on.astype(int) - off)[..., 0].max() > 100
+    assert any("JPEG" in note for note in capture.notes) == (folder in ("camera", "."))
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_stereo_boards_in_one_command(run, tmp_path, side):
+    words = ("--boards", f"{side}*.jpg", "--board", "chessboard 9x6 25mm")
+    assert run("import", DATA / "opencv_stereo_chess", "-o", tmp_path / "a", *words).code == 0
+    capture = open_capture(tmp_path / "a")
+    assert len(capture) == 13 and capture.image_size == (640, 480) and capture.pixel_format == "mono8"

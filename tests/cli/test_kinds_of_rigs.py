@@ -1,0 +1,172 @@
+"""Rigs of every kind through capture, calibrate, reconstruct and measure, on pictures of plain NumPy.
+
+Lengths may be 5 of their own sigmas off, and sigmas must be of the size that 0.1 px at 260 px and 0.2 m of baseline
+make at 1.2 m: a few millimetres a point, under a millimetre for the mean of hundreds.
+"""
+
+import json
+
+import numpy as np
+import pytest
+
+import jaxscan
+
+from . import plain_rig
+
+
+TURNS = (-12.0, -5.0, 4.0, 12.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("rigs")
+
+
+@pytest.fixture
+def calibrated(folder, run):
+    """A calibration of one of the captures below, with what `calibrate` printed; made once."""
+
+    def make(name, capture, *words):
+        path, said = folder / f"{name}.json", folder / f"{name}.txt"
+        if not path.exists():
+            ran = run("calibrate", capture, "-o", path, "--no-redetect", *words)
+            assert ran.code == 0, ran.err
+            said.write_text(ran.out)
+        return path, said.read_text()
+
+    return make
+
+
+def boards(folder, name, *arguments, **keys):
+    path = folder / name
+    return path if path.exists() else plain_rig.board_capture(path, *arguments, **keys)
+
+
+def reconstructed(run, folder, sweep, calibration, name):
+    ran = run("reconstruct", sweep, "-c", calibration, "-o", folder / f"cloud-{name}.npz")
+    assert ran.code == 0, ran.err
+    return jaxscan.load_cloud(folder / f"cloud-{name}.npz")
+
+
+def assert_camera(path):
+    calibration = jaxscan.load_calibration(path)
+    sigma = dict(zip(calibration.order, np.sqrt(np.diag(calibration.covariance)), strict=True))
+    truth = {"fx": plain_rig.FOCAL, "fy": plain_rig.FOCAL, "cx": plain_rig.CENTRE[0], "cy": plain_rig.CENTRE[1]}
+    for name, true in truth.items():
+        assert abs(float(getattr(calibration.camera, name)) - true) < 5 * sigma[name] < 5
+    return calibration
+
+
+def test_a_linear_stage(folder, run, refused, calibrated):
+    capture = boards(folder, "linear", "linear", positions=(-0.1, -0.03, 0.04, 0.1))
+    path, said = calibrated("linear", capture)
+    assert said.startswith("solving for camera, sheet and direction of travel\n")
+    table = json.loads(path.read_text())["turntable"]
+    assert table["carries"] == "linear" and "point_m" not in table
+    calibration = assert_camera(path)
+    sigma = dict(zip(calibration.order, np.sqrt(np.diag(calibration.covariance)), strict=True))
+    stage = calibration.scanner.turntable
+    # Two components, each of its sigma.
+    off = np.linalg.norm(np.cross(stage.direction, plain_rig.TRAVEL))
+    assert off < 5 * np.hypot(sigma["travel.t1"], sigma["travel.t2"]) < 0.01
+    assert abs(float(stage.gain) - 1.0) < 5 * sigma["gain"] < 0.005
+    sweep = plain_rig.sweep_capture(folder / "linear-sweep", "linear", np.linspace(-0.2, 0.2, 17).round(4).tolist())
+    cloud = reconstructed(run, folder, sweep, path, "linear")
+    # The frame is that of the camera at position 0.
+    found = jaxscan.measure_distance(
+        cloud, np.array([0.0, 0.0, 1.0]), np.array([-0.22, 0.0, 1.2]), radius_m=0.06, scanner=calibration.scanner
+    )
+    assert abs(found.plane_to_plane_m - 0.2) < 5 * found.plane_to_plane_sigma_m < 0.01
+    flat = jaxscan.measure_plane(cloud, np.array([-0.22, 0.0, 1.2]), radius_m=0.1)
+    assert flat.rms_m < 0.003 and abs(flat.normal[2]) > 0.999
+    normals = np.asarray(cloud.normals)[np.asarray(cloud.valid)]
+    assert np.median(normals[:, 2]) < -0.99
+    # Points of one stage are not those of a table.
+    turning = plain_rig.sweep_capture(folder / "turning-sweep", "scanner", [0.0, 5.0])
+    message = refused("reconstruct", turning, "-c", path, "-o", folder / "no.npz")
+    assert 'says carries = "scanner", the calibration "linear"' in message
+
+
+def test_a_profile_scanner(folder, run, refused, calibrated):
+    capture = boards(folder, "profile", "nothing", placements=0, free=12)
+    path, said = calibrated("profile", capture)
+    assert said.startswith("solving for camera and sheet\n") and "no axis" not in said
+    assert "turntable" not in json.loads(path.read_text())
+    calibration = assert_camera(path)
+    sweep = plain_rig.sweep_capture(folder / "profile-sweep", "nothing", [0.0, 0.0])
+    cloud = reconstructed(run, folder, sweep, path, "profile")
+    block, wall = np.array([-0.0412, 0.0, 1.0]), np.array([-0.0907, 0.3, 1.2])
+    found = jaxscan.measure_distance(cloud, block, wall, radius_m=0.02, scanner=calibration.scanner)
+    assert abs(found.value_m - np.linalg.norm(wall - block)) < 5 * found.sigma_m + 1e-3 < 0.02
+    assert np.asarray(cloud.valid).sum(1).min() > 200
+    assert not np.asarray(cloud.normals).any()
+    moving = plain_rig.sweep_capture(folder / "moving-sweep", "scanner", [0.0, 5.0])
+    assert "camera and sheet without a motion" in refused("reconstruct", moving, "-c", path, "-o", folder / "no.npz")
+
+
+def test_a_camera_alone(folder, run, refused, calibrated):
+    capture = boards(folder, "camera", "", lit=False, placements=0)
+    path, said = calibrated("camera", capture)
+    first, sheet, axis, *_ = said.splitlines()
+    assert first == "solving for camera alone"
+    assert sheet.startswith("no sheet: the header lists no [[laser]]")
+    said = " ".join(said.split())
+    assert axis.startswith("no axis: no board placement was seen from two table angles")
+    assert "4 placements at 9 table angles each" in said
+    assert_camera(path)
+    sweep = plain_rig.sweep_capture(folder / "camera-sweep", "nothing", [0.0])
+    message = refused("reconstruct", sweep, "-c", path, "-o", folder / "no.npz")
+    assert "holds a camera alone, without a laser sheet" in message
+
+
+def test_a_camera_and_an_axis_and_then_a_sheet(folder, run, refused, calibrated):
+    capture = boards(folder, "axis", "scanner", lit=False, positions=TURNS)
+    path, said = calibrated("axis", capture)
+    assert said.startswith("solving for camera and axis\nno sheet: the header lists no [[laser]]")
+    calibration = assert_camera(path)
+    table = calibration.scanner.turntable
+    assert np.linalg.norm(np.cross(table.direction, plain_rig.AXIS)) < 5e-3
+    sweep = plain_rig.sweep_capture(folder / "axis-sweep", "scanner", np.linspace(-24, 24, 17).tolist())
+    message = refused("reconstruct", sweep, "-c", path, "-o", folder / "no.npz")
+    assert "holds camera and axis, without a laser sheet" in message
+    # Boards that never stood still, with the axis of before: a whole rig.
+    lit = boards(folder, "lit", "scanner", placements=0, free=12)
+    whole, said = calibrated("whole", lit, "--axis", path)
+    assert said.startswith("solving for camera, sheet and axis; held: axis\n")
+    cloud = reconstructed(run, folder, sweep, whole, "whole")
+    scanner = jaxscan.load_scanner(whole)
+    to_scanner = np.asarray(scanner.scanner_from_camera())
+    block, wall = ((to_scanner @ [*point, 1.0])[:3] for point in ([0.0, 0.0, 1.0], [-0.25, 0.0, 1.2]))
+    found = jaxscan.measure_distance(cloud, block, wall, radius_m=0.06, scanner=scanner)
+    # The axis is held, so its error of before is in no sigma: a milliradian over 0.3 m.
+    assert abs(found.plane_to_plane_m - 0.2) < 5 * found.plane_to_plane_sigma_m + 1e-3 < 0.02
+
+
+def test_known_parts_that_cannot_be_meant(folder, refused):
+    capture = boards(folder, "profile", "nothing", placements=0, free=12)
+    camera = folder / "small.yaml"
+    camera.write_text(
+        "image_width: 640\nimage_height: 480\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
+        "  data: [500, 0, 320, 0, 500, 240, 0, 0, 1]\n"
+    )
+    for words, message in (
+        (["--camera", camera], "known camera has images of 640 x 480 px, the capture of 320 x 256 px"),
+        (["--sheet", "1", "0", "0.2"], "--sheet: found 1 0 0.2, expected 4 numbers"),
+        (["--sheet", "0", "0", "0", "1"], "--sheet: normal of the plane"),
+        (["--axis", "0", "0", "0", "0", "0", "0"], "--axis: direction"),
+        (["--axis", "0", "0", "0", "0", "1", "0"], 'belongs to carries = "scanner", the capture says "nothing"'),
+        (["--refine", "camera"], "--refine camera: --camera is missing"),
+        (["--camera", folder / "none.png"], "none.png"),
+    ):
+        said = refused("calibrate", capture, "-o", folder / "no.json", *words)
+        assert message in said, said
+
+
+def test_two_records_are_refused_before_any_image_is_read(folder, refused):
+    few = folder / "few"
+    plain_rig.board_capture(few, "", lit=False, free=2, placements=0)
+    for image in (few / "off").iterdir():
+        image.write_bytes(image.read_bytes()[:200])
+    assert "The captures have 2 view(s) of the board, and a camera needs at least 3" in refused(
+        "calibrate", few, "-o", folder / "no.json"
+    )

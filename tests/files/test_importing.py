@@ -1,0 +1,176 @@
+"""Folders of strangers: names in natural order, patterns that stay inside, and nothing that is no file."""
+
+import os
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxscan.cli.main import main
+from jaxscan.errors import CaptureError, OptionError
+from jaxscan.files.importing import list_images
+from jaxscan.files.importing.listing import match, natural
+from jaxscan.files.importing.words import group, understand
+
+
+NAMES = sorted(["l_2.png", "l_10.png", "l_1.png", "b_1.png", "a/l_3.png", "x[1].png"], key=natural)
+
+
+def test_numbers_sort_by_value():
+    assert NAMES == ["a/l_3.png", "b_1.png", "l_1.png", "l_2.png", "l_10.png", "x[1].png"]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "found"),
+    [
+        ("l_*.png", {"l_1.png": (1,), "l_2.png": (2,), "l_10.png": (10,)}),
+        ("l_?.png", {"l_1.png": (1,), "l_2.png": (2,)}),
+        ("*l_*.png", {"a/l_3.png": ("a", 3), "l_1.png": (1,), "l_2.png": (2,), "l_10.png": (10,)}),
+        ("[!l]_*", {"b_1.png": ("b", 1, "png")}),
+        ("[ab]*_[0-9].png", {"a/l_3.png": ("a", "l", 3), "b_1.png": ("b", 1)}),
+        ("./b_1.png", {"b_1.png": ()}),
+        ("*", None),
+    ],
+)
+def test_patterns(pattern, found):
+    hits = {one.name: one.key for one in match(pattern, NAMES, "--on")}
+    assert set(hits) == set(NAMES if found is None else found)
+    assert found is None or hits == found
+
+
+@pytest.mark.parametrize("pattern", ["../*", "a/../*.png", "/etc/*", "..", "", "C:/x*", "a\\..\\*", "x" * 2000, "a\n*"])
+def test_patterns_that_lead_out_are_refused(pattern):
+    with pytest.raises(OptionError, match=r"^--on: found .*expected a pattern"):
+        match(pattern, NAMES, "--on")
+
+
+@pytest.mark.parametrize("pattern", ["none*.png", "[z-a]", "[]", "[!]"])
+def test_patterns_that_fit_nothing(pattern):
+    with pytest.raises(OptionError):
+        match(pattern, NAMES, "--on")
+
+
+def test_a_pattern_takes_no_time():
+    """Each piece is tried once: a pattern of many stars cannot be made slow by a name."""
+    started = time.perf_counter()
+    with pytest.raises(OptionError):
+        match("a*" * 400 + "b", ["a" * 200 + ".png"] * 200, "--on")
+    assert time.perf_counter() - started < 5.0
+
+
+@pytest.mark.parametrize(
+    ("name", "role", "side", "key"),
+    [
+        ("laser.png", "on", None, ()),
+        ("laser_background.png", "off", None, ()),
+        ("laser-background-0-255-255-8-x.png", "off", None, (0, 255, 255, 8, "x")),
+        ("scan3/Laser_L_0012.jpg", "on", "left", ("scan", 3, 12)),
+        ("texture_5.png", "texture", None, (5,)),
+        ("pattern.png", "board", None, ()),
+        ("frame7.jpg", None, None, ("frame", 7)),
+    ],
+)
+def test_words_in_names(name, role, side, key):
+    found = understand(name)
+    assert (found.role, found.side, found.key) == (role, side, key)
+
+
+def test_groups_of_names():
+    found = group(["a1.png", "a2.png", "b1.png"])
+    assert [(one.pattern, one.files, one.first, one.last) for one in found] == [
+        ("a*.png", 2, "a1.png", "a2.png"),
+        ("b*.png", 1, "b1.png", "b1.png"),
+    ]
+
+
+def image(path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), np.full((8, 9), 100, np.uint8))
+
+
+def test_links_pipes_and_hidden_folders_are_left_out(tmp_path):
+    inside, outside = tmp_path / "in", tmp_path / "secret"
+    image(inside / "a1.png")
+    image(outside / "s.png")
+    (inside / "link.png").symlink_to(outside / "s.png")
+    (inside / "linked").symlink_to(outside)
+    (inside / "round").symlink_to(inside)
+    os.mkfifo(inside / "pipe.png")
+    (inside / "folder.png").mkdir()
+    image(inside / ".hidden" / "h.png")
+    (inside / "note.txt").write_text("no image")
+    assert list_images(inside) == ["a1.png"]
+
+
+def test_what_is_no_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    for path, said in ((tmp_path / "none", "no such folder"), (tmp_path / "file", "found a file")):
+        with pytest.raises(CaptureError, match=said):
+            list_images(path)
+
+
+def refusal(capsys, *words):
+    assert main([str(word) for word in words]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("jaxscan: ") and said.count("\n") == 1
+    return said
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda path: path.write_bytes(b""), "an empty file"),
+        (lambda path: path.write_bytes(b"GIF89a" + bytes(50)), "unknown kind of file"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-20]), "damaged"),
+        (lambda path: cv2.imwrite(str(path), np.zeros((8, 10), np.uint8)), "found 10 x 8 px, expected 9 x 8 px"),
+        (lambda path: cv2.imwrite(str(path), np.zeros((8, 9, 3), np.uint8)), "found a colour image"),
+        (lambda path: cv2.imwrite(str(path), np.zeros((8, 9), np.uint16)), "expected 8 bit"),
+        (lambda path: os.truncate(path, 1 << 33), "larger than"),
+    ],
+)
+def test_images_that_do_not_fit(tmp_path, capsys, damage, said):
+    for k in range(3):
+        image(tmp_path / "in" / f"laser_{k}.png")
+    damage(tmp_path / "in" / "laser_2.png")
+    message = refusal(capsys, "import", tmp_path / "in", "-o", tmp_path / "out", "--step-deg", "1")
+    assert said in message and "laser_2.png" in message
+    # Nothing half written is left.
+    assert sorted(os.listdir(tmp_path)) == ["in"]
+
+
+def test_what_is_refused(tmp_path, capsys):
+    for k in range(3):
+        image(tmp_path / "in" / f"laser_{k}.png")
+        image(tmp_path / "in" / f"v{k}.png")
+    source, out = tmp_path / "in", tmp_path / "out"
+    words = ("import", source, "-o", out)
+    assert "-o: is needed" in refusal(capsys, "import", source)
+    assert "--step-deg: is needed for a sweep of 3 steps" in refusal(capsys, *words)
+    assert "found both" in refusal(capsys, *words, "--step-deg", "1", "--angles", source / "laser_0.png")
+    assert "--board: is needed with --boards" in refusal(capsys, *words, "--boards", "v*")
+    assert "laser-off images without laser-on" in refusal(capsys, *words, "--off", "v*", "--step-deg", "1")
+    assert "both name laser_0.png" in refusal(capsys, *words, "--on", "l*", "--off", "laser*", "--step-deg", "1")
+    assert "found 17 patterns" in refusal(capsys, *words, "--on", *(f"laser_{k}.png" for k in range(17)))
+    assert "expected 1 different names" in refusal(capsys, *words, "--lasers", "a", "b", "--step-deg", "1")
+    assert "--every: found 0" in refusal(capsys, *words, "--every", "0", "--step-deg", "1")
+    assert "--exposures-ms" in refusal(capsys, *words, "--exposures-ms", "-1", "--step-deg", "1")
+    assert 'expected "linear"' in refusal(capsys, *words, "--step-deg", "1", "--response", "log")
+    assert "is a grey image" in refusal(capsys, *words, "--step-deg", "1", "--pixel-format", "rgb8")
+    for step in ("nan", "inf", "1e300"):
+        assert "--step-deg: found" in refusal(capsys, *words, "--step-deg", step)
+    out.mkdir()
+    assert "exists" in refusal(capsys, *words, "--step-deg", "1")
+    assert "same file" in refusal(capsys, "import", source, "-o", source, "--step-deg", "1")
+
+
+def test_lists_of_other_files_are_no_videos(tmp_path, capsys):
+    """A decoder would open the files that such a list names."""
+    image(tmp_path / "secret.png")
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "laser.mp4").write_text(f"#EXTM3U\n#EXTINF:1,\n{tmp_path / 'secret.png'}\n")
+    message = refusal(capsys, "import", tmp_path / "in", "-o", tmp_path / "out", "--step-deg", "1")
+    assert "laser.mp4: found another kind of file, expected a video" in message
+    (tmp_path / "in" / "laser.mp4").write_bytes(b"\0\0\0\x20ftypisom" + bytes(200))
+    message = refusal(capsys, "import", tmp_path / "in", "-o", tmp_path / "out", "--step-deg", "1")
+    assert "cannot be decoded" in message
