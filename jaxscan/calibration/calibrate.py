@@ -102,18 +102,18 @@ def calibrate_observations(
             motion = known.motion if rig.moves else Still()
             if motion is None:
                 motion = seed_motion(poses, data, observations.carries, observations.up)
-            lasers, observations, reason = _first_sheets(data, camera, poses, observations, rig, known)
+            lasers, observations, reasons = _first_sheets(data, camera, poses, observations, rig, known)
         except CalibrationError:
             if first.converged:
                 raise
             # The diagnosis would be of numbers that mean nothing.
             raise CalibrationError(not_converged(settings)) from None
-        if rig.lasers and lasers:
-            data = prepare(observations)
-        elif rig.lasers:
-            if not first.converged:
-                raise CalibrationError(not_converged(settings))
-            rig, data = replace(rig, lasers=(), missing=(*rig.missing, f"no sheet: {reason}")), _without_stripes(data)
+        if reasons and not first.converged:
+            raise CalibrationError(not_converged(settings))
+        if rig.lasers:
+            solved = tuple(name for name in rig.lasers if name not in reasons)
+            rig = replace(rig, lasers=solved, missing=(*rig.missing, *reasons.values()))
+            data = prepare(observations) if solved else _without_stripes(data)
         # Without a motion that is known, every view has a pose of its own.
         data = data if rig.moves else _apart(data)
         placements = average_placements(poses, data, motion)
@@ -169,14 +169,30 @@ def _of_rig(observations: Observations, data: Prepared, rig: Rig) -> tuple[Obser
 
 def _first_sheets(
     data: Prepared, camera: AbstractCamera, poses: np.ndarray, observations: Observations, rig: Rig, known: KnownParts
-) -> tuple[list[LaserSheet], Observations, str]:
-    """First sheets of all lasers, with the observations that agree with them; or none and the reason."""
+) -> tuple[list[LaserSheet], Observations, dict[str, str]]:
+    """First sheets, with the observations that agree with them, and for each laser without one a sentence why."""
     if known.sheets or not rig.lasers:
-        return list(known.sheets), observations, ""
+        return list(known.sheets), observations, {}
     try:
-        return *seed_sheets(observations, data, camera, poses), ""
+        return *seed_sheets(observations, data, camera, poses), {}
     except CalibrationError as problem:
-        return [], observations, str(problem)
+        if len(rig.lasers) == 1:
+            return [], observations, {rig.lasers[0]: f"no sheet: {problem}"}
+    # One laser that shows no sheet must not cost the others theirs.
+    reasons: dict[str, str] = {}
+    for name in rig.lasers:
+        own = with_lasers(observations, (name,))
+        try:
+            seed_sheets(own, prepare(own), camera, poses)
+        except CalibrationError as problem:
+            reasons[name] = f"no sheet of laser {name!r}: {problem}"
+    solved = [name for name in rig.lasers if name not in reasons]
+    observations = with_lasers(observations, solved)
+    return (
+        (*seed_sheets(observations, prepare(observations), camera, poses), reasons)
+        if solved
+        else ([], observations, reasons)
+    )
 
 
 def _first_cameras(

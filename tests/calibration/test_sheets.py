@@ -170,6 +170,29 @@ def test_lines_that_agree_on_nothing_are_no_sheet(world, clean):
         seeded(world, rig, observed)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_chance_makes_no_sheet_of_many_boards(world, clean, seed):
+    """A random line on each of 24 boards: some three always lie on a plane."""
+    rig, random = world.Rig(), np.random.default_rng(seed)
+    many = world.observe(rig, free=24, placements=0, points=POINTS, seed=seed)
+    observed = replaced(many, np.arange(24), lambda view: random_line(rig, random, many.corners.q[view]))
+    with pytest.raises(CalibrationError, match="boards lie on no common plane"):
+        seeded(world, rig, observed)
+
+
+def test_a_laser_without_a_sheet_costs_the_other_nothing(world):
+    rig = world.Rig(normals=((0.990, -0.010, 0.140), (0.95, 0.02, 0.30)), distances=(0.200, 0.26))
+    clean, random = world.observe(rig, free=16, placements=4, angles=5, points=POINTS, seed=6), np.random.default_rng(3)
+    stripes = clean.stripes
+    q = stripes.q.copy()
+    for row in np.flatnonzero(stripes.laser == 1):
+        q[row, :POINTS] = random_line(rig, random, clean.corners.q[stripes.view[row]])
+    found = calibrate_observations(replace(clean, stripes=replace(stripes, q=q)))
+    assert found.scanner.laser_names == clean.laser_names[:1]
+    assert any(f"no sheet of laser {clean.laser_names[1]!r}" in sentence for sentence in found.missing)
+    assert angle_deg(found.scanner.laser(0), rig) < MOST_DEG
+
+
 def test_a_calibration_with_false_lines_on_a_third_of_the_boards(world, clean):
     rig, random = world.Rig(), np.random.default_rng(4)
     lit = np.unique(clean.stripes.view)

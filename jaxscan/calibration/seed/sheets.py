@@ -1,5 +1,6 @@
 """First laser sheets: the plane that the lines on most boards agree with."""
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -30,9 +31,13 @@ _AT_A_TIME = 100
 _MIN_DISTANCE = 0.005
 # Lines that are not their view's likeliest count less, so that of two planes the likelier one wins.
 _LESS_LIKELY = 0.9
-# Two lines make a plane; where so many views have a line, it takes one more to believe it.
+# Two lines make a plane; where so many views have a line, it takes more to believe it.
 _MANY_VIEWS = 4
 _MIN_AGREED = 3
+# Chance that a line which is not the laser's agrees with a plane, several times as large as that of random lines; and
+# the chance that is left to false lines alone of making a sheet.
+_BY_CHANCE = 1e-3
+_BELIEVED = 0.05
 
 
 class _Lines(NamedTuple):
@@ -148,12 +153,19 @@ def _agreed(lines: _Lines, lifted: Lifted, size: tuple[int, int], name: str) -> 
         agreed = now
         sheet = seed_plane(lifted.points[agreed][lifted.valid[agreed]], name)
         plane = np.append(sheet.normal, sheet.distance)
-    if len(lines.starts()) >= _MANY_VIEWS and len(agreed) < _MIN_AGREED:
+    views = len(lines.starts())
+    if views >= _MANY_VIEWS and len(agreed) < _least_agreed(views):
         raise CalibrationError(
-            f"The lines of laser {name!r} on {len(lines.starts())} boards lie on no common plane: check that nothing "
+            f"The lines of laser {name!r} on {views} boards lie on no common plane: check that nothing "
             "else shines or moves between the laser-off and the laser-on image, and capture the boards again."
         )
     return agreed
+
+
+def _least_agreed(views: int) -> int:
+    """Lines that agree on a plane by more than chance, which lets others come to lie on the plane of any two."""
+    by_chance = lambda more: math.comb(views, 2) * math.comb(views - 2, more) * _BY_CHANCE**more
+    return next((2 + more for more in range(_MIN_AGREED - 2, views - 1) if by_chance(more) < _BELIEVED), views)
 
 
 def _consensus(lines: _Lines, tolerance: float) -> np.ndarray | None:
