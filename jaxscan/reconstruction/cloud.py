@@ -40,7 +40,7 @@ class PointCloud(eqx.Module):
 
     xyz: Float[Array, "profiles lines 3"]
     rgb: UInt8[Array, "profiles lines 3"]
-    """Colour, from the laser-off image; grey for a mono camera, 0 without a laser-off image."""
+    """Colour, from the laser-off image; grey for a mono camera; predicted where there is none."""
     intensity: Float[Array, "profiles lines"]
     """Fitted amplitude of the stripe [DN]."""
     normals: Float[Array, "profiles lines 3"]

@@ -21,6 +21,8 @@ _LIGHT_DN = 20.0
 _LEAST = 0.005
 """Smallest part of the laser's light that is worth a search [1]."""
 _FEW = 50
+_ELSEWHERE_PX = 1.0
+"""Distance of two channels' centres beyond the stripe's width, from which one shows something else [px]."""
 
 
 class OtherChannel(NamedTuple):
@@ -76,31 +78,47 @@ def _tiles(frames: np.ndarray, setup: ExtractionSetup) -> np.ndarray:
     return frames.swapaxes(1, 2) if setup.line.stripe_axis == "columns" else frames
 
 
-def doubts_of(found: Sequence[FrameStripes], setups: Sequence[ExtractionSetup]) -> tuple[float, ...]:
-    """Factors of at least 1 by which the standard deviations of channels grow until all are equally honest.
+def doubts_of(found: Sequence[FrameStripes], step: int) -> tuple[float, ...]:
+    """Variances that the centres of channels have beyond their own [px^2].
+
+    All channels see the same surface, so that of their scatter from line to line the differences alone are errors.
 
     Args:
         found: Stripes of the same frames [frames, lines] in each channel.
-        setups: Of each channel.
+        step: Distance of lines that all channels have.
     """
-    rough = [_roughness(stripes, setup.sites.line_step) for stripes, setup in zip(found, setups, strict=True)]
-    return tuple(max(one / max(min(rough), 1e-3), 1.0) for one in rough)
-
-
-def _roughness(stripes: FrameStripes, step: int) -> float:
-    """How far a centre lies from the middle of its neighbours, in standard deviations [1]; 1 where nothing is known.
-
-    A smooth surface gives 1 where the standard deviations are honest, and all channels see the same surface.
-
-    Args:
-        stripes: Of some frames [frames, lines].
-        step: Distance of the lines that the channel has.
-    """
-    u, sigma, valid = (np.asarray(field) for field in (stripes.u, stripes.sigma, stripes.valid))
     before, here, after = np.s_[:, : -2 * step], np.s_[:, step:-step], np.s_[:, 2 * step :]
+    valid = np.logical_and.reduce([np.asarray(one.valid) for one in found])
     known = valid[before] & valid[here] & valid[after]
     if np.count_nonzero(known) < _FEW:
-        return 1.0
-    bend = u[here] - 0.5 * (u[before] + u[after])
-    expected = np.sqrt(sigma[here] ** 2 + 0.25 * (sigma[before] ** 2 + sigma[after] ** 2))
-    return float(np.quantile(np.abs(bend[known]) / np.maximum(expected[known], 1e-4), 0.683))
+        return (0.0,) * len(found)
+    bends = [(u[here] - 0.5 * (u[before] + u[after]))[known] for u in (np.asarray(one.u) for one in found)]
+    scatter = [_variance(bend) for bend in bends]
+    stated = [float(np.median(np.asarray(one.sigma)[here][known])) ** 2 for one in found]
+    best = int(np.argmin(scatter))
+
+    def doubt(k: int) -> float:
+        # No more than what the two channels disagree by, in which the surface's own relief cancels.
+        rougher = scatter[k] - scatter[best] - max(stated[k] - stated[best], 0.0)
+        unlike = _variance(bends[k] - bends[best]) - stated[k] - stated[best]
+        return max(min(rougher, unlike), 0.0)
+
+    return tuple(doubt(k) for k in range(len(found)))
+
+
+def doubted(stripes: FrameStripes, own: FrameStripes, doubt: float) -> FrameStripes:
+    """Stripes of a channel with an error more, without those that lie elsewhere than the laser's own channel has them.
+
+    Args:
+        stripes: Of the channel.
+        own: Of the laser's own channel.
+        doubt: Variance of the centres beyond their own [px^2].
+    """
+    near = np.abs(stripes.u - own.u) < own.width + _ELSEWHERE_PX
+    sigma = np.sqrt(stripes.sigma**2 + np.where(stripes.valid, np.float32(doubt), np.float32(0)))
+    return stripes._replace(sigma=sigma, valid=stripes.valid & (~own.valid | near))
+
+
+def _variance(bend: np.ndarray) -> float:
+    """Variance of a centre from those of a centre minus the mean of two others; edges do not matter."""
+    return float(np.quantile(np.abs(bend), 0.683)) ** 2 / 1.5

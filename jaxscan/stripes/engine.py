@@ -12,7 +12,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int8, UInt8
 
 from jaxscan.geometry import Array
-from jaxscan.stripes.channels import doubts_of, other_channels
+from jaxscan.stripes.channels import doubted, doubts_of, other_channels
 from jaxscan.stripes.choosing import choose, chosen_of
 from jaxscan.stripes.estimators import Estimator, estimator_of
 from jaxscan.stripes.exposures import merge_brackets
@@ -67,7 +67,7 @@ class StripeEngine(eqx.Module):
     responses: tuple[float, ...] = eqx.field(static=True, default=())
     """Light of the laser in each of them, in that of its own channel [1]."""
     doubts: tuple[float, ...] = ()
-    """Factors by which the standard deviations of all channels, the own first, grow until they are equally honest."""
+    """Variances that the centres of all channels, the own first, have beyond their own [px^2]."""
 
     @property
     def estimator(self) -> Estimator:
@@ -87,7 +87,7 @@ class StripeEngine(eqx.Module):
         if self.channels:
             engines = [one.learn_width(on, off) for one in (StripeEngine(self.setup, self.search), *self.channels)]
             found = [one.extract(on, off) for one in engines]
-            doubts = doubts_of([chosen_of(one.stripes, one.chosen) for one in found], [one.setup for one in engines])
+            doubts = doubts_of([chosen_of(one.stripes, one.chosen) for one in found], self.setup.sites.line_step)
             return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses, doubts)
         if not self.setup.settings.learn_width:
             return self
@@ -120,10 +120,8 @@ class StripeEngine(eqx.Module):
     def _of_channels(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
         """Of every line the channel in which its stripe is known best."""
         found = [one.extract(on, off) for one in (StripeEngine(self.setup, self.search), *self.channels)]
-        parts = [
-            (one.stripes._replace(sigma=one.stripes.sigma * np.float32(doubt)), one.chosen)
-            for one, doubt in zip(found, self.doubts or (1.0,) * len(found), strict=True)
-        ]
+        doubts = self.doubts or (0.0,) * len(found)
+        parts = [(doubted(one.stripes, found[0].stripes, d), one.chosen) for one, d in zip(found, doubts, strict=True)]
         with jax.enable_x64(False):
             off = off if then.needs_frames else None
             return jax.tree.map(np.asarray, _merge_channels(parts, off, then, self.setup, (1.0, *self.responses)))

@@ -43,7 +43,7 @@ def test_other_channels_are_nearly_as_good_as_a_laser_off_frame(sensor, peak):
 
 
 def test_the_prediction_is_the_laser_off_frame(sensor):
-    on, off, u = scene(sensor, 150.0)
+    on, off, _ = scene(sensor, 150.0)
     predicted = predict_off(on, "rgb8", LaserLine())
     # The noise of two frames and of the mixture of two channels: 2 to 3 DN.
     difference = predicted[0, :, :, 0].astype(float) - off[0, :, :, 0]

@@ -99,7 +99,7 @@ def _is_better(after: HeldOut, before: HeldOut, result: Adjustment) -> bool:
     gain = np.bincount(owner, (squares(before) - squares(after))[used])
     # Most placements must agree: a count, because few of them have most of the views.
     agreeing = 2 * np.count_nonzero(gain > 0) - len(gain)
-    return float(gain.sum()) / 2 > _LEAST_GAIN and agreeing > _LEAST_SIGNIFICANCE * np.sqrt(len(gain))
+    return bool(gain.sum() > 2 * _LEAST_GAIN and agreeing > _LEAST_SIGNIFICANCE * np.sqrt(len(gain)))
 
 
 def _rms(held: HeldOut) -> float:

@@ -72,7 +72,7 @@ def predict_off(
 def _clear_others(off: np.ndarray, on: np.ndarray, line: LaserLine) -> None:
     """The other channels along the line, where the laser's is clipped: they see the laser there."""
     seen = read_channels(on, "rgb8", line)
-    clipped = _near(seen.laser >= _CLIPPED, _HALF_PX)
+    clipped = _near(seen.laser >= _CLIPPED, _NEAR_PX)
     if not clipped.any():
         return
     for colour, plane in zip([one for one in COLOURS if one != line.colour], seen.others, strict=True):
@@ -87,7 +87,7 @@ def _room(seen: Channels, elsewhere: Channels | None, pitch: int) -> Planes:
     clipped = _near(seen.laser >= _CLIPPED, half)
     rooms = [np.zeros_like(level)]
     if seen.others:
-        rooms.append(_from_others(level, seen.others, clipped, half))
+        rooms.append(_from_others(level, seen.others, _near(seen.laser >= _CLIPPED, close), half))
     if elsewhere is not None:
         moved = elsewhere.laser.astype(np.float32)
         if seen.others:
