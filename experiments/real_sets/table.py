@@ -51,7 +51,8 @@ Camera and sheet come from `srv_laser_1707`, the axis from the ArUco markers on 
 so that the plain method's camera, sheet and axis are given to jaxscan as a file written by hand; "own rig" is with
 jaxscan's own camera and sheet. "scene" counts the points less than 125 mm from the axis, up to 200 mm above the
 table; "on table" those within 6 mm of the plane of its surface, of whose distances the spread is 1.48 of the median
-and the RMS is given; "tilt" is the angle of that plane against the plane of the markers.
+and the RMS is given; "tilt" is the angle of that plane against the plane of the markers. That plane itself moves by
+0.03° when other steps of the table are taken, so smaller differences say nothing.
 """
 
 
