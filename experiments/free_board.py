@@ -88,7 +88,7 @@ def main() -> int:
     world = plain_world()
     names = [name for group in GROUPS.values() for name in group]
     free, known, parabola = settings(), settings("shape", "warp"), settings("shape")
-    missed, missed_parabola = dict.fromkeys(GROUPS, 0), dict.fromkeys(GROUPS, 0)
+    missed, missed_parabola, missed_flat = (dict.fromkeys(GROUPS, 0) for _ in range(3))
     growth, moved, ratio, found, flats = [], [], [], [], 0
     for seed in range(runs):
         rig = world.Rig()
@@ -115,14 +115,24 @@ def main() -> int:
         }
         growth.append(sigma(solved["free"]) / sigma(flat["flat"]))
         found.append(solved["free"].quality.board.free)
-        for key, counts in (("free", missed), ("bow", missed_parabola)):
-            for group, chance in beyond(solved[key], world.errors(solved[key].scanner, bent)).items():
+        for calibration, counts, truth in (
+            (solved["free"], missed, bent),
+            (solved["bow"], missed_parabola, bent),
+            (flat["flat"], missed_flat, rig),
+        ):
+            for group, chance in beyond(calibration, world.errors(calibration.scanner, truth)).items():
                 counts[group] += chance < TWO_SIGMA
         trials.progress(f"{seed} {name}: {found[-1]}, sigmas x {growth[-1].max():.2f}, missed {missed}")
     allowed = runs // DRAWS
     figures = [trials.Figure(f"{group} beyond 2 sigma", missed[group], f"of {runs}", high=allowed) for group in GROUPS]
     figures += [
         trials.Figure(f"{group} beyond 2 sigma, parabola", missed_parabola[group], f"of {runs}") for group in GROUPS
+    ]
+    figures += [
+        trials.Figure(
+            f"{group} beyond 2 sigma, same noise on a flat board known to be flat", missed_flat[group], f"of {runs}"
+        )
+        for group in GROUPS
     ]
     figures += [
         trials.Figure("growth of the sigmas, median", float(np.median(growth)), ""),
