@@ -18,7 +18,9 @@ from jaxscan.calibration.solve.rows import stripe_rows
 from jaxscan.geometry import LaserSheet, Pinhole, Turntable, exponential, make_layout, stack_lasers
 
 
-LAYOUT = make_layout(Pinhole(1.0, 1.0, 0.0, 0.0, np.zeros(8), 1, 1), ("0",), board=board_blocks(3))
+LAYOUT = make_layout(
+    Pinhole(1.0, 1.0, 0.0, 0.0, np.zeros(8), 1, 1), ("0",), motion=Turntable.blocks, board=board_blocks(3)
+)
 
 
 @pytest.fixture(scope="module")
