@@ -144,7 +144,10 @@ class Plan:
             gates.append(gate if gated else whole_lines(setup, gate.near_side))
         # A fixed number of records, so that the result does not depend on the size of the chunks.
         ((on, off),) = islice(sweep.chunks(min(NOISE_RECORDS, len(sweep))), 1)
-        return dict(zip(self.gates, prepare_engines(on, off, setups, noise=noise, gates=gates), strict=True))
+        engines = prepare_engines(on, off, setups, noise=noise, gates=gates)
+        if self.predicts:
+            engines = [engine.own_channel() for engine in engines]
+        return dict(zip(self.gates, engines, strict=True))
 
 
 def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettings) -> Plan:

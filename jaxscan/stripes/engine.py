@@ -69,14 +69,16 @@ class StripeEngine(eqx.Module):
     doubts: tuple[float, ...] = ()
     """Variances that the centres of all channels, the own first, have beyond their own [px^2]."""
 
+    def own_channel(self) -> "StripeEngine":
+        """The engine of the laser's own channel alone: the others are not predicted well enough to be searched."""
+        return StripeEngine(self.setup, self.search)
+
     @property
     def estimator(self) -> Estimator:
-        """The estimator that the settings name."""
         return estimator_of(self.setup.settings)
 
     @property
     def profiles_per_record(self) -> int:
-        """Profiles that a record gives."""
         return self.estimator.candidates if self.setup.several else 1
 
     def learn_width(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> "StripeEngine":
@@ -85,7 +87,7 @@ class StripeEngine(eqx.Module):
         Arguments as of `extract`, so that nothing else is compiled.
         """
         if self.channels:
-            engines = [one.learn_width(on, off) for one in (StripeEngine(self.setup, self.search), *self.channels)]
+            engines = [one.learn_width(on, off) for one in (self.own_channel(), *self.channels)]
             found = [one.extract(on, off) for one in engines]
             doubts = doubts_of([chosen_of(one.stripes, one.chosen) for one in found], self.setup.sites.line_step)
             return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses, doubts)
@@ -119,7 +121,7 @@ class StripeEngine(eqx.Module):
 
     def _of_channels(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
         """Of every line the channel in which its stripe is known best."""
-        found = [one.extract(on, off) for one in (StripeEngine(self.setup, self.search), *self.channels)]
+        found = [one.extract(on, off) for one in (self.own_channel(), *self.channels)]
         doubts = self.doubts or (0.0,) * len(found)
         parts = [(doubted(one.stripes, found[0].stripes, d), one.chosen) for one, d in zip(found, doubts, strict=True)]
         with jax.enable_x64(False):

@@ -54,9 +54,12 @@ def extract_stripes(
     if len(on) == 0:
         raise ValueError("`on` must hold at least one frame, got none.")
     size = int(on.shape[2]), int(on.shape[1])
-    if off is None and frames.pixel_format != "mono8" and line.colour != "auto":
+    predicted = off is None and frames.pixel_format != "mono8" and line.colour != "auto"
+    if predicted:
         off = predict_off(on, frames.pixel_format, line)
     (engine,) = prepare_engines(on, off, [ExtractionSetup(size, frames, line, settings)], noise=noise)
+    if predicted:
+        engine = engine.own_channel()
     chunks = [slice(start, start + _CHUNK) for start in range(0, len(on), _CHUNK)]
     frames_of = lambda part: (_padded(on[part], len(on)), None if off is None else _padded(off[part], len(on)))
     engine = engine.learn_width(*frames_of(chunks[0]))
