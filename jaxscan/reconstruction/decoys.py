@@ -5,6 +5,7 @@ On every line the stripe competes with the decoy, and the decoys that win tell h
 (J. E. Elias, S. P. Gygi, Target-decoy search strategy, Nature Methods 4, 2007).
 """
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,8 +19,12 @@ from jaxscan.stripes import ChunkStripes, FrameStripes, chosen_of
 
 _LOOKS, _LOOKS_WITHOUT_OFF = 8, 16
 """Profiles of a sweep that are searched for decoys."""
+_BYTES = 200e6
+"""Frames of these profiles that are kept, at most; of large frames fewer are searched."""
 _SHARE = 0.0025
 """Decoys among the accepted stripes, at most [1]: half of the false points that are promised, as chance is not fair."""
+_LUCK = 2.5
+"""Standard deviations by which decoys may be more than expected before they count; one more is always allowed."""
 _HOPELESS = 0.25
 """Decoys that win, over stripes that win, from which no threshold is trusted [1]."""
 _KEPT = 0.1
@@ -32,12 +37,12 @@ _PER_PROFILE = 2.0
 
 @dataclass(frozen=True)
 class Chance:
-    """What the decoys say about the stripes of a sweep."""
+    """The verdict of the decoys on the stripes of a sweep."""
 
     least: float = 0.0
     """Smallest clearness (`clearness`) of a stripe that is believed; 0 for all."""
     note: str | None = None
-    """What a user should know."""
+    """A sentence for the user."""
 
 
 def clearness(stripes: FrameStripes) -> Float[np.ndarray, "profiles lines"]:
@@ -59,16 +64,23 @@ class DecoyWatch:
         self._chosen = set(np.unique(np.linspace(0, profiles - 1, min(looks, profiles)).astype(int)).tolist())
         self._kept: list[tuple[Batch, np.ndarray]] = []
         self._predicted, self._profiles, self._found = predicted, profiles, 0
+        self._bytes, self._lock = 0, threading.Lock()
 
     def look(self, batch: Batch, found: ChunkStripes) -> None:
         """Keep the chosen ones of a batch; in threads and in any order."""
         stripes = clearness(chosen_of(found.stripes, found.chosen))
-        self._found += int(np.count_nonzero(stripes[: len(batch.profiles)]))
+        with self._lock:
+            self._found += int(np.count_nonzero(stripes[: len(batch.profiles)]))
         rows = [k for k, profile in enumerate(batch.profiles.tolist()) if profile in self._chosen]
         if batch.off is None or not rows or len(stripes) != len(batch.on):
             return
-        on, off = (np.asarray(frames)[rows] for frames in (batch.on, batch.off))
-        self._kept.append((Batch(batch.profiles[rows], batch.laser, on, off), stripes[rows]))
+        with self._lock:
+            each = 2 * batch.on[0].nbytes
+            rows = rows[: max(int((_BYTES - self._bytes) // each), 0 if self._kept else 1)]
+            self._bytes += each * len(rows)
+            if rows:
+                on, off = (np.asarray(frames)[rows] for frames in (batch.on, batch.off))
+                self._kept.append((Batch(batch.profiles[rows], batch.laser, on, off), stripes[rows]))
 
     def judge(self, search: Callable[[Batch], ChunkStripes], size: int) -> Chance:
         """Search for decoys, and compare.
@@ -98,10 +110,16 @@ class DecoyWatch:
         return judge(np.concatenate(stripes), np.concatenate(decoys), per_profile=self._found / self._profiles)
 
 
+def _tolerated(stripes: np.ndarray | int) -> np.ndarray:
+    """Decoys that so many stripes may have where their share is as it should be: a few come by luck."""
+    expected = _SHARE * np.asarray(stripes, np.float64)
+    return expected + _LUCK * np.sqrt(expected) + 1.0
+
+
 def judge(
     stripes: Float[np.ndarray, "profiles lines"], decoys: Float[np.ndarray, "profiles lines"], *, per_profile: float
 ) -> Chance:
-    """What decoys say about the stripes of the same lines.
+    """Compare stripes with the decoys of the same lines.
 
     Args:
         stripes: Clearness of the stripes [1].
@@ -115,11 +133,11 @@ def judge(
     if len(won) + len(lost) < _CERTAIN**2:
         few = "the sweep is doubtful: hardly any record shows a stripe, and chance may have found those"
         return Chance(note=few if per_profile < _PER_PROFILE else None)
-    if len(lost) <= _SHARE * len(won):
+    if len(lost) <= _tolerated(len(won)):
         return Chance()
     # From each decoy's clearness on: how many of both are left above it.
     left, beyond = len(won) - np.searchsorted(won, lost, side="right"), len(lost) - 1 - np.arange(len(lost))
-    good = np.flatnonzero((beyond <= _SHARE * left) & (left >= _KEPT * len(won)))
+    good = np.flatnonzero((beyond <= _tolerated(left)) & (left >= _KEPT * len(won)))
     evident = len(won) - len(lost) > _CERTAIN * np.sqrt(len(won) + len(lost)) and len(lost) < _HOPELESS * len(won)
     if not evident or len(good) == 0:
         raise CaptureError(

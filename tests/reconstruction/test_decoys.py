@@ -67,6 +67,14 @@ def test_few_decoys_change_nothing():
     assert chance.least == 0.0 and chance.note is None
 
 
+@pytest.mark.parametrize("decoys", [1, 3])
+def test_a_small_object_keeps_its_stripes_beside_a_clear_decoy(decoys):
+    """A moving reflection may be clearer than every stripe; of 320 stripes it says nothing."""
+    rng = np.random.default_rng(2)
+    chance = judge(_clear(rng, 320, 20.0), _clear(rng, decoys, 100.0), per_profile=40.0)
+    assert chance.least == 0.0 and chance.note is None
+
+
 def test_decoys_raise_the_threshold():
     rng = np.random.default_rng(1)
     true, chance, decoys = _clear(rng, 2000, 60.0), _clear(rng, 600, 4.0), _clear(rng, 600, 4.0)
