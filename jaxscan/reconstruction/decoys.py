@@ -63,7 +63,7 @@ class DecoyWatch:
         looks = _LOOKS_WITHOUT_OFF if predicted else _LOOKS
         self._chosen = set(np.unique(np.linspace(0, profiles - 1, min(looks, profiles)).astype(int)).tolist())
         self._kept: list[tuple[Batch, np.ndarray]] = []
-        self._predicted, self._profiles, self._found = predicted, profiles, 0
+        self._profiles, self._found = profiles, 0
         self._bytes, self._lock = 0, threading.Lock()
 
     def look(self, batch: Batch, found: ChunkStripes) -> None:

@@ -78,9 +78,7 @@ def headline(calibration: Calibration) -> Headline:
     if verdict.usable is False:
         because = f"; {parts}" if parts else ""
         return Headline("bad", f"Good to only {size}", f"Refused: {verdict.refused or 'it cannot be used'}{because}.")
-    return Headline(
-        "good", f"Good to {size}{f'; {parts}' if parts else ''}", _explanation(calibration.quality, good_to)
-    )
+    return Headline("good", f"Good to {size}{f'; {parts}' if parts else ''}", _explanation(calibration, good_to))
 
 
 def _size(good_to: GoodTo) -> str:
@@ -108,12 +106,17 @@ def _cause(test: ModelTest, quality: Quality) -> str:
     cause = TESTS[test.name][1] if test.name in TESTS else f"the test {test.name!r} found structure"
     if test.name == "board":
         freed = quality.board is not None and quality.board.free != "parabola"
-        cause = "the board's shape falls short, though it was freed" if freed else f"{cause} and its shape not free"
+        cause = (
+            "the board's shape falls short, though it was freed"
+            if freed
+            else f"{cause} (its shape could not be found)"
+        )
     return f"{cause} {test.where}" if test.where else cause
 
 
-def _explanation(quality: Quality, good_to: GoodTo) -> str:
-    verdict, board = quality.verdict, quality.board
+def _explanation(calibration: Calibration, good_to: GoodTo) -> str:
+    quality = calibration.quality
+    verdict, board, held = quality.verdict, quality.board, _held(calibration)
     results = [verdict.result(test) for test in verdict.tests] if verdict else []
     sentences = ["The residuals look like noise."]
     if "structure" in results:
@@ -126,7 +129,15 @@ def _explanation(quality: Quality, good_to: GoodTo) -> str:
         sentences.append(f"Its rays are good to {good_to.sigma_px:.2g} px.")
     if board is not None and board.free != "parabola":
         sentences.append(f"The board's shape was freed: {millimetres(1e3 * board.rms_off_flat_m)} RMS off flat.")
+    if held:
+        sentences.append(f"The {' and '.join(held)} that was given counts as exact: no sigma includes its error.")
     return " ".join(sentences)
+
+
+def _held(calibration: Calibration) -> list[str]:
+    """The parts that were given and held; a file may say anything."""
+    said = calibration.provenance.get("held")
+    return [part for part in ("camera", "sheet", "axis") if isinstance(said, list) and part in said]
 
 
 def lengths(calibration: Calibration) -> list[LengthLine]:

@@ -58,7 +58,7 @@ class TestHeadline:
     def test_the_largest_cause_comes_first_and_small_ones_are_not_named(self, calibration):
         tests = structured(calibration, lens=0.3, board=0.6, axis=0.2)
         assert words.headline(judged(calibration, tests)).headline == (
-            "Good to 0.80 mm at 2.5 m; 0.60 mm of that because the board is not flat and its shape not free, "
+            "Good to 0.80 mm at 2.5 m; 0.60 mm of that because the board is not flat (its shape could not be found), "
             "and 0.30 mm because the lens model falls short"
         )
         assert [row[6] for row in outcome_rows(judged(calibration, tests))].count("structure") == 3
@@ -72,7 +72,7 @@ class TestHeadline:
         assert "because the board's shape falls short, though it was freed" in found.headline
         assert "The board's shape was freed: 0.25 mm RMS off flat." in found.explanation
         held = words.headline(having(freed, board=BoardMap("parabola", 2.5e-4)))
-        assert "because the board is not flat and its shape not free" in held.headline
+        assert "because the board is not flat (its shape could not be found)" in held.headline
         assert "freed" not in held.explanation
 
     def test_noise_without_structure_is_told_from_a_wrong_model(self, calibration):
