@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration.seed.camera import seed_camera
-from jaxscan.calibration.seed.closed_form import lift_stripes
+from jaxscan.calibration.seed.lift import lift_stripes
 from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Fisheye
@@ -85,7 +85,8 @@ def test_stripes_beside_and_behind_the_camera_are_lifted(world):
         stripe_laser=np.zeros(1, np.int32),
     )
     assert (line[:, 2] < 0).any() and (line[:, 2] > 0).any()
-    np.testing.assert_allclose(lift_stripes(data, camera, pose[None], 0), line[valid], atol=1e-12)
+    lifted = lift_stripes(data, camera, pose[None], 64)
+    np.testing.assert_allclose(lifted.points[0][lifted.valid[0]], line[valid], atol=1e-12)
 
 
 def test_degenerate_sets_are_refused(world):

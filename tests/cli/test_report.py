@@ -79,7 +79,8 @@ class TestCalibrate:
         lines = capsys.readouterr().out.splitlines()
         assert lines[0].startswith("Good to only 2.0 mm at 2.5 m. Refused: 1 mm were asked; 1.9 mm of that because the")
         assert lines[2].split() == "0.053 mm 300 mm along the stripe at 2.5 m".split()
-        assert lines[3].startswith("Corners: ") and lines[4].startswith("Stripes: ")
+        assert lines[3] == "Board found in 21 of 21 records."
+        assert lines[4].startswith("Corners: ") and lines[5].startswith("Stripes: ")
         assert "warning: [bold]not markup[/bold]" in lines
         assert "next: Look at the sheet." in lines
         assert any(line.startswith("│ sheet") and "structure" in line for line in lines)
@@ -113,7 +114,9 @@ class TestCalibrate:
         assert ran.code == 1
         (line,) = ran.err.splitlines()
         assert line.startswith(f"jaxscan: {target}: written, but not converged. The solve did not converge in 1 step")
-        assert ran.out.startswith("Not converged. The solve did not converge in 1 step")
+        plan, first = ran.out.splitlines()[:2]
+        assert plan == "solving for camera alone"
+        assert first.startswith("Not converged. The solve did not converge in 1 step")
         for diagnosis in ("next:", "warning:", "Tests", "Parameters", "promise"):
             assert diagnosis not in ran.out
         result = json.loads((tmp_path / "result.json").read_text())
@@ -135,7 +138,9 @@ class TestCalibrate:
         limits = "--limit-mm 3 --at-m 2.5 --limit-px 0.4".split()
         ran = run("calibrate", tiny.boards, "-o", tmp_path / "a.json", *limits, "--json", tmp_path / "result.json")
         assert ran.code == 0, ran.err
-        assert ran.out.startswith("Good to 2.0 mm at 2.5 m; 1.9 mm of that because the light sheet does not have")
+        plan, first = ran.out.splitlines()[:2]
+        assert plan == "solving for camera, sheet and axis"
+        assert first.startswith("Good to 2.0 mm at 2.5 m; 1.9 mm of that because the light sheet does not have")
         settings = given["settings"]
         assert (settings.limit_mm, settings.at_m, settings.limit_px) == (3.0, 2.5, 0.4)
         verdict = json.loads((tmp_path / "result.json").read_text())["quality"]["verdict"]
