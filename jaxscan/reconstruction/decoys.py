@@ -113,7 +113,7 @@ class DecoyWatch:
 def _tolerated(stripes: np.ndarray | int) -> np.ndarray:
     """Decoys that so many stripes may have where their share is as it should be: a few come by luck."""
     expected = _SHARE * np.asarray(stripes, np.float64)
-    return expected + _LUCK * np.sqrt(expected) + 1.0
+    return np.asarray(expected + _LUCK * np.sqrt(expected) + 1.0)
 
 
 def judge(
