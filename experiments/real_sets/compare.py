@@ -44,9 +44,7 @@ def measure_boards(one: RealSet, capture: Path, version: Version, work: Path) ->
     """`jaxscan calibrate` as a user types it first, and with fewer wishes where that gives nothing."""
     output = work / f"{one.name}.json"
     runs = [calibrate(version, capture, output, one.lens)]
-    if "views" not in runs[-1] and one.pattern == "circles":
-        runs.append(calibrate(version, capture, output, ("given",)))
-    elif "views" not in runs[-1] and one.camera and version.folder == ROOT:
+    if "views" not in runs[-1] and one.camera and version.folder == ROOT:
         # The version before takes no known camera.
         runs.append(calibrate(version, capture, output, ("--camera", str(write_camera(one, capture, work)))))
     elif "views" not in runs[-1]:

@@ -58,7 +58,6 @@ def convert(one: RealSet, source: Source, folder: Path) -> int:
         "commit": one.commit,
         "licence": one.licence,
         "about": one.about,
-        "pattern": one.pattern,
     }
     header = {"format": "jaxscan-capture/1", **one.header, "camera": camera, "acquisition": origin}
     (folder / "capture.toml").write_text(tomli_w.dumps(header))

@@ -72,7 +72,7 @@ def _off_plane(shape: np.ndarray) -> float:
 
 
 def _sheet(solved: Solved, halves: list[Solved] | None, laser: int) -> dict[str, Any]:
-    sheet, lines = solved.sheets[laser], [line for line in solved.lines if line.laser == laser]
+    sheet, lines = solved.sheets[laser], [line for line in solved.lines if line.laser == laser and len(line.q)]
     off, beyond = [], []
     for line in lines:
         off.append(sheet.off(_lift(solved.lens, solved.shape, solved.corners[line.view], line)))

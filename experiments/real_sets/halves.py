@@ -1,6 +1,6 @@
 """Solves twice from the observations of a calibration, from its even and from its odd views. Run by `compare`.
 
-    python code_halves.py CALIBRATION.json OUTPUT     # writes OUTPUT.even.json and OUTPUT.odd.json
+    python halves.py CALIBRATION.json OUTPUT     # writes OUTPUT.even.json and OUTPUT.odd.json
 
 It is a program of its own, so that any version of jaxscan can be put on its path.
 """

@@ -20,7 +20,6 @@ LIMIT_S = 1800
 """A run that takes longer is ended."""
 ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 HALVES = Path(__file__).parent / "halves.py"
-GIVEN = Path(__file__).parent / "given_corners.py"
 
 
 class Version(NamedTuple):
@@ -51,16 +50,13 @@ def calibrate(version: Version, capture: Path, output: Path, options: tuple[str,
         version: The code.
         capture: Its capture.
         output: Calibration file to write.
-        options: Of the verb; ("given",) for `given_corners` instead of the verb.
+        options: Of the verb.
     """
     for old in output.parent.glob(f"{output.stem}.*"):
         old.unlink()
     summary = output.with_suffix(".summary")
-    if options == ("given",):
-        code, out, problem, seconds = version.run(str(GIVEN), str(capture), str(output), str(summary))
-    else:
-        target = ("-o", str(output), "--json", str(summary))
-        code, out, problem, seconds = version.verb("calibrate", str(capture), *target, *options)
+    target = ("-o", str(output), "--json", str(summary))
+    code, out, problem, seconds = version.verb("calibrate", str(capture), *target, *options)
     plan = [line for line in out.splitlines() if line.startswith("solving for ")]
     notes = [line.replace(str(capture), capture.name) for line in out.splitlines() if line.startswith("note: ")]
     ended = problem.strip().splitlines()

@@ -27,8 +27,6 @@ class RealSet(NamedTuple):
     """Options of `jaxscan calibrate` for the lens, as a user who knows it would give them."""
     camera: tuple[float, ...] = ()
     """The camera that the authors calibrated elsewhere: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
-    pattern: str = "chessboard"
-    """What is printed on the board; jaxscan has no finder for symmetric "circles"."""
     inner_m: float = 0.0
     """Of a sweep: radius of the part of the table that is covered [m]."""
 
@@ -152,13 +150,19 @@ SETS: tuple[RealSet, ...] = (
         *ZHAO,
         "fixed light plane: 12 pairs without and with a red line across a grid of circles",
         boards(
-            # Symmetric circles, given as a chessboard of their centres.
-            chessboard(7, 7, 37.5),
+            # The diameter is measured in the pictures.
+            {
+                "type": "circles",
+                "layout": "symmetric",
+                "columns": 7,
+                "rows": 7,
+                "spacing_mm": 37.5,
+                "diameter_mm": 22.5,
+            },
             laser=[{"colour": "red", "stripe_axis": "columns"}],
         ),
         pairs(("light_picture", r"light\d+\.jpg"), ("calib_picture", r"calib\d+\.jpg")),
         "Parameters.xml: f 1144.44, 1142.49, c 916.06, 522.05 px; -0.13051671 X - 6.3959525 Y + Z + 304.91858 mm = 0",
-        pattern="circles",
     ),
     RealSet(
         "ciclop",

@@ -88,9 +88,7 @@ def _sentences(boards: list[RealSet], results: dict[str, Any]) -> str:
             text = f"({plan}) {found['first']}" if plan else found["first"]
             text = text.replace("|", "/")
             how = "With the known camera"
-            if found["options"] == "given":
-                how = "With centres found by OpenCV"
-            elif found["options"].startswith("--only"):
+            if found["options"].startswith("--only"):
                 how = "With `--only camera`"
             if found["runs"] > 1:
                 text += f" **{how}:** {found['sentence']}".replace("|", "/")

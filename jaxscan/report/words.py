@@ -107,9 +107,7 @@ def _cause(test: ModelTest, quality: Quality) -> str:
     if test.name == "board":
         freed = quality.board is not None and quality.board.free != "parabola"
         cause = (
-            "the board's shape falls short, though it was freed"
-            if freed
-            else f"{cause} (its shape could not be found)"
+            "the board's shape falls short, though it was freed" if freed else f"{cause} (its shape could not be found)"
         )
     return f"{cause} {test.where}" if test.where else cause
 

@@ -36,16 +36,16 @@ class Lens(NamedTuple):
 
 def grid(board: dict[str, Any]) -> np.ndarray:
     """Corners, or centres of circles, [n, 3]; m."""
-    pitch = board["square_mm"] / 1000
+    pitch = board["spacing_mm" if board["type"] == "circles" else "square_mm"] / 1000
     points = np.zeros((board["columns"] * board["rows"], 3))
     points[:, :2] = pitch * np.mgrid[: board["columns"], : board["rows"]].T.reshape(-1, 2)
     return points
 
 
-def find(grey: np.ndarray, board: dict[str, Any], pattern: str = "chessboard") -> np.ndarray | None:
+def find(grey: np.ndarray, board: dict[str, Any]) -> np.ndarray | None:
     """Corners, or centres of circles, [n, 2] of a whole board, or None."""
     size = (board["columns"], board["rows"])
-    if pattern == "circles":
+    if board["type"] == "circles":
         found, q = cv2.findCirclesGrid(grey, size)
         return q.reshape(-1, 2).astype(np.float64) if found else None
     found, q = cv2.findChessboardCorners(grey, size)

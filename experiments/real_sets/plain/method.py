@@ -31,8 +31,7 @@ class PlainBoards:
         self.pictures, self.kind, self.points = pictures, kind, grid(pictures.header["board"])
         self.known = known
         board = pictures.header["board"]
-        pattern = pictures.header["acquisition"].get("pattern", "chessboard")
-        found = [(record, find(pictures.grey(record), board, pattern)) for record in pictures.records]
+        found = [(record, find(pictures.grey(record), board)) for record in pictures.records]
         self.records = [record for record, q in found if q is not None]
         self.corners = [q for _, q in found if q is not None]
 
