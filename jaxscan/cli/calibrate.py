@@ -89,7 +89,7 @@ def calibrate(
     for capture in opened:
         for note in capture.notes:
             out.print(f"note: {capture.path}: {note}")
-    known = known_parts(opened[0], camera, sheet, axis, refine) if opened else KnownParts()
+    known = known_parts(opened[0], camera, sheet, axis, refine, lens) if opened else KnownParts()
     plan = api.plan_calibration(opened, settings=settings, known=known)
     out.print(f"solving for {plan.words()}{_held(known)}")
     for sentence in plan.missing:

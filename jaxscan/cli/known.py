@@ -9,11 +9,16 @@ from jaxscan.calibration import KnownParts, Part
 from jaxscan.errors import OptionError
 from jaxscan.files.calibration import load_camera, load_parts
 from jaxscan.files.capture import Capture
-from jaxscan.geometry import AbstractMotion, LaserSheet, LinearStage, Still, Turntable
+from jaxscan.geometry import AbstractCamera, AbstractMotion, CameraModel, LaserSheet, LinearStage, Still, Turntable
 
 
 def known_parts(
-    capture: Capture, camera: Path | None, sheet: Sequence[str], axis: Sequence[str], refine: Sequence[Part]
+    capture: Capture,
+    camera: Path | None,
+    sheet: Sequence[str],
+    axis: Sequence[str],
+    refine: Sequence[Part],
+    lens: CameraModel = "pinhole",
 ) -> KnownParts:
     """The parts that are given, for the rig of a capture.
 
@@ -23,6 +28,7 @@ def known_parts(
         sheet: A calibration file; or a b c d of the plane a X + b Y + c Z = d [d in m] of each laser.
         axis: A calibration file; or a point [m] and a direction, or of a linear stage the direction alone.
         refine: Parts that are estimated from there.
+        lens: Model of a camera file that names none.
 
     Raises:
         OptionError: If numbers are missing or mean nothing, or a part is to be refined that is not given.
@@ -33,7 +39,7 @@ def known_parts(
         if not given[part]:
             raise OptionError(f"--refine {part}: --{part} is missing, which gives the values to start from.")
     return KnownParts(
-        camera=None if camera is None else load_camera(camera, capture.image_size),
+        camera=None if camera is None else _camera(camera, capture.image_size, lens),
         sheets=_sheets(sheet, [line.name for line in capture.lasers]),
         motion=_motion(axis, capture.carries or "scanner") if axis else None,
         refine=tuple(refine),
@@ -48,6 +54,13 @@ def known_files(sheet: Sequence[str], axis: Sequence[str]) -> list[tuple[str, Pa
 
 def _is_file(words: Sequence[str]) -> bool:
     return len(words) == 1 and words[0].lower().endswith(".json")
+
+
+def _camera(path: Path, size: tuple[int, int], lens: CameraModel) -> AbstractCamera:
+    found = load_camera(path, size, unnamed="fisheye" if lens == "fisheye" else "pinhole")
+    if lens not in ("pinhole", found.model):
+        raise OptionError(f"--lens {lens}: {path} holds a {found.model} camera; leave out --lens, or --camera.")
+    return found
 
 
 def _sheets(words: Sequence[str], names: Sequence[str]) -> tuple[LaserSheet, ...]:

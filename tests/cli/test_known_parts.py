@@ -60,3 +60,13 @@ def test_sheets_of_a_file_are_told_by_name(tmp_path, capture):
     assert [round(float(sheet.normal[0]), 2) for sheet in sheets] == [-0.96, 0.96]
     with pytest.raises(OptionError, match="has the lasers left, right, the capture red, green"):
         known_parts(capture("scanner", "red", "green"), None, [str(path)], (), ())
+
+
+def test_the_lens_decides_where_a_camera_file_names_no_model(tmp_path, capture):
+    path = tmp_path / "camera.yaml"
+    path.write_text("%YAML:1.0\nK: [300, 0, 160, 0, 300, 128, 0, 0, 1]\nD: [0.1, 0.01, 0.001, 0.0001]\n")
+    rig = capture("scanner", "left")
+    assert known_parts(rig, path, (), (), ()).camera.model == "pinhole"
+    assert known_parts(rig, path, (), (), (), "fisheye").camera.model == "fisheye"
+    with pytest.raises(OptionError, match=r"--lens double_sphere: .* holds a pinhole camera"):
+        known_parts(rig, path, (), (), (), "double_sphere")

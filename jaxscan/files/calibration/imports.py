@@ -4,10 +4,11 @@ The files may come from anyone. A small reader knows the few forms in which thes
 in a file is ever executed.
 """
 
+import functools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration.calibration import load_parts
@@ -28,13 +29,17 @@ _KEY = re.compile(r"^([A-Za-z_][A-Za-z0-9_]*)\s*:(.*)$")
 _NUMBER = re.compile(r"[-+]?(?:\.\d+|\d+\.?\d*)(?:[eE][-+]?\d+)?")
 
 
-def load_camera(path: str | Path, size: tuple[int, int] | None = None) -> AbstractCamera:
+def load_camera(
+    path: str | Path, size: tuple[int, int] | None = None, *, unnamed: Literal["pinhole", "fisheye"] = "pinhole"
+) -> AbstractCamera:
     """A camera from a file of another program, or from a calibration of our own.
 
     Args:
         path: `.json` is our own, `.cameramodel` mrcal's (LENSMODEL_PINHOLE, LENSMODEL_OPENCV4, 5 or 8), `.yaml` and
             `.yml` are OpenCV's or a ROS camera_info.
         size: Width and height of the images [px], for a file that does not say.
+        unnamed: The model of a `.yaml` that names none, as OpenCV's own samples write them: k1, k2, p1, p2 of a
+            pinhole look like k1 to k4 of a fisheye.
 
     Returns:
         The camera; a pinhole has 5 coefficients, or 8 where the file has more.
@@ -43,7 +48,8 @@ def load_camera(path: str | Path, size: tuple[int, int] | None = None) -> Abstra
         CalibrationError: One line with the key, the value found and the values allowed.
     """
     path = Path(path)
-    readers = {".cameramodel": _mrcal, ".yaml": _yaml, ".yml": _yaml}
+    yaml = functools.partial(_yaml, unnamed=unnamed)
+    readers: dict[str, Callable[..., dict[str, Any]]] = {".cameramodel": _mrcal, ".yaml": yaml, ".yml": yaml}
     suffix = path.suffix.lower()
     if suffix == ".json":
         return load_parts(path)[0]
@@ -62,14 +68,14 @@ def load_camera(path: str | Path, size: tuple[int, int] | None = None) -> Abstra
     return check(CalibrationTable, tables, name=str(path), error=CalibrationError).camera.camera()
 
 
-def _yaml(text: str, name: str, size: tuple[int, int] | None) -> dict[str, Any]:
+def _yaml(text: str, name: str, size: tuple[int, int] | None, *, unnamed: str) -> dict[str, Any]:
     blocks = _blocks(text)
     matrix = _numbers(_one(blocks, _MATRICES, name), f"{name}: camera matrix")
     if len(matrix) != 9 or [matrix[i] for i in (3, 6, 7)] != [0, 0, 0] or matrix[8] != 1:
         raise CalibrationError(f"{name}: camera matrix: found {matrix[:9]}, expected [fx s cx; 0 fy cy; 0 0 1].")
     fx, skew, cx, _, fy, cy, *_ = matrix
     model = blocks.get("distortion_model", "").strip().strip("\"'").lower()
-    fisheye = model in _FISHEYE or blocks.get("fisheye_model", "").strip() in ("1", "true")
+    fisheye = (model or unnamed) in _FISHEYE or blocks.get("fisheye_model", "").strip() in ("1", "true")
     if not fisheye and model not in _PINHOLE:
         raise CalibrationError(
             f"{name}: distortion_model: found {model!r:.40}, expected plumb_bob, rational_polynomial or equidistant."
