@@ -23,6 +23,8 @@ _LEAST_SIGNIFICANCE = 2.0
 # Single corners take their time: the residuals left out must promise to fall by this factor.
 _WORTH = 0.95
 _MOST_CORNERS = 192
+# Derivatives of all corner rows by all unknowns may take this much memory [bytes]; a few copies of them are made.
+_MOST_BYTES = 3e8
 
 
 class ShapeChoice(NamedTuple):
@@ -63,20 +65,22 @@ def choose_shape(
         return parabola
     # The fewest unknowns first, but single corners are not reached by steps: each is a solve of its own size.
     shapes: list[tuple[FreeShape, BoardModes]] = [("bent", bent), ("smooth", smooth)]
-    if len(board) <= _MOST_CORNERS:
+    if len(board) <= _MOST_CORNERS and 8 * result.errors.corner.size * 3 * len(board) < _MOST_BYTES:
         corners = corner_modes(smooth, board, frame)
         _, least, finest = hold_out(result, (smooth, corners))
         if _rms(finest) < _WORTH * _rms(least) and _is_better(finest, least, result):
             found = _solved(result, corners, settings)
-            if found is not None and _is_better(hold_out(found)[0], before, result):
-                return found, ShapeChoice("corners", _rms(before), _rms(hold_out(found)[0]))
+            after = before if found is None else hold_out(found)[0]
+            if found is not None and _is_better(after, before, result):
+                return found, ShapeChoice("corners", _rms(before), _rms(after))
     best, last = result, before
     free: FreeShape = "parabola"
     for name, modes in shapes:
         promise = hold_out(best, (modes,))[1]
         found = _solved(best, modes, settings) if _is_better(promise, last, best) else None
-        if found is not None and _is_better(hold_out(found)[0], last, best):
-            best, last, free = found, hold_out(found)[0], name
+        after = last if found is None else hold_out(found)[0]
+        if found is not None and _is_better(after, last, best):
+            best, last, free = found, after, name
     return best, ShapeChoice(free, _rms(before), _rms(last))
 
 

@@ -61,7 +61,7 @@ def corner_modes(smooth: BoardModes, board: np.ndarray, frame: np.ndarray) -> Bo
     count, padded = len(board), len(smooth.corner)
     own = smooth.corner[:count]
     place = (board[:, :2] - frame[:2]) / frame[2:]
-    plane = np.stack(bend_functions(place), axis=-1)[:, [0, 1, 2, *(i for i in (3, 5))]]
+    plane = np.stack(bend_functions(place), axis=-1)[:, [0, 1, 2, 3, 5]]
     height = _complement(np.concatenate([plane, own[:, 2, :_HEIGHTS]], axis=1))
     shifts = np.concatenate([_motions(board), own[:, :2].reshape(2 * count, -1)], axis=1)
     shift = _complement(shifts).reshape(count, 2, -1)
