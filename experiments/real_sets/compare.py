@@ -2,7 +2,7 @@
 
     python -m experiments.real_sets.compare CAPTURES [--only NAME …] [--measure after|before|plain …] [--work FOLDER]
 
-CAPTURES holds the captures that `convert` makes, by their names; sets that are not there are skipped. What was measured
+CAPTURES holds the captures that `convert` makes, by their names; sets that are not there are skipped. Earlier figures
 is kept in `real_sets.json` beside the table. Every run measures the code as it is now ("after"), and the rest if it is
 asked for. With --work, a run that was broken off goes on with the set at which it ended.
 """
@@ -114,7 +114,7 @@ def measure(one: RealSet, captures: Path, version: Path | None, work: Path) -> d
 
 
 def main() -> int:
-    """Measure what is missing, and write the table."""
+    """Measure the sets that are not done, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("captures", type=Path)
     parser.add_argument("--only", nargs="*", default=[one.name for one in SETS], metavar="NAME")

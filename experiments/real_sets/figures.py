@@ -28,7 +28,7 @@ class BoardLine(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """What one method made of a capture of boards."""
+    """The result of one method for a capture of boards."""
 
     lens: Lens
     shape: np.ndarray

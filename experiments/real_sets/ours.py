@@ -1,4 +1,4 @@
-"""Runs the command line of one version of jaxscan on a capture, and reads what it wrote."""
+"""Runs the command line of one version of jaxscan on a capture, and reads its files."""
 
 import json
 import os

@@ -52,7 +52,7 @@ class KnownParts:
             carries: Its kind of motion.
 
         Raises:
-            CalibrationError: With what was found and expected.
+            CalibrationError: With the values found and expected.
         """
         camera = self.camera
         if camera is not None and (camera.width, camera.height) != size:

@@ -13,7 +13,7 @@ _STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
 
 
 def print_summary(out: Terminal, calibration: Calibration) -> None:
-    """Print what the calibration is good for first, then lengths, noise, faults, advice and parameters."""
+    """Print the verdict first, then lengths, noise, faults, advice and parameters."""
     first = words.headline(calibration)
     out.print(f"{first.headline}. {first.explanation}", style=_STYLE[first.kind])
     lengths = words.lengths(calibration)

@@ -11,7 +11,7 @@ from jaxscan.observation.corners import FoundCorners
 # Margin inside the printed area, and distance from the found corners beyond which the map is a guess, in squares.
 _EDGE_MARGIN = 0.1
 _REACH = 1.2
-# Where there are so many corners, a cubic is fitted to what the homography leaves.
+# Where there are so many corners, a cubic is fitted to the remainder of the homography.
 _CUBIC_CORNERS = 30
 
 

@@ -24,7 +24,7 @@ def extraction_key(settings: ReconstructSettings, noise: NoiseModel | None) -> d
 
 
 def kept_arrays(stripes: Stripes, plan: Plan) -> dict[str, np.ndarray]:
-    """The stripes, what a user should know of them and, of each laser, the searched part of lines and the near side."""
+    """The stripes, notes on them and, of each laser, the searched part of lines and the near side."""
     fields = {name: np.asarray(field) for name, field in vars(stripes).items() if field is not None}
     notes = np.frombuffer("\n".join(plan.notes).encode(), np.uint8)
     return fields | _searched(plan.gates) | {"notes": notes}

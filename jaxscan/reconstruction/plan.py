@@ -49,7 +49,7 @@ class Plan:
     size: int
     """Records computed at a time."""
     notes: list[str] = field(default_factory=list)
-    """What a user should know of the stripes, once they are found; a sentence each."""
+    """Notes on the stripes, once they are found; a sentence each."""
 
     @property
     def lines(self) -> int:

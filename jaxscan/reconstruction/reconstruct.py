@@ -154,7 +154,7 @@ def _extracted(
     """Stripes, colours and perhaps points of all chunks, with the profiles that they are.
 
     Returns:
-        Profiles of a record; the chunks; and what chance has to do with them, to be asked after the last one.
+        Profiles of a record; the chunks; and the decoys' verdict, to be asked for after the last one.
     """
     sweep, size = plan.sweep, plan.size
     engines, angles = plan.engines(noise), sweep.angles.astype(np.float32)

@@ -117,7 +117,7 @@ def _tests(calibration: Calibration) -> Html | None:
             "If a model suffices, its statistic is about as large as its degrees of freedom. p is the probability that "
             "chance alone gives a larger statistic, with the noise that the detectors promise; p of structure is the "
             "same with the noise that was found. If only p is small, the residuals are noisy but have no structure. "
-            "Harm is the part of what the calibration is good to that the structure costs; the sigmas include it.",
+            "Harm is the part of the error that the structure causes; the sigmas include it.",
         ),
         table(tables.OUTCOME_COLUMNS, rows, kind="words", worse=[row[6] == "structure" for row in rows]),
     )

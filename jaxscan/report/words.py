@@ -63,16 +63,16 @@ class BadView(NamedTuple):
 
 
 def headline(calibration: Calibration) -> Headline:
-    """What the calibration is good for, and why not for more; "open" without a verdict."""
+    """The error of the calibration and its causes; "open" without a verdict."""
     verdict = calibration.quality.verdict
     if calibration.quality.converged is False:
         reason = verdict.refused if verdict else None
         return Headline("bad", "Not converged", reason or "The solve did not converge, so its numbers have no meaning.")
     if verdict is None:
-        return Headline("open", "Not judged", "There is no verdict on what this calibration is good for.")
+        return Headline("open", "Not judged", "There is no verdict on the error of this calibration.")
     good_to = verdict.good_to
     if verdict.usable is None or good_to is None:
-        reason = "The verdict of this file does not say what the calibration is good for: calibrate again."
+        reason = "The verdict of this file does not say how large the error is: calibrate again."
         return Headline("open", "Not judged", reason)
     size, parts = _size(good_to), _parts(calibration.quality, good_to)
     if verdict.usable is False:

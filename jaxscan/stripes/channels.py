@@ -98,7 +98,7 @@ def doubts_of(found: Sequence[FrameStripes], step: int) -> tuple[float, ...]:
     best = int(np.argmin(scatter))
 
     def doubt(k: int) -> float:
-        # No more than what the two channels disagree by, in which the surface's own relief cancels.
+        # No more than the difference of the two channels, in which the surface's own relief cancels.
         rougher = scatter[k] - scatter[best] - max(stated[k] - stated[best], 0.0)
         unlike = _variance(bends[k] - bends[best]) - stated[k] - stated[best]
         return max(min(rougher, unlike), 0.0)

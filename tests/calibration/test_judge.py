@@ -1,4 +1,4 @@
-"""Tests of models: they find nothing where all is right, and name what is wrong."""
+"""Tests of models: they find nothing where all is right, and name the model that is wrong."""
 
 from dataclasses import replace
 

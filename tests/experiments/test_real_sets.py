@@ -1,4 +1,4 @@
-"""The comparison on strangers' captures: its converter, its plain method, and what it reads of jaxscan."""
+"""The comparison on strangers' captures: its converter, its plain method, and the figures that it reads of jaxscan."""
 
 import subprocess
 

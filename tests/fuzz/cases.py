@@ -121,7 +121,7 @@ def _repack(draft: Draft) -> Case:
 
 
 def _import(draft: Draft) -> Case:
-    """A stranger's folder: images damaged or replaced by what is no file, and strange patterns, boards and angles."""
+    """A stranger's folder: images damaged or replaced by links and pipes, strange patterns, boards and angles."""
     rng, folder = draft.rng, draft.take("unsealed")
     images = sorted(one for side in ("on", "off") for one in (folder / side).iterdir())
     for _ in range(rng.choice((0, 1, 1, 3))):

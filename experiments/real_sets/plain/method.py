@@ -24,7 +24,7 @@ EVERY = 12
 
 
 class PlainBoards:
-    """Corners and lines of a capture of boards, found once, and what follows from all or some of the views."""
+    """Corners and lines of a capture of boards, found once, and the solves of all or some of the views."""
 
     def __init__(self, pictures: Pictures, kind: str, known: Lens | None = None) -> None:
         """Find corners; `kind` is "flat" or "fisheye", and a known lens is not calibrated."""
@@ -132,7 +132,7 @@ def sweep(pictures: Pictures, lens: Lens, sheet: Plane, table: Table, inner: flo
     for record in pictures.records:
         light = _light(pictures, record, laser)
         q = centres(light, laser.get("stripe_axis", "rows"))
-        # The table's own step is not what a user has: the nominal angle is used, by every method.
+        # A user does not know the table's own step: the nominal angle is used, by every method.
         points.append(frame.bring(sheet.meet(lens.straight(q)), np.radians(record["angle_deg"])))
     figures = table_figures(np.concatenate(points), frame.height, frame.normal, inner)
     return figures | {"seconds": time.perf_counter() - start, "records": len(pictures.records)}

@@ -18,7 +18,7 @@ def describe_board(
     Args:
         result: The finished solve.
         observations: Its observations.
-        calibration: What was concluded from it.
+        calibration: The calibration that was concluded from it.
         choice: Of `choose_shape`.
 
     Returns:

@@ -30,7 +30,7 @@ class HeldOut(NamedTuple):
 
 
 class _Normal(NamedTuple):
-    """What every placement adds to the normal equations, its pose eliminated; and its corner rows."""
+    """The part of every placement in the normal equations, its pose eliminated; and its corner rows."""
 
     information: Float[np.ndarray, "placements unknowns unknowns"]
     gradient: Float[np.ndarray, "placements unknowns"]
@@ -98,7 +98,7 @@ def _left_out(
 
 
 def _find_poses(residual: np.ndarray, rows: np.ndarray, owner: np.ndarray) -> None:
-    """Take off what the pose of each placement can explain."""
+    """Take off the part that the pose of each placement can explain."""
     count = int(owner.max()) + 1
     information, gradient = np.zeros((count, 6, 6)), np.zeros((count, 6))
     np.add.at(information, owner, np.swapaxes(rows, 1, 2) @ rows)

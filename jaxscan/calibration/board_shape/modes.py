@@ -56,7 +56,7 @@ def bent_modes(smooth: BoardModes) -> BoardModes:
 def corner_modes(smooth: BoardModes, board: np.ndarray, frame: np.ndarray) -> BoardModes:
     """The smooth modes, and with them every place and height that the corners of a board can have.
 
-    What is left beside the smooth modes is a matter of each corner: between corners it is 0.
+    The remainder beside the smooth modes belongs to single corners: between corners it is 0.
     """
     count, padded = len(board), len(smooth.corner)
     own = smooth.corner[:count]

@@ -39,7 +39,7 @@ _CHANCE = 4.0
 
 
 class Missing(NamedTuple):
-    """Terms that a model lacks, as far as the residuals show them, and what they change in terms found before.
+    """Terms that a model lacks, as far as the residuals show them, and their changes of terms found before.
 
     Terms of several models are in one order (`Score.places`).
     """
@@ -138,7 +138,7 @@ def _p_value(statistic: float, dof: int) -> float:
 
 
 def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
-    """What the score says of the terms of one model beside those that are known.
+    """The score of the terms of one model beside those that are known.
 
     The directions are independent of the known ones: from the terms of the model, those that would explain the same
     are taken off (Gram and Schmidt, with the score's variance as the product).
@@ -162,7 +162,7 @@ def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
 
 
 def _explain(score: Score, suspects: Sequence[str], tests: int) -> dict[str, Missing]:
-    """The terms that explain the structure: those of the likeliest model first, then what is left, and so on."""
+    """The terms that explain the structure: those of the likeliest model first, then those of the remainder."""
     known, left, found = _Seen(np.zeros((len(score.own), 0)), np.zeros(0)), list(suspects), {}
     while left:
         looks = {name: _look(score, name, known) for name in left}

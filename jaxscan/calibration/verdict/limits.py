@@ -26,7 +26,7 @@ _QUIET, _NOISY = 0.75, 1.33
 _PRIOR_SHARE = 0.5
 
 Result = Literal["passes", "noisy", "structure"]
-"""What a test found: "structure" in the residuals, or that they are only larger than promised ("noisy")."""
+"""The outcome of a test: "structure" in the residuals, or residuals that are only larger than promised ("noisy")."""
 
 
 def chance(p: Sequence[float]) -> float:

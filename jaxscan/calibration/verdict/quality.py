@@ -51,7 +51,7 @@ class GoodTo:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a calibration can be used, and what it is good for."""
+    """Whether a calibration can be used, and its error."""
 
     usable: bool | None = None
     """False of a solve that did not converge, where the harm leaves nothing to be used, and beyond a limit that was

@@ -33,7 +33,7 @@ def check_frame(name: str, direction: Triple, basis: Basis) -> None:
     """Refuse a unit vector and a basis that are none.
 
     Raises:
-        ValueError: With what was found.
+        ValueError: With the value found.
     """
     length = float(np.linalg.norm(direction))
     if abs(length - 1) > UNIT_TOLERANCE:

@@ -45,10 +45,10 @@ class CameraTable(ImageSize):
     shutter: Literal["global", "rolling"] | None = None
     """"rolling" where rows are exposed one after another; None if unknown."""
     compression: Literal["jpeg", "video"] | None = None
-    """What the images went through before they were stored; None: nothing that loses."""
+    """The lossy compression of the images before they were stored; None without one."""
 
     def notes(self) -> list[str]:
-        """What a user should know of such images, a sentence each."""
+        """Notes on such images, a sentence each."""
         notes = []
         if self.compression is not None:
             kind = "JPEG files" if self.compression == "jpeg" else "a video"

@@ -124,7 +124,7 @@ class _Pattern:
 
 
 def _piece(text: str) -> tuple[re.Pattern[str], int]:
-    """A part of a pattern without stars as an expression, with groups for what it leaves open, and its length."""
+    """A part of a pattern without stars as an expression, with groups for its open parts, and its length."""
     letters = re.findall(r"\[!?\]?[^\]]*\]|.", text, re.DOTALL)
     made = []
     for letter in letters:
