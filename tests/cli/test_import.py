@@ -143,6 +143,7 @@ def test_layouts_of_programs(run, tmp_path):
     # One laser picture more than the pictures of a turn.
     np.testing.assert_allclose(np.degrees(capture.angles), [0, 90, 180, 270, 360])
     assert not capture.records[0].off and any("JPEG" in note for note in capture.notes)
+    assert capture.lasers[0].colour == "red"
     names = [f"capture/{kind}_{k:03d}.png" for kind in ("color", "laser0", "laser1") for k in (0, 2, 4, 8)]
     save(tmp_path / "thot", names)
     ran = run("import", tmp_path / "thot", "-o", tmp_path / "b")

@@ -81,7 +81,8 @@ def import_(
         positions: With `--carries linear`: text file like that of --angles, in millimetres.
         carries: `scanner` or `object`: the load of the table; `linear` for a stage; `nothing` if nothing moves.
         lasers: Names of the lasers, one for each pattern of --on.
-        laser_colour: Channel of colour images that shows the laser; `auto` learns it.
+        laser_colour: Channel of colour images that shows the laser; `auto` learns it from
+            laser-off images, and takes red without any.
         stripe_axis: `rows` for a laser line that crosses the image rows, `columns` for one that lies along them.
         exposures_ms: Exposures of a bracket, one for each pattern of --on and of --off.
         response: `linear`, `srgb`, "gamma 2.2" or another exponent, or `learn` from the exposures.
@@ -124,7 +125,7 @@ def import_(
     plan = make_plan(folder, request)
     found = describe_images(plan, settings)
     out = console(json)
-    _show(out, plan, found)
+    _show(out, plan, found, laser_colour)
     result = _result(plan, found)
     if output is None or show:
         out.print("nothing is written: --show" if show else "nothing is written")
@@ -151,7 +152,7 @@ def _checked(exposures_ms: tuple[float, ...]) -> tuple[float, ...]:
     return exposures_ms
 
 
-def _show(out: Terminal, plan: ImportPlan, found: ImportedHeader) -> None:
+def _show(out: Terminal, plan: ImportPlan, found: ImportedHeader, laser_colour: LaserColour) -> None:
     """Print which images were found, and how they are understood."""
     roles = [(row.role, len(row.files), str(row.files[0]), str(row.files[-1])) for row in plan.rows]
     wide = max(len(role) for role, *_ in roles)
@@ -168,6 +169,9 @@ def _show(out: Terminal, plan: ImportPlan, found: ImportedHeader) -> None:
     camera = found.header.camera
     lossy = {"jpeg": ", JPEG", "video": ", video"}.get(str(camera.compression), "")
     out.print(f"  {camera.width} x {camera.height} px, {camera.pixel_format}{lossy}, response {camera.response}")
+    red = laser_colour == "auto" and camera.pixel_format != "mono8" and not any(one.off for one in plan.records)
+    if red and plan.lasers:
+        out.print("  the laser counts as red: there is no laser-off image to learn from; otherwise --laser-colour")
     if found.learned is not None:
         out.print(
             f"  response learned: {found.learned.response}, misfit {found.learned.misfit:.2g} codes; linear would "

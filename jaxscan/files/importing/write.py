@@ -86,7 +86,11 @@ def describe_images(plan: ImportPlan, settings: ImageSettings) -> ImportedHeader
     if rank != kind.rank:
         found = "grey" if kind.rank == 2 else "colour"
         raise OptionError(f"--pixel-format: found {camera['pixel_format']}, but {first} is a {found} image.")
-    look = {"colour": settings.laser_colour, "stripe_axis": settings.stripe_axis}
+    colour = settings.laser_colour
+    if colour == "auto" and not any(record.off for record in plan.records):
+        # A colour is learned from pairs.
+        colour = "red"
+    look = {"colour": colour, "stripe_axis": settings.stripe_axis}
     tables: dict[str, Any] = {
         "kind": "sweep" if plan.request.board is None else "calibration",
         "camera": camera,
