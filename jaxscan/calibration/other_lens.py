@@ -7,13 +7,14 @@ import numpy as np
 from jaxscan.calibration.calibrate import calibrate_observations
 from jaxscan.calibration.result import Calibration
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.verdict import noise_kind
+from jaxscan.calibration.verdict import is_named
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import CAMERAS
 
 
-# Other models take their time, and are tried where the lens causes this part of the error of the rays or more.
-_HUGELY = 0.5
+# Other models take their time, and are tried where the lens is a cause worth a word, and the residuals of corners are
+# this many times as large as the detector promised.
+_NOISY = 2.0
 # Another model is advised where it brings the residuals to this share.
 _BETTER = 0.7
 # More of the corners than this may not go for it.
@@ -34,8 +35,8 @@ def advise_lens(calibration: Calibration, settings: CalibrationSettings) -> Cali
     if verdict is None or verdict.good_to is None or observations is None or not quality.corner_rms_px:
         return calibration
     effects = [test.effect_px or 0.0 for test in verdict.tests if test.name == "lens"]
-    fails = any(effect > _HUGELY * (verdict.good_to.sigma_px or 0.0) for effect in effects)
-    if not fails or noise_kind(quality.corner_rms_whitened or 0.0) != "noisy":
+    fails = any(is_named(effect, verdict.good_to.sigma_px or 0.0) for effect in effects)
+    if not fails or (quality.corner_rms_whitened or 0.0) < _NOISY:
         return calibration
     rational = () if "rational" in settings.free else ("rational",)
     tried = [(name, f"--lens {name}", settings.free) for name in CAMERAS if name != settings.camera]
