@@ -87,8 +87,11 @@ def _sentences(boards: list[RealSet], results: dict[str, Any]) -> str:
             plan = found.get("plan", "")
             text = f"({plan}) {found['first']}" if plan else found["first"]
             text = text.replace("|", "/")
-            how = "With the known camera"
-            if found["options"].startswith("--only"):
+            # The version before knew no board of circles, and was given centres that OpenCV found.
+            how = "With centres found by OpenCV"
+            if found["options"].startswith("--camera"):
+                how = "With the known camera"
+            elif "--only" in found["options"]:
                 how = "With `--only camera`"
             if found["runs"] > 1:
                 text += f" **{how}:** {found['sentence']}".replace("|", "/")
