@@ -40,7 +40,7 @@ def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray, bloc
     def meet(step: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         q = (data.stripe_q + np.array(step)).reshape(-1, 2)
         q = np.concatenate([q, np.broadcast_to(q[:1], (-len(q) % block, 2))])
-        rays = [np.asarray(_rays(camera, part)) for part in np.split(q, len(q) // block)]
+        rays = [np.asarray(rays_of(camera, part)) for part in np.split(q, len(q) // block)]
         ray = np.concatenate(rays)[: data.stripe_valid.size].reshape(*data.stripe_valid.shape, 3)
         along = np.sum(normal * ray, axis=-1)
         range_m = level / np.where(along == 0, 1.0, along)
@@ -52,5 +52,6 @@ def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray, bloc
 
 
 @jax.jit
-def _rays(camera: AbstractCamera, q: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
+def rays_of(camera: AbstractCamera, q: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
+    """Unit rays of pixels."""
     return jax.vmap(camera.unproject)(jnp.asarray(q))

@@ -1,14 +1,12 @@
 """First poses of boards before a camera that is known."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from jaxscan.calibration.seed.closed_form import fit_homography, pose_from_homography
+from jaxscan.calibration.seed.lift import rays_of
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractCamera, Array
+from jaxscan.geometry import AbstractCamera
 
 
 # A board is looked at along its middle ray: beyond this cosine of the angle from it, tangents mean nothing.
@@ -26,7 +24,7 @@ def seed_poses(data: Prepared, camera: AbstractCamera) -> np.ndarray:
         CalibrationError: If no view shows the board where this camera has rays.
     """
     poses = np.tile(np.eye(4), (len(data.usable), 1, 1))
-    rays = np.asarray(_rays(camera, data.corner_q.reshape(-1, 2))).reshape(*data.corner_q.shape[:2], 3)
+    rays = np.asarray(rays_of(camera, data.corner_q.reshape(-1, 2))).reshape(*data.corner_q.shape[:2], 3)
     found = 0
     for view in np.flatnonzero(data.usable):
         seen = data.corner_valid[view]
@@ -62,8 +60,3 @@ def _facing(direction: np.ndarray) -> np.ndarray:
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x = x / np.linalg.norm(x)
     return np.stack([x, np.cross(z, x), z])
-
-
-@jax.jit
-def _rays(camera: AbstractCamera, q: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
-    return jax.vmap(camera.unproject)(jnp.asarray(q))

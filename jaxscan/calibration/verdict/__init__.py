@@ -2,7 +2,7 @@
 
 from jaxscan.calibration.verdict.advice import advise, cure_causes, cures
 from jaxscan.calibration.verdict.describe import describe_quality, warn
-from jaxscan.calibration.verdict.good_to import measure_good_to, refusal, root_of
+from jaxscan.calibration.verdict.good_to import measure_good_to, refusal
 from jaxscan.calibration.verdict.harm import Harm, find_harm
 from jaxscan.calibration.verdict.lengths import (
     Length,
@@ -15,6 +15,7 @@ from jaxscan.calibration.verdict.lengths import (
     typical_lengths,
 )
 from jaxscan.calibration.verdict.limits import Result, chance, is_held_by_priors, is_named, noise_kind
+from jaxscan.calibration.verdict.propagate import root_of
 from jaxscan.calibration.verdict.quality import (
     BoardMap,
     DepthSigma,

@@ -22,15 +22,6 @@ _GRID = (16, 12)
 _RETURNS_PX = 1e-2
 
 
-def root_of(covariance: Float[np.ndarray, "params params"]) -> Float[np.ndarray, "params params"]:
-    """Steps whose outer products add up to a covariance."""
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    # Pixels and radians differ by a million: in units of sigma all directions are of one size.
-    unit = np.where(sigma > 0, sigma, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
-    return (unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))).T
-
-
 def measure_good_to(
     camera: AbstractCamera,
     scanner: Scanner | None,

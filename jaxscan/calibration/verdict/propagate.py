@@ -24,11 +24,16 @@ def sigma_steps(scanner: Scanner) -> np.ndarray:
     if scanner.covariance is None:
         raise ValueError("The scanner has no covariance, so nothing can be said about its lengths.")
     covariance = np.asarray(scanner.covariance, np.float64)
+    return pad_steps(scanner, root_of(covariance))
+
+
+def root_of(covariance: Float[np.ndarray, "params params"]) -> Float[np.ndarray, "params params"]:
+    """Steps whose outer products add up to a covariance."""
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     # Pixels and radians differ by a million: in units of sigma all directions are of one size.
     unit = np.where(sigma > 0, sigma, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
-    return pad_steps(scanner, (unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))).T)
+    return (unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))).T
 
 
 def pad_steps(scanner: Scanner, steps: Float[np.ndarray, "steps params"]) -> np.ndarray:
