@@ -33,8 +33,9 @@ _WIDTHS_SURE = 3.0
 """The same of the widths, which scatter less."""
 _DOUBT = 0.06
 """Relative doubt about the variance by photons: a contrast that is within it is not told from none [1]."""
-_ROUGH = 3.0
-"""How much more the centres may scatter than the widths allow, in variance; what is beyond is the surface's."""
+_SURFACE, _ROUGH = 3.0, 8.0
+"""How much more the centres may scatter than the widths allow, in variance: what is beyond the first is the surface's;
+beyond the second nothing is told of speckle. Grains of a third to three pixels reach 2."""
 _QUANTILE_NOISE = 2.7
 """Variance of a squared robust standard deviation, times the number of samples, in its square [1]."""
 _REACH = 10
@@ -111,7 +112,9 @@ def learn_speckle(rows: Rows, electrons_per_dn: float, pitch: int) -> tuple[floa
         return 0.0, rows
     if centre.square <= _SURE * centre.sigma or width.square <= _WIDTHS_SURE * width.sigma:
         return 0.0, rows
-    square = min(centre.square, _ROUGH * width.square, _LARGEST**2)
+    if centre.square > _ROUGH * width.square:
+        return 0.0, rows
+    square = min(centre.square, _SURFACE * width.square, _LARGEST**2)
     return float(np.sqrt(square)), rows._replace(sigma=np.sqrt(photons + square * expected.centre))
 
 
