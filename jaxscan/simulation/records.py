@@ -65,8 +65,8 @@ class RenderedRecord(NamedTuple):
 def develop(record: ExpectedRecord, config: SimulationConfig, rng: np.random.Generator) -> RenderedRecord:
     """Expose both frames of a record, each with its own noise."""
     laser = speckled(record, config, rng)
-    on = _frame(_flickered(record.off, config, rng) + laser, config, rng)
-    off = _frame(_flickered(record.off, config, rng), config, rng)
+    on = take_frame(_flickered(record.off, config, rng) + laser, config, rng)
+    off = take_frame(_flickered(record.off, config, rng), config, rng)
     return RenderedRecord(record.angle, record.placement, on, off, record.truth, record.laser_index)
 
 
@@ -76,9 +76,24 @@ def _flickered(light: np.ndarray, config: SimulationConfig, rng: np.random.Gener
     return light if flicker == 0 else light * np.float32(max(0.0, 1 + flicker * rng.standard_normal()))
 
 
-def _frame(light: np.ndarray, config: SimulationConfig, rng: np.random.Generator) -> np.ndarray:
-    """An exposure by the camera's own pixels."""
-    return expose(flawed(light, config), config.sensor, rng)
+def take_frame(light: np.ndarray, config: SimulationConfig, rng: np.random.Generator) -> np.ndarray:
+    """An exposure by the camera's own pixels, as the camera hands it out.
+
+    Args:
+        light: Linear light in DN, float32 [rows, columns] (rgb8: and 3).
+        config: The camera.
+        rng: Source of the noise.
+
+    Returns:
+        uint8 of the same shape.
+    """
+    image = expose(flawed(light, config), config.sensor, rng)
+    if config.sensor.jpeg_quality is None:
+        return image
+    # Imported here, so that a simulation without JPEGs does not load OpenCV.
+    from jaxscan.vision import through_jpeg
+
+    return through_jpeg(image, config.sensor.jpeg_quality)
 
 
 def speckled(record: ExpectedRecord, config: SimulationConfig, rng: np.random.Generator) -> np.ndarray:
