@@ -7,13 +7,23 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import ifft2  # type: ignore[import-untyped]
-from worlds.stripe_world import Frames, Sensor, expose
+from worlds.stripe_world import Sensor, expose
 
 
 _FINE = 4
 """Samples of a pixel in each direction: speckle of f/2.8 has no frequencies beyond their Nyquist limit."""
 _HALF_WINDOW = 24
 """Pixels on either side of the middle that the stripe may reach."""
+
+
+class CoherentFrames(NamedTuple):
+    """Pairs of frames uint8 [frames, rows, columns], and the truth [frames, rows]."""
+
+    on: np.ndarray
+    off: np.ndarray
+    u: np.ndarray
+    snr: np.ndarray
+    """The laser's light on each row's brightest pixel over the noise of the pair there without it [1]."""
 
 
 class Speckle(NamedTuple):
@@ -59,7 +69,7 @@ def render_coherent(
     speckle: Speckle | None,
     sensor: Sensor,
     rng: np.random.Generator,
-) -> Frames:
+) -> CoherentFrames:
     """Pairs of frames with a stripe at `u` [frames, rows], of `amplitude` [rows], in the room's light.
 
     Args:
@@ -86,4 +96,5 @@ def render_coherent(
         frame[:, first : first + 2 * _HALF_WINDOW] = pixels
     on = expose(room + lit, sensor, rng)
     off = expose(np.broadcast_to(room, on.shape), sensor, rng)
-    return Frames(on, off, u)
+    dark = 2.0 * (sensor.read_dn**2 + 1 / 12 + room / sensor.electrons_per_dn)
+    return CoherentFrames(on, off, u, (lit / np.sqrt(dark)).max(2))
