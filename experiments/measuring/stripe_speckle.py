@@ -6,7 +6,7 @@ curved surfaces; its peak goes from 30 to 230 DN along the rows, so that grains 
 
 import numpy as np
 from tables.stripe_table import Figure
-from worlds.speckle_world import Speckle, render_coherent
+from worlds.speckle_world import Course, Speckle, render_coherent
 from worlds.stripe_world import Sensor
 
 import jaxscan
@@ -36,7 +36,7 @@ def _figures(speckle: Speckle, frames: int, seed: int) -> list[Figure]:
     u = _COLUMNS / 2 + middle + tilt * v + sag * v**2
     amplitude = 130.0 - 100.0 * np.cos(8 * np.pi * v)
     room = np.linspace(3.0, 70.0, _COLUMNS)[None, :] * np.linspace(1.0, 0.4, _ROWS)[:, None]
-    pairs = render_coherent(u, _WIDTH, amplitude, room, speckle, _SENSOR, rng)
+    pairs = render_coherent(Course(u, _WIDTH, amplitude), room, speckle, _SENSOR, rng)
     found = jaxscan.extract_stripes(pairs.on, pairs.off)
     centre, sigma, valid = (np.asarray(field) for field in (found.u, found.sigma, found.valid))
     key = f"speckle_{speckle.contrast:g}_at_f{speckle.f_number:g}"
