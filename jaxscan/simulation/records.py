@@ -26,6 +26,7 @@ from jaxscan.simulation.light import (
     line_pieces,
     lit_samples,
     lobe,
+    mirrored_samples,
     returned_light,
     row_truth,
     speckle_light,
@@ -48,8 +49,8 @@ class ExpectedRecord(NamedTuple):
     """The laser's light, of the same shape: the laser-on frame expects `off + laser`."""
     truth: RowTruth
     laser_index: int
-    samples: LitSamples | None = None
-    """The laser's light before the lens, where it has speckle."""
+    samples: tuple[LitSamples, ...] = ()
+    """The laser's light before the lens, where it has speckle: the stripe, and what mirrors show of it."""
 
 
 class RenderedRecord(NamedTuple):
@@ -102,9 +103,10 @@ def take_frame(light: np.ndarray, config: SimulationConfig, rng: np.random.Gener
 def speckled(record: ExpectedRecord, config: SimulationConfig, rng: np.random.Generator) -> np.ndarray:
     """The laser's light of a record with a pattern of speckle of its own; of the shape of `record.laser`."""
     sensor, spec = config.sensor, config.laser[record.laser_index]
-    if record.samples is None:
+    if not record.samples:
         return record.laser
-    change = speckle_light(record.samples, spec.grain_px(sensor), spec.speckle_contrast, rng)
+    grain = spec.grain_px(sensor)
+    change = sum(speckle_light(samples, grain, spec.speckle_contrast, rng) for samples in record.samples)
     change = mosaic(change * laser_response(sensor, spec.colour)[:, None, None], sensor.pixel_format)
     return np.where(record.laser > 0, np.maximum(record.laser + change, 0), np.float32(0))
 
@@ -137,6 +139,9 @@ def expect_record(
     samples = lit_samples(shot, depth, lens_blur(config, depth))
     glow: np.ndarray = laser_image(samples) * np.float32(scale)
     truth_glow, shade = glow, vignette(config)
+    mirrored = mirrored_samples(shot, scene.mirror[room.triangle] > 0, lens_blur(config, depth))
+    if mirrored is not None:
+        glow = glow + laser_image(mirrored) * np.float32(scale)
     if config.light.bounce > 0:
         glow = glow + _returned(shot, room, depth, front) * np.float32(scale * config.light.bounce)
     if sees is not None:
@@ -145,11 +150,12 @@ def expect_record(
     truth = row_truth(shot, depth, dimmed(truth_glow, shade))
     lit = dimmed(glow, shade) * laser_response(sensor, sheet.spec.colour)[:, None, None]
     frames = mosaic(dimmed(off, shade), sensor.pixel_format), mosaic(lit, sensor.pixel_format)
-    kept = None
-    if sheet.spec.speckle_contrast > 0:
-        light = dimmed(samples.light * np.float32(scale), shade, (samples.rows, samples.columns))
-        kept = samples._replace(light=light)
-    return ExpectedRecord(phi, placement, *frames, truth, laser, kept)
+    kept: list[LitSamples] = []
+    for part in (samples, mirrored):
+        if part is not None and sheet.spec.speckle_contrast > 0:
+            light = dimmed(part.light * np.float32(scale), shade, (part.rows, part.columns))
+            kept.append(part._replace(light=light))
+    return ExpectedRecord(phi, placement, *frames, truth, laser, tuple(kept))
 
 
 class _Room(NamedTuple):
@@ -181,6 +187,16 @@ def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: _Room) -> np.ndarra
     hit = np.isfinite(room.depth)
     if not hit.all():
         image *= hit
+    glass = scene.mirror[room.triangle]
+    if glass.any():
+        rows, columns = np.nonzero(glass)
+        met = room.triangle[rows, columns], room.points[rows, columns]
+        _, triangle, points = scene.reflect(pose.translation, met[1], met[0])
+        # Surfaces are seen from the camera's own picture in the mirror.
+        normal = scene.normal[met[0][0]]
+        view = pose.translation - 2 * ((pose.translation - met[1][0]) @ normal) * normal
+        behind = scene.ambient(triangle[None], points[None], view, channels(rig.config.sensor))[:, 0]
+        image[:, rows, columns] += glass[rows, columns] * behind
     return blurred(lambda psf: blur(image, psf), lens_blur(rig.config, room.depth))
 
 

@@ -11,13 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.simulation.camera import COLOURS
 from jaxscan.simulation.light.fan import along
-from jaxscan.simulation.light.stripe import LitScene
+from jaxscan.simulation.light.lit import LitScene, laser_channel
 
 
-PIECES = 64
-GRID = 12
+PIECES = 48
+GRID = 8
 """Pixels from one point of the grid to the next."""
 _LENGTH = 0.03
 """A piece is no point: nearer than about this [m] its light does not grow any more."""
@@ -59,11 +58,6 @@ def line_pieces(shot: LitScene) -> Pieces:
     hit = np.isfinite(far) & (power > 0)
     points = origin + far[hit, None] * directions[hit] + _SKIN * normal[hit]
     return Pieces(*(part.astype(np.float32) for part in (points, normal[hit], power[hit])))
-
-
-def laser_channel(shot: LitScene) -> np.ndarray:
-    """Weights [3, 1] of R, G, B for surfaces in the laser's light."""
-    return np.eye(3, dtype=np.float32)[:, [COLOURS.index(shot.sheet.spec.colour)]]
 
 
 def returned_light(shot: LitScene, pieces: Pieces, points: np.ndarray) -> np.ndarray:

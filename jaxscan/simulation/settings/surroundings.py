@@ -1,10 +1,23 @@
 """Configuration of the surroundings of a simulated rig: a room, or an object on the table, and its light."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from jaxscan.simulation.settings.numbers import Angle, Distance, Level, Place, Point, Section, Share
+
+
+class MirrorSpec(Section):
+    """A clean mirror on a wall: it has no light of its own, and shows the room and the stripe again."""
+
+    wall: Literal["x0", "x1", "y0", "y1"] = "x1"
+    along_m: Place = 1.0
+    """Its middle along the wall, from the room's corner."""
+    height_m: Place = 1.4
+    """Height of its middle above the floor."""
+    size_m: tuple[Distance, Distance] = (0.6, 0.8)
+    """Width and height."""
+    reflects: Share = 0.9
 
 
 class RoomSpec(Section):
@@ -16,6 +29,7 @@ class RoomSpec(Section):
     yaw_deg: Angle = 20.0
     """Direction of the scanner's x axis in the room, from the room's x towards its y."""
     furniture: bool = True
+    mirror: MirrorSpec | None = None
 
     @model_validator(mode="after")
     def _rig_inside(self) -> "RoomSpec":
