@@ -1,8 +1,10 @@
 """Configuration of the surroundings of a simulated rig: a room, or an object on the table, and its light."""
 
-from pydantic import model_validator
+from typing import Annotated
 
-from jaxscan.simulation.settings.numbers import Angle, Distance, Level, Place, Point, Section
+from pydantic import Field, model_validator
+
+from jaxscan.simulation.settings.numbers import Angle, Distance, Level, Place, Point, Section, Share
 
 
 class RoomSpec(Section):
@@ -37,3 +39,7 @@ class LightSpec(Section):
     white_dn: Level = 120.0
     """Level of a white surface (albedo 1) in the room's mean light, on every channel."""
     shadows: bool = True
+    bounce: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Strength of the laser's light that comes back from what it lights: 1 as in nature, 0 for none."""
+    flicker: Share = 0.0
+    """Standard deviation of the room's light from frame to frame, relative."""
