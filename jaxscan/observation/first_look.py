@@ -21,12 +21,17 @@ Progress = Callable[[int, int], None]
 FindCorners = Callable[[np.ndarray, AbstractBoard], FoundCorners | None]
 """Finds the corners of a board in a grey image; None where the board is not found."""
 
+DrawPrint = Callable[[AbstractBoard], np.ndarray]
+"""The print of a board as a picture, see `BoardPicture.of`."""
+
 
 class Eyes(NamedTuple):
     """The functions that read images; `vision` has them, by OpenCV."""
 
     to_grey: ToGrey
     find_corners: FindCorners
+    draw_print: DrawPrint | None = None
+    """Without it stripes on boards are fitted without their print."""
 
 
 class Look(NamedTuple):
