@@ -1,12 +1,15 @@
 """Renders frames of a known world, with their truth."""
 
-from jaxscan.simulation.boards import SeenBoard, make_print
+from jaxscan.simulation.boards import SeenBoard
+from jaxscan.simulation.camera import expose, flawed
+from jaxscan.simulation.light import RowTruth
 from jaxscan.simulation.planning import Placement, plan_boards
+from jaxscan.simulation.printing import make_print
 from jaxscan.simulation.rays import distort, undistort
+from jaxscan.simulation.records import ExpectedRecord, RenderedRecord, develop, expect_record, speckled
 from jaxscan.simulation.rig import Motion, TrueRig, make_rig, rodrigues, turning_axis
 from jaxscan.simulation.scene import make_scene
-from jaxscan.simulation.sensor import expose, speckled
-from jaxscan.simulation.spec import (
+from jaxscan.simulation.settings import (
     BoardsSpec,
     CameraSpec,
     LaserSpec,
@@ -18,14 +21,9 @@ from jaxscan.simulation.spec import (
     SimulationConfig,
     TurntableSpec,
 )
-from jaxscan.simulation.stripe import RowTruth
 from jaxscan.simulation.sweep import (
-    ExpectedRecord,
-    RenderedRecord,
     board_pairs,
-    develop,
     expect_boards,
-    expect_record,
     expect_sweep,
     render_boards,
     render_sweep,

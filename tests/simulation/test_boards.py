@@ -11,14 +11,15 @@ from jaxscan.simulation import (
     CameraSpec,
     LaserSpec,
     RoomSpec,
+    SeenBoard,
     SimulationConfig,
     TurntableSpec,
     expect_record,
+    make_print,
     make_rig,
     make_scene,
 )
-from jaxscan.simulation.boards import SeenBoard, make_print
-from jaxscan.simulation.optics import integrate, psf_weights
+from jaxscan.simulation.camera import integrate, psf_weights
 from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.rays import distort
 from jaxscan.simulation.rig import Motion, rodrigues

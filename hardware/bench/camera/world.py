@@ -15,6 +15,7 @@ from jaxscan.simulation import (
     SimulationConfig,
     expect_record,
     expose,
+    flawed,
     make_print,
     make_rig,
     make_scene,
@@ -123,12 +124,12 @@ class World:
         # Without a laser's light any record will do, and there is one already.
         light = self.expect(view.angle, view.board, lit[0][0] if lit else self._known_laser()).off
         for laser, share in lit:
-            glow = self.expect(view.angle, view.board, laser).laser
-            light = light + np.float32(share) * speckled(glow, sensor, rng)
+            record = self.expect(view.angle, view.board, laser)
+            light = light + np.float32(share) * speckled(record, self.config, rng)
         light = light * np.float32(view.exposure) + np.float32(flash_dn)
         if blur_px:
             light = np.stack([np.roll(light, shift, axis=1) for shift in range(blur_px + 1)]).mean(0)
-        return expose(light, sensor, rng)
+        return expose(flawed(light, self.config), sensor, rng)
 
     def _known_laser(self) -> int:
         """The laser whose record was made last; the room looks the same in all."""
