@@ -70,7 +70,7 @@ def _mark_strays(x, y, weight, rules):
 @_part
 @no_type_check
 def _edge_between(x, y, weight, i, rules):
-    """Chi-squared by which value and slope differ between the lines up to i and those after it; the most of all sizes."""
+    """Chi-squared by which value and slope differ up to i and after it; the most of all sizes."""
     count = len(x)
     if x[i + 1] - x[i] > rules.gap:
         return np.inf
