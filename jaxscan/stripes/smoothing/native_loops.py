@@ -27,6 +27,8 @@ class Rules(NamedTuple):
     """Chi-squared of two degrees of freedom from which two sides do not continue each other."""
     stray: float
     """Standard deviations by which a stray centre lies off the line through its neighbours."""
+    agree: float
+    """Chi-squared of two degrees of freedom up to which those neighbours lie on a line."""
     misfit: float
     """Standard deviations by which the chi-squared of a fit may exceed its degrees of freedom."""
 
@@ -60,7 +62,7 @@ def _mark_strays(x, y, weight, rules):
             t1 += w * d * v
             q += w * v * v
         value, slope, variance, _, _ = _line(s0, s1, s2, t0, t1)
-        agree = variance > 0.0 and q - value * t0 - slope * t1 < 9.0
+        agree = variance > 0.0 and q - value * t0 - slope * t1 < rules.agree
         stray[i] = agree and value * value > rules.stray**2 * (variance + 1.0 / weight[i])
     for i in range(count):
         if stray[i]:
@@ -69,59 +71,61 @@ def _mark_strays(x, y, weight, rules):
 
 @_part
 @no_type_check
-def _edge_between(x, y, weight, i, rules):
-    """Chi-squared by which value and slope differ up to i and after it; the most of all sizes."""
+def _step(x, y, weight, edge, i, size):
+    """Chi-squared by which value and slope of straight lines through so many rows up to i and after it differ.
+
+    They end at the edges that are known.
+    """
     count = len(x)
-    if x[i + 1] - x[i] > rules.gap:
-        return np.inf
     at, level = 0.5 * (x[i] + x[i + 1]), y[i]
-    most, size = 0.0, 0
     a0 = a1 = a2 = b0 = b1 = 0.0
+    for k in range(i, max(i - size, -1), -1):
+        d, v, w = x[k] - at, y[k] - level, weight[k]
+        a0 += w
+        a1 += w * d
+        a2 += w * d * d
+        b0 += w * v
+        b1 += w * d * v
+        if k > 0 and edge[k - 1]:
+            break
     c0 = c1 = c2 = e0 = e1 = 0.0
-    for n in range(rules.sizes[-1]):
-        k = i - n
-        if k >= 0:
-            d, v, w = x[k] - at, y[k] - level, weight[k]
-            a0 += w
-            a1 += w * d
-            a2 += w * d * d
-            b0 += w * v
-            b1 += w * d * v
-        k = i + 1 + n
-        if k < count:
-            d, v, w = x[k] - at, y[k] - level, weight[k]
-            c0 += w
-            c1 += w * d
-            c2 += w * d * d
-            e0 += w * v
-            e1 += w * d * v
-        if n + 1 == rules.sizes[size]:
-            size += 1
-            before, rise, vb, vr, cb = _line(a0, a1, a2, b0, b1)
-            after, fall, va, vf, ca = _line(c0, c1, c2, e0, e1)
-            if vb < 0.0 or va < 0.0:
-                continue
-            jump, bend, v, s, c = after - before, fall - rise, vb + va, vr + vf, cb + ca
-            most = max(most, (s * jump * jump - 2.0 * c * jump * bend + v * bend * bend) / (v * s - c * c))
-    return most
+    for k in range(i + 1, min(i + 1 + size, count)):
+        d, v, w = x[k] - at, y[k] - level, weight[k]
+        c0 += w
+        c1 += w * d
+        c2 += w * d * d
+        e0 += w * v
+        e1 += w * d * v
+        if k < count - 1 and edge[k]:
+            break
+    before, rise, vb, vr, cb = _line(a0, a1, a2, b0, b1)
+    after, fall, va, vf, ca = _line(c0, c1, c2, e0, e1)
+    if vb < 0.0 or va < 0.0:
+        return 0.0
+    jump, bend, v, s, c = after - before, fall - rise, vb + va, vr + vf, cb + ca
+    return (s * jump * jump - 2.0 * c * jump * bend + v * bend * bend) / (v * s - c * c)
 
 
 @_part
 @no_type_check
 def _mark_edges(x, y, weight, rules):
-    """Whether line i and the next one are on two surfaces: the highest chi-squared among five neighbours."""
+    """Whether row i and the next one are on two surfaces: first by few rows, then by more that end at known edges."""
     count = len(x)
-    height = np.zeros(max(count - 1, 0))
     edge = np.zeros(max(count - 1, 0), np.bool_)
+    height = np.zeros(max(count - 1, 0))
     for i in range(count - 1):
-        height[i] = _edge_between(x, y, weight, i, rules)
-    for i in range(count - 1):
-        if height[i] > rules.edge:
-            highest = True
-            for k in range(max(i - 2, 0), min(i + 3, count - 1)):
-                if height[k] > height[i]:
-                    highest = False
-            edge[i] = highest
+        edge[i] = x[i + 1] - x[i] > rules.gap
+    for size in rules.sizes:
+        for i in range(count - 1):
+            height[i] = 0.0 if edge[i] else _step(x, y, weight, edge, i, size)
+        for i in range(count - 1):
+            if height[i] > rules.edge:
+                highest = True
+                # Those beside an edge look across it.
+                for k in range(max(i - size + 1, 0), min(i + size, count - 1)):
+                    if height[k] > height[i]:
+                        highest = False
+                edge[i] |= highest
     return edge
 
 

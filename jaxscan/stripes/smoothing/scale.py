@@ -8,7 +8,7 @@ _CLASSES = 8
 """Classes of amplitude with a scale of their own."""
 _LEAST = 200
 """Rows that a class needs."""
-_MOST = 400_000
+_MOST = 100_000
 """Rows that are looked at."""
 _LARGEST = 3.0
 
