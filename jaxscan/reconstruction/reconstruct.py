@@ -188,11 +188,11 @@ def _extracted(
         for batch in waiting:
             if batch.laser not in learned:
                 learned.add(batch.laser)
-                engines[batch.laser] = engines[batch.laser].learn_width(batch.on, batch.off, then(batch))
+                engines[batch.laser] = engines[batch.laser].learn(batch.on, batch.off, then(batch))
             yield batch
 
     def chunks() -> Iterator[tuple[np.ndarray, ChunkStripes]]:
-        compiled = plan.settings.stripes.learn_width
+        compiled = next(iter(engines.values())).learns
         for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers(), compiled=compiled):
             yield _rows(profiles, each), result
             if progress is not None:
