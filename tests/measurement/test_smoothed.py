@@ -13,12 +13,12 @@ from jaxscan.stripes import smooth_profiles
 SIZE = 6.15, 3.82, 2.6
 
 
-def smoothed(cloud):
+def smoothed(cloud, noise):
     """The cloud as a reconstruction with smoothed rows would have it: along the lines of every profile."""
     p = cloud.xyz.astype(np.float64)
     far = np.linalg.norm(p, axis=-1)
     # Disparity, as a stripe has it: a plane is straight in it, and noise of the range becomes alike everywhere.
-    u, slope = 1000.0 / far, 1000.0 / far**2
+    u, slope = 1000.0 / far, 1000.0 * noise / 6.25 / cloud.sigma_random
     sigma = cloud.sigma_random * slope
     found = smooth_profiles(u.astype(np.float32), sigma.astype(np.float32), cloud.valid)
     return SimpleNamespace(
@@ -46,7 +46,7 @@ def test_sigma_of_a_wall_to_wall_distance_is_that_of_the_rows(box_room):
     whitened, forgotten, stated = [], [], []
     for seed in range(60):
         rows = box_room(seed=seed, grid=(120, 120), noise=4e-3)
-        cloud = smoothed(rows)
+        cloud = smoothed(rows, 4e-3)
         room = measure_room(cloud)
         unaware, plain = (measure_room(independent(cloud)), measure_room(rows)) if seed < 12 else (room, room)
         for name, truth in zip(("length", "width", "height"), SIZE, strict=True):
@@ -67,7 +67,8 @@ def test_sigma_of_a_distance_between_patches(box_room):
     """Patches are about as large as the windows: then rows beyond the patch help too."""
     whitened = []
     for seed in range(40):
-        cloud = smoothed(box_room(seed=seed, grid=(360, 240), noise=2e-3, yaw=0.0, tilt=0.0, at=(0.4, -0.3, 1.3)))
+        rows = box_room(seed=seed, grid=(360, 240), noise=2e-3, yaw=0.0, tilt=0.0, at=(0.4, -0.3, 1.3))
+        cloud = smoothed(rows, 2e-3)
         for z in (-0.5, -0.2, 0.1, 0.4):
             found = measure_distance(cloud, [2.675, 0.3, z], [-3.475, 0.3, z], radius_m=0.06)
             # Means of patches that lie a little beside each other.
