@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.reconstruction.ahead import map_ahead, workers
-from jaxscan.stripes import Smoothed, Stripes, sigma_scale, smooth_profiles
+from jaxscan.stripes import Smoothed, Stripes, row_scatter, smooth_profiles
 
 
 _PROFILES = 32
@@ -45,7 +45,8 @@ def smooth_sweep(stripes: Stripes) -> SmoothedSweep:
     """Smooth the centres of all profiles, with sigmas that the scatter of neighbouring rows confirms."""
     u, sigma, valid = (np.asarray(field) for field in (stripes.u, stripes.sigma, stripes.valid))
     u, sigma = u.astype(np.float32), sigma.astype(np.float32)
-    sigma *= sigma_scale(u, sigma, valid, np.asarray(stripes.amplitude, np.float32))
+    scatter = row_scatter(u, sigma, valid, np.asarray(stripes.amplitude, np.float32))
+    sigma *= scatter.scale
 
     def smooth(start: int) -> Smoothed:
         part = slice(start, start + _PROFILES)
@@ -53,4 +54,7 @@ def smooth_sweep(stripes: Stripes) -> SmoothedSweep:
 
     parts = map_ahead(smooth, range(0, len(u), _PROFILES), workers())
     found = Smoothed(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
-    return SmoothedSweep(found.u, found.sigma, np.where(valid, u - found.u, 0), sigma, found.shared_lines)
+    # The mean of many rows whose next neighbours are alike: 1 + 2 r times the variance of independent ones.
+    alike = np.where(found.shared_lines > 1, np.sqrt(1 + 2 * scatter.correlation), 1)
+    stated = np.minimum(found.sigma * alike, sigma).astype(np.float32)
+    return SmoothedSweep(found.u, stated, np.where(valid, u - found.u, 0), sigma, found.shared_lines)
