@@ -40,7 +40,7 @@ class Board(NamedTuple):
 
     def header(self) -> dict[str, object]:
         """The board as captures name it."""
-        lengths = {"square_mm": 1000 * self.square_m, "marker_mm": 1000 * self.marker_m}
+        lengths = {"square_mm": round(1000 * self.square_m, 3), "marker_mm": round(1000 * self.marker_m, 3)}
         return {"type": "charuco", "columns": self.columns, "rows": self.rows, "dictionary": self.dictionary, **lengths}
 
 

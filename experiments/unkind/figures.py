@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator  # type: ignore[import-untyped]
 
 from experiments.unkind.estimate import Dimension, Rig, Rows
 from experiments.unkind.rig import look
@@ -222,14 +223,14 @@ def step_width(truth: Truth, stripes: TrueStripes, found: Rows, reach: int = 12)
 
 def _rise(curve: np.ndarray) -> float:
     """Distance between the places where a curve passes 0.1 for the last time and 0.9 for the first time after."""
-    middle = len(curve) // 2
-    up = np.flatnonzero(curve[: middle + 2] < 0.1)
-    down = np.flatnonzero(curve[middle - 1 :] > 0.9)
-    if not len(up) or not len(down):
+    if not np.isfinite(curve).all():
         return float("nan")
-    i, j = int(up[-1]), middle - 1 + int(down[0])
-    start = i + (0.1 - curve[i]) / (curve[i + 1] - curve[i])
-    return float(j - (curve[j] - 0.9) / (curve[j] - curve[j - 1]) - start)
+    # Straight lines between rows would widen a sharp step.
+    place = np.linspace(0, len(curve) - 1, 100 * (len(curve) - 1) + 1)
+    fine = PchipInterpolator(np.arange(len(curve)), curve)(place)
+    middle = len(fine) // 2
+    low, high = np.flatnonzero(fine[: middle + 100] < 0.1), np.flatnonzero(fine[middle - 100 :] > 0.9)
+    return float(place[middle - 100 + high[0]] - place[low[-1]]) if len(low) and len(high) else float("nan")
 
 
 def dimension_figures(dimensions: list[Dimension]) -> dict[str, Any]:

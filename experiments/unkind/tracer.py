@@ -85,7 +85,7 @@ class Tracer:
         return np.array(dr.reinterpret_array(self.mi.UInt32, pointer)).astype(int)
 
     def _patch(self, patch: Patch) -> dict[str, Any]:
-        bitmap = self.mi.Bitmap(np.ascontiguousarray(patch.paint[::-1, :, None], np.float32))
+        bitmap = self.mi.Bitmap(np.ascontiguousarray(patch.paint[..., None], np.float32))
         paint = {"type": "bitmap", "bitmap": bitmap, "raw": True, "filter_type": "bilinear", "wrap_mode": "clamp"}
         return {
             "type": "rectangle",
