@@ -55,10 +55,10 @@ class Shot(NamedTuple):
 
 
 def fan(rig: Rig, local: np.ndarray) -> np.ndarray:
-    """Uneven power of the fan in the direction of points in the camera's frame, about 1."""
+    """Uneven power of the fan in the direction of points in the camera's frame, 0.5 to 1.3."""
     way = local - rig.source
     angle = np.arctan2(way[:, 1], way[:, 2])
-    return 1 + 0.12 * np.sin(5.3 * angle + 0.7) + 0.06 * np.sin(17.0 * angle)
+    return 0.9 + 0.3 * np.sin(5.3 * angle + 0.7) + 0.1 * np.sin(17.0 * angle)
 
 
 def thickness(away: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from experiments.unkind.true_rows import stripes
 
 
 STEPS = 100
-WALL_DN = 150.0
+WALL_DN = 110.0
 """Peak of the stripe on a wall of reflectance 0.65 at 2 m in a sweep [DN]."""
 BOARD_WHITE_DN, SWEEP_WHITE_DN = 120.0, 45.0
 """Brightness of white paper in the room's light, where it is usual; a sweep is made in dim light."""

@@ -145,8 +145,10 @@ def _shell(rng: np.random.Generator, size: np.ndarray) -> list[Patch]:
         "ceiling": (z, y, x),
     }
     patches = []
+    # One wall is dark, so that stripes of all brightnesses occur.
+    walls = dict(zip(rng.permutation([name for name in sides if "wall" in name]), (0.15, 0.35, 0.55, 0.7), strict=True))
     for name, (origin, along, up) in sides.items():
-        base = {"floor": 0.35, "ceiling": 0.75}.get(name, rng.uniform(0.5, 0.72))
+        base = {"floor": 0.35, "ceiling": 0.75, **walls}[name] * rng.uniform(0.95, 1.05)
         patches.append(Patch(name, origin, along, up, paint(rng, base, spread=0.06 if "wall" in name else 0.1)))
         assert np.allclose(patches[-1].normal() @ (size / 2 - origin - (along + up) / 2) > 0, True)
     return patches
