@@ -1,12 +1,13 @@
 """Renders frames of a known world, with their truth."""
 
 from jaxscan.simulation.boards import SeenBoard, make_print
+from jaxscan.simulation.camera import expose
+from jaxscan.simulation.light import RowTruth
 from jaxscan.simulation.planning import Placement, plan_boards
 from jaxscan.simulation.rays import distort, undistort
 from jaxscan.simulation.rig import Motion, TrueRig, make_rig, rodrigues, turning_axis
 from jaxscan.simulation.scene import make_scene
-from jaxscan.simulation.sensor import expose, speckled
-from jaxscan.simulation.spec import (
+from jaxscan.simulation.settings import (
     BoardsSpec,
     CameraSpec,
     LaserSpec,
@@ -18,7 +19,6 @@ from jaxscan.simulation.spec import (
     SimulationConfig,
     TurntableSpec,
 )
-from jaxscan.simulation.stripe import RowTruth
 from jaxscan.simulation.sweep import (
     ExpectedRecord,
     RenderedRecord,
@@ -29,6 +29,7 @@ from jaxscan.simulation.sweep import (
     expect_sweep,
     render_boards,
     render_sweep,
+    speckled,
     sweep_angles,
     true_cloud,
 )

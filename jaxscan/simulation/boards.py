@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxscan.errors import ConfigError
-from jaxscan.simulation.optics import integrate, psf_weights
+from jaxscan.simulation.camera import integrate, psf_weights
 from jaxscan.simulation.rays import Numbers
 from jaxscan.simulation.rig import Motion, TrueRig
-from jaxscan.simulation.spec import BoardsSpec
+from jaxscan.simulation.settings import BoardsSpec
 
 
 SAMPLES = 4

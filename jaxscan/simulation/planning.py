@@ -11,7 +11,7 @@ from jaxscan.errors import ConfigError
 from jaxscan.simulation.rays import project
 from jaxscan.simulation.rig import Motion, Sheet, TrueRig, rodrigues
 from jaxscan.simulation.scene import Scene
-from jaxscan.simulation.spec import CameraSpec
+from jaxscan.simulation.settings import CameraSpec
 
 
 class Placement(NamedTuple):

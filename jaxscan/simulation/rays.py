@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxscan.errors import ConfigError
-from jaxscan.simulation.spec import CameraSpec
+from jaxscan.simulation.settings import CameraSpec
 
 
 Numbers = np.ndarray | float

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxscan.errors import ConfigError
 from jaxscan.simulation.rays import Numbers, RayTable, ray_table
-from jaxscan.simulation.spec import LaserSpec, SimulationConfig
+from jaxscan.simulation.settings import LaserSpec, SimulationConfig
 
 
 WALL_ALBEDO = 0.7

@@ -9,13 +9,12 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from jaxscan.simulation.boards import SeenBoard, cover, make_print
-from jaxscan.simulation.optics import blur
+from jaxscan.simulation.camera import blur, channels, expose, laser_response, mosaic
+from jaxscan.simulation.light import LitSamples, LitScene, RowTruth, laser_image, lit_samples, row_truth, speckle_light
 from jaxscan.simulation.planning import Placement, plan_boards
 from jaxscan.simulation.rig import WALL_ALBEDO, Motion, Sheet, TrueRig, make_rig
 from jaxscan.simulation.scene import Scene, make_scene
-from jaxscan.simulation.sensor import channels, expose, laser_response, mosaic, speckled
-from jaxscan.simulation.spec import SimulationConfig
-from jaxscan.simulation.stripe import LitScene, RowTruth, laser_image, row_truth
+from jaxscan.simulation.settings import SimulationConfig
 
 
 class ExpectedRecord(NamedTuple):
@@ -31,6 +30,8 @@ class ExpectedRecord(NamedTuple):
     """The laser's light, of the same shape: the laser-on frame expects `off + laser`."""
     truth: RowTruth
     laser_index: int
+    samples: LitSamples | None = None
+    """The laser's light before the lens, where it has speckle."""
 
 
 class RenderedRecord(NamedTuple):
@@ -139,10 +140,20 @@ def render_boards(
 
 def develop(record: ExpectedRecord, config: SimulationConfig, rng: np.random.Generator) -> RenderedRecord:
     """Expose both frames of a record, each with its own noise."""
-    laser = speckled(record.laser, config.sensor, rng)
+    laser = speckled(record, config, rng)
     on = expose(record.off + laser, config.sensor, rng)
     off = expose(record.off, config.sensor, rng)
     return RenderedRecord(record.angle, record.placement, on, off, record.truth, record.laser_index)
+
+
+def speckled(record: ExpectedRecord, config: SimulationConfig, rng: np.random.Generator) -> np.ndarray:
+    """The laser's light of a record with a pattern of speckle of its own; of the shape of `record.laser`."""
+    sensor, spec = config.sensor, config.laser[record.laser_index]
+    if record.samples is None:
+        return record.laser
+    change = speckle_light(record.samples, spec.grain_px(sensor), spec.speckle_contrast, rng)
+    change = mosaic(change * laser_response(sensor, spec.colour)[:, None, None], sensor.pixel_format)
+    return np.where(record.laser > 0, np.maximum(record.laser + change, 0), np.float32(0))
 
 
 def expect_record(
@@ -175,14 +186,17 @@ def expect_record(
         depth = np.minimum(depth, in_front)
         scale = _board_power(rig, sheet, in_front)
     shot = LitScene(rig, sheet, scene, pose, board)
-    glow = laser_image(shot, depth) * np.float32(scale)
+    samples = lit_samples(shot, depth)
+    glow = laser_image(samples) * np.float32(scale)
     if sees is not None:
         # Nothing comes through the lens from beyond its field of view.
         off, glow = off * sees, glow * sees
     truth = row_truth(shot, depth, glow)
     lit = glow * laser_response(sensor, sheet.spec.colour)[:, None, None]
     pixel_format = sensor.pixel_format
-    return ExpectedRecord(phi, placement, mosaic(off, pixel_format), mosaic(lit, pixel_format), truth, laser)
+    frames = mosaic(off, pixel_format), mosaic(lit, pixel_format)
+    kept = samples._replace(light=samples.light * np.float32(scale)) if sheet.spec.speckle_contrast > 0 else None
+    return ExpectedRecord(phi, placement, *frames, truth, laser, kept)
 
 
 def true_cloud(records: Iterable[ExpectedRecord | RenderedRecord]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

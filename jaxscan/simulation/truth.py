@@ -9,7 +9,7 @@ from jaxscan.geometry import CAMERAS, LaserSheet, Scanner, Turntable, stack_lase
 from jaxscan.geometry.scanner import UP_VECTORS
 from jaxscan.simulation.rig import Motion, make_rig
 from jaxscan.simulation.scene import room_from_scanner
-from jaxscan.simulation.spec import RoomSpec, SimulationConfig, TurntableSpec
+from jaxscan.simulation.settings import RoomSpec, SimulationConfig, TurntableSpec
 
 
 def true_scanner(config: SimulationConfig) -> Scanner:

@@ -18,7 +18,7 @@ from jaxscan.simulation import (
     make_scene,
 )
 from jaxscan.simulation.boards import SeenBoard, make_print
-from jaxscan.simulation.optics import integrate, psf_weights
+from jaxscan.simulation.camera import integrate, psf_weights
 from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.rays import distort
 from jaxscan.simulation.rig import Motion, rodrigues

@@ -15,7 +15,7 @@ from jaxscan.simulation.scene import load_open3d
 
 
 CONFIGS = pathlib.Path(__file__).parents[2] / "configs"
-TEXTS = {name: (CONFIGS / f"{name}.toml").read_text() for name in ("paper", "reference", "desk", "fisheye")}
+TEXTS = {name: (CONFIGS / f"{name}.toml").read_text() for name in ("paper", "reference", "desk", "fisheye", "unkind")}
 TEXTS["demo"] = resources.files("jaxscan").joinpath("data/demo.toml").read_text()
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.simulation import SensorSpec, expose
-from jaxscan.simulation.sensor import channels, encode_srgb, laser_response, mosaic, speckled
+from jaxscan.simulation.camera import channels, encode_srgb, laser_response, mosaic
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -81,19 +81,12 @@ def test_the_srgb_curve_is_the_standard_s():
     assert abs(image.mean() - 117.6) < 0.3
 
 
-def test_speckle_has_its_contrast_and_its_length():
-    sensor = SensorSpec(speckle_contrast=0.2, speckle_px=3.0)
-    laser = np.zeros((4000, 30), np.float32)
-    laser[:, 10:20] = 100
-    lit = speckled(laser, sensor, rng())
-    assert (lit[:, :10] == 0).all() and (lit[:, 20:] == 0).all()
-    factor = lit[:, 10:20] / 100
-    # About 4000 / (2 sqrt(pi) 3) = 380 independent values along, three across: 5 standard errors of 1/sqrt(2 n).
-    assert factor.std() == pytest.approx(0.2, rel=0.12)
-    assert factor.mean() == pytest.approx(1, abs=0.03)
-    column = factor[:, 5] - factor[:, 5].mean()
-    for lag in (2, 4):
-        correlation = column[lag:] @ column[:-lag] / (column @ column)
-        # A Gaussian kernel of standard deviation s correlates over exp(-lag^2 / (4 s^2)).
-        assert correlation == pytest.approx(np.exp(-(lag**2) / (4 * 3.0**2)), abs=0.1)
-    assert speckled(laser, SensorSpec(), rng()) is laser
+def test_the_black_level_is_added_to_everything():
+    count = 100_000
+    for level in (0.0, 60.0):
+        sensor = SensorSpec(electrons_per_dn=8.0, read_dn=1.7, black_dn=9.0)
+        sample = expose(np.full(count, level, np.float32), sensor, rng()).astype(float)
+        variance = 1.7**2 + level / 8 + 1 / 12
+        # Five standard errors. The black level has no shot noise.
+        assert sample.mean() == pytest.approx(level + 9, abs=5 * (variance / count) ** 0.5)
+        assert sample.var() == pytest.approx(variance, rel=5 * (2 / count) ** 0.5)

@@ -16,7 +16,7 @@ from jaxscan.simulation import (
     expect_record,
     make_rig,
 )
-from jaxscan.simulation.optics import psf_weights
+from jaxscan.simulation.camera import psf_weights
 from jaxscan.simulation.scene import Material, Mesh, build_scene, stripes
 
 

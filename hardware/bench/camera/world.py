@@ -123,8 +123,8 @@ class World:
         # Without a laser's light any record will do, and there is one already.
         light = self.expect(view.angle, view.board, lit[0][0] if lit else self._known_laser()).off
         for laser, share in lit:
-            glow = self.expect(view.angle, view.board, laser).laser
-            light = light + np.float32(share) * speckled(glow, sensor, rng)
+            record = self.expect(view.angle, view.board, laser)
+            light = light + np.float32(share) * speckled(record, self.config, rng)
         light = light * np.float32(view.exposure) + np.float32(flash_dn)
         if blur_px:
             light = np.stack([np.roll(light, shift, axis=1) for shift in range(blur_px + 1)]).mean(0)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxscan.simulation.scene import textures
 from jaxscan.simulation.scene.meshes import Mesh
 from jaxscan.simulation.scene.textures import Material, framed
-from jaxscan.simulation.surroundings import ObjectSpec, RoomSpec
+from jaxscan.simulation.settings import ObjectSpec, RoomSpec
 
 
 LAMP_HEIGHT_SHARE = 0.93

@@ -10,7 +10,7 @@ from jaxscan.simulation.rig import Motion, rodrigues
 from jaxscan.simulation.scene.meshes import Mesh
 from jaxscan.simulation.scene.open3d import load_open3d
 from jaxscan.simulation.scene.room import LAMP_HEIGHT_SHARE, furnish, set_table
-from jaxscan.simulation.spec import SimulationConfig
+from jaxscan.simulation.settings import SimulationConfig
 
 
 @dataclass(frozen=True, eq=False)

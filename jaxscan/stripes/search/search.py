@@ -39,6 +39,10 @@ class Search(NamedTuple):
     """Read noise of one frame [DN]."""
     electrons_per_dn: Float[Array, ""]
     """Conversion gain [e-/DN]."""
+    black_dn: Float[Array, ""]
+    """Level of a pixel without light [DN]."""
+    speckle: Float[Array, ""]
+    """Contrast of the laser's speckle on one pixel [1]; 0 while nothing is known."""
     log_width: Float[Array, ""]
     """Mean of the logarithm of the width that the fit sees, which integration over a pixel widens [px]."""
     width_information: Float[Array, ""]
@@ -81,6 +85,8 @@ def prepare_search(setup: ExtractionSetup, noise: NoiseModel, gate: LineGate, *,
         levels=decode_table(setup.frames.response)[0].astype(np.float32),
         read_dn=np.asarray(noise.read_dn, np.float32),
         electrons_per_dn=np.asarray(noise.electrons_per_dn, np.float32),
+        black_dn=np.asarray(noise.black_dn, np.float32),
+        speckle=np.asarray(noise.speckle if settings.speckle is None else settings.speckle, np.float32),
         log_width=np.zeros((), np.float32),
         width_information=np.zeros((), np.float32),
         near_side=np.asarray(gate.near_side, np.float32),

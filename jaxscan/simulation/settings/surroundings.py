@@ -2,7 +2,7 @@
 
 from pydantic import model_validator
 
-from jaxscan.simulation.numbers import Angle, Distance, Level, Place, Point, Section
+from jaxscan.simulation.settings.numbers import Angle, Distance, Level, Place, Point, Section
 
 
 class RoomSpec(Section):

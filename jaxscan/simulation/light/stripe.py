@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.simulation.boards import SeenBoard
-from jaxscan.simulation.optics import psf_weights, splat
+from jaxscan.simulation.camera import COLOURS, psf_weights, splat
 from jaxscan.simulation.rays import Numbers
 from jaxscan.simulation.rig import Motion, Sheet, TrueRig
 from jaxscan.simulation.scene import Scene
-from jaxscan.simulation.sensor import COLOURS
 
 
 SAMPLES_ALONG = 2
@@ -66,28 +65,48 @@ class Hits(NamedTuple):
     """Board coordinates [2, n], m; without meaning beside the board."""
 
 
-def laser_image(shot: LitScene, depth: np.ndarray) -> np.ndarray:
-    """The laser's light on every pixel, without noise, float32 [height, width], DN.
+class LitSamples(NamedTuple):
+    """The laser's light before the lens, on a grid finer than pixels, where there is any."""
+
+    light: np.ndarray
+    """DN on a pixel filled with it, float32 [pixels, counts[0] * counts[1]]."""
+    rows: np.ndarray
+    columns: np.ndarray
+    """Row and column of each listed pixel."""
+    counts: tuple[int, int]
+    """Samples per pixel along v and u."""
+    shape: tuple[int, int]
+    """Height and width of the image."""
+    psf_px: float
+
+
+def lit_samples(shot: LitScene, depth: np.ndarray) -> LitSamples:
+    """The laser's light in the band round its sheet.
 
     Args:
         shot: The scene and its laser.
         depth: Depth along the ray of every pixel's centre, float32 [height, width]; inf where nothing is.
     """
     rig, sheet = shot.rig, shot.sheet
-    height, width = rig.rays.shape
     samples_v, samples_u = SAMPLES_ALONG, samples_across(rig, sheet)
     if sheet.spec.stripe_axis == "columns":
         samples_v, samples_u = samples_u, samples_v
-    rows, columns = np.divmod(np.flatnonzero(_band(sheet, rig, depth)), width)
-    psf = rig.config.sensor.psf_px
-    weights = psf_weights(psf, samples_v), psf_weights(psf, samples_u)
-    if len(rows) == 0:
-        return np.zeros((height, width), np.float32)
-    dv = ((np.arange(samples_v) + 0.5) / samples_v - 0.5).repeat(samples_u).astype(np.float32)
-    du = np.tile((np.arange(samples_u) + 0.5) / samples_u - 0.5, samples_v).astype(np.float32)
-    rays = stacked(*rig.rays.at(rows, columns, None).moved(du, dv))
-    light = illuminate(shot, rays.reshape(3, -1)).reshape(rays.shape[1:])
-    return splat(light, rows, columns, *weights, (height, width))
+    rows, columns = np.divmod(np.flatnonzero(_band(sheet, rig, depth)), rig.rays.shape[1])
+    light: np.ndarray = np.zeros((0, samples_v * samples_u), np.float32)
+    if len(rows):
+        dv = ((np.arange(samples_v) + 0.5) / samples_v - 0.5).repeat(samples_u).astype(np.float32)
+        du = np.tile((np.arange(samples_u) + 0.5) / samples_u - 0.5, samples_v).astype(np.float32)
+        rays = stacked(*rig.rays.at(rows, columns, None).moved(du, dv))
+        light = illuminate(shot, rays.reshape(3, -1)).reshape(rays.shape[1:])
+    return LitSamples(light, rows, columns, (samples_v, samples_u), rig.rays.shape, rig.config.sensor.psf_px)
+
+
+def laser_image(samples: LitSamples) -> np.ndarray:
+    """The laser's light on every pixel, without noise, float32 [height, width], DN."""
+    if len(samples.rows) == 0:
+        return np.zeros(samples.shape, np.float32)
+    weights_v, weights_u = (psf_weights(samples.psf_px, count) for count in samples.counts)
+    return splat(samples.light, samples.rows, samples.columns, weights_v, weights_u, samples.shape)
 
 
 def stacked(x: np.ndarray, y: np.ndarray, z: Numbers) -> np.ndarray:
@@ -151,7 +170,7 @@ def row_truth(shot: LitScene, depth: np.ndarray, light: np.ndarray) -> RowTruth:
 
     Args:
         shot: The scene and its laser.
-        depth: As for `laser_image`.
+        depth: As for `lit_samples`.
         light: The laser's light on every pixel, of `laser_image` [height, width].
     """
     sheet = shot.sheet

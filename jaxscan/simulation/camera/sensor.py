@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxscan.simulation.spec import Colour, PixelFormat, SensorSpec
+from jaxscan.simulation.settings import Colour, PixelFormat, SensorSpec
 
 
 COLOURS: tuple[Colour, ...] = ("red", "green", "blue")
@@ -53,7 +53,7 @@ def expose(expected: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -
     Shot noise is drawn from the Gaussian with the variance of the Poisson law, which is good
     above about 30 electrons; below, with the usual 40 electrons per DN, less than one DN is at
     stake. Read noise is added, the response is applied, and the result is rounded and clipped
-    at 0 and 255. The black level is 0.
+    at 0 and 255. The black level is what the sensor adds to everything, before the response.
 
     Args:
         expected: float32, linear light in DN, of any shape.
@@ -69,6 +69,7 @@ def expose(expected: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -
     noise = rng.standard_normal(expected.shape, np.float32)
     noise *= np.sqrt(variance, out=variance)
     noise += expected
+    noise += np.float32(sensor.black_dn)
     if sensor.response == "srgb":
         noise = encode_srgb(noise)
     np.rint(noise, out=noise)
@@ -81,34 +82,3 @@ def encode_srgb(linear: np.ndarray) -> np.ndarray:
     share = np.clip(linear / np.float32(255), 0, 1)
     curve = np.float32(1.055) * share ** np.float32(1 / 2.4) - np.float32(0.055)
     return np.float32(255) * np.where(share <= 0.0031308, np.float32(12.92) * share, curve)
-
-
-def speckled(laser: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -> np.ndarray:
-    """The laser's light with speckle: a random factor that is smooth along the stripe.
-
-    The factor has mean 1 and standard deviation `speckle_contrast`, is correlated over
-    `speckle_px` along the columns of the image and over the lens's blur across.
-    """
-    if sensor.speckle_contrast == 0:
-        return laser
-    lit = np.flatnonzero(laser.any(0))
-    if len(lit) == 0:
-        return laser
-    part = slice(lit[0], lit[-1] + 1)
-    field = rng.standard_normal(laser[:, part].shape, np.float32)
-    for axis, sigma in ((0, sensor.speckle_px), (1, sensor.psf_px)):
-        field = _smooth(field, sigma, axis)
-    out = laser.copy()
-    out[:, part] *= np.maximum(1 + np.float32(sensor.speckle_contrast) * field, 0)
-    return out
-
-
-def _smooth(field: np.ndarray, sigma: float, axis: int) -> np.ndarray:
-    """White noise correlated by a Gaussian kernel along one axis; the variance stays 1."""
-    radius = int(np.ceil(3 * sigma))
-    kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
-    kernel /= np.sqrt((kernel**2).sum())
-    out = np.zeros_like(field)
-    for shift, weight in zip(range(-radius, radius + 1), kernel, strict=True):
-        out += np.float32(weight) * np.roll(field, shift, axis)
-    return out

@@ -1,0 +1,11 @@
+"""Lens and sensor: from light to DN."""
+
+from jaxscan.simulation.camera.optics import blur, integrate, psf_weights, splat
+from jaxscan.simulation.camera.sensor import (
+    COLOURS,
+    channels,
+    encode_srgb,
+    expose,
+    laser_response,
+    mosaic,
+)

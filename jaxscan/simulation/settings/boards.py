@@ -1,0 +1,56 @@
+"""Configuration of the calibration board and its views."""
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, field_validator, model_validator
+
+from jaxscan.geometry import AbstractBoard, Charuco, Chessboard, check_board, known_dictionary
+from jaxscan.simulation.settings.numbers import Angle, Distance, Level, Millimetres, Pair, Place, Section
+
+
+class BoardsSpec(Section):
+    """The calibration board and how it is shown to the rig."""
+
+    type: Literal["charuco", "chessboard"] = "charuco"
+    columns: Annotated[int, Field(ge=1, le=1000)] = 12
+    """Squares of a ChArUco board; inner corners of a chessboard."""
+    rows: Annotated[int, Field(ge=1, le=1000)] = 9
+    square_mm: Millimetres = 30.0
+    marker_mm: Millimetres = 22.0
+    dictionary: Annotated[str, AfterValidator(known_dictionary)] = "DICT_5X5_250"
+    border_mm: Annotated[float, Field(ge=0, le=1e4)] = 15.0
+    """White margin around the printed area."""
+    warp_mm: tuple[Place, Place] = (0.0, 0.0)
+    """kx, ky of z = kx (1 - x^2) + ky (1 - y^2), with x, y = +-1 at the outermost corners."""
+    free_views: Annotated[int, Field(ge=0, le=1000)] = 30
+    """Two of three are crossed by a stripe; every third fills the rest of the image."""
+    placements: Annotated[int, Field(ge=0, le=200)] = 4
+    angles: Annotated[int, Field(ge=1, le=360)] = 9
+    """Table angles at which each placement is seen, spread over the field of view."""
+    range_m: tuple[Distance, Distance] = (0.8, 2.5)
+    tilt_deg: tuple[Angle, Angle] = (20.0, 45.0)
+    peak_dn: Level = 120.0
+    """Peak of the stripe on the board's white: the laser's power is set for each view."""
+    white_dn: Level = 105.0
+    """Level of a white surface in mean light while boards are shown."""
+
+    @field_validator("range_m", "tilt_deg")
+    @classmethod
+    def _ascending(cls, value: Pair) -> Pair:
+        if value[0] > value[1]:
+            raise ValueError(f"must be [smallest, largest], got {list(value)}")
+        return value
+
+    @model_validator(mode="after")
+    def _possible(self) -> "BoardsSpec":
+        check_board(self.board())
+        return self
+
+    def board(self) -> AbstractBoard:
+        """The board of the geometry, for corners and outline."""
+        columns, rows, square = self.columns, self.rows, self.square_mm / 1000
+        if self.type == "chessboard":
+            return Chessboard(columns=columns, rows=rows, square=square)
+        return Charuco(
+            columns=columns, rows=rows, square=square, marker=self.marker_mm / 1000, dictionary=self.dictionary
+        )
