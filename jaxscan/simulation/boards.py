@@ -1,102 +1,20 @@
 """Calibration boards: printed, flat or bowed, sampled at 4 x 4 points per pixel before the lens."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from jaxscan.errors import ConfigError
-from jaxscan.simulation.camera import integrate, psf_weights
+from jaxscan.simulation.camera import Blur, blurred, integrate, psf_weights
+from jaxscan.simulation.printing import Print
 from jaxscan.simulation.rays import Numbers
 from jaxscan.simulation.rig import Motion, TrueRig
-from jaxscan.simulation.settings import BoardsSpec
 
 
 SAMPLES = 4
-INK, PAPER = 0.09, 0.85
-"""Albedo of black and white print."""
-_RIM = 64
-"""White cells round the picture."""
 _STRIP = 32
 """Rows rendered at a time: their samples stay in the processor's cache."""
 _FAR_M = 1e6
 """Board coordinates beyond this are those of rays that miss."""
-
-
-@dataclass(frozen=True, eq=False)
-class Print:
-    """A board's picture as albedo, with a white rim, and its place on the board."""
-
-    albedo: np.ndarray
-    """float32 [rows, columns]."""
-    origin: np.ndarray
-    """Board coordinates of the centre of the first cell [2], m."""
-    cell: float
-    """Side of a cell of the picture [m]."""
-    low: np.ndarray
-    """Smallest x, y of the board with its white border [2], m."""
-    high: np.ndarray
-    half: np.ndarray
-    """Half the extent of the corners [2], m, which the warp refers to."""
-    middle: np.ndarray
-    """Middle of the corners [2], m."""
-    warp: tuple[float, float]
-    """kx, ky [m]."""
-    square_cells: int
-    """Cells along a square's side."""
-
-    def smoothed(self, step: float) -> "Print":
-        """The picture averaged to cells about as large as `step` [m], the distance of samples.
-
-        A quadratic spline over such cells spreads a printed edge over three steps, so sampling
-        it does not alias (by less than 1e-3 px) and the edge does not lock onto the samples.
-        Only blocks of which a whole number makes a square are averaged, so that edges of
-        squares stay on the borders of cells, and in place.
-        """
-        factors = (k for k in range(1, _RIM // 2) if self.square_cells % k == 0 and k * self.cell >= 0.9 * step)
-        factor = next(factors, 1)
-        if factor == 1:
-            return self
-        skip = _RIM % factor
-        rows, columns = ((size - skip) // factor for size in self.albedo.shape)
-        whole = self.albedo[skip : skip + rows * factor, skip : skip + columns * factor]
-        albedo = whole.reshape(rows, factor, columns, factor).mean((1, 3))
-        origin = self.origin + (skip + (factor - 1) / 2) * self.cell
-        return replace(self, albedo=albedo, origin=origin, cell=self.cell * factor)
-
-
-def make_print(spec: BoardsSpec, texture: np.ndarray) -> Print:
-    """The print of a board from its picture.
-
-    Args:
-        spec: The board.
-        texture: uint8 [rows, columns], the printed area (`board.outline()`), row 0 at y0.
-
-    Raises:
-        ConfigError: If the picture does not have the shape of the board.
-    """
-    board = spec.board()
-    outline, corners = board.outline(), board.corners()[:, :2]
-    low, high = outline.min(0), outline.max(0)
-    cells = (high - low) / np.array(texture.shape[::-1])
-    if texture.ndim != 2 or abs(cells[0] / cells[1] - 1) > 1e-6:
-        raise ConfigError(
-            f"The board's picture has shape {texture.shape}; a grey picture of {high[0] - low[0]:.4g} x "
-            f"{high[1] - low[1]:.4g} m with square cells is needed."
-        )
-    cell, margin = float(cells[0]), spec.border_mm / 1000
-    first, last = corners.min(0), corners.max(0)
-    return Print(
-        # Places outside the picture take the last cell of the white rim.
-        np.pad(INK + (PAPER - INK) * texture.astype(np.float32) / 255, _RIM, constant_values=PAPER),
-        origin=low + (0.5 - _RIM) * cell,
-        cell=cell,
-        low=low - margin,
-        high=high + margin,
-        half=(last - first) / 2,
-        middle=(last + first) / 2,
-        warp=(spec.warp_mm[0] / 1000, spec.warp_mm[1] / 1000),
-        square_cells=round(board.square / cell),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +94,7 @@ def _spline(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def cover(
-    rig: TrueRig, board: SeenBoard, depth: np.ndarray
+    rig: TrueRig, board: SeenBoard, depth: np.ndarray, blur: Blur
 ) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray, SeenBoard]:
     """The board through the lens, in the part of the image that it touches.
 
@@ -184,12 +102,13 @@ def cover(
         rig: The rig.
         board: The board.
         depth: Depth of the board at pixel centres, inf where missed [height, width].
+        blur: Of the lens, in all pixels.
 
     Returns:
         Its place in the image (rows, columns); the share of each pixel that it fills, and its albedo
         times that share, float32 [rows, columns]; and the board with its picture as fine as the pixels need.
     """
-    radius = (len(psf_weights(rig.config.sensor.psf_px, SAMPLES)) - 1) // 2
+    radius = (len(psf_weights(blur.widest, SAMPLES)) - 1) // 2
     height, width = rig.rays.shape
     seen = np.isfinite(depth)
     rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
@@ -205,13 +124,14 @@ def cover(
     for start in range(top, bottom, _STRIP):
         end = min(start + _STRIP, bottom)
         part = slice(start - top, end - top)
-        fills[part], albedo[part] = _strip(rig, fine, slice(start, end), slice(left, right), radius)
+        fills[part], albedo[part] = _strip(rig, fine, slice(start, end), slice(left, right), blur)
     return (slice(top, bottom), slice(left, right)), fills, albedo, fine
 
 
-def _strip(rig: TrueRig, board: SeenBoard, rows: slice, columns: slice, radius: int) -> tuple[np.ndarray, np.ndarray]:
-    """Share that the board fills of some pixels, and its albedo times that share; `radius` is the lens's blur [px]."""
+def _strip(rig: TrueRig, board: SeenBoard, rows: slice, columns: slice, blur: Blur) -> tuple[np.ndarray, np.ndarray]:
+    """Share that the board fills of some pixels, and its albedo times that share."""
     height, width = rig.rays.shape
+    radius = (len(psf_weights(blur.widest, SAMPLES)) - 1) // 2
     # Pixels beyond the border repeat those on it: light from outside the image is unknown.
     i = np.clip(np.arange(rows.start - radius, rows.stop + radius), 0, height - 1)
     j = np.clip(np.arange(columns.start - radius, columns.stop + radius), 0, width - 1)
@@ -225,5 +145,11 @@ def _strip(rig: TrueRig, board: SeenBoard, rows: slice, columns: slice, radius: 
             inside[m, n] = np.isfinite(depth)
             albedo[m, n] = board.albedo(bx, by)
             albedo[m, n] *= inside[m, n]
-    weights = psf_weights(rig.config.sensor.psf_px, SAMPLES)
-    return integrate(inside, weights), integrate(albedo, weights)
+
+    def through(samples: np.ndarray, psf_px: float) -> np.ndarray:
+        weights = psf_weights(psf_px, SAMPLES)
+        spare = radius - (len(weights) - 1) // 2
+        return integrate(samples[..., spare : len(i) - spare, spare : len(j) - spare], weights)
+
+    here = blur.at(rows, columns)
+    return blurred(lambda psf: through(inside, psf), here), blurred(lambda psf: through(albedo, psf), here)

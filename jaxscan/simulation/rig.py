@@ -82,9 +82,13 @@ class Sheet:
         return slope
 
     def thickness(self, r: np.ndarray) -> np.ndarray:
-        """Standard deviation of the sheet's thickness [m] at distance `r` [m] from the laser."""
+        """Standard deviation of the sheet's thickness [m] at distance `r` [m] from the laser, in the fan's middle."""
         waist, divergence = self.spec.waist_mm / 1000, self.spec.divergence_mrad / 1000
         return np.sqrt(waist**2 + (divergence * (r - self.spec.focus_m)) ** 2)
+
+    def angle(self, legs: np.ndarray) -> np.ndarray:
+        """Angle in the fan of directions [n, 3] from the laser [rad]; 0 in its middle."""
+        return np.arctan2(legs @ self.across.astype(legs.dtype), legs @ self.ahead.astype(legs.dtype))
 
 
 @dataclass(frozen=True, eq=False)

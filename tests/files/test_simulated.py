@@ -12,8 +12,7 @@ import pytest
 from jaxscan.errors import CaptureError
 from jaxscan.files import load_toml
 from jaxscan.files.simulated import SimulatedCaptures, write_simulation
-from jaxscan.simulation import RenderedRecord, SimulationConfig
-from jaxscan.simulation.sweep import RowTruth
+from jaxscan.simulation import RenderedRecord, RowTruth, SimulationConfig
 
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper.toml"

@@ -11,13 +11,14 @@ from jaxscan.simulation import (
     CameraSpec,
     LaserSpec,
     RoomSpec,
+    SeenBoard,
     SimulationConfig,
     TurntableSpec,
     expect_record,
+    make_print,
     make_rig,
     make_scene,
 )
-from jaxscan.simulation.boards import SeenBoard, make_print
 from jaxscan.simulation.camera import integrate, psf_weights
 from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.rays import distort

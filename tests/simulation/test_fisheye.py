@@ -12,15 +12,16 @@ from jaxscan.simulation import (
     CameraSpec,
     LaserSpec,
     RoomSpec,
+    SeenBoard,
     SimulationConfig,
     TurntableSpec,
     expect_record,
+    make_print,
     make_rig,
     make_scene,
     true_scanner,
     truth,
 )
-from jaxscan.simulation.boards import SeenBoard, make_print
 from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.rays import distort, look, project, ray_table
 from jaxscan.simulation.rig import Motion, rodrigues

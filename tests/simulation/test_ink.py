@@ -10,16 +10,17 @@ from jaxscan.simulation import (
     CameraSpec,
     LaserSpec,
     RoomSpec,
+    SeenBoard,
     SimulationConfig,
     TurntableSpec,
+    develop,
     expect_record,
+    make_print,
     make_rig,
     make_scene,
 )
-from jaxscan.simulation.boards import SeenBoard, make_print
 from jaxscan.simulation.rays import distort
 from jaxscan.simulation.rig import Motion, rodrigues
-from jaxscan.simulation.sweep import develop
 from jaxscan.stripes import NoiseModel, StripeSettings, extract_stripes
 
 

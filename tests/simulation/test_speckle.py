@@ -6,6 +6,7 @@ from scipy.integrate import dblquad, quad
 from scipy.special import j1
 
 from jaxscan.simulation import LaserSpec, SensorSpec
+from jaxscan.simulation.camera import Blur
 from jaxscan.simulation.light import LitSamples, speckle_light
 
 
@@ -16,7 +17,8 @@ def rng(seed: int = 0) -> np.random.Generator:
 def field(height, width, level=1.0, psf_px=0.7):
     """Even light over a whole image."""
     rows, columns = np.divmod(np.arange(height * width), width)
-    return LitSamples(np.full((rows.size, 16), level, np.float32), rows, columns, (2, 8), (height, width), psf_px)
+    light = np.full((rows.size, 16), level, np.float32)
+    return LitSamples(light, rows, columns, (2, 8), (height, width), Blur((psf_px,)))
 
 
 def coherence(distance, grain):

@@ -15,6 +15,7 @@ from jaxscan.simulation import (
     SimulationConfig,
     expect_record,
     expose,
+    flawed,
     make_print,
     make_rig,
     make_scene,
@@ -128,7 +129,7 @@ class World:
         light = light * np.float32(view.exposure) + np.float32(flash_dn)
         if blur_px:
             light = np.stack([np.roll(light, shift, axis=1) for shift in range(blur_px + 1)]).mean(0)
-        return expose(light, sensor, rng)
+        return expose(flawed(light, self.config), sensor, rng)
 
     def _known_laser(self) -> int:
         """The laser whose record was made last; the room looks the same in all."""

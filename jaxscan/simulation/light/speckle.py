@@ -11,6 +11,7 @@ G. Haeusler, J. M. Herrmann, "Laser triangulation: fundamental uncertainty in di
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -41,8 +42,7 @@ def speckle_light(samples: LitSamples, grain: float, contrast: float, rng: np.ra
     """
     height, width = samples.shape
     fine = int(np.clip(math.ceil(3 / grain), 4, 32))
-    reach = max(1, math.ceil(4 * samples.psf_px))
-    lens_v, lens_u = [_lens(samples.psf_px, count, fine, reach) for count in samples.counts]
+    reach = max(1, math.ceil(4 * samples.blur.widest))
     rows, columns = -(-height // CORE), -(-width // CORE)
     total = np.zeros((rows, CORE, columns, CORE), np.float32)
     # Places of pixels in the list of lit ones; all others read the line of zeros at its end.
@@ -50,11 +50,16 @@ def speckle_light(samples: LitSamples, grain: float, contrast: float, rng: np.ra
     place[samples.rows + reach, samples.columns + reach] = np.arange(len(samples.light))
     light = np.append(samples.light, np.zeros((1, samples.light.shape[1]), np.float32), 0)
     windows = np.lib.stride_tricks.sliding_window_view(place, (CORE + 2 * reach,) * 2)[::CORE, ::CORE]
-    bright = np.append(samples.light.mean(1) > _FAINT, False)
+    level = samples.light.mean(1)
+    bright = np.append(level > _FAINT, False)
     tiles = np.argwhere(bright[windows].any((2, 3)))
     for start in range(0, len(tiles), _BATCH):
         i, j = tiles[start : start + _BATCH].T
-        part = light[windows[i, j]].reshape(len(i), *(CORE + 2 * reach,) * 2, *samples.counts)
+        seen = windows[i, j]
+        lit = seen[seen < len(level)]
+        psf_px = round(samples.blur.at(lit).mean(level[lit]), 2)
+        lens_v, lens_u = (_lens(psf_px, count, fine, reach) for count in samples.counts)
+        part = light[seen].reshape(len(i), *(CORE + 2 * reach,) * 2, *samples.counts)
         part = part.transpose(0, 1, 3, 2, 4).reshape(len(i), *((CORE + 2 * reach) * n for n in samples.counts))
         # Not by matrix products: their threads get in the way of those that render other frames.
         product = np.einsum("bij,oj->bio", np.einsum("ai,bij->baj", lens_v, part), lens_u)
@@ -63,6 +68,7 @@ def speckle_light(samples: LitSamples, grain: float, contrast: float, rng: np.ra
     return total.reshape(rows * CORE, columns * CORE)[:height, :width]
 
 
+@lru_cache(maxsize=64)
 def _lens(psf_px: float, samples: int, fine: int, reach: int) -> np.ndarray:
     """Light at the points of the fine grid of a part from the samples of its pixels and those around, one axis."""
     at = (np.arange((CORE + 2 * reach) * samples) + 0.5) / samples - reach

@@ -15,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.simulation.boards import SeenBoard
-from jaxscan.simulation.camera import COLOURS, psf_weights, splat
+from jaxscan.simulation.camera import COLOURS, Blur, psf_weights, splat
+from jaxscan.simulation.light.fan import across, along, band, widened
+from jaxscan.simulation.light.gloss import lobe
 from jaxscan.simulation.rays import Numbers
 from jaxscan.simulation.rig import Motion, Sheet, TrueRig
 from jaxscan.simulation.scene import Scene
@@ -23,8 +25,6 @@ from jaxscan.simulation.scene import Scene
 
 SAMPLES_ALONG = 2
 """Samples per pixel along the stripe."""
-_BAND = 5.5
-"""Half width of the sampled band, in standard deviations of the sheet: beyond it is 3e-7 of the peak."""
 
 
 class RowTruth(NamedTuple):
@@ -77,15 +77,17 @@ class LitSamples(NamedTuple):
     """Samples per pixel along v and u."""
     shape: tuple[int, int]
     """Height and width of the image."""
-    psf_px: float
+    blur: Blur
+    """The lens's blur at each listed pixel."""
 
 
-def lit_samples(shot: LitScene, depth: np.ndarray) -> LitSamples:
+def lit_samples(shot: LitScene, depth: np.ndarray, blur: Blur) -> LitSamples:
     """The laser's light in the band round its sheet.
 
     Args:
         shot: The scene and its laser.
         depth: Depth along the ray of every pixel's centre, float32 [height, width]; inf where nothing is.
+        blur: Of the lens, in all pixels.
     """
     rig, sheet = shot.rig, shot.sheet
     samples_v, samples_u = SAMPLES_ALONG, samples_across(rig, sheet)
@@ -98,15 +100,19 @@ def lit_samples(shot: LitScene, depth: np.ndarray) -> LitSamples:
         du = np.tile((np.arange(samples_u) + 0.5) / samples_u - 0.5, samples_v).astype(np.float32)
         rays = stacked(*rig.rays.at(rows, columns, None).moved(du, dv))
         light = illuminate(shot, rays.reshape(3, -1)).reshape(rays.shape[1:])
-    return LitSamples(light, rows, columns, (samples_v, samples_u), rig.rays.shape, rig.config.sensor.psf_px)
+    return LitSamples(light, rows, columns, (samples_v, samples_u), rig.rays.shape, blur.at(rows, columns))
 
 
 def laser_image(samples: LitSamples) -> np.ndarray:
     """The laser's light on every pixel, without noise, float32 [height, width], DN."""
     if len(samples.rows) == 0:
         return np.zeros(samples.shape, np.float32)
-    weights_v, weights_u = (psf_weights(samples.psf_px, count) for count in samples.counts)
-    return splat(samples.light, samples.rows, samples.columns, weights_v, weights_u, samples.shape)
+    total: np.ndarray = np.zeros(samples.shape, np.float32)
+    for width, share in zip(samples.blur.widths, samples.blur.shares(), strict=True):
+        weights_v, weights_u = (psf_weights(width, count) for count in samples.counts)
+        light = samples.light if share is None else samples.light * share[:, None]
+        total += splat(light, samples.rows, samples.columns, weights_v, weights_u, samples.shape)
+    return total
 
 
 def stacked(x: np.ndarray, y: np.ndarray, z: Numbers) -> np.ndarray:
@@ -133,15 +139,18 @@ def illuminate(shot: LitScene, rays: np.ndarray) -> np.ndarray:
     beside = hits.depth * sheet.slope_at(*rays).astype(f) - f(sheet.distance)
     legs = hits.points - sheet.origin.astype(f)
     r = np.sqrt(np.einsum("ij,ij->i", legs, legs))
-    thickness = sheet.thickness(r).astype(f)
+    angle = sheet.angle(legs)
+    thickness = sheet.thickness(r).astype(f) * widened(sheet, angle)
     cosine = -np.einsum("ij,ij->i", legs, hits.normal) / r
-    fan = _fan(sheet, legs)
-    lit = np.flatnonzero((np.abs(beside) < f(_BAND) * thickness) & (cosine > 0) & (fan > 0) & np.isfinite(hits.depth))
+    fan = along(sheet, angle)
+    lit = np.flatnonzero(
+        (np.abs(beside) < f(band(sheet)) * thickness) & (cosine > 0) & (fan > 0) & np.isfinite(hits.depth)
+    )
     light = np.zeros(len(beside), f)
     lit = lit[~_shaded(shot, hits.points[lit], hits.on_board[lit])]
     s = beside[lit] / thickness[lit]
     energy = f(sheet.power / math.sqrt(2 * math.pi)) / (r[lit] * thickness[lit])
-    light[lit] = energy * cosine[lit] * fan[lit] * np.exp(f(-0.5) * s * s) * _albedo(shot, hits, lit)
+    light[lit] = energy * cosine[lit] * fan[lit] * across(sheet, s) * _albedo(shot, hits, lit)
     return light
 
 
@@ -231,7 +240,7 @@ def _band(sheet: Sheet, rig: TrueRig, depth: np.ndarray) -> np.ndarray:
     # The distance from the laser is bounded by that from the camera and their separation.
     apart, focus = f(np.linalg.norm(sheet.origin)), f(sheet.spec.focus_m)
     blurred = np.maximum(np.abs(z - apart - focus), np.abs(z * f(1.5) + apart - focus))
-    limit = f(_BAND) * (f(waist) + f(divergence) * blurred)
+    limit = f(band(sheet)) * (f(waist) + f(divergence) * blurred)
     near = beside < limit
     for axis, first, second in ((0, np.s_[:-1], np.s_[1:]), (1, np.s_[:, :-1], np.s_[:, 1:])):
         step = np.abs(np.diff(signed, axis=axis))
@@ -239,14 +248,6 @@ def _band(sheet: Sheet, rig: TrueRig, depth: np.ndarray) -> np.ndarray:
         near[first] |= reach
         near[second] |= reach
     return near
-
-
-def _fan(sheet: Sheet, legs: np.ndarray) -> np.ndarray:
-    """Relative power of the fan in the direction of `legs` [n, 3]: flat, with soft ends."""
-    f = np.float32
-    angle = np.arctan2(legs @ sheet.across.astype(f), legs @ sheet.ahead.astype(f))
-    half = f(math.radians(sheet.spec.fan_deg) / 2)
-    return np.clip((half - np.abs(angle)) / f(math.radians(2.0)), 0, 1)
 
 
 def _shaded(shot: LitScene, points: np.ndarray, on_board: np.ndarray) -> np.ndarray:
@@ -264,4 +265,9 @@ def _albedo(shot: LitScene, hits: Hits, lit: np.ndarray) -> np.ndarray:
     if shot.board is not None:
         on_board = hits.on_board[lit]
         albedo[on_board] = shot.board.albedo(*hits.place[:, lit[on_board]])
+        picture, points = shot.board.picture, hits.points[lit[on_board]]
+        if picture.gloss > 0:
+            origin = shot.sheet.origin.astype(np.float32)
+            normal = hits.normal[lit[on_board]]
+            albedo[on_board] += np.float32(picture.gloss) * lobe(origin - points, -points, normal, picture.gloss_rad)
     return albedo

@@ -86,6 +86,12 @@ class Scene:
         # Light from all sides: a little more from above than from below.
         return f(0.66) + f(0.05) * c * sense + direct
 
+    def lamp_light(self, points: np.ndarray) -> np.ndarray:
+        """Strength of the lamp's light on surfaces that face it, at points [rows, columns, 3]; as `light`."""
+        r2 = np.sum(np.square(points - self.lamp.astype(np.float32)), -1)
+        light = np.float32(0.95 * self.reach**2) / (r2 + np.float32(0.6 * self.reach**2))
+        return light * self._shadow(points) if self.shadows else light
+
     def _shadow(self, points: np.ndarray) -> np.ndarray:
         """Share of the lamp's light at points [rows, columns, 3]: looked up at every other one."""
         rows, columns = points.shape[:2]

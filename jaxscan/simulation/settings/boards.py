@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from jaxscan.geometry import AbstractBoard, Charuco, Chessboard, check_board, known_dictionary
-from jaxscan.simulation.settings.numbers import Angle, Distance, Level, Millimetres, Pair, Place, Section
+from jaxscan.simulation.settings.numbers import Albedo, Angle, Distance, Level, Millimetres, Pair, Place, Section, Share
 
 
 class BoardsSpec(Section):
@@ -22,6 +22,16 @@ class BoardsSpec(Section):
     """White margin around the printed area."""
     warp_mm: tuple[Place, Place] = (0.0, 0.0)
     """kx, ky of z = kx (1 - x^2) + ky (1 - y^2), with x, y = +-1 at the outermost corners."""
+    ink: Albedo = 0.09
+    paper: Albedo = 0.85
+    uneven: Share = 0.0
+    """How far ink and paper differ over the board, as a share of their albedo."""
+    print_blur_mm: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Standard deviation of the print's own blur."""
+    gloss: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Lamination: what it reflects of lamp and laser in the middle of its lobe, as an albedo."""
+    gloss_deg: Annotated[float, Field(ge=0.5, le=45)] = 6.0
+    """Width of the lobe (standard deviation): angle between the board's normal and the bisector of light and view."""
     free_views: Annotated[int, Field(ge=0, le=1000)] = 30
     """Two of three are crossed by a stripe; every third fills the rest of the image."""
     placements: Annotated[int, Field(ge=0, le=200)] = 4

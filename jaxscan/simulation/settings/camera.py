@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from jaxscan.geometry import MAX_PIXELS
-from jaxscan.simulation.settings.numbers import Focal, Level, Number, Pair, Pixels, Section, Share, Size
+from jaxscan.simulation.settings.numbers import Distance, Focal, Level, Number, Pair, Pixels, Section, Share, Size
 
 
 PixelFormat = Literal["mono8", "rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_grbg8", "bayer_gbrg8"]
@@ -90,3 +90,20 @@ class SensorSpec(Section):
     """Side of a pixel: with the aperture and the laser's wavelength it says how large grains of speckle are."""
     f_number: Annotated[float, Field(ge=0.7, le=64)] = 4.0
     """Working f-number of the lens."""
+    gain_spread: Share = 0.0
+    """Standard deviation of the gain from pixel to pixel, relative; the same in all frames."""
+    offset_spread_dn: Annotated[float, Field(ge=0, le=100)] = 0.0
+    """Standard deviation of the pixels' own offsets."""
+    hot_pixels: Share = 0.0
+    """Share of the pixels that have a dark current."""
+    hot_dn: Annotated[float, Field(ge=0, le=1e3)] = 40.0
+    """Its mean; it is distributed exponentially."""
+    vignetting: Share = 0.0
+    """Share of the light that is lost in the farthest corner; it grows with the square of the distance from the
+    principal point."""
+    psf_edge: Annotated[float, Field(ge=0, le=5)] = 0.0
+    """How much wider the blur is in the farthest corner, as a share of `psf_px`."""
+    focus_m: Distance = 2.0
+    """Depth at which the lens is sharp."""
+    defocus_px_m: Annotated[float, Field(ge=0, le=50)] = 0.0
+    """Blur by defocus, in px for each 1/m of difference to `focus_m`; it adds to `psf_px` in variance."""

@@ -15,6 +15,7 @@ from jaxscan.simulation.settings.numbers import (
     Number,
     Point,
     Section,
+    Share,
     Triple,
 )
 
@@ -55,6 +56,17 @@ class LaserSpec(Section):
     peak_dn: Level = 150.0
     """Peak of the stripe on a wall of albedo 0.7 that faces the laser at `range_m`."""
     range_m: Distance = 2.0
+    side_lobes: tuple[Share, Share] = (0.0, 0.0)
+    """Peaks of the lobes beside the sheet, against and along its normal, as shares of the sheet's own peak."""
+    lobes_at: Annotated[float, Field(ge=1, le=20)] = 4.0
+    """Their distance from the middle, in standard deviations of the sheet; they are as thick as the sheet."""
+    uneven_slow: Share = 0.0
+    """Amplitude of slow changes of brightness along the line (a few over the fan), relative."""
+    uneven_fine: Share = 0.0
+    """Standard deviation of fine changes along the line, relative: `fine_deg` wide and smooth."""
+    fine_deg: Annotated[float, Field(ge=0.01, le=45)] = 0.5
+    widening: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """How much thicker the sheet is at the ends of the fan than in its middle, relative."""
     wavelength_nm: Annotated[float, Field(ge=200, le=2000)] | None = None
     """650 for a red laser, 520 for a green one and 450 for a blue one, where not given."""
     speckle_contrast: Annotated[float, Field(ge=0, le=1)] = 0.0

@@ -28,6 +28,7 @@ Gain = Annotated[float, Field(ge=-1e3, le=1e3)]
 Angle = Annotated[float, Field(ge=-36_000, le=36_000)]
 """Degrees."""
 Share = Annotated[float, Field(ge=0, lt=1)]
+Albedo = Annotated[float, Field(gt=0, le=1)]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Size = Annotated[int, Field(ge=8, le=65535)]
 """Of an image along an axis, px."""

@@ -2,7 +2,7 @@
 
 from pydantic import model_validator
 
-from jaxscan.simulation.settings.numbers import Angle, Distance, Level, Place, Point, Section
+from jaxscan.simulation.settings.numbers import Angle, Distance, Level, Place, Point, Section, Share
 
 
 class RoomSpec(Section):
@@ -37,3 +37,5 @@ class LightSpec(Section):
     white_dn: Level = 120.0
     """Level of a white surface (albedo 1) in the room's mean light, on every channel."""
     shadows: bool = True
+    flicker: Share = 0.0
+    """Standard deviation of the room's light from frame to frame, relative."""
