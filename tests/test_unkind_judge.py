@@ -4,8 +4,10 @@ import importlib.util
 
 import numpy as np
 import pytest
-from experiments.unkind import figures, limits, rig, sensor, truth
+
+from experiments.unkind import figures, limits, truth
 from experiments.unkind.estimate import Dimension, Rig, Rows, ray_grid
+from experiments.unkind.world import rig, sensor
 
 
 RECORDS, LINES = 40, 200
@@ -109,7 +111,7 @@ def test_points_that_are_far_off_and_rows_that_are_missing_are_counted():
 
 
 def test_the_bound_is_reached_by_the_best_fit_and_by_no_other():
-    """With a known width and amplitude a matched fit has at most the bound's variance; the closed form has no pixels."""
+    """With a known width and amplitude a matched fit has the bound's variance; the closed form has no pixels."""
     true, _ = world(np.random.default_rng(4))
     bright = figures.row_bound(true, np.array([50.0]), np.array([1.3]), np.array([10.0]))[0]
     # Gaussian stripe in even noise: variance = 2 w sigma^2 / (sqrt(pi) A^2), here without the stripe's own noise.
@@ -180,8 +182,10 @@ def test_speckle_on_a_pixel_has_the_contrast_that_was_asked_for_and_is_alone_in_
 
 @pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (extra 'worlds')")
 def test_a_path_traced_board_shows_its_stripe_where_the_truth_says():
-    from experiments.unkind import light, path_traced, true_rows
-    from experiments.unkind.tracer import Tracer
+    from experiments.unkind import path_traced
+    from experiments.unkind.world import light
+    from experiments.unkind.world.tracer import Tracer
+    from experiments.unkind.world.true_rows import print_contrast
 
     drawn = path_traced.draw_world(3)
     views = path_traced.draw_views(drawn.rig, drawn.board, drawn.room.camera, drawn.rng)
@@ -196,5 +200,5 @@ def test_a_path_traced_board_shows_its_stripe_where_the_truth_says():
     seen = rig.project(drawn.rig.lens, shot.local(found.p))
     assert np.abs(seen - np.stack([found.u, found.row], -1)).max() < 2e-3
     assert np.abs(shot.beside(found.p)).max() < 1e-4
-    contrast = true_rows._contrast(shot, found.u[found.shape == tracer.board], found.row[found.shape == tracer.board])
+    contrast = print_contrast(shot, *(part[found.shape == tracer.board] for part in (found.u, found.row)))
     assert (contrast > 0.5).sum() > 20 and (contrast < 0.1).sum() > 5

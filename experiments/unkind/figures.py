@@ -6,8 +6,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator  # type: ignore[import-untyped]
 
 from experiments.unkind.estimate import Dimension, Rig, Rows
-from experiments.unkind.rig import look
 from experiments.unkind.truth import TrueStripes, Truth
+from experiments.unkind.world.rig import look
 
 
 AMPLITUDES = ((5, 10), (10, 20), (20, 40), (40, 80), (80, 150), (150, 250))
@@ -27,7 +27,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def sheet_grid(truth: Truth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels u, v [n] at which the true sheet is seen at a depth of 2.5 m, one in every 10th row, and the points [n, 3]."""
+    """Pixels u, v [n] that see the true sheet at a depth of 2.5 m, one in every 10th row, and the points [n, 3]."""
     rows = np.arange(5.0, truth.size[1], 10.0)
     low, high = np.zeros(len(rows)), np.full(len(rows), truth.size[0] - 1.0)
     side = np.sign(meet(truth, low, rows)[:, 2] - DEPTH_M)
@@ -129,10 +129,11 @@ def noise_sigma(truth: Truth, background: np.ndarray) -> np.ndarray:
 
 
 def row_bound(truth: Truth, amplitude: np.ndarray, width: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Cramer-Rao bound of a row's centre [px], with unknown amplitude and width; speckle counts as independent per pixel.
+    """Cramer-Rao bound of a row's centre [px], with unknown amplitude and width.
 
-    Variance of a pixel of the difference: that of the background, the stripe's own photons, and (speckle times signal)^2.
-    The mean of the variance over eight places of the centre within a pixel.
+    Variance of a pixel of the difference: that of the background, the stripe's own photons, and the square of speckle
+    times signal, as if speckle were independent from pixel to pixel. The mean of the variance over eight places of the
+    centre within a pixel.
     """
     electrons, _, _, speckle = truth.noise
     total = np.zeros(len(amplitude))
@@ -164,7 +165,8 @@ def sweep_figures(truth: Truth, stripes: TrueStripes, found: Rows) -> dict[str, 
     if not has_sigma:
         far = there & ((np.abs(error) > 1.0) | (amplitude <= 0))
     good = there & ~far & (amplitude < AMPLITUDES[-1][1])
-    bound = row_bound(truth, *(pick(part, number)[good] for part in (stripes.amplitude, stripes.width, stripes.background)))
+    parts = (stripes.amplitude, stripes.width, stripes.background)
+    bound = row_bound(truth, *(pick(part, number)[good] for part in parts))
     strong = strong_rows(truth, stripes)
     close = found.valid & (np.abs(error) < NEAR_PX) & (amplitude > 0)
     out: dict[str, Any] = {

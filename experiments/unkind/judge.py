@@ -2,23 +2,22 @@
 
     python -m experiments.unkind.judge FOLDER … [--as before|after] [--results FOLDER]
 
-A FOLDER is one world of `path_traced` or `simulated`; its name ends with its seed (path_traced_101). The figures are kept
-in `unkind.json` beside the page, per world, so that a second run adds to them. "before" is measured by the same program
-with the sources of an older commit first in PYTHONPATH.
+A FOLDER is one world of `path_traced` or `simulated`; its name ends with its seed (path_traced_101). The figures are
+kept in `unkind.json` beside the page, per world, so that a second run adds to them. "before" is measured by the same
+program with the sources of an older commit first in PYTHONPATH.
 """
 
 import argparse
 import json
-import tempfile
 import shutil
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 from experiments.unkind import ours, plain, truth
-from experiments.unkind.estimate import Estimate
+from experiments.unkind.estimate import Estimate, ray_grid
 from experiments.unkind.figures import board_figures, dimension_figures, rig_figures, step_width, sweep_figures
-from experiments.unkind.estimate import ray_grid
 from experiments.unkind.table import markdown
 
 
@@ -47,8 +46,8 @@ def judge(folder: Path) -> dict[str, Any]:
         # Neither method sees the truth, and nothing is left in the captures.
         for name in ("boards", "sweep"):
             shutil.copytree(folder / name, Path(scratch) / name, ignore=shutil.ignore_patterns("stripes.npz"))
-        mine, says = ours.estimate(scratch, world[0])
         simple = plain.estimate(scratch, world[0], world[1])
+        mine, says = ours.estimate(scratch, world[0])
     return {"ours": figures(world, mine) | {"says": says}, "plain": figures(world, simple)}
 
 

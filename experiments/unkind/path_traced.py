@@ -2,8 +2,8 @@
 
     python -m experiments.unkind.path_traced SEED FOLDER
 
-FOLDER/boards and FOLDER/sweep are captures in the format of docs/formats.md; FOLDER/truth.npz is beside them. Of jaxscan
-only the writer of captures is used.
+FOLDER/boards and FOLDER/sweep are captures in the format of docs/formats.md; FOLDER/truth.npz is beside them. Of
+jaxscan only the writer of captures is used.
 """
 
 import argparse
@@ -15,13 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import jaxscan
-from experiments.unkind import light, truth
-from experiments.unkind.boards import Board, View, draw_board, draw_views
-from experiments.unkind.rig import Rig, draw_rig, look
-from experiments.unkind.room import Room, draw_room
-from experiments.unkind.sensor import FINE, Sensor, Speckle, blurred, expose, to_pixels
-from experiments.unkind.tracer import Hits, Tracer, bilinear
-from experiments.unkind.true_rows import stripes
+from experiments.unkind import truth
+from experiments.unkind.world import light
+from experiments.unkind.world.boards import Board, View, draw_board, draw_views
+from experiments.unkind.world.rig import Rig, draw_rig, look
+from experiments.unkind.world.room import Room, draw_room
+from experiments.unkind.world.sensor import FINE, Sensor, Speckle, blurred, expose, to_pixels
+from experiments.unkind.world.tracer import Hits, Tracer, bilinear
+from experiments.unkind.world.true_rows import stripes
 
 
 STEPS = 100

@@ -1,4 +1,4 @@
-"""The plain pipeline: OpenCV's ChArUco corners and `calibrateCamera`, a blurred centre of gravity, planes by least squares.
+"""The plain pipeline: OpenCV's ChArUco corners and `calibrateCamera`, a blurred centre of gravity, planes by SVD.
 
 Nothing of jaxscan's calibration or stripes is used, only its reader of captures. Every step takes the result of the one
 before as exact.
@@ -12,8 +12,8 @@ import numpy as np
 import jaxscan
 from experiments.unkind.estimate import Dimension, Estimate, Rig, Rows, ray_grid
 from experiments.unkind.figures import meet, nearest, pick, sheet_grid
-from experiments.unkind.rig import rotation
 from experiments.unkind.truth import TrueStripes, Truth
+from experiments.unkind.world.rig import look, rotation
 
 
 BLUR_PX = 1.0
@@ -68,10 +68,8 @@ class Solved:
 
     def rays(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Directions [n, 3] of pixels, with z = 1."""
-        q = np.stack([u, v], -1).reshape(-1, 1, 2).astype(np.float64)
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
-        straight = cv2.undistortPointsIter(q, self.matrix, self.bend, None, None, criteria).reshape(-1, 2)
-        return np.column_stack([straight, np.ones(len(straight))])
+        k = self.matrix
+        return look(np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *self.bend.ravel()[:4]]), u, v)
 
     def meet(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Points of the sheet at pixels [n, 3]; m."""

@@ -16,7 +16,7 @@ from scipy.special import j1  # type: ignore[import-untyped]
 
 import jaxscan
 from experiments.unkind import truth
-from experiments.unkind.rig import look
+from experiments.unkind.world.rig import look
 from jaxscan.simulation import (
     ExpectedRecord,
     Motion,

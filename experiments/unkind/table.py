@@ -11,11 +11,12 @@ from experiments.unkind.limits import FINAL_SEEDS, LIMITS, WALLS_WITHIN_TWO, bro
 HEAD = """# True in worlds nobody here made
 
 `python -m experiments.unkind.judge WORLD …` writes this page. `path_traced` worlds are rendered by Mitsuba 3 (see
-`experiments/unkind/README.md`), `simulated` ones by jaxscan's own simulator with `configs/unkind.toml`. "before" is commit
-3b13888, "plain" a blur of 1 px in both directions, centre of gravity, and sequential calibration by OpenCV. All figures are
-against the truth. RMS of stripes of the sweep is over rows on continuous surfaces: no jump, crease or border of a shadow
-within 4 px and 2 rows, amplitude under 250 DN, points farther than 5 stated sigmas left out and counted by themselves.
-"error / stated" and "stated / true" are the root mean square of the error divided by the stated sigma, and its inverse.
+`experiments/unkind/README.md`), `simulated` ones by jaxscan's own simulator with `configs/unkind.toml`. "before" is
+commit 3b13888, "plain" a blur of 1 px in both directions, centre of gravity, and sequential calibration by OpenCV.
+All figures are against the truth. RMS of stripes of the sweep is over rows on continuous surfaces: no jump, crease or
+border of a shadow within 4 px and 2 rows, amplitude under 250 DN, points farther than 5 stated sigmas (1 px where
+none are stated) left out and counted by themselves. "error / stated" and "stated / true" are the root mean square of
+the error divided by the stated sigma, and its inverse.
 """
 ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("rays [px]", ("rig", "rays_px"), "{:.3f}"),
@@ -98,7 +99,8 @@ def limits_text() -> str:
         bounds += [f"≤ {limit.high:g}"] if np.isfinite(limit.high) else []
         lines.append(f"- {limit.name}{', in every class' if limit.classes else ''}: {' and '.join(bounds)}")
     walls = f"- walls: at least {WALLS_WITHIN_TWO:.0%} of all dimensions within two stated sigmas"
-    seeds = f"Final seeds: {FINAL_SEEDS[0]} to {FINAL_SEEDS[-1]}; they and these limits were set before any of them was judged."
+    first, last = FINAL_SEEDS[0], FINAL_SEEDS[-1]
+    seeds = f"Final seeds: {first} to {last}; they and these limits were set before any of them was judged."
     return "\n".join(["## Limits", seeds, "", *lines, walls, "- in no seed worse than the plain pipeline"])
 
 
@@ -116,7 +118,8 @@ def in_all(results: dict[str, Any]) -> str:
             elif len(each) == 1:
                 cells.append(number(each[0], form))
             else:
-                cells.append(f"**{number(np.median(each), form)}** ({number(min(each), form)} … {number(max(each), form)})")
+                middle, low, high = (number(value, form) for value in (np.median(each), min(each), max(each)))
+                cells.append(f"**{middle}** ({low} … {high})")
         body.append(cells)
     body.append(["walls within two stated sigmas", *(_walls(results, which) for which in known)])
     return rows(["median (range over seeds)", *known], body)

@@ -1,6 +1,6 @@
 """The truth of a world, in a file beside its captures; an input of the judge alone.
 
-Stripes are kept on grids [records, rows, crossings]: where the middle of the sheet meets a surface, the brightest first.
+Stripes are kept on grids [records, rows, crossings]: where the middle of the sheet meets a surface, brightest first.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Lens blur, speckle and a noisy camera, written apart from jaxscan's simulator. Light is in DN above the black level."""
+"""Lens blur, speckle and a noisy camera, apart from jaxscan's simulator. Light is in DN above the black level."""
 
 from typing import NamedTuple
 
@@ -48,8 +48,8 @@ def blurred(image: np.ndarray, sensor: Sensor, per_pixel: int, part: tuple[slice
 class Speckle:
     """Fields of speckle with mean 1, from which every record gets a piece of its own.
 
-    The light on the sensor is the squared magnitude of a circular Gaussian field behind a round aperture. One field has a
-    contrast of 1; where a pixel shows less, many independent fields lie on top of one another (wavelengths,
+    The light on the sensor is the squared magnitude of a circular Gaussian field behind a round aperture. One field has
+    a contrast of 1; where a pixel shows less, many independent fields lie on top of one another (wavelengths,
     polarisations, a moving diffuser): their mean has the same grain and a smaller contrast.
     """
 

@@ -95,8 +95,7 @@ def box(name: str, low: np.ndarray, size: np.ndarray, paints: list[np.ndarray]) 
         (corner + y, x, -y),
     ]
     return [
-        Patch(f"{name} {k}", origin, along, up, paints[k % len(paints)])
-        for k, (origin, along, up) in enumerate(sides)
+        Patch(f"{name} {k}", origin, along, up, paints[k % len(paints)]) for k, (origin, along, up) in enumerate(sides)
     ]
 
 
@@ -167,9 +166,7 @@ def _panels(rng: np.random.Generator, size: np.ndarray, height: float) -> list[P
         ),
     ]
     flat = [np.full((8, 8), value, np.float32) for value in rng.uniform(0.5, 0.65, 3)]
-    return [
-        patch for k, (low, extent) in enumerate(places) for patch in box(f"panel {k}", low, extent, [flat[k]])
-    ]
+    return [patch for k, (low, extent) in enumerate(places) for patch in box(f"panel {k}", low, extent, [flat[k]])]
 
 
 def _furniture(rng: np.random.Generator, size: np.ndarray) -> list[Patch]:
@@ -180,8 +177,12 @@ def _furniture(rng: np.random.Generator, size: np.ndarray) -> list[Patch]:
     patches += box("table top", np.array([x, y, 0.7]), np.array([0.8, 0.8, 0.03]), wood)
     for k, (dx, dy) in enumerate(((0.03, 0.03), (0.72, 0.03), (0.03, 0.72), (0.72, 0.72))):
         patches += box(f"leg {k}", np.array([x + dx, y + dy, 0.0]), np.array([0.05, 0.05, 0.7]), wood)
-    patches += box("carton", np.array([x + 0.45, y + 0.45, 0.73]), np.array([0.25, 0.2, rng.uniform(0.3, 0.5)]),
-                   [picture(rng), paint(rng, 0.4)])
+    patches += box(
+        "carton",
+        np.array([x + 0.45, y + 0.45, 0.73]),
+        np.array([0.25, 0.2, rng.uniform(0.3, 0.5)]),
+        [picture(rng), paint(rng, 0.4)],
+    )
     # The shelf stands against the wall at y1.
     left, depth = size[0] / 2 - 0.1 + rng.uniform(-0.1, 0.1), 0.28
     for k, z in enumerate((0.3, 0.72, 1.14, 1.56)):
@@ -193,10 +194,12 @@ def _furniture(rng: np.random.Generator, size: np.ndarray) -> list[Patch]:
     for k, dx in enumerate((0.0, 0.775)):
         patches += box(f"side {k}", np.array([left + dx, size[1] - depth, 0.0]), np.array([0.025, depth, 1.9]), wood)
     patches += box("chest", np.array([0.05, 0.1, 0.0]), np.array([0.6, 0.5, rng.uniform(0.85, 1.3)]), wood)
-    patches += box("crate", np.array([0.3, size[1] - 1.5, 0.0]), np.array([0.35, 0.4, rng.uniform(0.9, 1.3)]),
-                   [picture(rng)])
+    patches += box(
+        "crate", np.array([0.3, size[1] - 1.5, 0.0]), np.array([0.35, 0.4, rng.uniform(0.9, 1.3)]), [picture(rng)]
+    )
     wide = rng.uniform(0.5, 0.8)
     frame = np.array([0.9, 0.004, rng.uniform(1.35, 1.5)])
-    patches += [Patch("picture", frame + np.array([wide, 0, 0]), np.array([-wide, 0, 0]), np.array([0, 0, 0.45]),
-                      picture(rng))]
+    patches += [
+        Patch("picture", frame + np.array([wide, 0, 0]), np.array([-wide, 0, 0]), np.array([0, 0, 0.45]), picture(rng))
+    ]
     return patches

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.unkind.rig import Rig, look
-from experiments.unkind.sensor import FINE
-from experiments.unkind.tracer import Hits, Light, Tracer
+from experiments.unkind.world.rig import Rig, look
+from experiments.unkind.world.sensor import FINE
+from experiments.unkind.world.tracer import Hits, Light, Tracer
 
 
 WAIST_M, SPREAD_RAD = 0.0008, 0.0021

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from experiments.unkind.rig import Rig, project, rigid, rotation
-from experiments.unkind.room import Patch
+from experiments.unkind.world.rig import Rig, project, rigid, rotation
+from experiments.unkind.world.room import Patch
 
 
 TEXELS = 60

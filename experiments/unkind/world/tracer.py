@@ -1,4 +1,4 @@
-"""Mitsuba 3 as the eye and the light of a room: rays, the lamps' light by path tracing, and the laser's light in its corners.
+"""Mitsuba 3 as the eye and the light of a room: rays, the lamps' light, and the laser's light that comes back.
 
 The lamps' light does not depend on where the camera stands: it is traced once per room, on a grid on every surface
 (Mitsuba's path tracer, next event estimation, five bounces), and looked up in every frame. Of the laser's light, what
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.unkind.room import Patch, Room, Round
+from experiments.unkind.world.room import Patch, Room, Round
 
 
 LIBRARIES = [Path(f"/usr/lib/x86_64-linux-gnu/libLLVM-{n}.so") for n in (19, 20, 18, 17, 16)]
@@ -256,7 +256,8 @@ def bilinear(grid: np.ndarray, uv: np.ndarray) -> np.ndarray:
     x, y = np.clip(uv[:, 0] * columns - 0.5, 0, columns - 1), np.clip(uv[:, 1] * rows - 0.5, 0, rows - 1)
     c, r = np.minimum(x.astype(int), columns - 2), np.minimum(y.astype(int), rows - 2)
     f, g = x - c, y - r
-    return (1 - g) * ((1 - f) * grid[r, c] + f * grid[r, c + 1]) + g * ((1 - f) * grid[r + 1, c] + f * grid[r + 1, c + 1])
+    upper = (1 - f) * grid[r, c] + f * grid[r, c + 1]
+    return (1 - g) * upper + g * ((1 - f) * grid[r + 1, c] + f * grid[r + 1, c + 1])
 
 
 def cosine_ways(normal: np.ndarray, rng: np.random.Generator) -> np.ndarray:

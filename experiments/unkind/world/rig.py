@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Rig(NamedTuple):
-    """A camera, a sheet of laser light, and the axis of the table that carries them, in the camera's frame at angle 0."""
+    """A camera, a sheet of laser light, and the axis of the table under them, in the camera's frame at angle 0."""
 
     width: int
     height: int

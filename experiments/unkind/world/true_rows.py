@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.ndimage import gaussian_filter1d  # type: ignore[import-untyped]
 
-from experiments.unkind import light
-from experiments.unkind.sensor import FINE
-from experiments.unkind.tracer import Hits
 from experiments.unkind.truth import TrueStripes, empty
+from experiments.unkind.world import light
+from experiments.unkind.world.sensor import FINE
+from experiments.unkind.world.tracer import Hits
 
 
 CONTRAST_PX = 4.0
@@ -16,9 +16,7 @@ OFF_PLANE = 0.004
 """Distance from the tangent plane that counts as an edge, as a part of the distance from the camera."""
 
 
-def stripes(
-    shot: light.Shot, middle: Hits, laser: light.Direct, ambient: np.ndarray
-) -> TrueStripes:
+def stripes(shot: light.Shot, middle: Hits, laser: light.Direct, ambient: np.ndarray) -> TrueStripes:
     """The true stripes [rows, crossings] of one record.
 
     Args:
@@ -34,7 +32,7 @@ def stripes(
     edge = _edges(shot, middle, laser.shadow, found)
     on_board = found.shape == shot.tracer.board if shot.tracer.board >= 0 else np.zeros(len(found.u), bool)
     contrast = np.full(len(found.u), np.nan)
-    contrast[on_board] = _contrast(shot, found.u[on_board], found.row[on_board])
+    contrast[on_board] = print_contrast(shot, found.u[on_board], found.row[on_board])
     out = TrueStripes(*(grid[0] for grid in empty(1, rows)))
     order = np.lexsort((-peak, found.row))
     row = found.row[order]
@@ -77,7 +75,7 @@ def _edges(shot: light.Shot, middle: Hits, shadow: np.ndarray, found: light.Cros
     return edge
 
 
-def _contrast(shot: light.Shot, u: np.ndarray, row: np.ndarray) -> np.ndarray:
+def print_contrast(shot: light.Shot, u: np.ndarray, row: np.ndarray) -> np.ndarray:
     """(max - min) / (max + min) of the surface's paint within 4 px along the row, behind a blur of 0.75 px."""
     steps = np.arange(-CONTRAST_PX - 2, CONTRAST_PX + 2.01, 0.25)
     lines = []
