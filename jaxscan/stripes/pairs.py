@@ -66,7 +66,7 @@ def judge_pairs(on: Array, off: Array, *, frames: FrameFormat = _MONO, line: Las
     used = (index >= 0) & (index < samples) & valid[None]
     rows = np.arange(count * lines).reshape(count, lines)
     level = decode_table(response)[0][dark.reshape(-1, samples)[rows[None], np.clip(index, 0, samples - 1)]]
-    variance = noise.read_dn**2 + 1 / 12 + level / noise.electrons_per_dn
+    variance = noise.variance(level)
 
     def flat(values):
         return np.asarray(values, np.float32).reshape(*values.shape[:-2], -1)

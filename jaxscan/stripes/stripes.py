@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from jaxscan.geometry import Array
@@ -73,12 +74,25 @@ class MeasuredLines(NamedTuple):
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Noise of one frame: variance = read_dn^2 + signal / electrons_per_dn (+ 1/12)  [DN^2]."""
+    """Noise of one frame: variance = read_dn^2 + light / electrons_per_dn (+ 1/12)  [DN^2], light = level - black_dn;
+    of the laser's light there is (speckle * light)^2 too."""
 
     read_dn: float = 1.0
     """Standard deviation of the read noise [DN]."""
     electrons_per_dn: float = 40.0
     """Conversion gain [e-/DN]."""
+    black_dn: float = 0.0
+    """Level of a pixel without light [DN]."""
+    speckle: float = 0.0
+    """Contrast of the laser's speckle on one pixel: standard deviation over mean of its light [1]; where it is 0
+    it is learned, unless the settings hold it."""
+    speckle_correlation: float = 0.0
+    """Correlation of the errors by speckle of centres on neighbouring lines [1]."""
+
+    def variance(self, level):
+        """Variance of a pixel of this level, with that of rounding [DN^2]."""
+        light = np.maximum(np.asarray(level, np.float64) - self.black_dn, 0.0)
+        return self.read_dn**2 + light / self.electrons_per_dn + 1 / 12
 
 
 Choice = Literal["path", "brightest", "nearest", "farthest", "all"]
@@ -116,8 +130,9 @@ class StripeSettings:
     guard_edges: bool = True
     """Whether an edge of the surface's reflectance under the stripe, as the laser-off frame shows
     it, widens a centre's sigma by the shift that it may have caused."""
-    speckle: float = 0.0
-    """Contrast of the laser's speckle within a pixel: standard deviation over mean of the signal [1]."""
+    speckle: float | None = None
+    """Contrast of the laser's speckle on one pixel: standard deviation over mean of its light [1]; None: learned
+    from the first frames, where the noise does not say it."""
     saturation: int = 254
     """Pixels at or above this level [DN] are taken as clipped and left out of the fit."""
     iterations: int = 4

@@ -124,12 +124,15 @@ class CentreOfGravity:
 
 
 def _variance(located: Peak, ratio: Array, search: Search) -> Float[Array, "frames lines window"]:
-    """Variance of the laser's light [DN^2]: of both frames, with the stripe's own shot noise."""
+    """Variance of the laser's light [DN^2]: of both frames, with the stripe's own shot noise and speckle."""
     frame = search.read_dn**2 + 1 / 12
-    shot = (jnp.maximum(located.light, 0.0) + located.room) / search.electrons_per_dn
+    laser = jnp.maximum(located.light, 0.0)
+    room = jnp.maximum(located.room - search.black_dn, 0.0)
+    frame += (laser + room) / search.electrons_per_dn + (search.speckle * laser) ** 2
     if located.off is None:
-        return frame + shot
-    return (1.0 + ratio**2) * frame + shot + ratio**2 * located.off / search.electrons_per_dn
+        return frame
+    dark = search.read_dn**2 + 1 / 12 + jnp.maximum(located.off - search.black_dn, 0.0) / search.electrons_per_dn
+    return frame + ratio**2 * dark
 
 
 def _blurred(values: Float[Array, "frames lines n"]) -> Float[Array, "frames lines n-2"]:

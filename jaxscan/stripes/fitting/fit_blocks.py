@@ -66,7 +66,7 @@ def _fit_block(
     rules = FitRules(
         max_width=1.1 * settings.max_width_px,
         prior=(search.log_width, search.width_information),
-        speckle=settings.speckle,
+        speckle=search.speckle * lax.rsqrt(block.bins.astype(jnp.float32)),
         min_snr=settings.least_snr,
         rest=_REST,
     )
@@ -87,10 +87,11 @@ def _fit_block(
         grey = jnp.sum(jnp.maximum(1.0 - jnp.abs(place - (fit.u / window.step)[None, :]), 0.0) * block.off, 0)
     if block.off is not None and settings.guard_edges:
         # An edge of the surface's reflectance under the stripe may have moved the centre.
-        variance = search.read_dn * search.read_dn + 1 / 12 + block.off / search.electrons_per_dn
+        light = jnp.maximum(block.off - search.black_dn, 0.0)
+        variance = search.read_dn * search.read_dn + 1 / 12 + light / search.electrons_per_dn
         step = window.step[None, :]
         dark = DarkWindow(block.off, place * step, block.on >= 0.0, variance / step)
-        edge = albedo_shift(dark, fit.u, fit.width)
+        edge = albedo_shift(dark, fit.u, fit.width, offset=search.black_dn)
         sigma = jnp.sqrt(sigma * sigma + edge.shift * edge.shift)
     snr = jnp.sqrt(jnp.maximum(fit.energy, 0.0))
     found = FrameStripes(

@@ -69,7 +69,7 @@ class FitRules(NamedTuple):
     """Largest width that a step may reach [px]."""
     prior: tuple[Float[Array, ""], Float[Array, ""]] | None = None
     """Mean of the logarithm of the widened width [px], and its information; None where nothing is known."""
-    speckle: float = 0.0
+    speckle: Float[Array, "#stripes"] | float = 0.0
     """Contrast of the laser's speckle within a sample [1]."""
     min_snr: float = 0.0
     """Signal-to-noise ratio from which a candidate's steps are waited for [1]."""
@@ -92,7 +92,7 @@ class Fit(NamedTuple):
     skew: Float[Array, " stripes"]
     """Skewness that the residuals speak of: that of a Gram-Charlier series [1]."""
     energy: Float[Array, " stripes"]
-    """Squared signal-to-noise ratio of the stripe: sum of model^2 / variance."""
+    """Squared signal-to-noise ratio of the stripe: sum of model^2 / variance, without speckle."""
     samples: Float[Array, " stripes"]
     """Number of used samples."""
     last_step: Float[Array, " stripes"]
@@ -136,7 +136,7 @@ def fit_stripe(
     free = start.background is not None
     base = jnp.zeros_like(start.u) if start.background is None else start.background
     pixel = (window.aperture / window.step) ** 2 / 12
-    prior, speckle = rules.prior, rules.speckle
+    prior, speckle = rules.prior, jnp.atleast_1d(jnp.asarray(rules.speckle, dtype))
     widest = rules.max_width / window.step
     log_step = jnp.log(window.step)
 
@@ -150,7 +150,11 @@ def fit_stripe(
         model = amplitude[None, :] * gauss * (1.0 + flatness[None, :] * ((s - 6.0) * s + 3.0))
         bright = jnp.maximum(model, 0.0)
         spread = window.variance + window.shot[None, :] * bright
-        weight = 1.0 / (spread + (speckle * bright) ** 2 if speckle else spread)
+        grain = speckle[None, :] * bright
+        total = spread + grain * grain
+        # One division for both.
+        per_both = 1.0 / (spread * total)
+        weight = spread * per_both
         residual = window.y - model - base[None, :]
         weighted = weight * gauss
         about = _about(powers @ (weighted * gauss), u, squared)
@@ -180,7 +184,9 @@ def fit_stripe(
         small = jnp.abs(by_a) + jnp.abs(by_w) < _SMALL_STEP
         taller = amplitude * jnp.where(small, 1.0 + by_a, jnp.exp(by_a))
         # By the new amplitude: the first one is the highest sample, which in noise is too high.
-        information, energy = taller * taller * pivot, taller * taller * about[0]
+        information = taller * taller * pivot
+        # Where there is no stripe there is no speckle either.
+        energy = taller * taller * (powers[0] @ (total * per_both * gauss * gauss))
         change = jnp.abs(by_u) + jnp.abs(by_w) + jnp.abs(delta[-3]) / amplitude
         left = by_u * change
         # A candidate that does not stand out of the noise after two steps is given up.

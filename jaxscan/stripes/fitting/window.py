@@ -36,10 +36,11 @@ def prepare_window(
     variance = search.read_dn**2 + _rounding(block.on, response)
     level, background = block.on, None
     if block.off is not None:
-        scaled = lamp_ratio[None, :] * block.off
-        level = level - scaled
+        level = level - lamp_ratio[None, :] * block.off
+        light = jnp.maximum(block.off - search.black_dn, 0.0)
         dark = search.read_dn**2 + _rounding(block.off, response)
-        variance = variance + scaled / per_dn + (lamp_ratio * lamp_ratio)[None, :] * (dark + block.off / per_dn)
+        variance = variance + lamp_ratio[None, :] * light / per_dn
+        variance = variance + (lamp_ratio * lamp_ratio)[None, :] * (dark + light / per_dn)
     place = jnp.asarray(sample_places(block.on.shape[0]))
     x = place[:, None] * step[None, :] - block.start[None, :]
     # Samples further away belong to something else.
@@ -48,7 +49,7 @@ def prepare_window(
     if block.off is None:
         background = jnp.min(jnp.where(used, level, 1e3), 0)
         background = jnp.clip(background, 0.0, 1e3)
-        variance = variance + background[None, :] / per_dn
+        variance = variance + jnp.maximum(background - search.black_dn, 0.0)[None, :] / per_dn
         top = top - background
     # The half-widths at half of the maximum and at the clipped top give width and amplitude of
     # a Gaussian that is cut off. Where it is not, the filter widened it.

@@ -74,7 +74,7 @@ def thresholds(noise: NoiseModel, settings: StripeSettings, *, pitch: int, has_o
         has_off: Whether a laser-off frame is subtracted; else the mean of eight lattice points is.
     """
     level = np.arange(256.0)
-    variance = noise.read_dn**2 + level / noise.electrons_per_dn + 1 / 12
+    variance = noise.variance(level)
     samples = LATTICE_PX / pitch
     # The surround counts four times (the triangle's weight) with an eighth of the variance.
     spread = COARSE_NORM**2 * (2.0 if has_off else 1.0) + (0.0 if has_off else 2.0)
