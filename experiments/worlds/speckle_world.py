@@ -6,12 +6,14 @@ Nothing here shares code with the simulator or the extraction under test.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import ifft2  # type: ignore[import-untyped]
 from worlds.stripe_world import Frames, Sensor, expose
 
 
 _FINE = 4
 """Samples of a pixel in each direction: speckle of f/2.8 has no frequencies beyond their Nyquist limit."""
-_MOST_PATTERNS = 25
+_HALF_WINDOW = 24
+"""Pixels on either side of the middle that the stripe may reach."""
 
 
 class Speckle(NamedTuple):
@@ -35,19 +37,18 @@ class Speckle(NamedTuple):
 
 
 def pattern(shape: tuple[int, int], speckle: Speckle, rng: np.random.Generator) -> np.ndarray:
-    """Speckle of mean 1 on a grid of _FINE samples per pixel: a field behind a round aperture."""
+    """Speckle of mean 1 on a grid of _FINE samples per pixel: fields behind a round aperture, as many as give it the
+    contrast."""
+    count = round(1 / speckle.contrast**2)
     frequency = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1 / _FINE) for n in shape), indexing="ij"))
     inside = frequency <= 0.5 / speckle.grain_px
-    total = np.zeros(shape)
-    # The mean of many patterns is nearly normal: then the deviations of a few are scaled.
-    patterns = min(round(1 / speckle.contrast**2), _MOST_PATTERNS)
-    for _ in range(patterns):
-        field = np.zeros(shape, np.complex128)
-        count = np.count_nonzero(inside)
-        field[inside] = rng.standard_normal(count) + 1j * rng.standard_normal(count)
-        total += np.abs(np.fft.ifft2(field)) ** 2
-    deviation = total / total.mean() - 1.0
-    return np.maximum(1.0 + speckle.contrast * np.sqrt(patterns) * deviation, 0.0)
+    waves = np.count_nonzero(inside)
+    total = np.zeros(shape, np.float32)
+    for _ in range(count):
+        field = np.zeros(shape, np.complex64)
+        field[inside] = rng.standard_normal(waves, np.float32) + 1j * rng.standard_normal(waves, np.float32)
+        total += np.abs(ifft2(field)) ** 2
+    return total / total.mean()
 
 
 def render_coherent(
@@ -62,7 +63,7 @@ def render_coherent(
     """Pairs of frames with a stripe at `u` [frames, rows], of `amplitude` [rows], in the room's light.
 
     Args:
-        u: Centres [frames, rows]; straight between the middles of rows.
+        u: Centres [frames, rows], within 16 px of the middle; straight between the middles of rows.
         width: Standard deviation of the stripe [px].
         amplitude: Peak of each row [DN].
         room: Light with the laser off [rows, columns], DN above black.
@@ -72,15 +73,17 @@ def render_coherent(
     """
     rows, columns = room.shape
     fine_row = (np.arange(rows * _FINE) + 0.5) / _FINE - 0.5
-    fine_column = (np.arange(columns * _FINE) + 0.5) / _FINE - 0.5
+    first = columns // 2 - _HALF_WINDOW
+    fine_column = first + (np.arange(2 * _HALF_WINDOW * _FINE) + 0.5) / _FINE - 0.5
     height = np.interp(fine_row, np.arange(rows), amplitude)
-    lit = []
-    for centre in u:
+    lit = np.zeros((len(u), rows, columns))
+    for frame, centre in zip(lit, u, strict=True):
         at = np.interp(fine_row, np.arange(rows), centre)
         light = height[:, None] * np.exp(-0.5 * ((fine_column[None, :] - at[:, None]) / width) ** 2)
         if speckle is not None:
             light *= pattern(light.shape, speckle, rng)
-        lit.append(light.reshape(rows, _FINE, columns, _FINE).mean((1, 3)))
-    on = expose(room + np.stack(lit), sensor, rng)
+        pixels = light.reshape(rows, _FINE, 2 * _HALF_WINDOW, _FINE).mean((1, 3))
+        frame[:, first : first + 2 * _HALF_WINDOW] = pixels
+    on = expose(room + lit, sensor, rng)
     off = expose(np.broadcast_to(room, on.shape), sensor, rng)
     return Frames(on, off, u)
