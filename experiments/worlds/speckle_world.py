@@ -6,12 +6,24 @@ Nothing here shares code with the simulator or the extraction under test.
 from typing import NamedTuple
 
 import numpy as np
-from worlds.stripe_world import Frames, Sensor, expose
+from scipy.fft import ifft2  # type: ignore[import-untyped]
+from worlds.stripe_world import Sensor, expose
 
 
 _FINE = 4
 """Samples of a pixel in each direction: speckle of f/2.8 has no frequencies beyond their Nyquist limit."""
-_MOST_PATTERNS = 25
+_HALF_WINDOW = 24
+"""Pixels on either side of the middle that the stripe may reach."""
+
+
+class CoherentFrames(NamedTuple):
+    """Pairs of frames uint8 [frames, rows, columns], and the truth [frames, rows]."""
+
+    on: np.ndarray
+    off: np.ndarray
+    u: np.ndarray
+    snr: np.ndarray
+    """The laser's light on each row's brightest pixel over the noise of the pair there without it [1]."""
 
 
 class Speckle(NamedTuple):
@@ -35,52 +47,56 @@ class Speckle(NamedTuple):
 
 
 def pattern(shape: tuple[int, int], speckle: Speckle, rng: np.random.Generator) -> np.ndarray:
-    """Speckle of mean 1 on a grid of _FINE samples per pixel: a field behind a round aperture."""
+    """Speckle of mean 1 on a grid of _FINE samples per pixel: fields behind a round aperture, as many as give it the
+    contrast."""
+    count = round(1 / speckle.contrast**2)
     frequency = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1 / _FINE) for n in shape), indexing="ij"))
     inside = frequency <= 0.5 / speckle.grain_px
-    total = np.zeros(shape)
-    # The mean of many patterns is nearly normal: then the deviations of a few are scaled.
-    patterns = min(round(1 / speckle.contrast**2), _MOST_PATTERNS)
-    for _ in range(patterns):
-        field = np.zeros(shape, np.complex128)
-        count = np.count_nonzero(inside)
-        field[inside] = rng.standard_normal(count) + 1j * rng.standard_normal(count)
-        total += np.abs(np.fft.ifft2(field)) ** 2
-    deviation = total / total.mean() - 1.0
-    return np.maximum(1.0 + speckle.contrast * np.sqrt(patterns) * deviation, 0.0)
+    waves = np.count_nonzero(inside)
+    total = np.zeros(shape, np.float32)
+    for _ in range(count):
+        field = np.zeros(shape, np.complex64)
+        field[inside] = rng.standard_normal(waves, np.float32) + 1j * rng.standard_normal(waves, np.float32)
+        total += np.abs(ifft2(field)) ** 2
+    return total / total.mean()
+
+
+class Course(NamedTuple):
+    """A stripe."""
+
+    u: np.ndarray
+    """Centres [frames, rows], within 16 px of the middle of the image; straight between the middles of rows."""
+    width: float
+    """Standard deviation [px]."""
+    amplitude: np.ndarray
+    """Peak of each row [DN]."""
 
 
 def render_coherent(
-    u: np.ndarray,
-    width: float,
-    amplitude: np.ndarray,
-    room: np.ndarray,
-    speckle: Speckle | None,
-    sensor: Sensor,
-    rng: np.random.Generator,
-) -> Frames:
-    """Pairs of frames with a stripe at `u` [frames, rows], of `amplitude` [rows], in the room's light.
+    stripe: Course, room: np.ndarray, speckle: Speckle, sensor: Sensor, rng: np.random.Generator
+) -> CoherentFrames:
+    """Pairs of frames with a stripe in the room's light.
 
     Args:
-        u: Centres [frames, rows]; straight between the middles of rows.
-        width: Standard deviation of the stripe [px].
-        amplitude: Peak of each row [DN].
+        stripe: The stripe.
         room: Light with the laser off [rows, columns], DN above black.
-        speckle: The coherent light; None: incoherent.
+        speckle: The coherent light.
         sensor: The sensor; its ambient light is not used.
         rng: Draws.
     """
     rows, columns = room.shape
     fine_row = (np.arange(rows * _FINE) + 0.5) / _FINE - 0.5
-    fine_column = (np.arange(columns * _FINE) + 0.5) / _FINE - 0.5
-    height = np.interp(fine_row, np.arange(rows), amplitude)
-    lit = []
-    for centre in u:
+    first = columns // 2 - _HALF_WINDOW
+    fine_column = first + (np.arange(2 * _HALF_WINDOW * _FINE) + 0.5) / _FINE - 0.5
+    height = np.interp(fine_row, np.arange(rows), stripe.amplitude)
+    lit = np.zeros((len(stripe.u), rows, columns))
+    for frame, centre in zip(lit, stripe.u, strict=True):
         at = np.interp(fine_row, np.arange(rows), centre)
-        light = height[:, None] * np.exp(-0.5 * ((fine_column[None, :] - at[:, None]) / width) ** 2)
-        if speckle is not None:
-            light *= pattern(light.shape, speckle, rng)
-        lit.append(light.reshape(rows, _FINE, columns, _FINE).mean((1, 3)))
-    on = expose(room + np.stack(lit), sensor, rng)
+        light = height[:, None] * np.exp(-0.5 * ((fine_column[None, :] - at[:, None]) / stripe.width) ** 2)
+        light *= pattern(light.shape, speckle, rng)
+        pixels = light.reshape(rows, _FINE, 2 * _HALF_WINDOW, _FINE).mean((1, 3))
+        frame[:, first : first + 2 * _HALF_WINDOW] = pixels
+    on = expose(room + lit, sensor, rng)
     off = expose(np.broadcast_to(room, on.shape), sensor, rng)
-    return Frames(on, off, u)
+    dark = 2.0 * (sensor.read_dn**2 + 1 / 12 + room / sensor.electrons_per_dn)
+    return CoherentFrames(on, off, stripe.u, (lit / np.sqrt(dark)).max(2))

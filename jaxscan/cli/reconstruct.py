@@ -87,6 +87,8 @@ def reconstruct(
     cloud = done.cloud
     for note in done.notes:
         out.print(f"note: {note}")
+    if done.noise:
+        out.print(f"noise: {done.noise}")
     if done.kept:
         out.print("stripes from the cache" if done.from_cache else "stripes kept for next time")
     api.save_cloud(cloud, output, calibration_digest=calibration_digest(calibration))
@@ -114,5 +116,6 @@ def reconstruct(
             "stripes_from_cache": done.from_cache,
             "stripes_kept": done.kept,
             "notes": [*before, *done.notes],
+            "noise": done.noise,
         },
     )

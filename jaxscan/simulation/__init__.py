@@ -14,6 +14,7 @@ from jaxscan.simulation.settings import (
     CameraSpec,
     LaserSpec,
     LightSpec,
+    MirrorSpec,
     ObjectSpec,
     PlanSpec,
     RoomSpec,

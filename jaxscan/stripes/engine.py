@@ -16,7 +16,7 @@ from jaxscan.stripes.channels import doubted, doubts_of, other_channels
 from jaxscan.stripes.choosing import choose_stripes, chosen_of
 from jaxscan.stripes.estimators import Estimator, estimator_of
 from jaxscan.stripes.exposures import merge_brackets
-from jaxscan.stripes.frames import LaserLine, estimate_noise, with_colour
+from jaxscan.stripes.frames import LaserLine, check_black, learn_noise, with_colour
 from jaxscan.stripes.search import (
     LineGate,
     Planes,
@@ -171,13 +171,13 @@ def prepare_engines(
         on: Laser-on frames of the first records, as of `StripeEngine.extract`.
         off: Laser-off frames of the same shape, or None.
         setups: Of each laser; a colour "auto" is learned from the frames.
-        noise: Noise of a frame; where not given it is estimated, in the colour of the first laser and in the
-            shortest exposure, in which least is clipped.
+        noise: Noise of a frame; where not given it is learned (`learn_noise`), in the colour of the first laser and in
+            the shortest exposure, in which least is clipped.
         gates: The part of every line that can hold the stripe of each laser; the whole line where not given.
 
     Raises:
-        ValueError: If the colour cannot be learned, or the settings ask for a choice that the estimator or
-            the gate do not allow.
+        ValueError: If the colour cannot be learned, the black level is above the picture, or the settings ask for a
+            choice that the estimator or the gate do not allow.
     """
     if len(setups[0].exposures) > 1:
         on, off = on[:, 0], None if off is None else off[:, 0]
@@ -186,8 +186,8 @@ def prepare_engines(
         estimator_of(setup.settings)
         line = with_colour(setup.line, on, off, setup.frames.pixel_format)
         if noise is None:
-            frames = setup.frames
-            noise = estimate_noise(on, off, pixel_format=frames.pixel_format, response=frames.response, line=line)
+            noise = learn_noise(on, off, frames=setup.frames, line=line).noise
+        check_black(noise, on)
         # Lasers that look alike share their compiled functions: no name, and no colour for a mono camera.
         colour = "red" if setup.frames.pixel_format == "mono8" else line.colour
         setup = setup._replace(line=LaserLine(colour=colour, stripe_axis=line.stripe_axis))

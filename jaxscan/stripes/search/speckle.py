@@ -2,8 +2,8 @@ r"""Speckle of the laser, learned from the stripes of a sweep's first frames.
 
 Coherent light on a rough surface varies by its contrast C from pixel to pixel, in proportion to itself. A stripe's
 centre and its width then scatter from line to line by more than photons explain. The scatter is that of second
-differences along the line, by quantiles: shape, slope and edges of surfaces fall out of it, and a profile that is no
-Gaussian does so too, because it is the same on all lines. For rows of one class
+differences along the line, without its outliers: shape, slope and edges of surfaces fall out of it, and a profile that
+is no Gaussian does so too, because it is the same on all lines. For rows of one class
 
 $$\frac{\mathrm{scatter}^2}{\sigma^2} = 1 + C^2 q, \qquad q = \frac{k}{\sigma^2},$$
 
@@ -27,17 +27,16 @@ _CLASSES = 6
 """Classes of rows by their q."""
 _FEWEST = 60
 """Rows of a class, and smallest number of all that tell anything."""
-_SURE = 5.0
-"""Standard deviations by which the scatter must exceed that of photons."""
-_WIDTHS_SURE = 3.0
-"""The same of the widths, which scatter less."""
-_DOUBT = 0.06
+_SURE = 2.5
+"""Standard deviations by which both the centres' and the widths' scatter must exceed that of photons: noise alone does
+that once in 25 000 sweeps."""
+_DOUBT = 0.05
 """Relative doubt about the variance by photons: a contrast that is within it is not told from none [1]."""
 _SURFACE, _ROUGH = 3.0, 8.0
 """How much more the centres may scatter than the widths allow, in variance: what is beyond the first is the surface's;
 beyond the second nothing is told of speckle. Grains of a third to three pixels reach 2."""
-_QUANTILE_NOISE = 2.7
-"""Variance of a squared robust standard deviation, times the number of samples, in its square [1]."""
+_CUT = 4.0
+"""Standard deviations beyond which a second difference is an edge."""
 _REACH = 10
 """Samples on either side of the middle that a profile is made of."""
 _LARGEST = 2.0
@@ -110,7 +109,7 @@ def learn_speckle(rows: Rows, electrons_per_dn: float, pitch: int) -> tuple[floa
     width = _contrast(logarithm, photons * expected.width_over_centre, expected.width, rows.usable)
     if centre is None or width is None:
         return 0.0, rows
-    if centre.square <= _SURE * centre.sigma or width.square <= _WIDTHS_SURE * width.sigma:
+    if any(one.square <= _SURE * one.sigma for one in (centre, width)):
         return 0.0, rows
     if centre.square > _ROUGH * width.square:
         return 0.0, rows
@@ -137,7 +136,8 @@ def correct_speckle(rows: Rows, photons: Float[np.ndarray, "frames lines"], cont
     if far is None or near is None or far.square <= 0.0:
         return contrast, 0.0
     # Second differences of neighbours lack 4/3 of their correlation.
-    shared = 0.75 * (1.0 - near.square / far.square)
+    alike = far.square - near.square > 2.0 * far.sigma
+    shared = 0.75 * (1.0 - near.square / far.square) if alike else 0.0
     return contrast * float(np.clip(np.sqrt(far.square), 0.3, 3.0)), float(np.clip(shared, 0.0, 0.7))
 
 
@@ -163,12 +163,21 @@ def _contrast(
         return None
     order = np.argsort(q)
     classes = np.array_split(order, min(_CLASSES, len(order) // _FEWEST))
-    spread = np.array([(1.4826 * np.median(np.abs(scattered[rows]))) ** 2 for rows in classes])
+    spread = np.array([_variance(scattered[rows]) for rows in classes])
     level = np.array([q[rows].mean() for rows in classes])
     # Rows of several lags, and neighbours, tell the same noise again.
     count = np.array([len(rows) for rows in classes]) / (3.0 * len(lags))
-    variance = _QUANTILE_NOISE * spread**2 / count + _DOUBT**2
+    variance = 2.0 * spread**2 / count + _DOUBT**2
     information = np.sum(level**2 / variance)
     if information <= 0:
         return None
     return Told(float(np.sum(level * (spread - 1.0) / variance) / information), float(1.0 / np.sqrt(information)))
+
+
+def _variance(values: Float[np.ndarray, " n"]) -> float:
+    """Variance about 0 of the values within 4 standard deviations, by iteration from their median."""
+    square = values**2
+    found = float(np.median(square)) / 0.455
+    for _ in range(4):
+        found = float(np.mean(square[square <= _CUT**2 * found])) if found > 0 else 0.0
+    return found
