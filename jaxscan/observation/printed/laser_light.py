@@ -106,7 +106,7 @@ def fit_laser_light(
             weight = windows.used / (variance + speckle2 * positive**2)
         chi2 = np.sum(weight * left**2, 1) / np.maximum(windows.used.sum(1) - 2.0, 1.0)
         ratio = chi2 / (_ODD_CHI2 * max(float(np.median(chi2)), 1.0))
-        say = 1.0 / np.maximum(ratio, 1.0) ** 2
+        say = room.explained / np.maximum(ratio, 1.0) ** 2
         weighted = np.swapaxes(own_slopes * weight[..., None], 1, 2)
         inverse = np.linalg.inv(np.matmul(weighted, own_slopes) + 1e-9 * np.eye(2))
         cross, pull = np.matmul(weighted, slopes), np.matmul(weighted, left[..., None])[..., 0]

@@ -13,8 +13,8 @@ from jaxscan.observation.stripes_on_board import EVEN, MOST_POINTS, STRONG, WEAK
 _MIN_LINES = 8
 # Half width of a window, in widths of the stripe and in samples.
 _WIDTHS, _MIN_HALF, _MAX_HALF = 3.2, 5, 16
-# Part of the print's contrast that the picture of the board may leave unexplained.
-_MAX_MISFIT = 0.35
+# Part of the lines, at least, that the picture of the board must explain.
+_LEAST_EXPLAINED = 0.6
 # The light within so many widths of the stripe must fall on the print.
 _SURE = 2.5
 # Chi-squared over the median from which a line does not follow the model, and the distance that a fit may move a
@@ -61,13 +61,13 @@ def fit_on_print(
     if room.exchanged:
         paper = np.float32(1.0) - paper
         room = fit_room_light(windows, paper, lattice)
-    if room.exchanged or room.misfit > _MAX_MISFIT:
+    if room.exchanged or room.explained.mean() < _LEAST_EXPLAINED:
         return None
     light = fit_laser_light(windows, paper, lattice, room, (raw - middle, width))
     u, sigma = middle + light.centre, np.hypot(light.sigma, light.doubt)
     near = np.searchsorted(lattice.across, [-_SURE * width, _SURE * width]).clip(0, len(lattice.across) - 1)
     sure = picture.holds(np.stack([x[near], y[near]], -1)).all((0, 2))
-    good = sure & (light.chi2 < _ODD_CHI2 * max(float(np.median(light.chi2)), 1.0))
+    good = sure & room.explained & (light.chi2 < _ODD_CHI2 * max(float(np.median(light.chi2)), 1.0))
     good &= (np.abs(u - raw) < _MOVED_PX) & (sigma < _MAX_SIGMA_PX)
     return _placed(stripe, line, good, (u, sigma, _contrast_class(light.contrast)))
 
