@@ -14,7 +14,7 @@ _MIN_LINES = 8
 # Half width of a window, in widths of the stripe and in samples.
 _WIDTHS, _MIN_HALF, _MAX_HALF = 3.2, 5, 16
 # Part of the lines, at least, that the picture of the board must explain.
-_LEAST_EXPLAINED = 0.6
+_LEAST_EXPLAINED = 0.7
 # The light within so many widths of the stripe must fall on the print.
 _SURE = 2.5
 # Chi-squared over the median from which a line does not follow the model, and the distance that a fit may move a
