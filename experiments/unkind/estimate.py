@@ -1,0 +1,54 @@
+"""What a method says of a world, in one form for jaxscan and for the plain pipeline."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Rows(NamedTuple):
+    """Stripe centres on a grid [records, rows]."""
+
+    u: np.ndarray
+    """Centre [px]."""
+    sigma: np.ndarray
+    """Stated standard deviation [px]; NaN where none is stated."""
+    valid: np.ndarray
+
+
+class Rig(NamedTuple):
+    """A calibrated rig in the camera's frame at angle 0."""
+
+    rays: np.ndarray
+    """Unit directions [rows, columns, 3] of the pixels of `ray_grid`."""
+    at_row: np.ndarray
+    """Points [rows, n, 3] of the sheet that are seen at the pixels of `sheet_grid`; m."""
+    direction: np.ndarray
+    point: np.ndarray
+
+
+class Dimension(NamedTuple):
+    """A measured distance of two walls [m]."""
+
+    value: float
+    sigma: float
+    true: float
+
+
+class Estimate(NamedTuple):
+    """All that is judged."""
+
+    rig: Rig
+    boards: Rows
+    """On the board alone; sigma across the stripe."""
+    rows: Rows
+    """Of the sweep, row by row."""
+    smooth: Rows
+    """Of the sweep, as the points of the cloud have them."""
+    dimensions: list[Dimension]
+    seconds: dict[str, float]
+
+
+def ray_grid(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """u and v [rows, columns] of 13 x 17 pixels over the image."""
+    u, v = np.meshgrid(np.linspace(0, size[0] - 1, 17), np.linspace(0, size[1] - 1, 13))
+    return u, v

@@ -1,0 +1,110 @@
+"""jaxscan's own word on a world, through its public functions alone."""
+
+import time
+
+import jax
+import numpy as np
+
+import jaxscan
+from experiments.unkind.estimate import Dimension, Estimate, Rig, Rows, ray_grid
+from experiments.unkind.figures import sheet_grid
+from experiments.unkind.truth import Truth
+
+
+def board_rows(calibration: jaxscan.Calibration, records: int, lines: int) -> Rows:
+    """The points of stripes on boards as the solve took them."""
+    seen = calibration.observations
+    assert seen is not None
+    u, sigma = np.zeros((records, lines)), np.ones((records, lines))
+    valid = np.zeros((records, lines), bool)
+    stripes = seen.stripes
+    for q, spread, kept, view in zip(stripes.q, stripes.sigma, stripes.valid, stripes.view, strict=True):
+        record = int(seen.corners.record[view])
+        row = np.rint(np.asarray(q)[kept, 1]).astype(int)
+        u[record, row], sigma[record, row], valid[record, row] = np.asarray(q)[kept, 0], np.asarray(spread)[kept], True
+    return Rows(u, sigma, valid)
+
+
+def seen_rows(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner) -> Rows:
+    """Centres [px] behind the points of a cloud: projected by the scanner that they were made with."""
+    scanner = scanner.without_covariance()
+    with jax.enable_x64(True):
+        exact = scanner.as_dtype(np.float64)
+        u, sigma = np.zeros(cloud.valid.shape), np.zeros(cloud.valid.shape)
+        rows = np.arange(cloud.valid.shape[1], dtype=np.float64)
+
+        def distance(q: jax.Array) -> jax.Array:
+            return exact.laser(0).intersect(exact.camera.unproject(q))[0]
+
+        # d range / d u along the row gives the sigma back in pixels.
+        slopes = jax.jit(jax.vmap(jax.grad(distance)))
+        project = jax.jit(jax.vmap(exact.camera.project))
+        for k, phi in enumerate(np.asarray(cloud.angle, np.float64)):
+            back = np.linalg.inv(np.asarray(exact.pose(phi)))
+            p = np.asarray(cloud.xyz[k], np.float64) @ back[:3, :3].T + back[:3, 3]
+            p[~np.asarray(cloud.valid[k])] = [0.0, 0.0, 1.0]
+            u[k] = np.asarray(project(p))[:, 0]
+            slope = np.asarray(slopes(np.stack([u[k], rows], -1)))[:, 0]
+            sigma[k] = np.asarray(cloud.sigma_random[k], np.float64) / np.maximum(np.abs(slope), 1e-12)
+    return Rows(u, sigma, np.asarray(cloud.valid))
+
+
+def own_rig(scanner: jaxscan.Scanner, truth: Truth) -> Rig:
+    """For the comparison."""
+    u, v = ray_grid(truth.size)
+    at_u, at_v, _ = sheet_grid(truth)
+    with jax.enable_x64(True):
+        exact = scanner.without_covariance().as_dtype(np.float64)
+        unproject = jax.vmap(exact.camera.unproject)
+        way = np.asarray(unproject(np.stack([u.ravel(), v.ravel()], -1)))
+        rays = way / np.linalg.norm(way, axis=1, keepdims=True)
+        ahead = unproject(np.stack([at_u, at_v], -1))
+        far = jax.vmap(lambda ray: exact.laser(0).intersect(ray)[0])(ahead)
+        points = np.asarray(far)[:, None] * np.asarray(ahead)
+        table = exact.turntable
+        return Rig(rays.reshape(*u.shape, 3), points, np.asarray(table.direction), np.asarray(table.point))
+
+
+def dimensions(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner, truth: Truth) -> list[Dimension]:
+    """Both horizontal dimensions, as `measure_room` finds them."""
+    try:
+        box = jaxscan.measure_room(cloud, scanner=scanner)
+    except jaxscan.MeasurementError as problem:
+        print(f"  no room: {problem}")
+        return []
+    with jax.enable_x64(True):
+        frame = np.asarray(scanner.scanner_from_camera())[:3, :3]
+    found = []
+    for side in (box.length, box.width):
+        if side is None:
+            continue
+        # Which pair of walls it is, its direction says.
+        along = np.abs(truth.wall_normals[::2] @ frame.T @ np.asarray(side.direction))
+        found.append(Dimension(side.value_m, side.sigma_m, float(truth.dimensions[along.argmax()])))
+    return found
+
+
+def estimate(folder: str, truth: Truth) -> tuple[Estimate, dict[str, object]]:
+    """jaxscan on both captures of a world, and what it says of its own calibration."""
+    start = time.perf_counter()
+    boards = jaxscan.open_capture(f"{folder}/boards")
+    calibration = jaxscan.calibrate(boards)
+    calibrated = time.perf_counter()
+    scanner = calibration.scanner
+    assert scanner is not None
+    sweep = jaxscan.open_capture(f"{folder}/sweep")
+    stripes = jaxscan.extract_sweep(sweep, scanner)
+    cloud = jaxscan.reconstruct(sweep, scanner, stripes=stripes)
+    seconds = {"calibrate": calibrated - start, "sweep": time.perf_counter() - calibrated}
+    rows = Rows(*(np.asarray(part) for part in (stripes.u, stripes.sigma, stripes.valid)))
+    rows = rows._replace(u=rows.u.astype(float), sigma=rows.sigma.astype(float))
+    found = Estimate(
+        own_rig(scanner, truth),
+        board_rows(calibration, len(boards), int(truth.size[1])),
+        rows,
+        seen_rows(cloud, scanner),
+        dimensions(cloud, scanner, truth),
+        seconds,
+    )
+    says: dict[str, object] = {"views": len(np.unique(calibration.observations.stripes.view))}  # type: ignore[union-attr]
+    return found, says

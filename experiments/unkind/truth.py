@@ -1,0 +1,80 @@
+"""The truth of a world, in a file beside its captures; an input of the judge alone.
+
+Stripes are kept on grids [records, rows, crossings]: where the middle of the sheet meets a surface, brightest first.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+
+class TrueStripes(NamedTuple):
+    """True stripes of all records of a capture, [records, rows, crossings]."""
+
+    u: np.ndarray
+    """Centre [px], float64; only where `amplitude` is over 0."""
+    amplitude: np.ndarray
+    """Peak of the laser's direct light behind the lens, before pixels integrate it [DN]."""
+    width: np.ndarray
+    """Standard deviation of its profile, before pixels integrate it [px]."""
+    background: np.ndarray
+    """Light beside it above the black level [DN]."""
+    edge: np.ndarray
+    """Whether a jump, a crease, a shadow's border or the image's border is within a few pixels."""
+    surface: np.ndarray
+    """Number of the surface; -1 where there is none."""
+    contrast: np.ndarray
+    """(max - min) / (max + min) of the print within 4 px, behind the lens, on boards; NaN beside them."""
+
+
+class Truth(NamedTuple):
+    """A world."""
+
+    size: np.ndarray
+    """Width and height [px]."""
+    lens: np.ndarray
+    """fx, fy, cx, cy [px], k1, k2, p1, p2 [1]."""
+    normal: np.ndarray
+    distance: np.ndarray
+    bow: np.ndarray
+    """The sheet at angle 0 in the camera's frame, as `jaxscan` writes it; `bow` is b2, b3."""
+    direction: np.ndarray
+    point: np.ndarray
+    """The axis in the camera's frame at angle 0."""
+    angles: np.ndarray
+    """The table's own angles of the sweep [rad]."""
+    turned: np.ndarray
+    """The angles that it truly turned by [rad]."""
+    dimensions: np.ndarray
+    """Distances of the opposite walls [n]; m."""
+    wall_normals: np.ndarray
+    """Of the walls into the room, camera frame at angle 0 [2 n, 3], in pairs."""
+    wall_distances: np.ndarray
+    """normal . p of their points [2 n]; m."""
+    wall_surfaces: np.ndarray
+    """Their numbers among the surfaces; -1 where there are none."""
+    panels: np.ndarray
+    """Numbers (in front, behind) of surfaces [n, 2] between which a level step of 50 mm lies."""
+    noise: np.ndarray
+    """Electrons per DN, read noise [DN], black level [DN], speckle on one pixel [1]."""
+
+
+def save(path: Path, truth: Truth, sweep: TrueStripes, boards: TrueStripes) -> None:
+    """Write a world's truth."""
+    parts = {"": truth, "sweep_": sweep, "boards_": boards}
+    np.savez_compressed(path, **{prefix + k: v for prefix, part in parts.items() for k, v in part._asdict().items()})
+
+
+def load(path: Path) -> tuple[Truth, TrueStripes, TrueStripes]:
+    """Read a world's truth, of the sweep, and of the boards."""
+    with np.load(path) as file:
+        kinds = ((Truth, ""), (TrueStripes, "sweep_"), (TrueStripes, "boards_"))
+        return tuple(kind(*(file[prefix + name] for name in kind._fields)) for kind, prefix in kinds)  # type: ignore[return-value]
+
+
+def empty(records: int, rows: int, crossings: int = 3) -> TrueStripes:
+    """Stripes without any crossing."""
+    shape = (records, rows, crossings)
+    zero = [np.zeros(shape) for _ in range(4)]
+    return TrueStripes(*zero, np.zeros(shape, bool), np.full(shape, -1), np.full(shape, np.nan))
