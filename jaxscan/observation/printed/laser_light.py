@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.observation.printed.lattice import Lattice, Shared
+from jaxscan.observation.printed.lattice import Lattice, Shared, collected
 from jaxscan.observation.printed.room_light import RoomLight
 from jaxscan.observation.printed.windows import Windows
 
@@ -80,13 +80,13 @@ def fit_laser_light(
     own = max(width**2 - math.exp(2 * room.shared.blur), 0.16 * width**2)
     shared = room.shared._replace(width=0.5 * math.log(own))
     expected, prior = np.array(shared), _prior(room)
-    even = np.ones((len(lattice.across), 1, len(lattice.along)), np.float32)
-    light = windows.light - _stray_light(windows, lattice.seen(paper, shared).sum(-1), shared, lattice, (centre, width))
+    shown = collected(paper, lattice.kernel(shared)).sum(-1)
+    light = windows.light - _stray_light(windows, shown, shared, lattice, (centre, width))
     amplitude, speckle2, derivatives, say = None, 0.0, None, np.ones(len(centre))
     for number in range(_ROUNDS):
         # Blur and place hardly move, and their derivatives cost most.
         again = number in (0, 2, _ROUNDS - 1)
-        model = _model(paper, even, lattice, shared, centre, None if again else derivatives)
+        model = _model(paper, lattice, shared, centre, None if again else derivatives)
         derivatives = model.by_shared[..., 3:]
         if amplitude is None:
             weight = windows.used / (windows.variance + 1.0)
@@ -124,14 +124,13 @@ def fit_laser_light(
         centre = centre + np.clip(own_step[:, 1], -1.0, 1.0)
     covariance = covariance + np.diag(np.square(_LEFT))
     doubt = np.sqrt(np.einsum("ns,st,nt->n", eliminated[:, 1], covariance, eliminated[:, 1]))
-    shown = lattice.seen(paper, shared).sum(-1)[:, np.abs(lattice.pixels) <= _NEAR_PX]
+    shown = collected(paper, lattice.kernel(shared)).sum(-1)[:, np.abs(lattice.pixels) <= _NEAR_PX]
     sigma = np.sqrt(inverse[:, 1, 1])
     return LaserLight(centre, sigma, doubt, chi2, np.ptp(shown, axis=1), shared, math.sqrt(speckle2))
 
 
 def _model(
     paper: np.ndarray,
-    even: np.ndarray,
     lattice: Lattice,
     shared: Shared,
     centre: np.ndarray,
@@ -142,9 +141,9 @@ def _model(
     width = np.exp(shared.width + shared.taper * s)[:, None].astype(np.float32)
 
     def see(at: Shared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        by_paper, by_all = (lattice.seen(part, at) for part in (paper, even))
-        z = lattice.offsets(at, centre) / width
-        return by_paper, by_all, z
+        kernel = lattice.kernel(at)
+        # All light reaches the pixels from white paper, whatever the line.
+        return collected(paper, kernel), kernel.sum(1).T, lattice.offsets(at, centre) / width
 
     by_paper, by_all, z = see(shared)
     bell = np.exp(-0.5 * z * z)
