@@ -56,7 +56,7 @@ class Solved:
         self.records, object_points, image_points = [], [], []
         for k in range(len(capture)):
             q, ids, _, _ = detector.detectBoard(np.asarray(capture.frames(k)[1]))
-            if ids is not None and len(ids) >= 8:
+            if ids is not None and len(ids) >= 12:
                 self.records.append(k)
                 object_points.append(drawn.getChessboardCorners()[ids.ravel()].astype(np.float32))
                 image_points.append(q.reshape(-1, 2).astype(np.float32))
