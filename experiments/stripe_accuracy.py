@@ -7,6 +7,7 @@ Everything uses the public call with its default settings, on frames from an ind
 - narrow: the same at 0.7 px; over-exposed: at 2.4 times full scale;
 - faint: 12 DN in noise of 3 DN, and rows invented where there is no stripe;
 - reflections: rows mistaken in a furnished room (`stripe_reflections.py`);
+- speckle: error over the limit of coherent light, where it is the noise that counts (`stripe_speckle.py`);
 - peer: the centre of gravity, the plain estimator, beside the Gaussian on the same frames.
 
 Without --only and --quick a table and a plot are written to experiments/results. The exit code is
@@ -28,6 +29,7 @@ from pathlib import Path
 
 import numpy as np
 from measuring import stripe_reflections as reflections
+from measuring.stripe_speckle import measure_speckle
 from tables.stripe_table import Cell, Figure, cell_figures, cell_lines, draw, figure_lines, processor
 from worlds.stripe_world import Sensor, centre_bound, curved_course, expose_evenly, render, scattered_course
 
@@ -180,13 +182,16 @@ def measure_reflections(*, quick: bool, seed: int) -> list[Figure]:
     return out
 
 
-SECTIONS = ("cells", "narrow", "over_exposed", "faint", "reflections", "peer")
+SECTIONS = ("cells", "narrow", "over_exposed", "faint", "reflections", "peer", "speckle")
 TITLES = {
     "cells": "Width by amplitude (asked: RMS ≤ 1.05 of the bound, bias ≤ 0.005 px, sigma 0.9–1.1 of the error)",
     "narrow": "Narrow stripes (asked: RMS ≤ 1.10 of the bound, sigma 0.9–1.1 of the error)",
     "over_exposed": "Over-exposed 2.4 times (asked: RMS ≤ 0.02 px, sigma 0.9–1.1 of the error)",
     "faint": "A stripe of 12 DN, 2 px wide, in noise of 3 DN of the difference; and no stripe at all",
     "peer": "The plain estimator (centre of gravity) beside the default one, on the same frames, the noise known",
+    "speckle": (
+        "Where speckle rules: contrast 1, 0.5 and 0.2 at f/2.8, 5.6 and 8 (650 nm, 3.45 um); limit C lambda / (2 pi sin u')"
+    ),
     "reflections": "Second reflections on a fifth of the lit rows of a furnished room",
 }
 
@@ -201,7 +206,12 @@ def measure(section: str, *, quick: bool, seed: int) -> tuple[list[str], list[Fi
     if section in places:
         cells = [cell for place in places[section] for cell in measure_cell(*place, quick=quick, seed=seed)]
         return cell_lines(cells, section), cell_figures(cells, section), cells
-    measures = {"faint": measure_faint, "reflections": measure_reflections, "peer": measure_peer}
+    measures = {
+        "faint": measure_faint,
+        "reflections": measure_reflections,
+        "peer": measure_peer,
+        "speckle": measure_speckle,
+    }
     figures = measures[section](quick=quick, seed=seed)
     return figure_lines(figures), figures, []
 

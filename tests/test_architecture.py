@@ -48,7 +48,12 @@ HOME_OF = {
     "pye57": {"files"},
     "laspy": {"files"},
     "serial": set(),
-    "numba": {"stripes/search/native_loops.py", "stripes/dark/native_loops.py", "vision/native_loops.py"},
+    "numba": {
+        "stripes/search/native_loops.py",
+        "stripes/dark/native_loops.py",
+        "stripes/smoothing/native_loops.py",
+        "vision/native_loops.py",
+    },
     "simplejpeg": {"vision"},
     "scipy": {"measurement"},
     "matplotlib": {"report"},

@@ -81,7 +81,7 @@ def prepare(first: Chunk, scanner: Scanner, noise: NoiseModel) -> Job:
     plan = make_plan(sweep, scanner, ReconstructSettings(chunk_records=len(chunk.on)))
     job = Job(plan.engines(noise)[0], plan.aim(0))
     with jax.default_device(jax.devices("cpu")[0]):
-        return job._replace(engine=job.engine.learn_width(chunk.on, chunk.off, coloured(plan.frames)))
+        return job._replace(engine=job.engine.learn(chunk.on, chunk.off, coloured(plan.frames)))
 
 
 def to_candidates(job: Job, chunk: Chunk, given: None) -> Found:

@@ -17,8 +17,8 @@ from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, re
 from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan
 from jaxscan.reconstruction.points.locate import Centres, points_alone
 from jaxscan.stripes import NoiseModel, estimate_noise
+from jaxscan.stripes.choosing import choose_stripes
 from jaxscan.stripes.choosing.rules import choose
-from jaxscan.stripes.engine import choose_stripes
 from jaxscan.stripes.fitting.fit_blocks import fit_candidates
 from jaxscan.stripes.search.planes import host_planes
 

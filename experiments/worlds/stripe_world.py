@@ -23,6 +23,8 @@ class Sensor(NamedTuple):
     read_dn: float = 1.0
     electrons_per_dn: float = 40.0
     ambient_dn: float = 10.0
+    black_dn: float = 0.0
+    """Level of a pixel without light."""
 
     def background_variance(self) -> float:
         """Variance of a pixel beside the stripe, with that of rounding [DN^2]."""
@@ -54,9 +56,9 @@ def stripe_level(u: np.ndarray, column: np.ndarray, width: float, amplitude: flo
 
 
 def expose(level: np.ndarray, sensor: Sensor, rng: np.random.Generator) -> np.ndarray:
-    """One exposure of an expected level [DN], uint8."""
+    """One exposure of an expected light [DN above black], uint8."""
     electrons = rng.poisson(np.maximum(level, 0.0) * sensor.electrons_per_dn)
-    noisy = electrons / sensor.electrons_per_dn + sensor.read_dn * rng.standard_normal(level.shape)
+    noisy = electrons / sensor.electrons_per_dn + sensor.read_dn * rng.standard_normal(level.shape) + sensor.black_dn
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 

@@ -108,7 +108,7 @@ def calibrate(
     # A solve that did not converge predicts nothing.
     if redetect and result.quality.converged:
         progress = _part(progress, 1, looks)
-        again = look_again(captures, seen, solved_rig(result), eyes.to_grey, progress=progress)
+        again = look_again(captures, seen, solved_rig(result), eyes, progress=progress)
         second = calibrate_observations(to_observations(captures, again), settings=settings, known=known)
         result, gains = choose(result, second)
         if gains.kept:
@@ -134,6 +134,6 @@ def _part(progress: Progress | None, look: int, looks: int) -> Progress | None:
 
 def _eyes() -> Eyes:
     # Imported here, so that `import jaxscan` does not load OpenCV.
-    from jaxscan.vision import find_corners, to_grey
+    from jaxscan.vision import draw_print, find_corners, name_other_board, to_grey
 
-    return Eyes(to_grey, find_corners)
+    return Eyes(to_grey, find_corners, draw_print, name_other_board)

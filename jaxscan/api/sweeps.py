@@ -38,6 +38,9 @@ class Reconstruction(NamedTuple):
     notes: tuple[str, ...] = ()
     """Faults that a user should know, and doubts whether all frames, angles and keys of the header are as they were
     taken; a sentence each."""
+    noise: str = ""
+    """Noise of a frame and speckle as they were learned, and the part that was not, in a line; empty where the noise
+    was given."""
 
 
 def reconstruct_capture(
@@ -78,7 +81,8 @@ def reconstruct_capture(
     if not cache:
         cloud = cloud_of_plan(plan, noise=noise, progress=progress)
         doubts = sweep_doubts(plan, cloud, watch.seen, numbers, off_images)
-        return Reconstruction(cloud, notes=(*plan.notes, *pair_notes(plan, capture.frames, numbers), *doubts))
+        notes = (*plan.notes, *pair_notes(plan, capture.frames, numbers), *doubts)
+        return Reconstruction(cloud, notes=notes, noise="; ".join(plan.noise))
     key = {"frames": frames_key(capture), "code": code_digest(), **extraction_key(settings, noise)}
     path = cache_path(capture)
     arrays = cached_stripes(path, key)
@@ -87,7 +91,9 @@ def reconstruct_capture(
     if stripes is not None and seen is not None:
         cloud = cloud_of_plan(plan, stripes=stripes, progress=progress)
         doubts = sweep_doubts(plan, cloud, seen, numbers, off_images)
-        return Reconstruction(cloud, from_cache=True, kept=True, notes=(*plan.notes, *doubts))
+        return Reconstruction(
+            cloud, from_cache=True, kept=True, notes=(*plan.notes, *doubts), noise="; ".join(plan.noise)
+        )
     stripes = stripes_of_plan(plan, noise=noise, progress=progress)
     cloud = cloud_of_plan(plan, stripes=stripes)
     doubts = sweep_doubts(plan, cloud, watch.seen, numbers, off_images)
@@ -95,8 +101,9 @@ def reconstruct_capture(
     try:
         save_stripes(path, kept_arrays(stripes, plan) | watch.seen.arrays(), key)
     except CaptureError as problem:
-        return Reconstruction(cloud, notes=(*notes, f"the stripes are not kept for next time: {problem}"))
-    return Reconstruction(cloud, kept=True, notes=notes)
+        notes = (*notes, f"the stripes are not kept for next time: {problem}")
+        return Reconstruction(cloud, notes=notes, noise="; ".join(plan.noise))
+    return Reconstruction(cloud, kept=True, notes=notes, noise="; ".join(plan.noise))
 
 
 def _off_images(capture: Capture) -> np.ndarray:

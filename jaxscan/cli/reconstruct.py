@@ -13,10 +13,11 @@ from jaxscan.errors import OptionError
 from jaxscan.files.calibration import calibration_digest, calibration_notes
 from jaxscan.files.capture import CACHE_NAME
 from jaxscan.files.clouds import check_cloud_path
+from jaxscan.reconstruction import Smooth
 from jaxscan.stripes import Choice, estimator_of
 
 
-_RANGE = api.ReconstructSettings()
+_DEFAULTS = api.ReconstructSettings()
 
 
 def reconstruct(
@@ -28,9 +29,10 @@ def reconstruct(
     every: int = 1,
     estimator: str = "gaussian",
     choice: Choice = "path",
-    min_range: float = _RANGE.min_range_m,
-    max_range: float = _RANGE.max_range_m,
+    min_range: float = _DEFAULTS.min_range_m,
+    max_range: float = _DEFAULTS.max_range_m,
     check_steps: bool = False,
+    smooth: Smooth = _DEFAULTS.smooth,
     cache: bool = True,
     compare: bool = True,
     json: JsonTarget = None,
@@ -47,6 +49,8 @@ def reconstruct(
         min_range: Smallest distance from the camera [m].
         max_range: Largest distance from the camera [m]; a limit that fits the room excludes many reflections.
         check_steps: Compare every centre with the neighbouring steps; most reflections do not continue there.
+        smooth: Whether a point uses its neighbours along the stripe: `edge` uses them where the surface is continuous
+            and none across an edge; `off` takes every row by itself.
         cache: Keep the stripes beside the capture, and use them again next time.
         compare: Compare the images with the sha256 in the journal; without, raw frames are read faster.
         json: Write the result as JSON too.
@@ -61,7 +65,7 @@ def reconstruct(
     except ValueError as problem:
         raise OptionError(f"--estimator: {problem}") from problem
     settings = api.ReconstructSettings(
-        stripes=stripes, min_range_m=min_range, max_range_m=max_range, check_steps=check_steps
+        stripes=stripes, min_range_m=min_range, max_range_m=max_range, check_steps=check_steps, smooth=smooth
     )
     check_paths(
         reads=[*capture_at("CAPTURE", capture), *calibration_at("--calibration", calibration)],
@@ -83,6 +87,8 @@ def reconstruct(
     cloud = done.cloud
     for note in done.notes:
         out.print(f"note: {note}")
+    if done.noise:
+        out.print(f"noise: {done.noise}")
     if done.kept:
         out.print("stripes from the cache" if done.from_cache else "stripes kept for next time")
     api.save_cloud(cloud, output, calibration_digest=calibration_digest(calibration))
@@ -110,5 +116,6 @@ def reconstruct(
             "stripes_from_cache": done.from_cache,
             "stripes_kept": done.kept,
             "notes": [*before, *done.notes],
+            "noise": done.noise,
         },
     )

@@ -124,7 +124,11 @@ def _write_capture(
     planned: int,
 ) -> list[RenderedRecord]:
     """Write records as a capture; returns them without their frames."""
-    sensor = config.sensor.model_dump(include={"pixel_format", "response"})
+    sensor: dict[str, str] = {"pixel_format": config.sensor.pixel_format}
+    if config.sensor.stated:
+        sensor["response"] = config.sensor.response
+    if config.sensor.stated and config.sensor.jpeg_quality is not None:
+        sensor["compression"] = "jpeg"
     markers = {"marker_mm", "dictionary"} if config.boards.type == "charuco" else set()
     board = config.boards.model_dump(include={"type", "columns", "rows", "square_mm"} | markers)
     header = CaptureHeader.model_validate(

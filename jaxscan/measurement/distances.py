@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
-from jaxscan.measurement.planes import Plane, Point, facing, patch_around, weighted_plane
+from jaxscan.measurement.planes import Plane, Point, facing, fitted_plane, patch_around, weighted_plane
 from jaxscan.measurement.samples import Cloud, Samples, samples_of
 from jaxscan.measurement.systematic import systematic_sigma
 
@@ -66,7 +66,7 @@ def measure_distance(
             "pick points farther apart or a smaller radius."
         )
     along = (means[1] - means[0]) / value
-    variance = sum(float(np.sum(patch.sigma_across(along) ** 2)) / len(patch.p) ** 2 for patch in patches)
+    variance = sum(patch.covariance_of(np.full((1, len(patch.p)), 1 / len(patch.p)), along)[0, 0] for patch in patches)
     shares = [np.full(len(patch.p), sign / len(patch.p)) for sign, patch in zip((-1, 1), patches, strict=True)]
     weights = np.outer(np.concatenate(shares), along)
     systematic = systematic_sigma(scanner, Samples.joined(patches), weights)
@@ -101,8 +101,8 @@ def _between_planes(first: Plane | None, second: Plane | None) -> tuple[float | 
 
 def _flat(patch: Samples) -> Plane | None:
     """Plane of the patch; None if it is too narrow, or rougher than twice its noise."""
-    sigma = patch.sigma_across(weighted_plane(patch.p, patch.sigma**-2).normal)
-    plane = weighted_plane(patch.p, sigma**-2)
+    plane = fitted_plane(patch, weighted_plane(patch.p, patch.sigma_row**-2).normal)
+    sigma = patch.sigma_across(plane.normal)
     apart = patch.p - plane.centre
     residual = apart @ plane.normal
     extent = np.sqrt(np.mean((apart @ plane.axes.T) ** 2, axis=0)).min()

@@ -56,6 +56,22 @@ def weighted_plane(p: np.ndarray, weight: np.ndarray) -> Plane:
     return Plane(normal, float(normal @ centre), centre, axes, covariance * max(1.0, misfit))
 
 
+def fitted_plane(samples: Samples, normal: np.ndarray) -> Plane:
+    """Plane through points whose noise lies along their rays; `normal` is about its own.
+
+    Neighbours that were smoothed share their noise: weights are those of the rows, and the covariance is that of what
+    the points share, scaled by the misfit where it is larger than their sigmas predict.
+    """
+    weight = samples.weights_across(normal)
+    plane = weighted_plane(samples.p, weight)
+    apart = samples.p - plane.centre
+    design = np.column_stack([np.ones(len(samples.p)), apart @ plane.axes.T])
+    factors = np.linalg.pinv((design * weight[:, None]).T @ design) @ (design * weight[:, None]).T
+    whitened = apart @ plane.normal / samples.sigma_across(plane.normal)
+    misfit = whitened @ whitened / max(len(samples.p) - 3, 1)
+    return plane._replace(covariance=samples.covariance_of(factors, plane.normal) * max(1.0, misfit))
+
+
 def facing(plane: Plane, direction: np.ndarray) -> Plane:
     """The same plane with its normal on the side of `direction`."""
     if plane.normal @ direction >= 0:

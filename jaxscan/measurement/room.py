@@ -184,7 +184,7 @@ def _wall_weights(wall: Wall, at: np.ndarray, rng: np.random.Generator) -> tuple
     """Some of the wall's points, and weights w [n, 3]: at `at` the wall moves by sum w . dp."""
     part = wall.samples.take(spread_out(len(wall.samples.p), SYSTEMATIC_POINTS, rng))
     plane = wall.plane
-    weight = part.sigma_across(plane.normal) ** -2
+    weight = part.weights_across(plane.normal)
     design = np.column_stack([np.ones(len(part.p)), (part.p - plane.centre) @ plane.axes.T])
     normal_equations = (design * weight[:, None]).T @ design
     row = np.linalg.solve(normal_equations, plane.height_weights(at)) @ (design * weight[:, None]).T

@@ -16,7 +16,7 @@ measured too."""
 
 @runtime_checkable
 class Cloud(Protocol):
-    """The fields of `PointCloud` that measurements read."""
+    """The fields of `PointCloud` that measurements read; `sigma_row` and `shared_lines` too, where a cloud has them."""
 
     @property
     def xyz(self) -> Array: ...
@@ -43,6 +43,12 @@ class Samples(NamedTuple):
     """The table's angle [n], rad from home."""
     profile: np.ndarray
     """Profile of each point [n]."""
+    line: np.ndarray
+    """Line of each point [n]."""
+    sigma_row: np.ndarray
+    """The same of each point from its own row alone [n], m."""
+    shared: np.ndarray
+    """Lines over which the noise of each point is shared [n]; 1 where it is independent."""
 
     def take(self, index: np.ndarray) -> "Samples":
         """The points at `index` (numbers or a mask)."""
@@ -56,9 +62,35 @@ class Samples(NamedTuple):
     def sigma_across(self, normal: np.ndarray) -> np.ndarray:
         """Standard deviation along `normal` [n], m: the noise lies along the ray, and the camera
         is near the origin."""
+        return np.hypot(self.sigma * self._cosine(normal), SIGMA_FLOOR_M)
+
+    def weights_across(self, normal: np.ndarray) -> np.ndarray:
+        """Weights [n], m^-2, with which averages along `normal` are best: those of the rows."""
+        return np.hypot(self.sigma_row * self._cosine(normal), SIGMA_FLOOR_M) ** -2
+
+    def covariance_of(self, factors: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        r"""Covariance [k, k] of $\sum_i f_i x_i$, of points displaced by their noise x along `normal`.
+
+        Points of one profile share noise: two that are k lines apart are correlated by 1 - k / shared lines.
+
+        Args:
+            factors: f [k, n].
+            normal: Unit vector [3].
+        """
+        order = np.lexsort((self.line, self.profile))
+        profile, line, shared = self.profile[order], self.line[order], self.shared[order]
+        noise = factors[:, order] * (self.sigma * self._cosine(normal))[order]
+        covariance = noise @ noise.T + SIGMA_FLOOR_M**2 * factors @ factors.T
+        for ahead in range(1, min(int(np.ceil(shared.max())), len(order))):
+            apart = (line[ahead:] - line[:-ahead]) / np.sqrt(shared[ahead:] * shared[:-ahead])
+            together = np.where(profile[ahead:] == profile[:-ahead], np.maximum(1.0 - apart, 0.0), 0.0)
+            both = (noise[:, ahead:] * together) @ noise[:, :-ahead].T
+            covariance += both + both.T
+        return covariance
+
+    def _cosine(self, normal: np.ndarray) -> np.ndarray:
         distance = np.linalg.norm(self.p, axis=1)
-        cosine = np.abs(self.p @ normal) / np.where(distance > 0, distance, 1.0)
-        return np.hypot(self.sigma * cosine, SIGMA_FLOOR_M)
+        return np.abs(self.p @ normal) / np.where(distance > 0, distance, 1.0)
 
 
 def samples_of(cloud: Cloud) -> Samples:
@@ -68,15 +100,24 @@ def samples_of(cloud: Cloud) -> Samples:
         MeasurementError: If the cloud has no points.
     """
     valid = np.asarray(cloud.valid)
-    profile = np.nonzero(valid)[0]
+    profile, line = np.nonzero(valid)
     if len(profile) == 0:
         raise MeasurementError("The cloud has no valid points; nothing can be measured in it.")
+    # Not in the protocol: clouds whose rows were not smoothed need not have them.
+    row, lines = (getattr(cloud, name, None) for name in ("sigma_row", "shared_lines"))
+    sigma, sigma_row = (
+        np.maximum(np.asarray(field)[valid].astype(np.float64), SIGMA_FLOOR_M)
+        for field in (cloud.sigma_random, cloud.sigma_random if row is None else row)
+    )
     return Samples(
         p=np.asarray(cloud.xyz)[valid].astype(np.float64),
-        sigma=np.maximum(np.asarray(cloud.sigma_random)[valid].astype(np.float64), SIGMA_FLOOR_M),
+        sigma=sigma,
         laser=np.asarray(cloud.laser)[profile],
         angle=np.asarray(cloud.angle, np.float64)[profile],
         profile=profile,
+        line=line,
+        sigma_row=sigma_row,
+        shared=np.ones(len(line)) if lines is None else np.maximum(np.asarray(lines, np.float64)[valid], 1.0),
     )
 
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.measurement.planes import Plane, facing, weighted_plane
+from jaxscan.measurement.planes import Plane, facing, fitted_plane, weighted_plane
 from jaxscan.measurement.samples import Samples, spread_out
 
 
@@ -78,9 +78,10 @@ def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> 
         if np.array_equal(now, kept):
             break
         kept = now
-        plane = facing(weighted_plane(around.p[kept], sigma[kept] ** -2), normal)
+        plane = facing(weighted_plane(around.p[kept], around.weights_across(normal)[kept]), normal)
         normal, distance = plane.normal, plane.distance
-    return Wall(plane, around.take(kept), scale)
+    members = around.take(kept)
+    return Wall(facing(fitted_plane(members, normal), normal), members, scale)
 
 
 def _outer_scale(residual: np.ndarray) -> float:

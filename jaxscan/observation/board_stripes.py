@@ -10,6 +10,7 @@ from jaxscan.observation.board_lines import Candidates, find_lines
 from jaxscan.observation.board_map import BoardMap, is_on_print
 from jaxscan.observation.corners import FoundCorners
 from jaxscan.observation.prediction import SolvedRig, lift_to_board, predict_stripe
+from jaxscan.observation.printed import Sight, fit_on_print
 from jaxscan.observation.records import BoardSource, SeenRecord
 from jaxscan.observation.stripes_on_board import BoardStripe, select_board_stripe
 from jaxscan.stripes import (
@@ -17,9 +18,9 @@ from jaxscan.stripes import (
     ExtractionSetup,
     FrameFormat,
     LaserLine,
-    NoiseModel,
     StripeSettings,
     estimate_noise,
+    host_planes,
     predict_off,
     prepare_engines,
     with_colour,
@@ -72,15 +73,16 @@ def find_stripes(
             group = [i for i in lit if views[i].laser == laser and (views[i].off is not None) == with_off]
             if not group:
                 continue
-            noise, stripes = _extract([views[i] for i in group], capture, line, rig)
+            stripes, sights = _extract([views[i] for i in group], capture, line, rig)
             for row, i in enumerate(group):
                 found = Candidates.of(stripes, row, line.stripe_axis)
-                views[i] = views[i]._replace(stripes=_lines_of(views[i], found, board, rig), noise=noise)
+                lines_found = _lines_of(views[i], found, board, rig, sights[row])
+                views[i] = views[i]._replace(stripes=lines_found, noise=sights[row].noise)
     return views
 
 
 def _lines_of(
-    view: SeenRecord, found: Candidates, board: AbstractBoard, rig: SolvedRig | None
+    view: SeenRecord, found: Candidates, board: AbstractBoard, rig: SolvedRig | None, sight: Sight
 ) -> tuple[BoardStripe, ...]:
     """The lines on one board that may be the stripe, the likeliest first."""
     off, corners = None if view.off is None else view.grey, cast(FoundCorners, view.corners)
@@ -95,7 +97,12 @@ def _lines_of(
     stripes = []
     for number in find_lines(found, xy, usable, known, print_shows=view.off is None):
         at = np.maximum(number, 0).astype(np.intp), np.arange(len(number))
-        stripes.append(select_board_stripe(found.taken(number), corners, board, off=off, board_xy=xy[at]))
+        stripe, ink = found.taken(number), off
+        if rig is not None and view.pose is not None and off is not None:
+            through = fit_on_print(stripe, is_on_print(xy[at], board), sight, rig, view.pose)
+            if through is not None:
+                stripe, ink = through, None
+        stripes.append(select_board_stripe(stripe, corners, board, off=ink, board_xy=xy[at]))
     return tuple(stripe for stripe in stripes if stripe.valid.any())
 
 
@@ -118,8 +125,8 @@ def _learn_colour(capture: BoardSource, laser: int) -> LaserLine:
 
 def _extract(
     views: list[SeenRecord], capture: BoardSource, line: LaserLine, rig: SolvedRig | None
-) -> tuple[NoiseModel, ChunkStripes]:
-    """Noise and stripes of one laser; all records have a laser-off frame, or none has."""
+) -> tuple[ChunkStripes, list[Sight]]:
+    """Stripes of one laser, and its samples; all records have a laser-off frame, or none has."""
     # Padded to the batch size, so that the extraction compiles once.
     padded = [views[min(k, len(views) - 1)] for k in range(BATCH_RECORDS)]
     on = np.stack([view.on for view in padded if view.on is not None])
@@ -128,13 +135,20 @@ def _extract(
     frames = FrameFormat(capture.pixel_format, capture.response)
     # Estimated from whole frames: outside the band there would be no noise.
     noise = views[0].noise or estimate_noise(on, off, **vars(frames), line=line)
+    whole = on
     if rig is not None and line.name in rig.believed:
         near = np.stack([_band(view, rig, line) for view in padded])
         on = np.where(near if on.ndim == 3 else near[..., None], on, off)
     size = int(on.shape[2]), int(on.shape[1])
     setup = ExtractionSetup(size, frames, line, _SETTINGS, all_candidates=True)
     (engine,) = prepare_engines(on, off, [setup], noise=noise)
-    return noise, engine.extract(on, off)
+    planes = host_planes(whole, off, engine.search, engine.setup)
+    on_plane, off_plane, ratio = (np.asarray(plane) for plane in planes)
+    sights = [
+        Sight(on_plane[k], off_plane[k], float(ratio[k]), engine.setup.sites, frames, line, noise)
+        for k in range(len(views))
+    ]
+    return engine.extract(on, off), sights
 
 
 def _band(view: SeenRecord, rig: SolvedRig, line: LaserLine) -> np.ndarray:

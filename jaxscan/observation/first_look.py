@@ -1,6 +1,7 @@
 """The first look at captures of a board: corners and stripes in every record."""
 
 import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -17,9 +18,15 @@ from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
 from jaxscan.stripes import LaserLine
 
 
+# Records in which another board is looked for where the expected one is in none.
+_LOOKED_AT = 6
+
 Progress = Callable[[int, int], None]
 FindCorners = Callable[[np.ndarray, AbstractBoard], FoundCorners | None]
 """Finds the corners of a board in a grey image; None where the board is not found."""
+
+DrawPrint = Callable[[AbstractBoard], np.ndarray]
+"""The print of a board as a picture, see `BoardPicture.of`."""
 
 
 class Eyes(NamedTuple):
@@ -27,6 +34,10 @@ class Eyes(NamedTuple):
 
     to_grey: ToGrey
     find_corners: FindCorners
+    draw_print: DrawPrint | None = None
+    """Without it stripes on boards are fitted without their print."""
+    name_other: Callable[[np.ndarray, AbstractBoard], str | None] = lambda image, board: None
+    """Names the board that an image shows in place of the expected one, where it can be told."""
 
 
 class Look(NamedTuple):
@@ -78,13 +89,28 @@ def look_at_boards(
 
     seen = go_through(captures, look, Look(board, [], lines), progress=progress)
     if all(view.corners is None for view in seen.records):
-        raise CalibrationError(
-            f"The board ({board.describe()}) was found in none of {len(seen.records)} records "
-            f"({count_reasons(seen.missed())}): check the [board] table of capture.toml (columns and rows count inner "
-            "corners for a chessboard, squares for ChArUco, circles, or tags), and that the board is sharp, well lit "
-            "and wholly in the image."
-        )
+        raise CalibrationError(_not_found(captures, seen, eyes))
     return seen
+
+
+def _not_found(captures: Sequence[BoardSource], seen: Look, eyes: Eyes) -> str:
+    """Why no record shows the board."""
+    found = (
+        f"The board ({seen.board.describe()}) was found in none of {len(seen.records)} records "
+        f"({count_reasons(seen.missed())})"
+    )
+    places = [(number, index) for number, capture in enumerate(captures) for index in range(len(capture.records))]
+    some = [places[k] for k in np.unique(np.linspace(0, len(places) - 1, _LOOKED_AT).round().astype(int))]
+    views = [SeenRecord.read(captures, number, index, eyes.to_grey) for number, index in some]
+    names = [eyes.name_other(view.grey, seen.board) for view in views if view.grey is not None]
+    others = Counter(name for name in names if name is not None).most_common(1)
+    if others:
+        return f"{found}; the images show {others[0][0]}: correct the [board] table of capture.toml."
+    return (
+        f"{found}: check the [board] table of capture.toml (columns and rows count inner "
+        "corners for a chessboard, squares for ChArUco, circles, or tags), and that the board is sharp, well lit "
+        "and wholly in the image."
+    )
 
 
 def go_through(

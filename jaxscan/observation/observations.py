@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -12,7 +13,7 @@ from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
 from jaxscan.observation.first_look import Look
 from jaxscan.observation.records import BoardSource
-from jaxscan.observation.stripes_on_board import BoardStripe
+from jaxscan.observation.stripes_on_board import MOST_POINTS, BoardStripe
 
 
 class BoardViews(eqx.Module):
@@ -45,6 +46,8 @@ class StripeViews(eqx.Module):
     view: Int[Array, " stripes"]
     """Row of `BoardViews` whose board the stripe lies on."""
     laser: Int[Array, " stripes"]
+    contrast: Int[Array, "stripes points"] | None = None
+    """Contrast class of every point: 0 on even print, 1 at a weak edge, 2 at a strong one; None: all on even print."""
 
 
 class Observations(eqx.Module):
@@ -100,20 +103,20 @@ def with_lasers(observations: Observations, names: Sequence[str]) -> Observation
     def of_kept(stripes: StripeViews) -> StripeViews:
         laser = np.asarray(stripes.laser)
         rows = np.isin(laser, kept)
-        fields = {name: np.asarray(values)[rows] for name, values in vars(stripes).items()}
-        fields["laser"] = np.array([kept.index(number) for number in laser[rows]], np.int32)
-        return StripeViews(**fields)
+        own = jax.tree.map(lambda values: np.asarray(values)[rows], stripes)
+        return replace(own, laser=np.array([kept.index(number) for number in laser[rows]], np.int32))
 
     others = None if observations.other_lines is None else of_kept(observations.other_lines)
     stripes = of_kept(observations.stripes)
     return replace(observations, laser_names=tuple(names), stripes=stripes, other_lines=others)
 
 
-def stack_stripes(stripes: Sequence[tuple[BoardStripe, int, int]], points: int = 512) -> StripeViews:
+def stack_stripes(stripes: Sequence[tuple[BoardStripe, int, int]], points: int = MOST_POINTS) -> StripeViews:
     """All stripes of a capture, given as (stripe, row of `BoardViews`, laser); empty ones are left out."""
     kept = [(stripe, view, laser) for stripe, view, laser in stripes if stripe.valid.any()]
     q, sigma, valid = np.zeros((0, points, 2)), np.zeros((0, points)), np.zeros((0, points), bool)
+    contrast = np.zeros((0, points), np.int8)
     if kept:
-        q, sigma, valid = map(np.stack, zip(*(stripe for stripe, _, _ in kept), strict=True))
+        q, sigma, valid, contrast = map(np.stack, zip(*(stripe for stripe, _, _ in kept), strict=True))
     view, laser = (np.array([entry[k] for entry in kept], np.int32) for k in (1, 2))
-    return StripeViews(q, sigma, valid, view, laser)
+    return StripeViews(q, sigma, valid, view, laser, contrast)

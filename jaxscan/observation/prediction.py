@@ -12,6 +12,7 @@ from jaxscan.geometry import (
     AbstractCamera,
     AbstractMotion,
     Array,
+    BoardPicture,
     BowedBoard,
     LaserSheet,
     Scanner,
@@ -50,6 +51,8 @@ class SolvedRig(NamedTuple):
     """Coefficients of the board's `bend_functions` [m]; empty for a parabola."""
     offset: np.ndarray = np.zeros((0, 3))
     """Where every corner stands beside the surface [corners, 3], m; empty for a parabola."""
+    picture: BoardPicture | None = None
+    """The print of the board; None where it is not known."""
 
     @property
     def laser_names(self) -> tuple[str, ...]:

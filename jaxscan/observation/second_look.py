@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxscan.observation.first_look import Look, Progress, go_through
+from jaxscan.geometry import BoardPicture
+from jaxscan.observation.first_look import Eyes, Look, Progress, go_through
 from jaxscan.observation.prediction import PredictedCorners, SolvedRig, predict_corners, turn_boards
-from jaxscan.observation.records import BoardSource, SeenRecord, ToGrey
+from jaxscan.observation.records import BoardSource, SeenRecord
 from jaxscan.observation.redetect import redetect_corners
 
 
@@ -21,7 +22,7 @@ def look_again(
     captures: Sequence[BoardSource],
     first: Look,
     rig: SolvedRig,
-    to_grey: ToGrey,
+    eyes: Eyes,
     *,
     progress: Progress | None = None,
 ) -> Look:
@@ -29,15 +30,17 @@ def look_again(
 
     All predicted corners are fitted, also those that the first look missed, and also on boards
     that it missed but saw at another angle of the same placement. If the first look extracted
-    stripes, they are extracted again from a band around the predicted stripe.
+    stripes, they are extracted again from a band around the predicted stripe, and fitted through the print.
 
     Args:
         captures: The captures of the first look.
         first: The first look.
         rig: The rig solved from it.
-        to_grey: Converts frames to grey.
+        eyes: The functions that read images; with the print that they draw stripes are fitted through it.
         progress: Called with (records done, records in all).
     """
+    if eyes.draw_print is not None and first.lines is not None:
+        rig = rig._replace(picture=BoardPicture.of(first.board, eyes.draw_print(first.board)))
     poses = _poses(first.records, rig)
     predicted = predict_corners(rig, np.array([np.eye(4) if pose is None else pose for pose in poses]))
     starts = np.cumsum([0, *(len(capture.records) for capture in captures)])
@@ -45,7 +48,7 @@ def look_again(
     def look(number: int, index: int) -> SeenRecord:
         at = starts[number] + index
         before, pose = first.records[at], poses[at]
-        view = SeenRecord.read(captures, number, index, to_grey)
+        view = SeenRecord.read(captures, number, index, eyes.to_grey)
         view = view._replace(corners=before.corners, noise=before.noise, pose=pose, light=before.light)
         if pose is None or view.grey is None:
             return view

@@ -15,6 +15,12 @@ _MAX_INK_SHIFT = 0.35
 # Assumed blur of lens and pixels [px].
 _BLUR_PX = 0.8
 _MIN_POINTS = 8
+# Shifts by the print [px] from which an edge is weak, and strong.
+_WEAK_PX, _STRONG_PX = 0.02, 0.1
+MOST_POINTS = 512
+"""Points that are kept of one stripe."""
+EVEN, WEAK, STRONG = 0, 1, 2
+"""Contrast classes of stripe points: even print, a weak and a strong edge under the stripe. Their errors differ."""
 
 
 class FoundStripe(NamedTuple):
@@ -30,6 +36,8 @@ class FoundStripe(NamedTuple):
     """bool [lines]."""
     stripe_axis: StripeAxis = "rows"
     """Whether a line is an image row or an image column."""
+    contrast: np.ndarray | None = None
+    """Contrast class of every line, int8 [lines], where the print is known; None where it is not."""
 
     def pixels(self) -> np.ndarray:
         """float64 [lines, 2]: (u, v) [px]; at 0 of its line where not valid."""
@@ -47,6 +55,8 @@ class BoardStripe(NamedTuple):
     """float64 [points]: standard deviation across the stripe [px]."""
     valid: np.ndarray
     """bool [points]."""
+    contrast: np.ndarray
+    """int8 [points]: contrast class, EVEN, WEAK or STRONG."""
 
 
 def select_board_stripe(
@@ -56,7 +66,7 @@ def select_board_stripe(
     *,
     off: np.ndarray | None = None,
     board_xy: np.ndarray | None = None,
-    points: int = 512,
+    points: int = MOST_POINTS,
 ) -> BoardStripe:
     """Keep the stripe points that lie on the board, and correct the shift by its print.
 
@@ -70,13 +80,14 @@ def select_board_stripe(
         stripe: The stripe in one image.
         corners: Corners found on the same board pose.
         board: The board they belong to.
-        off: Laser-off image [rows, columns], grey, or None.
+        off: Laser-off image [rows, columns], grey, or None: also where the print is accounted for.
         board_xy: Board coordinates of every point from the pose [lines, 2], m; None: by the corners.
         points: Number of points to return; longer stripes are thinned evenly.
 
     Returns:
         The points; none is valid where fewer than 8 remain.
     """
+    contrast = np.full(len(stripe.u), EVEN, np.int8) if stripe.contrast is None else stripe.contrast.copy()
     q, spread = stripe.pixels(), stripe.sigma.astype(np.float64)
     centre, lines = q.T if stripe.stripe_axis == "rows" else q[:, ::-1].T
     keep = stripe.valid & np.isfinite(centre)
@@ -92,7 +103,8 @@ def select_board_stripe(
         centre[on_board] -= ink.correction
         spread[on_board] = np.hypot(spread[on_board], ink.sigma)
         keep[on_board] &= np.abs(ink.predicted) <= _MAX_INK_SHIFT
-    result = BoardStripe(np.zeros((points, 2)), np.ones(points), np.zeros(points, bool))
+        contrast[on_board] = np.digitize(np.abs(ink.predicted), (_WEAK_PX, _STRONG_PX))
+    result = BoardStripe(np.zeros((points, 2)), np.ones(points), np.zeros(points, bool), np.zeros(points, np.int8))
     chosen = np.flatnonzero(keep)
     if len(chosen) < _MIN_POINTS:
         return result
@@ -103,4 +115,5 @@ def select_board_stripe(
     result.q[: len(chosen)] = q[chosen]
     result.sigma[: len(chosen)] = spread[chosen] / np.hypot(1.0, slope)
     result.valid[: len(chosen)] = True
+    result.contrast[: len(chosen)] = contrast[chosen]
     return result

@@ -9,6 +9,10 @@ from jaxtyping import Bool, Float, Int, UInt8
 from jaxscan.geometry import Array
 
 
+SMOOTHED = ("sigma_row", "shift_px", "shared_lines")
+"""Fields that a cloud has where its points use their neighbours, and not otherwise."""
+
+
 class CloudPoints(NamedTuple):
     """The valid points of a cloud, in the order of the grid."""
 
@@ -30,6 +34,10 @@ class CloudPoints(NamedTuple):
     """Line, int32 [n]."""
     laser: np.ndarray
     """uint8 [n]."""
+    sigma_row: np.ndarray | None = None
+    """float32 [n], as are the following two; None where rows were not smoothed."""
+    shift_px: np.ndarray | None = None
+    shared_lines: np.ndarray | None = None
 
 
 class PointCloud(eqx.Module):
@@ -46,7 +54,7 @@ class PointCloud(eqx.Module):
     normals: Float[Array, "profiles lines 3"]
     """Unit normals towards the camera; zero where there is none."""
     sigma_random: Float[Array, "profiles lines"]
-    """Standard deviation along the ray from the stripe's noise, independent per point [m]."""
+    """Standard deviation along the ray from the stripe's noise [m]; independent per point without `shared_lines`."""
     sigma_systematic: Float[Array, "profiles lines"]
     """Standard deviation along the ray from the calibration, shared by all points [m]; zero
     where the scanner has no covariance."""
@@ -55,6 +63,13 @@ class PointCloud(eqx.Module):
     laser: Int[Array, " profiles"]
     angle: Float[Array, " profiles"]
     """The table's angle phi of the profile [rad from home], or the stage's position [m]."""
+    sigma_row: Float[Array, "profiles lines"] | None = None
+    """`sigma_random` that the point would have from its own row alone [m]; None where rows were not smoothed."""
+    shift_px: Float[Array, "profiles lines"] | None = None
+    """Centre of the row's own fit minus that of the point [px], across the line."""
+    shared_lines: Float[Array, "profiles lines"] | None = None
+    """Lines over which the noise of a point is shared: its correlation with the k-th next line of its profile is about
+    1 - k / shared_lines. Points share noise with no other profile."""
 
     def points(self, start: int = 0, stop: int | None = None) -> CloudPoints:
         """The valid points as a flat list, of all profiles or of those from `start` to before `stop`."""
@@ -76,4 +91,5 @@ class PointCloud(eqx.Module):
             step=(step + start).astype(np.int32),
             row=row.astype(np.int32),
             laser=np.asarray(self.laser[part])[step].astype(np.uint8),
+            **{name: take(getattr(self, name), np.float32) for name in SMOOTHED if getattr(self, name) is not None},
         )

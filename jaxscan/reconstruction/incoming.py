@@ -104,7 +104,7 @@ class IncomingStripes:
         """
         self._sweep.first = FrameChunk(np.stack([pair.on for pair in pairs]), np.stack([pair.off for pair in pairs]))
         (engine,) = self._plan.engines().values()
-        self._engine = engine.learn_width(*self._frames(pairs[: self.size]), coloured(self._plan.frames))
+        self._engine = engine.learn(*self._frames(pairs[: self.size]), coloured(self._plan.frames))
         self._sweep.first = None
 
     def compute(self, pairs: Sequence[RecordedPair]) -> None:

@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.geometry import Scanner, StripeAxis, across_and_along
+from jaxscan.geometry import Array, Scanner, StripeAxis, across_and_along
 from jaxscan.reconstruction.points import Aim, Limits, Rig, line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.streaming import chunk_records
@@ -19,10 +19,13 @@ from jaxscan.stripes import (
     ExtractionSetup,
     FrameFormat,
     LaserLine,
+    LearnedNoise,
     LineGate,
     NoiseModel,
     StripeEngine,
     Stripes,
+    check_black,
+    learn_noise,
     prepare_engines,
     whole_lines,
     with_colour,
@@ -50,6 +53,9 @@ class Plan:
     """Records computed at a time."""
     notes: list[str] = field(default_factory=list)
     """Notes on the stripes, once they are found; a sentence each."""
+    learned: list[LearnedNoise] = field(default_factory=list)
+    """Noise of a frame, once it is learned; and a line on it with the speckle that the stripes told."""
+    noise: list[str] = field(default_factory=list)
 
     @property
     def lines(self) -> int:
@@ -120,11 +126,11 @@ class Plan:
         """The engine of each laser of the sweep.
 
         Args:
-            noise: Noise of a frame; estimated from the start of the sweep where not given.
+            noise: Noise of a frame; learned from the start of the sweep where not given.
 
         Raises:
-            CaptureError: If a colour cannot be learned, or stripes of two lasers in one record could be
-                mistaken for each other.
+            CaptureError: If a colour cannot be learned, the black level is above the picture, or stripes of two
+                lasers in one record could be mistaken for each other.
         """
         sweep, settings = self.sweep, self.settings
         gated = settings.gate or self.lit_together
@@ -144,10 +150,25 @@ class Plan:
             gates.append(gate if gated else whole_lines(setup, gate.near_side))
         # A fixed number of records, so that the result does not depend on the size of the chunks.
         ((on, off),) = islice(sweep.chunks(min(NOISE_RECORDS, len(sweep))), 1)
+        if noise is None:
+            noise = self._learn_noise(on, off)
+        try:
+            check_black(noise, on)
+        except ValueError as problem:
+            raise CaptureError(str(problem)) from problem
         engines = prepare_engines(on, off, setups, noise=noise, gates=gates)
         if self.predicts:
             engines = [engine.own_channel() for engine in engines]
         return dict(zip(self.gates, engines, strict=True))
+
+    def _learn_noise(self, on: Array, off: Array | None) -> NoiseModel:
+        """The noise of the first frames, in the colour of the first laser and the shortest exposure."""
+        if len(self.sweep.exposures) > 1:
+            on, off = on[:, 0], None if off is None else off[:, 0]
+        learned = learn_noise(on, off, frames=self.frames, line=self.lasers[next(iter(self.gates))])
+        self.learned.append(learned)
+        self.notes.extend(learned.doubts)
+        return learned.noise
 
 
 def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettings) -> Plan:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Array, Scanner, StripeAxis
 from jaxscan.reconstruction.ahead import map_ahead, workers
+from jaxscan.reconstruction.along import smooth_sweep
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness
 from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan
@@ -92,7 +93,7 @@ def cloud_of_plan(
 ) -> PointCloud:
     """`reconstruct` by a plan that is made."""
     sweep, settings = plan.sweep, plan.settings
-    if stripes is None and settings.check_steps:
+    if stripes is None and (settings.check_steps or settings.smooths):
         stripes = stripes_of_plan(plan, noise=noise, progress=progress)
     if stripes is not None:
         check_stripes(plan, stripes)
@@ -104,7 +105,7 @@ def cloud_of_plan(
         if stripes is None:
             each, chunks, watch = _extracted(plan, noise, progress, with_points=True)
             parts: Iterator[tuple] = (
-                (rows, found.more.points, found.stripes.amplitude, found.more.rgb, clearness(found.stripes))
+                (rows, found.more.points, found.stripes.amplitude, found.more.rgb, clearness(found.stripes), {})
                 for rows, found in chunks
             )
         else:
@@ -187,11 +188,13 @@ def _extracted(
         for batch in waiting:
             if batch.laser not in learned:
                 learned.add(batch.laser)
-                engines[batch.laser] = engines[batch.laser].learn_width(batch.on, batch.off, then(batch))
+                engines[batch.laser] = engines[batch.laser].learn(batch.on, batch.off, then(batch))
+                if not plan.noise:
+                    plan.noise.extend(one.words(engines[batch.laser].noise) for one in plan.learned[-1:])
             yield batch
 
     def chunks() -> Iterator[tuple[np.ndarray, ChunkStripes]]:
-        compiled = plan.settings.stripes.learn_width
+        compiled = next(iter(engines.values())).learns
         for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers(), compiled=compiled):
             yield _rows(profiles, each), result
             if progress is not None:
@@ -202,15 +205,18 @@ def _extracted(
 
 def _from_stripes(
     plan: Plan, stripes: Stripes, each: int, progress: Progress
-) -> Iterator[tuple[np.ndarray, Points, np.ndarray, np.ndarray, np.ndarray]]:
+) -> Iterator[tuple[np.ndarray, Points, np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
     """The arguments of `GrowingCloud.store`, chunk by chunk, of known stripes."""
     sweep, size, axis = plan.sweep, plan.size, plan.stripe_axis
     angles = sweep.angles.astype(np.float32)
+    # Several candidates of a line are no neighbours of those of the next one.
+    along = smooth_sweep(stripes) if plan.settings.smooths and each == 1 else None
+    centre = along or stripes
 
     def compute(item: tuple[np.ndarray, Array | None]) -> tuple[np.ndarray, Points, np.ndarray]:
         profiles, off = item
         rows = _rows(profiles, each)
-        u, sigma, valid = (np.asarray(field)[rows] for field in (stripes.u, stripes.sigma, stripes.valid))
+        u, sigma, valid = (np.asarray(field)[rows] for field in (centre.u, centre.sigma, stripes.valid))
         u, sigma = u.astype(np.float32), sigma.astype(np.float32)
         centres = Centres(*(padded(field, size * each) for field in (u, sigma, valid)))
         phi = padded(np.repeat(angles[sweep.record[profiles]], each), size * each)
@@ -229,7 +235,9 @@ def _from_stripes(
         one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, -1]
         items = ((batch.profiles, None if batch.off is None else batch.off[one]) for batch in batches(sweep, size))
     for rows, points, rgb in map_ahead(compute, items, workers()):
-        yield rows, points, np.asarray(stripes.amplitude)[rows], rgb, np.asarray(stripes.valid)[rows]
+        amplitude, valid = (np.asarray(field)[rows] for field in (stripes.amplitude, stripes.valid))
+        beside = {} if along is None else along.beside(rows, np.asarray(points.sigma_random)[: len(rows)])
+        yield rows, points, amplitude, rgb, valid, beside
         if progress is not None:
             progress(int(sweep.record[rows[-1] // each]) + 1, len(sweep))
 

@@ -1,8 +1,12 @@
 """Settings of a reconstruction."""
 
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 from jaxscan.stripes import StripeSettings, estimator_of
+
+
+Smooth = Literal["off", "edge"]
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,9 @@ class ReconstructSettings:
     check_steps: bool = False
     """Whether every centre is checked against the neighbouring table steps, where a true surface
     moves smoothly and a reflection does not; takes two passes and all candidates in memory."""
+    smooth: Smooth = "edge"
+    """Whether a point uses its neighbours along the stripe: "edge" uses them where the surface is continuous and none
+    across an edge, "off" takes every row by itself. With `choice` "all" rows are always by themselves."""
     normals: bool = True
     """Whether normals are computed."""
     chunk_records: int | None = None
@@ -36,11 +43,18 @@ class ReconstructSettings:
             )
         if not self.min_incidence > 0.0:
             raise ValueError(f"`min_incidence` must be positive, got {self.min_incidence}.")
+        if self.smooth not in get_args(Smooth):
+            raise ValueError(f'`smooth` must be "off" or "edge", got {self.smooth!r}.')
         estimator_of(self.stripes)
         if self.check_steps and self.stripes.choice == "all":
             raise ValueError('`check_steps` compares chosen candidates; with `choice` "all" there are none.')
         if self.chunk_records is not None and self.chunk_records < 1:
             raise ValueError(f"`chunk_records` must be at least 1, got {self.chunk_records}.")
+
+    @property
+    def smooths(self) -> bool:
+        """Whether centres use their neighbours."""
+        return self.smooth == "edge" and self.stripes.choice != "all"
 
 
 DEFAULTS = ReconstructSettings()

@@ -1,12 +1,12 @@
 """Renders frames of a known world, with their truth."""
 
 from jaxscan.simulation.boards import SeenBoard
-from jaxscan.simulation.camera import expose, flawed
+from jaxscan.simulation.camera import expose
 from jaxscan.simulation.light import RowTruth
 from jaxscan.simulation.planning import Placement, plan_boards
 from jaxscan.simulation.printing import make_print
 from jaxscan.simulation.rays import distort, undistort
-from jaxscan.simulation.records import ExpectedRecord, RenderedRecord, develop, expect_record, speckled
+from jaxscan.simulation.records import ExpectedRecord, RenderedRecord, develop, expect_record, speckled, take_frame
 from jaxscan.simulation.rig import Motion, TrueRig, make_rig, rodrigues, turning_axis
 from jaxscan.simulation.scene import make_scene
 from jaxscan.simulation.settings import (
@@ -14,6 +14,7 @@ from jaxscan.simulation.settings import (
     CameraSpec,
     LaserSpec,
     LightSpec,
+    MirrorSpec,
     ObjectSpec,
     PlanSpec,
     RoomSpec,

@@ -1,6 +1,7 @@
 """Calibration boards: printed, flat or bowed, sampled at 4 x 4 points per pixel before the lens."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -93,9 +94,20 @@ def _spline(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return half * (half - t) ** 2, np.float32(0.75) - t * t, half * (half + t) ** 2
 
 
-def cover(
-    rig: TrueRig, board: SeenBoard, depth: np.ndarray, blur: Blur
-) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray, SeenBoard]:
+class Cover(NamedTuple):
+    """A board in the part of the image that it touches."""
+
+    where: tuple[slice, slice]
+    """Rows and columns."""
+    fills: np.ndarray
+    """Share of each pixel that it fills, float32 [rows, columns]."""
+    albedo: np.ndarray
+    """Its albedo times that share."""
+    board: SeenBoard
+    """The board with its picture as fine as the pixels need."""
+
+
+def cover(rig: TrueRig, board: SeenBoard, depth: np.ndarray, blur: Blur) -> Cover:
     """The board through the lens, in the part of the image that it touches.
 
     Args:
@@ -105,8 +117,7 @@ def cover(
         blur: Of the lens, in all pixels.
 
     Returns:
-        Its place in the image (rows, columns); the share of each pixel that it fills, and its albedo
-        times that share, float32 [rows, columns]; and the board with its picture as fine as the pixels need.
+        What it covers.
     """
     radius = (len(psf_weights(blur.widest, SAMPLES)) - 1) // 2
     height, width = rig.rays.shape
@@ -114,7 +125,7 @@ def cover(
     rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
     if len(rows) == 0:
         nothing = np.zeros((0, 0), np.float32)
-        return (slice(0, 0), slice(0, 0)), nothing, nothing, board
+        return Cover((slice(0, 0), slice(0, 0)), nothing, nothing, board)
     top, bottom = max(0, rows[0] - radius - 1), min(height, rows[-1] + radius + 2)
     left, right = max(0, columns[0] - radius - 1), min(width, columns[-1] + radius + 2)
     pixel = float(np.median(depth[seen])) / rig.config.camera.fx
@@ -125,7 +136,7 @@ def cover(
         end = min(start + _STRIP, bottom)
         part = slice(start - top, end - top)
         fills[part], albedo[part] = _strip(rig, fine, slice(start, end), slice(left, right), blur)
-    return (slice(top, bottom), slice(left, right)), fills, albedo, fine
+    return Cover((slice(top, bottom), slice(left, right)), fills, albedo, fine)
 
 
 def _strip(rig: TrueRig, board: SeenBoard, rows: slice, columns: slice, blur: Blur) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.simulation.boards import SeenBoard, cover
+from jaxscan.simulation.boards import Cover, SeenBoard, cover
 from jaxscan.simulation.camera import (
     blur,
     blurred,
@@ -21,9 +21,13 @@ from jaxscan.simulation.light import (
     LitSamples,
     LitScene,
     RowTruth,
+    laser_channel,
     laser_image,
+    line_pieces,
     lit_samples,
     lobe,
+    mirrored_samples,
+    returned_light,
     row_truth,
     speckle_light,
 )
@@ -45,8 +49,8 @@ class ExpectedRecord(NamedTuple):
     """The laser's light, of the same shape: the laser-on frame expects `off + laser`."""
     truth: RowTruth
     laser_index: int
-    samples: LitSamples | None = None
-    """The laser's light before the lens, where it has speckle."""
+    samples: tuple[LitSamples, ...] = ()
+    """The laser's light before the lens, where it has speckle: the stripe, and what mirrors show of it."""
 
 
 class RenderedRecord(NamedTuple):
@@ -65,8 +69,8 @@ class RenderedRecord(NamedTuple):
 def develop(record: ExpectedRecord, config: SimulationConfig, rng: np.random.Generator) -> RenderedRecord:
     """Expose both frames of a record, each with its own noise."""
     laser = speckled(record, config, rng)
-    on = _frame(_flickered(record.off, config, rng) + laser, config, rng)
-    off = _frame(_flickered(record.off, config, rng), config, rng)
+    on = take_frame(_flickered(record.off, config, rng) + laser, config, rng)
+    off = take_frame(_flickered(record.off, config, rng), config, rng)
     return RenderedRecord(record.angle, record.placement, on, off, record.truth, record.laser_index)
 
 
@@ -76,17 +80,33 @@ def _flickered(light: np.ndarray, config: SimulationConfig, rng: np.random.Gener
     return light if flicker == 0 else light * np.float32(max(0.0, 1 + flicker * rng.standard_normal()))
 
 
-def _frame(light: np.ndarray, config: SimulationConfig, rng: np.random.Generator) -> np.ndarray:
-    """An exposure by the camera's own pixels."""
-    return expose(flawed(light, config), config.sensor, rng)
+def take_frame(light: np.ndarray, config: SimulationConfig, rng: np.random.Generator) -> np.ndarray:
+    """An exposure by the camera's own pixels, as the camera hands it out.
+
+    Args:
+        light: Linear light in DN, float32 [rows, columns] (rgb8: and 3).
+        config: The camera.
+        rng: Source of the noise.
+
+    Returns:
+        uint8 of the same shape.
+    """
+    image = expose(flawed(light, config), config.sensor, rng)
+    if config.sensor.jpeg_quality is None:
+        return image
+    # Imported here, so that a simulation without JPEGs does not load OpenCV.
+    from jaxscan.vision import through_jpeg
+
+    return through_jpeg(image, config.sensor.jpeg_quality)
 
 
 def speckled(record: ExpectedRecord, config: SimulationConfig, rng: np.random.Generator) -> np.ndarray:
     """The laser's light of a record with a pattern of speckle of its own; of the shape of `record.laser`."""
     sensor, spec = config.sensor, config.laser[record.laser_index]
-    if record.samples is None:
+    if not record.samples:
         return record.laser
-    change = speckle_light(record.samples, spec.grain_px(sensor), spec.speckle_contrast, rng)
+    grain = spec.grain_px(sensor)
+    change = sum(speckle_light(samples, grain, spec.speckle_contrast, rng) for samples in record.samples)
     change = mosaic(change * laser_response(sensor, spec.colour)[:, None, None], sensor.pixel_format)
     return np.where(record.laser > 0, np.maximum(record.laser + change, 0), np.float32(0))
 
@@ -103,52 +123,99 @@ def expect_record(
     """One pair of frames at the table's angle `phi` [rad], without noise."""
     config, sensor, sheet = rig.config, rig.config.sensor, rig.sheets[laser]
     pose, sees = rig.pose(phi), rig.rays.sees
-    rays = pose.turn(rig.rays.vectors)
-
-    def in_view(depth: np.ndarray) -> np.ndarray:
-        return depth if sees is None else np.where(sees, depth, np.float32(np.inf))
-
-    depth, triangle = (part.reshape(rig.rays.shape) for part in scene.cast(pose.translation, rays))
-    depth = in_view(depth)
+    room = _look(rig, scene, pose)
     white = config.light.white_dn if board is None else config.boards.white_dn
-    off = _ambient(rig, scene, pose, rays, depth, triangle) * np.float32(white)
-    scale, sharp = 1.0, lens_blur(config, depth)
+    off = _ambient(rig, scene, pose, room) * np.float32(white)
+    scale, depth, front = 1.0, room.depth, None
     if board is not None:
-        in_front = in_view(board.hit(rig.rays.x, rig.rays.y, rig.rays.z)[0])
+        in_front = _in_view(rig, board.hit(rig.rays.x, rig.rays.y, rig.rays.z)[0])
         depth = np.minimum(depth, in_front)
-        sharp = lens_blur(config, depth)
-        where, fills, albedo, board = cover(rig, board, in_front, sharp)
+        front = cover(rig, board, in_front, lens_blur(config, depth))
+        where, fills, albedo, board = front
         light, shine = (part * np.float32(white) for part in _board_light(rig, scene, pose, board, where))
         off[:, *where] = off[:, *where] * (1 - fills) + albedo * light + fills * shine
         scale = _board_power(rig, sheet, in_front)
     shot = LitScene(rig, sheet, scene, pose, board)
-    samples = lit_samples(shot, depth, sharp)
-    glow = laser_image(samples) * np.float32(scale)
+    samples = lit_samples(shot, depth, lens_blur(config, depth))
+    glow: np.ndarray = laser_image(samples) * np.float32(scale)
+    truth_glow, shade = glow, vignette(config)
+    mirrored = mirrored_samples(shot, scene.mirror[room.triangle] > 0, lens_blur(config, depth))
+    if mirrored is not None:
+        glow = glow + laser_image(mirrored) * np.float32(scale)
+    if config.light.bounce > 0:
+        glow = glow + _returned(shot, room, depth, front) * np.float32(scale * config.light.bounce)
     if sees is not None:
         # Nothing comes through the lens from beyond its field of view.
-        off, glow = off * sees, glow * sees
-    shade = vignette(config)
-    off, glow = dimmed(off, shade), dimmed(glow, shade)
-    truth = row_truth(shot, depth, glow)
-    lit = glow * laser_response(sensor, sheet.spec.colour)[:, None, None]
-    frames = mosaic(off, sensor.pixel_format), mosaic(lit, sensor.pixel_format)
-    kept = None
-    if sheet.spec.speckle_contrast > 0:
-        light = dimmed(samples.light * np.float32(scale), shade, (samples.rows, samples.columns))
-        kept = samples._replace(light=light)
-    return ExpectedRecord(phi, placement, *frames, truth, laser, kept)
+        off, glow, truth_glow = off * sees, glow * sees, truth_glow * sees
+    truth = row_truth(shot, depth, dimmed(truth_glow, shade))
+    lit = dimmed(glow, shade) * laser_response(sensor, sheet.spec.colour)[:, None, None]
+    frames = mosaic(dimmed(off, shade), sensor.pixel_format), mosaic(lit, sensor.pixel_format)
+    kept: list[LitSamples] = []
+    for part in (samples, mirrored):
+        if part is not None and sheet.spec.speckle_contrast > 0:
+            light = dimmed(part.light * np.float32(scale), shade, (part.rows, part.columns))
+            kept.append(part._replace(light=light))
+    return ExpectedRecord(phi, placement, *frames, truth, laser, tuple(kept))
 
 
-def _ambient(
-    rig: TrueRig, scene: Scene, pose: Motion, rays: np.ndarray, depth: np.ndarray, triangle: np.ndarray
-) -> np.ndarray:
+class _Room(NamedTuple):
+    """What every pixel sees of the scene, without a board."""
+
+    depth: np.ndarray
+    """Along the ray of its centre, float32 [height, width]; inf where nothing is."""
+    triangle: np.ndarray
+    points: np.ndarray
+    """Scanner frame, float32 [height, width, 3]; the camera's place where nothing is."""
+
+
+def _look(rig: TrueRig, scene: Scene, pose: Motion) -> _Room:
+    rays = pose.turn(rig.rays.vectors)
+    depth, triangle = (part.reshape(rig.rays.shape) for part in scene.cast(pose.translation, rays))
+    depth = _in_view(rig, depth)
+    reached = np.where(np.isfinite(depth), depth, np.float32(0)).reshape(-1, 1)
+    points = rays * reached + pose.translation.astype(np.float32)
+    return _Room(depth, triangle, points.reshape(*depth.shape, 3))
+
+
+def _in_view(rig: TrueRig, depth: np.ndarray) -> np.ndarray:
+    return depth if rig.rays.sees is None else np.where(rig.rays.sees, depth, np.float32(np.inf))
+
+
+def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: _Room) -> np.ndarray:
     """The scene in its own light through the lens, float32 [channels, height, width]; 1 is white."""
-    hit = np.isfinite(depth)
-    points = rays * np.where(hit, depth, np.float32(0)).reshape(-1, 1) + pose.translation.astype(np.float32)
-    image = scene.ambient(triangle, points.reshape(*hit.shape, 3), pose.translation, channels(rig.config.sensor))
+    image = scene.ambient(room.triangle, room.points, pose.translation, channels(rig.config.sensor))
+    hit = np.isfinite(room.depth)
     if not hit.all():
         image *= hit
-    return blurred(lambda psf: blur(image, psf), lens_blur(rig.config, depth))
+    glass = scene.mirror[room.triangle]
+    if glass.any():
+        rows, columns = np.nonzero(glass)
+        met = room.triangle[rows, columns], room.points[rows, columns]
+        _, triangle, points = scene.reflect(pose.translation, met[1], met[0])
+        # Surfaces are seen from the camera's own picture in the mirror.
+        normal = scene.normal[met[0][0]]
+        view = pose.translation - 2 * ((pose.translation - met[1][0]) @ normal) * normal
+        behind = scene.ambient(triangle[None], points[None], view, channels(rig.config.sensor))[:, 0]
+        image[:, rows, columns] += glass[rows, columns] * behind
+    return blurred(lambda psf: blur(image, psf), lens_blur(rig.config, room.depth))
+
+
+def _returned(shot: LitScene, room: _Room, depth: np.ndarray, front: Cover | None) -> np.ndarray:
+    """The laser's light that comes back from what it lights, through the lens, float32 [height, width], DN."""
+    rig, pose = shot.rig, shot.pose
+    reached = np.where(np.isfinite(depth), depth, np.float32(0)).reshape(-1, 1)
+    field = returned_light(shot, line_pieces(shot), pose.apply(rig.rays.vectors * reached).reshape(room.points.shape))
+    colour, _ = shot.scene.look(room.triangle.ravel(), room.points.reshape(-1, 3), laser_channel(shot))
+    normal = shot.scene.normal[room.triangle]
+    away = np.sum(normal * (room.points - pose.translation.astype(np.float32)), -1) > 0
+    strength = np.maximum(np.sum(field * normal, -1) * np.where(away, np.float32(-1), np.float32(1)), 0)
+    image = strength * colour[0].reshape(depth.shape)
+    image = blurred(lambda psf: blur(image, psf), lens_blur(rig.config, room.depth))
+    if front is not None and shot.board is not None:
+        where, fills, albedo, _ = front
+        facing = (pose.rotation @ shot.board.normal()).astype(np.float32)
+        image[where] = image[where] * (1 - fills) + albedo * np.maximum(field[where] @ facing, 0)
+    return image
 
 
 def _board_light(
@@ -182,10 +249,5 @@ def _board_power(rig: TrueRig, sheet: Sheet, depth: np.ndarray) -> float:
         # Light per metre of stripe, on pixels of r / f, spread over the seen width.
         return 1 / np.sqrt(width_px**2 + psf2) * rig.config.camera.fx / r**2
 
-    return (
-        spec.peak_dn
-        / spec.paper
-        / (laser.peak_dn / WALL_ALBEDO)
-        * strength(laser.range_m)
-        / strength(float(np.median(seen)))
-    )
+    asked = spec.peak_dn / spec.paper / (laser.peak_dn / WALL_ALBEDO)
+    return asked * strength(laser.range_m) / strength(float(np.median(seen)))

@@ -16,10 +16,12 @@ from jaxscan.stripes.frames import (
     FrameFormat,
     LaserColour,
     LaserLine,
+    LearnedNoise,
     LearnedResponse,
     PixelFormat,
     Response,
     Sites,
+    check_black,
     check_frames,
     decode_table,
     estimate_noise,
@@ -27,10 +29,12 @@ from jaxscan.stripes.frames import (
     known_response,
     laser_plane,
     laser_sites,
+    learn_noise,
     learn_response,
     with_colour,
 )
 from jaxscan.stripes.pairs import judge_pairs
-from jaxscan.stripes.search import LEARNED_FRAMES, LineGate, whole_lines
+from jaxscan.stripes.search import LEARNED_FRAMES, LineGate, host_planes, whole_lines
 from jaxscan.stripes.setup import ExtractionSetup
+from jaxscan.stripes.smoothing import Scatter, Smoothed, row_scatter, smooth_profiles
 from jaxscan.stripes.stripes import KEPT_FIELDS, Choice, FrameStripes, NoiseModel, Stripes, StripeSettings

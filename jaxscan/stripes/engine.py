@@ -13,22 +13,24 @@ from jaxtyping import Int8, UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.channels import doubted, doubts_of, other_channels
-from jaxscan.stripes.choosing import choose, chosen_of
+from jaxscan.stripes.choosing import choose_stripes, chosen_of
 from jaxscan.stripes.estimators import Estimator, estimator_of
 from jaxscan.stripes.exposures import merge_brackets
-from jaxscan.stripes.frames import LaserLine, estimate_noise, with_colour
+from jaxscan.stripes.frames import LaserLine, check_black, learn_noise, with_colour
 from jaxscan.stripes.search import (
     LineGate,
     Planes,
     Search,
+    correct_search,
     host_planes,
     learn_search,
+    noise_of,
     prepare_search,
     read_planes,
     whole_lines,
 )
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import FrameStripes, MeasuredLines, NoiseModel
+from jaxscan.stripes.stripes import FrameStripes, NoiseModel
 
 
 class ChunkStripes(NamedTuple):
@@ -78,23 +80,38 @@ class StripeEngine(eqx.Module):
         return estimator_of(self.setup.settings)
 
     @property
+    def learns(self) -> bool:
+        """Whether something is to be learned from the first frames' stripes."""
+        return self.setup.settings.learn_width or self.setup.settings.speckle is None
+
+    @property
+    def noise(self) -> NoiseModel:
+        """Noise of a frame, with what was learned."""
+        return noise_of(self.search)
+
+    @property
     def profiles_per_record(self) -> int:
         return self.estimator.candidates if self.setup.several else 1
 
-    def learn_width(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> "StripeEngine":
-        """The engine that knows the width of the stripes in the first frames, where the settings ask for it.
+    def learn(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> "StripeEngine":
+        """The engine that knows width and speckle of the stripes in the first frames, where the settings ask for it.
 
         Arguments as of `extract`, so that nothing else is compiled.
         """
         if self.channels:
-            engines = [one.learn_width(on, off) for one in (self.own_channel(), *self.channels)]
+            engines = [one.learn(on, off) for one in (self.own_channel(), *self.channels)]
             found = [one.extract(on, off) for one in engines]
             doubts = doubts_of([chosen_of(one.stripes, one.chosen) for one in found], self.setup.sites.line_step)
             return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses, doubts)
-        if not self.setup.settings.learn_width:
+        if not self.learns:
             return self
-        first = self.extract(on, off, then)
-        return StripeEngine(self.setup, learn_search(self.search, chosen_of(first.stripes, first.chosen)))
+        plain = self.extract(on, off, then)
+        first = chosen_of(plain.stripes, plain.chosen)
+        search = learn_search(self.search, first, self.setup)
+        if search.speckle > self.search.speckle:
+            again = StripeEngine(self.setup, search).extract(on, off, then)
+            search = correct_search(search, first, chosen_of(again.stripes, again.chosen), self.setup)
+        return StripeEngine(self.setup, search)
 
     def extract(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> ChunkStripes:
         """Stripes of a chunk of records, a profile for each; with all candidates one for each of them.
@@ -154,13 +171,13 @@ def prepare_engines(
         on: Laser-on frames of the first records, as of `StripeEngine.extract`.
         off: Laser-off frames of the same shape, or None.
         setups: Of each laser; a colour "auto" is learned from the frames.
-        noise: Noise of a frame; where not given it is estimated, in the colour of the first laser and in the
-            shortest exposure, in which least is clipped.
+        noise: Noise of a frame; where not given it is learned (`learn_noise`), in the colour of the first laser and in
+            the shortest exposure, in which least is clipped.
         gates: The part of every line that can hold the stripe of each laser; the whole line where not given.
 
     Raises:
-        ValueError: If the colour cannot be learned, or the settings ask for a choice that the estimator or
-            the gate do not allow.
+        ValueError: If the colour cannot be learned, the black level is above the picture, or the settings ask for a
+            choice that the estimator or the gate do not allow.
     """
     if len(setups[0].exposures) > 1:
         on, off = on[:, 0], None if off is None else off[:, 0]
@@ -169,8 +186,8 @@ def prepare_engines(
         estimator_of(setup.settings)
         line = with_colour(setup.line, on, off, setup.frames.pixel_format)
         if noise is None:
-            frames = setup.frames
-            noise = estimate_noise(on, off, pixel_format=frames.pixel_format, response=frames.response, line=line)
+            noise = learn_noise(on, off, frames=setup.frames, line=line).noise
+        check_black(noise, on)
         # Lasers that look alike share their compiled functions: no name, and no colour for a mono camera.
         colour = "red" if setup.frames.pixel_format == "mono8" else line.colour
         setup = setup._replace(line=LaserLine(colour=colour, stripe_axis=line.stripe_axis))
@@ -219,49 +236,6 @@ def _finish(engine: StripeEngine, located: tuple, off: Array | None, then: Conti
         # The longest exposure shows the dark parts best.
         off = None if off is None else off[len(setup.exposures) - 1 :: len(setup.exposures)]
     return ChunkStripes(stripes, chosen, then.function(stripes, off, then.shared, then.per_record, setup))
-
-
-def choose_stripes(
-    found: MeasuredLines, search: Search, setup: ExtractionSetup
-) -> tuple[FrameStripes, Int8[Array, "frames lines"] | None]:
-    """Choose among the candidates of each line, and put them on the lines of the image; pure and traceable.
-
-    Returns:
-        stripes: A profile per frame; with `all_candidates` one for each candidate.
-        chosen: Number of each line's stripe among all candidates, -1 where there is none; None where
-            one candidate is given, or nothing is chosen (`settings.choice` "all").
-    """
-    sites, settings = setup.sites, setup.settings
-    lines, slots = setup.plane_size[0], jnp.asarray(found.slots)
-
-    def candidates_at(index):
-        place = jnp.where(index >= 0, index, 0)
-        values = jax.tree.map(lambda field: field.at[place].get(mode="promise_in_bounds"), found.measured)
-        return values._replace(valid=(index >= 0) & values.valid)
-
-    candidates = candidates_at(slots)
-    usable = jnp.where(candidates.valid, slots, -1)
-    number = None if settings.choice == "all" else choose(candidates, search.near_side, settings)
-    if number is None or setup.several:
-        taken = jnp.moveaxis(usable, 2, 1).reshape(-1, lines)
-    else:
-        taken = jnp.full(number.shape, -1, slots.dtype)
-        for k in range(slots.shape[2]):
-            taken = jnp.where(number == k, usable[:, :, k], taken)
-        number = None
-    stripes = candidates_at(taken)
-    offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(lines) % len(sites.offsets)]
-    stripes = stripes._replace(u=stripes.u + offsets[None, :])
-    stripes = jax.tree.map(lambda field: jnp.where(taken >= 0, field, jnp.zeros_like(field)), stripes)
-
-    def on_image_lines(values, nothing=0):
-        if setup.image_lines == lines:
-            return values
-        image = jnp.full((len(values), setup.image_lines), nothing, values.dtype)
-        last = sites.first_line + sites.line_step * lines
-        return image.at[:, sites.first_line : last : sites.line_step].set(values)
-
-    return jax.tree.map(on_image_lines, stripes), None if number is None else on_image_lines(number, -1)
 
 
 def merge_channels(

@@ -62,7 +62,7 @@ def extract_stripes(
         engine = engine.own_channel()
     chunks = [slice(start, start + _CHUNK) for start in range(0, len(on), _CHUNK)]
     frames_of = lambda part: (_padded(on[part], len(on)), None if off is None else _padded(off[part], len(on)))
-    engine = engine.learn_width(*frames_of(chunks[0]))
+    engine = engine.learn(*frames_of(chunks[0]))
     found = [engine.extract(*frames_of(part)).stripes for part in chunks]
     each = engine.profiles_per_record
     profiles = each * len(on)

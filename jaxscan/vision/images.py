@@ -55,6 +55,22 @@ def encode_png(image: np.ndarray, *, compression: str = "rle") -> bytes:
     return data.tobytes()
 
 
+def through_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
+    """A frame that was compressed to a JPEG and unpacked again.
+
+    Args:
+        image: uint8 [rows, columns], or RGB [rows, columns, 3].
+        quality: 1 ... 100; the colour of an RGB image has half the resolution.
+
+    Returns:
+        uint8 of the same shape.
+    """
+    pixels = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else np.ascontiguousarray(image)
+    _, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    back = np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
+    return np.asarray(cv2.cvtColor(back, cv2.COLOR_BGR2RGB) if image.ndim == 3 else back, np.uint8)
+
+
 def decode_image(data: bytes, *, name: str, rank: int | None, size: tuple[int, int] | None) -> np.ndarray:
     """One frame from the bytes of a PNG, TIFF, JPEG or BMP file; a damaged file gives no picture.
 

@@ -132,6 +132,20 @@ def test_options_that_cannot_be_meant(tiny, refused, tmp_path, words, says):
     assert not (tmp_path / "a.ply").exists()
 
 
-def test_an_unknown_choice_is_a_usage_error(tiny, run, tmp_path):
-    ran = run("reconstruct", tiny.sweep, "-c", tiny.calibration, "-o", tmp_path / "a.ply", "--choice", "prettiest")
-    assert ran.code == 2 and "nearest" in ran.err
+def test_neighbouring_lines_are_used_unless_that_is_switched_off(tiny, capture, reconstruct):
+    _, _, smooth = reconstruct(capture)
+    out, _, rows = reconstruct(capture, "--smooth", "off")
+    assert smooth.shared_lines is not None and rows.shared_lines is None
+    # The stripes that were kept are those of the rows, and serve both.
+    assert "stripes from the cache" in out
+    both = smooth.valid & rows.valid
+    assert both.sum() > 0.99 * rows.valid.sum()
+    assert np.median(smooth.sigma_random[both]) < 0.6 * np.median(rows.sigma_random[both])
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "known"), [("--choice", "prettiest", "nearest"), ("--smooth", "on", "edge")]
+)
+def test_an_unknown_way_is_a_usage_error(tiny, run, tmp_path, option, value, known):
+    ran = run("reconstruct", tiny.sweep, "-c", tiny.calibration, "-o", tmp_path / "a.ply", option, value)
+    assert ran.code == 2 and known in ran.err

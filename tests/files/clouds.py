@@ -8,7 +8,7 @@ from jaxscan.reconstruction import PointCloud
 PROFILES, LINES = 6, 5
 
 
-def make_cloud(*, dtype=np.float32, seed=0):
+def make_cloud(*, dtype=np.float32, seed=0, smoothed=False):
     rng = np.random.default_rng(seed)
     valid = rng.random((PROFILES, LINES)) < 0.7
     valid[0, 0], valid[2] = True, False
@@ -20,6 +20,11 @@ def make_cloud(*, dtype=np.float32, seed=0):
 
     normals = rng.normal(size=(*grid, 3))
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    smooth = {
+        "sigma_row": field(rng.uniform(1e-4, 1e-2, grid).astype(dtype), 50),
+        "shift_px": field(rng.normal(size=grid).astype(dtype), 60),
+        "shared_lines": field(rng.uniform(1, 20, grid).astype(dtype), 70),
+    }
     return PointCloud(
         xyz=field(rng.uniform(-4, 4, (*grid, 3)).astype(dtype), 99),
         rgb=field(rng.integers(0, 256, (*grid, 3), np.uint8), 77),
@@ -31,4 +36,5 @@ def make_cloud(*, dtype=np.float32, seed=0):
         record=np.repeat(np.arange(PROFILES // 2, dtype=np.int32), 2),
         laser=np.tile(np.arange(2, dtype=np.int32), PROFILES // 2),
         angle=np.linspace(0, 2, PROFILES),
+        **(smooth if smoothed else {}),
     )

@@ -78,6 +78,34 @@ def test_ours_after_another_program_dropped_the_grid(tmp_path):
     assert np.array_equal(back.sigma_random[0], cloud.sigma_random[cloud.valid])
 
 
+def test_smoothed_points_without_their_grid_claim_what_their_rows_are_worth(tmp_path):
+    cloud = make_cloud(smoothed=True)
+    save_cloud(cloud, tmp_path / "a.ply")
+    whole = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "a.ply").write_bytes(whole.replace(b"property int step", b"property int strp"))
+    back = load_cloud(tmp_path / "a.ply")
+    assert np.array_equal(back.sigma_random[0], cloud.sigma_row[cloud.valid]) and back.shared_lines is None
+    (tmp_path / "a.ply").write_bytes(whole.replace(b"float sigma_row", b"float sigma_rox"))
+    assert not load_cloud(tmp_path / "a.ply").sigma_random.any()
+
+
+@pytest.mark.parametrize(("name", "value"), [("sigma_row", -1.0), ("shared_lines", -1.0), ("shift_px", np.inf)])
+@pytest.mark.parametrize("suffix", [".ply", ".npz"])
+def test_impossible_numbers_of_smoothed_points_are_refused(tmp_path, suffix, name, value):
+    cloud = make_cloud(smoothed=True)
+    getattr(cloud, name)[0, 0] = value
+    with pytest.raises(CloudError, match=name):
+        save_cloud(cloud, tmp_path / f"a{suffix}")
+
+
+def test_an_npz_with_one_field_of_smoothed_points_lost_is_damaged(tmp_path):
+    save_cloud(make_cloud(smoothed=True), tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as arrays:
+        np.savez(tmp_path / "b.npz", **{name: arrays[name] for name in arrays if name != "sigma_row"})
+    with pytest.raises(CloudError, match="sigma_row"):
+        load_cloud(tmp_path / "b.npz")
+
+
 def test_ours_without_the_profiles(tmp_path):
     cloud = make_cloud()
     save_cloud(cloud, tmp_path / "a.ply")

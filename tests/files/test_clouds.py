@@ -12,6 +12,7 @@ import pytest
 from jaxscan.errors import CloudError, DependencyError
 from jaxscan.files.clouds import READERS, WRITERS, load_cloud, save_cloud
 from jaxscan.files.clouds import clouds as clouds_module
+from jaxscan.reconstruction import SMOOTHED
 
 from .clouds import LINES, PROFILES, make_cloud
 
@@ -48,8 +49,9 @@ class WriterContract:
     def path(self, tmp_path):
         return tmp_path / f"room{self.suffix}"
 
-    def test_round_trip(self, path):
-        cloud = make_cloud()
+    @pytest.mark.parametrize("smoothed", [False, True])
+    def test_round_trip(self, path, smoothed):
+        cloud = make_cloud(smoothed=smoothed)
         save_cloud(cloud, path, calibration_digest="sha256:0123")
         columns = self.read(path)
         step, row = self.expected(cloud)
@@ -68,6 +70,10 @@ class WriterContract:
             "row": row,
             "laser": cloud.laser[step],
         }
+        if smoothed:
+            wanted |= {name: getattr(cloud, name)[step, row] for name in SMOOTHED}
+        # A format that holds the sigma of a point holds too what it shares with others.
+        assert set(SMOOTHED) & columns.keys() == (set(SMOOTHED) if smoothed and "sigma_random" in columns else set())
         for name in columns.keys() - {"xyz", "rgb"}:
             assert np.array_equal(columns[name].astype(wanted[name].dtype), wanted[name]), name
 
@@ -126,6 +132,7 @@ class TestPly(WriterContract):
         point = open3d().t.io.read_point_cloud(str(path)).point
         columns = {"xyz": point.positions.numpy(), "rgb": point.colors.numpy(), "normals": point.normals.numpy()}
         names = ("intensity", "sigma", "sigma_random", "sigma_systematic", "step", "row", "laser")
+        names += tuple(name for name in SMOOTHED if name in point)
         return columns | {name: point[name].numpy()[:, 0] for name in names}
 
     def test_open3d_reads_it_the_old_way_too(self, path):
@@ -159,6 +166,7 @@ class TestPcd(WriterContract):
         point = open3d().t.io.read_point_cloud(str(path)).point
         columns = {"xyz": point.positions.numpy(), "rgb": point.colors.numpy(), "normals": point.normals.numpy()}
         names = ("intensity", "sigma", "sigma_random", "sigma_systematic")
+        names += tuple(name for name in SMOOTHED if name in point)
         return columns | {name: point[name].numpy()[:, 0] for name in names}
 
 
@@ -231,6 +239,7 @@ class TestLas(WriterContract):
         las = laspy.read(path)
         assert las.header.point_format.id == 7 and str(las.header.version) == "1.4"
         names = ("intensity", "sigma", "sigma_random", "sigma_systematic", "step", "row")
+        smoothed = [name for name in SMOOTHED if name in las.point_format.dimension_names]
         colours = np.stack([las.red, las.green, las.blue], -1)
         assert not (colours % 257).any()
         return {
@@ -238,7 +247,7 @@ class TestLas(WriterContract):
             "rgb": colours // 257,
             "normals": np.stack([las[f"normal_{axis}"] for axis in "xyz"], -1),
             "laser": np.asarray(las.user_data),
-            **{name: np.asarray(las[name]) for name in names},
+            **{name: np.asarray(las[name]) for name in (*names, *smoothed)},
         }
 
 
@@ -260,10 +269,10 @@ class TestNpz(WriterContract):
             assert str(arrays["format"]) == "jaxscan-cloud/1" and str(arrays["unit"]) == "metre"
             valid = arrays["valid"]
             names = ("xyz", "rgb", "normals", "intensity", "sigma_random", "sigma_systematic")
-            return {name: arrays[name][valid] for name in names}
+            return {name: arrays[name][valid] for name in (*names, *(name for name in SMOOTHED if name in arrays))}
 
     def test_double_precision_and_jax_arrays_are_taken(self, path):
-        wide = make_cloud(dtype=np.float64)
+        wide = make_cloud(dtype=np.float64, smoothed=True)
         save_cloud(jax.tree.map(jnp.asarray, wide), path)
         for name, field in vars(load_cloud(path)).items():
             # Lossless means the masked entries and the type too.
@@ -275,9 +284,10 @@ def test_every_format_has_its_contract():
     assert tested == set(WRITERS)
 
 
+@pytest.mark.parametrize("smoothed", [False, True])
 @pytest.mark.parametrize("suffix", sorted(READERS))
-def test_the_organised_grid_comes_back(tmp_path, suffix):
-    cloud = make_cloud()
+def test_the_organised_grid_comes_back(tmp_path, suffix, smoothed):
+    cloud = make_cloud(smoothed=smoothed)
     save_cloud(cloud, tmp_path / f"room{suffix}")
     back = load_cloud(tmp_path / f"room{suffix}")
     for name in ("valid", "record", "laser", "angle"):
@@ -286,6 +296,11 @@ def test_the_organised_grid_comes_back(tmp_path, suffix):
         assert np.array_equal(getattr(back, name)[cloud.valid], getattr(cloud, name)[cloud.valid]), name
         if suffix == ".ply":
             assert not getattr(back, name)[~cloud.valid].any(), name
+    for name in SMOOTHED:
+        values = getattr(back, name)
+        assert (values is not None) == smoothed
+        if smoothed:
+            assert np.array_equal(values[cloud.valid], getattr(cloud, name)[cloud.valid]), name
 
 
 def test_blocks_do_not_show(tmp_path, monkeypatch):

@@ -120,7 +120,7 @@ def test_the_native_search_gives_what_the_pure_function_does_inside_a_larger_jit
         return stripes, jnp.sum(jnp.where(stripes.valid, stripes.u, 0.0)) / count
 
     with jax.enable_x64(False):
-        learned = StripeEngine(engine.setup, learn_search(engine.search, compute(engine, on, off)[0]))
+        learned = StripeEngine(engine.setup, learn_search(engine.search, compute(engine, on, off)[0], engine.setup))
         reference, mean_centre = compute(learned, on, off)
     for name in FIELDS:
         a, b = np.asarray(getattr(native, name)), np.asarray(getattr(reference, name))

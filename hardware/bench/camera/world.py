@@ -14,13 +14,12 @@ from jaxscan.simulation import (
     SeenBoard,
     SimulationConfig,
     expect_record,
-    expose,
-    flawed,
     make_print,
     make_rig,
     make_scene,
     plan_boards,
     speckled,
+    take_frame,
 )
 from jaxscan.vision import board_texture
 
@@ -119,7 +118,7 @@ class World:
             flash_dn: Light that is added everywhere, as by a flash or an opened door.
             blur_px: How far the image moves during the exposure, along the rows.
         """
-        sensor, rng = self.config.sensor, self._generator(_NOISE, number)
+        rng = self._generator(_NOISE, number)
         lit = [(laser, share) for laser, share in enumerate(view.lights[: len(self.config.laser)]) if share > 0]
         # Without a laser's light any record will do, and there is one already.
         light = self.expect(view.angle, view.board, lit[0][0] if lit else self._known_laser()).off
@@ -129,7 +128,7 @@ class World:
         light = light * np.float32(view.exposure) + np.float32(flash_dn)
         if blur_px:
             light = np.stack([np.roll(light, shift, axis=1) for shift in range(blur_px + 1)]).mean(0)
-        return expose(flawed(light, self.config), sensor, rng)
+        return take_frame(light, self.config, rng)
 
     def _known_laser(self) -> int:
         """The laser whose record was made last; the room looks the same in all."""

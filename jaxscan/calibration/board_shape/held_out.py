@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.solve.adjust import Adjustment
+from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.solve.problem import BoardModes
 from jaxscan.geometry import bend_functions
 

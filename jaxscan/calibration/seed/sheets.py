@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from jaxscan.calibration.seed.closed_form import seed_plane
@@ -122,8 +123,7 @@ def _every_line(observations: Observations) -> tuple[StripeViews, np.ndarray]:
     key = lambda lines: list(zip(np.asarray(lines.view).tolist(), np.asarray(lines.laser).tolist(), strict=True))
     of = {stripe: row for row, stripe in enumerate(key(stripes))}
     owner = np.array([*range(len(of)), *(of[line] for line in key(others))], np.intp)
-    pairs = zip(vars(stripes).values(), vars(others).values(), strict=True)
-    return StripeViews(*(np.concatenate([np.asarray(one), np.asarray(more)]) for one, more in pairs)), owner
+    return jax.tree.map(lambda *both: np.concatenate([np.asarray(part) for part in both]), stripes, others), owner
 
 
 def _take(stripes: StripeViews, every: StripeViews, taken: np.ndarray) -> StripeViews:
@@ -131,7 +131,8 @@ def _take(stripes: StripeViews, every: StripeViews, taken: np.ndarray) -> Stripe
     there = taken >= 0
     taken = np.where(there, taken, np.arange(len(taken)))
     valid = np.asarray(every.valid)[taken] & there[:, None]
-    return replace(stripes, q=np.asarray(every.q)[taken], sigma=np.asarray(every.sigma)[taken], valid=valid)
+    points = jax.tree.map(lambda values: np.asarray(values)[taken], every)
+    return replace(points, valid=valid, view=stripes.view, laser=stripes.laser)
 
 
 def _agreed(lines: _Lines, lifted: Lifted, size: tuple[int, int], name: str) -> np.ndarray:

@@ -1,20 +1,20 @@
 """The joint solve round the solver: robust start, rejection of outliers, estimate of the noise."""
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import equinox as eqx
 import jax
 import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
+from jaxscan.calibration.solve.adjustment import Adjustment, Errors
 from jaxscan.calibration.solve.covariance import Linearised, linearise, undetermined_shares
 from jaxscan.calibration.solve.levenberg_marquardt import Solution, solve
 from jaxscan.calibration.solve.noise import (
+    CLASSES,
     correlation_along,
     huber_weights,
     keep_inliers,
-    noise_component,
     robust_noise,
 )
 from jaxscan.calibration.solve.prepare import Prepared
@@ -40,69 +40,6 @@ _SETTLED = 0.01
 _LONG_TAILS = 1.5
 
 
-class _Errors(NamedTuple):
-    """Residuals in units of the given sigmas, and |grad_q e|; 0 and 1 where there is nothing."""
-
-    corner: np.ndarray
-    stripe: np.ndarray
-    slope: np.ndarray
-
-
-@dataclass(frozen=True)
-class Adjustment:
-    """A solve between its rounds, and at last the minimum; arrays padded as `Prepared` is."""
-
-    problem: Problem
-    """Seen from where the solve ended, with its last weights."""
-    linearised: Linearised
-    errors: _Errors
-    """Of everything valid, rejected ones too."""
-    data: Prepared
-    corner_kept: np.ndarray
-    stripe_kept: np.ndarray
-    view_kept: np.ndarray
-    """Views [views] that were not dropped as a whole."""
-    corner_noise: float = 1.0
-    """Estimated noise over the given sigma [1]."""
-    stripe_noise: float = 1.0
-    stripe_correlation: float = 1.0
-    """Neighbours along a stripe that share one error [1]."""
-    steps: int = 0
-    """In all rounds."""
-    converged: bool = False
-    """Whether the last round ended at a minimum rather than after its last step."""
-
-    @property
-    def corner_error(self) -> np.ndarray:
-        """Projected minus observed corners [views, corners, 2], px; rejected ones too."""
-        return self.errors.corner * self.data.corner_sigma[..., None]
-
-    @property
-    def stripe_error(self) -> np.ndarray:
-        """Sampson error of the stripe points [stripes, points], px; rejected ones too."""
-        return self.errors.stripe * self.data.stripe_sigma
-
-    @property
-    def corner_sigma(self) -> np.ndarray:
-        """Given sigma times the estimated noise [px]."""
-        return self.data.corner_sigma * self.corner_noise
-
-    @property
-    def stripe_sigma(self) -> np.ndarray:
-        """Given sigma times the estimated noise [px]."""
-        return self.data.stripe_sigma * self.stripe_noise
-
-    def whitened_rms(self) -> tuple[float, float]:
-        """RMS of the kept corners and stripes in units of the given sigmas, per degree of freedom [1]."""
-        corner_kept = np.repeat(self.corner_kept[..., None], 2, -1)
-        corner_leverage = np.asarray(self.linearised.corner_leverage).reshape(self.errors.corner.shape)
-        stripe_leverage = np.asarray(self.linearised.stripe_leverage)[self.stripe_kept]
-        return (
-            noise_component(self.errors.corner[corner_kept], corner_leverage[corner_kept]),
-            noise_component(self.errors.stripe[self.stripe_kept], stripe_leverage, self.stripe_correlation),
-        )
-
-
 def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, rejection: bool = True) -> Adjustment:
     """Solve robustly, drop outliers, estimate the noise of each group, solve to the end.
 
@@ -120,10 +57,10 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
         state = replace(state, stripe_correlation=settings.stripe_correlation)
     for _ in range(_ROBUST_ROUNDS):
         corner, stripe = state.errors.corner, state.errors.stripe
-        noise = robust_noise(corner[data.corner_valid]), robust_noise(stripe[data.stripe_valid])
+        noise = robust_noise(corner[data.corner_valid]), state.robust_stripe_noise()
         damp = (
             huber_weights(np.abs(corner).max(-1) / noise[0], settings.huber),
-            huber_weights(np.abs(stripe) / noise[1], settings.huber),
+            huber_weights(np.abs(stripe) / noise[1][data.stripe_contrast], settings.huber),
         )
         state = _solved(replace(state, corner_noise=noise[0], stripe_noise=noise[1]), settings, _ROUGH, damp)
         # Without outliers there is nothing to be robust against.
@@ -156,16 +93,17 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
     data = state.data
     limits = {"reject_any": settings.reject_any, "reject_all": settings.reject_all}
     for round_number in range(_REJECTION_ROUNDS):
-        errors, size = state.errors, (1.0, 1.0)
+        errors, size = state.errors, (1.0, np.ones(CLASSES))
         if settings.estimate_noise:
             # Outliers that are still in must not make room for themselves; honest noise with long
             # tails may.
-            robust = robust_noise(errors.corner[data.corner_valid]), robust_noise(errors.stripe[data.stripe_valid])
-            kept = state.whitened_rms()
-            size = min(kept[0], _LONG_TAILS * robust[0]), min(kept[1], _LONG_TAILS * robust[1])
+            robust = robust_noise(errors.corner[data.corner_valid]), state.robust_stripe_noise()
+            kept = state.whitened_rms()[0], state.kept_stripe_noise()
+            size = min(kept[0], _LONG_TAILS * robust[0]), np.minimum(kept[1], _LONG_TAILS * robust[1])
         corner_room = _room(np.asarray(state.linearised.corner_leverage)).reshape(errors.corner.shape)
         corner_size = (np.abs(errors.corner) / corner_room).max(-1) / size[0]
-        stripe_size = np.abs(errors.stripe) / _room(np.asarray(state.linearised.stripe_leverage)) / size[1]
+        stripe_size = np.abs(errors.stripe) / _room(np.asarray(state.linearised.stripe_leverage))
+        stripe_size = stripe_size / size[1][data.stripe_contrast]
         corner_kept = keep_inliers(corner_size, data.corner_valid, state.corner_kept, **limits)
         stripe_kept = keep_inliers(stripe_size, data.stripe_valid, state.stripe_kept, **limits)
         lost = (data.corner_valid & ~corner_kept).sum(1) > _MAX_LOST * data.corner_valid.sum(1)
@@ -175,12 +113,19 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
         corner_kept = corner_kept & view_kept[:, None]
         stripe_kept = stripe_kept & view_kept[data.stripe_view][:, None]
         cleaned = replace(state, corner_kept=corner_kept, stripe_kept=stripe_kept)
-        noise = cleaned.whitened_rms() if settings.estimate_noise else (1.0, 1.0)
+        noise = 1.0, np.ones(CLASSES)
+        if settings.estimate_noise:
+            noise = cleaned.whitened_rms()[0], cleaned.kept_stripe_noise()
         correlation = state.stripe_correlation
         if settings.stripe_correlation is None:
-            correlation = correlation_along(errors.stripe, stripe_kept)
+            # Classes of unlike noise would hide what neighbours share.
+            correlation = correlation_along(errors.stripe / noise[1][data.stripe_contrast], stripe_kept)
         same = np.array_equal(corner_kept, state.corner_kept) and np.array_equal(stripe_kept, state.stripe_kept)
-        ratios = (noise[0] / state.corner_noise, noise[1] / state.stripe_noise, correlation / state.stripe_correlation)
+        ratios = (
+            noise[0] / state.corner_noise,
+            *(noise[1] / state.stripe_noise),
+            correlation / state.stripe_correlation,
+        )
         settled = same and max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED
         if settled and round_number > 0:
             break
@@ -227,10 +172,10 @@ def _largest(residual: np.ndarray, valid: np.ndarray) -> float:
     return float(values.max() / robust_noise(values)) if values.size else 0.0
 
 
-def _whitened(corner: Array, offset: Array, slope: Array, data: Prepared) -> _Errors:
+def _whitened(corner: Array, offset: Array, slope: Array, data: Prepared) -> Errors:
     slopes = np.where(data.stripe_valid & (slope > 0), slope, 1.0)
     pixels = np.asarray(corner).reshape(data.corner_q.shape)
-    errors = _Errors(
+    errors = Errors(
         np.where(data.corner_valid[..., None], pixels / data.corner_sigma[..., None], 0.0),
         np.where(data.stripe_valid, offset / (slopes * data.stripe_sigma), 0.0),
         slopes,
@@ -276,7 +221,7 @@ def linearise_compiled(problem: Problem) -> Linearised:
     return linearise(problem)
 
 
-def _at(problem: Problem, data: Prepared) -> tuple[Linearised, _Errors]:
+def _at(problem: Problem, data: Prepared) -> tuple[Linearised, Errors]:
     """The problem to first order at the point that it holds, on the host."""
     linearised = jax.tree.map(np.asarray, linearise_compiled(problem))
     return linearised, _whitened(linearised.corner_error, linearised.offset, linearised.slope, data)

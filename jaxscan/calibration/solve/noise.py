@@ -1,8 +1,14 @@
 """Size of the noise, its correlation along a stripe, and residuals too large to be noise."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 
+CLASSES = 3
+"""Contrast classes of stripe points; see `StripeViews`."""
+# A class with fewer points than this shows no noise of its own.
+_CLASS_POINTS = 60
 # The noise of data without any is taken as this share of the given sigma, so that weights stay finite.
 _MIN_NOISE = 1e-3
 # The correlation along a stripe is summed up to the lag where it is lost in its own noise, at most here.
@@ -37,6 +43,22 @@ def noise_component(residual: np.ndarray, leverage: np.ndarray, correlation: flo
     if redundancy < 1.0:
         return 1.0
     return max(float(np.sqrt(np.sum(residual**2) / redundancy)), _MIN_NOISE)
+
+
+def noise_by_class(size: Callable[[np.ndarray], float], contrast: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """Noise of the stripe points of every contrast class.
+
+    Args:
+        size: Gives the noise of some points, bool, shaped like `contrast`.
+        contrast: Class of every point.
+        count: bool, shaped like `contrast`: points that count.
+
+    Returns:
+        One number for each class; classes with few points have that of all points.
+    """
+    every = size(count)
+    own = [count & (contrast == number) for number in range(CLASSES)]
+    return np.array([size(some) if np.count_nonzero(some) >= _CLASS_POINTS else every for some in own])
 
 
 def correlation_along(residual: np.ndarray, keep: np.ndarray) -> float:

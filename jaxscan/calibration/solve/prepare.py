@@ -35,6 +35,8 @@ class Prepared(NamedTuple):
     stripe_valid: np.ndarray
     stripe_view: np.ndarray
     stripe_laser: np.ndarray
+    stripe_contrast: np.ndarray
+    """Contrast class of every stripe point, 0 for padding; see `StripeViews`."""
 
 
 def prepare(observations: Observations) -> Prepared:
@@ -47,6 +49,7 @@ def prepare(observations: Observations) -> Prepared:
     valid &= usable[:, None]
     stripe_q, stripe_sigma, stripe_valid = _clean(stripes.q, stripes.sigma, stripes.valid, centre)
     view = np.asarray(stripes.view, np.int32)
+    contrast = np.zeros(stripe_valid.shape, np.int8) if stripes.contrast is None else np.asarray(stripes.contrast)
     if len(view) and len(usable):
         stripe_valid &= usable[view][:, None]
     placement = np.zeros(len(usable), np.int32)
@@ -68,6 +71,7 @@ def prepare(observations: Observations) -> Prepared:
         stripe_valid=_pad(stripe_valid, (rows, points), False),
         stripe_view=_pad(view, (rows,), 0),
         stripe_laser=_pad(np.asarray(stripes.laser, np.int32), (rows,), 0),
+        stripe_contrast=_pad(contrast, (rows, points), 0),
     )
 
 

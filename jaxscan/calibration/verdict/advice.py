@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjust import Adjustment
+from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.verdict.limits import is_named
 from jaxscan.calibration.verdict.quality import GoodTo, ModelTest
 from jaxscan.geometry import CAMERAS, Turntable, coverage

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxscan.calibration.parameters import is_mode
-from jaxscan.calibration.solve.adjust import Adjustment
+from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.solve.covariance import Determination
 from jaxscan.calibration.verdict import limits
 from jaxscan.calibration.verdict.quality import Direction, PriorShare, Quality, ViewQuality
@@ -45,7 +45,7 @@ def describe_quality(
         corner_rms_whitened=corner_rms,
         stripe_rms_whitened=stripe_rms,
         corner_noise_over_sigma=result.corner_noise,
-        stripe_noise_over_sigma=result.stripe_noise,
+        stripe_noise_over_sigma=result.stripe_noise_rms,
         stripe_correlation=result.stripe_correlation,
         views=len(per_view),
         views_without_board=len(np.asarray(observations.corners.angle)) - len(per_view),

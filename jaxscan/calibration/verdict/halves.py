@@ -6,7 +6,8 @@ import equinox as eqx
 import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjust import Adjustment, linearise_compiled, solve_compiled
+from jaxscan.calibration.solve.adjust import linearise_compiled, solve_compiled
+from jaxscan.calibration.solve.adjustment import Adjustment
 
 
 # Directions of which one half of the records knows less than this share beyond the priors.
@@ -48,10 +49,13 @@ class Halves(NamedTuple):
         return float(parts @ np.linalg.solve(covariance, parts))
 
 
-def compare_halves(result: Adjustment, settings: CalibrationSettings, promise: tuple[float, float]) -> Halves | None:
+def compare_halves(
+    result: Adjustment, settings: CalibrationSettings, promise: tuple[float, np.ndarray | float]
+) -> Halves | None:
     """Two calibrations from half of the records each; None where they cannot be had.
 
-    Records are dealt out in turn inside each placement, so that both halves keep several angles.
+    Records are dealt out in turn inside each placement, so that both halves keep several angles. Weights of corners
+    and stripes are multiplied by `promise`.
     """
     half = deal_halves(np.asarray(result.data.placement), result.view_kept & result.data.usable)
     if min(np.count_nonzero(half == 0), np.count_nonzero(half == 1)) < 3:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjust import Adjustment
+from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.solve.problem import problem_layout
 from jaxscan.calibration.verdict.extra_terms import extents_of, lens_terms, radial_terms, sheet_terms
 from jaxscan.calibration.verdict.halves import Halves

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjust import Adjustment
+from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.verdict.extra_terms import extents_of
 from jaxscan.calibration.verdict.halves import Halves, compare_halves
 from jaxscan.calibration.verdict.limits import result_of_test
@@ -94,7 +94,7 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> Judged:
         result: Of `adjust`, converged.
         settings: Of the solve.
     """
-    corner_noise, stripe_noise = result.corner_noise, result.stripe_noise
+    corner_noise, stripe_noise = result.corner_noise, result.stripe_noise_rms
     score = score_models(result.problem, result.linearised, extents_of(result.data))
     seen = {name: _look(score, name) for name in (*_ORDER, "radial") if name in score.places}
     tests = []
@@ -118,7 +118,7 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> Judged:
         given = halves
         if max(abs(corner_noise - 1.0), abs(stripe_noise - 1.0)) > _REPEATED:
             # With weights of the noise that the detector promised.
-            given = compare_halves(result, settings, (corner_noise, stripe_noise)) or halves
+            given = compare_halves(result, settings, (corner_noise, result.stripe_point_noise)) or halves
         p, p_structure = _p_value(given.distance(), given.dof), _p_value(halves.distance(), halves.dof)
         tests.append(ModelTest("halves", given.distance(), given.dof, p, p_structure))
     failed = {test.name for test in tests if result_of_test(test.p, test.p_structure, len(tests)) == "structure"}

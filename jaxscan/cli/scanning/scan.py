@@ -4,7 +4,7 @@ import contextlib
 import shlex
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -44,6 +44,7 @@ def scan(
     cloud: Annotated[
         Path | None, tyro.conf.arg(help=f"With --calibration: cloud to write at the end ({CLOUD_SUFFIXES}).")
     ] = None,
+    smooth: Literal["off", "edge"] = "edge",
     place_command: str | None = None,
     json: JsonTarget = None,
 ) -> None:
@@ -58,6 +59,7 @@ def scan(
         resume: Continue a capture that was interrupted.
         port: Serial port instead of the port in the configuration; "auto" takes the only controller there is.
         calibration: Calibration of the rig; with it points are counted during the scan.
+        smooth: With --cloud: whether a point uses its neighbours along the stripe, as of `jaxscan reconstruct`.
         place_command: With --boards: command that places the board; the number of the pose is appended to it.
         json: Write the result as JSON too.
     """
@@ -98,7 +100,9 @@ def scan(
             for note in doubts:
                 out.print(f"note: {note}")
             notes += doubts
-            live = stack.enter_context(LiveCloud(output, sweep_header(rig), scanner, steps=plan.records))
+            settings = jaxscan.ReconstructSettings(smooth=smooth)
+            header = sweep_header(rig)
+            live = stack.enter_context(LiveCloud(output, header, scanner, steps=plan.records, settings=settings))
             if resume and (output / HEADER_NAME).exists():
                 # A capture without records cannot be opened, and has none to add.
                 with contextlib.suppress(CaptureError):

@@ -42,14 +42,19 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "stripes.view": (np.signedinteger, ("stripes",)),
     "stripes.laser": (np.signedinteger, ("stripes",)),
 }
+_OPTIONAL: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
+    "stripes.contrast": (np.signedinteger, ("stripes", "points")),
+}
+"""Arrays that observations may lack."""
 _RANGES = {
     "corners.q": (-1e6, 1e6),
     "corners.sigma": (1e-6, 1e6),
     "corners.angle": (-1e6, 1e6),
     "stripes.q": (-1e6, 1e6),
     "stripes.sigma": (1e-6, 1e6),
+    "stripes.contrast": (0, 2),
 }
-"""Limits of the numbers of valid points [px, rad]: squares of others would not be finite."""
+"""Limits of the numbers of valid points [px, rad, 1]: squares of others would not be finite."""
 # Fields of `Observations` that are stored as they are, as JSON.
 _PLAIN = ("width", "height", "laser_names", "up", "carries")
 
@@ -109,7 +114,8 @@ def observations_writer(observations: Observations, path: Path) -> Callable[[Pat
     about |= {name: getattr(observations, name) for name in _PLAIN}
     # The same checks as on reading: a board may be of a kind that files do not know.
     check(_About, about, name=str(path), error=CalibrationError)
-    arrays = {name: np.asarray(operator.attrgetter(name)(observations)) for name in _ARRAYS}
+    every = {name: operator.attrgetter(name)(observations) for name in (*_ARRAYS, *_OPTIONAL)}
+    arrays = {name: np.asarray(values) for name, values in every.items() if values is not None}
     arrays = {"about": np.array(readable_json(about)), **arrays}
     return lambda part: write_arrays(part, arrays)
 
@@ -146,17 +152,20 @@ def _read(path: Path) -> Observations:
     about = check(_About, value, name=str(path), error=CalibrationError)
     board = about.board.board()
     known = {"corners": len(board.corners())}
-    sizes = check_arrays(arrays, _ARRAYS, known, name=str(path), error=CalibrationError)
+    there = _ARRAYS | {name: kind for name, kind in _OPTIONAL.items() if name in arrays}
+    sizes = check_arrays(arrays, there, known, name=str(path), error=CalibrationError)
     for name, count in (("stripes.view", sizes["views"]), ("stripes.laser", len(about.laser_names))):
         if ((arrays[name] < 0) | (arrays[name] >= count)).any():
             raise CalibrationError(f"{path}: {name}: found an index outside 0 ... {count - 1}.")
     for name, (least, most) in _RANGES.items():
+        if name not in there:
+            continue
         values, valid = arrays[name], arrays.get(f"{name.split('.')[0]}.valid")
         seen = values if valid is None or values.ndim < valid.ndim else values[valid]
         if not ((seen >= least) & (seen <= most)).all():
             raise CalibrationError(f"{path}: {name}: found a number outside {least:g} ... {most:g}.")
     corners, stripes = (
-        {name.removeprefix(part): arrays[name] for name in _ARRAYS if name.startswith(part)}
+        {name.removeprefix(part): arrays[name] for name in there if name.startswith(part)}
         for part in ("corners.", "stripes.")
     )
     return Observations(

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.errors import CloudError, DependencyError
-from jaxscan.files.clouds.points import columns
+from jaxscan.files.clouds.points import columns, smoothed_names
 from jaxscan.reconstruction import PointCloud
 
 
@@ -24,6 +24,11 @@ _EXTRA = {
     "normal_z": "towards the camera",
     "step": "profile of the grid",
     "row": "line of the grid",
+}
+_SMOOTHED_EXTRA = {
+    "sigma_row": "independent, of the row alone",
+    "shift_px": "centre of the row - this [px]",
+    "shared_lines": "lines that share its noise",
 }
 
 
@@ -48,10 +53,11 @@ def write_las(cloud: PointCloud, path: Path, digest: str) -> None:
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.offsets, header.scales = _placed(points.xyz)
     header.generating_software = "jaxscan"
+    extra = _EXTRA | {name: _SMOOTHED_EXTRA[name] for name in smoothed_names(cloud)}
     header.add_extra_dims(
         [
             laspy.ExtraBytesParams(name, np.int32 if name in ("step", "row") else np.float32, description)
-            for name, description in _EXTRA.items()
+            for name, description in extra.items()
         ]
     )
     las = laspy.LasData(header)
@@ -61,7 +67,7 @@ def write_las(cloud: PointCloud, path: Path, digest: str) -> None:
     las.return_number = np.ones(len(points.step), np.uint8)
     las.number_of_returns = np.ones(len(points.step), np.uint8)
     las.user_data = points.laser
-    for name in _EXTRA:
+    for name in extra:
         las[name] = values[name]
     las.write(str(path))
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.ply import CLOUD_FORMAT
 from jaxscan.files.disk import check_arrays, read_arrays, write_arrays
-from jaxscan.reconstruction import PointCloud
+from jaxscan.reconstruction import SMOOTHED, PointCloud
 
 
 _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
@@ -23,11 +23,13 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "laser": (np.integer, ("profiles",)),
     "angle": (np.floating, ("profiles",)),
 }
+_SMOOTHED = dict.fromkeys(SMOOTHED, _ARRAYS["intensity"])
 
 
 def write_npz(cloud: PointCloud, path: Path, digest: str) -> None:
-    """Write every field as it is, and the entries of the PLY header."""
-    fields = {field.name: np.asarray(getattr(cloud, field.name)) for field in dataclasses.fields(cloud)}
+    """Write every field that there is as it is, and the entries of the PLY header."""
+    values = {field.name: getattr(cloud, field.name) for field in dataclasses.fields(cloud)}
+    fields = {name: np.asarray(value) for name, value in values.items() if value is not None}
     header = {"format": CLOUD_FORMAT, "unit": "metre", "frame": "scanner", "calibration": digest}
     write_arrays(path, {**{key: np.array(text) for key, text in header.items()}, **fields})
 
@@ -42,5 +44,6 @@ def read_npz(path: Path) -> PointCloud:
     found = str(arrays.get("format", ""))
     if found != CLOUD_FORMAT:
         raise CloudError(f"{path}: found the format {found[:60]!r}, expected {CLOUD_FORMAT!r}.")
-    check_arrays(arrays, _ARRAYS, {}, name=str(path), error=CloudError)
-    return PointCloud(**{name: arrays[name] for name in _ARRAYS})
+    expected = _ARRAYS | (_SMOOTHED if _SMOOTHED.keys() & arrays.keys() else {})
+    check_arrays(arrays, expected, {}, name=str(path), error=CloudError)
+    return PointCloud(**{name: arrays[name] for name in expected})

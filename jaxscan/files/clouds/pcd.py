@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxscan.files.clouds.points import blocks, columns, table, with_doubles
+from jaxscan.files.clouds.points import blocks, columns, record_of, table
 from jaxscan.reconstruction import PointCloud
 
 
@@ -18,7 +18,7 @@ _POINT = np.dtype(
 
 def write_pcd(cloud: PointCloud, path: Path, digest: str) -> None:
     """Write the valid points, with normals, colours and uncertainties; doubles where the cloud holds doubles."""
-    point = with_doubles(_POINT, cloud)
+    point = record_of(_POINT, cloud)
     names, count = point.names or (), int(np.count_nonzero(cloud.valid))
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxscan.files.clouds.points import blocks, columns, table, with_doubles
+from jaxscan.files.clouds.points import blocks, columns, record_of, table
 from jaxscan.reconstruction import PointCloud
 
 
@@ -27,7 +27,7 @@ _TYPE_NAMES = {"<f4": "float", "<f8": "double", "<i4": "int", "|u1": "uchar"}
 def write_ply(cloud: PointCloud, path: Path, digest: str) -> None:
     """Write the valid points as binary little-endian PLY; x, y and z are doubles where the cloud holds doubles."""
     profiles, lines = cloud.valid.shape
-    vertex = with_doubles(VERTEX, cloud)
+    vertex = record_of(VERTEX, cloud)
     comments = [CLOUD_FORMAT, "unit metre", "frame scanner", f"grid {profiles} {lines}"]
     if digest:
         comments.append(f"calibration {digest}")

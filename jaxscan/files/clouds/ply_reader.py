@@ -9,7 +9,7 @@ import numpy as np
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds.ply import CLOUD_FORMAT, PROFILE, VERTEX
 from jaxscan.files.disk import open_regular
-from jaxscan.reconstruction import PointCloud
+from jaxscan.reconstruction import SMOOTHED, PointCloud
 
 
 MAX_HEADER_BYTES = 64 << 10
@@ -70,7 +70,8 @@ def read_ply(path: Path) -> PointCloud:
             f"{path}: found {versions[0][:60]}, expected {CLOUD_FORMAT}; a newer version of jaxscan reads it."
         )
     # Another program may have kept the comments but dropped the columns.
-    if versions and set(VERTEX.names or ()) <= set(vertices.dtype.names or ()):
+    names = set(vertices.dtype.names or ())
+    if versions and names >= set(VERTEX.names or ()) and len(names & set(SMOOTHED)) in (0, len(SMOOTHED)):
         return _organised(vertices, tables.get("profile"), header.comments, path)
     return _unorganised(vertices, path, ours=bool(versions))
 
@@ -190,7 +191,8 @@ def _organised(
     if step.min() < 0 or step.max() >= profiles or row.min() < 0 or row.max() >= lines:
         raise CloudError(f"{path}: a point lies outside the grid of {profiles} x {lines}.")
     # "sigma" follows from the others and is not used.
-    for name in VERTEX.names or ():
+    smoothed = [name for name in SMOOTHED if name in (vertices.dtype.names or ())]
+    for name in (*(VERTEX.names or ()), *smoothed):
         if name != "sigma" and not np.isfinite(vertices[name]).all():
             raise CloudError(f"{path}: {name} of a point is not finite.")
     listed = per_profile is not None and len(per_profile) == profiles
@@ -227,6 +229,7 @@ def _organised(
         record=record,
         laser=laser,
         angle=angle,
+        **{name: spread(np.float32, name) for name in smoothed},
     )
 
 
@@ -257,10 +260,13 @@ def _unorganised(vertices: np.ndarray, path: Path, *, ours: bool) -> PointCloud:
     with np.errstate(over="ignore"):
         lengths = np.sqrt((normals * normals).sum(-1, keepdims=True))
     usable = valid[:, None] & np.isfinite(lengths) & (lengths > 0) & whole
-    scalars = [column(name, f"scalar_{name}") for name in ("intensity", "sigma_random", "sigma_systematic")]
+    # Without the grid nobody knows which points share their noise: each claims what its own row is worth.
+    own = "sigma_row" if {"sigma_row", "scalar_sigma_row"} & set(names) else "sigma_random"
+    scalars = [column(name, f"scalar_{name}") for name in ("intensity", own, "sigma_systematic")]
     intensity, sigma_random, sigma_systematic = (np.where(valid & np.isfinite(one), one, 0) for one in scalars)
-    if ours and not {"sigma_random", "sigma_systematic"} <= set(names):
-        # Ours have both. With one lost the other would be taken for all of the uncertainty.
+    shared = own == "sigma_random" and set(SMOOTHED) & set(names)
+    if ours and (shared or not {"sigma_random", "sigma_systematic"} <= set(names)):
+        # Ours have all. With one lost another would be taken for all of the uncertainty.
         sigma_random, sigma_systematic = np.zeros_like(sigma_random), np.zeros_like(sigma_systematic)
     return PointCloud(
         xyz=np.where(valid[:, None], xyz, 0)[None],

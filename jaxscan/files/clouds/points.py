@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.reconstruction import CloudPoints, PointCloud
+from jaxscan.reconstruction import SMOOTHED, CloudPoints, PointCloud
 
 
 BLOCK_POINTS = 1 << 20
@@ -13,7 +13,10 @@ BLOCK_POINTS = 1 << 20
 
 LARGEST = 1e15
 """Largest number of a point, so that its square is finite: micrometres on the Earth's orbit."""
-_LEAST = {"xyz": -LARGEST, "normals": -LARGEST, "intensity": -LARGEST, "sigma_random": 0.0, "sigma_systematic": 0.0}
+_LEAST = {
+    **dict.fromkeys(("xyz", "normals", "intensity", "shift_px"), -LARGEST),
+    **dict.fromkeys(("sigma_random", "sigma_systematic", "sigma_row", "shared_lines"), 0.0),
+}
 _LONG_NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}
 
 
@@ -34,18 +37,23 @@ def columns(points: CloudPoints) -> dict[str, np.ndarray]:
         **dict(zip(("x", "y", "z"), points.xyz.T, strict=True)),
         **dict(zip(("normal_x", "normal_y", "normal_z"), points.normals.T, strict=True)),
         **dict(zip(("red", "green", "blue"), points.rgb.T, strict=True)),
-        **{name: getattr(points, name) for name in scalars},
+        **{name: getattr(points, name) for name in (*scalars, *smoothed_names(points))},
     }
 
 
-def with_doubles(dtype: np.dtype, cloud: PointCloud) -> np.dtype:
-    """The fields of a format's record, with x, y and z as doubles where the cloud holds doubles.
+def smoothed_names(cloud: PointCloud | CloudPoints) -> tuple[str, ...]:
+    """Names of the fields that a cloud has because its points use their neighbours; none where they do not."""
+    return tuple(name for name in SMOOTHED if getattr(cloud, name) is not None)
+
+
+def record_of(dtype: np.dtype, cloud: PointCloud) -> np.dtype:
+    """The fields of a format's record: those of smoothed points too, and doubles where the cloud holds doubles.
 
     A single has 24 bits: half a metre in a national grid.
     """
-    if np.dtype(cloud.xyz.dtype) != np.float64:
-        return dtype
-    return np.dtype([(name, "<f8" if name in ("x", "y", "z") else dtype[name]) for name in dtype.names or ()])
+    coordinate = "<f8" if np.dtype(cloud.xyz.dtype) == np.float64 else "<f4"
+    fields = [(name, coordinate if name in ("x", "y", "z") else dtype[name]) for name in dtype.names or ()]
+    return np.dtype(fields + [(name, "<f4") for name in smoothed_names(cloud)])
 
 
 def table(values: Mapping[str, np.ndarray], dtype: np.dtype) -> np.ndarray:
@@ -71,6 +79,8 @@ def check_cloud(cloud: PointCloud, name: str) -> None:
         if not 0 <= laser <= 255:
             raise CloudError(f"{name}: found laser {laser}, expected 0 to 255.")
     for field, least in _LEAST.items():
+        if getattr(cloud, field) is None:
+            continue
         values = np.asarray(getattr(cloud, field))
         # First one pass without a copy; only if it fails, look at the valid points alone. NaN fails too.
         if _within(values, least) or _within(seen := values[valid], least):

@@ -3,3 +3,4 @@
 from jaxscan.geometry.boards.april_grid import AprilGrid
 from jaxscan.geometry.boards.circles import Circles
 from jaxscan.geometry.boards.limits import DICTIONARIES, check_board, known_dictionary
+from jaxscan.geometry.boards.picture import BoardPicture

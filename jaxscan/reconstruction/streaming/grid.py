@@ -28,7 +28,15 @@ class GrowingCloud:
         self.stripes = 0
         """Valid stripe centres so far, whether or not they gave a point."""
 
-    def store(self, profiles: np.ndarray, points: Points, amplitude: Array, rgb: Array, found: Array) -> None:
+    def store(
+        self,
+        profiles: np.ndarray,
+        points: Points,
+        amplitude: Array,
+        rgb: Array,
+        found: Array,
+        beside: dict[str, np.ndarray],
+    ) -> None:
         """Copy one chunk, of which the first `len(profiles)` profiles are real.
 
         Args:
@@ -37,13 +45,16 @@ class GrowingCloud:
             amplitude: Amplitude of every stripe [DN].
             rgb: Colour of every stripe.
             found: How clear the stripes were; 0 where there was none.
+            beside: Fields of the cloud that smoothed points have.
         """
         rows, count = _rows(profiles), len(profiles)
         parts = jax.tree.map(lambda field: np.asarray(field)[:count], {**points._asdict(), "rgb": rgb})
         parts["intensity"] = np.where(parts["valid"], np.asarray(amplitude)[:count], np.float32(0))
         parts["rgb"] = np.where(parts["valid"][:, :, None], parts["rgb"], np.uint8(0))
+        for name in beside:
+            self.fields.setdefault(name, np.zeros_like(self.fields["intensity"]))
         for name, field in self.fields.items():
-            field[rows] = parts[name]
+            field[rows] = beside[name] if name in beside else parts[name]
         self.centre[rows] = parts["centre"]
         self.clear[rows] = np.asarray(found, np.float32)[:count]
         self.stripes += int(np.count_nonzero(np.asarray(found)[:count]))

@@ -72,6 +72,9 @@ def expose(expected: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -
     noise += np.float32(sensor.black_dn)
     if sensor.response == "srgb":
         noise = encode_srgb(noise)
+    elif sensor.response != "linear":
+        exponent = np.float32(1 / float(sensor.response.split()[1]))
+        noise = np.float32(255) * np.clip(noise / np.float32(255), 0, 1) ** exponent
     np.rint(noise, out=noise)
     np.clip(noise, 0, 255, out=noise)
     return noise.astype(np.uint8)

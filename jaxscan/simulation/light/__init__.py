@@ -1,5 +1,8 @@
 """The laser's light, as the camera sees it."""
 
+from jaxscan.simulation.light.bounce import line_pieces, returned_light
 from jaxscan.simulation.light.gloss import lobe
+from jaxscan.simulation.light.lit import LitScene, laser_channel
+from jaxscan.simulation.light.row_truth import RowTruth, row_truth
 from jaxscan.simulation.light.speckle import speckle_light
-from jaxscan.simulation.light.stripe import LitSamples, LitScene, RowTruth, laser_image, lit_samples, row_truth
+from jaxscan.simulation.light.stripe import LitSamples, laser_image, lit_samples, mirrored_samples

@@ -12,7 +12,7 @@ import numpy as np
 from jaxscan.simulation.scene import textures
 from jaxscan.simulation.scene.meshes import Mesh
 from jaxscan.simulation.scene.textures import Material, framed
-from jaxscan.simulation.settings import ObjectSpec, RoomSpec
+from jaxscan.simulation.settings import MirrorSpec, ObjectSpec, RoomSpec
 
 
 LAMP_HEIGHT_SHARE = 0.93
@@ -42,6 +42,8 @@ def furnish(room: RoomSpec) -> Mesh:
     """The room as triangles, room coordinates."""
     mesh = Mesh()
     _shell(mesh, room)
+    if room.mirror is not None:
+        _mirror(mesh, room, room.mirror)
     if room.furniture:
         _openings(mesh, room)
         _pictures(mesh, room)
@@ -75,6 +77,17 @@ def _shell(mesh: Mesh, room: RoomSpec) -> None:
             inward = np.array([-along[1], along[0], 0]) / length
             foot = (start + end) / 2 + 0.0075 * inward
             mesh.box(tuple(foot), (length, 0.015, 0.08), _WHITE, yaw=float(np.arctan2(along[1], along[0])))
+
+
+def _mirror(mesh: Mesh, room: RoomSpec, mirror: MirrorSpec) -> None:
+    """In front of a wall by more than skirting and pictures are thick."""
+    axis, far = "xy".index(mirror.wall[0]), mirror.wall[1] == "1"
+    width, height = mirror.size_m
+    low, along = np.zeros(3), np.zeros(3)
+    low[axis] = room.size_m[axis] - 0.03 if far else 0.03
+    low[1 - axis], along[1 - axis] = mirror.along_m - width / 2, width
+    low[2] = mirror.height_m - height / 2
+    mesh.quad(low, along, np.array([0, 0, height]), Material(((0.0, 0.0, 0.0),), mirror=mirror.reflects))
 
 
 def _openings(mesh: Mesh, room: RoomSpec) -> None:

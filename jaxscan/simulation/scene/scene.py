@@ -29,12 +29,14 @@ class Scene:
     reach: float
     """Distance at which the lamp's light is of mean strength [m]."""
     shadows: bool
+    mirror: np.ndarray
+    """Share of the light that each triangle reflects as a mirror, float32 [triangles + 1]."""
 
     def cast(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nearest hits of rays from one point.
 
         Args:
-            origin: [3], m.
+            origin: [3], m, or one for each ray.
             directions: [rays, 3], of any length.
 
         Returns:
@@ -45,6 +47,24 @@ class Scene:
         triangle = hits["primitive_ids"].numpy()
         nothing = len(self.normal) - 1
         return hits["t_hit"].numpy(), np.minimum(triangle, np.uint32(nothing)).astype(np.int64)
+
+    def reflect(
+        self, eye: np.ndarray, points: np.ndarray, triangle: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What is seen in mirrors.
+
+        Args:
+            eye: Where the camera is [3], m.
+            points: Points of mirrors [n, 3].
+            triangle: Their triangles [n].
+
+        Returns:
+            Distance from the mirror in lengths of the way to it, inf where nothing is, triangle, and points [n, 3].
+        """
+        ways, normal = points - eye.astype(points.dtype), self.normal[triangle]
+        ways = ways - 2 * np.sum(ways * normal, -1, keepdims=True) * normal
+        far, behind = self.cast(points + np.float32(1e-4) * ways, ways)
+        return far, behind, points + np.where(np.isfinite(far), far, 0)[:, None] * ways
 
     def blocked(self, origin: np.ndarray, points: np.ndarray, *, skin: float = 1e-3) -> np.ndarray:
         """Whether something stands between `origin` [3] and each of `points` [n, 3], bool [n].
@@ -173,6 +193,7 @@ def build_scene(mesh: Mesh, lamp: np.ndarray, reach: float, *, shadows: bool) ->
         lamp,
         reach,
         shadows,
+        np.append(np.array([part.material.mirror for part in mesh.surfaces], np.float32)[surface], np.float32(0)),
     )
     # The first cast builds the search tree; later ones may come from several threads.
     scene.cast(np.zeros(3), np.array([[1.0, 0.0, 0.0]]))

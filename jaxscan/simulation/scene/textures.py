@@ -139,6 +139,8 @@ class Material:
     pattern: Pattern = plain
     glow: float = 0.0
     """Light of its own, in units of a white surface in mean light."""
+    mirror: float = 0.0
+    """Share of the light that it reflects as a mirror."""
 
     def albedo(self, u: np.ndarray, v: np.ndarray, channels: np.ndarray) -> np.ndarray:
         """Albedo [channels, points] at (u, v) [m]; `channels` [3, channels] weighs R, G and B."""

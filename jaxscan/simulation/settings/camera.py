@@ -75,7 +75,12 @@ class SensorSpec(Section):
     """The sensor: response and noise."""
 
     pixel_format: PixelFormat = "mono8"
-    response: Literal["linear", "srgb"] = "linear"
+    response: Annotated[str, Field(pattern=r"^(linear|srgb|gamma [1-4](\.\d{1,6})?)$")] = "linear"
+    """"linear", "srgb", or "gamma 2.2": code = 255 (level / 255)^(1 / 2.2)."""
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
+    """The images are compressed to JPEGs of this quality and unpacked again; None: they are not."""
+    stated: bool = True
+    """Whether the captures' headers tell response and compression; else they say what a stranger's would: linear."""
     psf_px: Pixels = 0.7
     """Standard deviation of the lens's Gaussian point-spread function."""
     electrons_per_dn: Level = 40.0

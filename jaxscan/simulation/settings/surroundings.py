@@ -1,8 +1,23 @@
 """Configuration of the surroundings of a simulated rig: a room, or an object on the table, and its light."""
 
-from pydantic import model_validator
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
 
 from jaxscan.simulation.settings.numbers import Angle, Distance, Level, Place, Point, Section, Share
+
+
+class MirrorSpec(Section):
+    """A clean mirror on a wall: it has no light of its own, and shows the room and the stripe again."""
+
+    wall: Literal["x0", "x1", "y0", "y1"] = "x1"
+    along_m: Place = 1.0
+    """Its middle along the wall, from the room's corner."""
+    height_m: Place = 1.4
+    """Height of its middle above the floor."""
+    size_m: tuple[Distance, Distance] = (0.6, 0.8)
+    """Width and height."""
+    reflects: Share = 0.9
 
 
 class RoomSpec(Section):
@@ -14,6 +29,7 @@ class RoomSpec(Section):
     yaw_deg: Angle = 20.0
     """Direction of the scanner's x axis in the room, from the room's x towards its y."""
     furniture: bool = True
+    mirror: MirrorSpec | None = None
 
     @model_validator(mode="after")
     def _rig_inside(self) -> "RoomSpec":
@@ -37,5 +53,7 @@ class LightSpec(Section):
     white_dn: Level = 120.0
     """Level of a white surface (albedo 1) in the room's mean light, on every channel."""
     shadows: bool = True
+    bounce: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Strength of the laser's light that comes back from what it lights: 1 as in nature, 0 for none."""
     flicker: Share = 0.0
     """Standard deviation of the room's light from frame to frame, relative."""

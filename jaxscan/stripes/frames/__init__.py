@@ -18,5 +18,6 @@ from jaxscan.stripes.frames.formats import (
     laser_sites,
 )
 from jaxscan.stripes.frames.learn_colour import with_colour
+from jaxscan.stripes.frames.learn_noise import LearnedNoise, check_black, learn_noise
 from jaxscan.stripes.frames.learn_response import ExposurePair, LearnedResponse, learn_response
 from jaxscan.stripes.frames.noise import estimate_noise

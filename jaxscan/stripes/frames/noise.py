@@ -90,6 +90,13 @@ def estimate_noise(
     Source:
         J. R. Janesick, Photon Transfer, 2007, chapter 5.
     """
+    return photon_transfer(*photon_points(on, off, pixel_format=pixel_format, response=response, line=line))[0]
+
+
+def photon_points(
+    on: Array, off: Array | None, *, pixel_format: PixelFormat, response: Response, line: LaserLine
+) -> tuple[PerBin, PerBin, PerBin]:
+    """Levels that the frames show, twice the variance of a frame there, and its standard deviation [DN, DN^2]."""
     chosen = np.unique(np.linspace(0, len(on) - 1, _FRAMES).astype(int))
     lines = lambda frames, i: _lines(frames[i : i + 1], pixel_format, line, _SAMPLES // len(chosen))
     table, slope = decode_table(response)
@@ -103,7 +110,7 @@ def estimate_noise(
         counts += _histogram(noise, level)
         sums += np.bincount(level // _BIN_STEPS, level, minlength=_BINS)
     steps = np.sqrt(2.0 if off is not None else 3.0) * _UNITS
-    return _fit_line(*_points(counts, sums / (4 * _UNITS), np.arange(-_REACH, _REACH) / steps, table, slope))
+    return _points(counts, sums / (4 * _UNITS), np.arange(-_REACH, _REACH) / steps, table, slope)
 
 
 def _lines(frames: Array, pixel_format: PixelFormat, line: LaserLine, samples: int) -> Codes:
@@ -233,22 +240,24 @@ def _clipped_variances(counts: Counts, value: Float[np.ndarray, " values"]) -> t
     return deviation**2, count.astype(np.float64)
 
 
-def _fit_line(level: PerBin, variance: PerBin, sigma: PerBin) -> NoiseModel:
+def photon_transfer(level: PerBin, variance: PerBin, sigma: PerBin) -> tuple[NoiseModel, bool]:
+    """The noise of such points, and whether they tell the gain."""
     default = NoiseModel()
     if len(level) == 0:
-        return default
+        return default, False
     weight = 1.0 / sigma**2
     slope = _slope(level, variance, weight) if np.ptp(level) >= _MIN_SPAN_DN else 0.0
     centre = np.average(level, weights=weight)
     mean = np.average(variance, weights=weight)
-    if 0.0 < slope <= 2.0 / _MIN_GAIN:
+    told = 0.0 < slope <= 2.0 / _MIN_GAIN
+    if told:
         gain = 2.0 / slope
     else:
         # One level tells a sum only: keep the default gain, unless it alone explains too much.
         shot = mean - 2.0 * _MIN_READ_DN**2
         gain = max(default.electrons_per_dn, 2.0 * centre / shot) if shot > 0 else 1e6
     read = np.sqrt(max(0.5 * mean - centre / gain, _MIN_READ_DN**2))
-    return NoiseModel(read_dn=float(read), electrons_per_dn=float(gain))
+    return NoiseModel(read_dn=float(read), electrons_per_dn=float(gain)), told
 
 
 def _slope(level: PerBin, variance: PerBin, weight: PerBin) -> float:

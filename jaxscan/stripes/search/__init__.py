@@ -3,5 +3,13 @@
 from jaxscan.stripes.search.candidates import BLOCK, CANDIDATES, Candidates, Located, reach
 from jaxscan.stripes.search.locate import locate
 from jaxscan.stripes.search.planes import Planes, host_planes, read_planes, sample_pair
-from jaxscan.stripes.search.search import LineGate, Search, learn_search, prepare_search, whole_lines
+from jaxscan.stripes.search.search import (
+    LineGate,
+    Search,
+    correct_search,
+    learn_search,
+    noise_of,
+    prepare_search,
+    whole_lines,
+)
 from jaxscan.stripes.search.widths import LEARNED_FRAMES

@@ -1,5 +1,6 @@
 """The search: where a stripe is looked for, from which signal on, and the prior of its width."""
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ from jaxtyping import Float, Int, Int16
 from jaxscan.geometry import Array, across_and_along
 from jaxscan.stripes.frames import decode_table
 from jaxscan.stripes.search.candidates import thresholds
+from jaxscan.stripes.search.speckle import Rows, correct_speckle, learn_speckle
 from jaxscan.stripes.search.widths import LEARNED_FRAMES, learn_widths
 from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.stripes import FrameStripes, NoiseModel
@@ -43,6 +45,8 @@ class Search(NamedTuple):
     """Level of a pixel without light [DN]."""
     speckle: Float[Array, ""]
     """Contrast of the laser's speckle on one pixel [1]; 0 while nothing is known."""
+    speckle_correlation: Float[Array, ""]
+    """Correlation of the errors by speckle of centres on neighbouring lines [1]."""
     log_width: Float[Array, ""]
     """Mean of the logarithm of the width that the fit sees, which integration over a pixel widens [px]."""
     width_information: Float[Array, ""]
@@ -87,18 +91,60 @@ def prepare_search(setup: ExtractionSetup, noise: NoiseModel, gate: LineGate, *,
         electrons_per_dn=np.asarray(noise.electrons_per_dn, np.float32),
         black_dn=np.asarray(noise.black_dn, np.float32),
         speckle=np.asarray(noise.speckle if settings.speckle is None else settings.speckle, np.float32),
+        speckle_correlation=np.asarray(noise.speckle_correlation, np.float32),
         log_width=np.zeros((), np.float32),
         width_information=np.zeros((), np.float32),
         near_side=np.asarray(gate.near_side, np.float32),
     )
 
 
-def learn_search(search: Search, stripes: FrameStripes) -> Search:
-    """The search with the width of its first frames' stripes as a prior."""
-    width, sigma, valid = (
-        np.asarray(field)[:LEARNED_FRAMES] for field in (stripes.width, stripes.sigma, stripes.valid)
-    )
-    log_width, information = learn_widths(width, sigma, valid)
-    return search._replace(
-        log_width=np.asarray(log_width, np.float32), width_information=np.asarray(information, np.float32)
-    )
+def noise_of(search: Search) -> NoiseModel:
+    """The noise of a search, as a model."""
+    return NoiseModel(*(float(getattr(search, field.name)) for field in dataclasses.fields(NoiseModel)))
+
+
+def learn_search(search: Search, stripes: FrameStripes, setup: ExtractionSetup) -> Search:
+    """The search with speckle and width of its first frames' stripes, as far as the settings ask for them.
+
+    Args:
+        search: A search without a prior of the width.
+        stripes: The stripes that it found, one of each line.
+        setup: Frames, laser and settings.
+    """
+    rows = _rows(search, stripes, setup)
+    if setup.settings.speckle is None and not search.speckle:
+        contrast, rows = learn_speckle(rows, float(search.electrons_per_dn), setup.sites.pitch)
+        search = search._replace(speckle=np.asarray(contrast, np.float32))
+    if setup.settings.learn_width:
+        log_width, information = learn_widths(rows.width, rows.sigma, rows.valid)
+        search = search._replace(
+            log_width=np.asarray(log_width, np.float32), width_information=np.asarray(information, np.float32)
+        )
+    return search
+
+
+def correct_search(search: Search, first: FrameStripes, again: FrameStripes, setup: ExtractionSetup) -> Search:
+    """The search with the contrast of speckle by which stated sigmas are those of the centres' scatter.
+
+    Args:
+        search: The search with a learned contrast.
+        first: Stripes found without speckle.
+        again: Stripes of the same frames, found by `search`.
+        setup: Frames, laser and settings.
+    """
+    plain = _rows(search, first, setup)
+    photons = np.where(plain.usable, plain.sigma**2, 0.0)
+    contrast, shared = correct_speckle(_rows(search, again, setup), photons, float(search.speckle))
+    return search._replace(speckle=np.asarray(contrast, np.float32), speckle_correlation=np.asarray(shared, np.float32))
+
+
+def _rows(search: Search, stripes: FrameStripes, setup: ExtractionSetup) -> Rows:
+    """The stripes of the first frames on the lines of the laser's plane."""
+    sites = setup.sites
+    lines = np.s_[:LEARNED_FRAMES, sites.first_line :: sites.line_step]
+    kept = ("u", "sigma", "amplitude", "width", "grey", "chi2")
+    u, sigma, amplitude, width, grey, chi2 = (np.asarray(getattr(stripes, name), np.float64)[lines] for name in kept)
+    valid = np.asarray(stripes.valid)[lines]
+    dark = 2.0 * noise_of(search).variance(grey)
+    fitted = valid & (np.asarray(stripes.saturated)[lines] == 0) & (chi2 > 0)
+    return Rows(u, sigma, amplitude, width, dark, valid, fitted)

@@ -1,0 +1,97 @@
+"""A solve between its rounds, and at its end."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.calibration.solve.covariance import Linearised
+from jaxscan.calibration.solve.noise import CLASSES, noise_by_class, noise_component, robust_noise
+from jaxscan.calibration.solve.prepare import Prepared
+from jaxscan.calibration.solve.problem import Problem
+
+
+class Errors(NamedTuple):
+    """Residuals in units of the given sigmas, and |grad_q e|; 0 and 1 where there is nothing."""
+
+    corner: np.ndarray
+    stripe: np.ndarray
+    slope: np.ndarray
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """A solve between its rounds, and at last the minimum; arrays padded as `Prepared` is."""
+
+    problem: Problem
+    """Seen from where the solve ended, with its last weights."""
+    linearised: Linearised
+    errors: Errors
+    """Of everything valid, rejected ones too."""
+    data: Prepared
+    corner_kept: np.ndarray
+    stripe_kept: np.ndarray
+    view_kept: np.ndarray
+    """Views [views] that were not dropped as a whole."""
+    corner_noise: float = 1.0
+    """Estimated noise over the given sigma [1]."""
+    stripe_noise: np.ndarray = field(default_factory=lambda: np.ones(CLASSES))
+    """Of the points of each contrast class."""
+    stripe_correlation: float = 1.0
+    """Neighbours along a stripe that share one error [1]."""
+    steps: int = 0
+    """In all rounds."""
+    converged: bool = False
+    """Whether the last round ended at a minimum rather than after its last step."""
+
+    @property
+    def corner_error(self) -> np.ndarray:
+        """Projected minus observed corners [views, corners, 2], px; rejected ones too."""
+        return self.errors.corner * self.data.corner_sigma[..., None]
+
+    @property
+    def stripe_error(self) -> np.ndarray:
+        """Sampson error of the stripe points [stripes, points], px; rejected ones too."""
+        return self.errors.stripe * self.data.stripe_sigma
+
+    @property
+    def corner_sigma(self) -> np.ndarray:
+        """Given sigma times the estimated noise [px]."""
+        return self.data.corner_sigma * self.corner_noise
+
+    @property
+    def stripe_sigma(self) -> np.ndarray:
+        """Given sigma times the estimated noise [px]."""
+        return self.data.stripe_sigma * self.stripe_point_noise
+
+    @property
+    def stripe_point_noise(self) -> np.ndarray:
+        """Estimated noise over the given sigma of every stripe point [stripes, points], 1."""
+        return self.stripe_noise[self.data.stripe_contrast]
+
+    @property
+    def stripe_noise_rms(self) -> float:
+        """Estimated noise over the given sigma of all kept stripe points [1]."""
+        kept = self.stripe_point_noise[self.stripe_kept]
+        return float(np.sqrt(np.mean(kept**2))) if kept.size else 1.0
+
+    def whitened_rms(self) -> tuple[float, float]:
+        """RMS of the kept corners and stripes in units of the given sigmas, per degree of freedom [1]."""
+        corner_kept = np.repeat(self.corner_kept[..., None], 2, -1)
+        corner_leverage = np.asarray(self.linearised.corner_leverage).reshape(self.errors.corner.shape)
+        corner = noise_component(self.errors.corner[corner_kept], corner_leverage[corner_kept])
+        return corner, self.stripe_component(self.stripe_kept)
+
+    def stripe_component(self, some: np.ndarray) -> float:
+        """RMS of some stripe points [stripes, points] in units of the given sigmas, per degree of freedom [1]."""
+        leverage = np.asarray(self.linearised.stripe_leverage)[some]
+        return noise_component(self.errors.stripe[some], leverage, self.stripe_correlation)
+
+    def robust_stripe_noise(self) -> np.ndarray:
+        """Noise of each contrast class by the median of its points, in units of the given sigmas [1]."""
+        size = lambda some: robust_noise(self.errors.stripe[some])
+        return noise_by_class(size, self.data.stripe_contrast, self.data.stripe_valid)
+
+    def kept_stripe_noise(self) -> np.ndarray:
+        """Noise of each contrast class by the squares of its kept points, in units of the given sigmas [1]."""
+        return noise_by_class(self.stripe_component, self.data.stripe_contrast, self.stripe_kept)

@@ -1,0 +1,71 @@
+"""Samples of a pair of frames near a stripe."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.stripes import FrameFormat, LaserLine, NoiseModel, Sites, decode_table
+
+
+_CLIPPED_DN = 254
+
+
+class Sight(NamedTuple):
+    """One record as the laser's colour shows it."""
+
+    on: np.ndarray
+    """Plane of the laser-on frame, uint8 [lines, samples]."""
+    off: np.ndarray
+    """Plane of the laser-off frame."""
+    lamp_ratio: float
+    """Factor by which the laser-off frame is multiplied before it is subtracted [1]."""
+    sites: Sites
+    """Where its samples lie in the image."""
+    frames: FrameFormat
+    line: LaserLine
+    noise: NoiseModel
+
+
+class Windows(NamedTuple):
+    """Samples near a stripe, one row for each of its lines; the middle one is nearest to its centre."""
+
+    light: np.ndarray
+    """Laser-on minus laser-off [lines, samples], DN."""
+    variance: np.ndarray
+    """Variance of that but for the stripe's own photons and speckle [lines, samples], DN^2."""
+    dark: np.ndarray
+    """Laser-off [lines, samples], DN."""
+    dark_variance: np.ndarray
+    used: np.ndarray
+    """bool [lines, samples]: inside the image and not clipped."""
+    electrons_per_dn: float
+    """Conversion gain [e-/DN]."""
+
+
+def cut_windows(sight: Sight, line: np.ndarray, centre: np.ndarray, half: int) -> tuple[Windows, np.ndarray]:
+    """The samples round a stripe, and the coordinate of the middle one on each line [n], px.
+
+    Args:
+        sight: The planes.
+        line: Lines of the image [n].
+        centre: About where the stripe is on them [n], px.
+        half: Samples on either side of the middle one.
+    """
+    sites, noise = sight.sites, sight.noise
+    row = (line - sites.first_line) // sites.line_step
+    offset = np.asarray(sites.offsets)[row % len(sites.offsets)]
+    middle = np.rint((centre - offset) / sites.pitch).astype(int)
+    index = middle[:, None] + np.arange(-half, half + 1)
+    lines, samples = sight.on.shape
+    at = np.clip(row, 0, lines - 1)[:, None], np.clip(index, 0, samples - 1)
+    on, off = sight.on[at], sight.off[at]
+    level, slope = decode_table(sight.frames.response)
+    dark = level[off]
+    # `NoiseModel.variance` holds the rounding of a linear frame.
+    dark_variance = noise.variance(dark) + (slope[off] ** 2 - 1.0) / 12.0
+    variance = noise.variance(dark) * sight.lamp_ratio + (slope[on] ** 2 - 1.0) / 12.0
+    variance = variance + sight.lamp_ratio**2 * dark_variance
+    used = (index >= 0) & (index < samples) & (on < _CLIPPED_DN) & (off < _CLIPPED_DN)
+    light = level[on] - sight.lamp_ratio * dark
+    windows = Windows(light, np.maximum(variance, 0.05), dark, dark_variance, used, noise.electrons_per_dn)
+    return windows, offset + sites.pitch * middle

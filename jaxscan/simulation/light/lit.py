@@ -1,0 +1,126 @@
+"""The laser's light on the surfaces that rays hit.
+
+At a point p at distance r from the laser, with s its distance from the sheet,
+
+    E = P fan(phi) cos(i) albedo / (r sqrt(2 pi) w(r)) exp(-s^2 / (2 w(r)^2))
+
+falls off with 1/r (the fan spreads in one direction only) and with the sheet's thickness w(r).
+It is evaluated on a grid finer than pixels in the band round the sheet, each sample by its own
+ray, so depth edges, shadows and printed edges cut the stripe at their true places.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.simulation.boards import SeenBoard
+from jaxscan.simulation.camera import COLOURS
+from jaxscan.simulation.light.fan import across, along, band, widened
+from jaxscan.simulation.light.gloss import lobe
+from jaxscan.simulation.rays import Numbers
+from jaxscan.simulation.rig import Motion, Sheet, TrueRig
+from jaxscan.simulation.scene import Scene
+
+
+class LitScene(NamedTuple):
+    """A scene at one angle of the table, lit by one laser."""
+
+    rig: TrueRig
+    sheet: Sheet
+    """The laser that is lit."""
+    scene: Scene
+    pose: Motion
+    """T_scanner_cam."""
+    board: SeenBoard | None
+    """A board in front of the scene."""
+
+
+class Hits(NamedTuple):
+    """First surface on each of n rays, camera frame."""
+
+    depth: np.ndarray
+    points: np.ndarray
+    normal: np.ndarray
+    """Towards the camera."""
+    triangle: np.ndarray
+    on_board: np.ndarray
+    place: np.ndarray
+    """Board coordinates [2, n], m; without meaning beside the board."""
+
+
+def stacked(x: np.ndarray, y: np.ndarray, z: Numbers) -> np.ndarray:
+    """Rays [3, ...] from their coordinates; z may be the number 1 of a pinhole."""
+    return np.stack([x, y, np.broadcast_to(np.asarray(z, x.dtype), x.shape)])
+
+
+def laser_channel(shot: LitScene) -> np.ndarray:
+    """Weights [3, 1] of R, G, B for surfaces in the laser's light."""
+    return np.eye(3, dtype=np.float32)[:, [COLOURS.index(shot.sheet.spec.colour)]]
+
+
+def illuminate(shot: LitScene, rays: np.ndarray) -> np.ndarray:
+    """Light of the laser seen along rays [3, n], float32 [n], DN on a pixel filled with it."""
+    hits = cast(shot, rays)
+    beside = hits.depth * shot.sheet.slope_at(*rays).astype(np.float32) - np.float32(shot.sheet.distance)
+    return light_at(shot, hits, beside)
+
+
+def light_at(shot: LitScene, hits: Hits, beside: np.ndarray) -> np.ndarray:
+    """Light of the laser on n points that lie `beside` its sheet [m], float32 [n]."""
+    sheet, f = shot.sheet, np.float32
+    legs = hits.points - sheet.origin.astype(f)
+    r = np.sqrt(np.einsum("ij,ij->i", legs, legs))
+    angle = sheet.angle(legs)
+    thickness = sheet.thickness(r).astype(f) * widened(sheet, angle)
+    cosine = -np.einsum("ij,ij->i", legs, hits.normal) / r
+    fan = along(sheet, angle)
+    lit = np.flatnonzero(
+        (np.abs(beside) < f(band(sheet)) * thickness) & (cosine > 0) & (fan > 0) & np.isfinite(hits.depth)
+    )
+    light = np.zeros(len(beside), f)
+    lit = lit[~_shaded(shot, hits.points[lit], hits.on_board[lit])]
+    s = beside[lit] / thickness[lit]
+    energy = f(sheet.power / math.sqrt(2 * math.pi)) / (r[lit] * thickness[lit])
+    light[lit] = energy * cosine[lit] * fan[lit] * across(sheet, s) * _albedo(shot, hits, lit)
+    return light
+
+
+def cast(shot: LitScene, rays: np.ndarray) -> Hits:
+    """First surface on each of the camera's rays [3, n]."""
+    scene, pose, board = shot.scene, shot.pose, shot.board
+    directions = np.ascontiguousarray(rays.T)
+    depth, triangle = scene.cast(pose.translation, pose.turn(directions))
+    normal = pose.inverse().turn(scene.normal)[triangle]
+    on_board, place = np.zeros(len(depth), bool), np.zeros((2, len(depth)))
+    if board is not None:
+        nearer, bx, by = board.hit(*rays)
+        on_board, place = nearer < depth, np.stack([bx, by])
+        depth = np.where(on_board, nearer, depth)
+        normal = np.where(on_board[:, None], board.normal().astype(np.float32), normal)
+    safe = np.where(np.isfinite(depth), depth, 0).astype(directions.dtype)
+    points = directions * safe[:, None]
+    away = np.einsum("ij,ij->i", normal, points) > 0
+    return Hits(safe, points, np.where(away[:, None], -normal, normal), triangle, on_board, place)
+
+
+def _shaded(shot: LitScene, points: np.ndarray, on_board: np.ndarray) -> np.ndarray:
+    """Whether something stands between the laser and each of the points [n, 3]."""
+    origin = shot.sheet.origin
+    shaded = shot.scene.blocked(shot.pose.apply(origin), shot.pose.apply(points))
+    if shot.board is not None:
+        shaded |= ~on_board & shot.board.blocks(origin, points)
+    return shaded
+
+
+def _albedo(shot: LitScene, hits: Hits, lit: np.ndarray) -> np.ndarray:
+    (albedo,), _ = shot.scene.look(hits.triangle[lit], shot.pose.apply(hits.points[lit]), laser_channel(shot))
+    if shot.board is not None:
+        on_board = hits.on_board[lit]
+        albedo[on_board] = shot.board.albedo(*hits.place[:, lit[on_board]])
+        picture, points = shot.board.picture, hits.points[lit[on_board]]
+        if picture.gloss > 0:
+            origin = shot.sheet.origin.astype(np.float32)
+            normal = hits.normal[lit[on_board]]
+            albedo[on_board] += np.float32(picture.gloss) * lobe(origin - points, -points, normal, picture.gloss_rad)
+    return albedo

@@ -1,0 +1,183 @@
+r"""Speckle of the laser, learned from the stripes of a sweep's first frames.
+
+Coherent light on a rough surface varies by its contrast C from pixel to pixel, in proportion to itself. A stripe's
+centre and its width then scatter from line to line by more than photons explain. The scatter is that of second
+differences along the line, without its outliers: shape, slope and edges of surfaces fall out of it, and a profile that
+is no Gaussian does so too, because it is the same on all lines. For rows of one class
+
+$$\frac{\mathrm{scatter}^2}{\sigma^2} = 1 + C^2 q, \qquad q = \frac{k}{\sigma^2},$$
+
+with the variance $\sigma^2$ by photons and read noise, and k C^2 that of independent speckle on every pixel. Widths
+are asked too: of a rough surface the centres scatter, the widths do not.
+
+Source:
+    R. G. Dorsch, G. Haeusler, J. M. Herrmann, Laser triangulation: fundamental uncertainty in distance measurement,
+    Applied Optics 33, 1994.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+_LAGS = (2, 3)
+"""Distances of lines over which scatter is measured: grains of up to two lines are no more alike there."""
+_CLASSES = 6
+"""Classes of rows by their q."""
+_FEWEST = 60
+"""Rows of a class, and smallest number of all that tell anything."""
+_SURE = 2.5
+"""Standard deviations by which both the centres' and the widths' scatter must exceed that of photons: noise alone does
+that once in 25 000 sweeps."""
+_DOUBT = 0.05
+"""Relative doubt about the variance by photons: a contrast that is within it is not told from none [1]."""
+_SURFACE, _ROUGH = 3.0, 8.0
+"""How much more the centres may scatter than the widths allow, in variance: what is beyond the first is the surface's;
+beyond the second nothing is told of speckle. Grains of a third to three pixels reach 2."""
+_CUT = 4.0
+"""Standard deviations beyond which a second difference is an edge."""
+_REACH = 10
+"""Samples on either side of the middle that a profile is made of."""
+_LARGEST = 2.0
+
+
+class Rows(NamedTuple):
+    """Stripes of some frames on the lines of the laser's plane, [frames, lines]."""
+
+    u: Float[np.ndarray, "frames lines"]
+    sigma: Float[np.ndarray, "frames lines"]
+    amplitude: Float[np.ndarray, "frames lines"]
+    width: Float[np.ndarray, "frames lines"]
+    dark: Float[np.ndarray, "frames lines"]
+    """Variance of a sample without the stripe [DN^2]."""
+    valid: Bool[np.ndarray, "frames lines"]
+    """Stripes that are believed."""
+    usable: Bool[np.ndarray, "frames lines"]
+    """Those of them that were fitted and are not clipped."""
+
+
+class Scatters(NamedTuple):
+    """Variances of a fit's results, by photons and by speckle of contrast 1."""
+
+    width_over_centre: Float[np.ndarray, "*n"]
+    """Variance of the logarithm of the width over that of the centre, by photons [1/px^2]."""
+    centre: Float[np.ndarray, "*n"]
+    """Variance of the centre by speckle of contrast 1 on every sample [px^2]."""
+    width: Float[np.ndarray, "*n"]
+    """Variance of the logarithm of the width by the same [1]."""
+
+
+class Told(NamedTuple):
+    """A squared contrast, and how well it is known."""
+
+    square: float
+    sigma: float
+
+
+def scatters(rows: Rows, electrons_per_dn: float, pitch: int) -> Scatters:
+    """Variances of centre and width by propagation, with the weights of a fit that knows photons alone."""
+    seen = np.sqrt(rows.width**2 + 1 / 12)[..., None]
+    z = pitch * np.arange(-_REACH, _REACH + 1) / seen
+    light = (rows.amplitude * rows.width)[..., None] / seen * np.exp(-0.5 * z * z)
+    weight = 1.0 / (rows.dark[..., None] + light / electrons_per_dn)
+    part = weight * light * light
+    zero, two, four = part.sum(-1), (part * z**2).sum(-1), (part * z**4).sum(-1)
+    free = np.maximum(zero * four - two * two, 1e-12)
+    seen = seen[..., 0]
+    centre = seen**2 / np.maximum(two, 1e-12)
+    pull = part * z * seen[..., None] / np.maximum(two, 1e-12)[..., None]
+    stretch = part * (zero[..., None] * z * z - two[..., None]) / free[..., None]
+    return Scatters(zero / free / centre, (pull**2).sum(-1), (stretch**2).sum(-1))
+
+
+def learn_speckle(rows: Rows, electrons_per_dn: float, pitch: int) -> tuple[float, Rows]:
+    """Contrast on a pixel by which the centres' scatter is explained; 0 where photons explain it.
+
+    Args:
+        rows: Stripes of the first frames, fitted without speckle and without a prior of the width.
+        electrons_per_dn: Conversion gain [e-/DN].
+        pitch: Distance between samples [px].
+
+    Returns:
+        The contrast [1]; and the stripes with what it adds to their sigmas.
+    """
+    expected = scatters(rows, electrons_per_dn, pitch)
+    photons = rows.sigma**2
+    centre = _contrast(rows.u, photons, expected.centre, rows.usable)
+    logarithm = 0.5 * np.log(np.where(rows.usable, rows.width, 1.0) ** 2 + 1 / 12)
+    width = _contrast(logarithm, photons * expected.width_over_centre, expected.width, rows.usable)
+    if centre is None or width is None:
+        return 0.0, rows
+    if any(one.square <= _SURE * one.sigma for one in (centre, width)):
+        return 0.0, rows
+    if centre.square > _ROUGH * width.square:
+        return 0.0, rows
+    square = min(centre.square, _SURFACE * width.square, _LARGEST**2)
+    return float(np.sqrt(square)), rows._replace(sigma=np.sqrt(photons + square * expected.centre))
+
+
+def correct_speckle(rows: Rows, photons: Float[np.ndarray, "frames lines"], contrast: float) -> tuple[float, float]:
+    """The contrast with which the stated sigmas are those of the centres' scatter.
+
+    Args:
+        rows: Stripes of the first frames, fitted with the contrast.
+        photons: Their variances by photons alone [px^2]; 0 where it is not known.
+        contrast: Contrast of the fit [1].
+
+    Returns:
+        The contrast, and the correlation of the errors by speckle on neighbouring lines [1].
+    """
+    usable = rows.usable & (photons > 0)
+    stated = rows.sigma**2
+    alone = np.minimum(photons, stated)
+    far = _contrast(rows.u, alone, stated - alone, usable)
+    near = _contrast(rows.u, alone, stated - alone, usable, lags=(1,))
+    if far is None or near is None or far.square <= 0.0:
+        return contrast, 0.0
+    # Second differences of neighbours lack 4/3 of their correlation.
+    alike = far.square - near.square > 2.0 * far.sigma
+    shared = 0.75 * (1.0 - near.square / far.square) if alike else 0.0
+    return contrast * float(np.clip(np.sqrt(far.square), 0.3, 3.0)), float(np.clip(shared, 0.0, 0.7))
+
+
+def _contrast(
+    value: Float[np.ndarray, "frames lines"],
+    photons: Float[np.ndarray, "frames lines"],
+    speckle: Float[np.ndarray, "frames lines"],
+    usable: Bool[np.ndarray, "frames lines"],
+    lags: tuple[int, ...] = _LAGS,
+) -> Told | None:
+    """Squared contrast by the scatter of a value along the lines; None where there are too few."""
+    normal, relative = [], []
+    for lag in lags:
+        before, here, after = np.s_[:, : -2 * lag], np.s_[:, lag:-lag], np.s_[:, 2 * lag :]
+        both = usable[before] & usable[here] & usable[after]
+        bent = (value[before] - 2.0 * value[here] + value[after])[both]
+        mean = ((photons[before] + 4.0 * photons[here] + photons[after]) / 6.0)[both]
+        share = ((speckle[before] + 4.0 * speckle[here] + speckle[after]) / 6.0)[both]
+        normal.append(bent / np.sqrt(6.0 * np.maximum(mean, 1e-12)))
+        relative.append(share / np.maximum(mean, 1e-12))
+    scattered, q = np.concatenate(normal), np.concatenate(relative)
+    if len(scattered) < _FEWEST:
+        return None
+    order = np.argsort(q)
+    classes = np.array_split(order, min(_CLASSES, len(order) // _FEWEST))
+    spread = np.array([_variance(scattered[rows]) for rows in classes])
+    level = np.array([q[rows].mean() for rows in classes])
+    # Rows of several lags, and neighbours, tell the same noise again.
+    count = np.array([len(rows) for rows in classes]) / (3.0 * len(lags))
+    variance = 2.0 * spread**2 / count + _DOUBT**2
+    information = np.sum(level**2 / variance)
+    if information <= 0:
+        return None
+    return Told(float(np.sum(level * (spread - 1.0) / variance) / information), float(1.0 / np.sqrt(information)))
+
+
+def _variance(values: Float[np.ndarray, " n"]) -> float:
+    """Variance about 0 of the values within 4 standard deviations, by iteration from their median."""
+    square = values**2
+    found = float(np.median(square)) / 0.455
+    for _ in range(4):
+        found = float(np.mean(square[square <= _CUT**2 * found])) if found > 0 else 0.0
+    return found

@@ -1,0 +1,219 @@
+"""The loops of the smoothing: a profile at a time, in double precision.
+
+Numbers of other files come as arguments: the compiled code is kept on disk, and only a change of this file
+would renew it.
+"""
+
+from typing import NamedTuple, no_type_check
+
+import numba
+import numpy as np
+
+
+_part = numba.njit(nogil=True)
+_inlined = numba.njit(nogil=True, inline="always")
+# Only `smooth_block` is cached on disk: functions that are cached one by one are not inlined into each other.
+_whole = numba.njit(nogil=True, cache=True)
+
+
+class Rules(NamedTuple):
+    """What counts as an edge, a stray centre, and a good fit."""
+
+    sizes: np.ndarray
+    """Half sizes of windows, and lines on either side of a possible edge, ascending."""
+    gap: float
+    """Largest distance of neighbouring lines on one surface."""
+    edge: float
+    """Chi-squared of two degrees of freedom from which two sides do not continue each other."""
+    stray: float
+    """Standard deviations by which a stray centre lies off the line through its neighbours."""
+    agree: float
+    """Chi-squared of two degrees of freedom up to which those neighbours lie on a line."""
+    misfit: float
+    """Standard deviations by which the chi-squared of a fit may exceed its degrees of freedom."""
+
+
+@_inlined
+@no_type_check
+def _line(s0, s1, s2, t0, t1):
+    """Of a weighted straight line at 0: value, slope, their variances and covariance; no variance without a line."""
+    det = s0 * s2 - s1 * s1
+    if not det > 1e-9 * s0 * s2:
+        return 0.0, 0.0, -1.0, -1.0, 0.0
+    return (s2 * t0 - s1 * t1) / det, (s0 * t1 - s1 * t0) / det, s2 / det, s0 / det, -s1 / det
+
+
+@_part
+@no_type_check
+def _mark_strays(x, y, weight, rules):
+    """Take the weight of centres that lie off a straight line on which two neighbours on either side agree."""
+    count = len(x)
+    stray = np.zeros(count, np.bool_)
+    for i in range(2, count - 2):
+        if x[i + 2] - x[i - 2] > 4.0 + rules.gap:
+            continue
+        s0 = s1 = s2 = t0 = t1 = q = 0.0
+        for k in (i - 2, i - 1, i + 1, i + 2):
+            d, v, w = x[k] - x[i], y[k] - y[i], weight[k]
+            s0 += w
+            s1 += w * d
+            s2 += w * d * d
+            t0 += w * v
+            t1 += w * d * v
+            q += w * v * v
+        value, slope, variance, _, _ = _line(s0, s1, s2, t0, t1)
+        agree = variance > 0.0 and q - value * t0 - slope * t1 < rules.agree
+        stray[i] = agree and value * value > rules.stray**2 * (variance + 1.0 / weight[i])
+    for i in range(count):
+        if stray[i]:
+            weight[i] = 0.0
+
+
+@_part
+@no_type_check
+def _step(x, y, weight, edge, i, size):
+    """Chi-squared by which value and slope of straight lines through so many rows up to i and after it differ.
+
+    They end at the edges that are known.
+    """
+    count = len(x)
+    at, level = 0.5 * (x[i] + x[i + 1]), y[i]
+    a0 = a1 = a2 = b0 = b1 = 0.0
+    for k in range(i, max(i - size, -1), -1):
+        d, v, w = x[k] - at, y[k] - level, weight[k]
+        a0 += w
+        a1 += w * d
+        a2 += w * d * d
+        b0 += w * v
+        b1 += w * d * v
+        if k > 0 and edge[k - 1]:
+            break
+    c0 = c1 = c2 = e0 = e1 = 0.0
+    for k in range(i + 1, min(i + 1 + size, count)):
+        d, v, w = x[k] - at, y[k] - level, weight[k]
+        c0 += w
+        c1 += w * d
+        c2 += w * d * d
+        e0 += w * v
+        e1 += w * d * v
+        if k < count - 1 and edge[k]:
+            break
+    before, rise, vb, vr, cb = _line(a0, a1, a2, b0, b1)
+    after, fall, va, vf, ca = _line(c0, c1, c2, e0, e1)
+    if vb < 0.0 or va < 0.0:
+        return 0.0
+    jump, bend, v, s, c = after - before, fall - rise, vb + va, vr + vf, cb + ca
+    return (s * jump * jump - 2.0 * c * jump * bend + v * bend * bend) / (v * s - c * c)
+
+
+@_part
+@no_type_check
+def _mark_edges(x, y, weight, rules):
+    """Whether row i and the next one are on two surfaces: first by few rows, then by more that end at known edges."""
+    count = len(x)
+    edge = np.zeros(max(count - 1, 0), np.bool_)
+    height = np.zeros(max(count - 1, 0))
+    for i in range(count - 1):
+        edge[i] = x[i + 1] - x[i] > rules.gap
+    for size in rules.sizes:
+        for i in range(count - 1):
+            height[i] = 0.0 if edge[i] else _step(x, y, weight, edge, i, size)
+        for i in range(count - 1):
+            if height[i] > rules.edge:
+                highest = True
+                # Those beside an edge look across it.
+                for k in range(max(i - size + 1, 0), min(i + size, count - 1)):
+                    if height[k] > height[i]:
+                        highest = False
+                edge[i] |= highest
+    return edge
+
+
+@_part
+@no_type_check
+def _fit(x, y, weight, edge, i, rules):
+    """Value of a parabola at i in the largest window that it fits: centre, variance, and shared lines."""
+    count, reach = len(x), 2 * rules.sizes[-1]
+    left = right = 0
+    while i - left > 0 and left < reach and not edge[i - left - 1] and x[i] - x[i - left - 1] <= reach:
+        left += 1
+    while i + right + 1 < count and right < reach and not edge[i + right] and x[i + right + 1] - x[i] <= reach:
+        right += 1
+    best, variance, shared = y[i], 1.0 / weight[i], 1.0
+    s0, s1, s2, s3, s4 = weight[i], 0.0, 0.0, 0.0, 0.0
+    t0 = t1 = t2 = q = 0.0
+    used, low, high = 1, 0, 0
+    for size in rules.sizes:
+        # A side that ends early is made up for on the other.
+        to_low = min(left, size + size - min(right, size))
+        to_high = min(right, size + size - min(left, size))
+        while low < to_low or high < to_high:
+            if low < to_low:
+                low += 1
+                k = i - low
+            else:
+                high += 1
+                k = i + high
+            d, v, w = x[k] - x[i], y[k] - y[i], weight[k]
+            used += w > 0.0
+            wd, wdd = w * d, w * d * d
+            s0 += w
+            s1 += wd
+            s2 += wdd
+            s3 += wdd * d
+            s4 += wdd * d * d
+            t0 += w * v
+            t1 += wd * v
+            t2 += wdd * v
+            q += w * v * v
+        if used < 5:
+            continue
+        c00, c01, c02 = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
+        det = s0 * c00 + s1 * c01 + s2 * c02
+        if not det > 1e-9 * s0 * s2 * s4:
+            continue
+        value = (c00 * t0 + c01 * t1 + c02 * t2) / det
+        slope = (c01 * t0 + (s0 * s4 - s2 * s2) * t1 + (s1 * s2 - s0 * s3) * t2) / det
+        curve = (c02 * t0 + (s1 * s2 - s0 * s3) * t1 + (s0 * s2 - s1 * s1) * t2) / det
+        chi2, freedom = q - value * t0 - slope * t1 - curve * t2, used - 3.0
+        if chi2 > freedom + rules.misfit * np.sqrt(2.0 * freedom):
+            break
+        own = c00 / det
+        if own * max(1.0, chi2 / freedom) < 1.0 / weight[i]:
+            # What the parabola leaves beyond the noise is counted as noise.
+            best, variance = y[i] + value, own * max(1.0, chi2 / freedom)
+            shared = max((x[i + high] - x[i - low] + 1.0) / (own * s0), 1.0)
+    return best, variance, shared
+
+
+@_whole
+@no_type_check
+def smooth_block(u, sigma, valid, lines, rules, found):
+    """Fill `found` (centre, sigma, shared lines: three arrays [profiles, lines]) from those of the rows.
+
+    `lines` are those that a centre can lie on.
+    """
+    centre, deviation, share = found
+    for profile in range(u.shape[0]):
+        count = 0
+        at = np.empty(len(lines), np.int64)
+        for k in range(len(lines)):
+            if valid[profile, lines[k]]:
+                at[count] = k
+                count += 1
+        x, y, weight = np.empty(count), np.empty(count), np.empty(count)
+        for k in range(count):
+            line = lines[at[k]]
+            x[k], y[k] = at[k], u[profile, line]
+            weight[k] = 1.0 / sigma[profile, line] ** 2
+        kept = weight.copy()
+        _mark_strays(x, y, kept, rules)
+        edge = _mark_edges(x, y, kept, rules)
+        for k in range(count):
+            line = lines[at[k]]
+            if kept[k] > 0.0:
+                best, variance, shared = _fit(x, y, kept, edge, k, rules)
+            else:
+                best, variance, shared = y[k], 1.0 / weight[k], 1.0
+            centre[profile, line], deviation[profile, line] = best, np.sqrt(variance)
+            share[profile, line] = shared

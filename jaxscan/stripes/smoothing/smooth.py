@@ -1,0 +1,68 @@
+r"""Stripe centres from their neighbours along the line: a local parabola in a window that ends at edges.
+
+A row is fitted by itself, and its bound is not the bound of a line: a surface is continuous, and its neighbours know
+where the stripe is. For every centre a parabola is fitted to the centres around it, weighted by their variances. Its
+value there has no bias by slope or curvature. Windows end
+
+- at an edge: where straight lines through 3, 6 or 10 centres on either side differ in value or slope (chi-squared
+  of two degrees of freedom). So steps and corners stay as sharp as the rows have them, if noise lets them be seen;
+- at a gap;
+- where the parabola does not fit: of 3, 6 and 10 lines on either side the last one counts before chi-squared fails.
+
+A centre off the line on which its four neighbours agree, a reflection or a wrong candidate, stays as it is and has no
+part in others.
+
+Source: A. Savitzky, M. J. E. Golay, Smoothing and differentiation of data by simplified least squares procedures,
+Anal. Chem. 36, 1964; windows of their own for every point: V. Katkovnik, A new method for varying adaptive bandwidth
+selection, IEEE Trans. Signal Processing 47, 1999.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxscan.stripes.smoothing.native_loops import Rules, smooth_block
+
+
+_RULES = Rules(sizes=np.array([3, 6, 10]), gap=4.0, edge=13.0, stray=4.5, agree=16.0, misfit=3.5)
+"""Half a window of 10 lines: of fewer lines more noise would be left, of more the surface itself would be smoothed."""
+_LEAST_PX = 1e-4
+"""Smallest standard deviation of a centre that is believed."""
+
+
+class Smoothed(NamedTuple):
+    """Centres [profiles, lines] that use their neighbours; zero where there is no stripe."""
+
+    u: Float[np.ndarray, "profiles lines"]
+    """Stripe centre [px]."""
+    sigma: Float[np.ndarray, "profiles lines"]
+    """Its standard deviation [px]."""
+    shared_lines: Float[np.ndarray, "profiles lines"]
+    """Lines over which the noise of the centre is shared: its correlation with the k-th next line of the profile is
+    about 1 - k / shared_lines; 1 where the row is by itself."""
+
+
+def smooth_profiles(
+    u: Float[np.ndarray, "profiles lines"],
+    sigma: Float[np.ndarray, "profiles lines"],
+    valid: Bool[np.ndarray, "profiles lines"],
+) -> Smoothed:
+    """Centres that use their neighbours along the stripe, and none across an edge.
+
+    A profile depends on no other one. The mean of many smoothed centres is no better than that of the rows they were
+    made of: compute with the sigmas of the rows, or with `shared_lines`.
+
+    Args:
+        u: Stripe centres of the rows [px].
+        sigma: Their standard deviations [px].
+        valid: Which of them exist.
+    """
+    u, sigma, valid = np.asarray(u), np.asarray(sigma), np.asarray(valid)
+    found = Smoothed(*(np.zeros(u.shape, np.float32) for _ in Smoothed._fields))
+    # A mosaic has the laser's colour on every second line only.
+    lines = np.flatnonzero(valid.any(0))
+    step = int(np.gcd.reduce(np.diff(lines))) if len(lines) > 1 else 1
+    lines = np.arange(lines[0], lines[-1] + 1, step) if len(lines) else lines
+    smooth_block(u, np.maximum(sigma, np.float32(_LEAST_PX)), valid, lines, _RULES, tuple(found))
+    return found._replace(shared_lines=found.shared_lines * np.float32(step)) if step > 1 else found

@@ -1,0 +1,106 @@
+"""Boards that images show in place of the expected one: looked for only where that one was not found."""
+
+import functools
+
+import cv2
+import numpy as np
+
+from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, Chessboard, direct_homography
+
+
+# Each holds the smaller ones of its kind.
+_FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
+_APRIL_TAGS = "DICT_APRILTAG_36h11"
+_FEWEST_MARKERS = 6
+"""Fewer may be chance: the smallest dictionaries have markers that many a texture shows."""
+_MOST_COLUMNS = 40
+_FITS = 0.15
+"""Error of markers on a board with the right number of columns, in squares, at most."""
+_FEWEST_CORNERS = 4
+"""Columns and rows of corners from which a chessboard is believed: less is found on many boards."""
+_LARGEST_PX = 1000
+
+
+def name_other_board(image: np.ndarray, board: AbstractBoard) -> str | None:
+    """The board that an image shows, in words; None where it shows none, or may show the expected one.
+
+    Args:
+        image: uint8 [rows, columns].
+        board: The expected board, which was not found.
+    """
+    scale = min(1.0, _LARGEST_PX / max(image.shape))
+    shown = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1.0 else image
+    return _name_markers(shown, board) or _name_chessboard(shown, board)
+
+
+def _name_markers(image: np.ndarray, board: AbstractBoard) -> str | None:
+    found = {name: _markers(image, name) for name in (*_FAMILIES, _APRIL_TAGS)}
+    name = max(found, key=lambda name: len(found[name][0]))
+    ids, centres = found[name]
+    if len(ids) < _FEWEST_MARKERS:
+        return None
+    kind, numbers = name.removesuffix("_1000"), f"markers {min(ids)} to {max(ids)}"
+    if isinstance(board, AprilGrid):
+        wrong = name != _APRIL_TAGS or max(ids) >= board.columns * board.rows
+        return f"a board with {numbers} of {kind}" if wrong else None
+    if not isinstance(board, Charuco):
+        what = "an AprilGrid" if name == _APRIL_TAGS else "a ChArUco board"
+        return f"{what} ({numbers} of {kind})"
+    if not board.dictionary.upper().startswith(kind.upper()):
+        return f"a board with markers of {kind}, not of {board.dictionary}"
+    columns = _columns(ids, centres)
+    if columns is not None and columns != board.columns:
+        return f"a ChArUco board with {columns} columns of squares"
+    count = board.columns * board.rows // 2
+    return f"a larger board, with {numbers} (expected up to {count - 1})" if max(ids) >= count else None
+
+
+def _markers(image: np.ndarray, dictionary: str) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the markers in an image [n], and their centres [n, 2], px."""
+    corners, ids, _ = _detector(dictionary).detectMarkers(image)
+    if ids is None:
+        return np.zeros(0, int), np.zeros((0, 2))
+    ids, first = np.unique(np.ravel(ids), return_index=True)
+    return ids, np.reshape(corners, (-1, 4, 2))[first].mean(1).astype(np.float64)
+
+
+@functools.cache
+def _detector(dictionary: str) -> "cv2.aruco.ArucoDetector":
+    settings = cv2.aruco.DetectorParameters()
+    # As Kalibr prints them.
+    settings.markerBorderBits = 2 if dictionary == _APRIL_TAGS else 1
+    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)), settings)
+
+
+def _columns(ids: np.ndarray, centres: np.ndarray) -> int | None:
+    """Columns of the ChArUco board on which markers with these numbers stand at these pixels; None for none."""
+    best = None
+    for columns in range(3, _MOST_COLUMNS + 1):
+        places = _white_squares(columns, int(ids.max()) + 1)[ids]
+        if min(np.ptp(places, axis=0)) < 1:
+            continue
+        to_board = direct_homography(centres, places)
+        mapped = np.column_stack([centres, np.ones(len(centres))]) @ to_board.T
+        error = np.hypot(*(mapped[:, :2] / mapped[:, 2:] - places).T)
+        size = float(np.sqrt(np.median(error**2)))
+        if size < _FITS and (best is None or size < best[0]):
+            best = size, columns
+    return None if best is None else best[1]
+
+
+def _white_squares(columns: int, count: int) -> np.ndarray:
+    """Column and row of the squares of the first markers, numbered along the rows [count, 2]."""
+    y, x = np.mgrid[: 2 * count // (columns - 1) + 2, :columns]
+    white = (x + y) % 2 == 1
+    return np.stack([x[white], y[white]], -1)[:count].astype(np.float64)
+
+
+def _name_chessboard(image: np.ndarray, board: AbstractBoard) -> str | None:
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
+    found, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
+    if not found or min(meta.shape) < _FEWEST_CORNERS:
+        return None
+    rows, columns = meta.shape
+    if isinstance(board, Chessboard) and {columns, rows} == {board.columns, board.rows}:
+        return None
+    return f"a chessboard with {max(columns, rows)} x {min(columns, rows)} inner corners"
