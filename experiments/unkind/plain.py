@@ -187,7 +187,6 @@ def estimate(folder: str, truth: Truth, sweep_truth: TrueStripes) -> Estimate:
     rows = stripes_of(jaxscan.open_capture(f"{folder}/sweep"))
     points = solved.cloud(rows, truth.angles)
     seconds = {"calibrate": calibrated - start, "sweep": time.perf_counter() - calibrated}
+    seen = on_boards._replace(valid=on_boards.valid & solved.on_board)
     found = dimensions(truth, points, wall_of(truth, sweep_truth, rows))
-    return Estimate(
-        solved.rig(truth), on_boards._replace(valid=on_boards.valid & solved.on_board), rows, rows, found, seconds
-    )
+    return Estimate(solved.rig(truth), seen, seen, rows, rows, found, seconds)
