@@ -37,7 +37,7 @@ def world(rng):
     stripes = truth.empty(RECORDS, LINES)
     stripes.u[..., 0] = rng.uniform(50, 300, (RECORDS, 1)) + 0.1 * np.arange(LINES)
     stripes.amplitude[..., 0] = np.exp(rng.uniform(np.log(6), np.log(240), (RECORDS, LINES)))
-    stripes.width[..., 0], stripes.background[..., 0] = 1.2, 30.0
+    stripes.width[..., 0], stripes.background[..., 0], stripes.surface[..., 0] = 1.2, 30.0, 0
     return true, stripes
 
 
@@ -178,6 +178,18 @@ def test_speckle_on_a_pixel_has_the_contrast_that_was_asked_for_and_is_alone_in_
     # A grain is 0.75 px wide: a pixel three away is another draw.
     apart = np.corrcoef(pixels[:, :-3].ravel(), pixels[:, 3:].ravel())[0, 1]
     assert abs(apart) < 0.03
+
+
+def test_a_stripe_whose_middle_is_hidden_is_an_edge_and_no_row_to_be_found():
+    stripes = truth.TrueStripes(*(part[0] for part in truth.empty(1, 3)))
+    stripes.u[:2, 0], stripes.amplitude[:2, 0], stripes.surface[:2, 0] = 20.0, 50.0, 0
+    light = np.zeros((3, 60))
+    light[:, 18:23] = 30.0
+    light[1, 40] = 5.0
+    found = truth.with_parts(stripes, light)
+    assert found.u[:, -1].tolist() == [0.0, 40.0, 18.0] and found.edge[:, -1].tolist() == [False, True, True]
+    true, _ = world(np.random.default_rng(8))
+    assert figures.strong_rows(true, found).tolist() == [True, True, False]
 
 
 @pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (extra 'worlds')")

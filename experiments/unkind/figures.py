@@ -194,7 +194,8 @@ def sweep_figures(truth: Truth, stripes: TrueStripes, found: Rows) -> dict[str, 
 
 def strong_rows(truth: Truth, stripes: TrueStripes) -> np.ndarray:
     """Rows in which the brightest true stripe is over five standard deviations of a pixel [records, rows]."""
-    return stripes.amplitude[..., 0] > FAR_SIGMAS * noise_sigma(truth, stripes.background[..., 0])
+    there = stripes.surface[..., 0] >= 0
+    return there & (stripes.amplitude[..., 0] > FAR_SIGMAS * noise_sigma(truth, stripes.background[..., 0]))
 
 
 def step_width(truth: Truth, stripes: TrueStripes, found: Rows, reach: int = 12) -> dict[str, float]:

@@ -31,6 +31,7 @@ def figures(world: tuple[truth.Truth, truth.TrueStripes, truth.TrueStripes], fou
     return {
         "rig": rig_figures(true, found.rig, ray_grid(true.size)),
         "boards": board_figures(boards, found.boards),
+        "promised": board_figures(boards, found.promised),
         "rows": sweep_figures(true, sweep, found.rows),
         "smooth": sweep_figures(true, sweep, found.smooth),
         "step": {"rows": raw["rows"], "smooth": smooth["rows"], "profiles": raw["profiles"]},

@@ -11,14 +11,15 @@ from experiments.unkind.figures import sheet_grid
 from experiments.unkind.truth import Truth
 
 
-def board_rows(calibration: jaxscan.Calibration, records: int, lines: int) -> Rows:
-    """The points of stripes on boards as the solve took them."""
-    seen = calibration.observations
-    assert seen is not None
+def board_rows(calibration: jaxscan.Calibration, records: int, lines: int, *, solved: bool) -> Rows:
+    """The points of stripes on boards, as they were found, or as the solve kept and weighed them."""
+    seen, fit = calibration.observations, calibration.fit
+    assert seen is not None and fit is not None
     u, sigma = np.zeros((records, lines)), np.ones((records, lines))
     valid = np.zeros((records, lines), bool)
     stripes = seen.stripes
-    for q, spread, kept, view in zip(stripes.q, stripes.sigma, stripes.valid, stripes.view, strict=True):
+    sigmas, counted = (fit.stripe_sigma, fit.stripe_kept) if solved else (stripes.sigma, stripes.valid)
+    for q, spread, kept, view in zip(stripes.q, sigmas, counted, stripes.view, strict=True):
         record = int(seen.corners.record[view])
         row = np.rint(np.asarray(q)[kept, 1]).astype(int)
         u[record, row], sigma[record, row], valid[record, row] = np.asarray(q)[kept, 0], np.asarray(spread)[kept], True
@@ -100,7 +101,8 @@ def estimate(folder: str, truth: Truth) -> tuple[Estimate, dict[str, object]]:
     rows = rows._replace(u=rows.u.astype(float), sigma=rows.sigma.astype(float))
     found = Estimate(
         own_rig(scanner, truth),
-        board_rows(calibration, len(boards), int(truth.size[1])),
+        board_rows(calibration, len(boards), int(truth.size[1]), solved=True),
+        board_rows(calibration, len(boards), int(truth.size[1]), solved=False),
         rows,
         seen_rows(cloud, scanner),
         dimensions(cloud, scanner, truth),

@@ -56,7 +56,7 @@ class Solved:
         self.records, object_points, image_points = [], [], []
         for k in range(len(capture)):
             q, ids, _, _ = detector.detectBoard(np.asarray(capture.frames(k)[1]))
-            if ids is not None and len(ids) >= 8:
+            if ids is not None and len(ids) >= 12:
                 self.records.append(k)
                 object_points.append(drawn.getChessboardCorners()[ids.ravel()].astype(np.float32))
                 image_points.append(q.reshape(-1, 2).astype(np.float32))
@@ -187,7 +187,6 @@ def estimate(folder: str, truth: Truth, sweep_truth: TrueStripes) -> Estimate:
     rows = stripes_of(jaxscan.open_capture(f"{folder}/sweep"))
     points = solved.cloud(rows, truth.angles)
     seconds = {"calibrate": calibrated - start, "sweep": time.perf_counter() - calibrated}
+    seen = on_boards._replace(valid=on_boards.valid & solved.on_board)
     found = dimensions(truth, points, wall_of(truth, sweep_truth, rows))
-    return Estimate(
-        solved.rig(truth), on_boards._replace(valid=on_boards.valid & solved.on_board), rows, rows, found, seconds
-    )
+    return Estimate(solved.rig(truth), seen, seen, rows, rows, found, seconds)

@@ -144,7 +144,7 @@ class Rows:
         values = (u, peak, width, beside, self.edges(record.angle, depth, u), np.zeros(len(u), int), contrast)
         for grid, value in zip(out, values, strict=True):
             grid[:, 0] = value
-        return out
+        return truth.with_parts(out, record.laser)
 
 
 def header(config: SimulationConfig, kind: str) -> jaxscan.CaptureHeader:

@@ -36,6 +36,15 @@ ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
         for name in CLASSES
     ),
     ("points on boards", ("boards", "points"), "{:.0f}"),
+    ("points on boards before the solve: RMS [px]", ("promised", "rms_px"), "{:.3f}"),
+    *(
+        (
+            f"points on boards before the solve, print {name}: error / stated",
+            ("promised", "classes", name, "error_over_stated"),
+            "{:.2f}",
+        )
+        for name in CLASSES
+    ),
     ("largest mean of a view [px]", ("boards", "mean_of_view_px"), "{:.3f}"),
     ("sweep, row-wise: RMS [px]", ("rows", "rms_px"), "{:.4f}"),
     ("sweep, row-wise: RMS / bound", ("rows", "over_bound"), "{:.3f}"),

@@ -9,6 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 
+PART_PX, PART_DN = 6.0, 0.5
+"""Distance from all crossings, and peak, from which light is a part of a stripe whose middle is hidden."""
+
+
 class TrueStripes(NamedTuple):
     """True stripes of all records of a capture, [records, rows, crossings]."""
 
@@ -23,7 +27,7 @@ class TrueStripes(NamedTuple):
     edge: np.ndarray
     """Whether a jump, a crease, a shadow's border or the image's border is within a few pixels."""
     surface: np.ndarray
-    """Number of the surface; -1 where there is none."""
+    """Number of the surface; -1 where there is none, or where light falls but the middle of the sheet is hidden."""
     contrast: np.ndarray
     """(max - min) / (max + min) of the print within 4 px, behind the lens, on boards; NaN beside them."""
 
@@ -71,6 +75,25 @@ def load(path: Path) -> tuple[Truth, TrueStripes, TrueStripes]:
     with np.load(path) as file:
         kinds = ((Truth, ""), (TrueStripes, "sweep_"), (TrueStripes, "boards_"))
         return tuple(kind(*(file[prefix + name] for name in kind._fields)) for kind, prefix in kinds)  # type: ignore[return-value]
+
+
+def with_parts(stripes: TrueStripes, light: np.ndarray) -> TrueStripes:
+    """The stripes [rows, crossings] of a record, and as edges what else of the laser's light is seen.
+
+    Where the middle of the sheet is hidden behind an edge, a part of the stripe still shows.
+
+    Args:
+        stripes: The crossings; the last place of each row is overwritten where there is such light.
+        light: The laser's direct light behind the lens on every pixel [rows, columns]; DN.
+    """
+    column = np.arange(light.shape[1])
+    apart = np.where(stripes.amplitude[..., None] > 0, np.abs(stripes.u[..., None] - column), np.inf).min(1)
+    rest = np.where(apart > PART_PX, light, 0.0)
+    at, rows = rest.argmax(1), np.arange(len(light))
+    some = np.flatnonzero(rest[rows, at] > PART_DN)
+    stripes.u[some, -1], stripes.amplitude[some, -1] = at[some], rest[some, at[some]]
+    stripes.width[some, -1], stripes.edge[some, -1], stripes.surface[some, -1] = 1.0, True, -1
+    return stripes
 
 
 def empty(records: int, rows: int, crossings: int = 3) -> TrueStripes:

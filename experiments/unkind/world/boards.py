@@ -53,11 +53,11 @@ class View(NamedTuple):
 
 
 def draw_board(rng: np.random.Generator) -> Board:
-    """A board of 8 to 12 columns, 0.72 to 0.8 m wide."""
+    """A board of 8 to 12 columns, 0.8 to 0.9 m wide."""
     columns = int(rng.integers(8, 13))
     rows = max(5, round(0.66 * columns))
-    square = round(rng.uniform(0.72, 0.8) / columns, 4)
-    marker = round(0.75 * square, 4)
+    square = round(rng.uniform(0.8, 0.9) / columns, 4)
+    marker = round(0.78 * square, 4)
     name = "DICT_4X4_250"
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     drawn = cv2.aruco.CharucoBoard((columns, rows), square, marker, dictionary)
@@ -74,7 +74,7 @@ def draw_views(rig: Rig, board: Board, room_camera: np.ndarray, rng: np.random.G
     for k in range(FREE):
         views.append(View(room_camera @ _draw(rig, board, rng, 0.8 + 0.9 * (k + 0.5) / FREE), 0.0, None))
     for number in range(PLACEMENTS):
-        place = room_camera @ _draw(rig, board, rng, rng.uniform(1.2, 1.5), mild=True)
+        place = room_camera @ _draw(rig, board, rng, rng.uniform(1.1, 1.35), mild=True)
         angles = [phi for phi in np.radians(np.linspace(-30, 30, 121)) if _inside(rig, board, room_camera, place, phi)]
         chosen = np.linspace(angles[0], angles[-1], ANGLES)
         views += [View(place, float(np.round(phi, 4)), number) for phi in chosen]

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.ndimage import gaussian_filter1d  # type: ignore[import-untyped]
 
-from experiments.unkind.truth import TrueStripes, empty
+from experiments.unkind.truth import TrueStripes, empty, with_parts
 from experiments.unkind.world import light
-from experiments.unkind.world.sensor import FINE
+from experiments.unkind.world.sensor import FINE, to_pixels
 from experiments.unkind.world.tracer import Hits
 
 
@@ -42,7 +42,9 @@ def stripes(shot: light.Shot, middle: Hits, laser: light.Direct, ambient: np.nda
     values = (found.u, peak, width, beside, edge, found.shape, contrast)
     for grid, value in zip(out, values, strict=True):
         grid[at] = value[chosen]
-    return out
+    pixels = np.zeros((rows, columns))
+    pixels[:, laser.columns] = to_pixels(laser.fine, FINE)
+    return with_parts(out, pixels)
 
 
 def _profile(laser: np.ndarray, u: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
