@@ -222,7 +222,7 @@ def test_contrast_classes_come_back(tmp_path):
         arrays = {key: good[key] for key in good.files}
     arrays["stripes.contrast"] = np.full_like(classes, 3)
     np.savez(tmp_path / "c.npz", **arrays)
-    with pytest.raises(CalibrationError, match="stripes.contrast: found a number outside"):
+    with pytest.raises(CalibrationError, match=r"stripes\.contrast: found a number outside"):
         load_calibration(tmp_path / "c.json")
 
 
