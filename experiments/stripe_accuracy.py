@@ -189,10 +189,16 @@ TITLES = {
     "over_exposed": "Over-exposed 2.4 times (asked: RMS ≤ 0.02 px, sigma 0.9–1.1 of the error)",
     "faint": "A stripe of 12 DN, 2 px wide, in noise of 3 DN of the difference; and no stripe at all",
     "peer": "The plain estimator (centre of gravity) beside the default one, on the same frames, the noise known",
-    "speckle": (
-        "Where speckle rules: contrast 1, 0.5 and 0.2 at f/2.8, 5.6 and 8 (650 nm, 3.45 um); limit C lambda / (2 pi sin u')"
-    ),
+    "speckle": "Where speckle rules: contrast 1, 0.5, 0.2 at f/2.8, 5.6, 8; its limit is C lambda / (2 pi sin u')",
     "reflections": "Second reflections on a fifth of the lit rows of a furnished room",
+}
+
+
+_MEASURES = {
+    "faint": measure_faint,
+    "reflections": measure_reflections,
+    "peer": measure_peer,
+    "speckle": measure_speckle,
 }
 
 
@@ -206,13 +212,7 @@ def measure(section: str, *, quick: bool, seed: int) -> tuple[list[str], list[Fi
     if section in places:
         cells = [cell for place in places[section] for cell in measure_cell(*place, quick=quick, seed=seed)]
         return cell_lines(cells, section), cell_figures(cells, section), cells
-    measures = {
-        "faint": measure_faint,
-        "reflections": measure_reflections,
-        "peer": measure_peer,
-        "speckle": measure_speckle,
-    }
-    figures = measures[section](quick=quick, seed=seed)
+    figures = _MEASURES[section](quick=quick, seed=seed)
     return figure_lines(figures), figures, []
 
 

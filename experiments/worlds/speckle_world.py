@@ -7,13 +7,23 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import ifft2  # type: ignore[import-untyped]
-from worlds.stripe_world import Frames, Sensor, expose
+from worlds.stripe_world import Sensor, expose
 
 
 _FINE = 4
 """Samples of a pixel in each direction: speckle of f/2.8 has no frequencies beyond their Nyquist limit."""
 _HALF_WINDOW = 24
 """Pixels on either side of the middle that the stripe may reach."""
+
+
+class CoherentFrames(NamedTuple):
+    """Pairs of frames uint8 [frames, rows, columns], and the truth [frames, rows]."""
+
+    on: np.ndarray
+    off: np.ndarray
+    u: np.ndarray
+    snr: np.ndarray
+    """The laser's light on each row's brightest pixel over the noise of the pair there without it [1]."""
 
 
 class Speckle(NamedTuple):
@@ -51,23 +61,26 @@ def pattern(shape: tuple[int, int], speckle: Speckle, rng: np.random.Generator) 
     return total / total.mean()
 
 
+class Course(NamedTuple):
+    """A stripe."""
+
+    u: np.ndarray
+    """Centres [frames, rows], within 16 px of the middle of the image; straight between the middles of rows."""
+    width: float
+    """Standard deviation [px]."""
+    amplitude: np.ndarray
+    """Peak of each row [DN]."""
+
+
 def render_coherent(
-    u: np.ndarray,
-    width: float,
-    amplitude: np.ndarray,
-    room: np.ndarray,
-    speckle: Speckle | None,
-    sensor: Sensor,
-    rng: np.random.Generator,
-) -> Frames:
-    """Pairs of frames with a stripe at `u` [frames, rows], of `amplitude` [rows], in the room's light.
+    stripe: Course, room: np.ndarray, speckle: Speckle, sensor: Sensor, rng: np.random.Generator
+) -> CoherentFrames:
+    """Pairs of frames with a stripe in the room's light.
 
     Args:
-        u: Centres [frames, rows], within 16 px of the middle; straight between the middles of rows.
-        width: Standard deviation of the stripe [px].
-        amplitude: Peak of each row [DN].
+        stripe: The stripe.
         room: Light with the laser off [rows, columns], DN above black.
-        speckle: The coherent light; None: incoherent.
+        speckle: The coherent light.
         sensor: The sensor; its ambient light is not used.
         rng: Draws.
     """
@@ -75,15 +88,15 @@ def render_coherent(
     fine_row = (np.arange(rows * _FINE) + 0.5) / _FINE - 0.5
     first = columns // 2 - _HALF_WINDOW
     fine_column = first + (np.arange(2 * _HALF_WINDOW * _FINE) + 0.5) / _FINE - 0.5
-    height = np.interp(fine_row, np.arange(rows), amplitude)
-    lit = np.zeros((len(u), rows, columns))
-    for frame, centre in zip(lit, u, strict=True):
+    height = np.interp(fine_row, np.arange(rows), stripe.amplitude)
+    lit = np.zeros((len(stripe.u), rows, columns))
+    for frame, centre in zip(lit, stripe.u, strict=True):
         at = np.interp(fine_row, np.arange(rows), centre)
-        light = height[:, None] * np.exp(-0.5 * ((fine_column[None, :] - at[:, None]) / width) ** 2)
-        if speckle is not None:
-            light *= pattern(light.shape, speckle, rng)
+        light = height[:, None] * np.exp(-0.5 * ((fine_column[None, :] - at[:, None]) / stripe.width) ** 2)
+        light *= pattern(light.shape, speckle, rng)
         pixels = light.reshape(rows, _FINE, 2 * _HALF_WINDOW, _FINE).mean((1, 3))
         frame[:, first : first + 2 * _HALF_WINDOW] = pixels
     on = expose(room + lit, sensor, rng)
     off = expose(np.broadcast_to(room, on.shape), sensor, rng)
-    return Frames(on, off, u)
+    dark = 2.0 * (sensor.read_dn**2 + 1 / 12 + room / sensor.electrons_per_dn)
+    return CoherentFrames(on, off, stripe.u, (lit / np.sqrt(dark)).max(2))

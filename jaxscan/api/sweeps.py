@@ -64,8 +64,8 @@ def reconstruct_capture(
         settings: Range limits, and how stripes are found.
         noise: Noise of a frame; estimated from the start of the sweep where not given.
         progress: Called with (records done, records in all); from frames, of finding the stripes.
-        cache: Whether stripes are looked for in the capture's folder and kept there. Without, they
-            are not held in memory either.
+        cache: Whether stripes are looked for in the capture's folder and kept there. Without, and with
+            `smooth` "off", they are not held in memory either.
 
     Returns:
         The cloud, and where its stripes are from. A folder that cannot be written gives a note.

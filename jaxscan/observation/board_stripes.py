@@ -1,5 +1,7 @@
 """Stripes on the boards of a batch of records."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from typing import cast
 
 import numpy as np
@@ -74,15 +76,17 @@ def find_stripes(
             if not group:
                 continue
             stripes, sights = _extract([views[i] for i in group], capture, line, rig)
-            for row, i in enumerate(group):
-                found = Candidates.of(stripes, row, line.stripe_axis)
-                lines_found = _lines_of(views[i], found, board, rig, sights[row])
-                views[i] = views[i]._replace(stripes=lines_found, noise=sights[row].noise)
+            found = [Candidates.of(stripes, row, line.stripe_axis) for row in range(len(group))]
+            seen = [views[i] for i in group]
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                on_boards = list(pool.map(lambda *one: _lines_of(board, rig, *one), seen, found, sights))
+            for i, lines_found in zip(group, on_boards, strict=True):
+                views[i] = views[i]._replace(stripes=lines_found, noise=sights[0].noise)
     return views
 
 
 def _lines_of(
-    view: SeenRecord, found: Candidates, board: AbstractBoard, rig: SolvedRig | None, sight: Sight
+    board: AbstractBoard, rig: SolvedRig | None, view: SeenRecord, found: Candidates, sight: Sight
 ) -> tuple[BoardStripe, ...]:
     """The lines on one board that may be the stripe, the likeliest first."""
     off, corners = None if view.off is None else view.grey, cast(FoundCorners, view.corners)

@@ -26,6 +26,8 @@ from jaxscan.geometry import (
 
 # Points along the stripe on a board; between them it is straight to much less than its noise.
 _SAMPLES = 128
+# Pixels that are lifted to a board at a time.
+_LIFTED = 4096
 # Largest angle [rad] between a point and the ray of its pixel; beyond it the lens folds or the point is behind.
 _SAME_RAY = 1e-3
 
@@ -161,9 +163,13 @@ def predict_stripe(rig: SolvedRig, pose: np.ndarray, laser: int, stripe_axis: St
 
 def lift_to_board(rig: SolvedRig, pose: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Board coordinates (x, y) [n, 2], m, on the board as drawn, of the points seen at pixels `q` [n, 2]."""
+    # Always as many at a time, so that all captures share one compilation.
+    parts = -(-len(q) // _LIFTED)
+    padded = np.resize(np.asarray(q, np.float64), (parts, _LIFTED, 2)) if len(q) else np.zeros((0, _LIFTED, 2))
     with jax.enable_x64(True):
-        camera = jax.tree.map(jnp.asarray, rig.camera)
-        return np.asarray(_lift(camera, rig.surface(), jnp.asarray(pose), jnp.asarray(q)))
+        camera, surface = jax.tree.map(jnp.asarray, rig.camera), rig.surface()
+        lifted = [_lift(camera, surface, jnp.asarray(pose), jnp.asarray(part)) for part in padded]
+        return np.concatenate([np.zeros((0, 2)), *(np.asarray(part) for part in lifted)])[: len(q)]
 
 
 def _seen(camera: AbstractCamera, p: Float[Array, "3"]) -> tuple[Float[Array, "2"], Array]:

@@ -36,7 +36,8 @@ def reconstruct(
     """Reconstruct a sweep in one call.
 
     Frames are read and computed in chunks of one size, so memory does not grow with the sweep
-    beyond its cloud, and the result does not depend on the size of the chunks.
+    beyond its cloud (and, where points use their neighbours, its stripes), and the result does not depend on the size
+    of the chunks.
 
     Args:
         sweep: Frames at known angles, in memory or on disk.

@@ -139,9 +139,9 @@ def expect_record(
     samples = lit_samples(shot, depth, lens_blur(config, depth))
     glow: np.ndarray = laser_image(samples) * np.float32(scale)
     truth_glow, shade = glow, vignette(config)
-    mirrored = mirrored_samples(shot, scene.mirror[room.triangle] > 0, lens_blur(config, depth))
-    if mirrored is not None:
-        glow = glow + laser_image(mirrored) * np.float32(scale)
+    mirrored = mirrored_samples(shot, scene.mirror[room.triangle] > 0, depth, lens_blur(config, depth))
+    for part in mirrored:
+        glow = glow + laser_image(part) * np.float32(scale)
     if config.light.bounce > 0:
         glow = glow + _returned(shot, room, depth, front) * np.float32(scale * config.light.bounce)
     if sees is not None:
@@ -151,8 +151,8 @@ def expect_record(
     lit = dimmed(glow, shade) * laser_response(sensor, sheet.spec.colour)[:, None, None]
     frames = mosaic(dimmed(off, shade), sensor.pixel_format), mosaic(lit, sensor.pixel_format)
     kept: list[LitSamples] = []
-    for part in (samples, mirrored):
-        if part is not None and sheet.spec.speckle_contrast > 0:
+    for part in (samples, *mirrored):
+        if sheet.spec.speckle_contrast > 0:
             light = dimmed(part.light * np.float32(scale), shade, (part.rows, part.columns))
             kept.append(part._replace(light=light))
     return ExpectedRecord(phi, placement, *frames, truth, laser, tuple(kept))

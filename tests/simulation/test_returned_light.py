@@ -20,13 +20,13 @@ from jaxscan.simulation.light.bounce import Pieces
 from jaxscan.simulation.scene import Material, Mesh, build_scene
 
 
-F, CX, CY = 300.0, 79.625, 60.3
+F, CX, CY, CROSSING = 300.0, 79.625, 60.3, 2.0
 WIDTH, HEIGHT = 160, 120
 GREY, GLASS = Material(((0.7, 0.7, 0.7),)), Material(((0.0, 0.0, 0.0),), mirror=0.9)
 
 
 def rig_of(bounce=0.0, fan=16.0, **laser):
-    base = {"baseline_m": 0.3, "crossing_m": 2.0, "waist_mm": 3.0, "focus_m": 2.0, "fan_deg": fan}
+    base = {"baseline_m": 0.3, "crossing_m": CROSSING, "waist_mm": 3.0, "focus_m": 2.0, "fan_deg": fan}
     return make_rig(
         SimulationConfig(
             camera=CameraSpec(width=WIDTH, height=HEIGHT, fx=F, fy=F, cx=CX, cy=CY),
@@ -163,3 +163,27 @@ def test_a_room_s_mirror_hangs_on_its_wall(wall):
     way = turn @ {"x0": (-1, 0, 0), "x1": (1, 0, 0), "y0": (0, -1, 0), "y1": (0, 1, 0)}[wall]
     far, triangle = scene.cast(eye, way[None])
     assert far[0] == pytest.approx(0.17, abs=1e-4) and scene.mirror[triangle[0]] > 0
+
+
+def test_a_mirror_throws_the_laser_s_light_on_other_surfaces():
+    side, mirror = ((-0.15, -9, 0.5), (0, 0, 4), (0, 18, 0)), ((-0.14, -0.3, 2.0), (0.6, 0, 0), (0, 0.6, 0), GLASS)
+    rig = rig_of(fan=60.0)
+    record = expect_record(rig, scene_of(side, mirror), 0.0)
+    row = record.laser[60, :60].astype(float)
+    # From (0.3, 0, 0) by way of (0, 0, 2) to the side wall at z = 1: as from the laser's picture at (0.3, 0, 4).
+    assert (row * np.arange(60)).sum() / row.sum() == pytest.approx(CX - 0.15 * F / 1.0, abs=0.05)
+    leg = np.array([0.45, 0.0, 3.0])
+    r, across = np.linalg.norm(leg), (1 / CROSSING) / np.hypot(1 / 0.3, 1 / CROSSING)
+    expected = 0.9 * 0.7 * rig.sheets[0].power * (leg[0] / r) / r * (0.15 * F / 1.0**2) / across
+    # The stripe is so wide on the grazed wall that its distance changes within it.
+    assert row.sum() == pytest.approx(expected, rel=0.04)
+    # It is no truth: the sheet itself passes the side wall where the camera does not see it.
+    assert not record.truth.valid[60]
+
+
+def test_the_height_of_the_mirror_bounds_what_it_throws():
+    side, mirror = ((-0.15, -9, 0.5), (0, 0, 4), (0, 18, 0)), ((-0.14, -0.06, 2.0), (0.6, 0, 0), (0, 0.06, 0), GLASS)
+    record = expect_record(rig_of(fan=60.0), scene_of(side, mirror), 0.0)
+    lit = np.flatnonzero(record.laser[:, 20:50].max(1) > 0.3 * record.laser[:, 20:50].max())
+    # Seen from the laser's picture, 2 m behind the mirror and 3 m from the wall, which the camera sees at 1 m.
+    assert lit[-1] == pytest.approx(CY, abs=2) and lit[0] == pytest.approx(CY - 0.06 * 3 / 2 * F, abs=2)

@@ -7,7 +7,7 @@ from scipy.special import j1
 
 from jaxscan.simulation import LaserSpec, SensorSpec
 from jaxscan.simulation.camera import Blur
-from jaxscan.simulation.light import LitSamples, speckle_light
+from jaxscan.simulation.light import LitSamples, laser_image, speckle_light
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -136,3 +136,25 @@ def test_the_grain_is_wavelength_times_aperture():
 def test_dark_images_have_no_speckle():
     lit = field(40, 40, level=0.0)
     assert not speckle_light(lit, 0.5, 1.0, rng()).any()
+
+
+def test_speckle_of_a_lens_that_softens_is_that_of_its_mean_width():
+    """A batch of parts whose pixels have blurs between 0.8 and 1.2 px is drawn with the width of the mean variance."""
+    lit = _stripe(320, 48, 1.0)
+    place = np.linspace(0, 1, len(lit.rows), dtype=np.float32)
+    varied = lit._replace(blur=Blur((0.8, 1.2), place))
+    assert varied.blur.mean(np.ones(len(place))) == pytest.approx(((0.8**2 + 1.2**2) / 2) ** 0.5, rel=1e-3)
+    change = speckle_light(varied, 0.6, 1.0, rng(4))
+    # The light of narrow rows is brighter in its middle, so its speckle is stronger there.
+    middle = np.abs(change[:, 24])
+    assert middle[:100].mean() > 1.1 * middle[-100:].mean()
+
+
+def test_a_stripe_is_as_faint_after_speckle_as_before_on_average():
+    lit = _stripe(1200, 40, 1.0)
+    change = speckle_light(lit, 0.6, 0.5, rng(6))
+    plain = laser_image(lit)
+    # Rows sum to 10 DN; 1200 rows of a contrast of about 0.2: five standard errors.
+    assert change.sum(1).mean() == pytest.approx(0, abs=float(5 * change.sum(1).std() / 1200**0.5))
+    assert plain.sum(1).mean() == pytest.approx(10, rel=1e-3)
+    assert (plain + change).min() > -0.02 * plain.max()

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.observation.printed.lattice import Lattice, Shared
+from jaxscan.observation.printed.lattice import Lattice, Shared, collected
 from jaxscan.observation.printed.room_light import RoomLight
 from jaxscan.observation.printed.windows import Windows
 
@@ -80,13 +80,13 @@ def fit_laser_light(
     own = max(width**2 - math.exp(2 * room.shared.blur), 0.16 * width**2)
     shared = room.shared._replace(width=0.5 * math.log(own))
     expected, prior = np.array(shared), _prior(room)
-    even = np.ones((len(lattice.across), 1, len(lattice.along)), np.float32)
-    light = windows.light - _stray_light(windows, lattice.seen(paper, shared).sum(-1), shared, lattice, (centre, width))
-    amplitude, speckle2, derivatives = None, 0.0, None
+    shown = collected(paper, lattice.kernel(shared)).sum(-1)
+    light = windows.light - _stray_light(windows, shown, shared, lattice, (centre, width))
+    amplitude, speckle2, derivatives, say = None, 0.0, None, np.ones(len(centre))
     for number in range(_ROUNDS):
         # Blur and place hardly move, and their derivatives cost most.
         again = number in (0, 2, _ROUNDS - 1)
-        model = _model(paper, even, lattice, shared, centre, None if again else derivatives)
+        model = _model(paper, lattice, shared, centre, None if again else derivatives)
         derivatives = model.by_shared[..., 3:]
         if amplitude is None:
             weight = windows.used / (windows.variance + 1.0)
@@ -102,7 +102,8 @@ def fit_laser_light(
         inverse = np.linalg.inv(normal)
         if number:
             leverage = weight * np.einsum("npi,nij,npj->np", own_slopes, inverse, own_slopes)
-            speckle2 = _speckle2(left, positive, variance, np.where(windows.used, leverage, 1.0))
+            leverage = np.where(windows.used & (say[:, None] == 1.0), leverage, 1.0)
+            speckle2 = _speckle2((left, positive, variance), leverage, speckle2)
             weight = windows.used / (variance + speckle2 * positive**2)
         chi2 = np.sum(weight * left**2, 1) / np.maximum(windows.used.sum(1) - 2.0, 1.0)
         ratio = chi2 / (_ODD_CHI2 * max(float(np.median(chi2)), 1.0))
@@ -123,14 +124,13 @@ def fit_laser_light(
         centre = centre + np.clip(own_step[:, 1], -1.0, 1.0)
     covariance = covariance + np.diag(np.square(_LEFT))
     doubt = np.sqrt(np.einsum("ns,st,nt->n", eliminated[:, 1], covariance, eliminated[:, 1]))
-    shown = lattice.seen(paper, shared).sum(-1)[:, np.abs(lattice.pixels) <= _NEAR_PX]
+    shown = collected(paper, lattice.kernel(shared)).sum(-1)[:, np.abs(lattice.pixels) <= _NEAR_PX]
     sigma = np.sqrt(inverse[:, 1, 1])
     return LaserLight(centre, sigma, doubt, chi2, np.ptp(shown, axis=1), shared, math.sqrt(speckle2))
 
 
 def _model(
     paper: np.ndarray,
-    even: np.ndarray,
     lattice: Lattice,
     shared: Shared,
     centre: np.ndarray,
@@ -141,9 +141,9 @@ def _model(
     width = np.exp(shared.width + shared.taper * s)[:, None].astype(np.float32)
 
     def see(at: Shared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        by_paper, by_all = (lattice.seen(part, at) for part in (paper, even))
-        z = lattice.offsets(at, centre) / width
-        return by_paper, by_all, z
+        kernel = lattice.kernel(at)
+        # All light reaches the pixels from white paper, whatever the line.
+        return collected(paper, kernel), kernel.sum(1).T, lattice.offsets(at, centre) / width
 
     by_paper, by_all, z = see(shared)
     bell = np.exp(-0.5 * z * z)
@@ -192,11 +192,18 @@ def _stray_light(
     return level[:, None] * seen
 
 
-def _speckle2(left: np.ndarray, seen: np.ndarray, variance: np.ndarray, leverage: np.ndarray) -> float:
-    """Scatter of the light beyond noise, over its square, from residuals that lost their leverage to the fit."""
+def _speckle2(pixels: tuple[np.ndarray, np.ndarray, np.ndarray], leverage: np.ndarray, before: float) -> float:
+    """Scatter of the light beyond noise, over its square, from residuals that lost their leverage to the fit.
+
+    Args:
+        pixels: Residuals, expected light, and variance without speckle [lines, samples].
+        leverage: Of each pixel; 1 where it does not count.
+        before: The value of the round before, by which residuals are weighed.
+    """
+    left, seen, variance = pixels
     scale, rest = seen**2, np.maximum(1.0 - leverage, 0.0)
-    good = (rest > 0.3) & (left**2 < 25.0 * (variance + 0.01 * scale))
-    weight = np.where(good, 1.0 / np.square(variance + 0.0025 * scale), 0.0)
+    good = (rest > 0.3) & (left**2 < 25.0 * (variance + max(before, 0.01) * scale))
+    weight = np.where(good, 1.0 / np.square(variance + max(before, 0.0025) * scale), 0.0)
     bottom = float(np.sum(weight * rest * scale**2))
     top = float(np.sum(weight * scale * (left**2 - rest * variance)))
     return max(top / bottom, 0.0) if bottom > 0 else 0.0

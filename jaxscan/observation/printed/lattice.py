@@ -51,18 +51,9 @@ class Lattice(NamedTuple):
     def kernel(self, shared: Shared) -> np.ndarray:
         """Share of the light of a sample that each pixel collects, float32 [k, j, samples]."""
         blur = math.exp(shared.blur)
-        down = _STEP * _collected(self.along + shared.along, blur)
+        down = _STEP * _share(self.along + shared.along, blur)
         x = self.across[:, None, None] + self.slope * self.along[:, None] + shared.across - self.pixels
-        return (_STEP * _collected(x, blur) * down[:, None]).astype(np.float32)
-
-    def seen(self, paper: np.ndarray, shared: Shared) -> np.ndarray:
-        """Light of each sample across that the pixels collect where it is 1 everywhere [lines, samples, k].
-
-        Args:
-            paper: Reflectance at the samples [k, lines, j].
-            shared: Blur, and the place of the print.
-        """
-        return np.ascontiguousarray(np.matmul(paper, self.kernel(shared)).transpose(1, 2, 0))
+        return (_STEP * _share(x, blur) * down[:, None]).astype(np.float32)
 
     def offsets(self, shared: Shared, centre: np.ndarray) -> np.ndarray:
         """Distance of the samples across from the stripe's centre on their line [lines, k], px."""
@@ -70,7 +61,17 @@ class Lattice(NamedTuple):
         return (moved - centre[:, None]).astype(np.float32)
 
 
-def _collected(x: np.ndarray, blur: float) -> np.ndarray:
+def collected(paper: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+    """What pixels collect of each sample across, where the light is 1 everywhere [lines, samples, k].
+
+    Args:
+        paper: Reflectance at the samples of a lattice [k, lines, j].
+        kernel: Of the lattice.
+    """
+    return np.ascontiguousarray(np.matmul(paper, kernel).transpose(1, 2, 0))
+
+
+def _share(x: np.ndarray, blur: float) -> np.ndarray:
     """Share of the light of a point at distance x that a pixel collects, per pixel."""
     return _normal((x + 0.5) / blur) - _normal((x - 0.5) / blur)
 

@@ -14,7 +14,7 @@ _MIN_LINES = 8
 # Half width of a window, in widths of the stripe and in samples.
 _WIDTHS, _MIN_HALF, _MAX_HALF = 3.2, 5, 16
 # Part of the lines, at least, that the picture of the board must explain.
-_LEAST_EXPLAINED = 0.6
+_LEAST_EXPLAINED = 0.7
 # The light within so many widths of the stripe must fall on the print.
 _SURE = 2.5
 # Chi-squared over the median from which a line does not follow the model, and the distance that a fit may move a
@@ -94,12 +94,10 @@ def _places(stripe: FoundStripe, lattice: Lattice, line: np.ndarray, middle: np.
     """
     along, across = lattice.along[-1] * np.arange(-1, 2), lattice.across[-1] * np.arange(-1, 2)
     nodes = np.stack(np.meshgrid(along, across, indexing="ij"), -1).reshape(-1, 2)
-    # Always as many, so that nothing compiles anew.
-    some = np.resize(np.arange(len(line)), MOST_POINTS)
-    u = middle[some][:, None] + lattice.slope * nodes[:, 0] + nodes[:, 1]
-    v = line[some][:, None] + nodes[:, 0]
+    u = middle[:, None] + lattice.slope * nodes[:, 0] + nodes[:, 1]
+    v = line[:, None] + nodes[:, 0]
     q = np.stack([u, v] if stripe.stripe_axis == "rows" else [v, u], -1)
-    xy = lift(q.reshape(-1, 2)).reshape(MOST_POINTS, 9, 2)[: len(line)]
+    xy = lift(q.reshape(-1, 2)).reshape(-1, 9, 2)
     down, over = _quadratic(lattice.along / along[-1]), _quadratic(lattice.across / across[-1])
     weights = np.einsum("ja,kb->abjk", down, over).reshape(9, -1)
     shape = len(line), len(lattice.along), len(lattice.across)

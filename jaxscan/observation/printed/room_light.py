@@ -17,12 +17,16 @@ _PLACE_PX = 0.2
 # Light of the laser that ink sends back, over that of paper: expected [1].
 _INK = 0.12
 _STEP = 0.05
+# Light of the room from which the print's colours can be told [DN].
+_LEAST_LIGHT_DN = 1.0
 _LARGEST_STEP = 0.3
 # Residuals beyond so many standard deviations count a little only.
 _ODD, _ODD_WEIGHT = 5.0, 0.04
-# Light of a line that neither the print nor noise explains, over that of the print: at most, in the first rounds and
-# at last. A hand, a frame round the board or a reflection is more.
-_UNEXPLAINED = (0.5, 0.5, 0.3, 0.2, 0.12, 0.12)
+# Light of a line that neither the print nor noise explains, over that of the print: at most, round by round. A hand, a
+# frame round the board or a reflection is more. In the first rounds the print stays where it is predicted, so that such
+# lines do not draw it aside.
+_UNEXPLAINED = (0.3, 0.25, 0.25, 0.2, 0.15, 0.12, 0.12)
+_HELD_ROUNDS = 2
 
 
 class RoomLight(NamedTuple):
@@ -62,7 +66,7 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice) -> Roo
         kernel = lattice.kernel(Shared(0.0, 0.0, _INK, blur, across, along))
         return np.asarray(flat @ kernel.transpose(1, 0, 2).reshape(-1, samples), np.float64)
 
-    for limit in _UNEXPLAINED:
+    for number, limit in enumerate(_UNEXPLAINED):
         seen, root = see(*place), np.sqrt(weight)[..., None]
         level = np.stack([np.ones_like(s), s, seen, s * seen, s * s * seen, u * seen], -1)
         basis, triangle = np.linalg.qr((level * root).reshape(-1, level.shape[-1]))
@@ -78,7 +82,7 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice) -> Roo
         scale = max(1.0, float(left @ left) / max(int(np.count_nonzero(weight)), 1))
         information = slopes.T @ slopes / scale + prior
         step = np.linalg.solve(information, slopes.T @ left / scale + prior @ (start - place))
-        place = place + np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+        place = place + (number >= _HELD_ROUNDS) * np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
         place[0] = np.clip(place[0], *_LOG_BLURS)
         odd = left.reshape(lines, samples) ** 2 > _ODD**2 * scale
         rest = np.where(windows.used, np.square(windows.dark - level @ found) - 2.0 * variance, 0.0).sum(1)
@@ -86,4 +90,5 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice) -> Roo
         explained = rest <= (limit * print_light) ** 2 * np.maximum(windows.used.sum(1), 1)
         weight = np.where(odd, _ODD_WEIGHT, 1.0) / variance * (windows.used & explained[:, None])
     shared = Shared(0.0, 0.0, _INK, *place.tolist())
-    return RoomLight(shared, np.linalg.inv(information), explained, float(np.sum(weight * brightness)) < 0.0)
+    exchanged = float(np.median(brightness)) < -_LEAST_LIGHT_DN
+    return RoomLight(shared, np.linalg.inv(information), explained, exchanged)

@@ -68,22 +68,39 @@ def illuminate(shot: LitScene, rays: np.ndarray) -> np.ndarray:
 
 def light_at(shot: LitScene, hits: Hits, beside: np.ndarray) -> np.ndarray:
     """Light of the laser on n points that lie `beside` its sheet [m], float32 [n]."""
-    sheet, f = shot.sheet, np.float32
-    legs = hits.points - sheet.origin.astype(f)
+    light = np.zeros(len(beside), np.float32)
+    lit = in_band(shot.sheet, hits, beside)
+    lit = lit[~_shaded(shot, hits.points[lit], hits.on_board[lit])]
+    light[lit] = landing(shot.sheet, hits, beside, lit) * albedo_at(shot, hits, lit)
+    return light
+
+
+def in_band(sheet: Sheet, hits: Hits, beside: np.ndarray) -> np.ndarray:
+    """Which points the sheet reaches if nothing shades them, indices."""
+    legs = hits.points - sheet.origin.astype(np.float32)
+    angle = sheet.angle(legs)
+    thickness = _thickness(sheet, legs, angle)
+    facing = np.einsum("ij,ij->i", legs, hits.normal) < 0
+    near = np.abs(beside) < np.float32(band(sheet)) * thickness
+    return np.flatnonzero(near & facing & (along(sheet, angle) > 0) & np.isfinite(hits.depth))
+
+
+def landing(sheet: Sheet, hits: Hits, beside: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    """Light that lands on the `lit` points, as a white surface gives it back, float32 [lit]."""
+    f = np.float32
+    legs = hits.points[lit] - sheet.origin.astype(f)
     r = np.sqrt(np.einsum("ij,ij->i", legs, legs))
     angle = sheet.angle(legs)
-    thickness = sheet.thickness(r).astype(f) * widened(sheet, angle)
-    cosine = -np.einsum("ij,ij->i", legs, hits.normal) / r
-    fan = along(sheet, angle)
-    lit = np.flatnonzero(
-        (np.abs(beside) < f(band(sheet)) * thickness) & (cosine > 0) & (fan > 0) & np.isfinite(hits.depth)
-    )
-    light = np.zeros(len(beside), f)
-    lit = lit[~_shaded(shot, hits.points[lit], hits.on_board[lit])]
-    s = beside[lit] / thickness[lit]
-    energy = f(sheet.power / math.sqrt(2 * math.pi)) / (r[lit] * thickness[lit])
-    light[lit] = energy * cosine[lit] * fan[lit] * across(sheet, s) * _albedo(shot, hits, lit)
-    return light
+    thickness = _thickness(sheet, legs, angle)
+    cosine = -np.einsum("ij,ij->i", legs, hits.normal[lit]) / r
+    s = beside[lit] / thickness
+    energy = f(sheet.power / math.sqrt(2 * math.pi)) / (r * thickness)
+    return energy * cosine * along(sheet, angle) * across(sheet, s)
+
+
+def _thickness(sheet: Sheet, legs: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    r = np.sqrt(np.einsum("ij,ij->i", legs, legs))
+    return sheet.thickness(r).astype(np.float32) * widened(sheet, angle)
 
 
 def cast(shot: LitScene, rays: np.ndarray) -> Hits:
@@ -113,7 +130,8 @@ def _shaded(shot: LitScene, points: np.ndarray, on_board: np.ndarray) -> np.ndar
     return shaded
 
 
-def _albedo(shot: LitScene, hits: Hits, lit: np.ndarray) -> np.ndarray:
+def albedo_at(shot: LitScene, hits: Hits, lit: np.ndarray) -> np.ndarray:
+    """Albedo of the `lit` points for the laser's light, float32 [lit]."""
     (albedo,), _ = shot.scene.look(hits.triangle[lit], shot.pose.apply(hits.points[lit]), laser_channel(shot))
     if shot.board is not None:
         on_board = hits.on_board[lit]

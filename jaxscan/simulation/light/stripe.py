@@ -6,6 +6,7 @@ edges, shadows and printed edges cut the stripe at their true places.
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from jaxscan.simulation.camera import Blur, psf_weights, splat
 from jaxscan.simulation.light.fan import band
 from jaxscan.simulation.light.lit import LitScene, illuminate, stacked
-from jaxscan.simulation.light.mirror import mirrored_light, mirrored_sheet
+from jaxscan.simulation.light.mirror import lit_mirrors, mirrored_light, mirrored_sheet, thrown_light, thrown_sheet
 from jaxscan.simulation.rig import Sheet, TrueRig
 
 
@@ -49,21 +50,23 @@ def lit_samples(shot: LitScene, depth: np.ndarray, blur: Blur) -> LitSamples:
     return _sampled(shot, near, blur, lambda rays: illuminate(shot, rays))
 
 
-def mirrored_samples(shot: LitScene, glass: np.ndarray, blur: Blur) -> LitSamples | None:
-    """The laser's light that the camera sees in mirrors.
+def mirrored_samples(shot: LitScene, glass: np.ndarray, depth: np.ndarray, blur: Blur) -> list[LitSamples]:
+    """The laser's light by way of mirrors: what the camera sees in them, and what they throw on other surfaces.
 
     Args:
         shot: The scene and its laser.
         glass: Pixels that see a mirror, bool [height, width].
+        depth: As for `lit_samples`.
         blur: Of the lens, in all pixels.
-
-    Returns:
-        None where it sees no mirror.
     """
-    if not glass.any():
-        return None
-    near = _crossed(*mirrored_sheet(shot, glass))
-    return _sampled(shot, near, blur, lambda rays: mirrored_light(shot, rays))
+    found = []
+    if glass.any():
+        near = _crossed(*mirrored_sheet(shot, glass))
+        found.append(_sampled(shot, near, blur, lambda rays: mirrored_light(shot, rays)))
+    for mirror in lit_mirrors(shot) if shot.scene.mirror.any() else []:
+        near = _crossed(*thrown_sheet(shot, mirror, depth))
+        found.append(_sampled(shot, near, blur, partial(thrown_light, shot, mirror)))
+    return found
 
 
 def _sampled(shot: LitScene, near: np.ndarray, blur: Blur, light_of: Callable[[np.ndarray], np.ndarray]) -> LitSamples:

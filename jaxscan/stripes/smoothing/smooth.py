@@ -7,7 +7,7 @@ value there has no bias by slope or curvature. Windows end
 - at an edge: where straight lines through 3, 6 or 10 centres on either side differ in value or slope (chi-squared
   of two degrees of freedom). So steps and corners stay as sharp as the rows have them, if noise lets them be seen;
 - at a gap;
-- where the parabola does not fit: of 3, 6 and 10 lines on either side the last one counts before chi-squared fails.
+- where the parabola does not fit: of 10, 6 and 3 lines on either side the first one counts that chi-squared passes.
 
 A centre off the line on which its four neighbours agree, a reflection or a wrong candidate, stays as it is and has no
 part in others.
@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float
 from jaxscan.stripes.smoothing.native_loops import Rules, smooth_block
 
 
-_RULES = Rules(sizes=np.array([3, 6, 10]), gap=4.0, edge=13.0, stray=4.5, agree=16.0, misfit=3.5)
+_RULES = Rules(sizes=np.array([3, 6, 10]), gap=4.0, edge=13.0, stray=4.5, agree=16.0, misfit=3.0)
 """Half a window of 10 lines: of fewer lines more noise would be left, of more the surface itself would be smoothed."""
 _LEAST_PX = 1e-4
 """Smallest standard deviation of a centre that is believed."""
