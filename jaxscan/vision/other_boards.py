@@ -18,7 +18,7 @@ _FITS = 0.15
 """Error of markers on a board with the right number of columns, in squares, at most."""
 _FEWEST_CORNERS = 4
 """Columns and rows of corners from which a chessboard is believed: less is found on many boards."""
-_LARGEST_PX = 1000
+_LARGEST_PX = 800
 
 
 def name_other_board(image: np.ndarray, board: AbstractBoard) -> str | None:
@@ -96,8 +96,7 @@ def _white_squares(columns: int, count: int) -> np.ndarray:
 
 
 def _name_chessboard(image: np.ndarray, board: AbstractBoard) -> str | None:
-    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
-    found, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
+    found, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), cv2.CALIB_CB_LARGER)
     if not found or min(meta.shape) < _FEWEST_CORNERS:
         return None
     rows, columns = meta.shape

@@ -131,6 +131,28 @@ def test_the_noise_is_estimated(world, perfect):
     assert value < size + 4 * np.sqrt(2 * size)
 
 
+def test_every_contrast_class_has_a_noise_of_its_own(world, perfect):
+    stripes = perfect.stripes
+    contrast = np.random.default_rng(0).integers(0, 3, stripes.valid.shape).astype(np.int8)
+    size = np.array([1.0, 0.5, 2.5])[contrast]
+    uneven = replace(perfect, stripes=replace(stripes, sigma=stripes.sigma * size))
+    noisy = world.with_noise(uneven, 5)
+    stated = replace(noisy, stripes=replace(noisy.stripes, sigma=stripes.sigma, contrast=contrast))
+    calibration = calibrate_observations(stated)
+    ratio = calibration.fit.stripe_sigma / stripes.sigma
+    for number, true in enumerate((1.0, 0.5, 2.5)):
+        some = stripes.valid & (contrast == number)
+        # The size is known to 1 / sqrt(2 n); three times that.
+        assert ratio[some] == pytest.approx(true, rel=3.0 / np.sqrt(2 * np.count_nonzero(some)))
+        assert np.count_nonzero(some) > 150
+    value, count = normalised_error(calibration, world.errors(calibration.scanner, world.Rig()))
+    assert value < count + 4 * np.sqrt(2 * count)
+    # Without the classes all points count alike, and the sheet is known worse.
+    alike = calibrate_observations(replace(stated, stripes=replace(stated.stripes, contrast=None)))
+    place = calibration.order.index("laser.laser.n1" if "laser.laser.n1" in calibration.order else "laser.n1")
+    assert calibration.covariance[place, place] < 0.7 * alike.covariance[place, place]
+
+
 def test_a_bowed_board_is_found_out(world):
     rig = world.Rig(warp=(5e-4, -3e-4))
     calibration = calibrate_observations(world.observe(rig))

@@ -210,6 +210,22 @@ def test_observations_come_back(tmp_path, board):
     same_bits(load_scanner(tmp_path / "c.json"), calibration.scanner)
 
 
+def test_contrast_classes_come_back(tmp_path):
+    observations = make_observations()
+    classes = np.random.default_rng(0).integers(0, 3, observations.stripes.valid.shape).astype(np.int8)
+    stripes = dataclasses.replace(observations.stripes, contrast=classes)
+    calibration = make_calibration(observations=dataclasses.replace(observations, stripes=stripes))
+    save_calibration(calibration, tmp_path / "c.json")
+    same_bits(load_calibration(tmp_path / "c.json").observations, calibration.observations)
+    without_digests(tmp_path / "c.json")
+    with np.load(tmp_path / "c.npz") as good:
+        arrays = {key: good[key] for key in good.files}
+    arrays["stripes.contrast"] = np.full_like(classes, 3)
+    np.savez(tmp_path / "c.npz", **arrays)
+    with pytest.raises(CalibrationError, match=r"stripes\.contrast: found a number outside"):
+        load_calibration(tmp_path / "c.json")
+
+
 @pytest.mark.parametrize("coefficients", [2, 4, 5])
 def test_a_camera_alone(tmp_path, coefficients):
     alone = camera_alone(coefficients)

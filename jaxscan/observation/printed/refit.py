@@ -1,5 +1,7 @@
 """The stripe of one view, again, with the print of its board."""
 
+import math
+
 import numpy as np
 
 from jaxscan.observation.prediction import SolvedRig, lift_to_board
@@ -15,6 +17,11 @@ _MIN_LINES = 8
 _WIDTHS, _MIN_HALF, _MAX_HALF = 3.2, 5, 16
 # Part of the lines, at least, that the picture of the board must explain.
 _LEAST_EXPLAINED = 0.7
+# A view that is more blurred than this is not of the model [px].
+_MOST_BLUR_PX = 1.5
+# Share of the lines on which the stripe is clipped within so many widths of its centre, at most: flanks alone do not
+# show the profile of a sheet, and other channels may see it whole.
+_MOST_CLIPPED, _CORE = 0.2, 1.5
 # The light within so many widths of the stripe must fall on the print.
 _SURE = 2.5
 # Chi-squared over the median from which a line does not follow the model, and the distance that a fit may move a
@@ -53,6 +60,9 @@ def fit_on_print(
     width = float(np.median(stripe.width[line]))
     half = int(np.clip(np.ceil((_WIDTHS * width + 1.5) / sites.pitch), _MIN_HALF, _MAX_HALF))
     windows, middle = cut_windows(sight, line, raw, half)
+    core = np.abs(windows.place + middle[:, None] - raw[:, None]) < _CORE * width
+    if np.mean((core & ~windows.used).any(1)) > _MOST_CLIPPED:
+        return None
     slope = float(np.polyfit(line - line.mean(), raw, 1)[0])
     lattice = Lattice.around(half, sites.pitch, slope)
     x, y = _places(stripe, lattice, line, middle, lambda q: lift_to_board(rig, pose, q))
@@ -61,7 +71,7 @@ def fit_on_print(
     if room.exchanged:
         paper = np.float32(1.0) - paper
         room = fit_room_light(windows, paper, lattice)
-    if room.exchanged or room.explained.mean() < _LEAST_EXPLAINED:
+    if room.exchanged or room.explained.mean() < _LEAST_EXPLAINED or room.shared.blur >= math.log(_MOST_BLUR_PX):
         return None
     light = fit_laser_light(windows, paper, lattice, room, (raw - middle, width))
     u, sigma = middle + light.centre, np.hypot(light.sigma, light.doubt)

@@ -40,6 +40,8 @@ class Windows(NamedTuple):
     """bool [lines, samples]: inside the image and not clipped."""
     electrons_per_dn: float
     """Conversion gain [e-/DN]."""
+    place: np.ndarray
+    """Of the samples from the middle one [samples], px."""
 
 
 def cut_windows(sight: Sight, line: np.ndarray, centre: np.ndarray, half: int) -> tuple[Windows, np.ndarray]:
@@ -67,5 +69,6 @@ def cut_windows(sight: Sight, line: np.ndarray, centre: np.ndarray, half: int) -
     variance = variance + sight.lamp_ratio**2 * dark_variance
     used = (index >= 0) & (index < samples) & (on < _CLIPPED_DN) & (off < _CLIPPED_DN)
     light = level[on] - sight.lamp_ratio * dark
-    windows = Windows(light, np.maximum(variance, 0.05), dark, dark_variance, used, noise.electrons_per_dn)
+    place = sites.pitch * np.arange(-half, half + 1, dtype=np.float64)
+    windows = Windows(light, np.maximum(variance, 0.05), dark, dark_variance, used, noise.electrons_per_dn, place)
     return windows, offset + sites.pitch * middle
