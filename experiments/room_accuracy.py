@@ -68,8 +68,8 @@ def is_visible(record: ExpectedRecord, config: SimulationConfig) -> np.ndarray:
 
 def joined(parts: list[jaxscan.PointCloud]) -> jaxscan.PointCloud:
     """Clouds of consecutive chunks as one."""
-    fields = {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}
-    return jaxscan.PointCloud(**fields)
+    there = [name for name, field in vars(parts[0]).items() if field is not None]
+    return jaxscan.PointCloud(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in there})
 
 
 def main() -> None:

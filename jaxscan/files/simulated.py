@@ -129,15 +129,13 @@ def _write_capture(
         sensor["response"] = config.sensor.response
     if config.sensor.stated and config.sensor.jpeg_quality is not None:
         sensor["compression"] = "jpeg"
-    markers = {"marker_mm", "dictionary"} if config.boards.type == "charuco" else set()
-    board = config.boards.model_dump(include={"type", "columns", "rows", "square_mm"} | markers)
     header = CaptureHeader.model_validate(
         {
             "kind": kind,
             "camera": config.camera.model_dump(include={"width", "height", "up"}) | sensor,
             "turntable": {"carries": config.turntable.carries},
             "laser": [laser.model_dump(include={"name", "colour", "stripe_axis"}) for laser in config.laser],
-            "board": board if kind == "calibration" else None,
+            "board": config.boards.table() if kind == "calibration" else None,
             "plan": {"steps": planned},
             "acquisition": {"software": "jaxscan simulate"},
         }

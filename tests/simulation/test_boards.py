@@ -24,6 +24,7 @@ from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.rays import distort
 from jaxscan.simulation.rig import Motion, rodrigues
 from jaxscan.simulation.scene import Material, Mesh, build_scene
+from jaxscan.vision import board_texture, find_corners
 
 
 BOARD = BoardsSpec(type="chessboard", columns=7, rows=5, square_mm=40.0, range_m=(0.6, 1.4))
@@ -244,3 +245,30 @@ def test_a_board_that_fits_nowhere_is_refused():
         plan_boards(make_rig(c), make_scene(c), np.random.default_rng(0))
     with pytest.raises(ConfigError, match="square cells"):
         make_print(BOARD, np.zeros((100, 100), np.uint8))
+
+
+@pytest.mark.parametrize("kind", ["charuco", "aprilgrid"])
+def test_boards_of_markers_are_found_where_they_are_rendered(kind):
+    spec = BoardsSpec(
+        type=kind,
+        columns=6 if kind == "charuco" else 4,
+        rows=5 if kind == "charuco" else 3,
+        square_mm=60.0,
+        marker_mm=46.0,
+        dictionary="DICT_4X4_250",
+        tag_mm=60.0,
+        gap_mm=18.0,
+    )
+    c = config(boards=spec, camera=CAMERA.model_copy(update={"fx": 330.0, "fy": 330.0}))
+    rotation = rodrigues(np.array([0.6, 0.8, 0.0]), 0.3)
+    middle = np.append(spec.board().outline().mean(0), 0)
+    motion = Motion(rotation, np.array([0.02, -0.01, 0.47]) - rotation @ middle)
+    board = SeenBoard(make_print(spec, board_texture(spec.board(), 60)), motion.inverse())
+    image = np.rint(expect_record(make_rig(c), make_scene(c), 0.0, board=board).off).astype(np.uint8)
+    found = find_corners(image, spec.board())
+    assert found is not None and found.valid.mean() > 0.8
+    points = motion.apply(spec.board().corners())
+    true = np.stack(distort(c.camera, points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]), -1)
+    # Levels are rounded to whole DN; corners of markers are found to some hundredths of a pixel.
+    error = np.hypot(*(found.q - true)[found.valid].T)
+    assert np.median(error) < 0.08 and error.max() < 0.5

@@ -1,23 +1,26 @@
 """Configuration of the calibration board and its views."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from jaxscan.geometry import AbstractBoard, Charuco, Chessboard, check_board, known_dictionary
+from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, Chessboard, check_board, known_dictionary
 from jaxscan.simulation.settings.numbers import Albedo, Angle, Distance, Level, Millimetres, Pair, Place, Section, Share
 
 
 class BoardsSpec(Section):
     """The calibration board and how it is shown to the rig."""
 
-    type: Literal["charuco", "chessboard"] = "charuco"
+    type: Literal["charuco", "chessboard", "aprilgrid"] = "charuco"
     columns: Annotated[int, Field(ge=1, le=1000)] = 12
-    """Squares of a ChArUco board; inner corners of a chessboard."""
+    """Squares of a ChArUco board; inner corners of a chessboard; tags of an AprilGrid."""
     rows: Annotated[int, Field(ge=1, le=1000)] = 9
     square_mm: Millimetres = 30.0
     marker_mm: Millimetres = 22.0
     dictionary: Annotated[str, AfterValidator(known_dictionary)] = "DICT_5X5_250"
+    tag_mm: Millimetres = 40.0
+    """Of an AprilGrid, as is the distance of its tags."""
+    gap_mm: Millimetres = 12.0
     border_mm: Annotated[float, Field(ge=0, le=1e4)] = 15.0
     """White margin around the printed area."""
     warp_mm: tuple[Place, Place] = (0.0, 0.0)
@@ -56,11 +59,22 @@ class BoardsSpec(Section):
         check_board(self.board())
         return self
 
+    def table(self) -> dict[str, Any]:
+        """The board as the header of a capture describes it."""
+        lengths = {
+            "charuco": {"square_mm", "marker_mm", "dictionary"},
+            "chessboard": {"square_mm"},
+            "aprilgrid": {"tag_mm", "gap_mm"},
+        }
+        return self.model_dump(include={"type", "columns", "rows"} | lengths[self.type])
+
     def board(self) -> AbstractBoard:
         """The board of the geometry, for corners and outline."""
         columns, rows, square = self.columns, self.rows, self.square_mm / 1000
         if self.type == "chessboard":
             return Chessboard(columns=columns, rows=rows, square=square)
+        if self.type == "aprilgrid":
+            return AprilGrid(columns=columns, rows=rows, square=self.gap_mm / 1000, tag=self.tag_mm / 1000)
         return Charuco(
             columns=columns, rows=rows, square=square, marker=self.marker_mm / 1000, dictionary=self.dictionary
         )
