@@ -1,5 +1,6 @@
 """What a method says of a world, in one form for jaxscan and for the plain pipeline."""
 
+import time
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +49,19 @@ class Estimate(NamedTuple):
     """Of the sweep, as the points of the cloud have them."""
     dimensions: list[Dimension]
     seconds: dict[str, float]
+
+
+def clocks() -> tuple[float, float]:
+    """Now, by the wall's clock and by the processor's [s]."""
+    return time.perf_counter(), time.process_time()
+
+
+def passed(start: tuple[float, float], middle: tuple[float, float], end: tuple[float, float]) -> dict[str, float]:
+    """Times of calibration and sweep [s]; the processor's say more where others use the machine too."""
+    (calibrate, calibrate_cpu), (sweep, sweep_cpu) = (
+        tuple(b - a for a, b in zip(*pair, strict=True)) for pair in ((start, middle), (middle, end))
+    )
+    return {"calibrate": calibrate, "calibrate_cpu": calibrate_cpu, "sweep": sweep, "sweep_cpu": sweep_cpu}
 
 
 def ray_grid(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

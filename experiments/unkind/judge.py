@@ -4,7 +4,8 @@
 
 A FOLDER is one world of `path_traced` or `simulated`; its name ends with its seed (path_traced_101). The figures are
 kept in `unkind.json` beside the page, per world, so that a second run adds to them. "before" is measured by the same
-program with the sources of an older commit first in PYTHONPATH.
+program with the sources of an older commit first in PYTHONPATH; runs side by side write to folders of their own, which
+`--merge` brings together.
 """
 
 import argparse
@@ -52,15 +53,26 @@ def judge(folder: Path) -> dict[str, Any]:
     return {"ours": figures(world, mine) | {"says": says}, "plain": figures(world, simple)}
 
 
+def write(folder: Path, results: dict[str, Any]) -> None:
+    """Write figures and page."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "unkind.json").write_text(json.dumps(results, indent=1, sort_keys=True) + "\n")
+    (folder / "unkind.md").write_text(markdown(results))
+
+
 def main() -> None:
     """Judge the worlds, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("worlds", type=Path, nargs="*")
     parser.add_argument("--as", dest="which", choices=["before", "after"], default="after")
     parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--merge", type=Path, nargs="*", default=[], help="`unkind.json` of runs beside this one")
     options = parser.parse_args()
     kept = options.results / "unkind.json"
     results: dict[str, Any] = json.loads(kept.read_text()) if kept.exists() else {}
+    for other in options.merge:
+        for name, entry in json.loads(other.read_text()).items():
+            results.setdefault(name, {}).update(entry)
     for folder in options.worlds:
         start = time.perf_counter()
         measured = judge(folder)
@@ -68,9 +80,8 @@ def main() -> None:
         entry[options.which] = measured["ours"]
         entry["plain"] = measured["plain"]
         print(f"{folder.name}: {time.perf_counter() - start:.0f} s", flush=True)
-        options.results.mkdir(parents=True, exist_ok=True)
-        kept.write_text(json.dumps(results, indent=1, sort_keys=True) + "\n")
-        (options.results / "unkind.md").write_text(markdown(results))
+        write(options.results, results)
+    write(options.results, results)
     print(markdown(results))
 
 

@@ -47,11 +47,13 @@ RIVALS = (
 
 
 def figure(measured: dict[str, Any], path: tuple[str, ...]) -> Any:
-    """A figure by its path; the ratio of the step's widths is computed."""
+    """A figure by its path, NaN where it was not measured; the ratio of the step's widths is computed."""
     if path == ("step", "ratio"):
         return measured["step"]["smooth"] / measured["step"]["rows"]
     found: Any = measured
     for key in path:
+        if key not in found:
+            return float("nan")
         found = found[key]
     return found
 

@@ -1,12 +1,10 @@
 """jaxscan's own word on a world, through its public functions alone."""
 
-import time
-
 import jax
 import numpy as np
 
 import jaxscan
-from experiments.unkind.estimate import Dimension, Estimate, Rig, Rows, ray_grid
+from experiments.unkind.estimate import Dimension, Estimate, Rig, Rows, clocks, passed, ray_grid
 from experiments.unkind.figures import sheet_grid
 from experiments.unkind.truth import Truth
 
@@ -87,16 +85,16 @@ def dimensions(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner, truth: Truth
 
 def estimate(folder: str, truth: Truth) -> tuple[Estimate, dict[str, object]]:
     """jaxscan on both captures of a world, and what it says of its own calibration."""
-    start = time.perf_counter()
+    start = clocks()
     boards = jaxscan.open_capture(f"{folder}/boards")
     calibration = jaxscan.calibrate(boards)
-    calibrated = time.perf_counter()
+    calibrated = clocks()
     scanner = calibration.scanner
     assert scanner is not None
     sweep = jaxscan.open_capture(f"{folder}/sweep")
     stripes = jaxscan.extract_sweep(sweep, scanner)
     cloud = jaxscan.reconstruct(sweep, scanner, stripes=stripes)
-    seconds = {"calibrate": calibrated - start, "sweep": time.perf_counter() - calibrated}
+    seconds = passed(start, calibrated, clocks())
     rows = Rows(*(np.asarray(part) for part in (stripes.u, stripes.sigma, stripes.valid)))
     rows = rows._replace(u=rows.u.astype(float), sigma=rows.sigma.astype(float))
     found = Estimate(

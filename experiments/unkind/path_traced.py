@@ -25,12 +25,14 @@ from experiments.unkind.world.tracer import Hits, Tracer, bilinear
 from experiments.unkind.world.true_rows import stripes
 
 
-STEPS = 100
+STEPS = 90
 WALL_DN = 110.0
 """Peak of the stripe on a wall of reflectance 0.65 at 2 m in a sweep [DN]."""
 BOARD_WHITE_DN, SWEEP_WHITE_DN = 120.0, 45.0
 """Brightness of white paper in the room's light, where it is usual; a sweep is made in dim light."""
-COARSE = 8
+SAMPLES = 4
+"""Rays in a quarter of a pixel around a board."""
+COARSE = 10
 """Pixels between the points at which light from other surfaces is gathered."""
 
 
@@ -69,23 +71,30 @@ def ways(rig: Rig, du: float = 0.0, dv: float = 0.0, cells: int = 1) -> np.ndarr
     return grid_ways(tuple(map(float, rig.lens)), (rig.width, rig.height), du, dv, cells)
 
 
-def ambient(shot: light.Shot, sensor: Sensor, samples: int, board_light: Any | None) -> np.ndarray:
+def ambient(shot: light.Shot, sensor: Sensor, board_light: Any | None) -> np.ndarray:
     """The lamps' light on every pixel behind the lens, in units of a white surface under a light of pi.
 
-    Two by two cells per pixel, each with `samples` rays whose rows and columns all differ.
+    Two by two cells per pixel; around a board each has four rays, whose rows and columns all differ.
     """
     rows, columns = 2 * shot.rig.height, 2 * shot.rig.width
-    total = np.zeros(rows * columns, np.float32)
-    offsets = ((np.arange(samples) + 0.5) / samples - 0.5) / 2
-    order = {1: [0], 4: [1, 3, 0, 2]}[samples]
-    for du, dv in zip(offsets[order], offsets, strict=True):
-        way = shot.turned(ways(shot.rig, float(du), float(dv), 2))
-        shape, albedo, uv = shot.tracer.painted(shot.pose[:3, 3], way)
-        glow = shot.tracer.ambient(shape, uv)
+
+    def glow(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        shape, albedo, uv = shot.tracer.painted(shot.pose[:3, 3], shot.turned(way))
+        light, on_board = shot.tracer.ambient(shape, uv), np.flatnonzero(shape == shot.tracer.board)
         if board_light is not None:
-            on_board = np.flatnonzero(shape == shot.tracer.board)
-            glow[on_board] = board_light(uv[on_board])
-        total += glow * albedo / np.float32(np.pi * samples)
+            light[on_board] = board_light(uv[on_board])
+        return light * albedo / np.float32(np.pi), on_board
+
+    total, on_board = glow(ways(shot.rig, 0.0, 0.0, 2))
+    if board_light is not None and len(on_board):
+        v, u = np.divmod(on_board, columns)
+        fine = (slice(v.min(), v.max() + 1), slice(u.min(), u.max() + 1))
+        offsets = (np.arange(SAMPLES) + 0.5) / SAMPLES / 2 - 0.25
+        several = 0.0
+        for du, dv in zip(offsets[[1, 3, 0, 2]], offsets, strict=True):
+            way = ways(shot.rig, float(du), float(dv), 2).reshape(rows, columns, 3)[fine]
+            several = several + glow(way.reshape(-1, 3))[0] / np.float32(SAMPLES)
+        total.reshape(rows, columns)[fine] = several.reshape(fine[0].stop - fine[0].start, -1)
     return to_pixels(blurred(total.reshape(rows, columns), sensor, 2), 2)
 
 
@@ -94,7 +103,7 @@ def board_light(tracer: Tracer) -> Any:
     patch = tracer.patches[tracer.board]
     v, u = (part.ravel() for part in (np.mgrid[0.5:6, 0.5:8] / np.array([6, 8])[:, None, None]))
     p = patch.origin + u[:, None] * patch.along + v[:, None] * patch.up
-    value = tracer.lamp_light(p, np.broadcast_to(patch.normal(), p.shape), 1024)
+    value = tracer.lamp_light(p, np.broadcast_to(patch.normal(), p.shape), 256)
 
     def terms(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], -1)
@@ -127,7 +136,7 @@ def take(world: World, shot: light.Shot, power: float, white: float, glow: Any |
     rig, sensor, rng = world.rig, world.sensor, world.rng
     middle = shot.tracer.cast(shot.pose[:3, 3], shot.turned(ways(rig)))
     vignette = falloff(rig)
-    room = white * vignette * ambient(shot, sensor, 1 if glow is None else 4, glow)
+    room = white * vignette * ambient(shot, sensor, glow)
     straight = light.direct(shot, middle)
     here = straight.columns
     gain = np.repeat(np.repeat((power * vignette[:, here]).astype(np.float32), FINE, 0), FINE, 1)

@@ -4,13 +4,11 @@ Nothing of jaxscan's calibration or stripes is used, only its reader of captures
 before as exact.
 """
 
-import time
-
 import cv2
 import numpy as np
 
 import jaxscan
-from experiments.unkind.estimate import Dimension, Estimate, Rig, Rows, ray_grid
+from experiments.unkind.estimate import Dimension, Estimate, Rig, Rows, clocks, passed, ray_grid
 from experiments.unkind.figures import meet, nearest, pick, sheet_grid
 from experiments.unkind.truth import TrueStripes, Truth
 from experiments.unkind.world.rig import look, rotation
@@ -179,14 +177,14 @@ def dimensions(truth: Truth, points: np.ndarray, wall: np.ndarray) -> list[Dimen
 
 def estimate(folder: str, truth: Truth, sweep_truth: TrueStripes) -> Estimate:
     """The plain pipeline on both captures of a world."""
-    start = time.perf_counter()
+    start = clocks()
     boards = jaxscan.open_capture(f"{folder}/boards")
     on_boards = stripes_of(boards)
     solved = Solved(boards, on_boards)
-    calibrated = time.perf_counter()
+    calibrated = clocks()
     rows = stripes_of(jaxscan.open_capture(f"{folder}/sweep"))
     points = solved.cloud(rows, truth.angles)
-    seconds = {"calibrate": calibrated - start, "sweep": time.perf_counter() - calibrated}
+    seconds = passed(start, calibrated, clocks())
     seen = on_boards._replace(valid=on_boards.valid & solved.on_board)
     found = dimensions(truth, points, wall_of(truth, sweep_truth, rows))
     return Estimate(solved.rig(truth), seen, seen, rows, rows, found, seconds)

@@ -84,6 +84,8 @@ class Samples(NamedTuple):
         for ahead in range(1, min(int(np.ceil(shared.max())), len(order))):
             apart = (line[ahead:] - line[:-ahead]) / np.sqrt(shared[ahead:] * shared[:-ahead])
             together = np.where(profile[ahead:] == profile[:-ahead], np.maximum(1.0 - apart, 0.0), 0.0)
+            if not together.any():
+                break
             both = (noise[:, ahead:] * together) @ noise[:, :-ahead].T
             covariance += both + both.T
         return covariance

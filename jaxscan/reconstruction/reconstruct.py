@@ -96,6 +96,8 @@ def cloud_of_plan(
     sweep, settings = plan.sweep, plan.settings
     if stripes is None and (settings.check_steps or settings.smooths):
         stripes = stripes_of_plan(plan, noise=noise, progress=progress)
+        # All frames are read; what remains takes no time.
+        progress = None
     if stripes is not None:
         check_stripes(plan, stripes)
         each = len(stripes.u) // len(sweep.record)

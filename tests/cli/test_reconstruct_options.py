@@ -32,10 +32,14 @@ def reconstruct(tiny, run, tmp_path):
 def test_stripes_are_kept_and_used_again(tiny, capture, reconstruct):
     out, result, first = reconstruct(capture)
     assert "stripes kept for next time" in out.splitlines()
+    # Noise as it was learned is kept with the stripes.
+    noise = result["noise"]
+    assert noise.startswith("read noise") and f"noise: {noise}" in out.splitlines()
     assert (result["stripes_from_cache"], result["stripes_kept"]) == (False, True)
     out, result, second = reconstruct(capture)
     assert "stripes from the cache" in out.splitlines()
     assert (result["stripes_from_cache"], result["stripes_kept"]) == (True, True)
+    assert result["noise"] == noise
     for name in ("xyz", "rgb", "normals", "valid"):
         np.testing.assert_array_equal(getattr(second, name), getattr(first, name), err_msg=name)
     kept = (capture / "stripes.npz").stat().st_mtime_ns

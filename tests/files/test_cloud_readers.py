@@ -89,7 +89,9 @@ def test_smoothed_points_without_their_grid_claim_what_their_rows_are_worth(tmp_
     assert not load_cloud(tmp_path / "a.ply").sigma_random.any()
 
 
-@pytest.mark.parametrize(("name", "value"), [("sigma_row", -1.0), ("shared_lines", -1.0), ("shift_px", np.inf)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("sigma_row", -1.0), ("shared_lines", -1.0), ("shared_lines", 1001.0), ("shift_px", np.inf)]
+)
 @pytest.mark.parametrize("suffix", [".ply", ".npz"])
 def test_impossible_numbers_of_smoothed_points_are_refused(tmp_path, suffix, name, value):
     cloud = make_cloud(smoothed=True)

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.integrate import dblquad, quad
 from scipy.special import j1
 
-from jaxscan.simulation import LaserSpec, SensorSpec
+from jaxscan.simulation import LaserSpec, RoomSpec, SensorSpec, SimulationConfig
 from jaxscan.simulation.camera import Blur
 from jaxscan.simulation.light import LitSamples, laser_image, speckle_light
 
@@ -158,3 +159,18 @@ def test_a_stripe_is_as_faint_after_speckle_as_before_on_average():
     assert change.sum(1).mean() == pytest.approx(0, abs=float(5 * change.sum(1).std() / 1200**0.5))
     assert plain.sum(1).mean() == pytest.approx(10, rel=1e-3)
     assert (plain + change).min() > -0.02 * plain.max()
+
+
+def test_a_blur_far_below_a_pixel_leaves_light_everywhere():
+    added = speckle_light(field(40, 40, level=50.0, psf_px=0.01), 1.0, 0.5, rng(3))
+    assert np.isfinite(added).all()
+    assert added[8:-8, 8:-8].std() > 1.0
+
+
+def test_grains_too_large_to_be_drawn_are_refused():
+    config = SimulationConfig(room=RoomSpec())
+    wide = {**config.model_dump(), "sensor": {"pixel_um": 0.5, "f_number": 64.0}}
+    laser = {"baseline_m": 0.4, "crossing_m": 3.0, "wavelength_nm": 2000.0}
+    with pytest.raises(ValidationError, match="grains of 256 px, at most 16"):
+        SimulationConfig(**{**wide, "laser": [{**laser, "speckle_contrast": 0.5}]})
+    assert SimulationConfig(**{**wide, "laser": [laser]}).laser[0].speckle_contrast == 0

@@ -123,13 +123,13 @@ def band(shot: Shot, middle: Hits) -> np.ndarray:
     """Pixels near the stripe, bool [rows, columns]."""
     rows, columns = shot.rig.height, shot.rig.width
     beside = np.where(middle.shape >= 0, shot.beside(middle.p), np.inf).reshape(rows, columns)
-    reach = 6 * thickness(np.linalg.norm(shot.local(middle.p) - shot.rig.source, axis=1)).reshape(rows, columns)
+    reach = 4.5 * thickness(np.linalg.norm(shot.local(middle.p) - shot.rig.source, axis=1)).reshape(rows, columns)
     near = np.abs(beside) < reach
     jump = (beside[:, :-1] < 0) != (beside[:, 1:] < 0)
     near[:, :-1] |= jump
     near[:, 1:] |= jump
     grown = near.copy()
-    for shift in range(1, 4):
+    for shift in range(1, 3):
         grown[:, shift:] |= near[:, :-shift]
         grown[:, :-shift] |= near[:, shift:]
     grown[1:] |= grown[:-1].copy()
@@ -137,7 +137,7 @@ def band(shot: Shot, middle: Hits) -> np.ndarray:
     return grown
 
 
-def light_points(shot: Shot, rng: np.random.Generator, count: int = 110) -> Light:
+def light_points(shot: Shot, rng: np.random.Generator, count: int = 80) -> Light:
     """Where the sheet falls, with the flux that is sent on: equal steps of the fan's angle, jittered."""
     rig = shot.rig
     # Downwards in the sheet is y without its part along the normal; forwards is across.

@@ -253,6 +253,7 @@ def texels(surface: Patch | Round) -> tuple[np.ndarray, np.ndarray, tuple[int, i
 def bilinear(grid: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Values of a grid over the unit square at uv [n, 2], held at its border."""
     rows, columns = grid.shape
+    grid = grid.astype(np.float32)
     x, y = np.clip(uv[:, 0] * columns - 0.5, 0, columns - 1), np.clip(uv[:, 1] * rows - 0.5, 0, rows - 1)
     c, r = np.minimum(x.astype(int), columns - 2), np.minimum(y.astype(int), rows - 2)
     f, g = x - c, y - r

@@ -17,7 +17,7 @@ _STEPS = (1 << 31) - 1
 """Largest stored number of steps from the offset."""
 _EXTRA = {
     "sigma": "std. dev. along ray [m]",
-    "sigma_random": "independent part [m]",
+    "sigma_random": "part by the noise [m]",
     "sigma_systematic": "shared part [m]",
     "normal_x": "towards the camera",
     "normal_y": "towards the camera",
@@ -26,7 +26,7 @@ _EXTRA = {
     "row": "line of the grid",
 }
 _SMOOTHED_EXTRA = {
-    "sigma_row": "independent, of the row alone",
+    "sigma_row": "noise, of the row alone [m]",
     "shift_px": "centre of the row - this [px]",
     "shared_lines": "lines that share its noise",
 }

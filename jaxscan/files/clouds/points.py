@@ -13,9 +13,11 @@ BLOCK_POINTS = 1 << 20
 
 LARGEST = 1e15
 """Largest number of a point, so that its square is finite: micrometres on the Earth's orbit."""
-_LEAST = {
-    **dict.fromkeys(("xyz", "normals", "intensity", "shift_px"), -LARGEST),
-    **dict.fromkeys(("sigma_random", "sigma_systematic", "sigma_row", "shared_lines"), 0.0),
+_RANGES = {
+    **dict.fromkeys(("xyz", "normals", "intensity", "shift_px"), (-LARGEST, LARGEST)),
+    **dict.fromkeys(("sigma_random", "sigma_systematic", "sigma_row"), (0.0, LARGEST)),
+    # Measurements compare every point with so many neighbours.
+    "shared_lines": (0.0, 1e3),
 }
 _LONG_NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}
 
@@ -78,19 +80,19 @@ def check_cloud(cloud: PointCloud, name: str) -> None:
     for laser in (np.min(cloud.laser), np.max(cloud.laser)):
         if not 0 <= laser <= 255:
             raise CloudError(f"{name}: found laser {laser}, expected 0 to 255.")
-    for field, least in _LEAST.items():
+    for field, (least, most) in _RANGES.items():
         if getattr(cloud, field) is None:
             continue
         values = np.asarray(getattr(cloud, field))
         # First one pass without a copy; only if it fails, look at the valid points alone. NaN fails too.
-        if _within(values, least) or _within(seen := values[valid], least):
+        if _within(values, least, most) or _within(seen := values[valid], least, most):
             continue
         if not np.isfinite(seen).all():
             raise CloudError(f"{name}: {field} of a valid point is not finite.")
         if least == 0 and seen.min() < 0:
-            raise CloudError(f"{name}: {field} of a valid point is negative; a standard deviation is 0 or more.")
-        raise CloudError(f"{name}: {field} of a valid point is {np.abs(seen).max():.3g}, expected at most {LARGEST:g}.")
+            raise CloudError(f"{name}: {field} of a valid point is negative, expected 0 or more.")
+        raise CloudError(f"{name}: {field} of a valid point is {np.abs(seen).max():.3g}, expected at most {most:g}.")
 
 
-def _within(values: np.ndarray, least: float) -> bool:
-    return bool(values.min() >= least and values.max() <= LARGEST)
+def _within(values: np.ndarray, least: float, most: float) -> bool:
+    return bool(values.min() >= least and values.max() <= most)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.simulation.settings import CameraSpec, SimulationConfig
+from jaxscan.simulation.settings import WIDEST_BLUR_PX, CameraSpec, SimulationConfig
 
 
 _STEP_PX = 0.12
@@ -68,13 +68,15 @@ def lens_blur(config: SimulationConfig, depth: np.ndarray) -> Blur:
     Args:
         config: The camera.
         depth: Depth at pixel centres, float32 [height, width]; inf where nothing is.
+
+    No blur is wider than any that `psf_px` may be: the time and memory of rendering grow with it.
     """
     sensor = config.sensor
     if sensor.psf_edge == 0 and sensor.defocus_px_m == 0:
         return Blur((sensor.psf_px,))
     width = sensor.psf_px * (1 + sensor.psf_edge * _radius2(config.camera))
     defocus = sensor.defocus_px_m * np.abs(1 / np.maximum(depth, np.float32(0.05)) - 1 / sensor.focus_m)
-    variance = np.square(width) + np.square(defocus)
+    variance = np.minimum(np.square(width) + np.square(defocus), np.float32(WIDEST_BLUR_PX**2))
     low, high = float(variance.min()), float(variance.max())
     steps = int(np.clip(math.ceil((math.sqrt(high) - math.sqrt(low)) / _STEP_PX), 1, _MOST_WIDTHS - 1))
     widths = np.sqrt(np.linspace(low, high, steps + 1))

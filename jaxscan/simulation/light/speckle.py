@@ -71,6 +71,8 @@ def speckle_light(samples: LitSamples, grain: float, contrast: float, rng: np.ra
 @lru_cache(maxsize=64)
 def _lens(psf_px: float, samples: int, fine: int, reach: int) -> np.ndarray:
     """Light at the points of the fine grid of a part from the samples of its pixels and those around, one axis."""
+    # A blur narrower than the samples are apart would leave points without light.
+    psf_px = max(psf_px, 0.5 / samples)
     at = (np.arange((CORE + 2 * reach) * samples) + 0.5) / samples - reach
     points = (np.arange(CORE * fine) + 0.5) / fine
     # Beyond eight deviations lie numbers that processors are slow with.

@@ -15,6 +15,10 @@ from jaxscan.simulation.settings.surroundings import LightSpec, ObjectSpec, Room
 from jaxscan.simulation.settings.table import PlanSpec, TurntableSpec
 
 
+_LARGEST_GRAIN_PX = 16
+"""The memory of drawing grows with the square of the grain."""
+
+
 class SimulationConfig(Section):
     """A rig, its surroundings and its plan; everything is drawn from `seed`."""
 
@@ -42,4 +46,10 @@ class SimulationConfig(Section):
             raise ValueError("a simulation needs at least one [[laser]]")
         if len({laser.name for laser in self.laser}) != len(self.laser):
             raise ValueError("the lasers' names must differ")
+        for laser in self.laser:
+            if laser.speckle_contrast > 0 and (grain := laser.grain_px(self.sensor)) > _LARGEST_GRAIN_PX:
+                raise ValueError(
+                    f"speckle of laser {laser.name!r} has grains of {grain:.0f} px, at most {_LARGEST_GRAIN_PX} can be "
+                    "drawn: lower f_number or wavelength_nm, or raise pixel_um"
+                )
         return self

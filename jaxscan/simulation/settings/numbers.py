@@ -18,7 +18,8 @@ Place = Annotated[float, Field(ge=-1e3, le=1e3)]
 Distance = Annotated[float, Field(ge=1e-3, le=1e4)]
 """Of something in front of the camera, m."""
 Millimetres = Annotated[float, Field(ge=1e-3, le=1e4)]
-Pixels = Annotated[float, Field(ge=0.01, le=50)]
+WIDEST_BLUR_PX = 50.0
+Pixels = Annotated[float, Field(ge=0.01, le=WIDEST_BLUR_PX)]
 """Width of a blur, px: the time and memory of rendering grow with it."""
 Focal = Annotated[float, Field(ge=1.0, le=1e6)]
 Level = Annotated[float, Field(gt=1e-6, le=1e6)]

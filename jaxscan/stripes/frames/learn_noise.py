@@ -21,6 +21,9 @@ _GAP = 0.5
 """Levels just above the darkest surface's, over its own: fewer, if it ends there."""
 _BLACKEST_DN, _BLACKEST_SHARE = 32.0, 1 / 3
 """A darkest surface above this, or above this share of the usual level, is lit."""
+_EVEN, _CUT_VARIANCE = 1.12, 0.911
+"""Variance of the darkest levels over that of noise, below which they are without shades; and the variance of a normal
+distribution that is cut off at 2.5 standard deviations."""
 _FALLING = 0.7
 """Variance of bright over that of dark levels, below which codes are no counts of photons."""
 _BLOCK = 8
@@ -54,7 +57,7 @@ class LearnedNoise(NamedTuple):
 def learn_noise(on: Array, off: Array | None, *, frames: FrameFormat, line: LaserLine) -> LearnedNoise:
     """Read noise, gain and black level of a frame from pairs.
 
-    The black level is that of the darkest surface, where one ends the levels: without it, nothing tells dark
+    The black level is that of a darkest place without shades where it ends the levels: elsewhere nothing tells dark
     from black.
 
     Args:
@@ -73,7 +76,8 @@ def learn_noise(on: Array, off: Array | None, *, frames: FrameFormat, line: Lase
     unknown = [] if gain_told else ["gain and read noise apart (one level only: their sum holds)"]
     black, most = _darkest(decode_table(frames.response)[0], planes[1], noise)
     if black is None:
-        unknown.append(f"black level (at most {most:.0f} DN)")
+        read = np.sqrt(noise.read_dn**2 + most / noise.electrons_per_dn)
+        unknown.append(f"black level (at most {most:.0f} DN, with read noise {read:.2g} DN)")
     else:
         # What black adds to a level is no light: it has no shot noise.
         read = np.sqrt(noise.read_dn**2 + black / noise.electrons_per_dn)
@@ -114,9 +118,12 @@ def _darkest(
     for _ in range(5):
         near = means[np.abs(means - centre) < 2.5 * spread]
         centre = float(np.median(near)) if len(near) else low
-    own = np.count_nonzero(np.abs(means - centre) < 2.5 * spread)
+    near = means[np.abs(means - centre) < 2.5 * spread]
+    own = len(near)
     above = np.count_nonzero((means >= centre + 2.5 * spread) & (means < centre + 7.5 * spread))
-    dark = centre < min(_BLACKEST_DN, _BLACKEST_SHARE * float(np.median(means)))
+    # No light has no shade: a dark surface that is lit unevenly varies beyond its noise.
+    even = own > 0 and float(np.var(near)) < _EVEN * _CUT_VARIANCE * spread**2
+    dark = even and centre < min(_BLACKEST_DN, _BLACKEST_SHARE * float(np.median(means)))
     if dark and own >= _DARK_SHARE * len(means) and above < _GAP * own:
         return max(centre, 0.0), centre
     return None, low + 2.0 * spread
