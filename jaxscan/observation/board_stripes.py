@@ -1,6 +1,7 @@
 """Stripes on the boards of a batch of records."""
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import cast
 
@@ -20,6 +21,7 @@ from jaxscan.stripes import (
     ExtractionSetup,
     FrameFormat,
     LaserLine,
+    NoiseModel,
     StripeSettings,
     estimate_noise,
     host_planes,
@@ -75,18 +77,18 @@ def find_stripes(
             group = [i for i in lit if views[i].laser == laser and (views[i].off is not None) == with_off]
             if not group:
                 continue
-            stripes, sights = _extract([views[i] for i in group], capture, line, rig)
+            stripes, sights, noise = _extract([views[i] for i in group], capture, line, rig)
             found = [Candidates.of(stripes, row, line.stripe_axis) for row in range(len(group))]
             seen = [views[i] for i in group]
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 on_boards = list(pool.map(lambda *one: _lines_of(board, rig, *one), seen, found, sights))
             for i, lines_found in zip(group, on_boards, strict=True):
-                views[i] = views[i]._replace(stripes=lines_found, noise=sights[0].noise)
+                views[i] = views[i]._replace(stripes=lines_found, noise=noise)
     return views
 
 
 def _lines_of(
-    board: AbstractBoard, rig: SolvedRig | None, view: SeenRecord, found: Candidates, sight: Sight
+    board: AbstractBoard, rig: SolvedRig | None, view: SeenRecord, found: Candidates, sight: Sight | None
 ) -> tuple[BoardStripe, ...]:
     """The lines on one board that may be the stripe, the likeliest first."""
     off, corners = None if view.off is None else view.grey, cast(FoundCorners, view.corners)
@@ -102,7 +104,7 @@ def _lines_of(
     for number in find_lines(found, xy, usable, known, print_shows=view.off is None):
         at = np.maximum(number, 0).astype(np.intp), np.arange(len(number))
         stripe, ink = found.taken(number), off
-        if rig is not None and view.pose is not None and off is not None:
+        if rig is not None and view.pose is not None and off is not None and sight is not None:
             through = fit_on_print(stripe, is_on_print(xy[at], board), sight, rig, view.pose)
             if through is not None:
                 stripe, ink = through, None
@@ -129,8 +131,11 @@ def _learn_colour(capture: BoardSource, laser: int) -> LaserLine:
 
 def _extract(
     views: list[SeenRecord], capture: BoardSource, line: LaserLine, rig: SolvedRig | None
-) -> tuple[ChunkStripes, list[Sight]]:
-    """Stripes of one laser, and its samples; all records have a laser-off frame, or none has."""
+) -> tuple[ChunkStripes, Sequence[Sight | None], NoiseModel]:
+    """Stripes of one laser, its samples where the print is known, and the noise of frames.
+
+    All records have a laser-off frame, or none has.
+    """
     # Padded to the batch size, so that the extraction compiles once.
     padded = [views[min(k, len(views) - 1)] for k in range(BATCH_RECORDS)]
     on = np.stack([view.on for view in padded if view.on is not None])
@@ -146,13 +151,15 @@ def _extract(
     size = int(on.shape[2]), int(on.shape[1])
     setup = ExtractionSetup(size, frames, line, _SETTINGS, all_candidates=True)
     (engine,) = prepare_engines(on, off, [setup], noise=noise)
+    if rig is None or rig.picture is None or not dark:
+        return engine.extract(on, off), [None] * len(views), noise
     planes = host_planes(whole, off, engine.search, engine.setup)
     on_plane, off_plane, ratio = (np.asarray(plane) for plane in planes)
     sights = [
         Sight(on_plane[k], off_plane[k], float(ratio[k]), engine.setup.sites, frames, line, noise)
         for k in range(len(views))
     ]
-    return engine.extract(on, off), sights
+    return engine.extract(on, off), sights, noise
 
 
 def _band(view: SeenRecord, rig: SolvedRig, line: LaserLine) -> np.ndarray:

@@ -20,6 +20,8 @@ from jaxscan.stripes import LaserLine
 
 # Records in which another board is looked for where the expected one is in none.
 _LOOKED_AT = 6
+# Records that show the same other board suffice.
+_AGREE = 2
 
 Progress = Callable[[int, int], None]
 FindCorners = Callable[[np.ndarray, AbstractBoard], FoundCorners | None]
@@ -101,9 +103,16 @@ def _not_found(captures: Sequence[BoardSource], seen: Look, eyes: Eyes) -> str:
     )
     places = [(number, index) for number, capture in enumerate(captures) for index in range(len(capture.records))]
     some = [places[k] for k in np.unique(np.linspace(0, len(places) - 1, _LOOKED_AT).round().astype(int))]
-    views = [SeenRecord.read(captures, number, index, eyes.to_grey) for number, index in some]
-    names = [eyes.name_other(view.grey, seen.board) for view in views if view.grey is not None]
-    others = Counter(name for name in names if name is not None).most_common(1)
+    views = (SeenRecord.read(captures, number, index, eyes.to_grey) for number, index in some)
+    others: list[tuple[str, int]] = []
+    names: Counter[str] = Counter()
+    for view in views:
+        name = None if view.grey is None else eyes.name_other(view.grey, seen.board)
+        names.update([] if name is None else [name])
+        others = names.most_common(1)
+        # Looking for markers of all kinds takes seconds.
+        if others and others[0][1] >= _AGREE:
+            break
     if others:
         return f"{found}; the images show {others[0][0]}: correct the [board] table of capture.toml."
     return (

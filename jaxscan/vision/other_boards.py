@@ -1,6 +1,7 @@
 """Boards that images show in place of the expected one: looked for only where that one was not found."""
 
 import functools
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -8,8 +9,9 @@ import numpy as np
 from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, Chessboard, direct_homography
 
 
-# Each holds the smaller ones of its kind.
-_FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
+# Each holds the smaller ones of its kind. The larger a marker's code, the less another kind is taken for it: those of
+# 4 x 4 cells, which chance shows, come last.
+_FAMILIES = ("DICT_7X7_1000", "DICT_6X6_1000", "DICT_5X5_1000", "DICT_ARUCO_ORIGINAL", "DICT_4X4_1000")
 _APRIL_TAGS = "DICT_APRILTAG_36h11"
 _FEWEST_MARKERS = 6
 """Fewer may be chance: the smallest dictionaries have markers that many a texture shows."""
@@ -30,28 +32,30 @@ def name_other_board(image: np.ndarray, board: AbstractBoard) -> str | None:
     """
     scale = min(1.0, _LARGEST_PX / max(image.shape))
     shown = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1.0 else image
-    return _name_markers(shown, board) or _name_chessboard(shown, board)
+    for name in (_APRIL_TAGS, *_FAMILIES):
+        ids, centres = _markers(shown, name)
+        if len(ids) >= _FEWEST_MARKERS:
+            return _name_marked(name, ids, centres, board)
+    return _name_chessboard(shown, board)
 
 
-def _name_markers(image: np.ndarray, board: AbstractBoard) -> str | None:
-    found = {name: _markers(image, name) for name in (*_FAMILIES, _APRIL_TAGS)}
-    name = max(found, key=lambda name: len(found[name][0]))
-    ids, centres = found[name]
-    if len(ids) < _FEWEST_MARKERS:
-        return None
+def _name_marked(name: str, ids: np.ndarray, centres: np.ndarray, board: AbstractBoard) -> str | None:
     kind, numbers = name.removesuffix("_1000"), f"markers {min(ids)} to {max(ids)}"
     if isinstance(board, AprilGrid):
-        wrong = name != _APRIL_TAGS or max(ids) >= board.columns * board.rows
-        return f"a board with {numbers} of {kind}" if wrong else None
+        if name != _APRIL_TAGS or max(ids) >= board.columns * board.rows:
+            return f"a board with {numbers} of {kind}"
+        found = _columns(ids, centres, _tags)
+        return f"an AprilGrid with {found} columns of tags" if found not in (None, board.columns) else None
     if not isinstance(board, Charuco):
-        what = "an AprilGrid" if name == _APRIL_TAGS else "a ChArUco board"
-        return f"{what} ({numbers} of {kind})"
+        shown = "an AprilGrid" if name == _APRIL_TAGS else "a ChArUco board"
+        return f"{shown} ({numbers} of {kind})"
     if not board.dictionary.upper().startswith(kind.upper()):
         return f"a board with markers of {kind}, not of {board.dictionary}"
-    columns = _columns(ids, centres)
+    columns = _columns(ids, centres, _white_squares)
     if columns is not None and columns != board.columns:
         return f"a ChArUco board with {columns} columns of squares"
     count = board.columns * board.rows // 2
+    # A board with fewer rows is a part of the expected one, and found as that.
     return f"a larger board, with {numbers} (expected up to {count - 1})" if max(ids) >= count else None
 
 
@@ -72,11 +76,11 @@ def _detector(dictionary: str) -> "cv2.aruco.ArucoDetector":
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)), settings)
 
 
-def _columns(ids: np.ndarray, centres: np.ndarray) -> int | None:
-    """Columns of the ChArUco board on which markers with these numbers stand at these pixels; None for none."""
+def _columns(ids: np.ndarray, centres: np.ndarray, places_of: Callable[[int, int], np.ndarray]) -> int | None:
+    """Columns of the board on which markers with these numbers stand at these pixels; None for none."""
     best = None
-    for columns in range(3, _MOST_COLUMNS + 1):
-        places = _white_squares(columns, int(ids.max()) + 1)[ids]
+    for columns in range(2, _MOST_COLUMNS + 1):
+        places = places_of(columns, int(ids.max()) + 1)[ids]
         if min(np.ptp(places, axis=0)) < 1:
             continue
         to_board = direct_homography(centres, places)
@@ -93,6 +97,12 @@ def _white_squares(columns: int, count: int) -> np.ndarray:
     y, x = np.mgrid[: 2 * count // (columns - 1) + 2, :columns]
     white = (x + y) % 2 == 1
     return np.stack([x[white], y[white]], -1)[:count].astype(np.float64)
+
+
+def _tags(columns: int, count: int) -> np.ndarray:
+    """Column and row of the first tags of an AprilGrid [count, 2]."""
+    number = np.arange(count)
+    return np.stack([number % columns, number // columns], -1).astype(np.float64)
 
 
 def _name_chessboard(image: np.ndarray, board: AbstractBoard) -> str | None:

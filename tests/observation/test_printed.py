@@ -7,6 +7,9 @@ import pytest
 from jaxscan.geometry import BoardPicture, Charuco, Chessboard, Pinhole
 from jaxscan.observation import FoundStripe, SolvedRig
 from jaxscan.observation.printed import Sight, fit_on_print
+from jaxscan.observation.printed.lattice import Lattice
+from jaxscan.observation.printed.room_light import fit_room_light
+from jaxscan.observation.printed.windows import Windows
 from jaxscan.stripes import FrameFormat, LaserLine, NoiseModel, Sites
 from jaxscan.vision import draw_print
 
@@ -177,3 +180,72 @@ def test_the_drawn_print_is_that_of_opencv():
     shown = cv2.resize(opencv, drawn.shape[::-1], interpolation=cv2.INTER_AREA)
     # OpenCV rounds edges to 1/168 of a square, and about a tenth of the elements lie at an edge.
     assert np.mean(np.abs(drawn - shown)) < 0.01
+
+
+@pytest.mark.parametrize("paper", [0.0, 1.0])
+def test_a_print_of_one_colour_shows_no_place_and_is_not_exchanged(paper):
+    """Level and brightness of the print are then one number: no coin toss decides that colours are exchanged."""
+    for seed in SEEDS:
+        random = np.random.default_rng(seed)
+        dark = 40.0 + random.normal(0.0, 2.0, (120, 17))
+        windows = Windows(
+            dark,
+            np.full_like(dark, 8.0),
+            dark,
+            np.full_like(dark, 4.0),
+            np.ones(dark.shape, bool),
+            8.0,
+            np.arange(-8.0, 9),
+        )
+        lattice = Lattice.around(8, 1, 0.1)
+        shape = len(lattice.across), 120, len(lattice.along)
+        room = fit_room_light(windows, np.full(shape, paper, np.float32), lattice)
+        assert not room.exchanged
+        assert room.explained.mean() > 0.95
+        # Nothing but the expectation is known of blur and place.
+        assert (room.shared.across, room.shared.along) == (0.0, 0.0)
+        np.testing.assert_allclose(np.sqrt(np.diag(room.covariance)), [0.5, 0.2, 0.2])
+
+
+def test_room_light_shows_where_the_print_lies():
+    """An edge across the window, drawn aside from where it is predicted, in light that falls off."""
+    random, lattice = np.random.default_rng(0), Lattice.around(8, 1, 0.0)
+    lines, pixels = np.arange(120.0), lattice.pixels
+    # Edges at several places, slanted to either side, so that both directions are seen.
+
+    def at(u, v, line):
+        edge = 3.0 * np.sin(line / 9.0) + np.where(line % 2 > 0, 0.4, -0.4) * v
+        return (u > edge).astype(np.float32)
+
+    u, v = lattice.across[:, None, None], lattice.along[None, None, :]
+    paper = at(u, v, lines[None, :, None])
+    true = (0.12, -0.1)
+    # Rendered apart: 60 points to a pixel in either direction, blurred by 0.75 px.
+    fine = (np.arange(-240, 241) + 0.5) / 30.0
+    spread = np.exp(-0.5 * (fine / 0.75) ** 2)
+    blur = np.convolve(spread, np.ones(30), "same")
+    blur /= blur.sum()
+    seen = np.zeros((120, len(pixels)))
+    for k, pixel in enumerate(pixels):
+        for j in range(0, len(fine), 6):
+            share = blur[j : j + 6].sum()
+            place = pixel + fine[None, ::6] - true[0], fine[j + 3] - true[1]
+            seen[:, k] += share * (at(place[0], place[1], lines[:, None]) * blur[::6]).sum(1) / blur[::6].sum()
+    dark = 8.0 + 60.0 * (1 + 0.2 * np.linspace(-1, 1, 120)[:, None]) * seen + random.normal(0.0, 1.0, seen.shape)
+    one = np.ones_like(dark)
+    windows = Windows(dark, one, dark, one, one > 0, 8.0, pixels)
+    for colours, exchanged in ((paper, False), (np.float32(1.0) - paper, True)):
+        room = fit_room_light(windows, colours, lattice)
+        assert room.exchanged == exchanged and room.explained.all()
+        assert abs(abs(room.shared.across) - true[0]) < 0.02 and abs(abs(room.shared.along) - abs(true[1])) < 0.04
+        assert np.exp(room.shared.blur) == pytest.approx(0.75, abs=0.04)
+
+
+def test_faint_stripes_are_as_good_as_stated():
+    """Light of 5 to 20 DN, where the error is no longer small beside the stripe."""
+    seen = [scene.look(scene.markers(7, 5, 0.75), 0.066, seed, laser_dn=30.0, room_dn=3.0) for seed in SEEDS]
+    error, sigma, contrast = pooled(seen, [fit(one) for one in seen])
+    assert len(error) > 400
+    for number in range(3):
+        z = (error / sigma)[contrast == number]
+        assert 0.85 < np.sqrt(np.mean(z**2)) < 1.15, number

@@ -5,14 +5,23 @@ import numpy as np
 import pytest
 
 from jaxscan.geometry import AprilGrid, Charuco, Chessboard
-from jaxscan.vision import name_other_board
+from jaxscan.vision import board_texture, find_corners, name_other_board
 
 from .test_boards import pose, seen
 
 
 CHESS = Chessboard(8, 5, 0.03)
 CHARUCO = Charuco(8, 6, 0.03, 0.022)
-SHOWN = {"chessboard": CHESS, "ChArUco board": CHARUCO}
+GRID = AprilGrid(4, 4, 0.01, 0.03)
+
+
+def picture(board):
+    """The board in perspective; a grid of tags is drawn straight."""
+    if not isinstance(board, AprilGrid):
+        return seen(board, pose())
+    fine = np.pad(board_texture(board, 40), 100, constant_values=255)
+    small = cv2.resize(fine, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
+    return (20 + 0.7 * small).astype(np.uint8)
 
 
 @pytest.mark.parametrize(
@@ -30,19 +39,45 @@ SHOWN = {"chessboard": CHESS, "ChArUco board": CHARUCO}
             "a board with markers of DICT_5X5, not of DICT_4X4_50",
         ),
         (CHARUCO, AprilGrid(6, 4, 0.01, 0.03), "a board with markers 0 to 23 of DICT_5X5"),
+        (GRID, AprilGrid(6, 6, 0.01, 0.03), "an AprilGrid with 4 columns of tags"),
+        (GRID, AprilGrid(3, 3, 0.01, 0.03), "a board with markers 0 to 15 of DICT_APRILTAG_36h11"),
+        (GRID, CHARUCO, "a board with markers of DICT_APRILTAG_36h11, not of DICT_5X5_250"),
+        (GRID, CHESS, "an AprilGrid (markers 0 to 15 of DICT_APRILTAG_36h11)"),
     ],
-    ids=["kind", "count", "markers", "columns", "larger", "rows", "dictionary", "tags"],
+    ids=["kind", "count", "markers", "columns", "larger", "rows", "dictionary", "tags"]
+    + ["tag columns", "more tags", "tags for markers", "tags for squares"],
 )
 def test_the_other_board_is_named(shown, expected, words):
-    assert name_other_board(seen(shown, pose()), expected) == words
+    assert name_other_board(picture(shown), expected) == words
 
 
-@pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=["chessboard", "charuco"])
+@pytest.mark.parametrize("board", [CHESS, CHARUCO, GRID], ids=["chessboard", "charuco", "tags"])
 def test_of_the_expected_board_nothing_is_said(board):
-    assert name_other_board(seen(board, pose()), board) is None
+    assert name_other_board(picture(board), board) is None
+
+
+def test_a_part_of_the_expected_board_is_no_smaller_board():
+    shown = picture(CHARUCO)
+    height = shown.shape[0]
+    for hidden in (slice(height // 2, height), slice(0, height // 2)):
+        part = shown.copy()
+        part[hidden] = 90
+        assert name_other_board(part, CHARUCO) is None
 
 
 def test_without_a_board_nothing_is_said():
     noise = np.random.default_rng(0).integers(0, 256, (240, 320)).astype(np.uint8)
     for image in (np.full((240, 320), 90, np.uint8), cv2.GaussianBlur(noise, (0, 0), 6.0)):
         assert name_other_board(image, CHARUCO) is None
+
+
+@pytest.mark.parametrize(
+    ("shown", "expected", "first"), [(CHARUCO, Charuco(8, 7, 0.03, 0.022), 0), (GRID, AprilGrid(4, 6, 0.01, 0.03), 32)]
+)
+def test_a_board_with_fewer_rows_is_found_as_a_part(shown, expected, first):
+    """So nothing needs a name: its corners have their right numbers."""
+    whole, part = find_corners(picture(shown), shown), find_corners(picture(shown), expected)
+    count = len(whole.q)
+    assert whole.valid.all() and part.valid.sum() == count
+    np.testing.assert_allclose(part.q[first : first + count], whole.q, atol=0.05)
+    assert name_other_board(picture(shown), expected) is None

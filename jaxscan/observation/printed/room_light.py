@@ -19,6 +19,9 @@ _INK = 0.12
 _STEP = 0.05
 # Light of the room from which the print's colours can be told [DN].
 _LEAST_LIGHT_DN = 1.0
+# Its standard deviations from which the print's brightness is told from none; information that keeps the fit of
+# columns that are alike finite [1 / DN^2].
+_SIGNIFICANT, _RIDGE = 4.0, 1e-6
 _LARGEST_STEP = 0.3
 # Residuals beyond so many standard deviations count a little only.
 _ODD, _ODD_WEIGHT = 5.0, 0.04
@@ -72,11 +75,14 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice, *, far
     for number, limit in enumerate(_UNEXPLAINED_FAR if far else _UNEXPLAINED):
         seen, root = see(*place), np.sqrt(weight)[..., None]
         level = np.stack([np.ones_like(s), s, seen, s * seen, s * s * seen, u * seen], -1)
-        basis, triangle = np.linalg.qr((level * root).reshape(-1, level.shape[-1]))
-        # A print of one colour has columns that are alike; what they share is not needed.
-        triangle = triangle + 1e-9 * np.eye(len(triangle))
-        found = np.linalg.solve(triangle, basis.T @ (windows.dark[..., None] * root).reshape(-1))
+        basis, found, doubt = _fit_level(level, root, windows.dark)
         brightness = found[2] + found[3] * s + found[4] * s * s + found[5] * u
+        typical = float(np.median(brightness))
+        shown = abs(typical) > _SIGNIFICANT * doubt
+        if not shown:
+            # One colour, or no light: what is seen says nothing of the print.
+            level, brightness = level[..., :2], np.zeros_like(brightness)
+            basis, found, doubt = _fit_level(level, root, windows.dark)
         left = ((windows.dark - level @ found)[..., None] * root).reshape(-1)
         slopes = np.stack([brightness * (see(*(place + _STEP * unit)) - seen) / _STEP for unit in np.eye(3)], -1)
         slopes = (slopes * root).reshape(-1, 3)
@@ -93,5 +99,22 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice, *, far
         explained = rest <= (limit * print_light) ** 2 * np.maximum(windows.used.sum(1), 1)
         weight = np.where(odd, _ODD_WEIGHT, 1.0) / variance * (windows.used & explained[:, None])
     shared = Shared(0.0, 0.0, _INK, *place.tolist())
-    exchanged = float(np.median(brightness)) < -_LEAST_LIGHT_DN
-    return RoomLight(shared, np.linalg.inv(information), explained, exchanged)
+    return RoomLight(shared, np.linalg.inv(information), explained, shown and typical < -_LEAST_LIGHT_DN)
+
+
+def _fit_level(level: np.ndarray, root: np.ndarray, dark: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Least squares of the laser-off image on some columns [lines, samples, columns].
+
+    Returns:
+        An orthonormal basis of the columns, their factors, and the standard deviation of the print's brightness in
+        the middle of the stripe, whose columns follow the first two [DN].
+    """
+    basis, triangle = np.linalg.qr((level * root).reshape(-1, level.shape[-1]))
+    # Columns that are alike, as on a print of one colour, get a large doubt.
+    covariance = np.linalg.inv(triangle.T @ triangle + _RIDGE * np.eye(len(triangle)))
+    values = (dark[..., None] * root).reshape(-1)
+    found = covariance @ (triangle.T @ (basis.T @ values))
+    scale = max(
+        1.0, float(np.sum((values - (level * root).reshape(len(values), -1) @ found) ** 2)) / max(len(values), 1)
+    )
+    return basis, found, math.sqrt(scale * covariance[2, 2]) if len(found) > 2 else 0.0
