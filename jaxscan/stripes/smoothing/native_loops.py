@@ -203,17 +203,33 @@ def _fit(x, y, weight, ends, i, rules):
 
 @_part
 @no_type_check
+def _rows_before(x, edge, i, reach):
+    """Rows before i on its surface."""
+    rows = 0
+    while i - rows > 0 and rows < reach and not edge[i - rows - 1] and x[i] - x[i - rows - 1] <= reach:
+        rows += 1
+    return rows
+
+
+@_part
+@no_type_check
+def _rows_after(x, edge, i, reach):
+    """Rows after i on its surface."""
+    rows = 0
+    while i + rows + 1 < len(x) and rows < reach and not edge[i + rows] and x[i + rows + 1] - x[i] <= reach:
+        rows += 1
+    return rows
+
+
+@_part
+@no_type_check
 def _between(x, y, weight, edge, doubt, i, rules):
     """Centre at i, its variance and shared lines, from a window that ends at edges.
 
     Where an edge is in doubt, both answers count by their odds.
     """
     count, reach = len(x), 2 * rules.sizes[-1]
-    left = right = 0
-    while i - left > 0 and left < reach and not edge[i - left - 1] and x[i] - x[i - left - 1] <= reach:
-        left += 1
-    while i + right + 1 < count and right < reach and not edge[i + right] and x[i + right + 1] - x[i] <= reach:
-        right += 1
+    left, right = _rows_before(x, edge, i, reach), _rows_after(x, edge, i, reach)
     value, variance, shared, low, high = _fit(x, y, weight, (left, right), i, rules)
     at, most = -1, 0.0
     for k in range(low, high):
@@ -223,6 +239,24 @@ def _between(x, y, weight, edge, doubt, i, rules):
         ends = (i - at - 1, right) if at < i else (left, at - i)
         other, wider, fewer, _, _ = _fit(x, y, weight, ends, i, rules)
         share = 1.0 / (1.0 + np.exp(0.5 * (rules.even - most)))
+        variance += share * (wider - variance + (1.0 - share) * (other - value) ** 2)
+        value += share * (other - value)
+        shared += share * (fewer - shared)
+    for side in range(2):
+        # The row beside an edge may belong to the surface behind it.
+        if side == 0 and i > 0 and edge[i - 1] and x[i] - x[i - 1] <= rules.gap:
+            ends = (_rows_before(x, edge, i - 1, reach) + 1, 0)
+        elif side == 1 and i + 1 < count and edge[i] and x[i + 1] - x[i] <= rules.gap:
+            ends = (0, _rows_after(x, edge, i + 1, reach) + 1)
+        else:
+            continue
+        other, wider, fewer, _, _ = _fit(x, y, weight, ends, i, rules)
+        own, across = 1.0 - variance * weight[i], 1.0 - wider * weight[i]
+        if own <= 0.05 or across <= 0.05:
+            continue
+        # Odds of the row's own centre, as either side predicts it without the row.
+        gap = weight[i] * (other * other / across - value * value / own)
+        share = 1.0 / (1.0 + np.sqrt(own / across) * np.exp(min(0.5 * gap, 50.0)))
         variance += share * (wider - variance + (1.0 - share) * (other - value) ** 2)
         value += share * (other - value)
         shared += share * (fewer - shared)

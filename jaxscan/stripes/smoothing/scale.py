@@ -10,12 +10,26 @@ _CLASSES = 8
 """Classes of amplitude with a scale of their own."""
 _LEAST = 200
 """Rows that a class needs."""
-_MOST = 30_000
+_MOST = 60_000
 """Rows that are looked at, about."""
 _LARGEST, _MOST_ALIKE = 3.0, 0.4
-_WEIGHTS = (np.array([1.0, -2.0, 1.0]), np.array([1.0, -4.0, 6.0, -4.0, 1.0]))
-_CUT = 4.0
-"""Standard deviations beyond which a difference is an edge."""
+_SECOND, _FOURTH = np.array([1.0, -2.0, 1.0]), np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+_DOUBTFUL, _FEWEST, _CALM = (1.5, 2.5), 40, 0.8
+"""Sigmas over those of other rows as bright from which a class begins; rows that it needs; and how much of the
+promised scatter it has at most, where its errors are shared."""
+
+
+class Rows(NamedTuple):
+    """Centres of some profiles, and what their fits say of them."""
+
+    u: Float[np.ndarray, "profiles lines"]
+    """Stripe centres [px]."""
+    sigma: Float[np.ndarray, "profiles lines"]
+    """Their standard deviations [px]."""
+    valid: Bool[np.ndarray, "profiles lines"]
+    """Which of them exist."""
+    amplitude: Float[np.ndarray, "profiles lines"]
+    """Of the stripes [DN]."""
 
 
 class Scatter(NamedTuple):
@@ -23,67 +37,98 @@ class Scatter(NamedTuple):
 
     scale: Float[np.ndarray, "profiles lines"]
     """Factor by which the sigma of every row is too small [1]."""
+    common: Float[np.ndarray, "profiles lines"]
+    """Part of the variance of every row that its neighbours share, so that no average makes it smaller [1]."""
     correlation: float
     """Of the noise of neighbouring rows [1]: blur spreads the grains of speckle over both."""
 
 
-def row_scatter(
-    u: Float[np.ndarray, "profiles lines"],
-    sigma: Float[np.ndarray, "profiles lines"],
-    valid: Bool[np.ndarray, "profiles lines"],
-    amplitude: Float[np.ndarray, "profiles lines"],
-    line_step: int = 1,
-) -> Scatter:
-    r"""The scatter of rows, from fourth differences along the stripe.
+def row_scatter(rows: Rows, line_step: int = 1) -> Scatter:
+    r"""The scatter of the rows of one laser, from differences along the stripe.
 
     $u_{i-2k} - 4 u_{i-k} + 6 u_i - 4 u_{i+k} + u_{i+2k}$ of a smooth and curved surface is noise alone. Its spread
-    for k = 2 over its promised standard deviation, in classes of amplitude, is the scale; what is far beyond the
-    spread of the others is an edge, and left out. With a correlation r of next neighbours its variance is
-    $70 - 112 r$ for k = 1, and 70 for k = 2. Neither is believed to be good news: a scale below 1 is 1, a correlation
-    below 0 is 0.
+    for k = 2 over its promised standard deviation, in classes of amplitude, is the scale; where second differences
+    spread less, as between many edges, they count. What is far beyond the spread of the others is an edge, and left
+    out. With a correlation r of next neighbours the variance is $70 - 112 r$ for k = 1, and 70 for k = 2. Neither is
+    believed to be good news: a scale below 1 is 1, a correlation below 0 is 0.
+
+    A row whose sigma is far over that of others as bright doubts its centre: an edge of the paint may lie under the
+    stripe. Where such rows scatter less than they promise, they err together.
 
     Args:
-        u: Stripe centres of the rows [px].
-        sigma: Their standard deviations [px].
-        valid: Which of them exist.
-        amplitude: Of the stripes [DN].
+        rows: All rows of the laser.
         line_step: Distance of the lines on which the laser's colour is seen.
     """
+    count, lines = rows.u.shape
+    sigma = np.asarray(rows.sigma)
+    if count == 0 or lines == 0:
+        return Scatter(np.ones_like(sigma), np.zeros_like(sigma), 0.0)
     # Evenly spread: records of one kind may come in turn with others.
-    count = int(np.clip(-(-_MOST // max(u.shape[1], 1)), 1, max(len(u), 1)))
-    chosen = np.unique(np.linspace(0, max(len(u) - 1, 0), count).round().astype(int)) if len(u) else np.arange(0)
-    some = tuple(np.asarray(field)[chosen] for field in (u, sigma, valid, amplitude))
-    scales = []
-    for weights in _WEIGHTS:
-        scattered, level = _differences(some, 2 * line_step, weights)
-        classes = int(np.clip(len(level) // _LEAST, 0, _CLASSES))
-        if classes == 0:
-            return Scatter(np.ones_like(sigma), 0.0)
-        ranks = np.array_split(np.argsort(level, kind="stable"), classes)
-        middle = [float(np.median(level[rank])) for rank in ranks]
-        scales.append(np.interp(_levels := np.asarray(amplitude,np.float32), middle, [_spread(scattered[rank]) for rank in ranks]))
-    scale = np.minimum(*scales)
-    near, far = (_spread(one) ** 2 for one in (_differences(some, line_step,weights)[0], scattered))
+    chosen = np.unique(np.linspace(0, count - 1, min(-(-_MOST // lines), count)).round().astype(int))
+    some = Rows(*(np.asarray(field)[chosen] for field in rows))
+    amplitude = np.asarray(rows.amplitude, np.float32)
+    scales = [
+        _by_amplitude(*_differences(some, 2 * line_step, weights), amplitude) for weights in (_SECOND, _FOURTH)
+    ]
+    scale = np.clip(np.minimum(*scales), 1.0, _LARGEST).astype(sigma.dtype)
+    near, far = (_spread(_differences(some, apart * line_step, _FOURTH)[0]) ** 2 for apart in (1, 2))
     correlation = float(np.clip(0.625 * (1.0 - near / far), 0.0, _MOST_ALIKE)) if far > 0 else 0.0
-    grid = np.clip(scale, 1.0, _LARGEST)
-    return Scatter(grid.astype(sigma.dtype), correlation)
+    return Scatter(scale, _common(rows, some, line_step).astype(sigma.dtype), correlation)
 
 
-def _differences(stripes: tuple[np.ndarray, ...], apart: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Absolute differences over their promised standard deviation, and amplitudes, of rows so far apart."""
-    u, sigma, valid, amplitude = stripes
+def _by_amplitude(scattered: np.ndarray, level: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
+    """The spread of rows of these amplitudes; 1 where too few are known."""
+    classes = int(np.clip(len(level) // _LEAST, 0, _CLASSES))
+    if classes == 0:
+        return np.ones_like(amplitude)
+    ranks = np.array_split(np.argsort(level, kind="stable"), classes)
+    middle = [float(np.median(level[rank])) for rank in ranks]
+    return np.interp(amplitude, middle, [_spread(scattered[rank]) for rank in ranks]).astype(np.float32)
+
+
+def _common(rows: Rows, some: Rows, line_step: int) -> np.ndarray:
+    """The part of the variance that neighbours share, of all rows as some of them tell."""
+    level, sigma = (field[some.valid] for field in (some.amplitude, some.sigma))
+    out = np.zeros(np.shape(rows.sigma), np.float32)
+    classes = int(np.clip(len(level) // _LEAST, 0, _CLASSES))
+    if classes == 0:
+        return out
+    ranks = np.array_split(np.argsort(level, kind="stable"), classes)
+    middle, usual = (np.array([float(np.median(field[rank])) for rank in ranks]) for field in (level, sigma))
+
+    def doubt(these: Rows) -> np.ndarray:
+        return np.asarray(these.sigma) / np.interp(np.asarray(these.amplitude), middle, np.maximum(usual, 1e-9))
+
+    # All three rows in the middle of a difference.
+    own = doubt(some)
+    least = np.minimum(np.minimum(own, np.roll(own, line_step, 1)), np.roll(own, -line_step, 1))
+    scattered, at = _differences(some._replace(amplitude=least), line_step, _FOURTH)
+    for low, high in zip(_DOUBTFUL, (*_DOUBTFUL[1:], np.inf), strict=True):
+        mine = scattered[(at >= low) & (at < high)]
+        spread = _spread(mine) if len(mine) >= _FEWEST else 1.0
+        if spread < _CALM:
+            every = doubt(rows)
+            out[(every >= low) & (every < high)] = 1.0 - spread**2
+    return out
+
+
+def _differences(rows: Rows, apart: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Differences, absolute, over their promised standard deviation, and amplitudes, of rows so far apart."""
     reach = (len(weights) - 1) * apart
-    parts = [np.s_[:, k * apart : max(u.shape[1] - reach, 0) + k * apart] for k in range(len(weights))]
-    whole = np.logical_and.reduce([valid[part] for part in parts])
-    difference = sum(w * u[part][whole] for w, part in zip(weights, parts, strict=True))
-    variance = sum(w * w * sigma[part][whole] ** 2 for w, part in zip(weights, parts, strict=True))
-    return np.abs(difference) / np.sqrt(np.maximum(variance, 1e-18)), amplitude[parts[len(weights) // 2]][whole]
+    parts = [np.s_[:, k * apart : max(rows.u.shape[1] - reach, 0) + k * apart] for k in range(len(weights))]
+    whole = np.logical_and.reduce([rows.valid[part] for part in parts])
+    difference, variance = np.zeros(int(whole.sum())), np.zeros(int(whole.sum()))
+    for weight, part in zip(weights, parts, strict=True):
+        difference += weight * rows.u[part][whole]
+        variance += weight**2 * rows.sigma[part][whole] ** 2
+    return np.abs(difference) / np.sqrt(np.maximum(variance, 1e-18)), rows.amplitude[parts[len(weights) // 2]][whole]
 
 
 def _spread(values: Float[np.ndarray, " n"]) -> float:
-    """Standard deviation about 0 of the values within three of them, by iteration from the smallest fifth."""
-    found = float(np.quantile(values, 0.2)) / 0.2533
+    """Standard deviation about 0 of the values within three of them, by iteration from their smallest fifth."""
+    # A fifth of a half normal distribution lies below 0.2533 sigma; cut at 3 sigma it has 0.9866 of its sigma.
+    found = float(np.quantile(values, 0.2)) / 0.2533 if len(values) else 0.0
     for _ in range(10):
         near = values[values <= 3.0 * found]
-        found = 1.0136 * float(np.sqrt(np.mean(near**2))) if len(near) else 0.0
+        found = float(np.sqrt(np.mean(near**2))) / 0.9866 if len(near) else 0.0
     return found
