@@ -151,13 +151,13 @@ def _fit(x, y, weight, ends, i, rules):
     """Value of a parabola at i in the largest window that it fits and whose value agrees with those of smaller ones.
 
     Returns:
-        Centre minus that of the row, variance, shared lines, and the window's first and last row.
+        Centre minus that of the row, its variance, that of the window's lines, and its first and last row.
     """
     left, right = ends
     here, level = x[i], y[i]
     s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = q = 0.0
     used, low, high = 0, i, i - 1
-    best = (0.0, 1.0 / weight[i], 1.0, i, i)
+    best = (0.0, 1.0 / weight[i], 1.0 / weight[i], i, i)
     for size in rules.sizes:
         # A side that ends early is made up for on the other.
         first, last = i - min(left, size + size - min(right, size)), i + min(right, size + size - min(left, size))
@@ -189,15 +189,16 @@ def _fit(x, y, weight, ends, i, rules):
         curve = (c02 * t0 + c12 * t1 + (s0 * s2 - s1 * s1) * t2) * part
         chi2, freedom = q - value * t0 - slope * t1 - curve * t2, used - 3.0
         own = c00 * part
-        alone = best[2] == 1.0
+        alone = best[3] == best[4]
         misfit, apart = (rules.row_misfit, rules.row_apart) if alone else (rules.misfit, rules.apart)
         if chi2 > freedom + misfit * np.sqrt(2.0 * freedom):
             break
         if abs(value - best[0]) > apart * np.sqrt(max(best[1] - own, 0.0)):
             break
-        variance = own * max(1.0, chi2 / freedom)
-        if variance < best[1]:
-            best = (value, variance, max((x[high] - x[low] + 1.0) / (own * s0), 1.0), low, high)
+        # What the parabola leaves beyond the noise is counted as noise.
+        excess = max(1.0, chi2 / freedom)
+        if excess * own < best[1]:
+            best = (value, excess * own, excess * (x[high] - x[low] + 1.0) / s0, low, high)
     return best
 
 
@@ -230,37 +231,20 @@ def _between(x, y, weight, edge, doubt, i, rules):
     """
     count, reach = len(x), 2 * rules.sizes[-1]
     left, right = _rows_before(x, edge, i, reach), _rows_after(x, edge, i, reach)
-    value, variance, shared, low, high = _fit(x, y, weight, (left, right), i, rules)
+    value, variance, of_lines, low, high = _fit(x, y, weight, (left, right), i, rules)
     at, most = -1, 0.0
     for k in range(low, high):
         if doubt[k] > most:
             at, most = k, doubt[k]
     if at >= 0:
         ends = (i - at - 1, right) if at < i else (left, at - i)
-        other, wider, fewer, _, _ = _fit(x, y, weight, ends, i, rules)
+        other, wider, _, _, _ = _fit(x, y, weight, ends, i, rules)
         share = 1.0 / (1.0 + np.exp(0.5 * (rules.even - most)))
         variance += share * (wider - variance + (1.0 - share) * (other - value) ** 2)
         value += share * (other - value)
-        shared += share * (fewer - shared)
-    for side in range(2):
-        # The row beside an edge may belong to the surface behind it.
-        if side == 0 and i > 0 and edge[i - 1] and x[i] - x[i - 1] <= rules.gap:
-            ends = (_rows_before(x, edge, i - 1, reach) + 1, 0)
-        elif side == 1 and i + 1 < count and edge[i] and x[i + 1] - x[i] <= rules.gap:
-            ends = (0, _rows_after(x, edge, i + 1, reach) + 1)
-        else:
-            continue
-        other, wider, fewer, _, _ = _fit(x, y, weight, ends, i, rules)
-        own, across = 1.0 - variance * weight[i], 1.0 - wider * weight[i]
-        if own <= 0.05 or across <= 0.05:
-            continue
-        # Odds of the row's own centre, as either side predicts it without the row.
-        gap = weight[i] * (other * other / across - value * value / own)
-        share = 1.0 / (1.0 + np.sqrt(own / across) * np.exp(min(0.5 * gap, 50.0)))
-        variance += share * (wider - variance + (1.0 - share) * (other - value) ** 2)
-        value += share * (other - value)
-        shared += share * (fewer - shared)
-    return y[i] + value, min(variance, 1.0 / weight[i]), shared
+    variance = min(variance, 1.0 / weight[i])
+    # So an average of smoothed centres is stated as good as that of the rows.
+    return y[i] + value, variance, max(of_lines / variance, 1.0)
 
 
 @_whole

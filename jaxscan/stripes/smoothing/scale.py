@@ -48,7 +48,7 @@ def row_scatter(rows: Rows, line_step: int = 1) -> Scatter:
 
     $u_{i-2k} - 4 u_{i-k} + 6 u_i - 4 u_{i+k} + u_{i+2k}$ of a smooth and curved surface is noise alone. Its spread
     for k = 2 over its promised standard deviation, in classes of amplitude, is the scale; where second differences
-    spread less, as between many edges, they count. What is far beyond the spread of the others is an edge, and left
+    spread less, as between many edges, those count. What is far beyond the spread of the others is an edge, and left
     out. With a correlation r of next neighbours the variance is $70 - 112 r$ for k = 1, and 70 for k = 2. Neither is
     believed to be good news: a scale below 1 is 1, a correlation below 0 is 0.
 
@@ -67,12 +67,11 @@ def row_scatter(rows: Rows, line_step: int = 1) -> Scatter:
     chosen = np.unique(np.linspace(0, count - 1, min(-(-_MOST // lines), count)).round().astype(int))
     some = Rows(*(np.asarray(field)[chosen] for field in rows))
     amplitude = np.asarray(rows.amplitude, np.float32)
-    scales = [
-        _by_amplitude(*_differences(some, 2 * line_step, weights), amplitude) for weights in (_SECOND, _FOURTH)
-    ]
-    scale = np.clip(np.minimum(*scales), 1.0, _LARGEST).astype(sigma.dtype)
-    near, far = (_spread(_differences(some, apart * line_step, _FOURTH)[0]) ** 2 for apart in (1, 2))
-    correlation = float(np.clip(0.625 * (1.0 - near / far), 0.0, _MOST_ALIKE)) if far > 0 else 0.0
+    wide = [_differences(some, 2 * line_step, weights) for weights in (_SECOND, _FOURTH)]
+    scale = np.minimum(*(_by_amplitude(*one, amplitude) for one in wide))
+    scale = np.clip(scale, 1.0, _LARGEST).astype(sigma.dtype)
+    near, far = _spread(_differences(some, line_step, _FOURTH)[0]), min(_spread(one) for one, _ in wide)
+    correlation = float(np.clip(0.625 * (1.0 - (near / far) ** 2), 0.0, _MOST_ALIKE)) if far > 0 else 0.0
     return Scatter(scale, _common(rows, some, line_step).astype(sigma.dtype), correlation)
 
 

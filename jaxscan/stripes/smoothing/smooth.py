@@ -26,7 +26,7 @@ from jaxscan.stripes.frames import Sites
 from jaxscan.stripes.smoothing.native_loops import Rules, smooth_block
 
 
-_RULES = Rules(sizes=np.array([3, 6, 10]), gap=4.0, edge=13.0, doubt=3.0, even=9.0, stray=4.5, agree=16.0, misfit=2.0, row_misfit=4.0, row_apart=3.5, apart=2.5)
+_RULES = Rules(sizes=np.array([3, 6, 10]), gap=4.0, edge=13.0, doubt=6.0, even=10.0, stray=4.5, agree=16.0, misfit=2.0, row_misfit=4.0, row_apart=3.5, apart=2.5)
 """Half a window of 10 lines: of fewer lines more noise would be left, of more the surface itself would be smoothed."""
 _EVERY_LINE = Sites()
 _LEAST_PX = 1e-4
