@@ -11,6 +11,7 @@ from jaxscan.stripes.estimators import ESTIMATORS, Estimator, estimator_of
 from jaxscan.stripes.extract import extract_stripes
 from jaxscan.stripes.frames import (
     PIXEL_FORMATS,
+    BlackLevelError,
     Colour,
     ExposurePair,
     FrameFormat,
@@ -21,7 +22,6 @@ from jaxscan.stripes.frames import (
     PixelFormat,
     Response,
     Sites,
-    check_black,
     check_frames,
     decode_table,
     estimate_noise,
@@ -31,6 +31,7 @@ from jaxscan.stripes.frames import (
     laser_sites,
     learn_noise,
     learn_response,
+    speckle_words,
     with_colour,
 )
 from jaxscan.stripes.pairs import judge_pairs
