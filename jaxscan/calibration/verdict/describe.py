@@ -13,9 +13,9 @@ from jaxscan.observation import Observations
 
 # Records that are named in one warning.
 _NAMED = 8
-_PRINTS = ("even print", "weak edge", "strong edge")
+_FITTED = "even print", "weak edge", "strong edge"
 # In the order of the contrast classes.
-_CONTRASTS = (*_PRINTS, *(f"{name}, not through the print" for name in _PRINTS))
+_CONTRASTS = (*_FITTED, *(f"{name}, not through the print" for name in _FITTED))
 
 
 def describe_quality(
