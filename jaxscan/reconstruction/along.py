@@ -1,16 +1,19 @@
 """The centres of a sweep, smoothed along its stripes."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxscan.reconstruction.ahead import map_ahead, workers
-from jaxscan.stripes import Smoothed, Stripes, row_scatter, smooth_profiles
+from jaxscan.stripes import Rows, Sites, Smoothed, Stripes, row_scatter, smooth_profiles
 
 
 _PROFILES = 32
 """Profiles smoothed at a time."""
+_COMMON_LINES = 10
+"""Lines on either side with which an error is shared: half of a window."""
 
 
 class SmoothedSweep(NamedTuple):
@@ -41,20 +44,57 @@ class SmoothedSweep(NamedTuple):
         return {"sigma_row": sigma_random * ratio, "shift_px": shift, "shared_lines": shared}
 
 
-def smooth_sweep(stripes: Stripes) -> SmoothedSweep:
-    """Smooth the centres of all profiles, with sigmas that the scatter of neighbouring rows confirms."""
+def smooth_sweep(stripes: Stripes, sites: Sequence[Sites] = ()) -> SmoothedSweep:
+    """Smooth the centres of all profiles, with sigmas that the scatter of neighbouring rows confirms.
+
+    Args:
+        stripes: One centre of a line at most.
+        sites: Where the colour of each laser is seen; on all lines where not given.
+    """
     u, sigma, valid = (np.asarray(field) for field in (stripes.u, stripes.sigma, stripes.valid))
-    u, sigma = u.astype(np.float32), sigma.astype(np.float32)
-    scatter = row_scatter(u, sigma, valid, np.asarray(stripes.amplitude, np.float32))
-    sigma *= scatter.scale
+    u, sigma, laser = u.astype(np.float32), sigma.astype(np.float32), np.asarray(stripes.laser)
+    amplitude = np.asarray(stripes.amplitude, np.float32)
+    found = SmoothedSweep(*(np.zeros(u.shape, np.float32) for _ in SmoothedSweep._fields))
+    # Noise and colour are those of a laser.
+    for number in np.unique(laser):
+        own = np.flatnonzero(laser == number)
+        part = _smooth(Rows(u[own], sigma[own], valid[own], amplitude[own]), sites[number] if sites else Sites())
+        for to, field in zip(found, part, strict=True):
+            to[own] = field
+    return found
+
+
+def _smooth(rows: Rows, sites: Sites) -> SmoothedSweep:
+    """The profiles of one laser."""
+    scatter = row_scatter(rows, sites.line_step)
+    u, valid = rows.u, rows.valid
+    sigma = rows.sigma * scatter.scale
 
     def smooth(start: int) -> Smoothed:
         part = slice(start, start + _PROFILES)
-        return smooth_profiles(u[part], sigma[part], valid[part])
+        return smooth_profiles(u[part], sigma[part], valid[part], sites)
 
     parts = map_ahead(smooth, range(0, len(u), _PROFILES), workers())
     found = Smoothed(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
     # The mean of many rows whose next neighbours are alike: 1 + 2 r times the variance of independent ones.
-    alike = np.where(found.shared_lines > 1, np.sqrt(1 + 2 * scatter.correlation), 1)
-    stated = np.minimum(found.sigma * alike, sigma).astype(np.float32)
+    alike = np.where(found.shared_lines > 1, np.float32(np.sqrt(1 + 2 * scatter.correlation)), np.float32(1))
+    common = _spread_out(np.where(valid, scatter.common * sigma**2, 0), valid, _COMMON_LINES * sites.line_step)
+    sigma = np.maximum(sigma, np.sqrt(common))
+    stated = np.minimum(np.sqrt((found.sigma * alike) ** 2 + common), sigma)
     return SmoothedSweep(found.u, stated, np.where(valid, u - found.u, 0), sigma, found.shared_lines)
+
+
+def _spread_out(
+    variance: Float[np.ndarray, "profiles lines"], valid: Bool[np.ndarray, "profiles lines"], reach: int
+) -> Float[np.ndarray, "profiles lines"]:
+    """A variance that neighbours share, also of those of them that do not know: at least its mean over the window."""
+    if not variance.any():
+        return variance
+
+    def total(field: np.ndarray) -> np.ndarray:
+        sums = np.pad(np.cumsum(field, 1, dtype=np.float32), ((0, 0), (reach + 1, reach)), mode="edge")
+        sums[:, : reach + 1] = 0
+        return sums[:, 2 * reach + 1 :] - sums[:, : -2 * reach - 1]
+
+    mean = total(variance) / np.maximum(total(valid), 1)
+    return np.where(valid, np.maximum(variance, mean), 0)

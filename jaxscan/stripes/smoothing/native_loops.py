@@ -27,12 +27,20 @@ class Rules(NamedTuple):
     """Largest distance of neighbouring lines on one surface."""
     edge: float
     """Chi-squared of two degrees of freedom from which two sides do not continue each other."""
+    doubt: float
+    """The same from which there may be an edge."""
+    even: float
+    """The same at which that is as likely as not."""
     stray: float
     """Standard deviations by which a stray centre lies off the line through its neighbours."""
     agree: float
     """Chi-squared of two degrees of freedom up to which those neighbours lie on a line."""
     misfit: float
     """Standard deviations by which the chi-squared of a fit may exceed its degrees of freedom."""
+    row_misfit: float
+    row_apart: float
+    apart: float
+    """Standard deviations by which values of two windows may differ."""
 
 
 @_inlined
@@ -112,73 +120,131 @@ def _step(x, y, weight, edge, i, size):
 @_part
 @no_type_check
 def _mark_edges(x, y, weight, rules):
-    """Whether row i and the next one are on two surfaces: first by few rows, then by more that end at known edges."""
+    """Whether row i and the next one are on two surfaces: first by few rows, then by more that end at known edges.
+
+    Also the chi-squared of places that may be edges, and are none for certain.
+    """
     count = len(x)
     edge = np.zeros(max(count - 1, 0), np.bool_)
-    height = np.zeros(max(count - 1, 0))
+    height, doubt = np.zeros(max(count - 1, 0)), np.zeros(max(count - 1, 0))
     for i in range(count - 1):
         edge[i] = x[i + 1] - x[i] > rules.gap
     for size in rules.sizes:
         for i in range(count - 1):
             height[i] = 0.0 if edge[i] else _step(x, y, weight, edge, i, size)
         for i in range(count - 1):
-            if height[i] > rules.edge:
+            if height[i] > rules.doubt:
                 highest = True
                 # Those beside an edge look across it.
                 for k in range(max(i - size + 1, 0), min(i + size, count - 1)):
                     if height[k] > height[i]:
                         highest = False
-                edge[i] |= highest
-    return edge
+                if highest:
+                    edge[i] |= height[i] > rules.edge
+                    doubt[i] = max(doubt[i], height[i])
+    return edge, doubt
 
 
 @_part
 @no_type_check
-def _fit(x, y, weight, edge, i, rules):
-    """Value of a parabola at i in the largest window that it fits: centre, variance, and shared lines."""
-    count, reach = len(x), 2 * rules.sizes[-1]
-    left = right = 0
-    while i - left > 0 and left < reach and not edge[i - left - 1] and x[i] - x[i - left - 1] <= reach:
-        left += 1
-    while i + right + 1 < count and right < reach and not edge[i + right] and x[i + right + 1] - x[i] <= reach:
-        right += 1
+def _fit(x, y, weight, ends, i, rules):
+    """Value of a parabola at i in the largest window that it fits and whose value agrees with those of smaller ones.
+
+    Returns:
+        Centre minus that of the row, its variance, that of the window's lines, and its first and last row.
+    """
+    left, right = ends
     here, level = x[i], y[i]
-    for size in rules.sizes[::-1]:
+    s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = q = 0.0
+    used, low, high = 0, i, i - 1
+    best = (0.0, 1.0 / weight[i], 1.0 / weight[i], i, i)
+    for size in rules.sizes:
         # A side that ends early is made up for on the other.
-        low, high = i - min(left, size + size - min(right, size)), i + min(right, size + size - min(left, size))
-        used = 0
-        s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = q = 0.0
-        for k in range(low, high + 1):
-            d, v, w = x[k] - here, y[k] - level, weight[k]
-            used += w > 0.0
-            wd = w * d
-            wdd = wd * d
-            s0 += w
-            s1 += wd
-            s2 += wdd
-            s3 += wdd * d
-            s4 += wdd * d * d
-            t0 += w * v
-            t1 += wd * v
-            t2 += wdd * v
-            q += w * v * v
-        if used < 5:
-            break
+        first, last = i - min(left, size + size - min(right, size)), i + min(right, size + size - min(left, size))
+        for part in range(2):
+            for k in range(first if part == 0 else high + 1, low if part == 0 else last + 1):
+                d, v, w = x[k] - here, y[k] - level, weight[k]
+                used += w > 0.0
+                wd = w * d
+                wdd = wd * d
+                s0 += w
+                s1 += wd
+                s2 += wdd
+                s3 += wdd * d
+                s4 += wdd * d * d
+                t0 += w * v
+                t1 += wd * v
+                t2 += wdd * v
+                q += w * v * v
+            if part == 0:
+                low = first
+        high = last
         c00, c01, c02 = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
         det = s0 * c00 + s1 * c01 + s2 * c02
-        if not det > 1e-9 * s0 * s2 * s4:
-            break
+        if used < 5 or not det > 1e-9 * s0 * s2 * s4:
+            continue
         part, c12 = 1.0 / det, s1 * s2 - s0 * s3
         value = (c00 * t0 + c01 * t1 + c02 * t2) * part
         slope = (c01 * t0 + (s0 * s4 - s2 * s2) * t1 + c12 * t2) * part
         curve = (c02 * t0 + c12 * t1 + (s0 * s2 - s1 * s1) * t2) * part
         chi2, freedom = q - value * t0 - slope * t1 - curve * t2, used - 3.0
-        # What the parabola leaves beyond the noise is counted as noise.
         own = c00 * part
-        variance = own * max(1.0, chi2 / freedom)
-        if chi2 <= freedom + rules.misfit * np.sqrt(2.0 * freedom) and variance < 1.0 / weight[i]:
-            return level + value, variance, max((x[high] - x[low] + 1.0) / (own * s0), 1.0)
-    return level, 1.0 / weight[i], 1.0
+        alone = best[3] == best[4]
+        misfit, apart = (rules.row_misfit, rules.row_apart) if alone else (rules.misfit, rules.apart)
+        if chi2 > freedom + misfit * np.sqrt(2.0 * freedom):
+            break
+        if abs(value - best[0]) > apart * np.sqrt(max(best[1] - own, 0.0)):
+            break
+        # What the parabola leaves beyond the noise is counted as noise.
+        excess = max(1.0, chi2 / freedom)
+        if excess * own < best[1]:
+            best = (value, excess * own, excess * (x[high] - x[low] + 1.0) / s0, low, high)
+    return best
+
+
+@_part
+@no_type_check
+def _rows_before(x, edge, i, reach):
+    """Rows before i on its surface."""
+    rows = 0
+    while i - rows > 0 and rows < reach and not edge[i - rows - 1] and x[i] - x[i - rows - 1] <= reach:
+        rows += 1
+    return rows
+
+
+@_part
+@no_type_check
+def _rows_after(x, edge, i, reach):
+    """Rows after i on its surface."""
+    rows = 0
+    while i + rows + 1 < len(x) and rows < reach and not edge[i + rows] and x[i + rows + 1] - x[i] <= reach:
+        rows += 1
+    return rows
+
+
+@_part
+@no_type_check
+def _between(x, y, weight, edge, doubt, i, rules):
+    """Centre at i, its variance and shared lines, from a window that ends at edges.
+
+    Where an edge is in doubt, both answers count by their odds.
+    """
+    count, reach = len(x), 2 * rules.sizes[-1]
+    left, right = _rows_before(x, edge, i, reach), _rows_after(x, edge, i, reach)
+    value, variance, of_lines, low, high = _fit(x, y, weight, (left, right), i, rules)
+    at, most = -1, 0.0
+    for k in range(low, high):
+        if doubt[k] > most:
+            at, most = k, doubt[k]
+    if at >= 0:
+        ends = (i - at - 1, right) if at < i else (left, at - i)
+        other, wider, _, _, _ = _fit(x, y, weight, ends, i, rules)
+        share = 1.0 / (1.0 + np.exp(0.5 * (rules.even - most)))
+        variance += share * (wider - variance + (1.0 - share) * (other - value) ** 2)
+        value += share * (other - value)
+    variance = min(variance, 1.0 / weight[i])
+    # So an average of smoothed centres is stated as good as that of the rows.
+    return y[i] + value, variance, max(of_lines / variance, 1.0)
 
 
 @_whole
@@ -203,11 +269,11 @@ def smooth_block(u, sigma, valid, lines, rules, found):
             weight[k] = 1.0 / sigma[profile, line] ** 2
         kept = weight.copy()
         _mark_strays(x, y, kept, rules)
-        edge = _mark_edges(x, y, kept, rules)
+        edge, doubt = _mark_edges(x, y, kept, rules)
         for k in range(count):
             line = lines[at[k]]
             if kept[k] > 0.0:
-                best, variance, shared = _fit(x, y, kept, edge, k, rules)
+                best, variance, shared = _between(x, y, kept, edge, doubt, k, rules)
             else:
                 best, variance, shared = y[k], 1.0 / weight[k], 1.0
             centre[profile, line], deviation[profile, line] = best, np.sqrt(variance)

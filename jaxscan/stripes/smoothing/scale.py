@@ -10,9 +10,26 @@ _CLASSES = 8
 """Classes of amplitude with a scale of their own."""
 _LEAST = 200
 """Rows that a class needs."""
-_MOST = 30_000
+_MOST = 60_000
 """Rows that are looked at, about."""
 _LARGEST, _MOST_ALIKE = 3.0, 0.4
+_SECOND, _FOURTH = np.array([1.0, -2.0, 1.0]), np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+_DOUBTFUL, _FEWEST, _CALM = (1.5, 2.5), 40, 0.8
+"""Sigmas over those of other rows as bright from which a class begins; rows that it needs; and how much of the
+promised scatter it has at most, where its errors are shared."""
+
+
+class Rows(NamedTuple):
+    """Centres of some profiles, and what their fits say of them."""
+
+    u: Float[np.ndarray, "profiles lines"]
+    """Stripe centres [px]."""
+    sigma: Float[np.ndarray, "profiles lines"]
+    """Their standard deviations [px]."""
+    valid: Bool[np.ndarray, "profiles lines"]
+    """Which of them exist."""
+    amplitude: Float[np.ndarray, "profiles lines"]
+    """Of the stripes [DN]."""
 
 
 class Scatter(NamedTuple):
@@ -20,52 +37,97 @@ class Scatter(NamedTuple):
 
     scale: Float[np.ndarray, "profiles lines"]
     """Factor by which the sigma of every row is too small [1]."""
+    common: Float[np.ndarray, "profiles lines"]
+    """Part of the variance of every row that its neighbours share, so that no average makes it smaller [1]."""
     correlation: float
     """Of the noise of neighbouring rows [1]: blur spreads the grains of speckle over both."""
 
 
-def row_scatter(
-    u: Float[np.ndarray, "profiles lines"],
-    sigma: Float[np.ndarray, "profiles lines"],
-    valid: Bool[np.ndarray, "profiles lines"],
-    amplitude: Float[np.ndarray, "profiles lines"],
-) -> Scatter:
-    r"""The scatter of rows, from second differences along the stripe.
+def row_scatter(rows: Rows, line_step: int = 1) -> Scatter:
+    r"""The scatter of the rows of one laser, from differences along the stripe.
 
-    $u_{i-k} - 2 u_i + u_{i+k}$ of a smooth surface is noise alone. Its median for k = 2 over its promised standard
-    deviation, in classes of amplitude, is the scale; rows on edges may be many, but not half. With a correlation r of
-    next neighbours its variance is $6 - 8 r$ for k = 1, and 6 for k = 2. Neither is believed to be good news: a scale
-    below 1 is 1, a correlation below 0 is 0.
+    $u_{i-2k} - 4 u_{i-k} + 6 u_i - 4 u_{i+k} + u_{i+2k}$ of a smooth and curved surface is noise alone. Its spread
+    for k = 2 over its promised standard deviation, in classes of amplitude, is the scale; where second differences
+    spread less, as between many edges, those count. What is far beyond the spread of the others is an edge, and left
+    out. With a correlation r of next neighbours the variance is $70 - 112 r$ for k = 1, and 70 for k = 2. Neither is
+    believed to be good news: a scale below 1 is 1, a correlation below 0 is 0.
+
+    A row whose sigma is far over that of others as bright doubts its centre: an edge of the paint may lie under the
+    stripe. Where such rows scatter less than they promise, they err together.
 
     Args:
-        u: Stripe centres of the rows [px].
-        sigma: Their standard deviations [px].
-        valid: Which of them exist.
-        amplitude: Of the stripes [DN].
+        rows: All rows of the laser.
+        line_step: Distance of the lines on which the laser's colour is seen.
     """
-    every = max(1, u.size // _MOST)
-    some = tuple(np.asarray(field)[::every] for field in (u, sigma, valid, amplitude))
-    lines = np.flatnonzero(np.asarray(valid).any(0))
-    step = int(np.gcd.reduce(np.diff(lines))) if len(lines) > 1 else 1
-    scattered, level = _second_differences(some, 2 * step)
+    count, lines = rows.u.shape
+    sigma = np.asarray(rows.sigma)
+    if count == 0 or lines == 0:
+        return Scatter(np.ones_like(sigma), np.zeros_like(sigma), 0.0)
+    # Evenly spread: records of one kind may come in turn with others.
+    chosen = np.unique(np.linspace(0, count - 1, min(-(-_MOST // lines), count)).round().astype(int))
+    some = Rows(*(np.asarray(field)[chosen] for field in rows))
+    amplitude = np.asarray(rows.amplitude, np.float32)
+    wide = [_differences(some, 2 * line_step, weights) for weights in (_SECOND, _FOURTH)]
+    scale = np.minimum(*(_by_amplitude(*one, amplitude) for one in wide))
+    scale = np.clip(scale, 1.0, _LARGEST).astype(sigma.dtype)
+    near, far = _spread(_differences(some, line_step, _FOURTH)[0]), min(_spread(one) for one, _ in wide)
+    correlation = float(np.clip(0.625 * (1.0 - (near / far) ** 2), 0.0, _MOST_ALIKE)) if far > 0 else 0.0
+    return Scatter(scale, _common(rows, some, line_step).astype(sigma.dtype), correlation)
+
+
+def _by_amplitude(scattered: np.ndarray, level: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
+    """The spread of rows of these amplitudes; 1 where too few are known."""
     classes = int(np.clip(len(level) // _LEAST, 0, _CLASSES))
     if classes == 0:
-        return Scatter(np.ones_like(sigma), 0.0)
+        return np.ones_like(amplitude)
     ranks = np.array_split(np.argsort(level, kind="stable"), classes)
     middle = [float(np.median(level[rank])) for rank in ranks]
-    # Median of a half normal distribution: 0.6745 sigma.
-    scale = [float(np.median(scattered[rank])) / 0.6745 for rank in ranks]
-    near, far = (float(np.median(one)) ** 2 for one in (_second_differences(some, step)[0], scattered))
-    correlation = float(np.clip(0.75 * (1.0 - near / far), 0.0, _MOST_ALIKE)) if far > 0 else 0.0
-    grid = np.interp(amplitude, middle, np.clip(scale, 1.0, _LARGEST)).astype(sigma.dtype)
-    return Scatter(grid, correlation)
+    return np.interp(amplitude, middle, [_spread(scattered[rank]) for rank in ranks]).astype(np.float32)
 
 
-def _second_differences(stripes: tuple[np.ndarray, ...], apart: int) -> tuple[np.ndarray, np.ndarray]:
-    """Absolute second differences over their promised standard deviation, and amplitudes, of rows so far apart."""
-    u, sigma, valid, amplitude = stripes
-    a, b, c = (np.s_[:, start : max(u.shape[1] - 2 * apart, 0) + start] for start in (0, apart, 2 * apart))
-    whole = valid[a] & valid[b] & valid[c]
-    difference = np.abs(u[a] - 2.0 * u[b] + u[c])[whole]
-    promised = np.sqrt(sigma[a] ** 2 + 4.0 * sigma[b] ** 2 + sigma[c] ** 2)[whole]
-    return difference / np.maximum(promised, 1e-9), amplitude[b][whole]
+def _common(rows: Rows, some: Rows, line_step: int) -> np.ndarray:
+    """The part of the variance that neighbours share, of all rows as some of them tell."""
+    level, sigma = (field[some.valid] for field in (some.amplitude, some.sigma))
+    out = np.zeros(np.shape(rows.sigma), np.float32)
+    classes = int(np.clip(len(level) // _LEAST, 0, _CLASSES))
+    if classes == 0:
+        return out
+    ranks = np.array_split(np.argsort(level, kind="stable"), classes)
+    middle, usual = (np.array([float(np.median(field[rank])) for rank in ranks]) for field in (level, sigma))
+
+    def doubt(these: Rows) -> np.ndarray:
+        return np.asarray(these.sigma) / np.interp(np.asarray(these.amplitude), middle, np.maximum(usual, 1e-9))
+
+    # All three rows in the middle of a difference.
+    own = doubt(some)
+    least = np.minimum(np.minimum(own, np.roll(own, line_step, 1)), np.roll(own, -line_step, 1))
+    scattered, at = _differences(some._replace(amplitude=least), line_step, _FOURTH)
+    for low, high in zip(_DOUBTFUL, (*_DOUBTFUL[1:], np.inf), strict=True):
+        mine = scattered[(at >= low) & (at < high)]
+        spread = _spread(mine) if len(mine) >= _FEWEST else 1.0
+        if spread < _CALM:
+            every = doubt(rows)
+            out[(every >= low) & (every < high)] = 1.0 - spread**2
+    return out
+
+
+def _differences(rows: Rows, apart: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Differences, absolute, over their promised standard deviation, and amplitudes, of rows so far apart."""
+    reach = (len(weights) - 1) * apart
+    parts = [np.s_[:, k * apart : max(rows.u.shape[1] - reach, 0) + k * apart] for k in range(len(weights))]
+    whole = np.logical_and.reduce([rows.valid[part] for part in parts])
+    difference, variance = np.zeros(int(whole.sum())), np.zeros(int(whole.sum()))
+    for weight, part in zip(weights, parts, strict=True):
+        difference += weight * rows.u[part][whole]
+        variance += weight**2 * rows.sigma[part][whole] ** 2
+    return np.abs(difference) / np.sqrt(np.maximum(variance, 1e-18)), rows.amplitude[parts[len(weights) // 2]][whole]
+
+
+def _spread(values: Float[np.ndarray, " n"]) -> float:
+    """Standard deviation about 0 of the values within three of them, by iteration from their smallest fifth."""
+    # A fifth of a half normal distribution lies below 0.2533 sigma; cut at 3 sigma it has 0.9866 of its sigma.
+    found = float(np.quantile(values, 0.2)) / 0.2533 if len(values) else 0.0
+    for _ in range(10):
+        near = values[values <= 3.0 * found]
+        found = float(np.sqrt(np.mean(near**2))) / 0.9866 if len(near) else 0.0
+    return found

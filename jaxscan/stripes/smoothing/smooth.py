@@ -22,11 +22,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.stripes.frames import Sites
 from jaxscan.stripes.smoothing.native_loops import Rules, smooth_block
 
 
-_RULES = Rules(sizes=np.array([3, 6, 10]), gap=4.0, edge=13.0, stray=4.5, agree=16.0, misfit=3.0)
+_RULES = Rules(sizes=np.array([3, 6, 10]), gap=4.0, edge=13.0, doubt=6.0, even=10.0, stray=4.5, agree=16.0, misfit=2.0, row_misfit=4.0, row_apart=3.5, apart=2.5)
 """Half a window of 10 lines: of fewer lines more noise would be left, of more the surface itself would be smoothed."""
+_EVERY_LINE = Sites()
 _LEAST_PX = 1e-4
 """Smallest standard deviation of a centre that is believed."""
 
@@ -47,6 +49,7 @@ def smooth_profiles(
     u: Float[np.ndarray, "profiles lines"],
     sigma: Float[np.ndarray, "profiles lines"],
     valid: Bool[np.ndarray, "profiles lines"],
+    sites: Sites = _EVERY_LINE,
 ) -> Smoothed:
     """Centres that use their neighbours along the stripe, and none across an edge.
 
@@ -57,12 +60,12 @@ def smooth_profiles(
         u: Stripe centres of the rows [px].
         sigma: Their standard deviations [px].
         valid: Which of them exist.
+        sites: Where the laser's colour is seen: a mosaic has it on every second line only.
     """
     u, sigma, valid = np.asarray(u), np.asarray(sigma), np.asarray(valid)
     found = Smoothed(*(np.zeros(u.shape, np.float32) for _ in Smoothed._fields))
-    # A mosaic has the laser's colour on every second line only.
-    lines = np.flatnonzero(valid.any(0))
-    step = int(np.gcd.reduce(np.diff(lines))) if len(lines) > 1 else 1
-    lines = np.arange(lines[0], lines[-1] + 1, step) if len(lines) else lines
+    lines = np.arange(sites.first_line, u.shape[1], sites.line_step)
     smooth_block(u, np.maximum(sigma, np.float32(_LEAST_PX)), valid, lines, _RULES, tuple(found))
-    return found._replace(shared_lines=found.shared_lines * np.float32(step)) if step > 1 else found
+    if sites.line_step > 1:
+        found.shared_lines[found.shared_lines > 1] *= sites.line_step
+    return found
