@@ -7,6 +7,7 @@ import pytest
 from jaxscan.geometry import BoardPicture, Charuco, Chessboard, Pinhole
 from jaxscan.observation import FoundStripe, SolvedRig
 from jaxscan.observation.printed import Sight, fit_on_print
+from jaxscan.observation.printed.windows import cut_windows
 from jaxscan.stripes import FrameFormat, LaserLine, NoiseModel, Sites
 from jaxscan.vision import draw_print
 
@@ -177,3 +178,12 @@ def test_the_drawn_print_is_that_of_opencv():
     shown = cv2.resize(opencv, drawn.shape[::-1], interpolation=cv2.INTER_AREA)
     # OpenCV rounds edges to 1/168 of a square, and about a tenth of the elements lie at an edge.
     assert np.mean(np.abs(drawn - shown)) < 0.01
+
+
+def test_brighter_lamps_bring_photons_and_no_read_noise():
+    noise, ratio = NoiseModel(2.0, 4.0, 10.0), 1.5
+    off = np.full((1, 40), 50, np.uint8)
+    sight = Sight(np.full((1, 40), 70, np.uint8), off, ratio, Sites(), FrameFormat(), LaserLine(), noise)
+    windows, _ = cut_windows(sight, np.zeros(1, int), np.full(1, 20.0), 3)
+    frame, light = 2.0**2 + 1 / 12, 40.0 / 4.0
+    np.testing.assert_allclose(windows.variance, frame + ratio * light + ratio**2 * (frame + light))
