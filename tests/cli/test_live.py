@@ -19,6 +19,7 @@ from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.capture import Capture, open_capture
 from jaxscan.files.recording import resume_capture
 from jaxscan.reconstruction.incoming import IncomingStripes
+from jaxscan.stripes import learn_noise
 
 
 FIELDS = ("xyz", "rgb", "intensity", "normals", "sigma_random", "sigma_systematic", "valid", "record", "laser", "angle")
@@ -83,6 +84,20 @@ def test_pairs_as_they_come_give_the_cloud_of_the_capture(live, folder, expected
     status = live.status()
     assert (status.records, status.later, status.problem) == (60, 0, "")
     assert status.points == int(expected.valid.sum())
+
+
+def test_noise_and_doubts_are_told_as_by_reconstruct(live, folder, scanner, monkeypatch):
+    def doubtful(*frames, **words):
+        return learn_noise(*frames, **words)._replace(doubts=("the images look odd",))
+
+    monkeypatch.setattr("jaxscan.reconstruction.plan.learn_noise", doubtful)
+    capture = open_capture(folder)
+    feed(live, capture, range(60))
+    wait(lambda: live.status().records >= 8)
+    done = live.finish()
+    assert done.live and done.notes == ("the images look odd",)
+    known = api.reconstruct_capture(capture, scanner, cache=False)
+    assert "read noise" in done.noise and done.noise == known.noise
 
 
 def test_points_are_counted_while_pairs_still_come(live, folder):

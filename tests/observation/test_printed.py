@@ -9,7 +9,7 @@ from jaxscan.observation import FoundStripe, SolvedRig
 from jaxscan.observation.printed import Sight, fit_on_print
 from jaxscan.observation.printed.lattice import Lattice
 from jaxscan.observation.printed.room_light import fit_room_light
-from jaxscan.observation.printed.windows import Windows
+from jaxscan.observation.printed.windows import Windows, cut_windows
 from jaxscan.stripes import FrameFormat, LaserLine, NoiseModel, Sites
 from jaxscan.vision import draw_print
 
@@ -248,3 +248,12 @@ def test_faint_stripes_are_as_good_as_stated():
     for number in range(3):
         z = (error / sigma)[contrast == number]
         assert 0.85 < np.sqrt(np.mean(z**2)) < 1.15, number
+
+
+def test_brighter_lamps_bring_photons_and_no_read_noise():
+    noise, ratio = NoiseModel(2.0, 4.0, 10.0), 1.5
+    off = np.full((1, 40), 50, np.uint8)
+    sight = Sight(np.full((1, 40), 70, np.uint8), off, ratio, Sites(), FrameFormat(), LaserLine(), noise)
+    windows, _ = cut_windows(sight, np.zeros(1, int), np.full(1, 20.0), 3)
+    frame, light = 2.0**2 + 1 / 12, 40.0 / 4.0
+    np.testing.assert_allclose(windows.variance, frame + ratio * light + ratio**2 * (frame + light))

@@ -1,7 +1,7 @@
 """Signs in the first pairs that codes are not as a sensor makes them, and a black level that cannot be."""
 
 import numpy as np
-from jaxtyping import Float, Int16
+from jaxtyping import Float
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.frames.formats import FrameFormat, LaserLine, decode_table, laser_plane
@@ -17,6 +17,7 @@ _MANY_ZEROS = 1.25
 """Coefficients near zero of blocks that lie as a JPEG's do, over those of blocks half a block aside."""
 _NEAR_ZERO = 0.25
 """Limit of such coefficients, in standard deviations: a fifth of those of noise."""
+_LEAST = 1e-3
 _BELOW = 3.0
 """Standard deviations of the noise by which a black level may exceed the picture."""
 
@@ -71,25 +72,28 @@ def falling_noise(level: np.ndarray, variance: np.ndarray, sigma: np.ndarray, re
     ]
 
 
-def noise_in_blocks(difference: Int16[np.ndarray, "frames lines samples"]) -> list[str]:
+def noise_in_blocks(difference: Float[np.ndarray, "frames lines samples"]) -> list[str]:
     """Noise in blocks of 8 pixels, as JPEG leaves it.
 
     JPEG rounds the cosine transform of every block, most of it to zero. Of any other picture as many coefficients are
-    near zero in blocks half a block aside. Coefficients that are high along both axes do not see bars and stripes.
+    near zero in blocks half a block aside. Coefficients that are constant along an axis do not count: bars and stripes
+    are such.
 
     Args:
-        difference: Laser-on minus laser-off frames, of whole bands of 8 lines that lie as a JPEG's blocks do [DN].
+        difference: Laser-on frames minus the light of the room, of whole bands of 8 lines that lie as a JPEG's blocks
+            do [DN].
 
     Source:
         ITU-T T.81 (JPEG), A.3.3 and A.3.4.
     """
     if min(difference.shape[1] // _BLOCK, difference.shape[2] // _BLOCK) < 4:
         return []
-    own, aside = (np.abs(_high_coefficients(difference, start)) for start in (0, _BLOCK // 2))
-    limit = _NEAR_ZERO * float(np.median(aside)) / 0.6745
+    own, aside = (np.abs(_coefficients(difference, start)) for start in (0, _BLOCK // 2))
+    # Coarse JPEG leaves no noise at all in most blocks.
+    limit = max(_NEAR_ZERO * float(np.median(aside)) / 0.6745, _LEAST)
     zeros, expected = float(np.mean(own < limit)), float(np.mean(aside < limit))
     error = np.sqrt(2.0 * expected / own.size)
-    if limit <= 0 or zeros < max(_MANY_ZEROS * expected, expected + _LEAST_SIGMAS * error):
+    if zeros < max(_MANY_ZEROS * expected, expected + _LEAST_SIGMAS * error):
         return []
     return [
         f"the noise of the images lies in blocks of {_BLOCK} px, as JPEG leaves it: sigmas are estimates; record "
@@ -97,13 +101,13 @@ def noise_in_blocks(difference: Int16[np.ndarray, "frames lines samples"]) -> li
     ]
 
 
-def _high_coefficients(difference: np.ndarray, start: int) -> Float[np.ndarray, " n"]:
-    """Cosine transforms of blocks of 8 x 8 pixels, the upper half along both axes."""
+def _coefficients(difference: np.ndarray, start: int) -> Float[np.ndarray, " n"]:
+    """Cosine transforms of blocks of 8 x 8 pixels, without those that are constant along an axis."""
     frames, lines, samples = difference.shape
     bands, blocks = lines // _BLOCK, (samples - start) // _BLOCK
     # A band is of neighbouring lines; the next band is not next to it. So blocks are moved along the samples only.
     part = difference[:, : bands * _BLOCK, start : start + blocks * _BLOCK].astype(np.float32)
     part = part.reshape(frames, bands, _BLOCK, blocks, _BLOCK)
-    place, wave = np.arange(_BLOCK), np.arange(_BLOCK // 2, _BLOCK)
+    place, wave = np.arange(_BLOCK), np.arange(1, _BLOCK)
     cosine = (0.5 * np.cos((2 * place + 1) * wave[:, None] * np.pi / 16)).astype(np.float32)
     return np.einsum("ux,vy,flxsy->flsuv", cosine, cosine, part, optimize=True).ravel()

@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 from jaxscan.geometry import Array
 from jaxscan.stripes.frames.doubtful import falling_noise, noise_in_blocks
 from jaxscan.stripes.frames.formats import FrameFormat, LaserLine, decode_table, laser_plane
-from jaxscan.stripes.frames.noise import photon_points
+from jaxscan.stripes.frames.noise import UNITS, flicker_of, photon_points
 from jaxscan.stripes.frames.transfer import PerBin, free_line, photon_transfer
 from jaxscan.stripes.stripes import NoiseModel
 
@@ -82,7 +82,8 @@ def learn_noise(
     chosen = np.unique(np.linspace(0, len(on) - 1, _FRAMES).astype(int))
     room = _bands(on if off is None else off, chosen, frames, line)
     if off is not None and not compressed and not frames.pixel_format.startswith("bayer"):
-        doubts += noise_in_blocks(_bands(on, chosen, frames, line).astype(np.int16) - room)
+        lit = _bands(on, chosen, frames, line)
+        doubts += noise_in_blocks(np.stack([_less(*pair) for pair in zip(lit, room, strict=True)]))
     least, start = _line_of_noise(level, variance, sigma)
     black, most = _darkest(decode_table(frames.response)[0], room, start)
     least = min(least, most)
@@ -108,6 +109,13 @@ def _bands(
         return plane[:lines].reshape(-1, _BAND, plane.shape[1])[::step].reshape(-1, plane.shape[1])
 
     return np.stack([bands(int(number)) for number in chosen])
+
+
+def _less(on: UInt8[np.ndarray, "lines samples"], off: UInt8[np.ndarray, "lines samples"]) -> np.ndarray:
+    """A laser-on frame without the light of the room, which may flicker [DN]."""
+    lit, room = on.astype(np.int16), off.astype(np.int16)
+    flicker = flicker_of(UNITS * lit, UNITS * room) if on.shape[1] > 2 * _BOX else 1.0
+    return lit - np.float32(flicker) * room
 
 
 def _line_of_noise(level: PerBin, variance: PerBin, sigma: PerBin) -> tuple[float, tuple[float, float]]:

@@ -19,11 +19,11 @@ _LINE = LaserLine()
 _FRAMES = 4
 _SAMPLES = 1 << 18
 """Samples that are looked at, of all frames together: half a per cent of a variance, in some milliseconds."""
-_UNITS = 8
+UNITS = 8
 """Steps per DN of the integers that are counted: their rounding adds 0.1 % of a variance of 1 DN^2."""
 _BIN_DN = 8
 _BINS = 256 // _BIN_DN
-_BIN_STEPS = 4 * _UNITS * _BIN_DN
+_BIN_STEPS = 4 * UNITS * _BIN_DN
 """Width of a bin for levels that are sums of four samples."""
 _REACH = 1024
 """Steps on either side of zero that are counted apart; larger values are no noise."""
@@ -104,8 +104,8 @@ def photon_points(
         noise, level = found
         counts += _histogram(noise, level)
         sums += np.bincount(level // _BIN_STEPS, level, minlength=_BINS)
-    steps = np.sqrt(2.0 if off is not None else 3.0) * _UNITS
-    return _points(counts, sums / (4 * _UNITS), np.arange(-_REACH, _REACH) / steps, table, slope)
+    steps = np.sqrt(2.0 if off is not None else 3.0) * UNITS
+    return _points(counts, sums / (4 * UNITS), np.arange(-_REACH, _REACH) / steps, table, slope)
 
 
 def _lines(frames: Array, pixel_format: PixelFormat, line: LaserLine, samples: int) -> Codes:
@@ -118,11 +118,11 @@ def _pair_differences(on: Codes, off: Codes, table: Level) -> Noise:
     """Noise of twice a frame's variance [sqrt(2) steps], and its level [1/32 DN]."""
     if on.shape[1] <= _LAG + 2 * _BOX:
         return _NOTHING
-    fixed = np.rint(_UNITS * table).astype(np.int16)
+    fixed = np.rint(UNITS * table).astype(np.int16)
     room = fixed[off]
-    flicker = _flicker(fixed[on], room)
+    flicker = flicker_of(fixed[on], room)
     # Divided so that the variance of the difference is that of a pair without flicker.
-    scaled = table * _UNITS / np.sqrt(0.5 * (1.0 + flicker**2))
+    scaled = table * UNITS / np.sqrt(0.5 * (1.0 + flicker**2))
     difference = np.rint(scaled).astype(np.int16)[on] - np.rint(flicker * scaled).astype(np.int16)[off]
     kept = ~_standing_out(difference, 2 * room) & (on < _CLIPPED) & (off < _CLIPPED)
     level = _pair_sums(fixed[on] + room)
@@ -134,7 +134,7 @@ def _second_differences(on: Codes, table: Level) -> Noise:
     """Noise of twice a frame's variance [sqrt(3) steps], and its level [1/32 DN]."""
     if on.shape[1] <= _LAG + 2 * _BOX:
         return _NOTHING
-    value = np.rint(_UNITS * table).astype(np.int16)[on]
+    value = np.rint(UNITS * table).astype(np.int16)[on]
     kept = ~_standing_out(value, 2 * value) & (on < _CLIPPED)
     noise = value[:, 1:-3] - 2 * value[:, 2:-2] + value[:, 3:-1]
     # The level from samples that are not in the difference, or noise would choose its level.
@@ -155,17 +155,17 @@ def _pair_sums(a: Lines) -> Int16[np.ndarray, "lines m"]:
 
 
 def _measurable(level: Lines) -> Bool[np.ndarray, "lines n"]:
-    return (level > int(4 * _UNITS * _DARK_DN)) & (level < int(4 * _UNITS * _BRIGHT_DN))
+    return (level > int(4 * UNITS * _DARK_DN)) & (level < int(4 * UNITS * _BRIGHT_DN))
 
 
-def _flicker(on: Lines, off: Lines) -> float:
+def flicker_of(on: Lines, off: Lines) -> float:
     """How much brighter the scene is in the laser-on frame: the median over its edges.
 
     Edges, because scattered light adds to the levels and not to them.
     """
     step_on, step_off = _steps(on), _steps(off)
     # Both: at the edges of a stripe only one of them is steep.
-    steep = np.minimum(np.abs(step_on), np.abs(step_off)) > _EDGE_DN * _UNITS
+    steep = np.minimum(np.abs(step_on), np.abs(step_off)) > _EDGE_DN * UNITS
     if np.count_nonzero(steep) < _MIN_COUNT:
         return 1.0
     one, other = step_on[steep].astype(np.float32), step_off[steep].astype(np.float32)
@@ -178,7 +178,7 @@ def _standing_out(difference: Lines, level: Lines) -> Bool[np.ndarray, "lines n"
     """True near each line's brightest place, and wherever a short sum is no noise of its level [1/16 DN]."""
     samples = difference.shape[1]
     box = sum((difference[:, k : samples - _BOX + 1 + k] for k in range(1, _BOX)), difference[:, : samples - _BOX + 1])
-    step, half = _steps(box) // _UNITS, _BOX // 2
+    step, half = _steps(box) // UNITS, _BOX // 2
     level = _pair_sums(level)[:, half:-half]
     middle, deviation = _centre_and_scale(_histogram(step, level))
     # By the level of the scene: levels that only stripes have would take these for noise.
