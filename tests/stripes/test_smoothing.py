@@ -15,7 +15,10 @@ def noisy(truth, sigma, seed=1):
     return (truth + sigma * np.random.default_rng(seed).normal(size=truth.shape)).astype(np.float32)
 
 
-def smooth(u, sigma, valid=None, sites=Sites()):
+EVERY_LINE, MOSAIC = Sites(), Sites(first_line=1, line_step=2)
+
+
+def smooth(u, sigma, valid=None, sites=EVERY_LINE):
     sigma = np.broadcast_to(np.asarray(sigma, np.float32), u.shape)
     return smooth_profiles(u.astype(np.float32), sigma, np.ones(u.shape, bool) if valid is None else valid, sites)
 
@@ -122,7 +125,7 @@ def test_every_second_line_of_a_mosaic():
     u = noisy(300 + SLOPE * X[:120], 0.1)
     wide, valid = np.zeros((PROFILES, LINES), np.float32), np.zeros((PROFILES, LINES), bool)
     wide[:, 1::2], valid[:, 1::2] = u, True
-    dense, sparse = smooth(u, 0.1), smooth(wide, 0.1, valid, Sites(first_line=1, line_step=2))
+    dense, sparse = smooth(u, 0.1), smooth(wide, 0.1, valid, MOSAIC)
     np.testing.assert_array_equal(sparse.u[:, 1::2], dense.u)
     shared = np.where(dense.shared_lines > 1, 2 * dense.shared_lines, 1)
     np.testing.assert_array_equal(sparse.shared_lines[:, 1::2], shared)

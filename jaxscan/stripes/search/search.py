@@ -45,8 +45,6 @@ class Search(NamedTuple):
     """Level of a pixel without light [DN]."""
     speckle: Float[Array, ""]
     """Contrast of the laser's speckle on one pixel [1]; 0 while nothing is known."""
-    speckle_correlation: Float[Array, ""]
-    """Correlation of the errors by speckle of centres on neighbouring lines [1]."""
     log_width: Float[Array, ""]
     """Mean of the logarithm of the width that the fit sees, which integration over a pixel widens [px]."""
     width_information: Float[Array, ""]
@@ -91,7 +89,6 @@ def prepare_search(setup: ExtractionSetup, noise: NoiseModel, gate: LineGate, *,
         electrons_per_dn=np.asarray(noise.electrons_per_dn, np.float32),
         black_dn=np.asarray(noise.black_dn, np.float32),
         speckle=np.asarray(noise.speckle if settings.speckle is None else settings.speckle, np.float32),
-        speckle_correlation=np.asarray(noise.speckle_correlation, np.float32),
         log_width=np.zeros((), np.float32),
         width_information=np.zeros((), np.float32),
         near_side=np.asarray(gate.near_side, np.float32),
@@ -134,8 +131,8 @@ def correct_search(search: Search, first: FrameStripes, again: FrameStripes, set
     """
     plain = _rows(search, first, setup)
     photons = np.where(plain.usable, plain.sigma**2, 0.0)
-    contrast, shared = correct_speckle(_rows(search, again, setup), photons, float(search.speckle))
-    return search._replace(speckle=np.asarray(contrast, np.float32), speckle_correlation=np.asarray(shared, np.float32))
+    contrast = correct_speckle(_rows(search, again, setup), photons, float(search.speckle))
+    return search._replace(speckle=np.asarray(contrast, np.float32))
 
 
 def _rows(search: Search, stripes: FrameStripes, setup: ExtractionSetup) -> Rows:

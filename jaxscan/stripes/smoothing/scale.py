@@ -1,5 +1,6 @@
 """How the centres of neighbouring rows scatter, compared with what their sigmas promise."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -70,9 +71,18 @@ def row_scatter(rows: Rows, line_step: int = 1) -> Scatter:
     wide = [_differences(some, 2 * line_step, weights) for weights in (_SECOND, _FOURTH)]
     scale = np.minimum(*(_by_amplitude(*one, amplitude) for one in wide))
     scale = np.clip(scale, 1.0, _LARGEST).astype(sigma.dtype)
-    near, far = _spread(_differences(some, line_step, _FOURTH)[0]), min(_spread(one) for one, _ in wide)
-    correlation = float(np.clip(0.625 * (1.0 - (near / far) ** 2), 0.0, _MOST_ALIKE)) if far > 0 else 0.0
+    correlation = _correlation(_differences(some, line_step, _FOURTH)[0], [one for one, _ in wide])
     return Scatter(scale, _common(rows, some, line_step).astype(sigma.dtype), correlation)
+
+
+def _correlation(near: np.ndarray, wide: Sequence[np.ndarray]) -> float:
+    """Of next neighbours, by differences over promised sigmas; 0 where noise alone may tell it."""
+    far = min(_spread(one) for one in wide)
+    if far <= 0:
+        return 0.0
+    found = 0.625 * (1.0 - (_spread(near) / far) ** 2)
+    # About three differences tell the same noise.
+    return float(min(found, _MOST_ALIKE)) if found > 3.0 * 0.625 * np.sqrt(12.0 / len(near)) else 0.0
 
 
 def _by_amplitude(scattered: np.ndarray, level: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
@@ -81,8 +91,16 @@ def _by_amplitude(scattered: np.ndarray, level: np.ndarray, amplitude: np.ndarra
     if classes == 0:
         return np.ones_like(amplitude)
     ranks = np.array_split(np.argsort(level, kind="stable"), classes)
-    middle = [float(np.median(level[rank])) for rank in ranks]
-    return np.interp(amplitude, middle, [_spread(scattered[rank]) for rank in ranks]).astype(np.float32)
+    middle = np.array([np.median(level[rank]) for rank in ranks])
+    return _interpolated(amplitude, middle, np.array([_spread(scattered[rank]) for rank in ranks]))
+
+
+def _interpolated(x: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """`np.interp` of a grid, which would be in double precision."""
+    out = np.empty(x.shape, np.float32)
+    for to, row in zip(out, x, strict=True):
+        to[:] = np.interp(row, known, values)
+    return out
 
 
 def _common(rows: Rows, some: Rows, line_step: int) -> np.ndarray:
@@ -96,7 +114,7 @@ def _common(rows: Rows, some: Rows, line_step: int) -> np.ndarray:
     middle, usual = (np.array([float(np.median(field[rank])) for rank in ranks]) for field in (level, sigma))
 
     def doubt(these: Rows) -> np.ndarray:
-        return np.asarray(these.sigma) / np.interp(np.asarray(these.amplitude), middle, np.maximum(usual, 1e-9))
+        return np.asarray(these.sigma) / _interpolated(these.amplitude, middle, np.maximum(usual, 1e-9))
 
     # All three rows in the middle of a difference.
     own = doubt(some)
