@@ -75,7 +75,7 @@ def test_what_is_left_is_stated(name):
     assert np.mean(np.abs(error) > 5 * stated) <= 1e-3
     # The rows were honest before: nothing but the likeness of neighbours is added.
     own = found.sigma_row[np.broadcast_to(valid, u.shape)]
-    assert np.median(own) / sigma == pytest.approx(np.sqrt(1 + 2 * correlation), rel=0.05)
+    assert np.median(own) / sigma == pytest.approx(np.sqrt(1 + 2 * correlation), rel=0.06)
 
 
 @pytest.mark.parametrize("height", [5, 8, 25, 500])

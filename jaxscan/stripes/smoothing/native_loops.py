@@ -61,8 +61,9 @@ def _line(s0, s1, s2, t0, t1):
 
 @_inlined
 @no_type_check
-def _parabola(s0, s1, s2, s3, s4, t0, t1, t2):
+def _parabola(s, t):
     """Of a weighted parabola at 0: value, slope, curvature, and the value's variance; none without a parabola."""
+    (s0, s1, s2, s3, s4), (t0, t1, t2) = s, t
     c00, c01, c02 = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
     det = s0 * c00 + s1 * c01 + s2 * c02
     if not det > 1e-9 * s0 * s2 * s4:
@@ -138,7 +139,7 @@ def _step(x, y, weight, edge, i, size, rules):
         t0 += b0
         t1 += b1
     s4 += 0.25 * (weight[i] + weight[i + 1]) * rules.straight
-    value, slope, curve, own = _parabola(s0, s1, s2, s3, s4, t0, t1, t2)
+    value, slope, curve, own = _parabola((s0, s1, s2, s3, s4), (t0, t1, t2))
     return lines - value * t0 - slope * t1 - curve * t2 if own > 0.0 else 0.0
 
 
@@ -204,7 +205,7 @@ def _fit(x, y, weight, ends, i, rules):
             if part == 0:
                 low = first
         high = last
-        value, slope, curve, own = _parabola(s0, s1, s2, s3, s4, t0, t1, t2)
+        value, slope, curve, own = _parabola((s0, s1, s2, s3, s4), (t0, t1, t2))
         if used < 5 or own < 0.0:
             continue
         chi2, freedom = q - value * t0 - slope * t1 - curve * t2, used - 3.0
