@@ -247,6 +247,8 @@ def main() -> int:
         "Where two numbers stand in a field, the first is with the noise known, the second with it estimated",
         "from the frames (whose background has one level only, so that the gain is left at its default, which is",
         "true here). The bias is the largest of the means over ten bins of the phase, ± its standard error.",
+        f"Seed {arguments.seed}. The part on speckle is of another camera (8 e-/DN, read 1.7 DN, black level 5 DN;",
+        "12 pairs of 512 lines for each contrast and aperture), and learns all of its noise from the frames.",
         "",
         "![error, bias and sigma over width and amplitude](stripe_accuracy.png)",
         "",

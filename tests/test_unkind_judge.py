@@ -161,8 +161,12 @@ def test_the_width_of_a_step_is_that_of_its_blur():
 
 
 def test_walls_and_limits():
-    found = figures.dimension_figures([Dimension(4.003, 0.001, 4.0), Dimension(4.199, 0.001, 4.2)])
+    found = figures.dimension_figures([Dimension(4.003, 0.001, 4.0), Dimension(4.199, 0.001, 4.2)], 2)
     assert found["within_two"] == 0.5 and found["errors_mm"] == pytest.approx([3.0, -1.0])
+    assert figures.dimension_figures([Dimension(4.199, 0.001, 4.2)], 2)["within_two"] == 0.5
+    rival = {"rig": {"rays_px": 0.5}}
+    assert limits.worse({"rig": {"rays_px": float("nan")}}, rival) == ["rays [px] nan against 0.5"]
+    assert limits.worse({"rig": {"rays_px": 0.4}}, rival) == [] == limits.worse({}, {})
     limit = limits.Limit("x", ("a", "classes"), 0.9, 1.1, True, "r")
     measured = {"a": {"classes": {"one": {"r": 1.0}, "two": {"r": 1.2}, "three": {"r": float("nan")}}}}
     assert limits.broken(measured, limit) == ["two: 1.2"]

@@ -172,6 +172,7 @@ def sweep_figures(truth: Truth, stripes: TrueStripes, found: Rows) -> dict[str, 
     out: dict[str, Any] = {
         "points": int(good.sum()),
         "rms_px": rms(error[good]),
+        "rms_near_px": rms(error[there & close & (amplitude < AMPLITUDES[-1][1])]),
         "bound_px": rms(bound),
         "over_bound": rms(error[good]) / rms(bound),
         "found_share": float((strong & close).sum() / max(strong.sum(), 1)),
@@ -199,7 +200,7 @@ def strong_rows(truth: Truth, stripes: TrueStripes) -> np.ndarray:
 
 
 def step_width(truth: Truth, stripes: TrueStripes, found: Rows, reach: int = 12) -> dict[str, float]:
-    """Rows from 10 to 90 % of a level step, of the mean over all profiles that cross one.
+    """Rows from 10 to 90 % of a level step, of the median over all profiles that cross one.
 
     Lines through the true centres 4 to 12 rows away give 0 and 100 %.
     """
@@ -220,8 +221,8 @@ def step_width(truth: Truth, stripes: TrueStripes, found: Rows, reach: int = 12)
     if len(curves) < 5:
         return {"rows": float("nan"), "profiles": len(curves)}
     with np.errstate(all="ignore"):
-        mean = np.nanmedian(curves, axis=0)
-    return {"rows": _rise(mean), "profiles": len(curves)}
+        middle = np.nanmedian(curves, axis=0)
+    return {"rows": _rise(middle), "profiles": len(curves)}
 
 
 def _rise(curve: np.ndarray) -> float:
@@ -236,13 +237,14 @@ def _rise(curve: np.ndarray) -> float:
     return float(place[middle - 100 + high[0]] - place[low[-1]]) if len(low) and len(high) else float("nan")
 
 
-def dimension_figures(dimensions: list[Dimension]) -> dict[str, Any]:
-    """Errors of wall-to-wall distances, and how many lie within two stated sigmas."""
+def dimension_figures(dimensions: list[Dimension], expected: int) -> dict[str, Any]:
+    """Errors of wall-to-wall distances, and how many of those expected lie within two stated sigmas."""
     error = np.array([one.value - one.true for one in dimensions])
     sigma = np.array([one.sigma for one in dimensions])
     return {
         "errors_mm": (1e3 * error).tolist(),
         "sigmas_mm": (1e3 * sigma).tolist(),
         "rms_mm": 1e3 * rms(error),
-        "within_two": float(np.mean(np.abs(error) <= 2 * sigma)) if len(error) else float("nan"),
+        "missed": expected - len(error),
+        "within_two": float(np.sum(np.abs(error) <= 2 * sigma)) / expected,
     }

@@ -36,7 +36,7 @@ def figures(world: tuple[truth.Truth, truth.TrueStripes, truth.TrueStripes], fou
         "rows": sweep_figures(true, sweep, found.rows),
         "smooth": sweep_figures(true, sweep, found.smooth),
         "step": {"rows": raw["rows"], "smooth": smooth["rows"], "profiles": raw["profiles"]},
-        "walls": dimension_figures(found.dimensions),
+        "walls": dimension_figures(found.dimensions, len(true.dimensions)),
         "seconds": found.seconds,
     }
 

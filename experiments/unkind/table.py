@@ -141,7 +141,8 @@ def _walls(results: dict[str, Any], which: str) -> str:
     )
     if not np.isfinite(sigmas).any():
         return "–"
-    return f"{int((np.abs(errors) <= 2 * sigmas).sum())} of {len(errors)}"
+    missed = sum(entry[which]["walls"]["missed"] for entry in results.values() if which in entry)
+    return f"{int((np.abs(errors) <= 2 * sigmas).sum())} of {len(errors) + missed}"
 
 
 def verdict(results: dict[str, Any]) -> str:

@@ -118,7 +118,9 @@ def calibrate(
         result = replace(result, quality=replace(result.quality, redetected=gains))
     result = advise_lens(result, settings)
     missed = tuple(Missed(*record) for record in seen.missed())
-    result = replace(result, quality=replace(result.quality, records=len(seen.records), missed=missed))
+    warnings = (*result.quality.warnings, *seen.doubts(captures))
+    quality = replace(result.quality, records=len(seen.records), missed=missed, warnings=warnings)
+    result = replace(result, quality=quality)
     provenance = {
         **result.provenance,
         "captures": [{"name": capture.path.name, "digest": capture.digest()} for capture in captures],

@@ -82,7 +82,7 @@ def reconstruct_capture(
         cloud = cloud_of_plan(plan, noise=noise, progress=progress)
         doubts = sweep_doubts(plan, cloud, watch.seen, numbers, off_images)
         notes = (*plan.notes, *pair_notes(plan, capture.frames, numbers), *doubts)
-        return Reconstruction(cloud, notes=notes, noise="; ".join(plan.noise))
+        return Reconstruction(cloud, notes=notes, noise=plan.noise)
     key = {"frames": frames_key(capture), "code": code_digest(), **extraction_key(settings, noise)}
     path = cache_path(capture)
     arrays = cached_stripes(path, key)
@@ -91,9 +91,7 @@ def reconstruct_capture(
     if stripes is not None and seen is not None:
         cloud = cloud_of_plan(plan, stripes=stripes, progress=progress)
         doubts = sweep_doubts(plan, cloud, seen, numbers, off_images)
-        return Reconstruction(
-            cloud, from_cache=True, kept=True, notes=(*plan.notes, *doubts), noise="; ".join(plan.noise)
-        )
+        return Reconstruction(cloud, from_cache=True, kept=True, notes=(*plan.notes, *doubts), noise=plan.noise)
     stripes = stripes_of_plan(plan, noise=noise, progress=progress)
     cloud = cloud_of_plan(plan, stripes=stripes)
     doubts = sweep_doubts(plan, cloud, watch.seen, numbers, off_images)
@@ -102,8 +100,8 @@ def reconstruct_capture(
         save_stripes(path, kept_arrays(stripes, plan) | watch.seen.arrays(), key)
     except CaptureError as problem:
         notes = (*notes, f"the stripes are not kept for next time: {problem}")
-        return Reconstruction(cloud, notes=notes, noise="; ".join(plan.noise))
-    return Reconstruction(cloud, kept=True, notes=notes, noise="; ".join(plan.noise))
+        return Reconstruction(cloud, notes=notes, noise=plan.noise)
+    return Reconstruction(cloud, kept=True, notes=notes, noise=plan.noise)
 
 
 def _off_images(capture: Capture) -> np.ndarray:

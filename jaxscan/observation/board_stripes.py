@@ -21,8 +21,8 @@ from jaxscan.stripes import (
     FrameFormat,
     LaserLine,
     StripeSettings,
-    estimate_noise,
     host_planes,
+    learn_noise,
     predict_off,
     prepare_engines,
     with_colour,
@@ -75,13 +75,13 @@ def find_stripes(
             group = [i for i in lit if views[i].laser == laser and (views[i].off is not None) == with_off]
             if not group:
                 continue
-            stripes, sights = _extract([views[i] for i in group], capture, line, rig)
+            stripes, sights, doubts = _extract([views[i] for i in group], capture, line, rig)
             found = [Candidates.of(stripes, row, line.stripe_axis) for row in range(len(group))]
             seen = [views[i] for i in group]
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 on_boards = list(pool.map(lambda *one: _lines_of(board, rig, *one), seen, found, sights))
             for i, lines_found in zip(group, on_boards, strict=True):
-                views[i] = views[i]._replace(stripes=lines_found, noise=sights[0].noise)
+                views[i] = views[i]._replace(stripes=lines_found, noise=sights[0].noise, doubts=doubts)
     return views
 
 
@@ -129,16 +129,19 @@ def _learn_colour(capture: BoardSource, laser: int) -> LaserLine:
 
 def _extract(
     views: list[SeenRecord], capture: BoardSource, line: LaserLine, rig: SolvedRig | None
-) -> tuple[ChunkStripes, list[Sight]]:
-    """Stripes of one laser, and its samples; all records have a laser-off frame, or none has."""
+) -> tuple[ChunkStripes, list[Sight], tuple[str, ...]]:
+    """Stripes of one laser, its samples, and doubts; all records have a laser-off frame, or none has."""
     # Padded to the batch size, so that the extraction compiles once.
     padded = [views[min(k, len(views) - 1)] for k in range(BATCH_RECORDS)]
     on = np.stack([view.on for view in padded if view.on is not None])
     dark = [view.off for view in padded if view.off is not None]
     off = np.stack(dark) if dark else predict_off(on, capture.pixel_format, line)
     frames = FrameFormat(capture.pixel_format, capture.response)
-    # Estimated from whole frames: outside the band there would be no noise.
-    noise = views[0].noise or estimate_noise(on, off, **vars(frames), line=line)
+    # Learned from whole frames: outside the band there would be no noise. Of speckle print tells nothing.
+    noise, doubts = views[0].noise, views[0].doubts
+    if noise is None:
+        compressed = capture.compression is not None or not dark
+        noise, _, doubts = learn_noise(on, off, frames=frames, line=line, compressed=compressed)
     whole = on
     if rig is not None and line.name in rig.believed:
         near = np.stack([_band(view, rig, line) for view in padded])
@@ -152,7 +155,7 @@ def _extract(
         Sight(on_plane[k], off_plane[k], float(ratio[k]), engine.setup.sites, frames, line, noise)
         for k in range(len(views))
     ]
-    return engine.extract(on, off), sights
+    return engine.extract(on, off), sights, doubts
 
 
 def _band(view: SeenRecord, rig: SolvedRig, line: LaserLine) -> np.ndarray:

@@ -53,6 +53,14 @@ class Look(NamedTuple):
         seen = [(view.record.i, view.corners is not None, view.light) for view in self.records]
         return missed_records(seen, len(self.board.corners()))
 
+    def doubts(self, captures: Sequence[BoardSource]) -> tuple[str, ...]:
+        """Signs that codes are no levels of a sensor, of each capture those in the first records that have some."""
+        first: dict[int, tuple[str, ...]] = {}
+        for view in self.records:
+            if view.doubts:
+                first.setdefault(view.capture, view.doubts)
+        return tuple(f"{captures[number].path}: {doubt}" for number, doubts in first.items() for doubt in doubts)
+
 
 def look_at_boards(
     captures: Sequence[BoardSource],

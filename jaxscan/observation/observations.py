@@ -47,7 +47,8 @@ class StripeViews(eqx.Module):
     """Row of `BoardViews` whose board the stripe lies on."""
     laser: Int[Array, " stripes"]
     contrast: Int[Array, "stripes points"] | None = None
-    """Contrast class of every point: 0 on even print, 1 at a weak edge, 2 at a strong one; None: all on even print."""
+    """Contrast class of every point: 0 on even print, 1 at a weak edge, 2 at a strong one; 3 to 5 the
+    same of points that were not fitted through the print. None: all alike."""
 
 
 class Observations(eqx.Module):

@@ -69,6 +69,10 @@ class BoardSource(Protocol):
         """Width and height [px]."""
 
     @property
+    def compression(self) -> str | None:
+        """The lossy compression of the images before they were stored, where known."""
+
+    @property
     def up(self) -> Up: ...
     @property
     def carries(self) -> Carries | None:
@@ -96,6 +100,8 @@ class SeenRecord(NamedTuple):
     """Straight lines on the board that may be the laser's, the likeliest first."""
     noise: NoiseModel | None = None
     """Noise of its frames, known once stripes were looked for."""
+    doubts: tuple[str, ...] = ()
+    """Signs in its frames that their codes are no levels of a sensor, a sentence each; as of `noise`."""
     pose: np.ndarray | None = None
     """T_cam_board [4, 4] from a first solve."""
     light: Light | None = None

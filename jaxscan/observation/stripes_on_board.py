@@ -21,6 +21,10 @@ MOST_POINTS = 512
 """Points that are kept of one stripe."""
 EVEN, WEAK, STRONG = 0, 1, 2
 """Contrast classes of stripe points: even print, a weak and a strong edge under the stripe. Their errors differ."""
+_BY_SHIFT = 3
+CONTRAST_CLASSES = 6
+"""The same three follow for points that were not fitted through the print: edges are then told by the shift of the
+centre, and errors are of another kind."""
 
 
 class FoundStripe(NamedTuple):
@@ -37,7 +41,7 @@ class FoundStripe(NamedTuple):
     stripe_axis: StripeAxis = "rows"
     """Whether a line is an image row or an image column."""
     contrast: np.ndarray | None = None
-    """Contrast class of every line, int8 [lines], where the print is known; None where it is not."""
+    """Contrast class of every line, int8 [lines], where it was fitted through the print; None where it was not."""
 
     def pixels(self) -> np.ndarray:
         """float64 [lines, 2]: (u, v) [px]; at 0 of its line where not valid."""
@@ -56,7 +60,7 @@ class BoardStripe(NamedTuple):
     valid: np.ndarray
     """bool [points]."""
     contrast: np.ndarray
-    """int8 [points]: contrast class, EVEN, WEAK or STRONG."""
+    """int8 [points]: contrast class, see `CONTRAST_CLASSES`."""
 
 
 def select_board_stripe(
@@ -87,7 +91,8 @@ def select_board_stripe(
     Returns:
         The points; none is valid where fewer than 8 remain.
     """
-    contrast = np.full(len(stripe.u), EVEN, np.int8) if stripe.contrast is None else stripe.contrast.copy()
+    not_fitted = np.full(len(stripe.u), _BY_SHIFT + EVEN, np.int8)
+    contrast = not_fitted if stripe.contrast is None else stripe.contrast
     q, spread = stripe.pixels(), stripe.sigma.astype(np.float64)
     centre, lines = q.T if stripe.stripe_axis == "rows" else q[:, ::-1].T
     keep = stripe.valid & np.isfinite(centre)
@@ -103,7 +108,8 @@ def select_board_stripe(
         centre[on_board] -= ink.correction
         spread[on_board] = np.hypot(spread[on_board], ink.sigma)
         keep[on_board] &= np.abs(ink.predicted) <= _MAX_INK_SHIFT
-        contrast[on_board] = np.digitize(np.abs(ink.predicted), (_WEAK_PX, _STRONG_PX))
+        contrast = not_fitted
+        contrast[on_board] += np.digitize(np.abs(ink.predicted), (_WEAK_PX, _STRONG_PX)).astype(np.int8)
     result = BoardStripe(np.zeros((points, 2)), np.ones(points), np.zeros(points, bool), np.zeros(points, np.int8))
     chosen = np.flatnonzero(keep)
     if len(chosen) < _MIN_POINTS:

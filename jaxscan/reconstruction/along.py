@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.reconstruction.ahead import map_ahead, workers
-from jaxscan.stripes import Rows, Sites, Smoothed, Stripes, row_scatter, smooth_profiles
+from jaxscan.stripes import ProfileRows, Sites, Smoothed, Stripes, row_scatter, smooth_profiles
 
 
 _PROFILES = 32
@@ -64,13 +64,13 @@ def smooth_sweep(stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES) -> S
     # Noise and colour are those of a laser.
     for number in np.unique(laser):
         own = np.flatnonzero(laser == number)
-        part = _smooth(Rows(u[own], sigma[own], valid[own], amplitude[own]), sites.get(int(number), Sites()))
+        part = _smooth(ProfileRows(u[own], sigma[own], valid[own], amplitude[own]), sites.get(int(number), Sites()))
         for to, field in zip(found, part, strict=True):
             to[own] = field
     return found
 
 
-def _smooth(rows: Rows, sites: Sites) -> SmoothedSweep:
+def _smooth(rows: ProfileRows, sites: Sites) -> SmoothedSweep:
     """The profiles of one laser."""
     scatter = row_scatter(rows, sites.line_step)
     u, valid = rows.u, rows.valid

@@ -12,7 +12,8 @@ import jax
 import numpy as np
 
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan
+from jaxscan.reconstruction.colours import NOISE_RECORDS
+from jaxscan.reconstruction.plan import make_plan
 from jaxscan.reconstruction.points import Centres, coloured, points_alone
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.streaming import GrowingStripes, chunk_records, padded
@@ -43,6 +44,7 @@ class PlannedSweep:
     steps: int
     first: FrameChunk | None = None
     exposures: tuple[float, ...] = (1.0,)
+    compression: str | None = None
     angles: np.ndarray = field(init=False)
     record: np.ndarray = field(init=False)
     laser: np.ndarray = field(init=False)
@@ -96,6 +98,16 @@ class IncomingStripes:
         """Whether stripes can be found."""
         return self._engine is not None
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on the frames, a sentence each, once it is learned."""
+        return tuple(self._plan.notes)
+
+    @property
+    def noise(self) -> str:
+        """A line on the noise, once it is learned."""
+        return self._plan.noise
+
     def learn(self, pairs: Sequence[RecordedPair]) -> None:
         """Prepare the search from the first `needed` records, in their order.
 
@@ -105,6 +117,7 @@ class IncomingStripes:
         self._sweep.first = FrameChunk(np.stack([pair.on for pair in pairs]), np.stack([pair.off for pair in pairs]))
         (engine,) = self._plan.engines().values()
         self._engine = engine.learn(*self._frames(pairs[: self.size]), coloured(self._plan.frames))
+        self._plan.tell_noise(0, self._engine)
         self._sweep.first = None
 
     def compute(self, pairs: Sequence[RecordedPair]) -> None:

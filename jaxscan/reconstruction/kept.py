@@ -27,7 +27,7 @@ def kept_arrays(stripes: Stripes, plan: Plan) -> dict[str, np.ndarray]:
     """The stripes, notes on them and, of each laser, the searched part of lines and the near side."""
     fields = {name: np.asarray(field) for name, field in vars(stripes).items() if field is not None}
     notes = np.frombuffer("\n".join(plan.notes).encode(), np.uint8)
-    noise = np.frombuffer("\n".join(plan.noise).encode(), np.uint8)
+    noise = np.frombuffer(plan.noise.encode(), np.uint8)
     return fields | _searched(plan.gates) | {"notes": notes, "noise": noise}
 
 
@@ -49,11 +49,11 @@ def usable_stripes(arrays: dict[str, np.ndarray], plan: Plan) -> Stripes | None:
             empty = wanted[0] >= wanted[1]
             if not np.all(empty | ((searched[0] <= wanted[0]) & (wanted[1] <= searched[1]))):
                 return None
-    texts = [fields.pop(name, None) for name in ("notes", "noise")]
-    if any(text is None or text.dtype != np.uint8 for text in texts) or not _fit(fields, plan):
+    texts = [fields.pop(name, np.zeros(0)) for name in ("notes", "noise")]
+    if any(text.dtype != np.uint8 for text in texts) or not _fit(fields, plan):
         return None
-    for known, text in zip((plan.notes, plan.noise), texts, strict=True):
-        known.extend([] if text is None else text.tobytes().decode(errors="replace").splitlines())
+    notes, plan.noise = (text.tobytes().decode(errors="replace") for text in texts)
+    plan.notes.extend(notes.splitlines())
     return Stripes(**fields)
 
 

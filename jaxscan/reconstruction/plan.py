@@ -1,7 +1,5 @@
 """The plan of a reconstruction, which all its chunks share: made once, it learns and computes each thing once."""
 
-import dataclasses
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
@@ -10,12 +8,14 @@ import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Array, Scanner, StripeAxis, across_and_along
+from jaxscan.reconstruction.colours import NOISE_RECORDS, with_learned_colour
 from jaxscan.reconstruction.points import Aim, Limits, Rig, line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.streaming import chunk_records
-from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
+from jaxscan.reconstruction.sweep import SweepSource
 from jaxscan.reconstruction.without_off import PredictedPairs, with_off
 from jaxscan.stripes import (
+    BlackLevelError,
     ExtractionSetup,
     FrameFormat,
     LaserLine,
@@ -24,24 +24,21 @@ from jaxscan.stripes import (
     NoiseModel,
     StripeEngine,
     Stripes,
-    check_black,
     learn_noise,
     prepare_engines,
+    speckle_words,
     whole_lines,
-    with_colour,
 )
 
 
-NOISE_RECORDS = 8
-"""Records at the start of the sweep from which noise and colours are taken where they are not given."""
 GATE_MARGIN_PX = 40.0
 """How far beyond the range limits a line is searched [px]: a stripe at a limit is seen whole, and
 a slightly different calibration finds its stripes among those of this one."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Plan:
-    """A sweep and a scanner that fit together."""
+    """A sweep and a scanner that fit together, and all that is learned of the frames."""
 
     sweep: SweepSource
     scanner: Scanner
@@ -53,9 +50,10 @@ class Plan:
     """Records computed at a time."""
     notes: list[str] = field(default_factory=list)
     """Notes on the stripes, once they are found; a sentence each."""
-    learned: list[LearnedNoise] = field(default_factory=list)
-    """Noise of a frame, once it is learned; and a line on it with the speckle that the stripes told."""
-    noise: list[str] = field(default_factory=list)
+    learned: LearnedNoise | None = None
+    """Noise of a frame, once it is learned."""
+    noise: str = ""
+    """A line on it, with the speckle that the stripes told."""
 
     @property
     def lines(self) -> int:
@@ -87,7 +85,7 @@ class Plan:
         lasers = list(self.sweep.lasers)
         for laser in np.unique(self.sweep.laser):
             if lasers[laser].colour == "auto":
-                lasers[laser] = _learned(self.sweep, int(laser))
+                lasers[laser] = with_learned_colour(self.sweep, int(laser))
         return tuple(lasers)
 
     @cached_property
@@ -153,10 +151,9 @@ class Plan:
         if noise is None:
             noise = self._learn_noise(on, off)
         try:
-            check_black(noise, on)
-        except ValueError as problem:
+            engines = prepare_engines(on, off, setups, noise=noise, gates=gates)
+        except BlackLevelError as problem:
             raise CaptureError(str(problem)) from problem
-        engines = prepare_engines(on, off, setups, noise=noise, gates=gates)
         if self.predicts:
             engines = [engine.own_channel() for engine in engines]
         return dict(zip(self.gates, engines, strict=True))
@@ -165,10 +162,20 @@ class Plan:
         """The noise of the first frames, in the colour of the first laser and the shortest exposure."""
         if len(self.sweep.exposures) > 1:
             on, off = on[:, 0], None if off is None else off[:, 0]
-        learned = learn_noise(on, off, frames=self.frames, line=self.lasers[next(iter(self.gates))])
-        self.learned.append(learned)
-        self.notes.extend(learned.doubts)
-        return learned.noise
+        compressed = self.sweep.compression is not None
+        first = self.lasers[next(iter(self.gates))]
+        self.learned = learn_noise(on, off, frames=self.frames, line=first, compressed=compressed)
+        self.notes.extend(self.learned.doubts)
+        return self.learned.noise
+
+    def tell_noise(self, laser: int, engine: StripeEngine) -> None:
+        """Add the speckle of a laser to the line on the noise."""
+        if self.learned is None:
+            return
+        found, reason = engine.noise, engine.speckle_reason
+        words = speckle_words(found.speckle, reason) if self.noise else self.learned.words(found, reason)
+        name = f'laser "{self.lasers[laser].name}": ' if len(self.gates) > 1 else ""
+        self.noise = "; ".join(part for part in (self.noise, name + words) if part)
 
 
 def make_plan(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettings) -> Plan:
@@ -256,35 +263,6 @@ def check_stripes(plan: Plan, stripes: Stripes) -> None:
             f"The stripes have {profiles} profiles of {lines} lines, the sweep has {expected} records of "
             f"{plan.lines} lines; pass the stripes of this sweep."
         )
-
-
-def _learned(sweep: SweepSource, laser: int) -> LaserLine:
-    line, problem = sweep.lasers[laser], "it is never lit alone."
-    if sweep.pixel_format == "mono8":
-        return dataclasses.replace(line, colour="red")
-    for on, off in _pairs_of(sweep, laser):
-        try:
-            return with_colour(line, on, off, sweep.pixel_format)
-        except ValueError as error:
-            problem = str(error)
-    raise CaptureError(f'The colour of the laser "{line.name}" is "auto" and cannot be learned: {problem}')
-
-
-def _pairs_of(sweep: SweepSource, laser: int) -> Iterator[FrameChunk]:
-    """Pairs, of all exposures, of the records in which one laser alone is lit."""
-    lit = np.bincount(sweep.record, minlength=len(sweep))
-    own = np.zeros(len(sweep), bool)
-    own[sweep.record[sweep.laser == laser]] = True
-    own &= lit == 1
-    start = 0
-    for on, off in sweep.chunks(min(NOISE_RECORDS, len(sweep))):
-        rows = np.flatnonzero(own[start : start + len(on)])
-        start += len(on)
-        if len(rows):
-            on, off = np.asarray(on)[rows], None if off is None else np.asarray(off)[rows]
-            if len(sweep.exposures) > 1:
-                on, off = on.reshape(-1, *on.shape[2:]), None if off is None else off.reshape(-1, *off.shape[2:])
-            yield FrameChunk(on, off)
 
 
 def _check_apart(gates: list) -> None:

@@ -201,8 +201,7 @@ def _extracted(
             if batch.laser not in learned:
                 learned.add(batch.laser)
                 engines[batch.laser] = engines[batch.laser].learn(batch.on, batch.off, then(batch))
-                if not plan.noise:
-                    plan.noise.extend(one.words(engines[batch.laser].noise) for one in plan.learned[-1:])
+                plan.tell_noise(batch.laser, engines[batch.laser])
             yield batch
 
     def chunks() -> Iterator[tuple[np.ndarray, ChunkStripes]]:

@@ -54,6 +54,10 @@ class SweepSource(Protocol):
     def exposures(self) -> tuple[float, ...]:
         """Relative exposures of the frames of one record; (1.0,) where there is one."""
 
+    @property
+    def compression(self) -> str | None:
+        """The lossy compression of the images before they were stored, where known."""
+
     def __len__(self) -> int:
         """Number of records."""
         ...
@@ -80,6 +84,8 @@ class Sweep:
         laser: The laser of each profile; the first where not given.
         record: The record of each profile; with one laser lit in each record, the record itself.
         exposures: Relative exposures, where `on` and `off` have a second axis over them.
+        carries: "scanner" or "object", where known.
+        compression: The lossy compression of the frames, where known.
 
     Raises:
         ValueError: If shapes, type or counts do not fit together.
@@ -95,6 +101,7 @@ class Sweep:
     record: np.ndarray = field(default_factory=lambda: _NOT_GIVEN)
     exposures: tuple[float, ...] = (1.0,)
     carries: str | None = None
+    compression: str | None = None
 
     def __post_init__(self) -> None:
         if self.pixel_format not in PIXEL_FORMATS:

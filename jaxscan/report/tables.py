@@ -186,7 +186,9 @@ def quality_rows(calibration: Calibration) -> list[tuple[str, str]]:
         ("steps of the solver", quality.steps, "d"),
         ("seconds", quality.seconds, ".2f"),
     ]
-    return [(name, f"{value:{form}}".replace("%", " %")) for name, value, form in values if value is not None]
+    rows = [(name, f"{value:{form}}".replace("%", " %")) for name, value, form in values if value is not None]
+    classes = ", ".join(f"{name} {value:.2f}" for name, value in (quality.stripe_noise_by_contrast or {}).items())
+    return rows + [("stripe noise over the promised noise by contrast class", classes)] * bool(classes)
 
 
 def _digits(values: Sequence[float], sigma: float) -> str:

@@ -11,6 +11,7 @@ from jaxscan.stripes.estimators import ESTIMATORS, Estimator, estimator_of
 from jaxscan.stripes.extract import extract_stripes
 from jaxscan.stripes.frames import (
     PIXEL_FORMATS,
+    BlackLevelError,
     Colour,
     ExposurePair,
     FrameFormat,
@@ -21,7 +22,6 @@ from jaxscan.stripes.frames import (
     PixelFormat,
     Response,
     Sites,
-    check_black,
     check_frames,
     decode_table,
     estimate_noise,
@@ -31,10 +31,11 @@ from jaxscan.stripes.frames import (
     laser_sites,
     learn_noise,
     learn_response,
+    speckle_words,
     with_colour,
 )
 from jaxscan.stripes.pairs import judge_pairs
 from jaxscan.stripes.search import LEARNED_FRAMES, LineGate, host_planes, whole_lines
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.smoothing import Rows, Scatter, Smoothed, row_scatter, smooth_profiles
+from jaxscan.stripes.smoothing import ProfileRows, Scatter, Smoothed, row_scatter, smooth_profiles
 from jaxscan.stripes.stripes import KEPT_FIELDS, Choice, FrameStripes, NoiseModel, Stripes, StripeSettings

@@ -18,6 +18,8 @@ from jaxscan.stripes.estimators import Estimator, estimator_of
 from jaxscan.stripes.exposures import merge_brackets
 from jaxscan.stripes.frames import LaserLine, check_black, learn_noise, with_colour
 from jaxscan.stripes.search import (
+    LEARNED_FRAMES,
+    REASONS,
     LineGate,
     Planes,
     Search,
@@ -82,7 +84,16 @@ class StripeEngine(eqx.Module):
     @property
     def learns(self) -> bool:
         """Whether something is to be learned from the first frames' stripes."""
-        return self.setup.settings.learn_width or self.setup.settings.speckle is None
+        settings = self.setup.settings
+        asked = settings.learn_width or (settings.speckle is None and not self.search.speckle)
+        return self.estimator.learns and asked
+
+    @property
+    def speckle_reason(self) -> str:
+        """Why the contrast of speckle is as it is."""
+        if self.setup.settings.speckle is not None:
+            return f"set to {self.setup.settings.speckle:g}"
+        return REASONS[int(self.search.speckle_reason)] if self.estimator.learns else "the estimator does not tell it"
 
     @property
     def noise(self) -> NoiseModel:
@@ -96,7 +107,8 @@ class StripeEngine(eqx.Module):
     def learn(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> "StripeEngine":
         """The engine that knows width and speckle of the stripes in the first frames, where the settings ask for it.
 
-        Arguments as of `extract`, so that nothing else is compiled.
+        Arguments as of `extract`, so that nothing else is compiled. Frames from which nothing is learned are left
+        black, which costs little.
         """
         if self.channels:
             engines = [one.learn(on, off) for one in (self.own_channel(), *self.channels)]
@@ -105,6 +117,7 @@ class StripeEngine(eqx.Module):
             return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses, doubts)
         if not self.learns:
             return self
+        on, off = _first(on), None if off is None else _first(off)
         plain = self.extract(on, off, then)
         first = chosen_of(plain.stripes, plain.chosen)
         search = learn_search(self.search, first, self.setup)
@@ -157,6 +170,15 @@ class StripeEngine(eqx.Module):
         return _at_once(self, on, off, then)
 
 
+def _first(frames: Array) -> Array:
+    """As many frames, of which those to learn from are kept and the others are black."""
+    if len(frames) <= LEARNED_FRAMES:
+        return frames
+    few = np.zeros(frames.shape, np.uint8)
+    few[:LEARNED_FRAMES] = frames[:LEARNED_FRAMES]
+    return few
+
+
 def prepare_engines(
     on: Array,
     off: Array | None,
@@ -187,7 +209,7 @@ def prepare_engines(
         line = with_colour(setup.line, on, off, setup.frames.pixel_format)
         if noise is None:
             noise = learn_noise(on, off, frames=setup.frames, line=line).noise
-        check_black(noise, on)
+        check_black(noise, on, frames=setup.frames, line=line)
         # Lasers that look alike share their compiled functions: no name, and no colour for a mono camera.
         colour = "red" if setup.frames.pixel_format == "mono8" else line.colour
         setup = setup._replace(line=LaserLine(colour=colour, stripe_axis=line.stripe_axis))

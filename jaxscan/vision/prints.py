@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from jaxscan.geometry import AbstractBoard, Charuco, known_dictionary
+from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, known_dictionary
 from jaxscan.vision.boards import board_texture
 
 
@@ -11,6 +11,8 @@ from jaxscan.vision.boards import board_texture
 _PER_SQUARE, _MOST = 160, 16_000_000
 _FINER = 4
 """A board that is not made of squares and markers is drawn so many times finer, and averaged."""
+_APRIL_BORDER = 2
+"""Cells of the black border of a tag on either side, as Kalibr prints it."""
 
 
 def draw_print(board: AbstractBoard) -> np.ndarray:
@@ -19,11 +21,12 @@ def draw_print(board: AbstractBoard) -> np.ndarray:
     Elements that an edge crosses have the share of paper in them: pictures drawn by OpenCV round every edge of a
     marker to whole elements.
     """
-    outline = board.outline()
-    squares = np.ptp(outline, axis=0) / board.square
+    squares = np.ptp(board.outline(), axis=0) / board.square
     per_square = int(np.clip(np.sqrt(_MOST / np.prod(squares)), 8, _PER_SQUARE))
     if isinstance(board, Charuco):
         return _draw_charuco(board, per_square)
+    if isinstance(board, AprilGrid):
+        return _draw_april_grid(board, max(per_square // _FINER, 2))
     fine = board_texture(board, per_square // _FINER * _FINER)
     rows, columns = (size // _FINER * _FINER for size in fine.shape)
     parts = fine[:rows, :columns].reshape(rows // _FINER, _FINER, columns // _FINER, _FINER)
@@ -32,18 +35,41 @@ def draw_print(board: AbstractBoard) -> np.ndarray:
 
 def _draw_charuco(board: Charuco, per_square: int) -> np.ndarray:
     y, x = np.mgrid[: board.rows, : board.columns]
-    white = ((x + y) % 2).astype(np.float32)
-    picture = np.kron(white, np.ones((per_square, per_square), np.float32))
+    white = (x + y) % 2
+    picture = np.kron(white, np.ones((per_square, per_square))).astype(np.float32)
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, known_dictionary(board.dictionary)))
     cells = dictionary.markerSize + 2
     gap = 0.5 * (1.0 - board.marker / board.square) * per_square
-    edges = np.linspace(gap, per_square - gap, cells + 1)
-    # Share of every element [per_square, cells] that lies in each cell.
-    first = np.arange(per_square)[:, None]
-    share = np.clip(np.minimum(edges[1:], first + 1) - np.maximum(edges[:-1], first), 0.0, None)
+    share = _shares(np.linspace(gap, per_square - gap, cells + 1), per_square)
     margin = 1.0 - np.outer(share.sum(1), share.sum(1))
     for number, (row, column) in enumerate(np.argwhere(white > 0)):
         marker = cv2.aruco.generateImageMarker(dictionary, number, cells, borderBits=1) / 255.0
         top, left = row * per_square, column * per_square
         picture[top : top + per_square, left : left + per_square] = share @ marker @ share.T + margin
     return picture
+
+
+def _draw_april_grid(board: AprilGrid, per_square: int) -> np.ndarray:
+    """Small squares and tags are cells of one grid, of two sizes."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    cells = dictionary.markerSize + 2 * _APRIL_BORDER
+    paper = np.ones((board.rows * (cells + 1) + 1, board.columns * (cells + 1) + 1))
+    paper[:: cells + 1, :: cells + 1] = 0.0
+    for number, (row, column) in enumerate(np.ndindex(board.rows, board.columns)):
+        # Numbers begin with the row at the bottom.
+        top, left = (board.rows - 1 - row) * (cells + 1) + 1, column * (cells + 1) + 1
+        tag = cv2.aruco.generateImageMarker(dictionary, number, cells, borderBits=_APRIL_BORDER) / 255.0
+        paper[top : top + cells, left : left + cells] = tag
+    shares = []
+    for tags in (board.rows, board.columns):
+        sizes = np.array(([board.square] + [board.tag / cells] * cells) * tags + [board.square])
+        edges = np.concatenate([[0.0], np.cumsum(sizes)])
+        elements = round(edges[-1] / board.square * per_square)
+        shares.append(_shares(edges * (elements / edges[-1]), elements))
+    return np.asarray(shares[0] @ paper @ shares[1].T, np.float32)
+
+
+def _shares(edges: np.ndarray, elements: int) -> np.ndarray:
+    """Share of every picture element that lies in each cell [elements, cells]; `edges` [cells + 1], elements."""
+    first = np.arange(elements)[:, None]
+    return np.clip(np.minimum(edges[1:], first + 1) - np.maximum(edges[:-1], first), 0.0, None)

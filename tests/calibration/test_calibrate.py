@@ -140,6 +140,9 @@ def test_every_contrast_class_has_a_noise_of_its_own(world, perfect):
     stated = replace(noisy, stripes=replace(noisy.stripes, sigma=stripes.sigma, contrast=contrast))
     calibration = calibrate_observations(stated)
     ratio = calibration.fit.stripe_sigma / stripes.sigma
+    named = calibration.quality.stripe_noise_by_contrast
+    assert list(named) == ["even print", "weak edge", "strong edge"]
+    assert list(named.values()) == pytest.approx([1.0, 0.5, 2.5], rel=0.15)
     for number, true in enumerate((1.0, 0.5, 2.5)):
         some = stripes.valid & (contrast == number)
         # The size is known to 1 / sqrt(2 n); three times that.

@@ -1,5 +1,7 @@
 """The block-arrow solver against dense linear algebra and numerical derivatives."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,7 @@ from jaxscan.calibration.parameters import BLOCKS, board_blocks
 from jaxscan.calibration.solve.assemble import parameter_scales, prior_weights
 from jaxscan.calibration.solve.covariance import linearise
 from jaxscan.calibration.solve.levenberg_marquardt import form_blocks, jacobian_columns, schur_step
+from jaxscan.calibration.solve.noise import noise_by_class
 from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.calibration.solve.problem import BoardModes, Problem, Step, camera_from_board, move, zero_step
 from jaxscan.calibration.solve.residuals import residuals
@@ -185,3 +188,26 @@ def test_a_step_moves_the_camera_as_it_says(problem):
     moved = jax.jit(move)(Step(jnp.asarray(step), jnp.zeros((4, 6))), problem)
     assert float(moved.camera.cx) == pytest.approx(640.0 + problem.scales[LAYOUT.names.index("cx")])
     np.testing.assert_allclose(moved.poses, problem.poses, atol=1e-15)
+
+
+def test_a_small_contrast_class_has_the_noise_of_its_kind():
+    counts, true = [400, 10, 300, 10, 400, 0], [1.0, 1.0, 3.0, 5.0, 5.0, 5.0]
+    contrast = np.repeat(np.arange(6), counts)
+    values = np.repeat(true, counts) * np.random.default_rng(0).choice([-1.0, 1.0], len(contrast))
+    size = lambda some: float(np.sqrt(np.mean(values[some] ** 2)))
+    every = np.ones(len(contrast), bool)
+    fitted, other = size(contrast < 3), size(contrast >= 3)
+    expected = [1.0, fitted, 3.0, other, 5.0, other]
+    np.testing.assert_allclose(noise_by_class(size, contrast, every), expected)
+    # Too few of a kind: all points together.
+    few = every & ((contrast < 3) | (np.cumsum(contrast >= 3) <= 20))
+    np.testing.assert_allclose(noise_by_class(size, contrast, few)[3:], size(few))
+
+
+def test_contrast_of_points_that_are_not_valid_is_not_looked_up(world):
+    perfect = world.observe(world.Rig())
+    stripes = perfect.stripes
+    for forged in (-1, 7, 127):
+        contrast = np.where(stripes.valid, 2, forged).astype(np.int8)
+        data = prepare(replace(perfect, stripes=replace(stripes, contrast=contrast)))
+        assert (data.stripe_contrast == np.where(data.stripe_valid, 2, 0)).all()

@@ -212,7 +212,7 @@ def test_observations_come_back(tmp_path, board):
 
 def test_contrast_classes_come_back(tmp_path):
     observations = make_observations()
-    classes = np.random.default_rng(0).integers(0, 3, observations.stripes.valid.shape).astype(np.int8)
+    classes = np.random.default_rng(0).integers(0, 6, observations.stripes.valid.shape).astype(np.int8)
     stripes = dataclasses.replace(observations.stripes, contrast=classes)
     calibration = make_calibration(observations=dataclasses.replace(observations, stripes=stripes))
     save_calibration(calibration, tmp_path / "c.json")
@@ -220,10 +220,14 @@ def test_contrast_classes_come_back(tmp_path):
     without_digests(tmp_path / "c.json")
     with np.load(tmp_path / "c.npz") as good:
         arrays = {key: good[key] for key in good.files}
-    arrays["stripes.contrast"] = np.full_like(classes, 3)
-    np.savez(tmp_path / "c.npz", **arrays)
-    with pytest.raises(CalibrationError, match=r"stripes\.contrast: found a number outside"):
-        load_calibration(tmp_path / "c.json")
+    # Points that are not valid too: every class is looked up.
+    assert not arrays["stripes.valid"].all()
+    for forged in (6, -1, 127):
+        for where in (np.ones_like(classes, bool), ~arrays["stripes.valid"]):
+            arrays["stripes.contrast"] = np.where(where, forged, classes).astype(np.int8)
+            np.savez(tmp_path / "c.npz", **arrays)
+            with pytest.raises(CalibrationError, match=r"stripes\.contrast: found an index outside 0 \.\.\. 5"):
+                load_calibration(tmp_path / "c.json")
 
 
 @pytest.mark.parametrize("coefficients", [2, 4, 5])

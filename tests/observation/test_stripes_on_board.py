@@ -122,3 +122,23 @@ def test_a_board_of_few_corners(seen):
     view = seen[1]
     stripe = select(seen, corners=view(board.corners()), board=board)
     assert stripe.valid.sum() > 100
+
+
+def test_points_that_were_not_fitted_through_the_print_have_classes_of_their_own(seen):
+    rig, view, u, _, inside = seen
+    image = np.full((1024, 1280), 120, np.uint8)
+    edge = u + (np.arange(1024) - 600) * 0.05
+    image[np.arange(1280)[None] > edge[:, None]] = 30
+    by_shift = select(seen, off=image)
+    row = by_shift.q[by_shift.valid, 1].astype(int)
+    kind = by_shift.contrast[by_shift.valid]
+    assert set(kind) == {3, 4, 5}
+    assert (kind[np.abs(edge - u)[row] > 8.0] == 3).all() and np.mean(kind[np.abs(edge - u)[row] < 3.0] > 3) > 0.7
+    # Without a laser-off image no edge is known.
+    alone = select(seen)
+    assert (alone.contrast[alone.valid] == 3).all()
+    classes = np.arange(1024, dtype=np.int8) % 3
+    found = FoundCorners(view(rig.board.corners()), np.ones(63), np.ones(63, bool))
+    fitted = FoundStripe(u, np.full(1024, 0.1), np.full(1024, 1.5), inside, "rows", classes)
+    through = select_board_stripe(fitted, found, rig.board, points=1024)
+    np.testing.assert_array_equal(through.contrast[through.valid], through.q[through.valid, 1].astype(int) % 3)

@@ -86,3 +86,77 @@ def test_a_black_level_above_the_picture_is_refused():
     on, off = _pairs()
     with pytest.raises(ValueError, match=r"black level is 250 DN.*at 1\d\d DN or below.*covered lens"):
         extract_stripes(on, off, noise=NoiseModel(1.7, 8.0, black_dn=250.0))
+
+
+def _level_pairs(read, gain, black, darkest, *, shadow=False, seed=0):
+    rng = np.random.default_rng(seed)
+    light = np.linspace(darkest, 170.0, COLUMNS)[None, :] * np.ones((ROWS, 1))
+    if shadow:
+        light[:, 20:60] = 0.0
+    expose = lambda: rng.poisson(gain * light) / gain + black + read * rng.normal(size=light.shape)
+    on, off = (np.stack([expose() for _ in range(4)]) for _ in "ab")
+    return tuple(np.clip(np.rint(frames), 0, 255).astype(np.uint8) for frames in (on, off))
+
+
+@pytest.mark.parametrize("darkest", [4.0, 40.0])
+def test_a_high_black_level_does_not_bend_the_line_of_the_noise(darkest):
+    # Few electrons and a black level of 16 DN: the line passes zero noise at 12 DN.
+    learned = _learn(*_level_pairs(1.0, 4.0, 16.0, darkest))
+    assert learned.noise.electrons_per_dn == pytest.approx(4.0, rel=0.05)
+    for level in (max(20.0, darkest), 60.0, 100.0, 170.0):
+        assert learned.noise.variance(level) == pytest.approx(1.0 + (level - 16.0) / 4.0 + 1 / 12, rel=0.1)
+    (unknown,) = learned.unknown
+    assert unknown.startswith("black level (1") and learned.noise.black_dn < 16.0
+
+
+def test_a_high_black_level_that_a_shadow_shows():
+    learned = _learn(*_level_pairs(1.0, 4.0, 16.0, 40.0, shadow=True))
+    assert learned.noise.black_dn == pytest.approx(16.0, abs=0.5)
+    assert learned.noise.read_dn == pytest.approx(1.0, rel=0.1)
+    assert learned.unknown == ()
+
+
+@pytest.mark.parametrize("axis", ["rows", "columns"])
+@pytest.mark.parametrize("quality", [75, 95])
+def test_blocks_of_fine_jpeg_are_said_along_both_axes(quality, axis):
+    frames = [_through_jpeg(a, quality) for a in _pairs()]
+    (doubt,) = learn_noise(*frames, frames=LINEAR, line=LaserLine(stripe_axis=axis)).doubts
+    assert "JPEG" in doubt
+
+
+def test_of_a_capture_that_says_jpeg_blocks_are_not_said_again():
+    on, off = (_through_jpeg(a, 85) for a in _pairs())
+    assert learn_noise(on, off, frames=LINEAR, line=LaserLine(), compressed=True).doubts == ()
+
+
+@pytest.mark.parametrize("flicker", [1.0, 1.02, 1.3])
+@pytest.mark.parametrize("pattern", ["bars", "squares", "noise"])
+def test_bars_and_squares_of_eight_pixels_are_no_jpeg(pattern, flicker):
+    rng = np.random.default_rng(3)
+    row, column = np.arange(ROWS)[:, None] // 8, np.arange(COLUMNS)[None, :] // 8
+    dark = {"bars": column % 2 + 0 * row, "squares": (row + column) % 2, "noise": 0 * (row + column)}[pattern]
+    light = np.linspace(40.0, 150.0, COLUMNS)[None, :] * np.where(dark, 0.3, 1.0)
+    on, off = (np.stack([_expose(factor * light, rng) for _ in range(4)]).astype(np.uint8) for factor in (flicker, 1.0))
+    assert _learn(on, off).doubts == ()
+
+
+def test_a_black_level_is_compared_with_levels_not_codes():
+    # Code 100 of sRGB is a level of 32.5 DN.
+    rng = np.random.default_rng(0)
+    on, off = (np.clip(rng.normal(100.0, 1.0, (2, 40, 60)), 0, 255).astype(np.uint8) for _ in "ab")
+    srgb = FrameFormat("mono8", "srgb")
+    with pytest.raises(ValueError, match=r"black level is 60 DN.*at 3\d\.?\d* DN or below"):
+        extract_stripes(on, off, pixel_format=srgb, noise=NoiseModel(1.0, 40.0, black_dn=60.0))
+    # Codes that are levels lie above it.
+    extract_stripes(on, off, noise=NoiseModel(1.0, 40.0, black_dn=60.0))
+
+
+def test_a_dark_room_at_its_black_level_is_not_refused():
+    rng = np.random.default_rng(0)
+    on, off = (np.rint(5.0 + 0.2 * rng.normal(size=(2, 40, 60))).astype(np.uint8) for _ in "ab")
+    extract_stripes(on, off, noise=NoiseModel(0.3, 8.0, black_dn=5.0))
+
+
+def test_reasons_stand_where_no_speckle_is_learned():
+    learned = _learn(*_pairs(shadow=True))
+    assert learned.words(NoiseModel(1.7, 8.0, 5.0), "set to 0").endswith("; not learned: speckle (set to 0)")

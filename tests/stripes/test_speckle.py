@@ -9,13 +9,14 @@ from jaxscan.stripes import (
     FrameFormat,
     LaserLine,
     NoiseModel,
-    Rows,
+    ProfileRows,
     StripeSettings,
     extract_stripes,
     row_scatter,
 )
 from jaxscan.stripes.engine import prepare_engines
 from jaxscan.stripes.fitting.gaussian_fit import FitRules, Start, Window, fit_stripe
+from jaxscan.stripes.search.speckle import Rows, correct_speckle
 
 
 KNOWN = NoiseModel(read_dn=1.7, electrons_per_dn=8.0, black_dn=5.0)
@@ -126,7 +127,7 @@ def test_learned_contrast_and_what_neighbours_share():
     shared = []
     for pairs in scenes:
         found = extract_stripes(*pairs, noise=KNOWN)
-        rows = Rows(*(np.asarray(field) for field in (found.u, found.sigma, found.valid, found.amplitude)))
+        rows = ProfileRows(*(np.asarray(field) for field in (found.u, found.sigma, found.valid, found.amplitude)))
         shared.append(row_scatter(rows).correlation)
     assert shared[0] < 0.1
     # |2 J1(x) / x|^2 at x = pi / 1.5 is 0.29; pixels average it up a little.
@@ -152,3 +153,59 @@ def test_speckle_does_not_hide_a_stripe():
     # Whether there is a stripe is asked against the noise without one.
     assert float(fits[1].energy[0]) == pytest.approx(float(fits[0].energy[0]), rel=0.02)
     assert float(fits[1].variance[0]) > 10 * float(fits[0].variance[0])
+
+
+def _stated(scatter, seed=0):
+    """Rows whose centres scatter by `scatter` times the speckle that is stated, and the variance by photons."""
+    rng = np.random.default_rng(seed)
+    shape = (8, 256)
+    photons, speckle = np.full(shape, 0.02**2), np.linspace(0.02, 0.08, 256) ** 2 * np.ones(shape)
+    u = 30.0 + rng.normal(size=shape) * np.sqrt(photons + scatter**2 * speckle)
+    flat = np.ones(shape)
+    yes = np.ones(shape, bool)
+    return Rows(u, np.sqrt(photons + speckle), 100 * flat, 1.3 * flat, 5 * flat, yes, yes), photons
+
+
+@pytest.mark.parametrize("scatter", [0.5, 1.0, 2.0])
+def test_a_contrast_is_corrected_by_the_scatter(scatter):
+    rows, photons = _stated(scatter)
+    contrast = correct_speckle(rows, photons, 0.2)
+    # Second differences over 2000 rows: some per cent of a contrast.
+    assert contrast == pytest.approx(0.2 * scatter, rel=0.15)
+    assert row_scatter(ProfileRows(rows.u, rows.sigma, rows.valid, rows.amplitude)).correlation < 0.1
+
+
+def test_no_scatter_at_all_lowers_a_contrast_as_far_as_can_be():
+    rows, photons = _stated(0.0)
+    still = rows._replace(u=30.0 + 0.5 * (rows.u - 30.0))
+    for seen in (rows, still):
+        assert 0.06 - 1e-12 <= correct_speckle(seen, photons, 0.2) < 0.08
+        assert row_scatter(ProfileRows(seen.u, seen.sigma, seen.valid, seen.amplitude)).correlation == 0.0
+
+
+def test_too_few_rows_correct_nothing():
+    rows, photons = _stated(0.0)
+    assert correct_speckle(rows._replace(usable=rows.usable & False), photons, 0.2) == 0.2
+
+
+def test_the_reasons_where_nothing_is_learned():
+    def reason(on, off, settings=None):
+        setup = ExtractionSetup((COLUMNS, ROWS), FrameFormat(), LaserLine(), settings or StripeSettings())
+        (engine,) = prepare_engines(on, off, [setup], noise=KNOWN)
+        return engine.learn(on, off).speckle_reason
+
+    on, off, _ = _scene(0.0)
+    assert reason(on, off) == "lost in the other noise"
+    assert reason(off, off) == "too few stripes"
+    assert reason(*_scene(0.0, rough=0.5)[:2]) == "the surface scatters the centres more than the widths"
+    assert reason(on, off, StripeSettings(speckle=0.0)) == "set to 0"
+    plain = StripeSettings(estimator="centre_of_gravity")
+    assert reason(on, off, plain) == "the estimator does not tell it"
+
+
+def test_only_the_first_frames_are_learned_from():
+    on, off, _ = _scene(0.5)
+    setup = ExtractionSetup((COLUMNS, ROWS), FrameFormat(), LaserLine(), StripeSettings())
+    (engine,) = prepare_engines(on, off, [setup], noise=KNOWN)
+    more = [np.concatenate([frames, frames[::-1]]) for frames in (on, off)]
+    assert engine.learn(*more).noise == engine.learn(on, off).noise

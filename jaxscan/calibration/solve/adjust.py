@@ -11,7 +11,6 @@ from jaxscan.calibration.solve.adjustment import Adjustment, Errors
 from jaxscan.calibration.solve.covariance import Linearised, linearise, undetermined_shares
 from jaxscan.calibration.solve.levenberg_marquardt import Solution, solve
 from jaxscan.calibration.solve.noise import (
-    CLASSES,
     correlation_along,
     huber_weights,
     keep_inliers,
@@ -21,6 +20,7 @@ from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
+from jaxscan.observation import CONTRAST_CLASSES
 
 
 # Damping at the start of a solve, relative to J'J: cautious from a seed, a plain Gauss-Newton
@@ -93,7 +93,7 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
     data = state.data
     limits = {"reject_any": settings.reject_any, "reject_all": settings.reject_all}
     for round_number in range(_REJECTION_ROUNDS):
-        errors, size = state.errors, (1.0, np.ones(CLASSES))
+        errors, size = state.errors, (1.0, np.ones(CONTRAST_CLASSES))
         if settings.estimate_noise:
             # Outliers that are still in must not make room for themselves; honest noise with long
             # tails may.
@@ -113,7 +113,7 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
         corner_kept = corner_kept & view_kept[:, None]
         stripe_kept = stripe_kept & view_kept[data.stripe_view][:, None]
         cleaned = replace(state, corner_kept=corner_kept, stripe_kept=stripe_kept)
-        noise = 1.0, np.ones(CLASSES)
+        noise = 1.0, np.ones(CONTRAST_CLASSES)
         if settings.estimate_noise:
             noise = cleaned.whitened_rms()[0], cleaned.kept_stripe_noise()
         correlation = state.stripe_correlation

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.calibration.solve.covariance import Linearised
-from jaxscan.calibration.solve.noise import CLASSES, noise_by_class, noise_component, robust_noise
+from jaxscan.calibration.solve.noise import noise_by_class, noise_component, robust_noise
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem
+from jaxscan.observation import CONTRAST_CLASSES
 
 
 class Errors(NamedTuple):
@@ -35,7 +36,7 @@ class Adjustment:
     """Views [views] that were not dropped as a whole."""
     corner_noise: float = 1.0
     """Estimated noise over the given sigma [1]."""
-    stripe_noise: np.ndarray = field(default_factory=lambda: np.ones(CLASSES))
+    stripe_noise: np.ndarray = field(default_factory=lambda: np.ones(CONTRAST_CLASSES))
     """Of the points of each contrast class."""
     stripe_correlation: float = 1.0
     """Neighbours along a stripe that share one error [1]."""

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from jaxscan.observation import CONTRAST_CLASSES
 
-CLASSES = 3
-"""Contrast classes of stripe points; see `StripeViews`."""
+
 # A class with fewer points than this shows no noise of its own.
 _CLASS_POINTS = 60
 # The noise of data without any is taken as this share of the given sigma, so that weights stay finite.
@@ -54,11 +54,18 @@ def noise_by_class(size: Callable[[np.ndarray], float], contrast: np.ndarray, co
         count: bool, shaped like `contrast`: points that count.
 
     Returns:
-        One number for each class; classes with few points have that of all points.
+        One number for each class. A class with few points has that of all points of its kind, fitted through the
+        print or not; where these are few too, that of all points.
     """
-    every = size(count)
-    own = [count & (contrast == number) for number in range(CLASSES)]
-    return np.array([size(some) if np.count_nonzero(some) >= _CLASS_POINTS else every for some in own])
+    kinds = CONTRAST_CLASSES // 2
+
+    def noise(number: int) -> float:
+        first = number // kinds * kinds
+        groups = contrast == number, (contrast >= first) & (contrast < first + kinds)
+        enough = (group & count for group in groups if np.count_nonzero(group & count) >= _CLASS_POINTS)
+        return size(next(enough, count))
+
+    return np.array([noise(number) for number in range(CONTRAST_CLASSES)])
 
 
 def correlation_along(residual: np.ndarray, keep: np.ndarray) -> float:

@@ -49,7 +49,10 @@ def prepare(observations: Observations) -> Prepared:
     valid &= usable[:, None]
     stripe_q, stripe_sigma, stripe_valid = _clean(stripes.q, stripes.sigma, stripes.valid, centre)
     view = np.asarray(stripes.view, np.int32)
-    contrast = np.zeros(stripe_valid.shape, np.int8) if stripes.contrast is None else np.asarray(stripes.contrast)
+    contrast = np.zeros(stripe_valid.shape, np.int8)
+    if stripes.contrast is not None:
+        # Used as an index, by points that are not valid too.
+        contrast = np.where(stripe_valid, stripes.contrast, 0).astype(np.int8)
     if len(view) and len(usable):
         stripe_valid &= usable[view][:, None]
     placement = np.zeros(len(usable), np.int32)

@@ -13,6 +13,9 @@ from jaxscan.observation import Observations
 
 # Records that are named in one warning.
 _NAMED = 8
+_FITTED = "even print", "weak edge", "strong edge"
+# In the order of the contrast classes.
+_CONTRASTS = (*_FITTED, *(f"{name}, not through the print" for name in _FITTED))
 
 
 def describe_quality(
@@ -46,6 +49,7 @@ def describe_quality(
         stripe_rms_whitened=stripe_rms,
         corner_noise_over_sigma=result.corner_noise,
         stripe_noise_over_sigma=result.stripe_noise_rms,
+        stripe_noise_by_contrast=_noise_by_contrast(result),
         stripe_correlation=result.stripe_correlation,
         views=len(per_view),
         views_without_board=len(np.asarray(observations.corners.angle)) - len(per_view),
@@ -153,3 +157,11 @@ def _prior_cost(result: Adjustment, prior: np.ndarray) -> float:
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0
+
+
+def _noise_by_contrast(result: Adjustment) -> dict[str, float]:
+    """Estimated noise over the given sigma of each contrast class that has kept points [1]."""
+    points = np.bincount(result.data.stripe_contrast[result.stripe_kept], minlength=len(_CONTRASTS))
+    return {
+        name: float(noise) for name, noise, count in zip(_CONTRASTS, result.stripe_noise, points, strict=True) if count
+    }

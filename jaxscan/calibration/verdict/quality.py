@@ -218,6 +218,8 @@ class Quality:
     corner_noise_over_sigma: float | None = None
     """Estimated noise over the promised sigmas [1]."""
     stripe_noise_over_sigma: float | None = None
+    stripe_noise_by_contrast: dict[str, float] | None = None
+    """The same of the points of each contrast class, of classes with kept points [1]."""
     stripe_correlation: float | None = None
     """Neighbouring stripe points that share one error [1]."""
     views: int | None = None

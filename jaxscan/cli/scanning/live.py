@@ -43,6 +43,8 @@ class LiveResult(NamedTuple):
     live: bool
     """Whether its stripes were found during the scan."""
     notes: tuple[str, ...]
+    noise: str
+    """A line on the noise of a frame."""
 
 
 class LiveCloud:
@@ -158,11 +160,11 @@ class LiveCloud:
         found = self._usable(capture, numbers)
         if isinstance(found, str):
             done = api.reconstruct_capture(capture, self._scanner, settings=self._settings, progress=progress)
-            return LiveResult(done.cloud, False, (found, *done.notes))
+            return LiveResult(done.cloud, False, (found, *done.notes), done.noise)
         self._catch_up(capture, progress)
         stripes = found.finish(numbers)
         cloud = api.reconstruct(capture, self._scanner, stripes=stripes, settings=self._settings)
-        return LiveResult(cloud, True, ())
+        return LiveResult(cloud, True, found.notes, found.noise)
 
     def close(self) -> None:
         """End the thread. Pairs in the queue are dropped."""

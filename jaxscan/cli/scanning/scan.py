@@ -190,10 +190,12 @@ def _finish_cloud(
         done = live.finish(progress)
     for note in done.notes:
         out.print(f"note: {note}")
+    if done.noise:
+        out.print(f"noise: {done.noise}")
     jaxscan.save_cloud(done.cloud, cloud, calibration_digest=calibration_digest(calibration))
     points = int(np.count_nonzero(done.cloud.valid))
     out.print(f"{points} points, written: {cloud}")
-    return {"cloud": str(cloud), "points": points, "live": done.live, "notes": done.notes}
+    return {"cloud": str(cloud), "points": points, "live": done.live, "notes": done.notes, "noise": done.noise}
 
 
 def _as_json(result: "SessionResult") -> dict[str, Any]:

@@ -27,7 +27,9 @@ def stripes_to_come(
     camera = header.camera
     carries = None if header.turntable is None else header.turntable.carries
     size = (camera.width, camera.height)
-    sweep = PlannedSweep(camera.pixel_format, camera.response, header.lasers, size, carries, steps)
+    sweep = PlannedSweep(
+        camera.pixel_format, camera.response, header.lasers, size, carries, steps, compression=camera.compression
+    )
     return (IncomingStripes if len(header.lasers) == 1 else LasersInTurn)(sweep, scanner, settings)
 
 

@@ -23,7 +23,7 @@ from jaxscan.files.disk import (
 )
 from jaxscan.geometry.motions import Carries
 from jaxscan.geometry.scanner import Up
-from jaxscan.observation import BoardViews, Observations, StripeViews
+from jaxscan.observation import CONTRAST_CLASSES, BoardViews, Observations, StripeViews
 
 
 OBSERVATIONS_FORMAT: Literal["jaxscan-observations/1"] = "jaxscan-observations/1"
@@ -52,9 +52,8 @@ _RANGES = {
     "corners.angle": (-1e6, 1e6),
     "stripes.q": (-1e6, 1e6),
     "stripes.sigma": (1e-6, 1e6),
-    "stripes.contrast": (0, 2),
 }
-"""Limits of the numbers of valid points [px, rad, 1]: squares of others would not be finite."""
+"""Limits of the numbers of valid points [px, rad]: squares of others would not be finite."""
 # Fields of `Observations` that are stored as they are, as JSON.
 _PLAIN = ("width", "height", "laser_names", "up", "carries")
 
@@ -154,12 +153,12 @@ def _read(path: Path) -> Observations:
     known = {"corners": len(board.corners())}
     there = _ARRAYS | {name: kind for name, kind in _OPTIONAL.items() if name in arrays}
     sizes = check_arrays(arrays, there, known, name=str(path), error=CalibrationError)
-    for name, count in (("stripes.view", sizes["views"]), ("stripes.laser", len(about.laser_names))):
+    counts = {"stripes.view": sizes["views"], "stripes.laser": len(about.laser_names)}
+    # Indices of all entries: those of points that are not valid are looked up too.
+    for name, count in (counts | {name: CONTRAST_CLASSES for name in _OPTIONAL if name in arrays}).items():
         if ((arrays[name] < 0) | (arrays[name] >= count)).any():
             raise CalibrationError(f"{path}: {name}: found an index outside 0 ... {count - 1}.")
     for name, (least, most) in _RANGES.items():
-        if name not in there:
-            continue
         values, valid = arrays[name], arrays.get(f"{name.split('.')[0]}.valid")
         seen = values if valid is None or values.ndim < valid.ndim else values[valid]
         if not ((seen >= least) & (seen <= most)).all():

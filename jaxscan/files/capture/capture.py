@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -69,6 +70,11 @@ class Capture:
     def carries(self) -> Carries | None:
         """The part that the table carries, "linear" or "nothing"; None if the header does not say."""
         return None if self.header.turntable is None else self.header.turntable.carries
+
+    @property
+    def compression(self) -> str | None:
+        """The lossy compression of the images; files with the name of a JPEG are such, whatever the header says."""
+        return _compression(self.header, self.records)
 
     @property
     def up(self) -> Up:
@@ -253,8 +259,11 @@ def open_capture(path: str | Path, *, compare: bool = True) -> Capture:
     return Capture(path, header, records, tuple(notes), texts.digest(), reader)
 
 
-def _image_notes(header: CaptureHeader, records: tuple[Record, ...]) -> list[str]:
-    """Notes on the kind of images; files with the name of a JPEG are such, whether or not the header says so."""
+def _compression(header: CaptureHeader, records: tuple[Record, ...]) -> Literal["jpeg", "video"] | None:
     first = (*records[0].on, *records[0].off)[0].path.lower()
-    jpeg = header.camera.compression is None and first.endswith((".jpg", ".jpeg"))
-    return (header.camera.model_copy(update={"compression": "jpeg"}) if jpeg else header.camera).notes()
+    return header.camera.compression or ("jpeg" if first.endswith((".jpg", ".jpeg")) else None)
+
+
+def _image_notes(header: CaptureHeader, records: tuple[Record, ...]) -> list[str]:
+    """Notes on the kind of images."""
+    return header.camera.model_copy(update={"compression": _compression(header, records)}).notes()

@@ -71,6 +71,8 @@ def fit_on_print(
     if room.exchanged:
         paper = np.float32(1.0) - paper
         room = fit_room_light(windows, paper, lattice)
+    if room.explained.mean() < _LEAST_EXPLAINED:
+        room = fit_room_light(windows, paper, lattice, far=True)
     if room.exchanged or room.explained.mean() < _LEAST_EXPLAINED or room.shared.blur >= math.log(_MOST_BLUR_PX):
         return None
     light = fit_laser_light(windows, paper, lattice, room, (raw - middle, width))

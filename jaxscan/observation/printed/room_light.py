@@ -27,6 +27,8 @@ _ODD, _ODD_WEIGHT = 5.0, 0.04
 # lines do not draw it aside.
 _UNEXPLAINED = (0.3, 0.25, 0.25, 0.2, 0.15, 0.12, 0.12)
 _HELD_ROUNDS = 2
+# Of a print that lies far from its prediction, by a poor pose.
+_UNEXPLAINED_FAR = (0.5, 0.5, 0.5, 0.3, 0.2, 0.12, 0.12)
 
 
 class RoomLight(NamedTuple):
@@ -41,7 +43,7 @@ class RoomLight(NamedTuple):
     """Whether black and white are exchanged: a chessboard looks the same turned, but for its colours."""
 
 
-def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice) -> RoomLight:
+def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice, *, far: bool = False) -> RoomLight:
     r"""Fit black level, paper, blur and place of the print to the laser-off image.
 
     $O = a + a' s + (p + p' s + p'' s^2 + p''' u)\,(K * P)$ with the place s along the stripe, the print P and the
@@ -51,6 +53,7 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice) -> Roo
         windows: The samples.
         paper: The print at the samples of the lattice [k, lines, j].
         lattice: Those samples.
+        far: The print may lie some tenths of a pixel from its prediction.
     """
     lines, samples = windows.dark.shape
     s = np.broadcast_to(np.linspace(-1.0, 1.0, lines)[:, None], (lines, samples))
@@ -66,7 +69,7 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice) -> Roo
         kernel = lattice.kernel(Shared(0.0, 0.0, _INK, blur, across, along))
         return np.asarray(flat @ kernel.transpose(1, 0, 2).reshape(-1, samples), np.float64)
 
-    for number, limit in enumerate(_UNEXPLAINED):
+    for number, limit in enumerate(_UNEXPLAINED_FAR if far else _UNEXPLAINED):
         seen, root = see(*place), np.sqrt(weight)[..., None]
         level = np.stack([np.ones_like(s), s, seen, s * seen, s * s * seen, u * seen], -1)
         basis, triangle = np.linalg.qr((level * root).reshape(-1, level.shape[-1]))
@@ -82,7 +85,7 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice) -> Roo
         scale = max(1.0, float(left @ left) / max(int(np.count_nonzero(weight)), 1))
         information = slopes.T @ slopes / scale + prior
         step = np.linalg.solve(information, slopes.T @ left / scale + prior @ (start - place))
-        place = place + (number >= _HELD_ROUNDS) * np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+        place = place + (far or number >= _HELD_ROUNDS) * np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
         place[0] = np.clip(place[0], *_LOG_BLURS)
         odd = left.reshape(lines, samples) ** 2 > _ODD**2 * scale
         rest = np.where(windows.used, np.square(windows.dark - level @ found) - 2.0 * variance, 0.0).sum(1)

@@ -65,7 +65,12 @@ def cut_windows(sight: Sight, line: np.ndarray, centre: np.ndarray, half: int) -
     dark = level[off]
     # `NoiseModel.variance` holds the rounding of a linear frame.
     dark_variance = noise.variance(dark) + (slope[off] ** 2 - 1.0) / 12.0
-    variance = noise.variance(dark) * sight.lamp_ratio + (slope[on] ** 2 - 1.0) / 12.0
+    # Brighter lamps bring more photons, and neither more read noise nor coarser codes.
+    room = (
+        noise.variance(dark)
+        + (sight.lamp_ratio - 1.0) * np.maximum(dark - noise.black_dn, 0.0) / noise.electrons_per_dn
+    )
+    variance = room + (slope[on] ** 2 - 1.0) / 12.0
     variance = variance + sight.lamp_ratio**2 * dark_variance
     used = (index >= 0) & (index < samples) & (on < _CLIPPED_DN) & (off < _CLIPPED_DN)
     light = level[on] - sight.lamp_ratio * dark

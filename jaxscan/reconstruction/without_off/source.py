@@ -66,6 +66,10 @@ class PredictedPairs:
         return self.sweep.carries
 
     @property
+    def compression(self) -> str | None:
+        return self.sweep.compression
+
+    @property
     def angles(self) -> np.ndarray:
         return self.sweep.angles
 

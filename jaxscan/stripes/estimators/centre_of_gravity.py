@@ -57,6 +57,7 @@ class CentreOfGravity:
     candidates = 1
     locate_natively = None
     choices: tuple[Choice, ...] = ("path", "brightest")
+    learns = False
 
     def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Peak:
         """The highest sample of every blurred line."""

@@ -19,6 +19,8 @@ class Estimator(Protocol):
     """Largest number of candidates of a line."""
     choices: tuple[Choice, ...]
     """Rules of choice that make sense of its candidates."""
+    learns: bool
+    """Whether the stripes of the first frames tell it width and speckle."""
 
     @property
     def locate_natively(self) -> Callable[[Planes, Search, ExtractionSetup], Any] | None:

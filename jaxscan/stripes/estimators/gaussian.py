@@ -16,6 +16,7 @@ class Gaussian:
 
     candidates = CANDIDATES
     choices: tuple[Choice, ...] = ("path", "brightest", "nearest", "farthest", "all")
+    learns = True
 
     def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Located:
         """The highest maxima of every line, by XLA."""

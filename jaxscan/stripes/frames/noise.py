@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float, Int, Int16, UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.frames.formats import LaserLine, PixelFormat, Response, decode_table, laser_plane
+from jaxscan.stripes.frames.transfer import PerBin, photon_transfer
 from jaxscan.stripes.stripes import NoiseModel
 
 
@@ -12,7 +13,6 @@ Codes = UInt8[np.ndarray, "lines n"]
 Lines = Int16[np.ndarray, "lines n"]
 Level = Float[np.ndarray, "256"]
 Noise = tuple[Int16[np.ndarray, " m"], Int16[np.ndarray, " m"]]
-PerBin = Float[np.ndarray, " bins"]
 Counts = Int[np.ndarray, "bins values"]
 
 _LINE = LaserLine()
@@ -48,11 +48,6 @@ _BRIGHT_DN = 240.0
 """Above this level the noise is cut off at the top."""
 _CLIPPED = 254
 """Code from which on a sample is clipped."""
-_MIN_READ_DN = 0.2
-_MIN_GAIN = 0.5
-"""No sensor whose full scale is 255 DN has fewer electrons per DN: its whole well would be 130."""
-_MIN_SPAN_DN = 10.0
-"""Range of levels from which the gain can be told."""
 
 
 def estimate_noise(
@@ -238,37 +233,3 @@ def _clipped_variances(counts: Counts, value: Float[np.ndarray, " values"]) -> t
         deviation = np.maximum(np.sqrt((kept * offset**2).sum(1) / count - mean**2), 0.1)
         middle = middle + mean
     return deviation**2, count.astype(np.float64)
-
-
-def photon_transfer(level: PerBin, variance: PerBin, sigma: PerBin) -> tuple[NoiseModel, bool]:
-    """The noise of such points, and whether they tell the gain."""
-    default = NoiseModel()
-    if len(level) == 0:
-        return default, False
-    weight = 1.0 / sigma**2
-    slope = _slope(level, variance, weight) if np.ptp(level) >= _MIN_SPAN_DN else 0.0
-    centre = np.average(level, weights=weight)
-    mean = np.average(variance, weights=weight)
-    told = 0.0 < slope <= 2.0 / _MIN_GAIN
-    if told:
-        gain = 2.0 / slope
-    else:
-        # One level tells a sum only: keep the default gain, unless it alone explains too much.
-        shot = mean - 2.0 * _MIN_READ_DN**2
-        gain = max(default.electrons_per_dn, 2.0 * centre / shot) if shot > 0 else 1e6
-    read = np.sqrt(max(0.5 * mean - centre / gain, _MIN_READ_DN**2))
-    return NoiseModel(read_dn=float(read), electrons_per_dn=float(gain)), told
-
-
-def _slope(level: PerBin, variance: PerBin, weight: PerBin) -> float:
-    """Slope of the line through the bins, which starts no lower than the least read noise; 0 where it is not seen."""
-    centre = np.average(level, weights=weight)
-    spread = np.sum(weight * (level - centre) ** 2)
-    slope = np.sum(weight * (level - centre) * variance) / spread
-    if slope * np.sqrt(spread) <= 5.0:
-        return 0.0
-    start = 2.0 * _MIN_READ_DN**2
-    if np.average(variance, weights=weight) - slope * centre < start:
-        # So steep that it passes below the levels with the most samples: it has to meet them.
-        slope = np.sum(weight * level * (variance - start)) / np.sum(weight * level**2)
-    return float(slope)

@@ -12,4 +12,5 @@ from jaxscan.stripes.search.search import (
     prepare_search,
     whole_lines,
 )
+from jaxscan.stripes.search.speckle import REASONS
 from jaxscan.stripes.search.widths import LEARNED_FRAMES

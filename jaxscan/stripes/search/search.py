@@ -45,6 +45,8 @@ class Search(NamedTuple):
     """Level of a pixel without light [DN]."""
     speckle: Float[Array, ""]
     """Contrast of the laser's speckle on one pixel [1]; 0 while nothing is known."""
+    speckle_reason: Int[Array, ""]
+    """Why `speckle` is as it is: number of one of `REASONS`."""
     log_width: Float[Array, ""]
     """Mean of the logarithm of the width that the fit sees, which integration over a pixel widens [px]."""
     width_information: Float[Array, ""]
@@ -89,6 +91,7 @@ def prepare_search(setup: ExtractionSetup, noise: NoiseModel, gate: LineGate, *,
         electrons_per_dn=np.asarray(noise.electrons_per_dn, np.float32),
         black_dn=np.asarray(noise.black_dn, np.float32),
         speckle=np.asarray(noise.speckle if settings.speckle is None else settings.speckle, np.float32),
+        speckle_reason=np.zeros((), np.int32),
         log_width=np.zeros((), np.float32),
         width_information=np.zeros((), np.float32),
         near_side=np.asarray(gate.near_side, np.float32),
@@ -110,8 +113,8 @@ def learn_search(search: Search, stripes: FrameStripes, setup: ExtractionSetup) 
     """
     rows = _rows(search, stripes, setup)
     if setup.settings.speckle is None and not search.speckle:
-        contrast, rows = learn_speckle(rows, float(search.electrons_per_dn), setup.sites.pitch)
-        search = search._replace(speckle=np.asarray(contrast, np.float32))
+        contrast, reason, rows = learn_speckle(rows, float(search.electrons_per_dn), setup.sites.pitch)
+        search = search._replace(speckle=np.asarray(contrast, np.float32), speckle_reason=np.asarray(reason, np.int32))
     if setup.settings.learn_width:
         log_width, information = learn_widths(rows.width, rows.sigma, rows.valid)
         search = search._replace(

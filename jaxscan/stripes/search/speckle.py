@@ -41,6 +41,15 @@ _REACH = 10
 """Samples on either side of the middle that a profile is made of."""
 _LARGEST = 2.0
 
+REASONS = (
+    "not asked for",
+    "found",
+    "too few stripes",
+    "lost in the other noise",
+    "the surface scatters the centres more than the widths",
+)
+"""Why a contrast is as it is; `LearnedSpeckle.reason` counts them."""
+
 
 class Rows(NamedTuple):
     """Stripes of some frames on the lines of the laser's plane, [frames, lines]."""
@@ -68,6 +77,17 @@ class Scatters(NamedTuple):
     """Variance of the logarithm of the width by the same [1]."""
 
 
+class LearnedSpeckle(NamedTuple):
+    """Speckle as the stripes of the first frames told it."""
+
+    contrast: float
+    """On a pixel [1]; 0 where none was told."""
+    reason: int
+    """Number of one of `REASONS`."""
+    rows: Rows
+    """The stripes, with what speckle adds to their sigmas."""
+
+
 class Told(NamedTuple):
     """A squared contrast, and how well it is known."""
 
@@ -91,16 +111,13 @@ def scatters(rows: Rows, electrons_per_dn: float, pitch: int) -> Scatters:
     return Scatters(zero / free / centre, (pull**2).sum(-1), (stretch**2).sum(-1))
 
 
-def learn_speckle(rows: Rows, electrons_per_dn: float, pitch: int) -> tuple[float, Rows]:
+def learn_speckle(rows: Rows, electrons_per_dn: float, pitch: int) -> LearnedSpeckle:
     """Contrast on a pixel by which the centres' scatter is explained; 0 where photons explain it.
 
     Args:
         rows: Stripes of the first frames, fitted without speckle and without a prior of the width.
         electrons_per_dn: Conversion gain [e-/DN].
         pitch: Distance between samples [px].
-
-    Returns:
-        The contrast [1]; and the stripes with what it adds to their sigmas.
     """
     expected = scatters(rows, electrons_per_dn, pitch)
     photons = rows.sigma**2
@@ -108,13 +125,16 @@ def learn_speckle(rows: Rows, electrons_per_dn: float, pitch: int) -> tuple[floa
     logarithm = 0.5 * np.log(np.where(rows.usable, rows.width, 1.0) ** 2 + 1 / 12)
     width = _contrast(logarithm, photons * expected.width_over_centre, expected.width, rows.usable)
     if centre is None or width is None:
-        return 0.0, rows
-    if any(one.square <= _SURE * one.sigma for one in (centre, width)):
-        return 0.0, rows
-    if centre.square > _ROUGH * width.square:
-        return 0.0, rows
+        return LearnedSpeckle(0.0, 2, rows)
+    if centre.square <= _SURE * centre.sigma:
+        return LearnedSpeckle(0.0, 3, rows)
+    if centre.square > _ROUGH * max(width.square, _SURE * width.sigma):
+        return LearnedSpeckle(0.0, 4, rows)
+    if width.square <= _SURE * width.sigma:
+        return LearnedSpeckle(0.0, 3, rows)
     square = min(centre.square, _SURFACE * width.square, _LARGEST**2)
-    return float(np.sqrt(square)), rows._replace(sigma=np.sqrt(photons + square * expected.centre))
+    wider = rows._replace(sigma=np.sqrt(photons + square * expected.centre))
+    return LearnedSpeckle(float(np.sqrt(square)), 1, wider)
 
 
 def correct_speckle(rows: Rows, photons: Float[np.ndarray, "frames lines"], contrast: float) -> float:
@@ -129,9 +149,9 @@ def correct_speckle(rows: Rows, photons: Float[np.ndarray, "frames lines"], cont
     stated = rows.sigma**2
     alone = np.minimum(photons, stated)
     far = _contrast(rows.u, alone, stated - alone, usable)
-    if far is None or far.square <= 0.0:
+    if far is None:
         return contrast
-    return contrast * float(np.clip(np.sqrt(far.square), 0.3, 3.0))
+    return contrast * float(np.sqrt(np.clip(far.square, 0.3**2, 3.0**2)))
 
 
 def _contrast(

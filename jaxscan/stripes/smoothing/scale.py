@@ -20,8 +20,8 @@ _DOUBTFUL, _FEWEST, _CALM = (1.5, 2.5), 40, 0.8
 promised scatter it has at most, where its errors are shared."""
 
 
-class Rows(NamedTuple):
-    """Centres of some profiles, and what their fits say of them."""
+class ProfileRows(NamedTuple):
+    """Rows of some profiles: centres, and what their fits say of them."""
 
     u: Float[np.ndarray, "profiles lines"]
     """Stripe centres [px]."""
@@ -44,7 +44,7 @@ class Scatter(NamedTuple):
     """Of the noise of neighbouring rows [1]: blur spreads the grains of speckle over both."""
 
 
-def row_scatter(rows: Rows, line_step: int = 1) -> Scatter:
+def row_scatter(rows: ProfileRows, line_step: int = 1) -> Scatter:
     r"""The scatter of the rows of one laser, from differences along the stripe.
 
     $u_{i-2k} - 4 u_{i-k} + 6 u_i - 4 u_{i+k} + u_{i+2k}$ of a smooth and curved surface is noise alone. Its spread
@@ -66,7 +66,7 @@ def row_scatter(rows: Rows, line_step: int = 1) -> Scatter:
         return Scatter(np.ones_like(sigma), np.zeros_like(sigma), 0.0)
     # Evenly spread: records of one kind may come in turn with others.
     chosen = np.unique(np.linspace(0, count - 1, min(-(-_MOST // lines), count)).round().astype(int))
-    some = Rows(*(np.asarray(field)[chosen] for field in rows))
+    some = ProfileRows(*(np.asarray(field)[chosen] for field in rows))
     amplitude = np.asarray(rows.amplitude, np.float32)
     wide = [_differences(some, 2 * line_step, weights) for weights in (_SECOND, _FOURTH)]
     scale = np.minimum(*(_by_amplitude(*one, amplitude) for one in wide))
@@ -103,7 +103,7 @@ def _interpolated(x: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.nd
     return out
 
 
-def _common(rows: Rows, some: Rows, line_step: int) -> np.ndarray:
+def _common(rows: ProfileRows, some: ProfileRows, line_step: int) -> np.ndarray:
     """The part of the variance that neighbours share, of all rows as some of them tell."""
     level, sigma = (field[some.valid] for field in (some.amplitude, some.sigma))
     out = np.zeros(np.shape(rows.sigma), np.float32)
@@ -113,7 +113,7 @@ def _common(rows: Rows, some: Rows, line_step: int) -> np.ndarray:
     ranks = np.array_split(np.argsort(level, kind="stable"), classes)
     middle, usual = (np.array([float(np.median(field[rank])) for rank in ranks]) for field in (level, sigma))
 
-    def doubt(these: Rows) -> np.ndarray:
+    def doubt(these: ProfileRows) -> np.ndarray:
         return np.asarray(these.sigma) / _interpolated(these.amplitude, middle, np.maximum(usual, 1e-9))
 
     # All three rows in the middle of a difference.
@@ -129,7 +129,7 @@ def _common(rows: Rows, some: Rows, line_step: int) -> np.ndarray:
     return out
 
 
-def _differences(rows: Rows, apart: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _differences(rows: ProfileRows, apart: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Differences, absolute, over their promised standard deviation, and amplitudes, of rows so far apart."""
     reach = (len(weights) - 1) * apart
     parts = [np.s_[:, k * apart : max(rows.u.shape[1] - reach, 0) + k * apart] for k in range(len(weights))]
