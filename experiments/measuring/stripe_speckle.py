@@ -10,7 +10,7 @@ from worlds.speckle_world import Course, Speckle, render_coherent
 from worlds.stripe_world import Sensor
 
 import jaxscan
-from jaxscan.stripes import smooth_profiles
+from jaxscan.reconstruction.along import smooth_sweep
 
 
 CONTRASTS, F_NUMBERS = (1.0, 0.5, 0.2), (2.8, 5.6, 8.0)
@@ -52,7 +52,7 @@ def _figures(speckle: Speckle, frames: int, seed: int) -> list[Figure]:
         Figure(f"{key}_row_sigma_over_error_most_of_4_amplitudes", max(honest), "1", 0.9, 1.1),
         Figure(f"{key}_row_beyond_5_sigma", float(np.mean(far)), "of rows", high=1e-3),
     ]
-    line = smooth_profiles(centre, sigma, valid)
+    line = smooth_sweep(found)
     error = line.u - u
     return [
         *out,

@@ -1,17 +1,19 @@
 """The centres of a sweep, smoothed along its stripes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.reconstruction.ahead import map_ahead, workers
-from jaxscan.stripes import Rows, Sites, Smoothed, Stripes, row_scatter, smooth_profiles
+from jaxscan.stripes import ProfileRows, Sites, Smoothed, Stripes, row_scatter, smooth_profiles
 
 
 _PROFILES = 32
 """Profiles smoothed at a time."""
+_ALL_LINES: Mapping[int, Sites] = MappingProxyType({})
 _COMMON_LINES = 10
 """Lines on either side with which an error is shared: half of a window."""
 
@@ -26,7 +28,8 @@ class SmoothedSweep(NamedTuple):
     shift: Float[np.ndarray, "profiles lines"]
     """Centre of the row itself minus the smoothed one [px]."""
     sigma_row: Float[np.ndarray, "profiles lines"]
-    """Standard deviation of the row's own centre [px], as the scatter of the rows has it."""
+    """Standard deviation of the row's own centre [px], as the scatter of the rows has it; where next rows are alike it
+    is so much larger that an average computed as of independent rows is as good as stated."""
     shared_lines: Float[np.ndarray, "profiles lines"]
     """As of `Smoothed`."""
 
@@ -44,12 +47,15 @@ class SmoothedSweep(NamedTuple):
         return {"sigma_row": sigma_random * ratio, "shift_px": shift, "shared_lines": shared}
 
 
-def smooth_sweep(stripes: Stripes, sites: Sequence[Sites] = ()) -> SmoothedSweep:
+def smooth_sweep(stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES) -> SmoothedSweep:
     """Smooth the centres of all profiles, with sigmas that the scatter of neighbouring rows confirms.
 
     Args:
         stripes: One centre of a line at most.
         sites: Where the colour of each laser is seen; on all lines where not given.
+
+    Returns:
+        Centres and sigmas, float32.
     """
     u, sigma, valid = (np.asarray(field) for field in (stripes.u, stripes.sigma, stripes.valid))
     u, sigma, laser = u.astype(np.float32), sigma.astype(np.float32), np.asarray(stripes.laser)
@@ -58,13 +64,13 @@ def smooth_sweep(stripes: Stripes, sites: Sequence[Sites] = ()) -> SmoothedSweep
     # Noise and colour are those of a laser.
     for number in np.unique(laser):
         own = np.flatnonzero(laser == number)
-        part = _smooth(Rows(u[own], sigma[own], valid[own], amplitude[own]), sites[number] if sites else Sites())
+        part = _smooth(ProfileRows(u[own], sigma[own], valid[own], amplitude[own]), sites.get(int(number), Sites()))
         for to, field in zip(found, part, strict=True):
             to[own] = field
     return found
 
 
-def _smooth(rows: Rows, sites: Sites) -> SmoothedSweep:
+def _smooth(rows: ProfileRows, sites: Sites) -> SmoothedSweep:
     """The profiles of one laser."""
     scatter = row_scatter(rows, sites.line_step)
     u, valid = rows.u, rows.valid
@@ -77,11 +83,11 @@ def _smooth(rows: Rows, sites: Sites) -> SmoothedSweep:
     parts = map_ahead(smooth, range(0, len(u), _PROFILES), workers())
     found = Smoothed(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
     # The mean of many rows whose next neighbours are alike: 1 + 2 r times the variance of independent ones.
-    alike = np.where(found.shared_lines > 1, np.float32(np.sqrt(1 + 2 * scatter.correlation)), np.float32(1))
+    alike = np.float32(np.sqrt(1 + 2 * scatter.correlation))
     common = _spread_out(np.where(valid, scatter.common * sigma**2, 0), valid, _COMMON_LINES * sites.line_step)
     sigma = np.maximum(sigma, np.sqrt(common))
     stated = np.minimum(np.sqrt((found.sigma * alike) ** 2 + common), sigma)
-    return SmoothedSweep(found.u, stated, np.where(valid, u - found.u, 0), sigma, found.shared_lines)
+    return SmoothedSweep(found.u, stated, np.where(valid, u - found.u, 0), sigma * alike, found.shared_lines)
 
 
 def _spread_out(

@@ -18,7 +18,16 @@ from jaxscan.reconstruction.points import Centres, Points, coloured, line_step, 
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.streaming import Batch, GrowingCloud, GrowingStripes, batches, padded
 from jaxscan.reconstruction.sweep import SweepSource
-from jaxscan.stripes import ChunkStripes, Continuation, NoiseModel, PixelFormat, Stripes, pick_by_steps
+from jaxscan.stripes import (
+    ChunkStripes,
+    Continuation,
+    NoiseModel,
+    PixelFormat,
+    Sites,
+    Stripes,
+    laser_sites,
+    pick_by_steps,
+)
 
 
 Progress = Callable[[int, int], None] | None
@@ -35,9 +44,9 @@ def reconstruct(
 ) -> PointCloud:
     """Reconstruct a sweep in one call.
 
-    Frames are read and computed in chunks of one size, so memory does not grow with the sweep
-    beyond its cloud (and, where points use their neighbours, its stripes), and the result does not depend on the size
-    of the chunks.
+    Frames are read and computed in chunks of one size, so memory does not grow with the sweep beyond its cloud, and
+    the result does not depend on the size of the chunks. Where points use their neighbours (`smooth`), the stripes of
+    the whole sweep and what they were smoothed to are in memory too: about 60 bytes for each line of a profile.
 
     Args:
         sweep: Frames at known angles, in memory or on disk.
@@ -212,7 +221,7 @@ def _from_stripes(
     sweep, size, axis = plan.sweep, plan.size, plan.stripe_axis
     angles = sweep.angles.astype(np.float32)
     # Several candidates of a line are no neighbours of those of the next one.
-    along = smooth_sweep(stripes) if plan.settings.smooths and each == 1 else None
+    along = smooth_sweep(stripes, _sites(plan)) if plan.settings.smooths and each == 1 else None
     centre = along or stripes
 
     def compute(item: tuple[np.ndarray, Array | None]) -> tuple[np.ndarray, Points, np.ndarray]:
@@ -242,6 +251,11 @@ def _from_stripes(
         yield rows, points, amplitude, rgb, valid, beside
         if progress is not None:
             progress(int(sweep.record[rows[-1] // each]) + 1, len(sweep))
+
+
+def _sites(plan: Plan) -> dict[int, Sites]:
+    """Where the colour of each laser of the sweep is seen."""
+    return {int(k): laser_sites(plan.sweep.pixel_format, plan.lasers[k]) for k in np.unique(plan.sweep.laser)}
 
 
 def _blocks(plan: Plan) -> Iterator[np.ndarray]:

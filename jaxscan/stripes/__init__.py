@@ -37,5 +37,5 @@ from jaxscan.stripes.frames import (
 from jaxscan.stripes.pairs import judge_pairs
 from jaxscan.stripes.search import LEARNED_FRAMES, LineGate, host_planes, whole_lines
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.smoothing import Rows, Scatter, Smoothed, row_scatter, smooth_profiles
+from jaxscan.stripes.smoothing import ProfileRows, Scatter, Smoothed, row_scatter, smooth_profiles
 from jaxscan.stripes.stripes import KEPT_FIELDS, Choice, FrameStripes, NoiseModel, Stripes, StripeSettings

@@ -86,8 +86,6 @@ class NoiseModel:
     speckle: float = 0.0
     """Contrast of the laser's speckle on one pixel: standard deviation over mean of its light [1]; where it is 0
     it is learned, unless the settings hold it."""
-    speckle_correlation: float = 0.0
-    """Correlation of the errors by speckle of centres on neighbouring lines [1]."""
 
     def variance(self, level):
         """Variance of a pixel of this level, with that of rounding [DN^2]."""

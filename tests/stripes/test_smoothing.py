@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.stripes import Rows, Sites, row_scatter, smooth_profiles
+from jaxscan.stripes import ProfileRows, Sites, row_scatter, smooth_profiles
 
 
 LINES, PROFILES = 240, 300
@@ -15,7 +15,10 @@ def noisy(truth, sigma, seed=1):
     return (truth + sigma * np.random.default_rng(seed).normal(size=truth.shape)).astype(np.float32)
 
 
-def smooth(u, sigma, valid=None, sites=Sites()):
+EVERY_LINE, MOSAIC = Sites(), Sites(first_line=1, line_step=2)
+
+
+def smooth(u, sigma, valid=None, sites=EVERY_LINE):
     sigma = np.broadcast_to(np.asarray(sigma, np.float32), u.shape)
     return smooth_profiles(u.astype(np.float32), sigma, np.ones(u.shape, bool) if valid is None else valid, sites)
 
@@ -122,7 +125,7 @@ def test_every_second_line_of_a_mosaic():
     u = noisy(300 + SLOPE * X[:120], 0.1)
     wide, valid = np.zeros((PROFILES, LINES), np.float32), np.zeros((PROFILES, LINES), bool)
     wide[:, 1::2], valid[:, 1::2] = u, True
-    dense, sparse = smooth(u, 0.1), smooth(wide, 0.1, valid, Sites(first_line=1, line_step=2))
+    dense, sparse = smooth(u, 0.1), smooth(wide, 0.1, valid, MOSAIC)
     np.testing.assert_array_equal(sparse.u[:, 1::2], dense.u)
     shared = np.where(dense.shared_lines > 1, 2 * dense.shared_lines, 1)
     np.testing.assert_array_equal(sparse.shared_lines[:, 1::2], shared)
@@ -160,19 +163,19 @@ def test_the_scatter_of_rows_corrects_their_sigmas():
     # Bright rows scatter 1.6 times as much as they say.
     true = np.where(amplitude > 60, 1.6, 1.0)
     promised = np.full(truth.shape, 0.1, np.float32)
-    scale = row_scatter(Rows(noisy(truth, 0.1 * true), promised, valid, amplitude)).scale
+    scale = row_scatter(ProfileRows(noisy(truth, 0.1 * true), promised, valid, amplitude)).scale
     dark, bright = scale[amplitude < 30], scale[amplitude > 120]
     # One of six triples lies on a step of 30 standard deviations.
     assert 1.0 <= dark.min() and dark.max() < 1.06
     assert np.median(bright) == pytest.approx(1.6, rel=0.05) and bright.min() > 1.4
-    smooth_surface = row_scatter(Rows(noisy(300 + SLOPE * X, 0.1 * true), promised, valid, amplitude)).scale
+    smooth_surface = row_scatter(ProfileRows(noisy(300 + SLOPE * X, 0.1 * true), promised, valid, amplitude)).scale
     assert np.median(smooth_surface[amplitude > 120]) == pytest.approx(1.6, rel=0.05)
     assert smooth_surface[amplitude < 30].max() < 1.06
 
 
 def test_sigmas_are_never_made_smaller():
     u, valid = noisy(300 + SLOPE * X, 0.02), np.ones((PROFILES, LINES), bool)
-    scatter = row_scatter(Rows(u, np.full(u.shape, 0.1, np.float32), valid, np.full(u.shape, 50, np.float32)))
+    scatter = row_scatter(ProfileRows(u, np.full(u.shape, 0.1, np.float32), valid, np.full(u.shape, 50, np.float32)))
     np.testing.assert_array_equal(scatter.scale, 1.0)
 
 
@@ -183,7 +186,9 @@ def test_rows_that_are_alike_are_noticed(weight):
     kernel = np.array([weight, 1.0, weight])
     noise = sum(k * drawn[:, i : i + LINES] for i, k in enumerate(kernel)) / np.linalg.norm(kernel)
     u, all_there = (300 + SLOPE * X + 0.1 * noise).astype(np.float32), np.ones((PROFILES, LINES), bool)
-    scatter = row_scatter(Rows(u, np.full(u.shape, 0.1, np.float32), all_there, np.full(u.shape, 50, np.float32)))
+    scatter = row_scatter(
+        ProfileRows(u, np.full(u.shape, 0.1, np.float32), all_there, np.full(u.shape, 50, np.float32))
+    )
     correlation = 2 * weight / (1 + 2 * weight**2)
     # The second neighbours are alike too, by the square of the weight.
     assert scatter.correlation == pytest.approx(correlation, abs=0.02 + weight**2)
@@ -196,4 +201,4 @@ def test_hardly_any_rows(shape):
     for some in (valid, ~valid):
         found = smooth(u, 0.1, some)
         np.testing.assert_allclose(found.u, np.where(some, 5, 0))
-        assert (row_scatter(Rows(u, 0.1 * u, some, u)).scale == 1).all()
+        assert (row_scatter(ProfileRows(u, 0.1 * u, some, u)).scale == 1).all()

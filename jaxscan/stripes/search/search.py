@@ -45,8 +45,6 @@ class Search(NamedTuple):
     """Level of a pixel without light [DN]."""
     speckle: Float[Array, ""]
     """Contrast of the laser's speckle on one pixel [1]; 0 while nothing is known."""
-    speckle_correlation: Float[Array, ""]
-    """Correlation of the errors by speckle of centres on neighbouring lines [1]."""
     speckle_reason: Int[Array, ""]
     """Why `speckle` is as it is: number of one of `REASONS`."""
     log_width: Float[Array, ""]
@@ -93,7 +91,6 @@ def prepare_search(setup: ExtractionSetup, noise: NoiseModel, gate: LineGate, *,
         electrons_per_dn=np.asarray(noise.electrons_per_dn, np.float32),
         black_dn=np.asarray(noise.black_dn, np.float32),
         speckle=np.asarray(noise.speckle if settings.speckle is None else settings.speckle, np.float32),
-        speckle_correlation=np.asarray(noise.speckle_correlation, np.float32),
         speckle_reason=np.zeros((), np.int32),
         log_width=np.zeros((), np.float32),
         width_information=np.zeros((), np.float32),
@@ -137,8 +134,8 @@ def correct_search(search: Search, first: FrameStripes, again: FrameStripes, set
     """
     plain = _rows(search, first, setup)
     photons = np.where(plain.usable, plain.sigma**2, 0.0)
-    contrast, shared = correct_speckle(_rows(search, again, setup), photons, float(search.speckle))
-    return search._replace(speckle=np.asarray(contrast, np.float32), speckle_correlation=np.asarray(shared, np.float32))
+    contrast = correct_speckle(_rows(search, again, setup), photons, float(search.speckle))
+    return search._replace(speckle=np.asarray(contrast, np.float32))
 
 
 def _rows(search: Search, stripes: FrameStripes, setup: ExtractionSetup) -> Rows:

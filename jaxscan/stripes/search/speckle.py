@@ -137,28 +137,21 @@ def learn_speckle(rows: Rows, electrons_per_dn: float, pitch: int) -> LearnedSpe
     return LearnedSpeckle(float(np.sqrt(square)), 1, wider)
 
 
-def correct_speckle(rows: Rows, photons: Float[np.ndarray, "frames lines"], contrast: float) -> tuple[float, float]:
+def correct_speckle(rows: Rows, photons: Float[np.ndarray, "frames lines"], contrast: float) -> float:
     """The contrast with which the stated sigmas are those of the centres' scatter.
 
     Args:
         rows: Stripes of the first frames, fitted with the contrast.
         photons: Their variances by photons alone [px^2]; 0 where it is not known.
         contrast: Contrast of the fit [1].
-
-    Returns:
-        The contrast, and the correlation of the errors by speckle on neighbouring lines [1].
     """
     usable = rows.usable & (photons > 0)
     stated = rows.sigma**2
     alone = np.minimum(photons, stated)
     far = _contrast(rows.u, alone, stated - alone, usable)
-    near = _contrast(rows.u, alone, stated - alone, usable, lags=(1,))
-    if far is None or near is None:
-        return contrast, 0.0
-    # Second differences of neighbours lack 4/3 of their correlation.
-    alike = far.square > 0.0 and far.square - near.square > 2.0 * far.sigma
-    shared = 0.75 * (1.0 - near.square / far.square) if alike else 0.0
-    return contrast * float(np.sqrt(np.clip(far.square, 0.3**2, 3.0**2))), float(np.clip(shared, 0.0, 0.7))
+    if far is None:
+        return contrast
+    return contrast * float(np.sqrt(np.clip(far.square, 0.3**2, 3.0**2)))
 
 
 def _contrast(
@@ -166,11 +159,10 @@ def _contrast(
     photons: Float[np.ndarray, "frames lines"],
     speckle: Float[np.ndarray, "frames lines"],
     usable: Bool[np.ndarray, "frames lines"],
-    lags: tuple[int, ...] = _LAGS,
 ) -> Told | None:
     """Squared contrast by the scatter of a value along the lines; None where there are too few."""
     normal, relative = [], []
-    for lag in lags:
+    for lag in _LAGS:
         before, here, after = np.s_[:, : -2 * lag], np.s_[:, lag:-lag], np.s_[:, 2 * lag :]
         both = usable[before] & usable[here] & usable[after]
         bent = (value[before] - 2.0 * value[here] + value[after])[both]
@@ -186,7 +178,7 @@ def _contrast(
     spread = np.array([_variance(scattered[rows]) for rows in classes])
     level = np.array([q[rows].mean() for rows in classes])
     # Rows of several lags, and neighbours, tell the same noise again.
-    count = np.array([len(rows) for rows in classes]) / (3.0 * len(lags))
+    count = np.array([len(rows) for rows in classes]) / (3.0 * len(_LAGS))
     variance = 2.0 * spread**2 / count + _DOUBT**2
     information = np.sum(level**2 / variance)
     if information <= 0:

@@ -25,10 +25,13 @@ class Rules(NamedTuple):
     """Half sizes of windows, and lines on either side of a possible edge, ascending."""
     gap: float
     """Largest distance of neighbouring lines on one surface."""
+    straight: float
+    """How well it is known that surfaces are straight: information of a prior of the curvature, in that of two rows;
+    corners of a few standard deviations a line are still seen, and spheres are not cut into pieces."""
     edge: float
-    """Chi-squared of two degrees of freedom from which two sides do not continue each other."""
+    """Chi-squared by which two straight lines are better than a parabola, from which there is an edge."""
     doubt: float
-    """The same from which there may be an edge."""
+    """The same from which there may be one."""
     even: float
     """The same at which that is as likely as not."""
     stray: float
@@ -37,10 +40,12 @@ class Rules(NamedTuple):
     """Chi-squared of two degrees of freedom up to which those neighbours lie on a line."""
     misfit: float
     """Standard deviations by which the chi-squared of a fit may exceed its degrees of freedom."""
-    row_misfit: float
-    row_apart: float
     apart: float
-    """Standard deviations by which values of two windows may differ."""
+    """Standard deviations by which the value of a window may differ from that of the smaller one."""
+    first_misfit: float
+    """As `misfit` of the smallest window, whose few degrees of freedom scatter further."""
+    first_apart: float
+    """As `apart` from the row itself, which is not better than the smallest window unless a jump is plain."""
 
 
 @_inlined
@@ -52,6 +57,21 @@ def _line(s0, s1, s2, t0, t1):
         return 0.0, 0.0, -1.0, -1.0, 0.0
     part = 1.0 / det
     return (s2 * t0 - s1 * t1) * part, (s0 * t1 - s1 * t0) * part, s2 * part, s0 * part, -s1 * part
+
+
+@_inlined
+@no_type_check
+def _parabola(s, t):
+    """Of a weighted parabola at 0: value, slope, curvature, and the value's variance; none without a parabola."""
+    (s0, s1, s2, s3, s4), (t0, t1, t2) = s, t
+    c00, c01, c02 = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
+    det = s0 * c00 + s1 * c01 + s2 * c02
+    if not det > 1e-9 * s0 * s2 * s4:
+        return 0.0, 0.0, 0.0, -1.0
+    part, c12 = 1.0 / det, s1 * s2 - s0 * s3
+    value = (c00 * t0 + c01 * t1 + c02 * t2) * part
+    slope = (c01 * t0 + (s0 * s4 - s2 * s2) * t1 + c12 * t2) * part
+    return value, slope, (c02 * t0 + c12 * t1 + (s0 * s2 - s1 * s1) * t2) * part, c00 * part
 
 
 @_part
@@ -82,39 +102,45 @@ def _mark_strays(x, y, weight, rules):
 
 @_part
 @no_type_check
-def _step(x, y, weight, edge, i, size):
-    """Chi-squared by which value and slope of straight lines through so many rows up to i and after it differ.
+def _step(x, y, weight, edge, i, size, rules):
+    """Chi-squared by which straight lines through so many rows up to i and after it are better than a parabola.
 
-    They end at the edges that are known.
+    They end at the edges that are known. A curved surface is no edge.
     """
     count = len(x)
     at, level = 0.5 * (x[i] + x[i + 1]), y[i]
-    a0 = a1 = a2 = b0 = b1 = 0.0
-    for k in range(i, max(i - size, -1), -1):
-        d, v, w = x[k] - at, y[k] - level, weight[k]
-        a0 += w
-        a1 += w * d
-        a2 += w * d * d
-        b0 += w * v
-        b1 += w * d * v
-        if k > 0 and edge[k - 1]:
-            break
-    c0 = c1 = c2 = e0 = e1 = 0.0
-    for k in range(i + 1, min(i + 1 + size, count)):
-        d, v, w = x[k] - at, y[k] - level, weight[k]
-        c0 += w
-        c1 += w * d
-        c2 += w * d * d
-        e0 += w * v
-        e1 += w * d * v
-        if k < count - 1 and edge[k]:
-            break
-    before, rise, vb, vr, cb = _line(a0, a1, a2, b0, b1)
-    after, fall, va, vf, ca = _line(c0, c1, c2, e0, e1)
-    if vb < 0.0 or va < 0.0:
-        return 0.0
-    jump, bend, v, s, c = after - before, fall - rise, vb + va, vr + vf, cb + ca
-    return (s * jump * jump - 2.0 * c * jump * bend + v * bend * bend) / (v * s - c * c)
+    s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = lines = 0.0
+    for side in range(2):
+        a0 = a1 = a2 = b0 = b1 = 0.0
+        for n in range(size):
+            k = i - n if side == 0 else i + 1 + n
+            if k < 0 or k >= count:
+                break
+            d, v, w = x[k] - at, y[k] - level, weight[k]
+            wd = w * d
+            wdd = wd * d
+            a0 += w
+            a1 += wd
+            a2 += wdd
+            b0 += w * v
+            b1 += wd * v
+            s3 += wdd * d
+            s4 += wdd * d * d
+            t2 += wdd * v
+            if (side == 0 and k > 0 and edge[k - 1]) or (side == 1 and k < count - 1 and edge[k]):
+                break
+        value, slope, variance, _, _ = _line(a0, a1, a2, b0, b1)
+        if variance < 0.0:
+            return 0.0
+        lines += value * b0 + slope * b1
+        s0 += a0
+        s1 += a1
+        s2 += a2
+        t0 += b0
+        t1 += b1
+    s4 += 0.25 * (weight[i] + weight[i + 1]) * rules.straight
+    value, slope, curve, own = _parabola((s0, s1, s2, s3, s4), (t0, t1, t2))
+    return lines - value * t0 - slope * t1 - curve * t2 if own > 0.0 else 0.0
 
 
 @_part
@@ -131,7 +157,7 @@ def _mark_edges(x, y, weight, rules):
         edge[i] = x[i + 1] - x[i] > rules.gap
     for size in rules.sizes:
         for i in range(count - 1):
-            height[i] = 0.0 if edge[i] else _step(x, y, weight, edge, i, size)
+            height[i] = 0.0 if edge[i] else _step(x, y, weight, edge, i, size, rules)
         for i in range(count - 1):
             if height[i] > rules.doubt:
                 highest = True
@@ -179,24 +205,18 @@ def _fit(x, y, weight, ends, i, rules):
             if part == 0:
                 low = first
         high = last
-        c00, c01, c02 = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
-        det = s0 * c00 + s1 * c01 + s2 * c02
-        if used < 5 or not det > 1e-9 * s0 * s2 * s4:
+        value, slope, curve, own = _parabola((s0, s1, s2, s3, s4), (t0, t1, t2))
+        if used < 5 or own < 0.0:
             continue
-        part, c12 = 1.0 / det, s1 * s2 - s0 * s3
-        value = (c00 * t0 + c01 * t1 + c02 * t2) * part
-        slope = (c01 * t0 + (s0 * s4 - s2 * s2) * t1 + c12 * t2) * part
-        curve = (c02 * t0 + c12 * t1 + (s0 * s2 - s1 * s1) * t2) * part
         chi2, freedom = q - value * t0 - slope * t1 - curve * t2, used - 3.0
-        own = c00 * part
         alone = best[3] == best[4]
-        misfit, apart = (rules.row_misfit, rules.row_apart) if alone else (rules.misfit, rules.apart)
+        misfit, apart = (rules.first_misfit, rules.first_apart) if alone else (rules.misfit, rules.apart)
         if chi2 > freedom + misfit * np.sqrt(2.0 * freedom):
             break
         if abs(value - best[0]) > apart * np.sqrt(max(best[1] - own, 0.0)):
             break
-        # What the parabola leaves beyond the noise is counted as noise.
-        excess = max(1.0, chi2 / freedom)
+        # What the parabola leaves beyond the noise is counted as noise, and as much again for what it hides.
+        excess = 1.0 + 1.5 * max(0.0, chi2 / freedom - 1.0)
         if excess * own < best[1]:
             best = (value, excess * own, excess * (x[high] - x[low] + 1.0) / s0, low, high)
     return best
@@ -229,7 +249,7 @@ def _between(x, y, weight, edge, doubt, i, rules):
 
     Where an edge is in doubt, both answers count by their odds.
     """
-    count, reach = len(x), 2 * rules.sizes[-1]
+    reach = 2 * rules.sizes[-1]
     left, right = _rows_before(x, edge, i, reach), _rows_after(x, edge, i, reach)
     value, variance, of_lines, low, high = _fit(x, y, weight, (left, right), i, rules)
     at, most = -1, 0.0

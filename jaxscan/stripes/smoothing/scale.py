@@ -1,5 +1,6 @@
 """How the centres of neighbouring rows scatter, compared with what their sigmas promise."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +20,8 @@ _DOUBTFUL, _FEWEST, _CALM = (1.5, 2.5), 40, 0.8
 promised scatter it has at most, where its errors are shared."""
 
 
-class Rows(NamedTuple):
-    """Centres of some profiles, and what their fits say of them."""
+class ProfileRows(NamedTuple):
+    """Rows of some profiles: centres, and what their fits say of them."""
 
     u: Float[np.ndarray, "profiles lines"]
     """Stripe centres [px]."""
@@ -43,7 +44,7 @@ class Scatter(NamedTuple):
     """Of the noise of neighbouring rows [1]: blur spreads the grains of speckle over both."""
 
 
-def row_scatter(rows: Rows, line_step: int = 1) -> Scatter:
+def row_scatter(rows: ProfileRows, line_step: int = 1) -> Scatter:
     r"""The scatter of the rows of one laser, from differences along the stripe.
 
     $u_{i-2k} - 4 u_{i-k} + 6 u_i - 4 u_{i+k} + u_{i+2k}$ of a smooth and curved surface is noise alone. Its spread
@@ -65,14 +66,23 @@ def row_scatter(rows: Rows, line_step: int = 1) -> Scatter:
         return Scatter(np.ones_like(sigma), np.zeros_like(sigma), 0.0)
     # Evenly spread: records of one kind may come in turn with others.
     chosen = np.unique(np.linspace(0, count - 1, min(-(-_MOST // lines), count)).round().astype(int))
-    some = Rows(*(np.asarray(field)[chosen] for field in rows))
+    some = ProfileRows(*(np.asarray(field)[chosen] for field in rows))
     amplitude = np.asarray(rows.amplitude, np.float32)
     wide = [_differences(some, 2 * line_step, weights) for weights in (_SECOND, _FOURTH)]
     scale = np.minimum(*(_by_amplitude(*one, amplitude) for one in wide))
     scale = np.clip(scale, 1.0, _LARGEST).astype(sigma.dtype)
-    near, far = _spread(_differences(some, line_step, _FOURTH)[0]), min(_spread(one) for one, _ in wide)
-    correlation = float(np.clip(0.625 * (1.0 - (near / far) ** 2), 0.0, _MOST_ALIKE)) if far > 0 else 0.0
+    correlation = _correlation(_differences(some, line_step, _FOURTH)[0], [one for one, _ in wide])
     return Scatter(scale, _common(rows, some, line_step).astype(sigma.dtype), correlation)
+
+
+def _correlation(near: np.ndarray, wide: Sequence[np.ndarray]) -> float:
+    """Of next neighbours, by differences over promised sigmas; 0 where noise alone may tell it."""
+    far = min(_spread(one) for one in wide)
+    if far <= 0:
+        return 0.0
+    found = 0.625 * (1.0 - (_spread(near) / far) ** 2)
+    # About three differences tell the same noise.
+    return float(min(found, _MOST_ALIKE)) if found > 3.0 * 0.625 * np.sqrt(12.0 / len(near)) else 0.0
 
 
 def _by_amplitude(scattered: np.ndarray, level: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
@@ -81,11 +91,19 @@ def _by_amplitude(scattered: np.ndarray, level: np.ndarray, amplitude: np.ndarra
     if classes == 0:
         return np.ones_like(amplitude)
     ranks = np.array_split(np.argsort(level, kind="stable"), classes)
-    middle = [float(np.median(level[rank])) for rank in ranks]
-    return np.interp(amplitude, middle, [_spread(scattered[rank]) for rank in ranks]).astype(np.float32)
+    middle = np.array([np.median(level[rank]) for rank in ranks])
+    return _interpolated(amplitude, middle, np.array([_spread(scattered[rank]) for rank in ranks]))
 
 
-def _common(rows: Rows, some: Rows, line_step: int) -> np.ndarray:
+def _interpolated(x: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """`np.interp` of a grid, which would be in double precision."""
+    out = np.empty(x.shape, np.float32)
+    for to, row in zip(out, x, strict=True):
+        to[:] = np.interp(row, known, values)
+    return out
+
+
+def _common(rows: ProfileRows, some: ProfileRows, line_step: int) -> np.ndarray:
     """The part of the variance that neighbours share, of all rows as some of them tell."""
     level, sigma = (field[some.valid] for field in (some.amplitude, some.sigma))
     out = np.zeros(np.shape(rows.sigma), np.float32)
@@ -95,8 +113,8 @@ def _common(rows: Rows, some: Rows, line_step: int) -> np.ndarray:
     ranks = np.array_split(np.argsort(level, kind="stable"), classes)
     middle, usual = (np.array([float(np.median(field[rank])) for rank in ranks]) for field in (level, sigma))
 
-    def doubt(these: Rows) -> np.ndarray:
-        return np.asarray(these.sigma) / np.interp(np.asarray(these.amplitude), middle, np.maximum(usual, 1e-9))
+    def doubt(these: ProfileRows) -> np.ndarray:
+        return np.asarray(these.sigma) / _interpolated(these.amplitude, middle, np.maximum(usual, 1e-9))
 
     # All three rows in the middle of a difference.
     own = doubt(some)
@@ -111,7 +129,7 @@ def _common(rows: Rows, some: Rows, line_step: int) -> np.ndarray:
     return out
 
 
-def _differences(rows: Rows, apart: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _differences(rows: ProfileRows, apart: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Differences, absolute, over their promised standard deviation, and amplitudes, of rows so far apart."""
     reach = (len(weights) - 1) * apart
     parts = [np.s_[:, k * apart : max(rows.u.shape[1] - reach, 0) + k * apart] for k in range(len(weights))]

@@ -1,14 +1,16 @@
-r"""Stripe centres from their neighbours along the line: a local parabola in a window that ends at edges.
+"""Stripe centres from their neighbours along the line: a local parabola in a window that ends at edges.
 
 A row is fitted by itself, and its bound is not the bound of a line: a surface is continuous, and its neighbours know
 where the stripe is. For every centre a parabola is fitted to the centres around it, weighted by their variances. Its
 value there has no bias by slope or curvature. Windows end
 
-- at an edge: where straight lines through 3, 6 or 10 centres on either side differ in value or slope (chi-squared
-  of two degrees of freedom). So steps and corners stay as sharp as the rows have them, if noise lets them be seen;
+- at an edge: where straight lines through 3, 6 or 10 centres on either side fit better than one parabola. So steps and
+  corners stay as sharp as the rows have them, if noise lets them be seen, and a curved surface is no edge;
 - at a gap;
-- where the parabola does not fit: of 10, 6 and 3 lines on either side the first one counts that chi-squared passes.
+- where the parabola does not fit: of 3, 6 and 10 lines on either side each is taken as long as chi-squared passes and
+  its value agrees with that of the smaller window.
 
+Where an edge is in doubt, the values with and without it count by their odds, and their difference as uncertainty.
 A centre off the line on which its four neighbours agree, a reflection or a wrong candidate, stays as it is and has no
 part in others.
 
@@ -29,15 +31,16 @@ from jaxscan.stripes.smoothing.native_loops import Rules, smooth_block
 _RULES = Rules(
     sizes=np.array([3, 6, 10]),
     gap=4.0,
-    edge=13.0,
-    doubt=6.0,
-    even=10.0,
+    straight=4500.0,
+    edge=12.0,
+    doubt=5.0,
+    even=9.0,
     stray=4.5,
     agree=16.0,
-    misfit=2.0,
-    row_misfit=4.0,
-    row_apart=3.5,
-    apart=2.5,
+    misfit=1.5,
+    apart=2.0,
+    first_misfit=4.0,
+    first_apart=3.5,
 )
 """Half a window of 10 lines: of fewer lines more noise would be left, of more the surface itself would be smoothed."""
 _EVERY_LINE = Sites()
