@@ -215,8 +215,8 @@ def _fit(x, y, weight, ends, i, rules):
             break
         if abs(value - best[0]) > apart * np.sqrt(max(best[1] - own, 0.0)):
             break
-        # What the parabola leaves beyond the noise is counted as noise, and as much again for what it hides.
-        excess = 1.0 + 1.5 * max(0.0, chi2 / freedom - 1.0)
+        # What the parabola leaves beyond the noise is counted as noise.
+        excess = max(1.0, chi2 / freedom)
         if excess * own < best[1]:
             best = (value, excess * own, excess * (x[high] - x[low] + 1.0) / s0, low, high)
     return best
