@@ -6,8 +6,6 @@ FOLDER/boards and FOLDER/sweep are captures in the format of docs/formats.md; FO
 jaxscan only the writer of captures is used.
 """
 
-import argparse
-import time
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +14,7 @@ import numpy as np
 
 import jaxscan
 from experiments.unkind import truth
+from experiments.unkind.command import render_seed
 from experiments.unkind.world import light
 from experiments.unkind.world.boards import Board, View, draw_board, draw_views
 from experiments.unkind.world.rig import Rig, draw_rig, look
@@ -261,16 +260,5 @@ def render(seed: int, folder: Path) -> None:
     truth.save(folder / "truth.npz", true_world(world, angles), sweep_truth, boards_truth)
 
 
-def main() -> None:
-    """Write the world of a seed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("seed", type=int)
-    parser.add_argument("folder", type=Path)
-    options = parser.parse_args()
-    start = time.perf_counter()
-    render(options.seed, options.folder)
-    print(f"seed {options.seed}: {time.perf_counter() - start:.0f} s")
-
-
 if __name__ == "__main__":
-    main()
+    render_seed(render, __doc__)

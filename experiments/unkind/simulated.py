@@ -5,8 +5,6 @@
 The seed changes room, laser and board poses too, not the noise alone.
 """
 
-import argparse
-import time
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ from scipy.special import j1  # type: ignore[import-untyped]
 
 import jaxscan
 from experiments.unkind import truth
+from experiments.unkind.command import render_seed
 from experiments.unkind.world.rig import look
 from jaxscan.simulation import (
     ExpectedRecord,
@@ -223,16 +222,5 @@ def render(seed: int, folder: Path) -> None:
     truth.save(folder / "truth.npz", true_world(config, rig, angles), sweep, boards)
 
 
-def main() -> None:
-    """Write the world of a seed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("seed", type=int)
-    parser.add_argument("folder", type=Path)
-    options = parser.parse_args()
-    start = time.perf_counter()
-    render(options.seed, options.folder)
-    print(f"seed {options.seed}: {time.perf_counter() - start:.0f} s")
-
-
 if __name__ == "__main__":
-    main()
+    render_seed(render, __doc__)
