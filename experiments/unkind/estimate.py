@@ -1,4 +1,4 @@
-"""What a method says of a world, in one form for jaxscan and for the plain pipeline."""
+"""The result of a method for a world, in one form for jaxscan and for the plain pipeline."""
 
 import time
 from typing import NamedTuple

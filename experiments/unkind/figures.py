@@ -1,4 +1,4 @@
-"""The arithmetic of the judge: an estimate against the truth. NumPy alone; what is drawn or read is elsewhere."""
+"""The arithmetic of the judge: an estimate against the truth. NumPy alone; drawing and reading are elsewhere."""
 
 from typing import Any
 

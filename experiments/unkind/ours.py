@@ -84,7 +84,7 @@ def dimensions(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner, truth: Truth
 
 
 def estimate(folder: str, truth: Truth) -> tuple[Estimate, dict[str, object]]:
-    """jaxscan on both captures of a world, and what it says of its own calibration."""
+    """jaxscan on both captures of a world, and its verdict on its own calibration."""
     start = clocks()
     boards = jaxscan.open_capture(f"{folder}/boards")
     calibration = jaxscan.calibrate(boards)

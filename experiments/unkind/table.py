@@ -1,4 +1,4 @@
-"""The page of results, from what `judge` has measured."""
+"""The page of results, from the figures of `judge`."""
 
 from typing import Any
 

@@ -78,7 +78,7 @@ def load(path: Path) -> tuple[Truth, TrueStripes, TrueStripes]:
 
 
 def with_parts(stripes: TrueStripes, light: np.ndarray) -> TrueStripes:
-    """The stripes [rows, crossings] of a record, and as edges what else of the laser's light is seen.
+    """The stripes [rows, crossings] of a record, and the rest of the laser's light as edges.
 
     Where the middle of the sheet is hidden behind an edge, a part of the stripe still shows.
 

@@ -59,8 +59,8 @@ def weighted_plane(p: np.ndarray, weight: np.ndarray) -> Plane:
 def fitted_plane(samples: Samples, normal: np.ndarray) -> Plane:
     """Plane through points whose noise lies along their rays; `normal` is about its own.
 
-    Neighbours that were smoothed share their noise: weights are those of the rows, and the covariance is that of what
-    the points share, scaled by the misfit where it is larger than their sigmas predict.
+    Neighbours that were smoothed share their noise: weights are those of the rows, and the covariance counts
+    the noise that points share, scaled by the misfit where it is larger than their sigmas predict.
     """
     weight = samples.weights_across(normal)
     plane = weighted_plane(samples.p, weight)

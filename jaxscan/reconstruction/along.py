@@ -19,7 +19,7 @@ _COMMON_LINES = 10
 
 
 class SmoothedSweep(NamedTuple):
-    """Centres of a sweep that use their neighbours, and what those of the rows were; grid [profiles, lines]."""
+    """Centres of a sweep that use their neighbours, and those of the rows; grid [profiles, lines]."""
 
     u: Float[np.ndarray, "profiles lines"]
     """Smoothed centre [px]."""
@@ -41,7 +41,7 @@ class SmoothedSweep(NamedTuple):
             sigma_random: Of their points, along the ray [m]; 0 where there is none.
         """
         exists = sigma_random > 0
-        # What turns px into m is the same for both sigmas.
+        # The same factor turns both sigmas from px into m.
         ratio = self.sigma_row[rows] / np.where(exists, self.sigma[rows], 1)
         shift, shared = (np.where(exists, field[rows], 0) for field in (self.shift, self.shared_lines))
         return {"sigma_row": sigma_random * ratio, "shift_px": shift, "shared_lines": shared}

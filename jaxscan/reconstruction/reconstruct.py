@@ -46,7 +46,7 @@ def reconstruct(
 
     Frames are read and computed in chunks of one size, so memory does not grow with the sweep beyond its cloud, and
     the result does not depend on the size of the chunks. Where points use their neighbours (`smooth`), the stripes of
-    the whole sweep and what they were smoothed to are in memory too: about 60 bytes for each line of a profile.
+    the whole sweep and the smoothed ones are in memory too: about 60 bytes for each line of a profile.
 
     Args:
         sweep: Frames at known angles, in memory or on disk.
@@ -105,7 +105,7 @@ def cloud_of_plan(
     sweep, settings = plan.sweep, plan.settings
     if stripes is None and (settings.check_steps or settings.smooths):
         stripes = stripes_of_plan(plan, noise=noise, progress=progress)
-        # All frames are read; what remains takes no time.
+        # All frames are read; the rest takes no time.
         progress = None
     if stripes is not None:
         check_stripes(plan, stripes)

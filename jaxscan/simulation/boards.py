@@ -117,7 +117,7 @@ def cover(rig: TrueRig, board: SeenBoard, depth: np.ndarray, blur: Blur) -> Cove
         blur: Of the lens, in all pixels.
 
     Returns:
-        What it covers.
+        The pixels that it covers.
     """
     radius = (len(psf_weights(blur.widest, SAMPLES)) - 1) // 2
     height, width = rig.rays.shape

@@ -1,4 +1,4 @@
-"""One pair of frames: what the camera is to see, and what its sensor makes of it."""
+"""One pair of frames: the light that arrives, and the codes that the sensor makes of it."""
 
 from typing import NamedTuple
 
@@ -50,7 +50,7 @@ class ExpectedRecord(NamedTuple):
     truth: RowTruth
     laser_index: int
     samples: tuple[LitSamples, ...] = ()
-    """The laser's light before the lens, where it has speckle: the stripe, and what mirrors show of it."""
+    """The laser's light before the lens, where it has speckle: the stripe, and its images in mirrors."""
 
 
 class RenderedRecord(NamedTuple):
@@ -159,7 +159,7 @@ def expect_record(
 
 
 class _Room(NamedTuple):
-    """What every pixel sees of the scene, without a board."""
+    """The part of the scene that every pixel sees, without a board."""
 
     depth: np.ndarray
     """Along the ray of its centre, float32 [height, width]; inf where nothing is."""
@@ -201,7 +201,7 @@ def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: _Room) -> np.ndarra
 
 
 def _returned(shot: LitScene, room: _Room, depth: np.ndarray, front: Cover | None) -> np.ndarray:
-    """The laser's light that comes back from what it lights, through the lens, float32 [height, width], DN."""
+    """The laser's light that comes back from the surfaces it lights, through the lens, float32 [height, width], DN."""
     rig, pose = shot.rig, shot.pose
     reached = np.where(np.isfinite(depth), depth, np.float32(0)).reshape(-1, 1)
     field = returned_light(shot, line_pieces(shot), pose.apply(rig.rays.vectors * reached).reshape(room.points.shape))
@@ -221,7 +221,7 @@ def _returned(shot: LitScene, room: _Room, depth: np.ndarray, front: Cover | Non
 def _board_light(
     rig: TrueRig, scene: Scene, pose: Motion, board: SeenBoard, where: tuple[slice, slice]
 ) -> tuple[np.ndarray, np.ndarray | np.float32]:
-    """The room's light on the board's plane at pixel centres, and what its gloss reflects, float32 [rows, columns]."""
+    """The room's light on the board's plane at pixel centres, and that which its gloss reflects, float32 [rows, columns]."""
     rays = rig.rays.at(*where)
     r2 = board.board_from_camera.rotation[2].astype(np.float32)
     depth = np.float32(-board.board_from_camera.translation[2]) / (r2[0] * rays.x + r2[1] * rays.y + r2[2] * rays.z)

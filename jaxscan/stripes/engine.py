@@ -97,7 +97,7 @@ class StripeEngine(eqx.Module):
 
     @property
     def noise(self) -> NoiseModel:
-        """Noise of a frame, with what was learned."""
+        """Noise of a frame, with the learned speckle."""
         return noise_of(self.search)
 
     @property

@@ -72,7 +72,7 @@ class WriterContract:
         }
         if smoothed:
             wanted |= {name: getattr(cloud, name)[step, row] for name in SMOOTHED}
-        # A format that holds the sigma of a point holds too what it shares with others.
+        # A format that holds the sigma of a point holds the lines too that share its noise.
         assert set(SMOOTHED) & columns.keys() == (set(SMOOTHED) if smoothed and "sigma_random" in columns else set())
         for name in columns.keys() - {"xyz", "rgb"}:
             assert np.array_equal(columns[name].astype(wanted[name].dtype), wanted[name]), name

@@ -1,4 +1,4 @@
-"""Clouds whose points use their neighbours: measurements state what the rows are worth, not the points."""
+"""Clouds whose points use their neighbours: measurements state the sigmas that the rows allow, not the points."""
 
 from types import SimpleNamespace
 
@@ -33,7 +33,7 @@ def smoothed(cloud, noise):
 
 
 def independent(cloud):
-    """The same points, with nothing said of what they share."""
+    """The same points, with nothing said of their shared noise."""
     fields = {name: value for name, value in vars(cloud).items() if name not in ("shared_lines", "sigma_row")}
     return SimpleNamespace(**fields)
 

@@ -102,7 +102,7 @@ def test_a_stripe_without_noise_shows_what_the_model_lacks():
 
 
 def test_an_error_of_the_pose_is_found_or_stated():
-    """The print is placed by the laser-off image too; what is left of the error is in sigma."""
+    """The print is placed by the laser-off image too; the error that is left is in sigma."""
     seen = [scene.look(scene.markers(7, 5, 0.75), 0.066, seed) for seed in SEEDS[:4]]
     moved = []
     for one in seen:

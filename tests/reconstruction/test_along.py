@@ -1,4 +1,4 @@
-"""Clouds whose points use their neighbours along the stripe: what they keep of the rows, and what changes nothing."""
+"""Clouds whose points use their neighbours along the stripe: kept fields of rows, and settings without effect."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Smoothed sweeps of surfaces with honest sigmas of the rows: what is left of the noise, and what is stated of it."""
+"""Smoothed sweeps of surfaces with honest sigmas of the rows: the noise that is left, and its stated sigma."""
 
 import numpy as np
 import pytest

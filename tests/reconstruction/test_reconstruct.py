@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 96, 64
 SETTINGS = ReconstructSettings(chunk_records=7)
 """One size of chunk for all tests: few compilations."""
 ROWS = ReconstructSettings(chunk_records=7, smooth="off")
-"""For what is exact only where every row is by itself."""
+"""For results that are exact only where every row is by itself."""
 NORMAL = np.array([0.9, 0.4, 0.17])
 NORMAL = NORMAL / np.linalg.norm(NORMAL)
 

@@ -143,7 +143,7 @@ def test_a_mirror_shows_the_room_and_has_no_stripe_of_its_own():
     facing = (-0.5, -9, 1.5), (1.0, 0, 0), (0, 18, 0), GLASS
     behind = (-9, -9, -1.0), (18, 0, 0), (0, 18, 0), Material(((0.5, 0.5, 0.5),))
     record = expect_record(rig_of(), scene_of(WALL, facing, behind), 0.0)
-    # The sheet crosses the mirror everywhere, and what stands behind the camera is not lit by it.
+    # The sheet crosses the mirror everywhere, and surfaces behind the camera are not lit by it.
     assert not record.truth.valid.any()
     assert record.laser.max() == 0
     # White in the room's mean light is 120 DN.

@@ -95,8 +95,8 @@ def test_the_centre_of_a_stripe_errs_as_an_integral_of_its_profile_says(grain, c
         8 * psf_px,
         limit=200,
     )[0]
-    # 1600 rows, neighbours correlate a little: five standard errors of a standard deviation, and 3 % for what pixels
-    # do to a profile of this width.
+    # 1600 rows, neighbours correlate a little: five standard errors of a standard deviation, and 3 % for the
+    # integration of a profile of this width by pixels.
     assert centres.std() == pytest.approx(contrast * overlap**0.5, rel=5 / (2 * height / 2) ** 0.5 * 0.5 + 0.03)
 
 

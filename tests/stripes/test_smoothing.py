@@ -1,4 +1,4 @@
-"""Centres from their neighbours along the stripe: noise, edges, corners, curvature, strays, and what is stated."""
+"""Centres from their neighbours along the stripe: noise, edges, corners, curvature, strays, and stated sigmas."""
 
 import numpy as np
 import pytest
@@ -80,7 +80,7 @@ def test_a_corner_stays_a_corner(bend):
     truth = 300 + SLOPE * X + bend * 0.1 * np.abs(X - 120)
     found = smooth(noisy(truth, 0.1), 0.1)
     near = np.abs(X - 120) <= 10
-    # No row is off by more than a part of what its own fit would be uncertain by.
+    # No row is off by more than a part of the sigma of its own fit.
     assert np.abs((found.u - truth).mean(0)[near]).max() < 0.3 * 0.1
     assert rms((found.u - truth)[:, near]) < 0.06
 

@@ -79,7 +79,7 @@ def test_sigma_is_honest_where_speckle_rules(contrast, grain):
     on, off, u = _scene(contrast, grain)
     stripes = extract_stripes(on, off, noise=KNOWN)
     assert np.mean(np.asarray(stripes.valid)) > 0.995
-    # Photons alone explain less than four fifths of the error: what is learned is needed.
+    # Photons alone explain less than four fifths of the error: the learned speckle is needed.
     assert _ratio(extract_stripes(on, off, noise=KNOWN, settings=StripeSettings(speckle=0.0)), u) < 0.8
     # 2048 rows, of which some share grains: 2 % of a root mean square; asked for are 10 %.
     assert 0.9 < _ratio(stripes, u) < 1.1

@@ -96,7 +96,7 @@ class Direct(NamedTuple):
 
 
 def direct(shot: Shot, middle: Hits) -> Direct:
-    """The direct light; `middle` has what the pixels' middles see."""
+    """The direct light; `middle` has the surfaces that the pixels' middles see."""
     rows, columns = shot.rig.height, shot.rig.width
     shadow = np.ones((rows, columns))
     v, u = np.nonzero(band(shot, middle))

@@ -1,8 +1,8 @@
 """Mitsuba 3 as the eye and the light of a room: rays, the lamps' light, and the laser's light that comes back.
 
 The lamps' light does not depend on where the camera stands: it is traced once per room, on a grid on every surface
-(Mitsuba's path tracer, next event estimation, five bounces), and looked up in every frame. Of the laser's light, what
-comes back from other surfaces is traced from the sheet: paths of up to three bounces, joined to the camera's points by
+(Mitsuba's path tracer, next event estimation, five bounces), and looked up in every frame. Of the laser's light, that
+which comes back from other surfaces is traced from the sheet: paths of up to three bounces, joined to the camera's points by
 shadow rays (bidirectional path tracing with the light's paths shared by all pixels).
 """
 
@@ -173,7 +173,7 @@ class Tracer:
         self.maps = [part.reshape(one[2]) for part, one in zip(np.split(light, ends), places, strict=True)]
 
     def painted(self, origin: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What rays see, as of `cast`: surface, albedo and uv alone."""
+        """The surfaces that rays meet, as of `cast`: number, albedo and uv alone."""
         import drjit as dr
 
         at = self.scene.ray_intersect(self._rays(origin, way))

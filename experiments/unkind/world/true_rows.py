@@ -1,4 +1,4 @@
-"""The truth of a record's rows: crossings of sheet and surfaces, their light, and what lies within a few pixels."""
+"""The truth of a record's rows: crossings of sheet and surfaces, their light, and edges within a few pixels."""
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d  # type: ignore[import-untyped]
@@ -21,7 +21,7 @@ def stripes(shot: light.Shot, middle: Hits, laser: light.Direct, ambient: np.nda
 
     Args:
         shot: Rig, room and pose.
-        middle: What the middles of all pixels see.
+        middle: The surfaces that the middles of all pixels see.
         laser: The laser's direct light behind the lens [DN].
         ambient: The room's light on every pixel [DN].
     """

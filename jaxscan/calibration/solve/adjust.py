@@ -118,7 +118,7 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
             noise = cleaned.whitened_rms()[0], cleaned.kept_stripe_noise()
         correlation = state.stripe_correlation
         if settings.stripe_correlation is None:
-            # Classes of unlike noise would hide what neighbours share.
+            # Classes of unlike noise would hide the noise that neighbours share.
             correlation = correlation_along(errors.stripe / noise[1][data.stripe_contrast], stripe_kept)
         same = np.array_equal(corner_kept, state.corner_kept) and np.array_equal(stripe_kept, state.stripe_kept)
         ratios = (

@@ -260,7 +260,7 @@ def _unorganised(vertices: np.ndarray, path: Path, *, ours: bool) -> PointCloud:
     with np.errstate(over="ignore"):
         lengths = np.sqrt((normals * normals).sum(-1, keepdims=True))
     usable = valid[:, None] & np.isfinite(lengths) & (lengths > 0) & whole
-    # Without the grid nobody knows which points share their noise: each claims what its own row is worth.
+    # Without the grid nobody knows which points share their noise: each claims the sigma of its own row.
     own = "sigma_row" if {"sigma_row", "scalar_sigma_row"} & set(names) else "sigma_random"
     scalars = [column(name, f"scalar_{name}") for name in ("intensity", own, "sigma_systematic")]
     intensity, sigma_random, sigma_systematic = (np.where(valid & np.isfinite(one), one, 0) for one in scalars)

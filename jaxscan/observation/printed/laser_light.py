@@ -21,7 +21,7 @@ _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 0.25, 15.0
 _LEFT = (0.02, 0.0, 0.01, 0.05, 0.02, 0.02)
 # The room's light shows blur and place with half of these errors, which all lines of a view share.
 _SHARED_PART = 0.5
-# Chi-squared over the median from which a line does not follow the model; it has little say in what lines share.
+# Chi-squared over the median from which a line does not follow the model; it has little weight in shared parameters.
 _ODD_CHI2 = 3.0
 # Distance from the centre at which only stray light is left, in widths; lines over which it is smoothed.
 _FAR, _SMOOTHED = 4.0, 31

@@ -62,7 +62,7 @@ class Lattice(NamedTuple):
 
 
 def collected(paper: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    """What pixels collect of each sample across, where the light is 1 everywhere [lines, samples, k].
+    """The share of each sample across that pixels collect, where the light is 1 everywhere [lines, samples, k].
 
     Args:
         paper: Reflectance at the samples of a lattice [k, lines, j].

@@ -80,7 +80,7 @@ def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice, *, far
         typical = float(np.median(brightness))
         shown = abs(typical) > _SIGNIFICANT * doubt
         if not shown:
-            # One colour, or no light: what is seen says nothing of the print.
+            # One colour, or no light: the image says nothing of the print.
             level, brightness = level[..., :2], np.zeros_like(brightness)
             basis, found, doubt = _fit_level(level, root, windows.dark)
         left = ((windows.dark - level @ found)[..., None] * root).reshape(-1)

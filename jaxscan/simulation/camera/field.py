@@ -63,7 +63,7 @@ def blurred(make: Callable[[float], np.ndarray], blur: Blur) -> np.ndarray:
 
 
 def lens_blur(config: SimulationConfig, depth: np.ndarray) -> Blur:
-    """The lens's blur at what every pixel sees.
+    """The lens's blur at the surface that every pixel sees.
 
     Args:
         config: The camera.

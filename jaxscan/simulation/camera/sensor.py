@@ -53,7 +53,7 @@ def expose(expected: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -
     Shot noise is drawn from the Gaussian with the variance of the Poisson law, which is good
     above about 30 electrons; below, with the usual 40 electrons per DN, less than one DN is at
     stake. Read noise is added, the response is applied, and the result is rounded and clipped
-    at 0 and 255. The black level is what the sensor adds to everything, before the response.
+    at 0 and 255. The sensor adds the black level to everything, before the response.
 
     Args:
         expected: float32, linear light in DN, of any shape.

@@ -32,11 +32,11 @@ class Pieces(NamedTuple):
     normal: np.ndarray
     """Of the surface, towards the laser."""
     power: np.ndarray
-    """What is given back, float32 [n], DN m^2."""
+    """Light that is given back, float32 [n], DN m^2."""
 
 
 def line_pieces(shot: LitScene) -> Pieces:
-    """Where the laser's sheet lands, in the whole fan, and what comes back from there."""
+    """Where the laser's sheet lands, in the whole fan, and the light that comes back from there."""
     sheet, scene = shot.sheet, shot.scene
     half = math.radians(sheet.spec.fan_deg) / 2
     angle = ((np.arange(PIECES) + 0.5) / PIECES * 2 - 1) * half
@@ -66,7 +66,7 @@ def returned_light(shot: LitScene, pieces: Pieces, points: np.ndarray) -> np.nda
     Args:
         shot: The scene and its laser.
         pieces: The lamps.
-        points: What every pixel sees, float32 [height, width, 3], scanner frame.
+        points: Point that every pixel sees, float32 [height, width, 3], scanner frame.
 
     Returns:
         float32 [height, width, 3]: its part along a normal is the light of a white surface, DN.
@@ -79,7 +79,7 @@ def returned_light(shot: LitScene, pieces: Pieces, points: np.ndarray) -> np.nda
     distance = np.sqrt(distance2)
     cosine = np.maximum(-np.sum(legs * pieces.normal, -1), 0) / np.maximum(distance, 1e-6)
     strength = pieces.power * cosine / (np.float32(np.pi) * (distance2 + np.float32(_LENGTH**2)))
-    # Places are looked at from the piece: what is hidden from it gets nothing.
+    # Places are looked at from the piece: hidden ones get nothing.
     dark = shot.scene.blocked(
         np.tile(pieces.points, (len(places), 1)), np.repeat(places, len(pieces.points), 0), skin=5e-3
     )

@@ -9,7 +9,7 @@ from jaxscan.simulation.light.lit import Hits, LitScene, albedo_at, cast, in_ban
 
 
 class Mirrored(NamedTuple):
-    """What some of n rays see in a mirror."""
+    """The points that some of n rays see in a mirror."""
 
     at: np.ndarray
     """Which rays meet a mirror, indices [m]."""
@@ -18,7 +18,7 @@ class Mirrored(NamedTuple):
     hits: Hits
     """The surfaces behind, camera frame [m]."""
     beside: np.ndarray
-    """How far they lie beside the sheet [m]; far for what is not there."""
+    """How far they lie beside the sheet [m]; far where there is nothing."""
 
 
 class Glass(NamedTuple):
@@ -43,7 +43,7 @@ _WAYS = 256
 
 
 def look(shot: LitScene, rays: np.ndarray) -> Mirrored:
-    """What the camera's rays [3, n] see in mirrors."""
+    """The points that the camera's rays [3, n] see in mirrors."""
     first, pose = cast(shot, rays), shot.pose
     glass = shot.scene.mirror[first.triangle] * ~first.on_board
     at = np.flatnonzero(glass)
@@ -67,7 +67,7 @@ def mirrored_light(shot: LitScene, rays: np.ndarray) -> np.ndarray:
 
 
 def mirrored_sheet(shot: LitScene, glass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance from the sheet, and half width of its lit band, at what pixels see in mirrors.
+    """Distance from the sheet, and half width of its lit band, at the points that pixels see in mirrors.
 
     Args:
         shot: The scene and its laser.

@@ -27,7 +27,7 @@ _FAINT = 0.01
 
 
 def speckle_light(samples: LitSamples, grain: float, contrast: float, rng: np.random.Generator) -> np.ndarray:
-    """What speckle adds to the laser's light on every pixel; its mean is 0.
+    """The light that speckle adds on every pixel; its mean is 0.
 
     Args:
         samples: The laser's light before the lens.

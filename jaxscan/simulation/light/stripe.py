@@ -51,7 +51,7 @@ def lit_samples(shot: LitScene, depth: np.ndarray, blur: Blur) -> LitSamples:
 
 
 def mirrored_samples(shot: LitScene, glass: np.ndarray, depth: np.ndarray, blur: Blur) -> list[LitSamples]:
-    """The laser's light by way of mirrors: what the camera sees in them, and what they throw on other surfaces.
+    """The laser's light by way of mirrors: seen in them by the camera, and thrown by them on other surfaces.
 
     Args:
         shot: The scene and its laser.

@@ -57,7 +57,7 @@ class Scene:
     def reflect(
         self, eye: np.ndarray, points: np.ndarray, triangle: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What is seen in mirrors.
+        """The points seen in mirrors.
 
         Args:
             eye: Where the camera is [3], m.

@@ -32,7 +32,7 @@ class BoardsSpec(Section):
     print_blur_mm: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Standard deviation of the print's own blur."""
     gloss: Annotated[float, Field(ge=0, le=10)] = 0.0
-    """Lamination: what it reflects of lamp and laser in the middle of its lobe, as an albedo."""
+    """Lamination: its reflection of lamp and laser in the middle of its lobe, as an albedo."""
     gloss_deg: Annotated[float, Field(ge=0.5, le=45)] = 6.0
     """Width of the lobe (standard deviation): angle between the board's normal and the bisector of light and view."""
     free_views: Annotated[int, Field(ge=0, le=1000)] = 30

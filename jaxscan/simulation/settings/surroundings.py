@@ -54,6 +54,6 @@ class LightSpec(Section):
     """Level of a white surface (albedo 1) in the room's mean light, on every channel."""
     shadows: bool = True
     bounce: Annotated[float, Field(ge=0, le=10)] = 0.0
-    """Strength of the laser's light that comes back from what it lights: 1 as in nature, 0 for none."""
+    """Strength of the laser's light that comes back from lit surfaces: 1 as in nature, 0 for none."""
     flicker: Share = 0.0
     """Standard deviation of the room's light from frame to frame, relative."""

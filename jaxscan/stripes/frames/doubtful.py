@@ -36,7 +36,7 @@ def check_black(noise: NoiseModel, on: Array, *, frames: FrameFormat, line: Lase
         line: The laser, of which the colour is known.
 
     Raises:
-        BlackLevelError: With what to do.
+        BlackLevelError: If the black level lies above the frames.
     """
     if noise.black_dn <= 0:
         return

@@ -33,7 +33,7 @@ that once in 25 000 sweeps."""
 _DOUBT = 0.05
 """Relative doubt about the variance by photons: a contrast that is within it is not told from none [1]."""
 _SURFACE, _ROUGH = 3.0, 8.0
-"""How much more the centres may scatter than the widths allow, in variance: what is beyond the first is the surface's;
+"""How much more the centres may scatter than the widths allow, in variance: the rest is the surface's;
 beyond the second nothing is told of speckle. Grains of a third to three pixels reach 2."""
 _CUT = 4.0
 """Standard deviations beyond which a second difference is an edge."""
@@ -85,7 +85,7 @@ class LearnedSpeckle(NamedTuple):
     reason: int
     """Number of one of `REASONS`."""
     rows: Rows
-    """The stripes, with what speckle adds to their sigmas."""
+    """The stripes, with the part of speckle in their sigmas."""
 
 
 class Told(NamedTuple):

@@ -19,7 +19,7 @@ _whole = numba.njit(nogil=True, cache=True, fastmath=_FAST)
 
 
 class Rules(NamedTuple):
-    """What counts as an edge, a stray centre, and a good fit."""
+    """Limits of edges, stray centres, and good fits."""
 
     sizes: np.ndarray
     """Half sizes of windows, and lines on either side of a possible edge, ascending."""
@@ -215,7 +215,7 @@ def _fit(x, y, weight, ends, i, rules):
             break
         if abs(value - best[0]) > apart * np.sqrt(max(best[1] - own, 0.0)):
             break
-        # What the parabola leaves beyond the noise is counted as noise.
+        # Residuals of the parabola beyond the noise count as noise.
         excess = max(1.0, chi2 / freedom)
         if excess * own < best[1]:
             best = (value, excess * own, excess * (x[high] - x[low] + 1.0) / s0, low, high)

@@ -1,4 +1,4 @@
-"""How the centres of neighbouring rows scatter, compared with what their sigmas promise."""
+"""How the centres of neighbouring rows scatter, compared with the promise of their sigmas."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -21,7 +21,7 @@ promised scatter it has at most, where its errors are shared."""
 
 
 class ProfileRows(NamedTuple):
-    """Rows of some profiles: centres, and what their fits say of them."""
+    """Rows of some profiles: centres, and the figures of their fits."""
 
     u: Float[np.ndarray, "profiles lines"]
     """Stripe centres [px]."""
@@ -49,7 +49,7 @@ def row_scatter(rows: ProfileRows, line_step: int = 1) -> Scatter:
 
     $u_{i-2k} - 4 u_{i-k} + 6 u_i - 4 u_{i+k} + u_{i+2k}$ of a smooth and curved surface is noise alone. Its spread
     for k = 2 over its promised standard deviation, in classes of amplitude, is the scale; where second differences
-    spread less, as between many edges, those count. What is far beyond the spread of the others is an edge, and left
+    spread less, as between many edges, those count. A difference far beyond the others' spread is an edge, and left
     out. With a correlation r of next neighbours the variance is $70 - 112 r$ for k = 1, and 70 for k = 2. Neither is
     believed to be good news: a scale below 1 is 1, a correlation below 0 is 0.
 
