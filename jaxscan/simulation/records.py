@@ -221,7 +221,7 @@ def _returned(shot: LitScene, room: _Room, depth: np.ndarray, front: Cover | Non
 def _board_light(
     rig: TrueRig, scene: Scene, pose: Motion, board: SeenBoard, where: tuple[slice, slice]
 ) -> tuple[np.ndarray, np.ndarray | np.float32]:
-    """The room's light on the board's plane at pixel centres, and that which its gloss reflects, float32 [rows, columns]."""
+    """The room's light on the board's plane at pixel centres, and that in its gloss, float32 [rows, columns]."""
     rays = rig.rays.at(*where)
     r2 = board.board_from_camera.rotation[2].astype(np.float32)
     depth = np.float32(-board.board_from_camera.translation[2]) / (r2[0] * rays.x + r2[1] * rays.y + r2[2] * rays.z)
