@@ -102,11 +102,12 @@ def _mark_strays(x, y, weight, rules):
 
 @_part
 @no_type_check
-def _step(x, y, weight, edge, i, size, rules):
+def _step(rows, edge, i, size, rules):
     """Chi-squared by which straight lines through so many rows up to i and after it are better than a parabola.
 
     They end at the edges that are known. A curved surface is no edge.
     """
+    x, y, weight = rows
     count = len(x)
     at, level = 0.5 * (x[i] + x[i + 1]), y[i]
     s0 = s1 = s2 = s3 = s4 = t0 = t1 = t2 = lines = 0.0
@@ -117,8 +118,7 @@ def _step(x, y, weight, edge, i, size, rules):
             if k < 0 or k >= count:
                 break
             d, v, w = x[k] - at, y[k] - level, weight[k]
-            wd = w * d
-            wdd = wd * d
+            wd, wdd = w * d, w * d * d
             a0 += w
             a1 += wd
             a2 += wdd
@@ -157,7 +157,7 @@ def _mark_edges(x, y, weight, rules):
         edge[i] = x[i + 1] - x[i] > rules.gap
     for size in rules.sizes:
         for i in range(count - 1):
-            height[i] = 0.0 if edge[i] else _step(x, y, weight, edge, i, size, rules)
+            height[i] = 0.0 if edge[i] else _step((x, y, weight), edge, i, size, rules)
         for i in range(count - 1):
             if height[i] > rules.doubt:
                 highest = True
@@ -244,12 +244,12 @@ def _rows_after(x, edge, i, reach):
 
 @_part
 @no_type_check
-def _between(x, y, weight, edge, doubt, i, rules):
+def _between(rows, edges, i, rules):
     """Centre at i, its variance and shared lines, from a window that ends at edges.
 
     Where an edge is in doubt, both answers count by their odds.
     """
-    reach = 2 * rules.sizes[-1]
+    (x, y, weight), (edge, doubt), reach = rows, edges, 2 * rules.sizes[-1]
     left, right = _rows_before(x, edge, i, reach), _rows_after(x, edge, i, reach)
     value, variance, of_lines, low, high = _fit(x, y, weight, (left, right), i, rules)
     at, most = -1, 0.0
@@ -293,7 +293,7 @@ def smooth_block(u, sigma, valid, lines, rules, found):
         for k in range(count):
             line = lines[at[k]]
             if kept[k] > 0.0:
-                best, variance, shared = _between(x, y, kept, edge, doubt, k, rules)
+                best, variance, shared = _between((x, y, kept), (edge, doubt), k, rules)
             else:
                 best, variance, shared = y[k], 1.0 / weight[k], 1.0
             centre[profile, line], deviation[profile, line] = best, np.sqrt(variance)
