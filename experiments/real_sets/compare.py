@@ -3,7 +3,7 @@
     python -m experiments.real_sets.compare CAPTURES [--only NAME …] [--measure after|before|plain …] [--work FOLDER]
 
 CAPTURES holds the captures that `convert` makes, by their names; sets that are not there are skipped. Earlier figures
-is kept in `real_sets.json` beside the table. Every run measures the code as it is now ("after"), and the rest if it is
+are kept in `real_sets.json` beside the table. Every run measures the code as it is now ("after"), and the rest if it is
 asked for. With --work, a run that was broken off goes on with the set at which it ended.
 """
 
