@@ -77,7 +77,9 @@ def test_a_profile_scanner(world, seen, tmp_path):
 
 def test_a_camera_and_an_axis(world, seen, tmp_path):
     rig, observations = seen(laser_names=())
-    stripes = type(observations.stripes)(*(np.asarray(value)[:0] for value in vars(observations.stripes).values()))
+    stripes = type(observations.stripes)(
+        *(None if value is None else np.asarray(value)[:0] for value in vars(observations.stripes).values())
+    )
     calibration = calibrate_observations(replace(observations, stripes=stripes))
     (missing,) = calibration.missing
     assert missing.startswith("no sheet: the header lists no [[laser]]")

@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.stripes.frames import Sites
-from jaxscan.stripes.smoothing.native_loops import Rules, smooth_block
+from jaxscan.stripes.smoothing.rules import Rules
 
 
 _RULES = Rules(
@@ -77,6 +77,9 @@ def smooth_profiles(
         valid: Which of them exist.
         sites: Where the laser's colour is seen: a mosaic has it on every second line only.
     """
+    # Here, because it loads numba: whoever smooths nothing does not wait for that.
+    from jaxscan.stripes.smoothing.native_loops import smooth_block
+
     u, sigma, valid = np.asarray(u), np.asarray(sigma), np.asarray(valid)
     found = Smoothed(*(np.zeros(u.shape, np.float32) for _ in Smoothed._fields))
     lines = np.arange(sites.first_line, u.shape[1], sites.line_step)
