@@ -16,7 +16,7 @@ RIG_FILES = sorted(RIG.rglob("*.py"))
 BENCH = ROOT / "hardware" / "bench"
 BENCH_FILES = sorted(BENCH.rglob("*.py"))
 
-CORE = {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement"}
+CORE = {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement", "recalibration"}
 ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api"}
 MAY_IMPORT = {
     "geometry": set(),
@@ -25,6 +25,7 @@ MAY_IMPORT = {
     "observation": {"geometry", "stripes"},
     "calibration": {"geometry", "observation"},
     "measurement": {"geometry"},
+    "recalibration": {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement"},
     "simulation": {"geometry", "vision"},
     "vision": CORE,
     "files": CORE | {"vision", "simulation"},

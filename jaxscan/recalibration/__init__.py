@@ -1,0 +1,22 @@
+"""Ordinary sweeps to a better scanner: the room as calibration target."""
+
+from jaxscan.recalibration.adjusted import Adjusted
+from jaxscan.recalibration.observed import (
+    KnownLength,
+    RoomObservations,
+    SurfacePoints,
+    Surfaces,
+    SweepStripes,
+    Tracks,
+)
+from jaxscan.recalibration.result import (
+    Closure,
+    Drift,
+    Gain,
+    HoldOut,
+    Moved,
+    PanoramaOfWalls,
+    Recalibration,
+    TableFindings,
+)
+from jaxscan.recalibration.settings import RecalibrationSettings

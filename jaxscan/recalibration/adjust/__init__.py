@@ -1,0 +1,1 @@
+"""One joint least squares of scanner, stations, surfaces, features and boards."""

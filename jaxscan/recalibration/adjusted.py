@@ -1,0 +1,52 @@
+"""The result of one adjustment of the scanner to a room."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxscan.calibration import Fit
+from jaxscan.geometry import Scanner
+from jaxscan.recalibration.observed import RoomObservations, Surfaces
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Scanner, stations, surfaces and angles after one joint least squares of all observations and the prior."""
+
+    scanner: Scanner
+    """Its covariance is that after the adjustment; widened where residuals are correlated."""
+    prior: Scanner
+    """The stored scanner; its covariance is the prior."""
+    departure: Float[np.ndarray, " params"]
+    """Step from the stored scanner in its minimal coordinates [px, rad, m]."""
+    stations: Float[np.ndarray, "stations 4 4"]
+    """T_room_scanner of every station; the identity for the first."""
+    station_covariance: Float[np.ndarray, "stations 6 6"]
+    """Of a step (translation [m], rotation [rad]) in the station's own frame; zero for the first."""
+    surfaces: Surfaces
+    corrections: tuple[Float[np.ndarray, " records"], ...]
+    """Added to the angles of each sweep's journal before the table's own model [rad]; zero without `angles="steps"`."""
+    correction_sigma: tuple[Float[np.ndarray, " records"], ...]
+    point_error: Float[np.ndarray, " points"]
+    """Signed distance of each point from its surface [m]."""
+    point_sigma: Float[np.ndarray, " points"]
+    """Standard deviation of that distance by stripe noise and roughness [m]."""
+    point_kept: Bool[np.ndarray, " points"]
+    track_error: Float[np.ndarray, "sightings 2"]
+    """Projected minus seen [px]."""
+    track_kept: Bool[np.ndarray, " sightings"]
+    wall_m: float
+    """Roughness of the walls, given or learned [m]."""
+    inflation: float
+    """Factor by which the variance of points on surfaces was widened because neighbours share errors [1]."""
+    observations: RoomObservations
+    """As they were given."""
+    cost: float
+    """Sum of squared whitened residuals with the prior."""
+    freedom: int
+    """Kept residuals less unknowns that no prior holds."""
+    converged: bool
+    steps: int
+    boards: Fit | None = None
+    """Residuals on the boards, where there were any."""

@@ -1,0 +1,1 @@
+"""What an adjustment gained, and whether the rig has drifted."""

@@ -1,0 +1,116 @@
+"""What ordinary sweeps tell of the scanner: stripe points on surfaces, tracked features, known lengths."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.geometry import StripeAxis
+from jaxscan.observation import Observations
+
+
+class SweepStripes(NamedTuple):
+    """The stripes of one captured sweep on the grid [profile, line]; they do not depend on the calibration."""
+
+    name: str
+    """Of the capture, for messages."""
+    centre: Float[np.ndarray, "profiles lines"]
+    """Across the line [px]; of its neighbours too, where rows are smoothed."""
+    sigma: Float[np.ndarray, "profiles lines"]
+    """Standard deviation of `centre` [px]."""
+    shared_lines: Float[np.ndarray, "profiles lines"]
+    """Lines over which the noise of a centre is shared; 1 where it is independent."""
+    valid: Bool[np.ndarray, "profiles lines"]
+    record: Int[np.ndarray, " profiles"]
+    """The record of each profile."""
+    laser: Int[np.ndarray, " profiles"]
+    """The scanner's sheet of each profile."""
+    angle: Float[np.ndarray, " records"]
+    """The table's angle of each record as the journal has it [rad from home]."""
+    stripe_axis: StripeAxis
+    station: int = 0
+    """The place in the room that it was taken from."""
+
+
+SurfaceKind = Literal["plane", "sphere"]
+
+
+class Surfaces(NamedTuple):
+    """Surfaces of the room that points lie on, in the frame of the room: that of the first station.
+
+    A surface has three unknowns: a plane two tilts and its distance, a sphere of known radius its centre.
+    """
+
+    kind: tuple[SurfaceKind, ...]
+    normal: Float[np.ndarray, "surfaces 3"]
+    """Unit normal of a plane; zero for a sphere."""
+    distance: Float[np.ndarray, " surfaces"]
+    """Of a plane `normal . p = distance` [m]; the radius of a sphere."""
+    centre: Float[np.ndarray, "surfaces 3"]
+    """Mean of the points of a plane, or the middle of a sphere [m]."""
+
+
+class SurfacePoints(NamedTuple):
+    """Stripe points that lie on surfaces, so far apart that their noise is independent; of all sweeps."""
+
+    q: Float[np.ndarray, "points 2"]
+    """Pixel (u, v) of the stripe [px]."""
+    sigma: Float[np.ndarray, " points"]
+    """Standard deviation across the line [px]: of u where `stripe_axis` is "rows", else of v."""
+    sweep: Int[np.ndarray, " points"]
+    record: Int[np.ndarray, " points"]
+    """Record of its sweep."""
+    line: Int[np.ndarray, " points"]
+    laser: Int[np.ndarray, " points"]
+    """The scanner's sheet."""
+    surface: Int[np.ndarray, " points"]
+    """Number of the surface in `Surfaces`."""
+
+    def take(self, index: np.ndarray) -> "SurfacePoints":
+        """The points at `index` (numbers or a mask)."""
+        return SurfacePoints(*(field[index] for field in self))
+
+
+class Tracks(NamedTuple):
+    """Points of the room that are recognised in several images; each has three unknowns."""
+
+    q: Float[np.ndarray, "sightings 2"]
+    """Where the point is seen [px]."""
+    sigma: Float[np.ndarray, " sightings"]
+    """Standard deviation of u and of v [px]."""
+    sweep: Int[np.ndarray, " sightings"]
+    record: Int[np.ndarray, " sightings"]
+    track: Int[np.ndarray, " sightings"]
+    """Number of the point."""
+    point: Float[np.ndarray, "tracks 3"]
+    """First values, in the frame of the room [m]."""
+    name: tuple[str, ...] = ()
+    """A name for each point that is a target ("marker 7, corner 2"); empty for a feature that was tracked."""
+
+
+class KnownLength(NamedTuple):
+    """A length that somebody measured: between two planes, two spheres or two tracked targets."""
+
+    metres: float
+    sigma_m: float
+    between: Literal["surfaces", "tracks"]
+    first: int
+    """Number of the surface or track. Planes: their distance along the mean normal, midway between their centres."""
+    second: int
+
+
+class RoomObservations(NamedTuple):
+    """All that one adjustment takes in."""
+
+    points: SurfacePoints
+    surfaces: Surfaces
+    """First values."""
+    angles: tuple[Float[np.ndarray, " records"], ...]
+    """The table's angles of every sweep as its journal has them [rad from home]."""
+    station: Int[np.ndarray, " sweeps"]
+    """Station of each sweep; 0 is the frame of the room."""
+    stripe_axis: StripeAxis
+    tracks: Tracks | None = None
+    lengths: tuple[KnownLength, ...] = ()
+    boards: Observations | None = None
+    """Corners and stripes of boards that were captured with the rig as it is now."""

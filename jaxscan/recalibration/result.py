@@ -1,0 +1,124 @@
+"""The result of a recalibration, and what is said of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxscan.geometry import Scanner
+from jaxscan.recalibration.adjusted import Adjusted
+
+
+@dataclass(frozen=True)
+class Gain:
+    """How much better one direction in the space of the parameters is known than before."""
+
+    name: str
+    """ "radial scale", "height scale", or the largest components of the direction."""
+    before: float
+    """Standard deviation by the stored calibration, in the unit of the name; 1 for a direction."""
+    after: float
+    unit: str = ""
+
+    @property
+    def factor(self) -> float:
+        """Old over new standard deviation [1]."""
+        return self.before / self.after if self.after > 0 else 1.0
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A parameter before and after."""
+
+    name: str
+    before: float
+    after: float
+    sigma_before: float
+    sigma_after: float
+    sigmas: float
+    """The change, in standard deviations that a change would have by chance [1]."""
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Whether the rig is as it was when it was calibrated."""
+
+    chi2: float
+    freedom: int
+    p: float
+    """Chance of so large a departure if nothing moved [1]."""
+    drifted: bool
+    part: str = ""
+    """The part that moved, where one alone explains it: "laser red", "axis", "camera"."""
+    size: str = ""
+    """How far it moved: "0.050 degrees, 0.03 mm"."""
+
+
+@dataclass(frozen=True)
+class HoldOut:
+    """Flatness of planes that were not used, with the old and the new calibration; for each half of them."""
+
+    before_mm: tuple[float, ...]
+    after_mm: tuple[float, ...]
+    better: bool
+
+
+@dataclass(frozen=True)
+class TableFindings:
+    """Faults of the table's angles."""
+
+    factor: float = 1.0
+    """True turn over that of the journal, where the steps per turn are wrong [1]."""
+    jumps: tuple[tuple[int, int, float], ...] = ()
+    """Sweep, record and angle [rad] from which on the table stands elsewhere: lost steps."""
+    corrections: tuple[Float[np.ndarray, " records"], ...] = ()
+    """Added to the angles of each sweep [rad]; they correct factor and jumps."""
+    sentences: tuple[str, ...] = ()
+    """Each fault, in a sentence that says what to do."""
+
+
+@dataclass(frozen=True)
+class Closure:
+    """What is left open after a full turn."""
+
+    before_mm: float
+    """At 2.5 m, with the stored calibration."""
+    after_mm: float
+    sigma_mm: float
+    """Standard deviation of `after_mm`."""
+    source: str
+    """ "overlap", "features" or "model"."""
+
+
+@dataclass(frozen=True)
+class PanoramaOfWalls:
+    """Distances of the points of one sweep from their planes on the grid [profile, line], before and after [m]."""
+
+    sweep: str
+    before: Float[np.ndarray, "profiles lines"]
+    after: Float[np.ndarray, "profiles lines"]
+    seen: Bool[np.ndarray, "profiles lines"]
+    """Points that lie on a plane."""
+
+
+@dataclass(frozen=True)
+class Recalibration:
+    """A refined scanner, and everything by which it can be judged."""
+
+    scanner: Scanner
+    """The new scanner with its covariance; the stored one where the update was refused."""
+    updated: bool
+    refused: str
+    """Why nothing was updated; empty where it was."""
+    adjusted: Adjusted
+    drift: Drift
+    gains: tuple[Gain, ...]
+    """Radial scale and height scale first, then the directions, best known last."""
+    unobserved: tuple[str, ...]
+    """Directions that these captures say nothing of; a sentence each."""
+    moved: tuple[Moved, ...]
+    hold_out: HoldOut | None
+    table: TableFindings
+    closure: Closure | None
+    panoramas: tuple[PanoramaOfWalls, ...]
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,1 @@
+"""Sweeps to points on planes and spheres."""

@@ -1,0 +1,1 @@
+"""First poses of stations, and clouds of several stations."""

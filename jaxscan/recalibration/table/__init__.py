@@ -1,0 +1,1 @@
+"""Faults of the table's angles: wrong steps per turn, lost steps."""
