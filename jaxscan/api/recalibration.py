@@ -14,7 +14,7 @@ from jaxscan.api.sweeps import reconstruct_capture
 from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.calibration import calibration_digest, load_calibration
-from jaxscan.files.capture import Capture, refuse_copies
+from jaxscan.files.capture import Capture, common_board, refuse_copies
 from jaxscan.observation import Observations, Progress
 from jaxscan.recalibration import Given, Recalibration, RecalibrationSettings, SweepStripes
 from jaxscan.reconstruction import PointCloud, smooth_stripes
@@ -126,6 +126,8 @@ def _check_captures(captures: Sequence[Capture], boards: Sequence[Capture], widt
                 f"{capture.path}: its images have {capture.image_size[0]} x {capture.image_size[1]} px, the "
                 f"calibration is for {width} x {height} px; use the calibration of this camera mode."
             )
+    if boards:
+        common_board(boards, single_lasers=True)
     refuse_copies([*captures, *boards])
 
 
