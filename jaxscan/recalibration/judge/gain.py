@@ -72,7 +72,7 @@ def length_gains(before: Scanner, after: Scanner) -> tuple[Gain, ...]:
 
 
 def unobserved(compared: Compared, scales: Scales | None, names: tuple[str, ...]) -> tuple[str, ...]:
-    """A sentence for each direction that the stored calibration alone holds."""
+    """Sentences on the directions that the stored calibration alone holds: the scales, then all others."""
     told, left = [], np.zeros((len(compared.ratio), 0))
     if scales is not None:
         seen = scales.factor >= _OBSERVED
@@ -83,12 +83,12 @@ def unobserved(compared: Compared, scales: Scales | None, names: tuple[str, ...]
         ]
         left = compared.whiten @ scales.left[:, ~seen]
         left, _ = np.linalg.qr(left)
-    for i in np.argsort(compared.factor, kind="stable"):
-        if compared.factor[i] < _OBSERVED and np.sum(left[i] ** 2) < _SAME:
-            told.append(
-                f"{_named(compared, i, names)}: known {compared.factor[i]:.2g} times as well as before; "
-                "the stored calibration holds it"
-            )
+    order = np.argsort(compared.factor, kind="stable")
+    others = [i for i in order if compared.factor[i] < _OBSERVED and np.sum(left[i] ** 2) < _SAME]
+    if others:
+        named = "; ".join(_named(compared, i, names) for i in others)
+        told.append(f"{len(others)} directions are known less than twice as well as before ({named}): the stored "
+                    "calibration holds them")
     return tuple(told)
 
 
