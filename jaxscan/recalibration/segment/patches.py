@@ -52,7 +52,7 @@ def find_patches(
         for region in regions:
             grid[region.cells] = len(found)
             found.append((cells, region))
-        labels[cells.profiles, :] = cells.spread(grid.reshape(cells.valid.shape), labels.shape[1])
+        labels[cells.profiles, :] = cells.spread(grid.reshape(cells.valid.shape), sweep.centre.shape[1])
     if not found:
         raise CalibrationError(
             f"{sweep.name}: found no plane, expected flat walls of 0.2 m or more: sweep a room with free walls, "

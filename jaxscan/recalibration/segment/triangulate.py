@@ -27,8 +27,6 @@ _LOOSE = {
 """Standard deviations of a drift that no covariance states, by which walls may be bent as well [rad, m]."""
 _DIRECTIONS = 24
 """Directions of the covariance that are used at most."""
-_LEAST_M = 5e-5
-"""Directions that bend no point by this much are left out [m]."""
 
 
 def triangulate(
@@ -77,7 +75,7 @@ def _points(scanner, step, q, laser, phi):
 def likely_steps(scanner: Scanner) -> Float[np.ndarray, "directions params"]:
     """Steps of the scanner by one standard deviation, independent of one another: its covariance, and a drift.
 
-    The largest first, as far as they are many.
+    The largest first.
     """
     names = scanner.parameter_names()
     loose = np.array([_LOOSE.get(name, _LOOSE.get(name.rsplit(".", 1)[-1], 0.0)) for name in names])
@@ -89,7 +87,7 @@ def likely_steps(scanner: Scanner) -> Float[np.ndarray, "directions params"]:
     safe = np.where(unit > 0, unit, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
     steps = (vectors * np.sqrt(np.maximum(values, 0.0))).T * safe
-    return steps[::-1][: 2 * _DIRECTIONS]
+    return steps[::-1][:_DIRECTIONS][values[::-1][:_DIRECTIONS] > 1e-12]
 
 
 def bending(
@@ -99,12 +97,10 @@ def bending(
     laser: Int[np.ndarray, " points"],
     phi: Float[np.ndarray, " points"],
 ) -> Float[np.ndarray, "points 3 directions"]:
-    """Shifts of points [m] by each of the `likely_steps` that moves any of them."""
-    small = 0.1
-    shifts = []
-    for step in likely_steps(scanner):
+    """Shifts of points [m] by each of the `likely_steps`."""
+    small, steps = 0.1, likely_steps(scanner)
+    shifts = np.zeros((len(points), 3, len(steps)), np.float32)
+    for k, step in enumerate(steps):
         moved, incidence = triangulate(scanner, q, laser, phi, small * step)
-        shift = np.where((incidence > 0)[:, None], moved - points, 0.0) / small
-        if np.sqrt(np.mean(shift**2)) > _LEAST_M:
-            shifts.append(shift)
-    return np.stack(shifts, -1) if shifts else np.zeros((len(points), 3, 0))
+        shifts[..., k] = np.where((incidence > 0)[:, None], moved - points, 0.0) / small
+    return shifts
