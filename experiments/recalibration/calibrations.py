@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from experiments.worlds import calibration_trials as trials
-from experiments.worlds.ideal_boards import BoardPoses, IdealBoards, PosePlan, add_noise, draw_poses, ideal_boards
+from experiments.worlds.ideal_boards import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 from jaxscan.calibration import Calibration, CalibrationSettings, calibrate_observations
 from jaxscan.calibration.parameters import PRIORS, USUALLY_FREE
 from jaxscan.observation import Observations
@@ -14,14 +14,13 @@ from jaxscan.simulation import SimulationConfig
 
 
 Kind = Literal["paper-like", "good"]
-POSE_SEED = 7
 PLANS: dict[Kind, PosePlan] = {
     # 23 views of which 4 are lit; one board at two angles 10 degrees apart.
     "paper-like": PosePlan(free_views=21, lit=2, placements=1, angles=2, span_deg=10.0),
     # 30 lit views, and 4 boards at 9 angles over +-12 degrees.
     "good": PosePlan(free_views=30, placements=4, angles=9, span_deg=24.0),
 }
-"""Plans of the boards' poses: the same in all trials, so that one standard deviation is sampled."""
+"""Plans of the boards' poses, which are drawn anew in every trial."""
 POINTS = 150
 """Of each stripe."""
 
@@ -45,7 +44,8 @@ def draw_truth(config: SimulationConfig, seed: int) -> SimulationConfig:
 
 def observations_of(config: SimulationConfig, kind: Kind, seed: int) -> Observations:
     """Noisy corners and stripes of boards: 0.1 px and 0.15 px."""
-    return trials.observations(add_noise(_seen(config, kind), np.random.default_rng([seed, 82])), config)
+    ideal = ideal_boards(config, _poses(_plain(config), seed, PLANS[kind]), points=POINTS)
+    return trials.observations(add_noise(ideal, np.random.default_rng([seed, 82])), config)
 
 
 def calibration_of(config: SimulationConfig, kind: Kind, seed: int) -> Calibration:
@@ -54,7 +54,7 @@ def calibration_of(config: SimulationConfig, kind: Kind, seed: int) -> Calibrati
     Args:
         config: The true rig.
         kind: "paper-like" or "good".
-        seed: Of the noise.
+        seed: Of poses and noise.
 
     A bow of the sheet is free where the true sheet has one: jaxscan's own calibration would find it.
     """
@@ -64,18 +64,13 @@ def calibration_of(config: SimulationConfig, kind: Kind, seed: int) -> Calibrati
     return calibrate_observations(observations_of(config, kind, seed), settings=settings)
 
 
-def _seen(config: SimulationConfig, kind: Kind) -> IdealBoards:
-    """Exact corners and stripes; poses are drawn for the rig as its file has it."""
-    return ideal_boards(config, _poses(_plain(config), PLANS[kind]), points=POINTS)
-
-
 def _plain(config: SimulationConfig) -> SimulationConfig:
-    """Without the values that `draw_truth` draws."""
+    """Without the values that `draw_truth` draws: poses do not depend on them."""
     table = config.turntable.model_copy(update={"gain": 1.0, "harmonics": (0.0, 0.0, 0.0, 0.0)})
     camera = config.camera.model_copy(update={"fy": config.camera.fx})
     return config.model_copy(update={"turntable": table, "camera": camera})
 
 
 @lru_cache(maxsize=8)
-def _poses(config: SimulationConfig, plan: PosePlan) -> BoardPoses:
-    return draw_poses(config, POSE_SEED, plan)
+def _poses(config: SimulationConfig, seed: int, plan: PosePlan) -> BoardPoses:
+    return draw_poses(config, seed, plan)
