@@ -1,6 +1,6 @@
 """Ordinary sweeps to a better scanner: the room as calibration target."""
 
-from jaxscan.recalibration.adjusted import Adjusted
+from jaxscan.recalibration.adjusted import Adjusted, Start
 from jaxscan.recalibration.given import Given, KnownSphere, MeasuredLength, Place
 from jaxscan.recalibration.observed import (
     KnownLength,
