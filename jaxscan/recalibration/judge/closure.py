@@ -84,7 +84,9 @@ def _overlap_gap(scanner: Scanner, adjusted: Adjusted, corrections: Sequence[np.
     kept = np.flatnonzero(adjusted.point_kept)
     points = observations.points.take(kept)
     journal = angles_of(observations, (), points)
-    place, valid = triangulate_points(scanner, points.q, points.laser, angles_of(observations, tuple(corrections), points))
+    place, valid = triangulate_points(
+        scanner, points.q, points.laser, angles_of(observations, tuple(corrections), points)
+    )
     sigma = adjusted.point_sigma[kept]
     weight = total = 0.0
     for sweep, angle in enumerate(observations.angles):

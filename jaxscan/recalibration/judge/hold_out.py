@@ -1,7 +1,6 @@
 """Validation by planes that were not used: each half of the planes judges a scanner that the other half made."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
