@@ -73,9 +73,9 @@ def candidates(
     rng = np.random.default_rng(0)
     row = i[:, None] * cells.block[0] + rng.integers(0, cells.block[0], (len(i), _TRIES))
     line = j[:, None] * cells.block[1] + rng.integers(0, cells.block[1], (len(i), _TRIES))
-    inside = (row < len(cells.profiles)) & (line < sweep.centre.shape[1])
+    inside = (row < len(cells.profiles)) & (line < len(cells.lines))
     profile = cells.profiles[np.minimum(row, len(cells.profiles) - 1)]
-    line = np.minimum(line, sweep.centre.shape[1] - 1)
+    line = cells.lines[np.minimum(line, len(cells.lines) - 1)]
     good = inside & sweep.valid[profile, line] & (sweep.sigma[profile, line] > 0)
     first = good.argmax(1)
     kept = good.any(1)
