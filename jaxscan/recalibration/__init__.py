@@ -1,6 +1,7 @@
 """Ordinary sweeps to a better scanner: the room as calibration target."""
 
-from jaxscan.recalibration.adjusted import Adjusted
+from jaxscan.recalibration.adjusted import Adjusted, Start
+from jaxscan.recalibration.given import Given, KnownSphere, MeasuredLength, Place
 from jaxscan.recalibration.observed import (
     KnownLength,
     RoomObservations,
@@ -9,6 +10,7 @@ from jaxscan.recalibration.observed import (
     SweepStripes,
     Tracks,
 )
+from jaxscan.recalibration.recalibrate import recalibrate
 from jaxscan.recalibration.result import (
     Closure,
     Drift,

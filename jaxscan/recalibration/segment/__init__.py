@@ -1,1 +1,3 @@
 """Sweeps to points on planes and spheres."""
+
+from jaxscan.recalibration.segment.patches import Patches, find_patches
