@@ -57,6 +57,8 @@ def fit_steps(rows: Rows, records: int, ridge: Float[np.ndarray, " unknowns"]) -
 
 def backwards(values: np.ndarray, record: np.ndarray, records: int) -> np.ndarray:
     """Sums over each record and all later ones."""
+    if len(record) == 0:
+        return np.zeros((records, *values.shape[1:]))
     starts = np.searchsorted(record, np.arange(records))
     whole = np.concatenate([values, np.zeros_like(values[:1])])
     sums = np.add.reduceat(whole, starts, axis=0)

@@ -152,7 +152,9 @@ def wall_equations(sample: Sample, label: Int[np.ndarray, " points"], rig: Rig) 
 def refine(rig: Rig, walls: Walls) -> Rig:
     """The rig after one step of least squares over all unknowns of `walls`."""
     n = walls.rows.nuisance
-    normal = n.T @ n + np.diag(1.0 / walls.ridge**2)
+    # Errors that are larger than noise widen all that is learned from them.
+    widened = max(1.0, float(np.mean(walls.rows.error**2)))
+    normal = n.T @ n + widened * np.diag(1.0 / walls.ridge**2)
     found = np.linalg.solve(normal, n.T @ walls.rows.error)
     first, params = 3 * (int(walls.wall.max(initial=-1)) + 1), len(parameter_spread(rig.scanner))
     scanner = move(rig.scanner, found[first : first + params])
