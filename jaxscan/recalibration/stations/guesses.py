@@ -53,7 +53,7 @@ def directions(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             break
         mean = normals[members].mean(0)
         found.append(mean / np.linalg.norm(mean))
-        shares.append(members.sum() / len(normals))
+        shares.append(float(members.mean()))
         left &= ~members
     return np.array(found).reshape(-1, 3), np.array(shares)
 

@@ -113,7 +113,7 @@ def _places(one: Station, other: Station, guesses: np.ndarray, *, few: bool = Fa
 
 
 def _compare(one: Space, other: Space, poses: np.ndarray, some: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """For poses T_one_other [n, 4, 4]: cells that both fill [n], and that one fills and the other looked through [n]."""
+    """For poses T_one_other [n, 4, 4]: cells that both fill, and that one fills and the other looked through [n]."""
     common, denied = np.zeros(len(poses), int), np.zeros(len(poses), int)
     for space, seen, moved in ((one, other, poses), (other, one, np.linalg.inv(poses))):
         points = seen.some[:: max(1, len(seen.some) // some) if some else 1]

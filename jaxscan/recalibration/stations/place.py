@@ -24,8 +24,8 @@ def place_stations(
 ) -> np.ndarray:
     """First poses of the stations, good to a few centimetres and a degree; an adjustment makes them exact.
 
-    Two stations are placed by their walls: guesses that bring walls onto walls are settled on flat patches, and judged by
-    all points: where one station looked through, the other must see nothing. A box room fits itself in two ways or
+    Two stations are placed by their walls: guesses that bring walls onto walls are settled on flat patches, and judged
+    by all points: where one station looked through, the other must see nothing. A box room fits itself in two ways or
     more; furniture decides, or landmarks, or a first pose. More stations form a tree, best pairs first.
 
     Args:
