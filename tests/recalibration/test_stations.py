@@ -8,7 +8,7 @@ from jaxscan.recalibration import SweepStripes, Tracks
 from jaxscan.recalibration.stations import place_stations
 from jaxscan.simulation import Motion, distort, make_rig, true_scanner
 
-from .rooms import EMPTY, FURNISHED, L_SHAPED, Room, cast, demo, pose, sweep_of
+from .boxes import EMPTY, FURNISHED, L_SHAPED, Room, cast, demo, pose, sweep_of
 
 
 SCANNER = true_scanner(demo())
@@ -54,7 +54,9 @@ def empty():
 
 
 def test_an_empty_box_is_ambiguous(empty):
-    with pytest.raises(CalibrationError, match="^sweep0, sweep1: found two places .* 180 degrees apart; leave targets"):
+    with pytest.raises(
+        CalibrationError, match=r"^sweep0, sweep1: found two places .* 180 degrees apart; leave targets"
+    ):
         place_stations(empty[0], SCANNER)
 
 
@@ -94,13 +96,13 @@ def test_targets_by_name_place_a_station(empty):
 
 def test_stations_of_two_rooms_are_refused():
     sweeps = [sweep_of(FURNISHED, PLACES[0]), sweep_of(Room((3.0, 7.4, 2.9)), pose((1.5, 3.0, 1.2), 10.0), station=1)]
-    with pytest.raises(CalibrationError, match="^sweep0, sweep1: found no place .* take a sweep between the two"):
+    with pytest.raises(CalibrationError, match=r"^sweep0, sweep1: found no place .* take a sweep between the two"):
         place_stations(sweeps, SCANNER)
 
 
 def test_a_place_without_walls_is_refused(empty):
     blind = empty[0][0]._replace(valid=np.zeros_like(empty[0][0].valid))
-    with pytest.raises(CalibrationError, match="^sweep0: found 0 flat patches, too few"):
+    with pytest.raises(CalibrationError, match=r"^sweep0: found 0 flat patches, too few"):
         place_stations([blind, empty[0][1]], SCANNER)
 
 

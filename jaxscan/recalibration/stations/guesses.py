@@ -44,7 +44,9 @@ def guess_poses(one: View, other: View) -> np.ndarray:
 
 def directions(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Directions [k, 3] in which many patches face, and the share of each [k], largest first."""
-    left, found, shares = np.ones(len(normals), bool), [], []
+    left = np.ones(len(normals), bool)
+    found: list[np.ndarray] = []
+    shares: list[float] = []
     near = normals @ normals.T > SAME_DIRECTION
     while left.any() and len(found) < DIRECTIONS:
         best = int(np.argmax((near & left).sum(1)))
@@ -114,7 +116,7 @@ def _axes(one: View, turned: View) -> np.ndarray | None:
     if len(axes) < 2:
         return None
     if len(axes) == 2:
-        across = np.cross(*axes)
+        across = np.cross(axes[0], axes[1])
         axes.append(across / np.linalg.norm(across))
     return np.array(axes)
 

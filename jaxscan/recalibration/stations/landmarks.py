@@ -33,7 +33,7 @@ def find_landmarks(
         tracks: Of all sweeps.
         sweeps: Those of the station, by their numbers in `tracks`.
         scanner: The scanner.
-        view: What the station sees.
+        view: The view of the station.
 
     Returns:
         Points [3] by name, m, scanner frame of the station.

@@ -1,4 +1,4 @@
-"""What a station knows of space: cells with surfaces, and cells through which it looked."""
+"""The space around a station: cells with surfaces, and cells through which it looked."""
 
 from typing import NamedTuple
 

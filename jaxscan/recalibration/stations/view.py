@@ -1,4 +1,4 @@
-"""What one station sees of the room: points, from where they were seen, and flat patches."""
+"""The room as one station sees it: points, from where they were seen, and flat patches."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
