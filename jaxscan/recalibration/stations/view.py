@@ -66,8 +66,10 @@ def _look(sweep: SweepStripes, scanner: Scanner, profiles: np.ndarray) -> View:
     grid = np.ix_(profiles, lines)
     valid = sweep.valid[grid].copy()
     row, column = np.nonzero(valid)
-    q = stripe_pixel(
-        sweep.centre[grid][row, column].astype(np.float64), lines[column].astype(np.float64), sweep.stripe_axis
+    q = np.asarray(
+        stripe_pixel(
+            sweep.centre[grid][row, column].astype(np.float64), lines[column].astype(np.float64), sweep.stripe_axis
+        )
     )
     phi = sweep.angle[sweep.record[profiles]].astype(np.float64)
     xyz, eyes, exists = triangulated(scanner, q, sweep.laser[profiles][row], phi[row])
