@@ -2,7 +2,7 @@
 
 import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -33,6 +33,10 @@ class Task(NamedTuple):
     """Pairs of opposite walls, and their distance [m]."""
     settings: RecalibrationSettings = RecalibrationSettings()
     given: Given = Given()
+    known: Mapping[str, Any] = {}
+    """Figures that the world itself gives, kept as they are."""
+    more: Callable[[Recalibration], dict[str, Any]] | None = None
+    """More figures of the result."""
 
 
 def run(task: Task) -> tuple[dict[str, Any], Recalibration | None]:
@@ -50,6 +54,8 @@ def run(task: Task) -> tuple[dict[str, Any], Recalibration | None]:
         "closure_mm": [open_after_a_turn(scanner, task.truth) for scanner in (before, result.scanner)],
         "parameters": parameters(before, result.scanner, task.truth),
         **said(result),
+        **task.known,
+        **(task.more(result) if task.more else {}),
         "seconds": seconds,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
@@ -169,7 +175,9 @@ def said(result: Recalibration) -> dict[str, Any]:
         "refused": result.refused,
         "drift": {"p": drift.p, "drifted": drift.drifted, "part": drift.part, "size": drift.size},
         "gains": [[gain.name, gain.before, gain.after] for gain in result.gains[:6]],
-        "hold_out": None if result.hold_out is None else result.hold_out._asdict()
+        "hold_out": None
+        if result.hold_out is None
+        else result.hold_out._asdict()
         if hasattr(result.hold_out, "_asdict")
         else vars(result.hold_out),
         "table": {
