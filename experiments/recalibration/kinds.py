@@ -10,9 +10,10 @@ import numpy as np
 import jaxscan
 from experiments.recalibration import world
 from experiments.recalibration.calibrations import Kind, calibration_of, draw_truth
+from experiments.recalibration.stations import two_stations
 from experiments.recalibration.surfaces import curved, stepped
 from experiments.recalibration.trial import Task
-from experiments.recalibration.world import UNKIND, Noise, Sweeping
+from experiments.recalibration.world import UNKIND, Sweeping
 from jaxscan.calibration import Calibration
 from jaxscan.recalibration import RecalibrationSettings, recalibrate
 from jaxscan.simulation import SimulationConfig, true_scanner
@@ -81,12 +82,12 @@ def drifted(seed: int, part: str, twice: bool) -> Task:
 
 def wrong_table(seed: int, factor: float, lost_deg: float) -> Task:
     """A journal that counts other steps than the table takes, or a step lost in the middle third of the sweep."""
-    how = SWEEPS["paper"]
-    lost = None
-    if lost_deg:
-        record = int(np.random.default_rng([seed, 87]).integers(how.steps // 3, 2 * how.steps // 3))
-        lost = (record, -lost_deg)
-    return plain(seed, "paper", "good", replace(how, factor=factor, lost=lost))
+    how = replace(SWEEPS["paper"], factor=factor)
+    if not lost_deg:
+        return plain(seed, "paper", "good", how)
+    record = int(np.random.default_rng([seed, 87]).integers(how.steps // 3, 2 * how.steps // 3))
+    task = plain(seed, "paper", "good", replace(how, lost=(record, -lost_deg)))
+    return task._replace(known={"lost": [record, -lost_deg]})
 
 
 def not_flat(seed: int, shape: str) -> Task:
@@ -118,8 +119,8 @@ KINDS: dict[str, Callable[[int], Task]] = {
     "a step of 0.2 degrees lost": partial(wrong_table, factor=1.0, lost_deg=0.2),
     "overlap of 30 degrees": partial(closed, turn_deg=390.0),
     "a turn known to be closed": partial(closed, turn_deg=360.0),
+    "two stations": two_stations,
     "a curved wall": partial(not_flat, shape="curved"),
     "a stepped wall": partial(not_flat, shape="stepped"),
 }
 """Every kind makes one task from a seed."""
-EXACT = Noise(px=0.0)

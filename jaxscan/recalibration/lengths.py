@@ -48,8 +48,8 @@ def place_lengths(
             ends = [_surface(name, place, room[valid], own) for place in (length.first, length.second)]
         if ends[0] == ends[1]:
             raise CalibrationError(f"{name}: both ends are on one surface or target; expected two.")
-        between = "tracks" if kinds[0] else "surfaces"
-        found.append(KnownLength(float(length.metres), float(length.sigma_m), between, *ends))
+        metres, sigma = float(length.metres), float(length.sigma_m)
+        found.append(KnownLength(metres, sigma, "tracks" if kinds[0] else "surfaces", *ends))
     return tuple(found)
 
 
@@ -72,6 +72,7 @@ def _surface(name: str, place: Place, room: np.ndarray, surface: np.ndarray) -> 
         where = ", ".join(f"{float(x):.2f}" for x in np.asarray(place))
         far = f"; the nearest is {away[nearest]:.2f} m away" if nearest >= 0 else ""
         raise CalibrationError(
-            f"{name}: no surface within {_NEAR_M:g} m of ({where}) m{far}; give a point on the wall as measured in the cloud."
+            f"{name}: no surface within {_NEAR_M:g} m of ({where}) m{far}; "
+            "give a point on the wall as measured in the cloud."
         )
     return int(surface[nearest])

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.observed import SurfacePoints, Surfaces, SweepStripes
+from jaxscan.recalibration.observed import SurfaceKind, SurfacePoints, Surfaces, SweepStripes
 from jaxscan.recalibration.segment.cells import cells_of
 from jaxscan.recalibration.segment.patches import cells_bending, no_plane
 from jaxscan.recalibration.segment.pieces import Piece, join, piece
@@ -92,5 +92,6 @@ def _numbered(
         normal = np.linalg.eigh((own - centres[k]).T @ (own - centres[k]))[1][:, 0]
         towards = pieces[int(np.flatnonzero(surface == name)[0])].normal
         normals[k] = normal if normal @ towards > 0 else -normal
-    surfaces = Surfaces(("plane",) * len(names), normals, (normals * centres).sum(1), centres)
+    kind: tuple[SurfaceKind, ...] = tuple("plane" for _ in names)
+    surfaces = Surfaces(kind, normals, (normals * centres).sum(1), centres)
     return points._replace(surface=number[points.surface]), surfaces

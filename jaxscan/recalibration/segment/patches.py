@@ -52,7 +52,7 @@ def find_patches(
         for region in regions:
             grid[region.cells] = len(found)
             found.append((cells, region))
-        labels[cells.profiles, :] = cells.spread(grid.reshape(cells.valid.shape), sweep.centre.shape[1])
+        labels[np.ix_(cells.profiles, cells.lines)] = cells.spread(grid.reshape(cells.valid.shape))
     if not found:
         raise CalibrationError(no_plane(sweep.name))
     planes = [region.plane for _, region in found]
