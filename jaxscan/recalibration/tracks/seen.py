@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.geometry import AbstractBoard, Carries
-from jaxscan.observation import FoundCorners
 from jaxscan.stripes import PixelFormat
 
 
@@ -93,16 +92,19 @@ class FoundTargets(NamedTuple):
     sigma: Float[np.ndarray, " corners"]
 
 
+Follow = Callable[[Iterator[np.ndarray], Walk], Followed]
+FindTargets = Callable[[np.ndarray, AbstractBoard | None, str | None], FoundTargets]
+
+
 class FeatureEyes(NamedTuple):
     """The functions that look at laser-off images; `vision` has them, by OpenCV."""
 
     to_grey: Callable[[np.ndarray, PixelFormat], np.ndarray]
     has_texture: Callable[[Sequence[np.ndarray]], tuple[bool, str]]
     """Whether some grey images have enough texture, and why not, in words."""
-    follow: Callable[[Iterator[np.ndarray], Walk], Followed]
+    follow: Follow
     """Follows features through the grey images of the steps of a walk."""
-    find_targets: Callable[[np.ndarray, AbstractBoard | None, str | None], FoundTargets]
-    """Finds corners of markers (of a named dictionary, or of any) and of a board in a grey image."""
-
-
-FindCorners = Callable[[np.ndarray, AbstractBoard], FoundCorners | None]
+    find_dictionary: Callable[[Sequence[np.ndarray]], str | None]
+    """The dictionary of the markers that some grey images show; None where they show none."""
+    find_targets: FindTargets
+    """Finds corners of markers of a dictionary, and of a board, in a grey image."""
