@@ -13,6 +13,8 @@ _STEPS = 6
 _DONE_PX = 2e-3
 _FARTHEST_PX = 2.0
 _GAIN = (0.6, 1.6)
+_BENT, _NOISE_DN = 0.05, 2.0
+"""Gradient of the shift over a piece that is usual [1], and noise of an image, to weigh it."""
 
 
 class Patches(NamedTuple):
@@ -21,7 +23,10 @@ class Patches(NamedTuple):
     level: np.ndarray
     """Grey levels less their mean [n, side, side]."""
     solver: np.ndarray
-    """Weighted pseudo-inverse [n, 4, side * side]: grey levels to shift (x, y), gain and offset."""
+    """Weighted pseudo-inverse [n, 8, side * side]: grey levels to shift (x, y), gain, offset, and the gradient of the
+    shift over the piece, which a wall seen obliquely has."""
+    columns: np.ndarray
+    """Changes of the grey levels by these eight [n, 8, side * side]."""
     spread: np.ndarray
     """Variance of x and of y [n, 2] for noise of one grey level in every pixel."""
 
@@ -50,13 +55,16 @@ def make_patches(image: np.ndarray, x: np.ndarray) -> Patches:
     level = wide[:, 1:-1, 1:-1]
     level = level - level.mean((1, 2), keepdims=True)
     gx, gy = (wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2]) / 2, (wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]) / 2
-    n = len(x)
-    columns = np.stack([gx, gy, level, np.ones_like(level)], 1).reshape(n, 4, -1)
+    n, r = len(x), np.arange(-HALF, HALF + 1, dtype=np.float32)
+    along, down = np.broadcast_to(r, gx.shape), np.broadcast_to(r[:, None], gx.shape)
+    bent = [gx * along, gx * down, gy * along, gy * down]
+    columns = np.stack([gx, gy, level, np.ones_like(level), *bent], 1).reshape(n, 8, -1)
     weighted = columns * _window().ravel()
     normal = weighted @ columns.transpose(0, 2, 1)
-    normal += 1e-6 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(4, dtype=np.float32)
+    normal += 1e-6 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(8, dtype=np.float32)
+    normal[:, range(4, 8), range(4, 8)] += (_NOISE_DN / _BENT) ** 2
     solver = np.linalg.solve(normal, weighted)
-    return Patches(level, solver, (solver[:, :2] ** 2).sum(2))
+    return Patches(level, solver, columns, (solver[:, :2] ** 2).sum(2))
 
 
 def take(patches: Patches, index: np.ndarray) -> Patches:
@@ -88,7 +96,7 @@ def match(patches: Patches, image: np.ndarray, guess: np.ndarray) -> Matched:
     whole = np.where(inside[:, None], whole, reach)
     pieces = cut(image, whole, reach)
     shift = np.where(inside[:, None], guess - whole, 0.0)
-    step, left = np.zeros((len(guess), 4), np.float32), pieces[:, :1, :1]
+    step, left = np.zeros((len(guess), 8), np.float32), pieces[:, :1, :1]
     for _ in range(_STEPS):
         shift = np.clip(shift, -_FARTHEST_PX, _FARTHEST_PX)
         left = (_interpolate(pieces, shift) - patches.level).reshape(len(guess), -1)
@@ -97,8 +105,7 @@ def match(patches: Patches, image: np.ndarray, guess: np.ndarray) -> Matched:
         if np.abs(step[:, :2]).max(initial=0.0) < _DONE_PX:
             break
     n = len(guess)
-    mean = left.mean(1, keepdims=True)
-    left = left - mean - step[:, 2:3] * patches.level.reshape(n, -1)
+    left = left - (step[:, None] @ patches.columns)[:, 0]
     weight = _window().ravel()
     error = np.sqrt((left**2 @ weight) / weight.sum())
     contrast = np.sqrt(((patches.level.reshape(n, -1)) ** 2 @ weight) / weight.sum())
