@@ -55,7 +55,8 @@ def recalibrate(
     captures = [captures] if isinstance(captures, Capture) else list(captures)
     settings, given = settings or RecalibrationSettings(), given or Given()
     stored, origin = _stored(calibration)
-    scanner = recalibration.require_prior(stored, origin.get("name", "the calibration"))
+    named = "the calibration" if isinstance(calibration, Calibration) else str(calibration)
+    scanner = recalibration.require_prior(stored, named)
     _check_captures(captures, boards, scanner.camera.width, scanner.camera.height)
     # Everything that is wrong with a header or a journal is said before an image is read.
     watched = [_named(capture, plan_watched, capture, scanner, settings.stripes) for capture in captures]
