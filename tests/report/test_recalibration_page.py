@@ -100,6 +100,11 @@ def test_flatness_is_the_root_mean_square_of_seen_points():
             Drift(90.0, 20, 1e-30, True, "axis", "0.20 mm"),
             "The rig has drifted: the axis of the table moved by 0.20 mm (p < 1e-6)",
         ),
+        (
+            Drift(90.0, 20, 1e-9, True, "laser red and axis", "laser red 0.05 degrees; axis 0.2 mm"),
+            "The rig has drifted: the plane of laser red and the axis of the table moved (laser red 0.05 degrees; axis "
+            "0.2 mm) (p < 1e-6)",
+        ),
         (Drift(90.0, 20, 1e-30, True, "camera"), "The rig has drifted: the camera moved (p < 1e-6)"),
     ],
 )
