@@ -134,13 +134,13 @@ def _with_lengths(room: Room, y: Unknowns, residual: Residuals, blocks: Blocks) 
     slopes = (slopes[:, ends] * keep[:, 0]).reshape(-1, 3 * count)
     matrix = matrix.at[before:, before:].add(slopes.T @ slopes)
     by_ends = gradient.ravel() + slopes.T @ residual.lengths
-    empty = blocks.cross.at[ends].set(0.0)
+    empty = jnp.asarray(blocks.cross).at[ends].set(0.0)
     return Blocks(
         matrix,
         jnp.concatenate([empty, jnp.zeros((len(empty), 3 * count, 3), empty.dtype)], axis=1),
-        blocks.local.at[ends].set(0.0),
+        jnp.asarray(blocks.local).at[ends].set(0.0),
         jnp.append(blocks.dense_gradient, by_ends),
-        blocks.local_gradient.at[ends].set(0.0),
+        jnp.asarray(blocks.local_gradient).at[ends].set(0.0),
     )
 
 

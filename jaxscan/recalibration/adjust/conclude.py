@@ -34,7 +34,7 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
         scanner=eqx.tree_at(lambda s: s.covariance, moved, (own + own.T) / 2, is_leaf=lambda leaf: leaf is None),
         prior=prior,
         departure=departure,
-        stations=state.linearised.stations,
+        stations=np.asarray(state.linearised.stations),
         station_covariance=np.stack(poses),
         surfaces=moved_surfaces(state, observations.surfaces),
         corrections=corrections,

@@ -1,6 +1,6 @@
 """The least-squares solve: optimistix' loop and trust region round the block elimination."""
 
-from functools import partial
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -52,12 +52,7 @@ class RoomDescent(optx.AbstractDescent):
         return jax.tree.map(jnp.negative, step), optx.RESULTS.successful
 
 
-# Compiled once and run some ten times: what compiles twice as fast and runs equally fast is better.
-_compiled = partial(eqx.filter_jit, compiler_options={"xla_cpu_use_fusion_emitters": False})
-
-
-@_compiled
-def solve(room: Room, y: Unknowns, limits: tuple[Array, Array], max_steps: int) -> Solution:
+def _solve(room: Room, y: Unknowns, limits: tuple[Array, Array], max_steps: int) -> Solution:
     """Minimise the sum of squares of `residuals`; call in 64 bit.
 
     Args:
@@ -87,8 +82,7 @@ class Linearised(NamedTuple):
     stations: Float[Array, "stations 4 4"]
 
 
-@_compiled
-def linearise(room: Room, y: Unknowns) -> Linearised:
+def _linearise(room: Room, y: Unknowns) -> Linearised:
     """Errors and information at a step; call in 64 bit."""
     observed = observe(y, room)
     slopes = (
@@ -132,6 +126,15 @@ def covariance_of(blocks: Blocks) -> Covariance:
     size = 1.0 / np.sqrt(np.diag(information))
     scaled = np.linalg.inv(np.linalg.cholesky(information * np.outer(size, size))) * size[None, :]
     return Covariance(information, scaled.T @ scaled, coupling, local)
+
+
+def _compiled(function: Any) -> Any:
+    # Compiled once and run some ten times: what compiles twice as fast and runs equally fast is better.
+    return eqx.filter_jit(function, compiler_options={"xla_cpu_use_fusion_emitters": False})
+
+
+solve: Callable[..., Solution] = _compiled(_solve)
+linearise: Callable[[Room, Unknowns], Linearised] = _compiled(_linearise)
 
 
 def step_of(room: Room, blocks: Blocks, covariance: Covariance) -> Unknowns:

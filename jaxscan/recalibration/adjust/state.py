@@ -43,17 +43,17 @@ class State:
     @property
     def error_px(self) -> Float[np.ndarray, " points"]:
         """Seen minus predicted centres [px]."""
-        return self.linearised.points.rows.value[: len(self.kept)]
+        return np.asarray(self.linearised.points.rows.value)[: len(self.kept)]
 
     @property
     def reach(self) -> Float[np.ndarray, " points"]:
         """Size of the change of the distance from the surface by one pixel [m / px]."""
-        return np.maximum(np.abs(self.linearised.points.reach[: len(self.kept)]), 1e-7)
+        return np.maximum(np.abs(np.asarray(self.linearised.points.reach)[: len(self.kept)]), 1e-7)
 
     @property
     def error(self) -> Float[np.ndarray, " points"]:
         """Distances from the surfaces [m]."""
-        return self.error_px * self.linearised.points.reach[: len(self.kept)]
+        return self.error_px * np.asarray(self.linearised.points.reach)[: len(self.kept)]
 
     @property
     def given_px(self) -> Float[np.ndarray, " points"]:
@@ -71,12 +71,12 @@ class State:
 
     def sighting_error(self) -> Float[np.ndarray, "sightings 2"]:
         """Projected minus seen [px]."""
-        return self.linearised.sightings.value.reshape(-1, 2)[: len(self.sighting_kept)]
+        return np.asarray(self.linearised.sightings.value).reshape(-1, 2)[: len(self.sighting_kept)]
 
     def sighting_sigma(self) -> Float[np.ndarray, " sightings"]:
         """Given sigmas [px]; 1 where there is none."""
         tracks = self.observations.tracks
-        given = np.zeros(0) if tracks is None else tracks.sigma
+        given = np.zeros(0) if tracks is None else np.asarray(tracks.sigma)
         return np.where(self.prepared.seen, given, 1.0)
 
     def sighting_whitened(self) -> Float[np.ndarray, "sightings 2"]:

@@ -28,7 +28,7 @@ class Wall(NamedTuple):
     """The kept points of one surface, and how its patches move them; leads with the points or the patches."""
 
     surface: int
-    index: Int[np.ndarray, " points"]
+    member: Int[np.ndarray, " points"]
     moves: Float[np.ndarray, "points patches"]
     """Whitened residual of each point by the height of each patch [1 / m]."""
     size: Int[np.ndarray, " patches"]
@@ -55,8 +55,8 @@ def _wall(room: Room, at: Linearised, of: tuple[int, np.ndarray, float]) -> Wall
     surface, index, grown = of
     weight = np.asarray(room.point_weight)[index]
     rows = at.points.rows
-    by_height = weight / _some(at.points.reach[index])
-    place = at.points.place[index]
+    by_height = weight / _some(np.asarray(at.points.reach)[index])
+    place = np.asarray(at.points.place)[index]
     parts, sizes = [], []
     for number, size in enumerate(_SIZES * grown):
         cell = np.floor((place - place.min(0)) / size).astype(np.int64)
