@@ -169,7 +169,9 @@ def said(result: Recalibration) -> dict[str, Any]:
         "refused": result.refused,
         "drift": {"p": drift.p, "drifted": drift.drifted, "part": drift.part, "size": drift.size},
         "gains": [[gain.name, gain.before, gain.after] for gain in result.gains[:6]],
-        "hold_out": None if result.hold_out is None else result.hold_out._asdict()
+        "hold_out": None
+        if result.hold_out is None
+        else result.hold_out._asdict()
         if hasattr(result.hold_out, "_asdict")
         else vars(result.hold_out),
         "table": {

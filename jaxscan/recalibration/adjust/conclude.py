@@ -1,7 +1,6 @@
 """A finished adjustment in the terms of its caller: scanner, stations, surfaces, residuals, covariances."""
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Float
 

@@ -1,12 +1,10 @@
 """The joint adjustment round the solver: robust start, rejection of outliers, noise learned, covariance."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
 
 from jaxscan.calibration.solve import keep_inliers, robust_noise
 from jaxscan.errors import CalibrationError
@@ -15,7 +13,7 @@ from jaxscan.recalibration.adjust.conclude import conclude
 from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise, shared_errors
 from jaxscan.recalibration.adjust.prepare import Prepared, prepare
 from jaxscan.recalibration.adjust.room import Unknowns
-from jaxscan.recalibration.adjust.solver import Linearised, linearise, on_host, solve
+from jaxscan.recalibration.adjust.solver import linearise, on_host, solve
 from jaxscan.recalibration.adjust.state import State
 from jaxscan.recalibration.adjusted import Adjusted, Start
 from jaxscan.recalibration.observed import RoomObservations
@@ -104,9 +102,7 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
         far = np.abs(state.sighting_whitened()).max(1, initial=0.0) / state.sighting_noise
         sightings = keep_inliers(far, seen, state.sighting_kept, **limits)
         cleaned = replace(state, kept=kept, sighting_kept=sightings)
-        noise = learn_noise(
-            cleaned.error[kept], cleaned.stripe_m[kept], cleaned.redundancy()[kept], settings.wall_m
-        )
+        noise = learn_noise(cleaned.error[kept], cleaned.stripe_m[kept], cleaned.redundancy()[kept], settings.wall_m)
         cleaned = replace(cleaned, noise=noise)
         inflation = shared_errors(cleaned.whitened(), cleaned.surface, cleaned.in_surface(), kept)
         cleaned = replace(cleaned, inflation=inflation, sighting_noise=cleaned.learned_sighting_noise())

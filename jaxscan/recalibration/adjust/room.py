@@ -121,9 +121,7 @@ def station_steps(steps: Float[Array, " n"]) -> Float[Array, "stations 6"]:
     return jnp.concatenate([jnp.zeros((1, 6), steps.dtype), steps.reshape(-1, 6)])
 
 
-def moved_normal(
-    normal: Float[Array, "3"], basis: Float[Array, "2 3"], tilt: Float[Array, "2"]
-) -> Float[Array, "3"]:
+def moved_normal(normal: Float[Array, "3"], basis: Float[Array, "2 3"], tilt: Float[Array, "2"]) -> Float[Array, "3"]:
     """A unit normal after two tilts [rad]."""
     turned = normal + tilt[0] * basis[0] + tilt[1] * basis[1]
     return turned / jnp.linalg.norm(turned)

@@ -87,8 +87,10 @@ def unobserved(compared: Compared, scales: Scales | None, names: tuple[str, ...]
     others = [i for i in order if compared.factor[i] < _OBSERVED and np.sum(left[i] ** 2) < _SAME]
     if others:
         named = "; ".join(_named(compared, i, names) for i in others)
-        told.append(f"{len(others)} directions are known less than twice as well as before ({named}): the stored "
-                    "calibration holds them")
+        told.append(
+            f"{len(others)} directions are known less than twice as well as before ({named}): the stored "
+            "calibration holds them"
+        )
     return tuple(told)
 
 

@@ -14,7 +14,10 @@ _LEARNED = 1e-6
 
 
 def moved_parameters(
-    stored: Scanner, step: Float[np.ndarray, " params"], compared: Compared, loosened: Float[np.ndarray, "params params"]
+    stored: Scanner,
+    step: Float[np.ndarray, " params"],
+    compared: Compared,
+    loosened: Float[np.ndarray, "params params"],
 ) -> tuple[Moved, ...]:
     r"""The change of every parameter that the stored calibration does not hold.
 

@@ -48,7 +48,9 @@ def parts_of(scanner: Scanner) -> tuple[Part, ...]:
     return tuple(part for part in parts if loosening([part], scanner).any())
 
 
-def loosening(parts: Sequence[Part], scanner: Scanner, without: Sequence[str] = ()) -> Float[np.ndarray, "params params"]:
+def loosening(
+    parts: Sequence[Part], scanner: Scanner, without: Sequence[str] = ()
+) -> Float[np.ndarray, "params params"]:
     """Variance that the moves of parts add to the prior.
 
     Args:
