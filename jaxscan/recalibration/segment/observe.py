@@ -92,6 +92,6 @@ def _numbered(
         normal = np.linalg.eigh((own - centres[k]).T @ (own - centres[k]))[1][:, 0]
         towards = pieces[int(np.flatnonzero(surface == name)[0])].normal
         normals[k] = normal if normal @ towards > 0 else -normal
-    kind: tuple[SurfaceKind, ...] = ("plane",) * len(names)
+    kind: tuple[SurfaceKind, ...] = tuple("plane" for _ in names)
     surfaces = Surfaces(kind, normals, (normals * centres).sum(1), centres)
     return points._replace(surface=number[points.surface]), surfaces

@@ -105,8 +105,8 @@ def choose(found: Candidates, most: int) -> Int[np.ndarray, " chosen"]:
         most: Number of points at most.
     """
     surface = found.points.surface
-    order = np.random.default_rng(1).permutation(len(surface))
-    independent = order[_independent(found, order)]
+    independent = np.flatnonzero(far_apart(found.points.sweep, found.profile, found.points.line, found.shared))
+    independent = np.random.default_rng(1).permutation(independent)
     rank = _rank(found.p[independent], surface[independent])
     names, counts = np.unique(surface[independent], return_counts=True)
     areas = np.array([len(np.unique(_squares(found.p[independent][surface[independent] == k]))) for k in names])
@@ -182,12 +182,15 @@ def _shares(wish: np.ndarray, most: np.ndarray, total: int) -> Int[np.ndarray, "
     return np.floor(share + 1e-9).astype(int)
 
 
-def _independent(found: Candidates, order: np.ndarray) -> Bool[np.ndarray, " points"]:
-    """Which points, taken in `order`, keep their distance along the profile from all that are kept."""
-    sweep, line = found.points.sweep[order], found.points.line[order]
-    profile, shared = found.profile[order], found.shared[order]
+def far_apart(
+    sweep: Int[np.ndarray, " points"],
+    profile: Int[np.ndarray, " points"],
+    line: Int[np.ndarray, " points"],
+    shared: Float[np.ndarray, " points"],
+) -> Bool[np.ndarray, " points"]:
+    """Points of which no two of one profile are nearer than the lines over which their noise is shared."""
     along = np.lexsort((line, profile, sweep))
-    kept = np.ones(len(order), bool)
+    kept = np.ones(len(line), bool)
     while True:
         here = along[kept[along]]
         close = (sweep[here][1:] == sweep[here][:-1]) & (profile[here][1:] == profile[here][:-1])
@@ -195,6 +198,6 @@ def _independent(found: Candidates, order: np.ndarray) -> Bool[np.ndarray, " poi
         if not close.any():
             return kept
         # Of a run of close points every second goes.
-        start = np.maximum.accumulate(np.where(close, 0, np.arange(1, len(close) + 1)))
-        odd = close & ((np.arange(1, len(close) + 1) - start) % 2 == 1)
-        kept[here[1:][odd]] = False
+        place = np.arange(1, len(close) + 1)
+        start = np.maximum.accumulate(np.where(close, 0, place))
+        kept[here[1:][close & ((place - start) % 2 == 1)]] = False
