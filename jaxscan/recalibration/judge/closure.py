@@ -31,7 +31,7 @@ class _Gap(NamedTuple):
 def closure_of(adjusted: Adjusted, stored: Scanner) -> Closure | None:
     """The gap after a full turn, with the stored and with the new scanner.
 
-    Where a sweep overlaps itself the gap is measured: the planes that the first pass saw against the points of the second.
+    Where a sweep overlaps itself the gap is measured: planes that the first pass saw against points of the second.
     Otherwise it is that of the table's model, in which a turn by the journal is `gain` turns.
 
     Returns:
@@ -42,9 +42,9 @@ def closure_of(adjusted: Adjusted, stored: Scanner) -> Closure | None:
     if not any(np.ptp(angle) > _NEARLY for angle in adjusted.observations.angles if len(angle)):
         return None
     none = tuple(np.zeros(len(angle)) for angle in adjusted.observations.angles)
-    gaps = [_overlap_gap(stored, adjusted, none), _overlap_gap(adjusted.scanner, adjusted, adjusted.corrections)]
-    if gaps[0] is not None and gaps[1] is not None:
-        before, after = gaps
+    before = _overlap_gap(stored, adjusted, none)
+    after = _overlap_gap(adjusted.scanner, adjusted, adjusted.corrections)
+    if before is not None and after is not None:
         return Closure(_mm(before.angle), _mm(after.angle), _mm(after.sigma), "overlap")
     before_turn, after_turn = (
         abs(float(scanner.turntable.gain)) - 1.0  # type: ignore[attr-defined]

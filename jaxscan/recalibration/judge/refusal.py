@@ -31,8 +31,8 @@ def refuse_result(
     others = adjusted.observations.tracks is not None or adjusted.observations.boards is not None
     if not adjusted.converged:
         return (
-            f"the adjustment did not settle in {adjusted.steps} steps; check that the sweeps are of this rig and of one "
-            "room that stood still"
+            f"the adjustment did not settle in {adjusted.steps} steps; check that the sweeps are of this rig and of "
+            "one room that stood still"
         )
     if directions < _LEAST_DIRECTIONS and not others:
         return (
@@ -41,15 +41,15 @@ def refuse_result(
         )
     if (ratio := adjusted.cost / max(adjusted.freedom, 1)) > _BELIEVABLE or adjusted.wall_m > _ROUGHEST_M:
         return (
-            f"the walls do not fit: residuals are {np.sqrt(ratio):.1f} times as large as stated and the walls are rough "
-            f"to {1e3 * adjusted.wall_m:.1f} mm, worst {_worst_surfaces(adjusted)}; check that nothing moved during the "
-            "sweep and that the calibration is of this rig"
+            f"the walls do not fit: residuals are {np.sqrt(ratio):.1f} times as large as stated and the walls are "
+            f"rough to {1e3 * adjusted.wall_m:.1f} mm, worst {_worst_surfaces(adjusted)}; check that nothing moved "
+            "during the sweep and that the calibration is of this rig"
         )
     if held_out is not None and not held_out.better:
         before, after = np.mean(held_out.before_mm), np.mean(held_out.after_mm)
         return (
-            f"planes that were not used became less flat ({before:.2f} mm before, {after:.2f} mm after), expected flatter "
-            "ones: the walls are not flat enough, or something moved; sweep another room"
+            f"planes that were not used became less flat ({before:.2f} mm before, {after:.2f} mm after), expected "
+            "flatter ones: the walls are not flat enough, or something moved; sweep another room"
         )
     if best < settings.least_gain and not drift.drifted:
         return (

@@ -1,7 +1,7 @@
 r"""The two stretches of a room that planes do not show: radial scale and height scale.
 
-$\mathrm{diag}(a, a, b)$ about the axis commutes with the turning and carries planes to planes. The points of a sweep, moved
-by a step of the scanner, are fitted with a stretch and a rigid motion, so each scale is a linear function of the step.
+$\mathrm{diag}(a, a, b)$ about the axis commutes with the turning and carries planes to planes. The points of a sweep,
+moved by a step of the scanner, are fitted with a stretch and a rigid motion, so each scale is linear in the step.
 """
 
 import numpy as np

@@ -1,0 +1,80 @@
+"""Lost steps: records from which on the table stands elsewhere than its journal says."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxscan.recalibration.observed import SweepStripes
+from jaxscan.recalibration.table.regression import Rows, StepTest, fit_steps
+from jaxscan.recalibration.table.walls import Rig, label_points, refine, take_sample, wall_equations
+
+
+MOST_JUMPS = 12
+FEW_PROFILES, FEW_POINTS = 400, 6_000
+"""With which the rig is refined."""
+MOST_PROFILES, MOST_POINTS = 8_000, 60_000
+"""In which a step is looked for."""
+LEAST_Z = 7.0
+"""How many of its sigmas a step must have, with some thousand places where chance could make one."""
+LEAST_STEP = np.deg2rad(0.02)
+"""Smaller steps are no full step of any usual table."""
+
+
+def find_steps(sweep: SweepStripes, rig: Rig) -> Rig:
+    """The rig with the steps that its walls show, the largest first, one after another."""
+    while len(rig.steps) < MOST_JUMPS:
+        rig = settle(sweep, rig)
+        test, left, rows = test_steps(sweep, rig)
+        z = np.abs(test.size) / test.sigma / inflation(rows, left, len(rig.theta))
+        place = int(np.argmax(z))
+        if z[place] < LEAST_Z or abs(test.size[place]) < LEAST_STEP:
+            return rig
+        theta = rig.theta.copy()
+        theta[place:] += test.size[place]
+        rig = Rig(rig.scanner, theta, (*rig.steps, (place, float(test.size[place]))))
+    return rig
+
+
+def settle(sweep: SweepStripes, rig: Rig, times: int = 3) -> Rig:
+    """The rig after some steps of least squares with few points."""
+    for _ in range(times):
+        sample = take_sample(sweep, rig.scanner, FEW_PROFILES, FEW_POINTS)
+        label = label_points(sample, rig.theta)
+        if label.max(initial=-1) < 0:
+            return rig
+        rig = refine(rig, wall_equations(sample, label, rig))
+    return rig
+
+
+def test_steps(sweep: SweepStripes, rig: Rig) -> tuple[StepTest, Float[np.ndarray, " rows"], Rows]:
+    """A step at each record, the errors without any, and the equations."""
+    sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MOST_POINTS)
+    walls = wall_equations(sample, label_points(sample, rig.theta), rig)
+    test, left = fit_steps(walls.rows, len(rig.theta), walls.ridge)
+    return test, left, walls.rows
+
+
+def inflation(rows: Rows, left: Float[np.ndarray, " rows"], records: int) -> float:
+    """Factor by which sums of errors over neighbouring records scatter more than independent noise would [1].
+
+    The scatter is that between stretches of records one after another, for several lengths of them, by the median: a
+    step, or the edge of a cupboard, is in few of them.
+    """
+    score = np.bincount(rows.record, rows.turn * left, records)
+    power = np.bincount(rows.record, rows.turn**2, records)
+    worst = 1.0
+    for length in (1, 2, 4, 8, 16, 32):
+        whole = records // length
+        if whole < 16:
+            break
+        angle = _blocks(score, length, whole) / np.maximum(_blocks(power, length, whole), 1e-12)
+        known = _blocks(power, length, whole)
+        pairs = (known[1:] > 0) & (known[:-1] > 0)
+        if np.count_nonzero(pairs) < 8:
+            break
+        difference = np.diff(angle)[pairs] / np.sqrt(1.0 / known[1:][pairs] + 1.0 / known[:-1][pairs])
+        worst = max(worst, float(np.median(np.abs(difference)) / 0.6745))
+    return worst
+
+
+def _blocks(values: np.ndarray, length: int, whole: int) -> np.ndarray:
+    return values[: whole * length].reshape(whole, length).sum(axis=1)
