@@ -7,23 +7,25 @@ from experiments.worlds.ideal_rig import IdealRig
 from jaxscan.simulation import Motion, SimulationConfig, distort, make_rig, rodrigues, undistort
 
 
-def room_from_rig(config: SimulationConfig) -> Motion:
-    """Scanner coordinates to the room's."""
+def room_from_rig(config: SimulationConfig, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Motion:
+    """Scanner coordinates to the room's, of a rig that leans about its own x and y."""
     assert config.room is not None
-    yaw = np.deg2rad(config.room.yaw_deg)
-    return Motion(rodrigues(np.array([0.0, 0.0, 1.0]), yaw), np.array(config.room.rig_m))
+    lean = [rodrigues(axis, np.deg2rad(tilt)) for axis, tilt in zip(np.eye(3), tilt_deg, strict=False)]
+    yaw = rodrigues(np.array([0.0, 0.0, 1.0]), np.deg2rad(config.room.yaw_deg))
+    return Motion(yaw @ lean[0] @ lean[1], np.array(config.room.rig_m))
 
 
 class Crossings:
     """Where the rows of the camera's images meet one sheet and the room."""
 
-    def __init__(self, rig: IdealRig, room: RoomSurfaces, laser: int, rows: np.ndarray) -> None:
+    def __init__(self, rig: IdealRig, room: RoomSurfaces, place: Motion, laser: int, rows: np.ndarray) -> None:
+        """`place` carries scanner coordinates to the room's."""
         self.rig, self.room, self.rows = rig, room, rows.astype(float)
         self.config, self.spec = rig.config, rig.config.laser[laser]
         if self.spec.stripe_axis != "rows" or self.config.camera.wide:
             raise ValueError("Only lasers with upright stripes in pinhole cameras.")
         true = make_rig(self.config)
-        self.sheet, self.place = true.sheets[laser], room_from_rig(self.config) @ true.scanner_from_camera
+        self.sheet, self.place = true.sheets[laser], place @ true.scanner_from_camera
         camera = self.config.camera
         self.row_y = undistort(camera, np.full(len(rows), camera.width / 2), self.rows)[1]
 

@@ -2,7 +2,7 @@
 
 import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -33,6 +33,10 @@ class Task(NamedTuple):
     """Pairs of opposite walls, and their distance [m]."""
     settings: RecalibrationSettings = RecalibrationSettings()
     given: Given = Given()
+    known: Mapping[str, Any] = {}
+    """Figures that the world itself gives, kept as they are."""
+    more: Callable[[Recalibration], dict[str, Any]] | None = None
+    """More figures of the result."""
 
 
 def run(task: Task) -> tuple[dict[str, Any], Recalibration | None]:
@@ -50,6 +54,8 @@ def run(task: Task) -> tuple[dict[str, Any], Recalibration | None]:
         "closure_mm": [open_after_a_turn(scanner, task.truth) for scanner in (before, result.scanner)],
         "parameters": parameters(before, result.scanner, task.truth),
         **said(result),
+        **task.known,
+        **(task.more(result) if task.more else {}),
         "seconds": seconds,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }

@@ -1,9 +1,9 @@
 """Runs trials of recalibration and keeps their figures, one file for each kind.
 
-    python -m experiments.recalibration.trials KIND … [--seeds FIRST LAST] [--results FOLDER] [--list]
+    python -m experiments.recalibration.trials KIND … [--seeds FIRST LAST] [--results FOLDER] [--worlds FOLDER]
 
-A trial that is kept is not run again, so a run may be stopped and continued. `python -m experiments.recalibration.table`
-judges them. The limits are in `limits.py`; they and the final seeds were written down before any was run.
+A trial that is kept is not run again, so a run may be stopped and continued. `experiments.recalibration.table` judges
+them. The limits are in `limits.py`; they and the final seeds were written down before any was run.
 """
 
 import argparse
@@ -15,6 +15,7 @@ from typing import Any
 
 from experiments.recalibration.kinds import KINDS
 from experiments.recalibration.limits import FINAL_SEEDS, TRIALS
+from experiments.recalibration.rendered import rendered_kinds
 from experiments.recalibration.trial import run
 
 
@@ -62,19 +63,21 @@ def main() -> int:
     parser.add_argument("kinds", nargs="*", metavar="KIND")
     parser.add_argument("--seeds", nargs=2, type=int, metavar=("FIRST", "LAST"), help="both are run; default: final")
     parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--worlds", type=Path, help="folder of rendered worlds: simulated_101 ..., path_traced_1 ...")
     parser.add_argument("--list", action="store_true", help="print the kinds")
     options = parser.parse_args()
-    strange = set(options.kinds) - set(KINDS)
+    kinds = KINDS | (rendered_kinds(options.worlds, options.worlds / "stripes") if options.worlds else {})
+    strange = set(options.kinds) - set(kinds)
     if options.list or strange:
-        print("\n".join([*(f"unknown: {kind}" for kind in sorted(strange)), *KINDS]))
+        print("\n".join([*(f"unknown: {kind}" for kind in sorted(strange)), *kinds]))
         return int(bool(strange))
-    for kind in options.kinds or KINDS:
+    for kind in options.kinds or kinds:
         seeds = range(options.seeds[0], options.seeds[1] + 1) if options.seeds else FINAL_SEEDS[: TRIALS[kind]]
         done = kept(options.results, kind)
         for seed in seeds:
             if str(seed) in done:
                 continue
-            figures, _ = run(KINDS[kind](seed))
+            figures, _ = run(kinds[kind](seed))
             done[str(seed)] = figures
             keep(options.results, kind, done)
             print(f"{kind}, seed {seed}: {line(figures)}", flush=True)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter1d  # type: ignore[import-untyped]
 
-from experiments.recalibration.crossings import Crossings
+from experiments.recalibration.crossings import Crossings, room_from_rig
 from experiments.recalibration.surfaces import RoomSurfaces, box_of, facets_of
 from experiments.worlds.ideal_rig import IdealRig
 from jaxscan.recalibration import SweepStripes
@@ -65,6 +65,8 @@ class Sweeping:
     wander_deg: float = 0.0
     """Standard deviation of independent errors of the steps [deg]."""
     station: int = 0
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    """By which the rig leans about its own x and y."""
     noise: Noise = Noise()
 
 
@@ -104,13 +106,13 @@ def true_sweep(config: SimulationConfig, seed: int, how: Sweeping = Sweeping()) 
     shape = (how.steps * lasers, height)
     truth = TrueSweep(np.full(shape, -1), np.zeros((*shape, 3)), np.zeros(shape), angle)
     near_corner = np.zeros(shape)
-    rig = IdealRig(config)
+    rig, place = IdealRig(config), room_from_rig(config, how.tilt_deg)
     # So many profiles at once that arrays stay in the cache of the processor.
     block = max(1, 200_000 * how.line_stride // height)
     for laser in range(lasers):
         for first in range(0, how.steps, block):
             part = np.arange(first, min(first + block, how.steps))
-            found = Crossings(rig, room, laser, np.arange(0, height, how.line_stride)).solve(angle[part])
+            found = Crossings(rig, room, place, laser, np.arange(0, height, how.line_stride)).solve(angle[part])
             at = np.ix_(part * lasers + laser, np.arange(0, height, how.line_stride))
             truth.centre[at], truth.point[at], truth.surface[at], near_corner[at] = found
     valid = truth.surface >= 0

@@ -10,12 +10,15 @@ from jaxscan.recalibration.observed import (
     SweepStripes,
     Tracks,
 )
+from jaxscan.recalibration.prior import require_prior
 from jaxscan.recalibration.recalibrate import recalibrate
+from jaxscan.recalibration.renew import renew_calibration
 from jaxscan.recalibration.result import (
     Closure,
     Drift,
     Gain,
     HoldOut,
+    LengthGain,
     Moved,
     PanoramaOfWalls,
     Recalibration,

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.calibration import Calibration
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjusted import Adjusted
 
@@ -24,6 +25,19 @@ class Gain:
     def factor(self) -> float:
         """Old over new standard deviation [1]."""
         return self.before / self.after if self.after > 0 else 1.0
+
+
+@dataclass(frozen=True)
+class LengthGain:
+    """Standard deviation that the calibration alone causes in one measured length, before and after."""
+
+    laser: str
+    name: str
+    """As of `LengthSigma`: "along the stripe", "across the sweep" or "half a turn"."""
+    depth_m: float
+    length_m: float
+    before_mm: float
+    after_mm: float
 
 
 @dataclass(frozen=True)
@@ -99,6 +113,8 @@ class PanoramaOfWalls:
     after: Float[np.ndarray, "profiles lines"]
     seen: Bool[np.ndarray, "profiles lines"]
     """Points that lie on a plane."""
+    angle: Float[np.ndarray, " profiles"] | None = None
+    """The table's angle of each profile [rad]; None: evenly spread over one turn."""
 
 
 @dataclass(frozen=True)
@@ -122,3 +138,7 @@ class Recalibration:
     closure: Closure | None
     panoramas: tuple[PanoramaOfWalls, ...]
     notes: tuple[str, ...] = ()
+    lengths: tuple[LengthGain, ...] = ()
+    """Typical lengths, as `renew_calibration` predicts them."""
+    calibration: Calibration | None = None
+    """The new calibration, to be saved; None where nothing was updated."""

@@ -15,7 +15,7 @@ from jaxscan.calibration.verdict.lengths import (
     typical_lengths,
 )
 from jaxscan.calibration.verdict.limits import Result, chance, is_held_by_priors, is_named, noise_kind
-from jaxscan.calibration.verdict.propagate import root_of, scan_slopes
+from jaxscan.calibration.verdict.propagate import root_of
 from jaxscan.calibration.verdict.quality import (
     BoardMap,
     DepthSigma,

@@ -13,8 +13,6 @@ from jaxscan.geometry.rigid import transform
 
 
 _BLOCK = 512
-# Steps for a derivative, in units of a typical error of a first value.
-_SMALL = 1e-3
 
 
 def sigma_steps(scanner: Scanner) -> np.ndarray:
@@ -80,15 +78,6 @@ def scan_points(
     with jax.enable_x64(True):
         parts = [_scan(bare(scanner), steps, q[i], laser[i], angle[i]) for i in index.reshape(-1, _BLOCK)]
         return np.concatenate([np.asarray(part) for part in parts], axis=1)[:, : len(q)]
-
-
-def scan_slopes(
-    scanner: Scanner, q: np.ndarray, laser: np.ndarray | int, angle: np.ndarray | float = 0.0
-) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3 params"]]:
-    """Points in the camera frame at angle 0 [m], and their derivatives by the minimal coordinates."""
-    small = _SMALL * np.array([block.scale for block in scanner.layout().blocks])
-    p = scan_points(scanner, pad_steps(scanner, np.diag(small)), q, laser, angle)
-    return p[0], np.moveaxis(change(p), 0, -1) / small
 
 
 @jax.jit

@@ -1,5 +1,6 @@
 """The normal equations by blocks: surfaces and tracked points are eliminated, the rest is dense."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -7,9 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jaxscan.geometry import Array
-from jaxscan.recalibration.adjust.residuals import Residuals
+from jaxscan.recalibration.adjust.residuals import Residuals, twice
 from jaxscan.recalibration.adjust.room import ANGLE_SCALE, Room, Sight, Unknowns
-from jaxscan.recalibration.adjust.rows import Rows, length_values, point_rows, sighting_rows
+from jaxscan.recalibration.adjust.rows import Rows, length_values
 
 
 class Blocks(NamedTuple):
@@ -22,20 +23,49 @@ class Blocks(NamedTuple):
     local_gradient: Float[Array, "locals 3"]
 
 
-def form_blocks(room: Room, y: Unknowns, residual: Residuals) -> Blocks:
-    """J'J and J'r at a step."""
+def whitened(rows: Rows, weight: Float[Array, " rows"]) -> Rows:
+    """Rows times their weights."""
+    return Rows(*(field * (weight if field.ndim == 1 else weight[:, None]) for field in rows))
+
+
+def columns(product: Callable[[Unknowns], Residuals], y: Unknowns) -> tuple[Rows, Rows]:
+    """Whitened derivatives of points and sightings, by coloured forward mode.
+
+    Args:
+        product: Jacobian times a step.
+        y: Any step, for its shapes.
+    """
+    scanner = len(y.scanner)
+    # Behind the barrier, or the compiler works out products with these constants itself, slowly.
+    unit = jax.lax.optimization_barrier(jnp.eye(scanner + 10, dtype=y.scanner.dtype))
+
+    def product_with(e):
+        # Every observation meets one station, one angle, one surface: all are moved at once.
+        stations = jnp.tile(e[scanner : scanner + 6], len(y.stations) // 6)
+        angles = jnp.broadcast_to(e[scanner + 6], y.angles.shape)
+        locals = jnp.broadcast_to(e[None, scanner + 7 :], y.locals.shape)
+        moved = product(Unknowns(e[:scanner], stations, angles, locals))
+        return moved.points, moved.sightings
+
+    def split(found):
+        last = scanner + 6
+        return Rows(found[0] * 0.0, found[:scanner].T, found[scanner:last].T, found[last], found[last + 1 :].T)
+
+    points, sightings = jax.vmap(product_with)(unit)
+    return split(points), split(sightings)
+
+
+def form_blocks(room: Room, y: Unknowns, residual: Residuals, slopes: tuple[Rows, Rows]) -> Blocks:
+    """J'J and J'r at a step, from the whitened derivatives of points and sightings."""
     scanner, stations, angles = room.counts
     surfaces, count = len(room.places.sphere), len(y.locals)
     dense = scanner + stations + angles
-    blocks = zero_blocks(y, 0)
-    for rows, weight, values, sight, first, each in (
-        (point_rows(room, y), room.point_weight, residual.points, room.points, 0, 1),
-        (sighting_rows(room, y), room.sighting_weight, residual.sightings, room.sightings, surfaces, 2),
-    ):
-        repeat = lambda index, each=each, rows=rows: jnp.repeat(index, each, total_repeat_length=len(rows.value))
-        own = Sight(*(repeat(field) if field.ndim == 1 else field for field in sight))
-        part = _of_rows(rows, repeat(weight), values, own._replace(local=own.local + first), (room, count))
-        blocks = jax.tree.map(jnp.add, blocks, part)
+    double = Sight(*(twice(field) for field in room.sightings))
+    double = double._replace(local=double.local + surfaces)
+    blocks = _of_rows(slopes[0], residual.points, room.points, (room, count))
+    if len(room.sighting_weight):
+        more = _of_rows(slopes[1], residual.sightings, double, (room, count))
+        blocks = jax.tree.map(jnp.add, blocks, more)
     prior = jnp.eye(scanner, dtype=blocks.dense.dtype) + room.told.T @ room.told
     matrix = blocks.dense.at[:scanner, :scanner].add(prior)
     gradient = blocks.dense_gradient.at[:scanner].add(residual.prior + room.told.T @ residual.told)
@@ -56,28 +86,26 @@ def zero_blocks(y: Unknowns, lengths: int) -> Blocks:
     return Blocks(zeros(dense, dense), zeros(count, dense, 3), zeros(count, 3, 3), zeros(dense), zeros(count, 3))
 
 
-def _of_rows(rows: Rows, weight: Array, values: Array, sight: Sight, shapes: tuple[Room, int]) -> Blocks:
+def _of_rows(rows: Rows, values: Array, sight: Sight, shapes: tuple[Room, int]) -> Blocks:
     room, count = shapes
     scanner, stations, angles = room.counts
     few, dense = scanner + stations, scanner + stations + angles
     # Each station has its own six columns; the first has none.
-    own = jax.nn.one_hot(sight.station - 1, stations // 6, dtype=weight.dtype)
-    by_station = (own[:, :, None] * rows.station[:, None, :]).reshape(len(weight), stations)
-    by_few = jnp.concatenate([rows.scanner, by_station], axis=1) * weight[:, None]
-    by_local = rows.local * weight[:, None]
+    own = jax.nn.one_hot(sight.station - 1, stations // 6, dtype=values.dtype)
+    by_station = (own[:, :, None] * rows.station[:, None, :]).reshape(len(values), stations)
+    by_few = jnp.concatenate([rows.scanner, by_station], axis=1)
     sums = lambda value: jnp.zeros((count, *value.shape[1:]), value.dtype).at[sight.local].add(value)
-    cross = sums(by_few[:, :, None] * by_local[:, None, :])
-    local = sums(by_local[:, :, None] * by_local[:, None, :])
+    cross = sums(by_few[:, :, None] * rows.local[:, None, :])
+    local = sums(rows.local[:, :, None] * rows.local[:, None, :])
     matrix, gradient = by_few.T @ by_few, by_few.T @ values
     if angles:
-        by_angle = rows.angle * weight
-        both = jnp.zeros((angles, few), weight.dtype).at[sight.angle].add(by_few * by_angle[:, None])
-        diagonal = jnp.zeros(angles, weight.dtype).at[sight.angle].add(by_angle**2)
-        matrix = jnp.block([[matrix, both.T], [both, jnp.diag(diagonal)]])
-        gradient = jnp.append(gradient, jnp.zeros(angles, weight.dtype).at[sight.angle].add(by_angle * values))
-        wide = jnp.zeros((count, dense, 3), weight.dtype).at[:, :few].set(cross)
-        cross = wide.at[sight.local, few + sight.angle].add(by_local * by_angle[:, None])
-    return Blocks(matrix, cross, local, gradient, sums(by_local * values[:, None]))
+        at_angle = lambda value: jnp.zeros((angles, *value.shape[1:]), value.dtype).at[sight.angle].add(value)
+        both = at_angle(by_few * rows.angle[:, None])
+        matrix = jnp.block([[matrix, both.T], [both, jnp.diag(at_angle(rows.angle**2))]])
+        gradient = jnp.append(gradient, at_angle(rows.angle * values))
+        wide = jnp.zeros((count, dense, 3), values.dtype).at[:, :few].set(cross)
+        cross = wide.at[sight.local, few + sight.angle].add(rows.local * rows.angle[:, None])
+    return Blocks(matrix, cross, local, gradient, sums(rows.local * values[:, None]))
 
 
 def _ties(room: Room, residual: Residuals) -> tuple[Float[Array, "angles angles"], Float[Array, " angles"]]:

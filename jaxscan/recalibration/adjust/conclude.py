@@ -1,11 +1,12 @@
 """A finished adjustment in the terms of its caller: scanner, stations, surfaces, residuals, covariances."""
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.adjust.residuals import residuals
 from jaxscan.recalibration.adjust.room import ANGLE_SCALE, LOCAL_SCALE, STATION_SCALE, moved_stations
 from jaxscan.recalibration.adjust.solver import on_host
 from jaxscan.recalibration.adjust.state import State
@@ -17,7 +18,7 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
     """The result of an adjustment; call in 64 bit."""
     room, y = state.prepared.room, state.y
     scanner, stations, angles = room.counts
-    covariance = state.linearised.covariance
+    covariance = state.covariance.dense
     departure = np.asarray(room.root @ y.scanner)
     own = room.root @ covariance[:scanner, :scanner] @ room.root.T
     moved = on_host(prior.without_covariance().retract(departure))
@@ -26,8 +27,6 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
     begin = scanner + stations
     spread = np.sqrt(np.diag(covariance))[begin : begin + angles] * ANGLE_SCALE
     corrections, sigmas = _corrections(state, spread)
-    whole = on_host(residuals(y, room))
-    cost = float(sum(np.sum(part**2) for part in whole))
     rows = int(state.kept.sum()) + 2 * int(state.sighting_kept.sum()) + len(observations.lengths)
     tracks = observations.tracks
     used = len(np.unique(tracks.track[state.sighting_kept])) if tracks is not None else 0
@@ -36,20 +35,20 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
         scanner=eqx.tree_at(lambda s: s.covariance, moved, (own + own.T) / 2, is_leaf=lambda leaf: leaf is None),
         prior=prior,
         departure=departure,
-        stations=np.asarray(moved_stations(room, y.stations)),
+        stations=np.asarray(moved_stations(jax.tree.map(jnp.asarray, room), jnp.asarray(y.stations))),
         station_covariance=np.stack(poses),
         surfaces=moved_surfaces(state, observations.surfaces),
         corrections=corrections,
         correction_sigma=sigmas,
         point_error=state.error,
-        point_sigma=state.sigma,
+        point_sigma=state.sigma_px * state.reach,
         point_kept=state.kept,
         track_error=state.sighting_error(),
         track_kept=state.sighting_kept,
         wall_m=state.noise.wall_m,
         inflation=state.inflation,
         observations=observations,
-        cost=cost,
+        cost=float(state.linearised.cost),
         freedom=rows - 3 * places - stations,
         converged=state.converged,
         steps=state.steps,

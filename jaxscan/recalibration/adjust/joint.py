@@ -102,7 +102,8 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
         far = np.abs(state.sighting_whitened()).max(1, initial=0.0) / state.sighting_noise
         sightings = keep_inliers(far, seen, state.sighting_kept, **limits)
         cleaned = replace(state, kept=kept, sighting_kept=sightings)
-        noise = learn_noise(cleaned.error[kept], cleaned.stripe_m[kept], cleaned.redundancy()[kept], settings.wall_m)
+        square = cleaned.error_px[kept] ** 2 / cleaned.redundancy()[kept]
+        noise = learn_noise(square, cleaned.given_px[kept], cleaned.reach[kept], settings.wall_m)
         cleaned = replace(cleaned, noise=noise)
         inflation = shared_errors(cleaned.whitened(), cleaned.surface, cleaned.in_surface(), kept)
         cleaned = replace(cleaned, inflation=inflation, sighting_noise=cleaned.learned_sighting_noise())
@@ -115,7 +116,7 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
 
 
 def _ratios(after: State, before: State) -> tuple[float, ...]:
-    mean = lambda state: float(np.mean(state.sigma)) if len(state.sigma) else 1.0
+    mean = lambda state: float(np.mean(state.sigma_px)) if len(state.kept) else 1.0
     return (
         mean(after) / mean(before),
         after.inflation / before.inflation,

@@ -16,41 +16,42 @@ _PATCHES = (0.3, 0.6, 1.2)
 
 
 class Noise(NamedTuple):
-    """Of points on surfaces: variance = (stripe * change of the distance by the stripe's sigma)^2 + wall^2."""
+    """Of centres of stripes on surfaces: variance = (stripe * given sigma)^2 + (wall / reach)^2."""
 
     stripe: float
     """Over the given sigmas [1]."""
     wall_m: float
     """Roughness [m]."""
 
-    def sigma(self, stripe_m: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
-        """Standard deviation of distances [m] whose part from the stripe's given sigma is `stripe_m`."""
-        return np.hypot(self.stripe * stripe_m, self.wall_m)
+    def sigma(
+        self, given_px: Float[np.ndarray, " points"], reach: Float[np.ndarray, " points"]
+    ) -> Float[np.ndarray, " points"]:
+        """Standard deviations [px], from the given ones and the change of the distance by one pixel [m / px]."""
+        return np.hypot(self.stripe * given_px, self.wall_m / reach)
 
 
 def learn_noise(
-    error: Float[np.ndarray, " points"],
-    stripe_m: Float[np.ndarray, " points"],
-    redundancy: Float[np.ndarray, " points"],
+    square: Float[np.ndarray, " points"],
+    given_px: Float[np.ndarray, " points"],
+    reach: Float[np.ndarray, " points"],
     wall_m: float | None,
 ) -> Noise:
     """Variance components of the noise, by iterated weighted least squares of squared errors.
 
     Args:
-        error: Distances from the surfaces [m].
-        stripe_m: Their part by the given sigma of the stripe [m].
-        redundancy: Share of each error that the fit left [1].
+        square: Squared errors over the share that the fit left [px^2].
+        given_px: Given standard deviations of the centres [px].
+        reach: Change of the distance from the surface by one pixel [m / px].
         wall_m: Roughness, where it is known [m].
 
     Source: Förstner's estimate of variance components.
     """
-    square = error**2 / np.clip(redundancy, 0.05, 1.0)
-    shapes = np.stack([stripe_m**2, np.ones_like(stripe_m)], 1)
+    shapes = np.stack([given_px**2, 1.0 / reach**2], 1)
     parts = np.array([1.0, (FIRST_WALL_M if wall_m is None else wall_m) ** 2])
     low = np.array([_LEAST**2, 0.0 if wall_m is None else wall_m**2])
     high = np.array([_MOST**2, np.inf if wall_m is None else wall_m**2])
     for _ in range(_ROUNDS):
-        weight = 1.0 / np.maximum(shapes @ parts, 1e-16)
+        weight = 1.0 / np.maximum(shapes @ parts, 1e-12)
         # One after the other, each within its limits: both stay variances.
         before = parts.copy()
         for index in (0, 1):

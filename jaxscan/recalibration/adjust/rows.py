@@ -21,16 +21,30 @@ from jaxscan.recalibration.adjust.room import (
 )
 
 
+_NEWTON_STEPS = 2
+# A predicted centre is sought within this of the seen one [px].
+_FARTHEST_PX = 20.0
+_LEAST_REACH = 1e-7
+
+
 class Rows(NamedTuple):
-    """Errors and their derivatives by the scaled unknowns."""
+    """Residuals [px] and their derivatives by the scaled unknowns that each meets."""
 
     value: Float[Array, " rows"]
     scanner: Float[Array, "rows params"]
     station: Float[Array, "rows 6"]
     angle: Float[Array, " rows"]
     local: Float[Array, "rows 3"]
-    across: Float[Array, " rows"]
-    """Derivative by the pixel coordinate across the line [1 / px]."""
+
+
+class PointRows(NamedTuple):
+    """Of points on surfaces."""
+
+    rows: Rows
+    reach: Float[Array, " points"]
+    """Change of the distance from the surface by one pixel across the line [m / px]."""
+    place: Float[Array, "points 2"]
+    """Coordinates in the plane [m]."""
 
 
 class Own(NamedTuple):
@@ -59,40 +73,54 @@ def surface_distance(place: Places, step: Float[Array, "3"], point: Float[Array,
     return jnp.where(place.sphere, jnp.linalg.norm(beside) - place.offset, from_plane)
 
 
-def point_rows(room: Room, y: Unknowns) -> Rows:
-    """Distances of all points from their surfaces [m]."""
-    sight, places = room.points, room.places._replace(point=room.places.normal)
-    steps = station_steps(y.stations)
+def point_rows(room: Room, y: Unknowns) -> PointRows:
+    r"""Seen minus predicted centres of all points [px].
 
-    def error(z, own: Own, q, sight: Sight, place: Places):
+    The predicted centre is where the stripe's ray meets the surface: the root of $e(u) = 0$ with e the distance of the
+    triangulated point. Its derivatives are $-e_x / e_u$ there. A distance over its standard deviation would not do: the
+    size of the room is one of the two numbers that planes leave open, and a smaller room has smaller distances.
+    """
+    steps, places = station_steps(y.stations), room.places._replace(point=room.places.normal)
+
+    def error(z, own: Own, shift, sight: Sight, place: Places):
         pose = moved_station(room.stations[sight.station], own.station)
-        phi = sight.phi + ANGLE_SCALE * own.angle
+        q, phi = sight.q + shift * room.across, sight.phi + ANGLE_SCALE * own.angle
         point, meets = room_point(moved_scanner(room, z), pose, q, sight.laser, phi)
-        return jnp.where(meets, surface_distance(place, own.local, point), 0.0)
+        distance = jnp.where(meets, surface_distance(place, own.local, point), 0.0)
+        return distance, place.basis @ (point - place.centre)
 
     def one(sight: Sight):
         place = jax.tree.map(lambda leaf: leaf[sight.local], places)
         own = Own(steps[sight.station], _angle(y, sight), y.locals[sight.local])
-        value, (z, own, q) = jax.value_and_grad(error, argnums=(0, 1, 2))(y.scanner, own, sight.q, sight, place)
-        return Rows(value, z, own.station, own.angle, own.local, jnp.dot(q, room.across))
+        across = lambda shift: error(y.scanner, own, shift, sight, place)[0]
 
-    return jax.vmap(one)(sight)
+        def newton(_, shift):
+            distance, reach = jax.jvp(across, (shift,), (jnp.ones_like(shift),))
+            return jnp.clip(shift - distance / _some(reach), -_FARTHEST_PX, _FARTHEST_PX)
 
-
-def places_in_surfaces(room: Room, y: Unknowns) -> Float[Array, "points 2"]:
-    """Coordinates of all points in their planes [m]."""
-    steps, scanner = station_steps(y.stations), moved_scanner(room, y.scanner)
-
-    def one(sight: Sight):
-        pose = moved_station(room.stations[sight.station], steps[sight.station])
-        point, _ = room_point(scanner, pose, sight.q, sight.laser, sight.phi)
-        return room.places.basis[sight.local] @ (point - room.places.centre[sight.local])
+        shift = jax.lax.fori_loop(0, _NEWTON_STEPS, newton, jnp.zeros_like(sight.phi))
+        by = jax.value_and_grad(error, argnums=(0, 1, 2), has_aux=True)
+        (distance, at), (z, own, reach) = by(y.scanner, own, shift, sight, place)
+        one_px = _some(reach)
+        value = distance / one_px - shift
+        return PointRows(
+            Rows(value, z / one_px, own.station / one_px, own.angle / one_px, own.local / one_px), reach, at
+        )
 
     return jax.vmap(one)(room.points)
 
 
+def _some(reach: Float[Array, ""]) -> Float[Array, ""]:
+    """Never 0, so that a ray along a wall makes no NaN; its weight is next to none."""
+    return jnp.where(jnp.abs(reach) < _LEAST_REACH, _LEAST_REACH, reach).astype(reach.dtype)
+
+
 def sighting_rows(room: Room, y: Unknowns) -> Rows:
     """Projected minus seen [px]: u and v of every sighting follow each other."""
+    if not len(room.sighting_weight):
+        none = jnp.zeros(0, y.scanner.dtype)
+        few = jnp.zeros((0, 6), none.dtype)
+        return Rows(none, jnp.zeros((0, len(y.scanner)), none.dtype), few, none, few[:, :3])
     steps, surfaces = station_steps(y.stations), len(room.places.sphere)
 
     def error(z, own: Own, sight: Sight, point):
@@ -106,7 +134,7 @@ def sighting_rows(room: Room, y: Unknowns) -> Rows:
         point = room.places.point[sight.local]
         value = error(y.scanner, own, sight, point)
         z, own = jax.jacrev(error, argnums=(0, 1))(y.scanner, own, sight, point)
-        return Rows(value, z, own.station, own.angle, own.local, jnp.zeros_like(value))
+        return Rows(value, z, own.station, own.angle, own.local)
 
     rows = jax.vmap(one)(room.sightings)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), rows)

@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.calibration.solve import BlockArrowLM
 from jaxscan.geometry import Array
-from jaxscan.recalibration.adjust.blocks import Blocks, form_blocks, reduce_blocks, solve_blocks, zero_blocks
-from jaxscan.recalibration.adjust.residuals import residuals
+from jaxscan.recalibration.adjust.blocks import Blocks, columns, form_blocks, solve_blocks, whitened, zero_blocks
+from jaxscan.recalibration.adjust.residuals import observe, residuals, twice
 from jaxscan.recalibration.adjust.room import Room, Unknowns
-from jaxscan.recalibration.adjust.rows import Rows, places_in_surfaces, point_rows, sighting_rows
+from jaxscan.recalibration.adjust.rows import PointRows, Rows
 
 
 class Solution(NamedTuple):
@@ -36,7 +36,7 @@ class RoomDescent(optx.AbstractDescent):
         return y, zero_blocks(y, len(self.room.lengths.metres))
 
     def query(self, y: Unknowns, f_info: Any, state: Any) -> tuple[Unknowns, Blocks]:
-        return y, form_blocks(self.room, y, f_info.residual)
+        return y, form_blocks(self.room, y, f_info.residual, columns(f_info.jac.mv, y))
 
     def step(self, step_size: Any, state: tuple[Unknowns, Blocks]) -> tuple[Unknowns, Any]:
         step = solve_blocks(self.room, *state, self.damping / step_size)
@@ -65,39 +65,51 @@ def solve(room: Room, y: Unknowns, limits: tuple[Array, Array], max_steps: int) 
 class Linearised(NamedTuple):
     """The problem to first order at a step."""
 
-    points: Rows
-    place: Float[Array, "points 2"]
-    """Coordinates of the points in their planes [m]."""
+    points: PointRows
     sightings: Rows
-    reduced: Float[Array, "dense dense"]
-    """Information of the dense unknowns; 1 on the diagonal of those that are held."""
-    covariance: Float[Array, "dense dense"]
-    """Its inverse."""
-    coupling: Float[Array, "locals 3 dense"]
-    local: Float[Array, "locals 3 3"]
-    """Covariance of surfaces and tracked points if the dense unknowns were known."""
+    blocks: Blocks
+    cost: Float[Array, ""]
+    """Sum of squared whitened residuals, with those of the prior."""
 
 
 @eqx.filter_jit
 def linearise(room: Room, y: Unknowns) -> Linearised:
-    """Errors, information and covariance at a step; call in 64 bit."""
-    zero = jax.tree.map(jnp.zeros_like, residuals(y, room))
-    blocks = form_blocks(room, y, zero)
-    reduced = reduce_blocks(blocks, jnp.zeros((), y.scanner.dtype))
-    size = 1.0 / jnp.sqrt(jnp.diagonal(reduced.matrix))
-    factor = jnp.linalg.cholesky(reduced.matrix * size[:, None] * size[None, :])
-    half = jax.scipy.linalg.solve_triangular(factor, jnp.diag(size), lower=True)
-    empty = jnp.diagonal(blocks.local, axis1=1, axis2=2) == 0
-    local = jnp.linalg.inv(blocks.local + jax.vmap(jnp.diag)(empty.astype(size.dtype)))
-    return Linearised(
-        point_rows(room, y),
-        places_in_surfaces(room, y),
-        sighting_rows(room, y),
-        reduced.matrix,
-        half.T @ half,
-        reduced.coupling,
-        local,
+    """Errors and information at a step; call in 64 bit."""
+    observed = observe(y, room)
+    slopes = (
+        whitened(observed.points.rows, room.point_weight),
+        whitened(observed.sightings, twice(room.sighting_weight)),
     )
+    blocks = form_blocks(room, y, observed.residuals, slopes)
+    cost = sum(jnp.sum(part**2) for part in observed.residuals)
+    return Linearised(observed.points, observed.sightings, blocks, jnp.asarray(cost))
+
+
+class Covariance(NamedTuple):
+    """Of the unknowns at the minimum, in their units."""
+
+    information: Float[np.ndarray, "dense dense"]
+    """Of the dense unknowns, with all others free."""
+    dense: Float[np.ndarray, "dense dense"]
+    coupling: Float[np.ndarray, "locals 3 dense"]
+    """How surfaces and tracked points follow the dense unknowns, with a minus."""
+    local: Float[np.ndarray, "locals 3 3"]
+    """Of surfaces and tracked points, if the dense unknowns were known."""
+
+
+def covariance_of(blocks: Blocks) -> Covariance:
+    """The inverse of J'J, by blocks; on the host."""
+    empty = np.diagonal(blocks.local, axis1=1, axis2=2) == 0
+    local = np.linalg.inv(blocks.local + empty[:, :, None] * np.eye(3))
+    coupling = local @ np.swapaxes(blocks.cross, 1, 2)
+    count = len(blocks.dense)
+    cross = np.swapaxes(blocks.cross, 1, 2).reshape(-1, count)
+    information = blocks.dense - cross.T @ coupling.reshape(-1, count)
+    # Held unknowns and padding have no information; a 1 keeps the matrix regular.
+    information = information + np.diag((np.diag(blocks.dense) == 0).astype(float))
+    size = 1.0 / np.sqrt(np.diag(information))
+    scaled = np.linalg.inv(np.linalg.cholesky(information * np.outer(size, size))) * size[None, :]
+    return Covariance(information, scaled.T @ scaled, coupling, local)
 
 
 def on_host(tree: Any) -> Any:

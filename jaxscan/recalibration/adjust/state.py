@@ -11,7 +11,7 @@ from jaxscan.calibration.solve import noise_component
 from jaxscan.recalibration.adjust.noise import Noise
 from jaxscan.recalibration.adjust.prepare import Prepared
 from jaxscan.recalibration.adjust.room import Room, Unknowns
-from jaxscan.recalibration.adjust.solver import Linearised
+from jaxscan.recalibration.adjust.solver import Covariance, Linearised, covariance_of
 from jaxscan.recalibration.observed import RoomObservations
 
 
@@ -39,24 +39,33 @@ class State:
         return np.asarray(self.observations.points.surface)
 
     @property
+    def error_px(self) -> Float[np.ndarray, " points"]:
+        """Seen minus predicted centres [px]."""
+        return self.linearised.points.rows.value[: len(self.kept)]
+
+    @property
+    def reach(self) -> Float[np.ndarray, " points"]:
+        """Size of the change of the distance from the surface by one pixel [m / px]."""
+        return np.maximum(np.abs(self.linearised.points.reach[: len(self.kept)]), 1e-7)
+
+    @property
     def error(self) -> Float[np.ndarray, " points"]:
         """Distances from the surfaces [m]."""
-        return self.linearised.points.value[: len(self.kept)]
+        return self.error_px * self.linearised.points.reach[: len(self.kept)]
 
     @property
-    def stripe_m(self) -> Float[np.ndarray, " points"]:
-        """Their part by the given sigma of the stripe [m]."""
-        across = np.abs(self.linearised.points.across[: len(self.kept)])
-        return across * np.where(self.prepared.usable, self.observations.points.sigma, 1.0)
+    def given_px(self) -> Float[np.ndarray, " points"]:
+        """Given standard deviations of the centres [px]; 1 where there is none."""
+        return np.where(self.prepared.usable, self.observations.points.sigma, 1.0)
 
     @property
-    def sigma(self) -> Float[np.ndarray, " points"]:
-        """Standard deviation of the distances [m]."""
-        return np.maximum(self.noise.sigma(self.stripe_m), 1e-9)
+    def sigma_px(self) -> Float[np.ndarray, " points"]:
+        """Standard deviation of the centres by noise and roughness [px]."""
+        return self.noise.sigma(self.given_px, self.reach)
 
     def whitened(self) -> Float[np.ndarray, " points"]:
-        """Distances over their standard deviations; 0 where there is none."""
-        return np.where(self.prepared.usable, self.error / self.sigma, 0.0)
+        """Errors over their standard deviations; 0 where there is none."""
+        return np.where(self.prepared.usable, self.error_px / self.sigma_px, 0.0)
 
     def sighting_error(self) -> Float[np.ndarray, "sightings 2"]:
         """Projected minus seen [px]."""
@@ -73,10 +82,15 @@ class State:
         return np.where(self.prepared.seen[:, None], self.sighting_error() / self.sighting_sigma()[:, None], 0.0)
 
     @cached_property
+    def covariance(self) -> Covariance:
+        """Of the unknowns, if this is the minimum."""
+        return covariance_of(self.linearised.blocks)
+
+    @cached_property
     def _free(self) -> float:
         """Dense unknowns that the data determine rather than the prior."""
         count = len(self.y.scanner)
-        scanner = self.linearised.covariance[:count, :count]
+        scanner = self.covariance.dense[:count, :count]
         return float(np.sum(1.0 - np.clip(np.diag(scanner), 0.0, 1.0))) + len(self.y.stations)
 
     def redundancy(self) -> Float[np.ndarray, " points"]:
@@ -97,13 +111,13 @@ class State:
 
     def in_surface(self) -> Float[np.ndarray, "points 2"]:
         """Coordinates of every point in its plane [m]."""
-        return self.linearised.place[: len(self.kept)]
+        return self.linearised.points.place[: len(self.kept)]
 
     def weighted(self, points: np.ndarray | float, sightings: np.ndarray | float) -> Room:
         """The problem with weights by the present noise, damped by factors of points and sightings."""
         room = self.prepared.room
         point = np.zeros(len(room.point_weight))
-        point[: len(self.kept)] = self.kept * points / (self.sigma * np.sqrt(self.inflation))
+        point[: len(self.kept)] = self.kept * points / (self.sigma_px * np.sqrt(self.inflation))
         sighting = np.zeros(len(room.sighting_weight))
         sighting[: len(self.sighting_kept)] = (
             self.sighting_kept * sightings / (self.sighting_sigma() * self.sighting_noise)

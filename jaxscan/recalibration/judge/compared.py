@@ -67,17 +67,34 @@ def compare(prior: Float[np.ndarray, "params params"], posterior: Float[np.ndarr
     return Compared(prior, posterior, direction, whiten, np.maximum(ratio, _ROUNDING))
 
 
+def with_prior(
+    loose: Compared, step: Float[np.ndarray, " params"], prior: Float[np.ndarray, "params params"]
+) -> tuple[Compared, Float[np.ndarray, " params"]]:
+    """A solve with a loose prior, as it would have come out with a tighter one, to first order.
+
+    A scanner that moved beyond a tight prior would leave bent walls, which would be taken for noise. So the data speak
+    by a solve that lets everything move.
+
+    Args:
+        loose: Prior and posterior of that solve.
+        step: From the stored scanner to its result.
+        prior: The tighter covariance.
+
+    Returns:
+        Prior and posterior covariance, and the step, with the tighter prior.
+    """
+    information = np.maximum(1.0 / loose.ratio - 1.0, 0.0)
+    gradient = (loose.whiten @ step) / loose.ratio
+    values, vectors = np.linalg.eigh(loose.whiten @ np.asarray(prior, np.float64) @ loose.whiten.T)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    inner = np.linalg.inv(np.eye(len(values)) + root.T @ (information[:, None] * root))
+    posterior = loose.direction @ (root @ inner @ root.T) @ loose.direction.T
+    return compare(prior, posterior), loose.direction @ (root @ (inner @ (root.T @ gradient)))
+
+
 def chance_of(chi2: float, freedom: int) -> float:
     """Probability of a larger chi-squared [1]; 1 without any freedom."""
     if freedom <= 0:
         return 1.0
     with jax.enable_x64(True):
         return float(gammaincc(0.5 * freedom, 0.5 * chi2))
-
-
-def widened(
-    prior: Float[np.ndarray, "params params"], names: tuple[str, ...], loosened: dict[str, float]
-) -> Float[np.ndarray, "params params"]:
-    """A prior with the standard deviations of some parameters added to it."""
-    extra = np.array([loosened.get(name, 0.0) for name in names])
-    return np.asarray(prior, np.float64) + np.diag(extra**2)

@@ -1,7 +1,7 @@
 r"""Is the rig as it was when it was calibrated, and if not: which part moved?
 
-Where nothing moved, the departure $d = s_1 - s_0$ of a joint solve from its prior has the covariance $C_0 - C_1$. In the
-directions in which the data gained something that gives independent numbers $w$ of unit variance, and
+Where nothing moved, the departure $d = s_1 - s_0$ of a joint solve from its prior has the covariance $C_0 - C_1$. In
+the directions in which the data gained something that gives independent numbers $w$ of unit variance, and
 $T = w^T w$ is chi-squared. A move $\delta$ of the rig beyond its prior shifts them to
 
 $$E[w] = A \delta, \qquad A = (I - \Lambda)^{1/2} V^T L^{-1}$$
@@ -81,8 +81,7 @@ def explain(departure: Departure, stored: Scanner) -> Explanation:
         if good:
             near = [some for rest, _, some in good if rest - good[0][0] < _DECISIVE]
             return _joined(near, good[0][1], parts, single=count == 1)
-    rest, p = rest_of(departure, loosening(parts, stored))
-    return Explanation(parts, p)
+    return Explanation(parts, rest_of(departure, loosening(parts, stored))[1])
 
 
 def rest_of(departure: Departure, added: Float[np.ndarray, "params params"]) -> tuple[float, float]:
@@ -114,8 +113,8 @@ def loosened_prior(
 ) -> Float[np.ndarray, "params params"]:
     """Variance added to the prior by the moves of an explanation.
 
-    A room that is larger by the same share as the distances of sheet and axis from the camera looks the same. So where both
-    may have moved and no length is known, those distances are loosened by no more than the move that was found.
+    A room that is larger by the same share as the distances of sheet and axis from the camera looks the same. So
+    where both may have moved and no length is known, those distances are loosened by no more than the move found.
     """
     parts = explanation.parts
     scale = [name for part in parts for name in part.names if name in SCALE]

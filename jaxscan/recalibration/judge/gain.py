@@ -5,8 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.verdict import length_sigma, typical_lengths
-from jaxscan.geometry import Scanner
 from jaxscan.recalibration.judge.compared import Compared
 from jaxscan.recalibration.judge.scale import NAMES
 from jaxscan.recalibration.result import Gain
@@ -55,20 +53,6 @@ def gains_of(compared: Compared, scales: Scales | None, names: tuple[str, ...]) 
     order = np.argsort(compared.factor, kind="stable")
     directions = [Gain(_named(compared, i, names), 1.0, float(1.0 / compared.factor[i])) for i in order]
     return (*found, *directions)
-
-
-def length_gains(before: Scanner, after: Scanner) -> tuple[Gain, ...]:
-    """Lengths that people measure, with the standard deviations that both calibrations cause in them [mm]."""
-    found = []
-    for index, laser in enumerate(after.laser_names):
-        lengths = typical_lengths(after, index)
-        sigmas = [1e3 * length_sigma(scanner, lengths) for scanner in (before, after)]
-        of = "" if len(after.laser_names) == 1 else f", laser {laser}"
-        found += [
-            Gain(f"length {length.name} at {length.depth:g} m{of}", float(old), float(new), "mm")
-            for length, old, new in zip(lengths, *sigmas, strict=True)
-        ]
-    return tuple(found)
 
 
 def unobserved(compared: Compared, scales: Scales | None, names: tuple[str, ...]) -> tuple[str, ...]:

@@ -21,8 +21,8 @@ def moved_parameters(
 ) -> tuple[Moved, ...]:
     r"""The change of every parameter that the stored calibration does not hold.
 
-    With the prior $C_0 + D$ of a solve, its gain $G = I - C_1 (C_0 + D)^{-1}$, and a departure that is by chance alone, the
-    change has the covariance $G C_0 G^T + G C_1$, which is $C_0 - C_1$ where nothing was loosened.
+    With the prior $C_0 + D$ of a solve, its gain $G = I - C_1 (C_0 + D)^{-1}$, and a departure that is by chance alone,
+    the change has the covariance $G C_0 G^T + G C_1$, which is $C_0 - C_1$ where nothing was loosened.
 
     Args:
         stored: Its covariance is the prior.

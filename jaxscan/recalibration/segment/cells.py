@@ -14,6 +14,8 @@ MOST_PROFILES, MOST_LINES = 400, 200
 """Cells along profiles and lines at most."""
 _FILLED = 0.5
 """Share of the stripes that a cell needs."""
+_EMPTY = 0.02
+"""Stripes of a line, over those of the fullest line, up to which it is left out."""
 _RAGGED = 2.0
 """Scatter within a cell, over that of most cells, from which there is an edge in it."""
 _FARTHEST_M = 12.0
@@ -27,6 +29,8 @@ class Cells(NamedTuple):
     laser: int
     profiles: Int[np.ndarray, " profiles"]
     """The sweep's profiles of this laser."""
+    lines: Int[np.ndarray, " lines"]
+    """The lines that have stripes."""
     block: tuple[int, int]
     """Profiles and lines of a block."""
     q: Float[np.ndarray, "rows columns 2"]
@@ -45,10 +49,10 @@ class Cells(NamedTuple):
         """Standard deviation of the points along a normal ([3], or one for each cell) [m]."""
         return np.abs((self.slope * normal).sum(-1)) * self.sigma_px
 
-    def spread(self, field: np.ndarray, lines: int) -> np.ndarray:
-        """A field of the cells on this laser's profiles and all lines."""
+    def spread(self, field: np.ndarray) -> np.ndarray:
+        """A field of the cells on this laser's profiles and lines."""
         rows, columns = self.block
-        return np.repeat(np.repeat(field, rows, 0), columns, 1)[: len(self.profiles), :lines]
+        return np.repeat(np.repeat(field, rows, 0), columns, 1)[: len(self.profiles), : len(self.lines)]
 
 
 def cells_of(sweep: SweepStripes, scanner: Scanner, correction: Float[np.ndarray, " records"]) -> list[Cells]:
@@ -70,14 +74,15 @@ def cells_of(sweep: SweepStripes, scanner: Scanner, correction: Float[np.ndarray
 
 
 def _cells(sweep: SweepStripes, scanner: Scanner, correction: np.ndarray, laser: int, profiles: np.ndarray) -> Cells:
-    lines = sweep.centre.shape[1]
-    block = -(-len(profiles) // MOST_PROFILES), -(-lines // MOST_LINES)
+    # Lines without the laser's colour have no stripes.
+    seen = np.count_nonzero(sweep.valid[profiles], 0)
+    lines = np.flatnonzero(seen > _EMPTY * seen.max(initial=0))
+    block = max(-(-len(profiles) // MOST_PROFILES), 1), max(-(-len(lines) // MOST_LINES), 1)
     angle = (sweep.angle + correction)[sweep.record[profiles]]
+    many = _AT_ONCE * block[0]
     parts = [
-        _averaged(
-            sweep, profiles[first : first + _AT_ONCE * block[0]], angle[first : first + _AT_ONCE * block[0]], block
-        )
-        for first in range(0, len(profiles), _AT_ONCE * block[0])
+        _averaged(sweep, (profiles[first : first + many], lines), angle[first : first + many], block)
+        for first in range(0, len(profiles), many)
     ]
     u, line, phi, sigma, ragged, share = (np.concatenate(field) for field in zip(*parts, strict=True))
     valid = share >= _FILLED
@@ -96,6 +101,7 @@ def _cells(sweep: SweepStripes, scanner: Scanner, correction: np.ndarray, laser:
     return Cells(
         laser,
         profiles,
+        lines,
         block,
         q,
         phi,
@@ -112,23 +118,26 @@ def _unknowns(block: tuple[int, int]) -> int:
 
 
 def _averaged(
-    sweep: SweepStripes, profiles: np.ndarray, angle: np.ndarray, block: tuple[int, int]
+    sweep: SweepStripes, grid: tuple[np.ndarray, np.ndarray], angle: np.ndarray, block: tuple[int, int]
 ) -> tuple[np.ndarray, ...]:
     """Mean centre, line and angle, sigma of the centre, scatter over its promise, and share of stripes, of blocks."""
-    lines = sweep.centre.shape[1]
-    short = -len(profiles) % block[0], -lines % block[1]
+    profiles, lines = grid
+    short = -len(profiles) % block[0], -len(lines) % block[1]
+    at = np.ix_(profiles, lines)
 
     def blocks(field: np.ndarray) -> np.ndarray:
         wide = np.pad(field, ((0, short[0]), (0, short[1])))
         return wide.reshape(wide.shape[0] // block[0], block[0], wide.shape[1] // block[1], block[1])
 
-    valid = sweep.valid[profiles] & np.isfinite(sweep.centre[profiles]) & (sweep.sigma[profiles] > 0)
-    centre = np.where(valid, sweep.centre[profiles], 0.0).astype(np.float64)
-    sigma = np.where(valid, sweep.sigma[profiles], 1.0).astype(np.float64)
-    shared = np.where(valid, sweep.shared_lines[profiles], 1.0).astype(np.float64)
+    valid = sweep.valid[at] & np.isfinite(sweep.centre[at]) & (sweep.sigma[at] > 0)
+    centre = np.where(valid, sweep.centre[at], 0.0).astype(np.float64)
+    sigma = np.where(valid, sweep.sigma[at], 1.0).astype(np.float64)
+    # Of the lines that there are.
+    spacing = np.diff(lines).mean() if len(lines) > 1 else 1.0
+    shared = np.where(valid, sweep.shared_lines[at], 1.0).astype(np.float64) / spacing
     w, x = blocks(np.where(valid, sigma**-2.0, 0.0)), blocks(centre)
     full = np.ones_like(centre)
-    turn, line = blocks(angle[:, None] * full), blocks(np.arange(float(lines)) * full)
+    turn, line = blocks(angle[:, None] * full), blocks(lines.astype(np.float64) * full)
 
     def total(field: np.ndarray) -> np.ndarray:
         return field.sum((1, 3))

@@ -52,12 +52,9 @@ def find_patches(
         for region in regions:
             grid[region.cells] = len(found)
             found.append((cells, region))
-        labels[cells.profiles, :] = cells.spread(grid.reshape(cells.valid.shape), sweep.centre.shape[1])
+        labels[np.ix_(cells.profiles, cells.lines)] = cells.spread(grid.reshape(cells.valid.shape))
     if not found:
-        raise CalibrationError(
-            f"{sweep.name}: found no plane, expected flat walls of 0.2 m or more: sweep a room with free walls, "
-            "or calibrate with boards"
-        )
+        raise CalibrationError(no_plane(sweep.name))
     planes = [region.plane for _, region in found]
     normal = np.stack([plane.normal for plane in planes])
     centre = np.stack([plane.centre for plane in planes])
@@ -76,3 +73,11 @@ def cells_bending(scanner: Scanner, cells: Cells) -> Float[np.ndarray, "points 3
 def _extent(cells: Cells, region: Region) -> np.ndarray:
     along = (cells.p.reshape(-1, 3)[region.cells] - region.plane.centre) @ region.plane.axes.T
     return np.stack([along.min(0), along.max(0)], -1)
+
+
+def no_plane(names: str) -> str:
+    """The message where no plane is found in sweeps of these names."""
+    return (
+        f"{names}: found no plane, expected flat walls of 0.2 m or more: sweep a room with free walls, "
+        "or calibrate with boards"
+    )

@@ -24,6 +24,8 @@ class BentPlane(NamedTuple):
     """Likely steps of the calibration that take off most of the bend."""
     rest: Float[np.ndarray, "3"]
     """What these steps shift (at the centre [m]) and tilt (along the axes) the plane."""
+    taken: Float[np.ndarray, "3 directions"]
+    """The same of each likely step by itself."""
     curvature: float
     """Largest curvature of the points as they are, before the calibration is moved [1/m]."""
     curvature_sigma: float
@@ -76,4 +78,4 @@ def bent_plane(
     first = first / np.linalg.norm(first)
     second = np.cross(tilted, first)
     frame = np.stack([first, second if second @ axes[1] > 0 else -second])
-    return BentPlane(tilted, float(tilted @ middle), middle, frame, likely, taken @ likely, curvature, doubt)
+    return BentPlane(tilted, float(tilted @ middle), middle, frame, likely, taken @ likely, taken, curvature, doubt)
