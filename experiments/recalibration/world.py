@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter1d  # type: ignore[import-untyped]
 
-from experiments.recalibration.crossings import Crossings
+from experiments.recalibration.crossings import Crossings, room_from_rig
 from experiments.recalibration.surfaces import RoomSurfaces, box_of, facets_of
 from experiments.worlds.ideal_rig import IdealRig
 from jaxscan.recalibration import SweepStripes
