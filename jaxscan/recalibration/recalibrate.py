@@ -14,12 +14,13 @@ from jaxscan.recalibration import judge
 from jaxscan.recalibration.adjust import adjust
 from jaxscan.recalibration.adjusted import Adjusted, Start
 from jaxscan.recalibration.given import Given
-from jaxscan.recalibration.lengths import place_lengths
+from jaxscan.recalibration.observe import observe_room
 from jaxscan.recalibration.observed import RoomObservations, SweepStripes
 from jaxscan.recalibration.prior import require_prior
 from jaxscan.recalibration.result import PanoramaOfWalls, Recalibration, TableFindings
-from jaxscan.recalibration.segment import find_patches, observe_surfaces
+from jaxscan.recalibration.segment import find_patches, flat
 from jaxscan.recalibration.settings import RecalibrationSettings
+from jaxscan.recalibration.stations import place_stations
 
 
 Progress = Callable[[int, int], None]
@@ -79,18 +80,32 @@ def recalibrate(
     job = _Job(sweeps, scanner, settings, given, TableFindings())
     stations = _first_stations(job)
     done()
-    first = replace(settings, points=min(settings.points, _FIRST_POINTS))
     loose = judge.loose(scanner)
-    observed = _observe(job, Start(loose, stations, job.corrections), first)
-    done()
-    rough = adjust(loose, Start(scanner, stations, job.corrections), observed, first)
-    done()
-    observed = _observe(job, Start(rough.scanner, rough.stations, job.corrections), settings)
+    few = replace(settings, points=min(settings.points, _FIRST_POINTS))
+    start = Start(loose, stations, job.corrections)
+    rough = adjust(loose, start._replace(scanner=scanner), observe_room(sweeps, start, given, few), few)
     done()
     start = Start(rough.scanner, rough.stations, job.corrections)
-    verdict = judge.find_drift(scanner, lambda prior: adjust(prior, start, observed, settings), settings)
+    observed = observe_room(sweeps, start, given, settings)
     done()
-    return _judged(job, verdict, done)
+    free = adjust(loose, start, observed, settings)
+    done()
+    kept = np.flatnonzero(flat(free))
+    uneven = [judge.describe_surface(free.surfaces, k) for k in range(len(free.surfaces.kind)) if k not in kept]
+    if uneven and len(kept):
+        observed = observed.only(kept.tolist())
+        free = adjust(loose, _after(job, free), observed, settings)
+    done()
+    solve = lambda prior, before: adjust(prior, _after(job, before), observed, settings)
+    verdict = judge.find_drift(scanner, free, solve, settings)
+    done()
+    result = _judged(job, verdict, done)
+    notes = [f"left out, because it is not flat: {name}" for name in uneven if len(kept)]
+    return replace(result, notes=(*job.table.sentences, *result.notes, *notes))
+
+
+def _after(job: _Job, before: Adjusted) -> Start:
+    return Start(before.scanner, before.stations, job.corrections)
 
 
 def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Recalibration:
@@ -98,7 +113,7 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
     stored, adjusted, settings = job.stored, verdict.adjusted, job.settings
     names = stored.parameter_names()
     prior = judge.with_covariance(stored, np.asarray(stored.covariance) + verdict.loosened)
-    start = Start(adjusted.scanner, adjusted.stations, job.corrections)
+    start = _after(job, adjusted)
     halves = lambda observations: adjust(prior, start, _fewer(observations), settings)
     held_out = judge.hold_out(adjusted, stored, halves)
     done()
@@ -151,29 +166,16 @@ def _counter(progress: Progress | None) -> Callable[[], None]:
 
 
 def _first_stations(job: _Job) -> Float[np.ndarray, "stations 4 4"]:
-    count = 1 + max(sweep.station for sweep in job.sweeps)
-    if job.given.stations is not None:
-        if np.shape(job.given.stations) != (count, 4, 4):
-            raise CalibrationError(
-                f"stations: found {len(job.given.stations)} poses, expected one for each of {count} stations."
-            )
-        return np.asarray(job.given.stations, np.float64)
-    return np.tile(np.eye(4), (count, 1, 1))
-
-
-def _observe(job: _Job, start: Start, settings: RecalibrationSettings) -> RoomObservations:
-    """Planes and points on them with a scanner, and what was given."""
-    points, surfaces = observe_surfaces(job.sweeps, start.scanner, start.stations, start.corrections, settings)
-    observed = RoomObservations(
-        points=points,
-        surfaces=surfaces,
-        angles=tuple(np.asarray(sweep.angle, np.float64) for sweep in job.sweeps),
-        station=np.array([sweep.station for sweep in job.sweeps], np.int32),
-        stripe_axis=job.sweeps[0].stripe_axis,
-        tracks=job.given.tracks,
-        boards=job.given.boards,
-    )
-    return observed._replace(lengths=place_lengths(job.given.lengths, observed, start.scanner, start.stations))
+    corrected = [
+        sweep._replace(angle=sweep.angle + correction)
+        for sweep, correction in zip(job.sweeps, job.corrections, strict=True)
+    ]
+    given = job.given.stations
+    count = len({sweep.station for sweep in job.sweeps})
+    if given is not None and np.shape(given) != (count, 4, 4):
+        raise CalibrationError(f"stations: found {len(given)} poses, expected one for each of {count} stations.")
+    start = None if given is None else dict(enumerate(np.asarray(given, np.float64)))
+    return place_stations(corrected, job.stored, tracks=job.given.tracks, start=start)
 
 
 def _fewer(observations: RoomObservations) -> RoomObservations:

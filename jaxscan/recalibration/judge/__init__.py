@@ -5,7 +5,7 @@ from jaxscan.recalibration.judge.gain import gains_of, unobserved
 from jaxscan.recalibration.judge.hold_out import hold_out
 from jaxscan.recalibration.judge.moved import moved_parameters
 from jaxscan.recalibration.judge.panorama import panorama_of
-from jaxscan.recalibration.judge.refusal import refuse_result
+from jaxscan.recalibration.judge.refusal import describe_surface, refuse_result
 from jaxscan.recalibration.judge.verdict import (
     Verdict,
     compared_of,

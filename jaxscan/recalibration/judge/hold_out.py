@@ -38,7 +38,7 @@ def hold_out(adjusted: Adjusted, stored: Scanner, fit: Fitting) -> HoldOut | Non
         return None
     before, after = [], []
     for half, others in (numbers, numbers[::-1]):
-        fitted = fit(only_surfaces(adjusted.observations, others))
+        fitted = fit(adjusted.observations.only(others))
         test = adjusted.point_kept & np.isin(points.surface, half)
         before.append(1e3 * flatness(stored, adjusted.observations, adjusted.corrections, test))
         after.append(1e3 * flatness(fitted.scanner, adjusted.observations, adjusted.corrections, test))
@@ -57,24 +57,6 @@ def _halves(surfaces: Surfaces, seen: Int[np.ndarray, " points"]) -> tuple[list[
         halves[smaller].append(number)
         size[smaller] += int(count[number])
     return halves
-
-
-def only_surfaces(observations: RoomObservations, numbers: list[int]) -> RoomObservations:
-    """The observations of some surfaces, numbered anew; known lengths between surfaces are left out."""
-    surfaces = observations.surfaces
-    new = np.full(len(surfaces.kind), -1, np.int32)
-    new[numbers] = np.arange(len(numbers), dtype=np.int32)
-    points = observations.points.take(np.isin(observations.points.surface, numbers))
-    return observations._replace(
-        points=points._replace(surface=new[points.surface]),
-        surfaces=Surfaces(
-            tuple(surfaces.kind[k] for k in numbers),
-            surfaces.normal[numbers],
-            surfaces.distance[numbers],
-            surfaces.centre[numbers],
-        ),
-        lengths=tuple(length for length in observations.lengths if length.between == "tracks"),
-    )
 
 
 def flatness(

@@ -24,8 +24,8 @@ from jaxscan.recalibration.result import Drift
 from jaxscan.recalibration.settings import RecalibrationSettings
 
 
-Solving = Callable[[Scanner], Adjusted]
-"""A solve with a prior: the stored scanner with any covariance."""
+Solving = Callable[[Scanner, Adjusted], Adjusted]
+"""A solve with a prior, the stored scanner with any covariance, that begins where another ended."""
 # While nothing is known of a drift, every part may have moved by this share of what it might have moved at most.
 _LOOSE = 0.1
 # A scale that is known this much better than from the calibration is measured.
@@ -54,28 +54,27 @@ def with_covariance(scanner: Scanner, covariance: Float[np.ndarray, "params para
     return eqx.tree_at(lambda s: s.covariance, scanner, covariance, is_leaf=lambda leaf: leaf is None)
 
 
-def find_drift(stored: Scanner, solve: Solving, settings: RecalibrationSettings) -> Verdict:
+def find_drift(stored: Scanner, free: Adjusted, solve: Solving, settings: RecalibrationSettings) -> Verdict:
     """Tests whether anything moved, and solves with the prior that follows.
 
     Args:
         stored: The stored scanner with its covariance.
+        free: Adjusted to the observations with the prior of `loose`.
         solve: Adjusts it to the observations with a prior.
         settings: With the limit of the test.
     """
-    free = loose(stored)
-    first = solve(free)
     prior = np.asarray(stored.covariance)
-    compared, step = with_prior(compare(np.asarray(free.covariance), np.asarray(first.scanner.covariance)),
-                                first.departure, prior)  # fmt: skip
+    both = compare(np.asarray(free.prior.covariance), np.asarray(free.scanner.covariance))
+    compared, step = with_prior(both, free.departure, prior)
     departure = departure_of(compared, step, settings.least_gain)
     p = departure.p
     drift = Drift(departure.chi2, len(departure.value), p, p < settings.p_drift)
     if not drift.drifted:
-        return Verdict(drift, np.zeros_like(prior), solve(stored))
+        return Verdict(drift, np.zeros_like(prior), solve(stored, free))
     found = explain(departure, stored)
-    known = bool(scales_of(compared, scale_slopes(first.scanner, first.observations)).factor[0] >= _MEASURED)
+    known = bool(scales_of(compared, scale_slopes(free.scanner, free.observations)).factor[0] >= _MEASURED)
     added = loosened_prior(found, departure, stored, scale_known=known)
-    adjusted = solve(with_covariance(stored, prior + added))
+    adjusted = solve(with_covariance(stored, prior + added), free)
     names, covariance = stored.parameter_names(), np.asarray(adjusted.scanner.covariance)
     sizes = [describe_move(part, names, adjusted.departure, covariance) for part in found.parts]
     drift = Drift(
