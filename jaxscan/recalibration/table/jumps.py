@@ -1,7 +1,7 @@
 """Lost steps: records from which on the table stands elsewhere than its journal says."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.table.regression import Rows, StepTest, fit_steps
