@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from jaxscan.recalibration.tracks import Cylinder, Followed, Walk
-from jaxscan.vision.features.patches import HALF, MARGIN, Patches, joined, make_patches, match, take
+from jaxscan.vision.features.patches import HALF, MARGIN, Patches, Unrolled, joined, make_patches, match, take
 from jaxscan.vision.features.texture import find_features
 
 
@@ -60,9 +60,10 @@ def follow_features(images: Iterator[np.ndarray], walk: Walk) -> Followed:
     sightings: list[tuple[np.ndarray, ...]] = []
     count = 0
     for step, image in enumerate(images):
-        unrolled = cv2.remap(image, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        unrolled = np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+        exact = Unrolled.of(image, walk.cylinder)
         if alive is not None and before is not None:
-            alive, sigma = _next(alive, (before, unrolled), sees, walk, step)
+            alive, sigma = _next(alive, (before, unrolled, exact), sees, (walk, step))
             sightings.append((alive.x, sigma, np.full(len(sigma), step), alive.track))
         if step < walk.begin:
             free = _free(sees, alive, apart)
@@ -73,7 +74,7 @@ def follow_features(images: Iterator[np.ndarray], walk: Walk) -> Followed:
                 corners.x.astype(np.float64),
                 np.zeros((len(corners.x), 2)),
                 np.zeros(len(corners.x), int),
-                make_patches(unrolled, corners.x),
+                make_patches(exact, corners.x),
             )
             count += len(corners.x)
             sightings.append((new.x, corners.sigma, np.full(len(new.x), step), new.track))
@@ -85,10 +86,10 @@ def follow_features(images: Iterator[np.ndarray], walk: Walk) -> Followed:
 
 
 def _next(
-    alive: _Alive, images: tuple[np.ndarray, np.ndarray], sees: np.ndarray, walk: Walk, step: int
+    alive: _Alive, images: tuple[np.ndarray, np.ndarray, Unrolled], sees: np.ndarray, at: tuple[Walk, int]
 ) -> tuple[_Alive, np.ndarray]:
     """The features of the first of two unrolled images that are found in the second one, and their noise there [px]."""
-    before, now = images
+    (before, now, exact), (walk, step) = images, at
     corner = np.array([walk.cylinder.left, walk.cylinder.top])
     predicted = walk.predict(alive.x + corner, step - 1, step) - corner
     start = predicted + alive.drift
@@ -104,7 +105,7 @@ def _next(
     good = (found.ravel() > 0) & (returned.ravel() > 0) & (np.abs(back - first).max((1, 2)) < _BACK_PX)
     there = there[:, 0].astype(np.float64)
     good &= _seen(sees, there)
-    matched = match(alive.patches, now, np.where(good[:, None], there, -1.0))
+    matched = match(alive.patches, exact, np.where(good[:, None], there, -1.0))
     good &= matched.valid & (matched.difference < _MOST_DIFFERENT)
     drift = alive.drift + matched.x - start
     moved = alive._replace(x=matched.x, drift=drift, age=alive.age + 1)

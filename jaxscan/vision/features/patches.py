@@ -2,7 +2,10 @@
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
+
+from jaxscan.recalibration.tracks import Cylinder
 
 
 HALF = 9
@@ -43,15 +46,44 @@ class Matched(NamedTuple):
     valid: np.ndarray
 
 
-def cut(image: np.ndarray, x: np.ndarray, reach: int) -> np.ndarray:
-    """Pieces [n, 2 reach + 1, 2 reach + 1] around whole places [n, 2], which lie `reach` from the border at least."""
-    windows = np.lib.stride_tricks.sliding_window_view(image, (2 * reach + 1, 2 * reach + 1))
-    return windows[x[:, 1] - reach, x[:, 0] - reach].astype(np.float32)
+class Unrolled(NamedTuple):
+    """An image, sampled at places of the unrolled one."""
+
+    level: np.ndarray
+    across: np.ndarray
+    """Second differences along the rows, and `down` along the columns: with these, linear interpolation is as good as
+    cubic, which OpenCV shifts by up to 0.05 px."""
+    down: np.ndarray
+    cylinder: Cylinder
+
+    @staticmethod
+    def of(image: np.ndarray, cylinder: Cylinder) -> "Unrolled":
+        """An image, uint8 [rows, columns]."""
+        second = np.array([[1.0, -2.0, 1.0]], np.float32)
+        across, down = cv2.filter2D(image, cv2.CV_32F, second), cv2.filter2D(image, cv2.CV_32F, second.T)
+        return Unrolled(image.astype(np.float32), across, down, cylinder)
+
+    def pieces(self, x: np.ndarray, reach: int) -> np.ndarray:
+        """Pieces [n, 2 reach + 1, 2 reach + 1] around whole places [n, 2], `reach` from the border at least."""
+        r = np.arange(-reach, reach + 1)
+        if not len(x):
+            return np.zeros((0, len(r), len(r)), np.float32)
+        row, column = x[:, 1, None, None] + r[:, None], x[:, 0, None, None] + r
+        side = len(r)
+        u = self.cylinder.u[row, column].astype(np.float32).reshape(-1, side)
+        v = self.cylinder.v[row, column].astype(np.float32).reshape(-1, side)
+        level, across, down = (
+            np.asarray(cv2.remap(part, u, v, cv2.INTER_LINEAR), np.float32)
+            for part in (self.level, self.across, self.down)
+        )
+        a, b = u - np.floor(u), v - np.floor(v)
+        out = level - 0.5 * (a * (1 - a) * across + b * (1 - b) * down)
+        return out.reshape(-1, side, side)
 
 
-def make_patches(image: np.ndarray, x: np.ndarray) -> Patches:
+def make_patches(image: Unrolled, x: np.ndarray) -> Patches:
     """The pieces around features at whole places [n, 2]."""
-    wide = cut(image, x, HALF + 1)
+    wide = image.pieces(x, HALF + 1)
     level = wide[:, 1:-1, 1:-1]
     level = level - level.mean((1, 2), keepdims=True)
     gx, gy = (wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2]) / 2, (wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]) / 2
@@ -77,24 +109,24 @@ def joined(parts: list[Patches]) -> Patches:
     return Patches(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
 
-def match(patches: Patches, image: np.ndarray, guess: np.ndarray) -> Matched:
+def match(patches: Patches, image: Unrolled, guess: np.ndarray) -> Matched:
     """Find pieces near guessed places, by least squares with gain and offset of the light.
 
     The steps are those of inverse compositional alignment; the image is interpolated by cubic convolution.
 
     Args:
         patches: The pieces.
-        image: [rows, columns].
+        image: The image.
         guess: Where they are to a pixel or so [n, 2].
 
     Source: Baker and Matthews, Lucas-Kanade 20 years on, IJCV 56 (2004), section 3.
     """
     reach = HALF + MARGIN
-    rows, columns = image.shape
+    rows, columns = image.cylinder.u.shape
     whole = np.rint(guess).astype(int)
     inside = (whole >= reach).all(1) & (whole[:, 0] < columns - reach) & (whole[:, 1] < rows - reach)
     whole = np.where(inside[:, None], whole, reach)
-    pieces = cut(image, whole, reach)
+    pieces = image.pieces(whole, reach)
     shift = np.where(inside[:, None], guess - whole, 0.0)
     step, left = np.zeros((len(guess), 8), np.float32), pieces[:, :1, :1]
     for _ in range(_STEPS):
