@@ -1,16 +1,14 @@
 """Lost steps: records from which on the table stands elsewhere than its journal says."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.table.regression import Rows, StepTest, fit_steps
-from jaxscan.recalibration.table.walls import Rig, label_points, refine, take_sample, wall_equations
+from jaxscan.recalibration.table.walls import TIGHT, Rig, label_points, settle, take_sample, wall_equations
 
 
 MOST_JUMPS = 12
-FEW_PROFILES, FEW_POINTS = 400, 6_000
-"""With which the rig is refined."""
 MOST_PROFILES, MOST_POINTS = 8_000, 60_000
 """In which a step is looked for."""
 LEAST_Z = 7.0
@@ -22,34 +20,23 @@ LEAST_STEP = np.deg2rad(0.02)
 def find_steps(sweep: SweepStripes, rig: Rig) -> Rig:
     """The rig with the steps that its walls show, the largest first, one after another."""
     while len(rig.steps) < MOST_JUMPS:
-        rig = settle(sweep, rig)
+        rig = settle(sweep, rig, 3, TIGHT)
         test, left, rows = test_steps(sweep, rig)
         z = np.abs(test.size) / test.sigma / inflation(rows, left, len(rig.theta))
         place = int(np.argmax(z))
         if z[place] < LEAST_Z or abs(test.size[place]) < LEAST_STEP:
-            return rig
+            break
         theta = rig.theta.copy()
         theta[place:] += test.size[place]
-        rig = Rig(rig.scanner, theta, (*rig.steps, (place, float(test.size[place]))))
-    return rig
-
-
-def settle(sweep: SweepStripes, rig: Rig, times: int = 3) -> Rig:
-    """The rig after some steps of least squares with few points."""
-    for _ in range(times):
-        sample = take_sample(sweep, rig.scanner, FEW_PROFILES, FEW_POINTS)
-        label = label_points(sample, rig.theta)
-        if label.max(initial=-1) < 0:
-            return rig
-        rig = refine(rig, wall_equations(sample, label, rig))
-    return rig
+        rig = rig._replace(theta=theta, steps=(*rig.steps, (place, float(test.size[place]))))
+    return settle(sweep, rig, 4, TIGHT) if rig.steps else rig
 
 
 def test_steps(sweep: SweepStripes, rig: Rig) -> tuple[StepTest, Float[np.ndarray, " rows"], Rows]:
     """A step at each record, the errors without any, and the equations."""
     sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MOST_POINTS)
-    walls = wall_equations(sample, label_points(sample, rig.theta), rig)
-    test, left = fit_steps(walls.rows, len(rig.theta), walls.ridge)
+    walls = wall_equations(sample, label_points(sample, rig.theta), rig, TIGHT)
+    test, left = fit_steps(walls.rows, len(rig.theta), walls.prior)
     return test, left, walls.rows
 
 

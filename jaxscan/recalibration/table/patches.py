@@ -110,7 +110,9 @@ def _connect(grid: Grid, normal: np.ndarray, flat: np.ndarray) -> np.ndarray:
             np.abs(np.sum(step * normal[near], axis=-1)) - 4 * np.abs(np.sum(grid.noise[near] * normal[near], axis=-1)),
             np.abs(np.sum(step * normal[far], axis=-1)) - 4 * np.abs(np.sum(grid.noise[far] * normal[far], axis=-1)),
         )
-        same = flat[near] & flat[far] & (np.sum(normal[near] * normal[far], axis=-1) > BEND) & (off < 4 * FLATNESS * size)
+        same = (
+            flat[near] & flat[far] & (np.sum(normal[near] * normal[far], axis=-1) > BEND) & (off < 4 * FLATNESS * size)
+        )
         first.append(index[near][same])
         second.append(index[far][same])
     a, b = np.concatenate(first), np.concatenate(second)
@@ -133,7 +135,9 @@ def _join(grid: Grid, labels: np.ndarray, planes: dict[int, Plane]) -> np.ndarra
     parent: dict[int, int] = {}
     points = {number: grid.x[labels == number] for number in names}
     for count, number in enumerate(names):
-        other = next((n for n in names[:count] if _one_wall(planes[number], planes[n], points[number], points[n])), None)
+        other = next(
+            (n for n in names[:count] if _one_wall(planes[number], planes[n], points[number], points[n])), None
+        )
         parent[number] = number if other is None else parent[other]
     for count, root in enumerate(sorted(set(parent.values()))):
         for number in names:
@@ -147,7 +151,9 @@ def _one_wall(a: Plane, b: Plane, x: np.ndarray, y: np.ndarray) -> bool:
     upright_a, upright_b = np.hypot(*a.normal[:2]), np.hypot(*b.normal[:2])
     if min(upright_a, upright_b) < 0.5:
         # A turn about the axis leaves a floor where it is.
-        return float(a.normal @ b.normal) > BEND and abs(a.distance - b.distance) < 4 * FLATNESS * np.linalg.norm(a.centre)
+        return float(a.normal @ b.normal) > BEND and abs(a.distance - b.distance) < 4 * FLATNESS * np.linalg.norm(
+            a.centre
+        )
     turn = np.arctan2(a.normal[1], a.normal[0]) - np.arctan2(b.normal[1], b.normal[0])
     turn = (turn + np.pi) % (2 * np.pi) - np.pi
     tilt = np.arcsin(np.clip(a.normal[2], -1, 1)) - np.arcsin(np.clip(b.normal[2], -1, 1))

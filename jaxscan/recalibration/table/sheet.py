@@ -13,10 +13,21 @@ from jaxscan.geometry.arrays import Array
 from jaxscan.geometry.motions.turntable import ANGLE_PARAMETERS
 
 
-CHUNK = 16_384
+CHUNK = 8_192
 DIFFERENCE = 1e-3
 """Step of a difference, as a part of the coordinate's spread."""
-SPREAD = {"fx": 50.0, "fy": 50.0, "cx": 50.0, "cy": 50.0, "k1": 0.1, "k2": 0.1, "k3": 0.3, "p1": 0.01, "p2": 0.01, "d": 0.01}
+SPREAD = {
+    "fx": 50.0,
+    "fy": 50.0,
+    "cx": 50.0,
+    "cy": 50.0,
+    "k1": 0.1,
+    "k2": 0.1,
+    "k3": 0.3,
+    "p1": 0.01,
+    "p2": 0.01,
+    "d": 0.01,
+}
 """How far a coordinate may be from the truth, generously [px, rad, m]; 0.01 for others."""
 
 
@@ -36,11 +47,16 @@ class Stripes(NamedTuple):
 
 
 def sheet_points(
-    scanner: Scanner, stripes: Stripes
+    scanner: Scanner, stripes: Stripes, step: Float[np.ndarray, " params"] | None = None
 ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"]]:
     """Points of stripes at angle 0 in the scanner frame, and how they move with the centre of the stripe.
 
     A table turns them about z: the point at angle theta is `Rz(theta) x`.
+
+    Args:
+        scanner: Any scanner on a turntable.
+        stripes: Centres.
+        step: Moves the scanner first, in the coordinates of camera, sheets and axis [px, rad, m].
 
     Returns:
         x: Points [m].
@@ -49,13 +65,16 @@ def sheet_points(
     columns = (stripes.centre.astype(np.float64), stripes.line.astype(np.int64), stripes.laser.astype(np.int64))
     count = len(stripes.centre)
     x, slope = np.empty((count, 3)), np.empty((count, 3))
+    whole = np.zeros(len(scanner.parameter_names()))
+    if step is not None:
+        whole[: len(step)] = step
     with jax.enable_x64(True):
         bare = scanner.without_covariance().as_dtype(jnp.float64)
         for start in range(0, count, CHUNK):
             part = slice(start, min(start + CHUNK, count))
             # Every chunk has one size, so that it is compiled once.
             padded = [np.resize(column[part], CHUNK) for column in columns]
-            found = _points(bare, *padded, stripes.axis)
+            found = _points(bare, whole, *padded, stripes.axis)
             x[part], slope[part] = (np.asarray(one)[: part.stop - start] for one in found)
     return x, slope
 
@@ -69,7 +88,7 @@ def parameter_slopes(
     spread = parameter_spread(scanner)
     slopes = np.empty((*x.shape, len(spread)))
     for k, step in enumerate(DIFFERENCE * spread):
-        moved, _ = sheet_points(move(scanner, step * np.eye(len(spread))[k]), stripes)
+        moved, _ = sheet_points(scanner, stripes, step * np.eye(len(spread))[k])
         slopes[..., k] = (moved - x) / step
     return slopes
 
@@ -87,11 +106,13 @@ def parameter_spread(scanner: Scanner) -> Float[np.ndarray, " params"]:
     return np.array([SPREAD.get(name.split(".")[-1], 0.01) for name in names])
 
 
-@functools.partial(jax.jit, static_argnums=4)
-def _points(scanner, centre, line, laser, axis):  # type: ignore[no-untyped-def]
+@functools.partial(jax.jit, static_argnums=5)
+def _points(scanner, step, centre, line, laser, axis):  # type: ignore[no-untyped-def]
+    moved = scanner.retract(step)
+
     def one(c: Array, row: Array, k: Array) -> tuple[Array, Array]:
         def point(across: Array) -> Array:
-            return scanner.point(stripe_pixel(across, row.astype(across.dtype), axis), k, jnp.zeros_like(across))[0]
+            return moved.point(stripe_pixel(across, row.astype(across.dtype), axis), k, jnp.zeros_like(across))[0]
 
         return jax.jvp(point, (c,), (jnp.ones_like(c),))
 
