@@ -15,9 +15,11 @@ _USUAL = 3.0
 """Unevenness of a flat wall at most, over that of most walls of the room."""
 _CURVED = 0.02
 """Curvature of a flat wall at most [1/m], where it is worth its unevenness."""
-_STEP_M = 2.5e-3
+_STEP_M = 2e-3
 """Height of a step that no flat wall has [m]."""
 _SIGMAS = 5.0
+_ROUGH_M, _SHARED = 5e-4, 9.0
+"""Roughness of walls [m], and factor on the variance for errors that neighbours share, that are believed at most."""
 _LOST = 0.3
 """Share of points that were left out from which a surface is no plane."""
 _FEWEST = 12
@@ -49,7 +51,10 @@ def flat(adjusted: Adjusted) -> Bool[np.ndarray, " surfaces"]:
     """
     surfaces, points = adjusted.surfaces, adjusted.observations.points
     place = _places(adjusted)
-    widened = np.sqrt(max(adjusted.inflation, 1.0))
+    # One bad wall makes all of them rough and their errors shared; it must not excuse itself with that.
+    widened, wall = np.sqrt(np.clip(adjusted.inflation, 1.0, _SHARED)), adjusted.wall_m
+    stripe = np.sqrt(np.maximum(adjusted.point_sigma**2 - wall**2, (0.1 * adjusted.point_sigma) ** 2))
+    noise = widened * np.hypot(stripe, min(wall, _ROUGH_M))
     good = np.ones(len(surfaces.kind), bool)
     shapes: dict[int, Shape] = {}
     for k, kind in enumerate(surfaces.kind):
@@ -62,7 +67,7 @@ def flat(adjusted: Adjusted) -> Bool[np.ndarray, " surfaces"]:
         sigma = adjusted.point_sigma[own]
         error = np.clip(adjusted.point_error[own], -_FAR * sigma, _FAR * sigma)
         across = _in_plane(place[own], surfaces.normal[k])
-        shapes[k] = shape_of(across, error, sigma * widened)
+        shapes[k] = shape_of(across, error, noise[own])
     if not shapes:
         return good
     usual = float(np.median([shape.uneven_m for shape in shapes.values()]))
