@@ -21,10 +21,11 @@ from jaxscan.recalibration.result import PanoramaOfWalls, Recalibration, TableFi
 from jaxscan.recalibration.segment import find_patches, flat
 from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.stations import place_stations
+from jaxscan.recalibration.table import check_angles
 
 
 Progress = Callable[[int, int], None]
-_STAGES = 8
+_STAGES = 9
 
 
 class _Job(NamedTuple):
@@ -74,7 +75,8 @@ def recalibrate(
     scanner = require_prior(stored)
     _check(sweeps, scanner)
     done = _counter(progress)
-    job = _Job(sweeps, scanner, settings, given, TableFindings())
+    job = _Job(sweeps, scanner, settings, given, check_angles(sweeps, scanner, settings, given.tracks))
+    done()
     stations = _first_stations(job)
     done()
     loose = judge.loose(scanner)
