@@ -11,6 +11,8 @@ import pytest
 import jaxscan
 from jaxscan import api
 from jaxscan.calibration import Calibration
+from jaxscan.cli.main import main
+from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.known_room import load_known_room
 from jaxscan.geometry import LaserSheet, LinearStage, Pinhole, Scanner, Turntable
 from jaxscan.recalibration import renew_calibration
@@ -254,3 +256,68 @@ class TestOutput:
         assert ran.code == 0 and "Recalibrated from sweeps" in ran.out.splitlines()[0]
         assert run("convert", "new.json", "camera.yaml").code == 0
         assert run("recalibrate", "room", "-c", "new.json", "-o", "newer.json").code == 0
+
+
+@pytest.fixture(scope="module")
+def whole_way(tiny, tmp_path_factory):
+    """A small simulated rig that nobody has touched, recalibrated from its sweep: the folder, and how it ended."""
+    folder = tmp_path_factory.mktemp("whole")
+    shutil.copytree(tiny.sweep, folder / "sweep")
+    before = tiny.calibration.read_bytes()
+    written = {"-o": "new.json", "--cloud": "new.ply", "--report": "new.html", "--json": "result.json"}
+    options = [word for option, name in written.items() for word in (option, str(folder / name))]
+    code = main(["recalibrate", str(folder / "sweep"), "-c", str(tiny.calibration), *options])
+    assert tiny.calibration.read_bytes() == before
+    return folder, code
+
+
+class TestWholeWay:
+    def test_a_rig_that_nobody_has_touched(self, whole_way):
+        folder, code = whole_way
+        assert code == 0
+        result = json.loads((folder / "result.json").read_text())
+        assert not result["drift"]["drifted"] and result["drift"]["p"] > 1e-3
+        assert result["points"] > 100 and result["surfaces"] >= 3
+        # A length that is known no worse: rounding leaves less than a hundredth.
+        assert all(one["after_mm"] < 1.01 * one["before_mm"] for one in result["lengths"]) and result["lengths"]
+        assert min(one["after_mm"] / one["before_mm"] for one in result["lengths"]) < 0.95
+
+    def test_the_new_calibration_says_where_it_is_from(self, whole_way, tiny):
+        folder, _ = whole_way
+        new = jaxscan.load_calibration(folder / "new.json")
+        told = new.provenance
+        assert told["calibration"] == {"name": "calibration.json", "digest": calibration_digest(tiny.calibration)}
+        (capture,) = told["captures"]
+        assert capture == {"name": "sweep", "digest": jaxscan.open_capture(tiny.sweep).digest()}
+        assert told["recalibration"]["drift"]["p"] > 1e-3
+        assert told["recalibration"]["settings"]["angles"] == "model"
+        assert new.quality.verdict.usable
+
+    def test_the_cloud_is_that_of_the_new_calibration(self, whole_way, run):
+        folder, _ = whole_way
+        words = f"reconstruct {folder / 'sweep'} -c {folder / 'new.json'} -o {folder / 'again.ply'}"
+        assert "stripes from the cache" in run(*words.split()).out
+        ours, again = (jaxscan.load_cloud(folder / name) for name in ("new.ply", "again.ply"))
+        np.testing.assert_array_equal(ours.valid, again.valid)
+        np.testing.assert_allclose(ours.xyz, again.xyz, atol=1e-6)
+
+    def test_python_gives_the_same_and_reads_no_image_again(self, whole_way, tiny, monkeypatch):
+        folder, _ = whole_way
+        monkeypatch.setattr("jaxscan.api.stripes.stripes_of_plan", None)
+        result = jaxscan.recalibrate(jaxscan.open_capture(folder / "sweep"), tiny.calibration)
+        new = jaxscan.load_calibration(folder / "new.json")
+        np.testing.assert_array_equal(result.calibration.covariance, new.covariance)
+        assert float(result.scanner.camera.fx) == float(new.scanner.camera.fx)
+
+    def test_a_sweep_without_planes(self, tiny, tmp_path, refused):
+        """Angles that have nothing to do with the images bend every wall."""
+        sweep = shutil.copytree(tiny.sweep, tmp_path / "sweep")
+        journal = [json.loads(line) for line in (sweep / "frames.jsonl").read_text().splitlines()]
+        records = [record for record in journal if "i" in record]
+        angles = np.random.default_rng(5).permutation([record["angle_deg"] for record in records])
+        for record, angle in zip(records, angles.tolist(), strict=True):
+            record["angle_deg"] = angle
+        (sweep / "frames.jsonl").write_text("".join(json.dumps(record) + "\n" for record in records))
+        message = refused("recalibrate", sweep, "-c", tiny.calibration, "-o", tmp_path / "new.json")
+        assert f"{sweep}: " in message or "not updated" in message
+        assert not (tmp_path / "new.json").exists()

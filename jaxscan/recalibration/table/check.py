@@ -15,7 +15,7 @@ from jaxscan.recalibration.table.names import say_factor, say_jump, usual_ratio
 from jaxscan.recalibration.table.walls import LOOSE, Rig, settle, start_rig
 
 
-LEAST_FACTOR = 4e-3
+LEAST_FACTOR = 8e-3
 """Departures of a factor from 1 below this are errors of the gain, which an adjustment finds by itself [1]."""
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 
-RATIO = 4e-3
+RATIO = 8e-3
 """A factor is a ratio of numbers of steps where it is so near to one [1]."""
 FULL_STEPS = {
     1.8: "one full step of a motor with 200 steps per turn on the axis",

@@ -4,6 +4,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.geometry import AbstractBoard, Scanner, Turntable
@@ -115,7 +117,8 @@ def _features(
     if not enough and not wanted:
         return [], [f"features are off: too little texture ({reason})."]
     cylinder = unroll(scanner, (int(scanner.camera.width), int(scanner.camera.height)))
-    heading = np.array([float(table.angle(angle)) for angle in np.asarray(sweep.angle, np.float64)])
+    with jax.enable_x64(True):
+        heading = np.asarray(jax.vmap(table.angle)(jnp.asarray(sweep.angle, jnp.float64)))
     keys = choose_keys(heading, cylinder.u.shape[1] / cylinder.scale)
     if keys is None:
         return [], ["features are off: neighbouring images overlap by less than 60 %, or the table hardly turned."]

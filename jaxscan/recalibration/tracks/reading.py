@@ -1,10 +1,11 @@
 """Laser-off images of a sweep, read ahead."""
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
+from jaxtyping import Int
 
 from jaxscan.recalibration.tracks.seen import FeatureEyes, ImageSource
 
@@ -32,7 +33,7 @@ class Reader:
         images = self._capture.records[record].off
         return self._grey(images[min(self._exposure, len(images) - 1)])
 
-    def ahead(self, records: Iterable[int]) -> Iterator[np.ndarray]:
+    def ahead(self, records: Int[np.ndarray, " n"]) -> Iterator[np.ndarray]:
         """The images of some records in order, decoded in threads."""
         with ThreadPoolExecutor(_THREADS) as pool:
             waiting: deque[Future[np.ndarray]] = deque()

@@ -1,7 +1,7 @@
 """The sources of images in which features are tracked, and the functions that look at images."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,6 +10,7 @@ from jaxscan.geometry import AbstractBoard, Carries
 from jaxscan.stripes import PixelFormat
 
 
+@runtime_checkable
 class SourceRecord(Protocol):
     """One record of a sweep."""
 
@@ -18,6 +19,7 @@ class SourceRecord(Protocol):
         """Images of the laser-off frame; empty without one."""
 
 
+@runtime_checkable
 class ImageSource(Protocol):
     """A captured sweep whose images are read one by one; `files.Capture` is one."""
 

@@ -66,6 +66,8 @@ class Unrolled(NamedTuple):
     def pieces(self, x: np.ndarray, reach: int) -> np.ndarray:
         """Pieces [n, 2 reach + 1, 2 reach + 1] around whole places [n, 2], `reach` from the border at least."""
         r = np.arange(-reach, reach + 1)
+        if not len(x):
+            return np.zeros((0, len(r), len(r)), np.float32)
         row, column = x[:, 1, None, None] + r[:, None], x[:, 0, None, None] + r
         side = len(r)
         u = self.cylinder.u[row, column].astype(np.float32).reshape(-1, side)
