@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+import jax
 import numpy as np
 
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable
@@ -32,7 +33,7 @@ class Face:
         n = np.array(self.normal)
         with np.errstate(all="ignore"):
             t = (self.distance - start @ n) / (ray @ n)
-        p = start + t[..., None] * ray
+        p = start + np.where(np.isfinite(t), t, -1.0)[..., None] * ray
         inside = np.ones(t.shape, bool)
         for along, low, high in self.bounds:
             at = p @ np.array(along)
@@ -65,6 +66,8 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Ball:
+    """A ball."""
+
     centre: tuple[float, float, float]
     radius: float
 
@@ -73,6 +76,26 @@ class Ball:
         a, b, c = (ray * ray).sum(-1), (o * ray).sum(-1), (o * o).sum(-1) - self.radius**2
         t = (-b - np.sqrt(np.maximum(b * b - a * c, 0.0))) / a
         return np.where((b * b > a * c) & (t > 0.0), t, np.inf)
+
+
+STATED = {
+    **dict.fromkeys(("fx", "fy", "cx", "cy"), 4.0),
+    **{"n1": 3e-3, "n2": 2e-3, "d": 5e-4, "gain": 1e-3},
+    **dict.fromkeys(("axis.d1", "axis.d2"), 3e-3),
+    **dict.fromkeys(("axis.p1", "axis.p2"), 2e-3),
+    **dict.fromkeys(("c1", "s1", "c2", "s2"), 3e-4),
+}
+"""Standard deviations of a poor calibration [px, rad, m]."""
+
+
+def poor(seed: int) -> tuple[Scanner, Scanner]:
+    """A stored rig with a poor calibration that states its covariance, and a true rig drawn from it."""
+    stored = rig()
+    names = stored.parameter_names()
+    sigma = np.array([STATED.get(name, STATED.get(name.rsplit(".", 1)[-1], 0.0)) for name in names])
+    step = sigma * np.random.default_rng(seed).normal(size=len(sigma))
+    true = jax.tree.map(np.asarray, stored.retract(step))
+    return rig(np.diag(sigma**2)), true
 
 
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)

@@ -19,11 +19,13 @@ _SIGMAS = 3.0
 _SURE_M = 2.5e-3
 """Uncertainty (of so many sigmas) of a difference up to which a step of 5 mm between two parts would be seen [m]."""
 _SAME_M = 0.04
-"""The same for parts that lie over each other: they are one surface unless two face the same way so close [m]."""
+"""Difference of two parts that lie over each other at most [m]: two surfaces are not seen at one place."""
 _GAP_M = 1.5
 """Distance of two parts of one surface at most [m]."""
 _BIN_M = 0.15
-"""Size of the squares in which it is seen whether parts lie over each other [m]."""
+"""Size of the squares in which it is seen whether parts lie over each other, at least [m]."""
+_HOME_M = 0.15
+"""Gap between the first and the last profiles of a sweep in which no edge is expected [m]."""
 _OVER = 0.25
 """Share of the smaller part that lies over the other, from which they lie over each other."""
 _STATION_M, _STATION_RAD = 0.01, 3e-3
@@ -86,8 +88,8 @@ def join(pieces: Sequence[Piece]) -> Int[np.ndarray, " pieces"]:
     """The surface of every piece; parts of one wall have the same.
 
     Two pieces are joined where they lie over each other or are neighbours, and where their planes agree at the place
-    between them within the uncertainty by noise and calibration; but only where that uncertainty is so small that a
-    step would show.
+    between them within the uncertainty by noise and calibration; neighbours only where that uncertainty is so small
+    that a step would show.
     """
     agree: list[tuple[float, int, int]] = []
     apart = np.zeros((len(pieces), len(pieces)), bool)
@@ -137,10 +139,12 @@ def _same(a: Piece, b: Piece) -> tuple[bool | None, float]:
     limit = _SIGMAS * doubt + own + np.array([_STEP_M, _TILT, _TILT])
     if np.any(np.abs(np.append(step, tilt)) > limit):
         return False, 0.0
-    sure = _SIGMAS * doubt[0] <= (_SAME_M if over >= _OVER else _SURE_M)
-    if not sure or (over < _OVER and gap > _GAP_M):
+    together = over >= _OVER or (gap < _HOME_M and _meet(a, b))
+    if together:
+        return (True, abs(step)) if abs(step) < _SAME_M else (None, 0.0)
+    if _SIGMAS * doubt[0] > _SURE_M or gap > _GAP_M:
         return None, 0.0
-    return True, gap - over
+    return True, 1.0 + gap
 
 
 def _moves(one: Piece, at: np.ndarray, axes: np.ndarray) -> np.ndarray:
@@ -156,10 +160,22 @@ def _pose_moves(one: Piece, at: np.ndarray, axes: np.ndarray) -> np.ndarray:
     return np.concatenate([shift[None], np.concatenate([np.zeros((2, 3)), _STATION_RAD * axes @ turned.T], 1)])
 
 
+def _meet(a: Piece, b: Piece) -> bool:
+    """Whether one begins where the other ends: at the first and the last profiles of one sweep."""
+    if a.sweep != b.sweep or a.cells.laser != b.cells.laser:
+        return False
+    rows, columns = a.cells.valid.shape
+    ends = [(one.region.cells.min() // columns <= 1, one.region.cells.max() // columns >= rows - 2) for one in (a, b)]
+    return bool((ends[0][0] and ends[1][1]) or (ends[0][1] and ends[1][0]))
+
+
 def _over(a: Piece, b: Piece) -> float:
     """Share of the smaller piece that lies over the other."""
+    sides = [np.ptp(one.points @ a.axes.T, axis=0) for one in (a, b)]
+    # So large that the samples leave no square of a piece empty.
+    size = max(_BIN_M, float(np.sqrt(max(side.prod() for side in sides) / (_SAMPLES / 6))))
     squares = []
     for one in (a, b):
-        at = np.round(one.points @ a.axes.T / _BIN_M).astype(np.int64)
+        at = np.round(one.points @ a.axes.T / size).astype(np.int64)
         squares.append({tuple(square) for square in at.tolist()})
     return len(squares[0] & squares[1]) / min(len(squares[0]), len(squares[1]))

@@ -76,8 +76,8 @@ def find_sphere(
     if centre is None or found:
         place = ", ".join(f"{x:.2f}" for x in near)
         raise CalibrationError(
-            f"{sweep.name}: found {found or 'none'}, expected a sphere of {1e3 * diameter_m:.0f} mm within {_AROUND_M} m "
-            f"of ({place}) m: measure its place and diameter again, or leave it out"
+            f"{sweep.name}: found {found or 'none'}, expected a sphere of {1e3 * diameter_m:.0f} mm within {_AROUND_M} "
+            f"m of ({place}) m: measure its place and diameter again, or leave it out"
         )
     chosen = np.flatnonzero(kept)
     shared = np.maximum(sweep.shared_lines[profile, line].astype(np.float64), 1.0)[chosen]

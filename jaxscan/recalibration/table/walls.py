@@ -69,10 +69,11 @@ class Walls(NamedTuple):
 
 def take_sample(sweep: SweepStripes, scanner: Scanner, profiles: int, points: int) -> Sample:
     """Points of so many profiles at most, on as many lines as that leaves."""
-    count, lines = sweep.valid.shape
+    count = len(sweep.valid)
+    lit = np.nonzero(sweep.valid.any(axis=0))[0]
     kept = np.unique(np.linspace(0, count - 1, min(profiles, count)).round().astype(int))
     width = int(np.clip(points // max(len(kept), 1), 8, LINES))
-    chosen = np.unique(np.linspace(0, lines - 1, min(width, lines)).round().astype(int))
+    chosen = lit[np.unique(np.linspace(0, len(lit) - 1, min(width, len(lit))).round().astype(int))]
     row, column = np.nonzero(sweep.valid[np.ix_(kept, chosen)])
     profile, line = kept[row], chosen[column]
     stripes = Stripes(sweep.centre[profile, line], line, sweep.laser[profile], sweep.stripe_axis)
