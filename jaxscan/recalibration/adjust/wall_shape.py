@@ -130,9 +130,10 @@ def _believed(
     matrix: Float[np.ndarray, "sizes kinds"], rhs: Float[np.ndarray, " sizes"]
 ) -> Float[np.ndarray, " kinds"]:
     """The best sum of kinds of which each is larger than chance makes it, by trying all sets."""
-    best, lowest = np.zeros(len(rhs)), float(rhs @ rhs)
-    for count in range(1, len(rhs) + 1):
-        for some in combinations(range(len(rhs)), count):
+    kinds = matrix.shape[1]
+    best, lowest = np.zeros(kinds), float(rhs @ rhs)
+    for count in range(1, kinds + 1):
+        for some in combinations(range(kinds), count):
             own = matrix[:, list(some)]
             if np.linalg.matrix_rank(own) < count:
                 continue
