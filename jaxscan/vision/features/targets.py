@@ -36,7 +36,7 @@ def find_dictionary(images: Sequence[np.ndarray]) -> str | None:
             continue
         _, ids, _, families = _detector(USUAL).detectMarkersMultiDict(np.ascontiguousarray(image))
         if ids is not None:
-            seen.update({(USUAL[k], int(i)) for k, i in zip(np.ravel(families), np.ravel(ids), strict=True)})
+            seen.update({(USUAL[int(k)], int(i)) for k, i in zip(np.ravel(families), np.ravel(ids), strict=True)})
     sure = Counter(name for (name, _), count in seen.items() if count >= _SURE)
     return sure.most_common(1)[0][0] if sure else None
 
@@ -99,7 +99,7 @@ def _by_edges(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
     r = np.linspace(-_EDGE_PX, _EDGE_PX, _ACROSS)
     point = corners[:, None] + share[..., None] * along[:, None]
     at = (point[:, :, None] + r[:, None] * normal[:, None, None]).astype(np.float32).reshape(-1, _ACROSS, 2)
-    level = np.asarray(cv2.remap(image.astype(np.float32), at, None, cv2.INTER_LINEAR), np.float64)
+    level = np.asarray(cv2.remap(image.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)
     slope = np.maximum(np.diff(level, axis=1) * _outwards(corners), 0.0)
     middle = (slope * (r[1:] + r[:-1]) / 2).sum(1) / np.maximum(slope.sum(1), 1e-9)
     # The lens bends the lines: parabolas, and at a corner their tangents.
