@@ -8,10 +8,12 @@ from jaxtyping import Bool, Float, Int
 
 HALF = 2
 """Cells on each side of a cell in whose window its normal is taken."""
-FLATNESS = 0.0025
+FLATNESS = 0.001
 """Part of the range by which a window may depart from its plane, beside noise."""
 BEND = np.cos(np.deg2rad(2.5))
 """Cosine of the angle between the normals of neighbours on one patch."""
+SAME = 0.003
+"""Part of the range by which the distances of two parts of one wall from the axis may differ."""
 LEAST_CELLS = 40
 FOLD = np.deg2rad(6.0)
 """Largest turn about the axis between two parts of a wall that a lost step has broken."""
@@ -81,8 +83,8 @@ def _normals(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     normal = normal * np.where(np.sum(normal * x, axis=-1) < 0, -1.0, 1.0)[..., None]
     noise = np.abs(np.sum(normal * grid.noise, axis=-1))
     along = np.linalg.norm(grid.noise, axis=-1)
-    thin = np.sqrt(np.maximum(values[..., 0], 0.0)) < 2.0 * noise + FLATNESS * size
-    wide = np.sqrt(np.maximum(values[..., 1], 0.0)) > 3.0 * noise + 2.0 * FLATNESS * size
+    thin = np.sqrt(np.maximum(values[..., 0], 0.0)) < 1.5 * noise + FLATNESS * size
+    wide = np.sqrt(np.maximum(values[..., 1], 0.0)) > 3.0 * noise + 5.0 * FLATNESS * size
     enough = count >= 0.6 * (2 * HALF + 1) ** 2
     return normal, grid.valid & thin & wide & enough & (noise > 0.1 * along)
 
@@ -158,7 +160,7 @@ def _one_wall(a: Plane, b: Plane, x: np.ndarray, y: np.ndarray) -> bool:
     turn = (turn + np.pi) % (2 * np.pi) - np.pi
     tilt = np.arcsin(np.clip(a.normal[2], -1, 1)) - np.arcsin(np.clip(b.normal[2], -1, 1))
     size = max(np.linalg.norm(a.centre), np.linalg.norm(b.centre))
-    if abs(turn) > FOLD or abs(tilt) > np.deg2rad(2.5) or abs(a.distance - b.distance) > 4 * FLATNESS * size:
+    if abs(turn) > FOLD or abs(tilt) > np.deg2rad(2.5) or abs(a.distance - b.distance) > SAME * size:
         return False
     along = np.cross([0.0, 0.0, 1.0], a.normal)
     s, t = x @ along, y @ along

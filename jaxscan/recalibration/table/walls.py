@@ -24,8 +24,12 @@ LOOSE, TIGHT = (0.02, 3e-3), (1e-3, 7e-4)
 """How far gain and waves may be from the calibration's: where the factor is sought, and where steps are [1, rad]."""
 
 
-FEW_PROFILES, FEW_POINTS = 400, 6_000
+FEW_POINTS, FEW_LINES = 6_000, 15
 """With which the rig is refined."""
+MOST_COST = 25.0
+"""Of one point in `truncated_cost`."""
+ROBUST = 4.0
+"""Sigmas at which the weight of a point is a quarter."""
 MOST_SHIFT = 300.0
 """Of a stripe onto its wall, in sigmas."""
 
@@ -122,7 +126,11 @@ def start_rig(scanner: Scanner, theta: Float[np.ndarray, " records"]) -> Rig:
 
 
 def wall_equations(
-    sample: Sample, label: Int[np.ndarray, " points"], rig: Rig, spread: tuple[float, float] = LOOSE
+    sample: Sample,
+    label: Int[np.ndarray, " points"],
+    rig: Rig,
+    spread: tuple[float, float] = LOOSE,
+    robust: bool = True,
 ) -> Walls:
     """The equations of all points on walls.
 
@@ -134,6 +142,7 @@ def wall_equations(
         label: Their walls.
         rig: About which the equations are linear.
         spread: How far the gain [1] and the waves [rad] may be from where they began.
+        robust: Whether points that are far from their wall have little weight.
     """
     order = np.nonzero(label >= 0)[0]
     order = order[np.argsort(sample.record[order], kind="stable")]
@@ -156,6 +165,11 @@ def wall_equations(
         shift[on] = np.clip(error[on] / (noise[on] @ m), -MOST_SHIFT, MOST_SHIFT)
         x[on] += shift[on, None] * noise[on]
         sigma[on] = np.hypot(noise[on] @ m, FLOOR * np.linalg.norm(x[on], axis=1))
+        whitened = error[on] / sigma[on]
+        if robust:
+            # What hangs on the wall has little weight; a wall that is bent as a whole keeps its own.
+            limit = ROBUST * max(1.0, float(np.median(np.abs(whitened))) / 0.6745)
+            sigma[on] *= 1.0 + (whitened / limit) ** 2
         lever[on] = m[1] * x[on, 0] - m[0] * x[on, 1]
         first = np.cross(m, np.eye(3)[np.argmin(np.abs(m))])
         offset = x[on] - plane.centre
@@ -189,12 +203,30 @@ def refine(rig: Rig, walls: Walls) -> Rig:
     return Rig(scanner, theta, rig.table + table, steps)
 
 
-def settle(sweep: SweepStripes, rig: Rig, times: int, spread: tuple[float, float] = LOOSE) -> Rig:
-    """The rig after some steps of least squares with few points."""
+def settle(
+    sweep: SweepStripes, rig: Rig, times: int, spread: tuple[float, float] = LOOSE, points: int = FEW_POINTS
+) -> Rig:
+    """The rig after some steps of least squares, with few points if nothing else is said."""
     for _ in range(times):
-        sample = take_sample(sweep, rig.scanner, FEW_PROFILES, FEW_POINTS)
+        sample = take_sample(sweep, rig.scanner, points // FEW_LINES, points)
         label = label_points(sample, rig.theta)
         if label.max(initial=-1) < 0:
             return rig
         rig = refine(rig, wall_equations(sample, label, rig, spread))
     return rig
+
+
+def truncated_cost(sweep: SweepStripes, rig: Rig) -> tuple[float, int]:
+    """Squared errors of points from their walls in sigmas, each at most that of a point on no wall; and their number."""
+    sample = take_sample(sweep, rig.scanner, FEW_POINTS // FEW_LINES, FEW_POINTS)
+    label = label_points(sample, rig.theta)
+    angle = rig.theta[sample.record]
+    x, noise = turn(angle, sample.x), turn(angle, sample.noise)
+    cost = MOST_COST * float(np.count_nonzero(label < 0))
+    for k in range(int(label.max(initial=-1)) + 1):
+        on = label == k
+        plane = fit(x[on])
+        error = (x[on] @ plane.normal - plane.distance) if plane is not None else np.full(on.sum(), np.inf)
+        sigma = np.abs(noise[on] @ plane.normal) if plane is not None else np.ones(on.sum())
+        cost += float(np.minimum((error / np.hypot(sigma, FLOOR * np.linalg.norm(x[on], axis=1))) ** 2, MOST_COST).sum())
+    return cost, len(label)
