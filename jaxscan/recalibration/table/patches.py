@@ -47,7 +47,7 @@ def find_patches(grid: Grid) -> Int[np.ndarray, "profiles lines"]:
     labels = _connect(grid, normal, flat)
     numbers, counts = np.unique(labels[labels >= 0], return_counts=True)
     planes = {}
-    for number in numbers[counts >= LEAST_CELLS]:
+    for number in numbers[counts >= LEAST_CELLS].tolist():
         plane = fit(grid.x[labels == number])
         if plane is not None:
             planes[number] = plane
