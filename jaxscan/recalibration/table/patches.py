@@ -50,7 +50,7 @@ def find_patches(grid: Grid) -> Int[np.ndarray, "profiles lines"]:
     for number in numbers[counts >= LEAST_CELLS].tolist():
         plane = fit(grid.x[labels == number])
         if plane is not None:
-            planes[int(number)] = plane
+            planes[number] = plane
     return _join(grid, labels, planes)
 
 
