@@ -10,12 +10,13 @@ import numpy as np
 import jaxscan
 from experiments.recalibration import world
 from experiments.recalibration.calibrations import Kind, calibration_of, draw_truth
+from experiments.recalibration.features import features_of
 from experiments.recalibration.stations import two_stations
 from experiments.recalibration.surfaces import curved, stepped
 from experiments.recalibration.trial import Task
 from experiments.recalibration.world import UNKIND, Sweeping
 from jaxscan.calibration import Calibration
-from jaxscan.recalibration import RecalibrationSettings, recalibrate
+from jaxscan.recalibration import Given, RecalibrationSettings, recalibrate
 from jaxscan.simulation import SimulationConfig, true_scanner
 
 
@@ -34,8 +35,8 @@ def load(name: str) -> SimulationConfig:
 
 def task_of(config: SimulationConfig, stored: Calibration, seed: int, how: Sweeping) -> Task:
     """A sweep of the rig as it is, against a stored calibration."""
-    stripes, truth = world.true_sweep(config, seed, how)
     assert config.room is not None
+    stripes, truth = world.true_sweep(config, seed, how)
     apart = ((0, 1, config.room.size_m[0]), (2, 3, config.room.size_m[1]))
     return Task(stored, [stripes], true_scanner(config), np.where(truth.surface < 6, truth.surface, -1), apart)
 
@@ -44,6 +45,14 @@ def plain(seed: int, name: str, kind: Kind, how: Sweeping) -> Task:
     """Nothing has moved since the calibration."""
     config = draw_truth(load(name), seed)
     return task_of(config, calibration_of(config, kind, seed), seed, how)
+
+
+def with_features(seed: int, kind: Kind) -> Task:
+    """Features are followed in the laser-off images too, round the whole turn."""
+    config = draw_truth(load("paper"), seed)
+    task = task_of(config, calibration_of(config, kind, seed), seed, SWEEPS["paper"])
+    _, truth = world.true_sweep(config, seed, SWEEPS["paper"])
+    return task._replace(given=Given(tracks=features_of(config, truth, seed)))
 
 
 def closed(seed: int, turn_deg: float) -> Task:
@@ -104,6 +113,8 @@ ROUGH = replace(PAPER, rough_m=5e-4, rough_length_m=0.05)
 KINDS: dict[str, Callable[[int], Task]] = {
     "paper-like": partial(plain, name="paper", kind="paper-like", how=PAPER),
     "good": partial(plain, name="paper", kind="good", how=PAPER),
+    "paper-like, features": partial(with_features, kind="paper-like"),
+    "good, features": partial(with_features, kind="good"),
     "paper-like, rough walls": partial(plain, name="paper", kind="paper-like", how=ROUGH),
     "good, rough walls": partial(plain, name="paper", kind="good", how=ROUGH),
     "unkind, paper-like": partial(plain, name="unkind", kind="paper-like", how=UNKIND_SWEEP),

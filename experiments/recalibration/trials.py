@@ -2,8 +2,8 @@
 
     python -m experiments.recalibration.trials KIND … [--seeds FIRST LAST] [--results FOLDER] [--worlds FOLDER]
 
-A trial that is kept is not run again, so a run may be stopped and continued. `python -m experiments.recalibration.table`
-judges them. The limits are in `limits.py`; they and the final seeds were written down before any was run.
+A trial that is kept is not run again, so a run may be stopped and continued. `experiments.recalibration.table` judges
+them. The limits are in `limits.py`; they and the final seeds were written down before any was run.
 """
 
 import argparse

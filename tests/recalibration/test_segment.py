@@ -5,8 +5,8 @@ import pytest
 
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import RecalibrationSettings, SurfacePoints, Surfaces
+from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.segment import find_patches, find_sphere, observe_surfaces
-from jaxscan.recalibration.segment.triangulate import triangulate
 from tests.recalibration.faces import Ball, Cylinder, Face, Taken, X, Y, Z, box, poor, rig, take
 
 
@@ -90,7 +90,7 @@ def test_a_poor_calibration_bends_walls_by_millimetres():
     for k in range(4):
         profile, line = np.nonzero(patches.labels == k)
         q = np.stack([taken.sweep.centre[profile, line], line], -1)
-        p, _ = triangulate(stored, q, np.zeros(len(q), int), taken.sweep.angle[profile])
+        p, _ = triangulate_points(stored, q, np.zeros(len(q), int), taken.sweep.angle[profile])
         p = p - p.mean(0)
         worst.append(np.abs(p @ np.linalg.eigh(p.T @ p)[1][:, 0]).max())
     # Beyond what a wall may be uneven: without the covariance there would be no planes.
@@ -156,7 +156,7 @@ def test_points_are_few_independent_and_even():
 def test_corners_are_left_out():
     taken = take(box(), rig(), noise_px=0.02)
     points, _ = observe_surfaces([taken.sweep], rig(), HOME)
-    p, _ = triangulate(rig(), points.q, points.laser, taken.sweep.angle[points.record])
+    p, _ = triangulate_points(rig(), points.q, points.laser, taken.sweep.angle[points.record])
     face = faces_of(taken, points)
     upright = np.stack([p[:, 0] + 2.0, 2.2 - p[:, 0], p[:, 1] + 2.1, 2.4 - p[:, 1]], -1)
     own = np.arange(4) == face[:, None]

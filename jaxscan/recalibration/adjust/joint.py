@@ -9,6 +9,7 @@ import numpy as np
 from jaxscan.calibration.solve import keep_inliers, robust_noise
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
+from jaxscan.recalibration.adjust.boards import board_equations, prepare_boards, with_boards
 from jaxscan.recalibration.adjust.conclude import conclude
 from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise
 from jaxscan.recalibration.adjust.prepare import Prepared, prepare
@@ -65,7 +66,8 @@ def adjust(
     with jax.enable_x64(True):
         prepared = prepare(prior, start, observations, settings, loosened or {})
         try:
-            state = _shaped(_reject(_robust(_begin(prepared, observations, settings), settings), settings), settings)
+            state = _robust(_begin(prepared, observations, settings, prior), settings)
+            state = _shaped(_reject(state, settings), settings)
         except np.linalg.LinAlgError as problem:
             raise CalibrationError(
                 f"The captures contradict each other, so no adjustment fits them ({problem}): check that they are of "
@@ -74,10 +76,13 @@ def adjust(
         return conclude(state, prior, observations)
 
 
-def _begin(prepared: Prepared, observations: RoomObservations, settings: RecalibrationSettings) -> State:
+def _begin(
+    prepared: Prepared, observations: RoomObservations, settings: RecalibrationSettings, prior: Scanner
+) -> State:
     wall = FIRST_WALL_M if settings.wall_m is None else settings.wall_m
     linearised = on_host(linearise(prepared.room, prepared.y))
-    return State(prepared, observations, prepared.y, linearised, prepared.usable, prepared.seen, Noise(1.0, wall))
+    data = None if observations.boards is None else prepare_boards(observations.boards, prior)
+    return State(prepared, observations, prepared.y, linearised, prepared.usable, prepared.seen, Noise(1.0, wall), data)
 
 
 def _robust(state: State, settings: RecalibrationSettings) -> State:
@@ -126,7 +131,7 @@ def _shaped(state: State, settings: RecalibrationSettings) -> State:
     if settings.wall_m is None:
         # Roughness was learned with the shape in it.
         wall = float(np.sqrt(max(wall**2 - np.sum(heights**2), 0.0)))
-    state = replace(state, noise=Noise(state.noise.stripe, wall), heights=heights)
+    state = _with_boards(replace(state, noise=Noise(state.noise.stripe, wall), heights=heights))
     room = state.weighted(1.0, 1.0)
     state = _moved(state, state.prepared._replace(room=room), state.y)
     for _ in range(_SHAPE_STEPS):
@@ -136,6 +141,16 @@ def _shaped(state: State, settings: RecalibrationSettings) -> State:
         if np.sqrt(np.mean(step.scanner**2)) < _ROUGH:
             break
     return state
+
+
+def _with_boards(state: State) -> State:
+    """The state with what captured boards say, seen with its scanner."""
+    if state.board_data is None:
+        return state
+    scanner, names = state.linearised.scanner, state.prepared.room.scanner.parameter_names()
+    equations = board_equations(scanner, state.board_data, names, state.boards)
+    room = with_boards(state.prepared.room, np.asarray(state.y.scanner), equations)
+    return replace(state, prepared=state.prepared._replace(room=room), boards=equations)
 
 
 def _moved(state: State, prepared: Prepared, y: Unknowns) -> State:
@@ -165,6 +180,7 @@ def _solved(
     damp: tuple[np.ndarray | float, np.ndarray | float] = (1.0, 1.0),
 ) -> State:
     """The state after one more solve, in which weights are damped by factors of the points and the sightings."""
+    state = _with_boards(state)
     room = state.weighted(*damp)
     damping = _FIRST_DAMPING if state.steps == 0 else _NEAR_DAMPING
     limits = np.asarray(damping), np.asarray(tolerance)

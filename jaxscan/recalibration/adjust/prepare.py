@@ -55,6 +55,9 @@ def prepare(
     root, inverse = prior_root(prior, loosened)
     angles = make_angles(observations, start, prior, settings)
     told, told_value = _closed(prior, root, settings)
+    if observations.boards is not None:
+        told = np.concatenate([told, np.zeros_like(root)])
+        told_value = np.append(told_value, np.zeros(len(root)))
     # The solver needs neither names nor sizes, and would compile again for each.
     names = tuple(map(str, range(len(prior.laser_names))))
     camera = replace(prior.camera, width=0, height=0)

@@ -130,7 +130,8 @@ def covariance_of(blocks: Blocks) -> Covariance:
 
 def _compiled(function: Any) -> Any:
     # Compiled once and run some ten times: what compiles twice as fast and runs equally fast is better.
-    return eqx.filter_jit(function, compiler_options={"xla_cpu_use_fusion_emitters": False})
+    options: Any = {"compiler_options": {"xla_cpu_use_fusion_emitters": False}}
+    return eqx.filter_jit(function, **options)
 
 
 solve: Callable[..., Solution] = _compiled(_solve)

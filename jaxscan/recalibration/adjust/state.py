@@ -7,8 +7,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.calibration.solve import Prepared as BoardData
 from jaxscan.calibration.solve import noise_component
 from jaxscan.recalibration.adjust.blocks import Blocks
+from jaxscan.recalibration.adjust.boards import BoardEquations
 from jaxscan.recalibration.adjust.noise import Noise
 from jaxscan.recalibration.adjust.prepare import Prepared
 from jaxscan.recalibration.adjust.room import Room, Unknowns
@@ -28,10 +30,13 @@ class State:
     kept: Bool[np.ndarray, " points"]
     sighting_kept: Bool[np.ndarray, " sightings"]
     noise: Noise
+    board_data: BoardData | None = None
     sighting_noise: float = 1.0
     """Over the given sigmas [1]."""
     heights: Float[np.ndarray, " sizes"] = field(default_factory=lambda: np.zeros(4))
     """Standard deviation of the heights of patches of each size [m]."""
+    boards: BoardEquations | None = None
+    """What captured boards say, at the scanner of a few steps before."""
     steps: int = 0
     converged: bool = False
 

@@ -20,8 +20,14 @@ from jaxscan.recalibration.adjust.solver import Covariance, Linearised
 _SIZES = np.array([0.25, 0.5, 1.0, 2.0])
 # Patches of one wall at most; in larger halls all patches are larger.
 _MOST = 500
-# Patches by which the height of a size can be learned at least.
-_FEWEST = 12
+# Patches by which the height of a size can be learned at least, less those that the fit takes up.
+_FEWEST = 5
+# Variances of the heights of all sizes by two kinds of shape. One is of the smallest size, as plaster and light that
+# comes back in corners are. The other is a smooth bow, whose patches differ in proportion to their size: it is learned
+# from small patches, since a bow over a whole wall looks like an error of the scanner and is hardly left in residuals.
+_KINDS = np.column_stack([_SIZES == _SIZES[0], (_SIZES / _SIZES[-1]) ** 2])
+# A kind of shape is believed from this many of its standard deviations.
+_BELIEVED = 1.5
 
 
 class Wall(NamedTuple):
@@ -98,7 +104,7 @@ def learn_heights(walls: list[Wall], covariance: Covariance) -> Float[np.ndarray
     each size would add; of both only the part counts that the fit cannot take up.
     """
     count = len(_SIZES)
-    found, noise, patches = np.zeros(count), np.zeros(count), np.zeros(count)
+    found, noise, spread = np.zeros(count), np.zeros(count), np.zeros(count)
     added = np.zeros((count, count))
     for wall in walls:
         away = wall.dense - wall.local @ covariance.coupling[wall.surface]
@@ -109,28 +115,35 @@ def learn_heights(walls: list[Wall], covariance: Covariance) -> Float[np.ndarray
             mine = wall.size == number
             found[number] += np.sum(wall.residual[mine] ** 2 / size[mine])
             noise[number] += np.sum(np.diag(left)[mine] / size[mine])
-            patches[number] += mine.sum()
+            block = left[np.ix_(mine, mine)]
+            spread[number] += 2.0 * np.sum(block**2 / np.outer(size[mine], size[mine]))
             for other in range(count):
                 block = left[np.ix_(mine, wall.size == other)]
                 added[number, other] += np.sum(block**2 / size[mine, None])
-    enough = patches >= _FEWEST
-    weight = np.where(enough, 1.0 / np.sqrt(np.maximum(patches, 1.0)), 0.0)
-    return np.sqrt(_least_squares_above_zero(added * weight[:, None], (found - noise) * weight, enough))
+    # Where the fit takes up nearly all that a size adds, its sums say nothing.
+    weight = np.where(spread >= 2.0 * _FEWEST, 1.0 / np.sqrt(np.maximum(spread, 1.0)), 0.0)
+    kinds = _believed(added @ _KINDS * weight[:, None], (found - noise) * weight)
+    return np.sqrt(_KINDS @ kinds)
 
 
-def _least_squares_above_zero(
-    matrix: Float[np.ndarray, "n n"], rhs: Float[np.ndarray, " n"], allowed: Bool[np.ndarray, " n"]
-) -> Float[np.ndarray, " n"]:
-    """The best solution without negative numbers, by trying all sets of those that are not 0."""
-    best, lowest = np.zeros(len(rhs)), float(rhs @ rhs)
-    for count in range(1, len(rhs) + 1):
-        for some in combinations(np.flatnonzero(allowed), count):
-            own = list(some)
-            value = np.linalg.lstsq(matrix[:, own], rhs, rcond=None)[0]
-            left = rhs - matrix[:, own] @ value
-            if np.all(value > 0) and left @ left < lowest * (1 - 1e-12):
-                best, lowest = np.zeros(len(rhs)), float(left @ left)
-                best[own] = value
+def _believed(
+    matrix: Float[np.ndarray, "sizes kinds"], rhs: Float[np.ndarray, " sizes"]
+) -> Float[np.ndarray, " kinds"]:
+    """The best sum of kinds of which each is larger than chance makes it, by trying all sets."""
+    kinds = matrix.shape[1]
+    best, lowest = np.zeros(kinds), float(rhs @ rhs)
+    for count in range(1, kinds + 1):
+        for some in combinations(range(kinds), count):
+            own = matrix[:, list(some)]
+            if np.linalg.matrix_rank(own) < count:
+                continue
+            spread = np.linalg.inv(own.T @ own)
+            value = spread @ (own.T @ rhs)
+            left = rhs - own @ value
+            # Another kind must explain more than chance does.
+            if np.all(value > _BELIEVED * np.sqrt(np.diag(spread))) and left @ left < lowest - 1.0:
+                best, lowest = np.zeros(kinds), float(left @ left)
+                best[list(some)] = value
     return best
 
 

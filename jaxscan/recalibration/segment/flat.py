@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.adjusted import Adjusted
-from jaxscan.recalibration.segment.triangulate import triangulate
 
 
 _LEAST_M, _MOST_M = 8e-4, 3e-3
@@ -166,6 +166,5 @@ def _places(adjusted: Adjusted) -> Float[np.ndarray, "points 3"]:
         own = points.sweep == k
         added = adjusted.corrections[k] if adjusted.corrections else 0.0
         phi[own] = (angle + added)[points.record[own]]
-    p, _ = triangulate(adjusted.scanner, points.q, points.laser, phi)
     pose = adjusted.stations[seen.station[points.sweep]]
-    return np.einsum("nij,nj->ni", pose[:, :3, :3], p) + pose[:, :3, 3]
+    return triangulate_points(adjusted.scanner, points.q, points.laser, phi, pose)[0]

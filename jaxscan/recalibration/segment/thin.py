@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Scanner, stripe_pixel
+from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.observed import SurfacePoints, SweepStripes
 from jaxscan.recalibration.segment.pieces import Piece
-from jaxscan.recalibration.segment.triangulate import triangulate
 
 
 _CORNER_M = 0.05
@@ -86,11 +86,11 @@ def candidates(
         stripe_pixel(sweep.centre[profile, line].astype(np.float64), line.astype(np.float64), sweep.stripe_axis)
     )
     laser = sweep.laser[profile]
-    p, incidence = triangulate(scanner, q, laser, placed.angle[record])
+    p, exists = triangulate_points(scanner, q, laser, placed.angle[record])
     sigma = sweep.sigma[profile, line].astype(np.float64)
     noise = np.abs(cells.slope.reshape(-1, 3)[members[kept]] @ piece.plane.normal) * sigma
     error = piece.plane.error(p, bend)
-    good = (incidence > 0) & (np.abs(error) < _OUTLIER * np.maximum(noise, 1.5 * np.median(noise)) + _OUTLIER_M)
+    good = exists & (np.abs(error) < _OUTLIER * np.maximum(noise, 1.5 * np.median(noise)) + _OUTLIER_M)
     points = SurfacePoints(q, sigma, np.full(len(q), piece.sweep), record, line, laser, np.zeros(len(q), int))
     at = p @ placed.pose[:3, :3].T + placed.pose[:3, 3]
     shared = np.maximum(sweep.shared_lines[profile, line].astype(np.float64), 1.0)
