@@ -142,6 +142,7 @@ class TestBadInput:
             ("[[length]]\nmetre = 1", "unknown key"),
             ("[[length]]\nmetres = 1.0\nsigma_mm = 0.5\na = [0, 0]\nb = [1, 0, 0]", "length[0].a: expected three"),
             ("[[length]]\nmetres = 1.0\nsigma_mm = 0.5\na = [0, 0, 0]\nb = [0, 0, 0]", "the same place"),
+            ('[[length]]\nmetres = 1.0\nsigma_mm = 0.5\na = [0, 0, 0]\nb = "marker 7 corner 2"', "two of one kind"),
             ("[[length]]\nmetres = -1.0\nsigma_mm = 0.5\na = [0, 0, 0]\nb = [1, 0, 0]", "length[0].metres: found -1"),
             ("[[length]]\nmetres = 1.0\nsigma_mm = 0\na = [0, 0, 0]\nb = [1, 0, 0]", "length[0].sigma_mm: found 0"),
             ("[[sphere]]\ndiameter_mm = inf\nat = [1, 0, 0]", "sphere[0].diameter_mm: found Infinity"),
@@ -168,13 +169,15 @@ def says_with_second(says):
 
 def test_known_lengths_and_spheres_are_read(tmp_path):
     (tmp_path / "known.toml").write_text(
-        '[[length]]\nmetres = 3.9\nsigma_mm = 0.5\na = [1, 2.5, 0]\nb = "marker 7 corner 2"\n'
+        "[[length]]\nmetres = 3.9\nsigma_mm = 0.5\na = [1, 2.5, 0]\nb = [-2.9, 2.5, 0]\n"
+        '[[length]]\nmetres = 0.08\nsigma_mm = 0.1\na = "board corner 1"\nb = "marker 7 corner 2"\n'
         "[[sphere]]\ndiameter_mm = 200\nat = [1.0, 0, 0]\n"
     )
     given = load_known_room(tmp_path / "known.toml")
-    (length,), (sphere,) = given.lengths, given.spheres
-    assert (length.metres, length.sigma_m, length.second) == (3.9, 0.0005, "marker 7 corner 2")
-    np.testing.assert_array_equal(length.first, [1, 2.5, 0])
+    (walls, targets), (sphere,) = given.lengths, given.spheres
+    assert (walls.metres, walls.sigma_m) == (3.9, 0.0005)
+    np.testing.assert_array_equal([walls.first, walls.second], [[1, 2.5, 0], [-2.9, 2.5, 0]])
+    assert (targets.first, targets.second) == ("board corner 1", "marker 7 corner 2")
     assert sphere.diameter_m == 0.2
 
 

@@ -1,4 +1,4 @@
-"""A box room with painted walls as a turning camera sees it: ray casting with formulas of its own, nothing of jaxscan."""
+"""A box room with painted walls, seen by a turning camera: ray casting with formulas of its own."""
 
 from typing import NamedTuple
 

@@ -65,14 +65,17 @@ def unobserved(compared: Compared, scales: Scales, names: tuple[str, ...]) -> tu
     order = np.argsort(compared.factor, kind="stable")
     others = [i for i in order if compared.factor[i] < _OBSERVED and np.sum(left[i] ** 2) < _SAME]
     if others:
-        named = "; ".join(_named(compared, i, names) for i in others)
+        some, more = others[:_TOLD], " and others" if len(others) > _TOLD else ""
+        named = "; ".join(_named(compared, i, names) for i in some)
         told.append(
-            f"{len(others)} directions are known less than twice as well as before ({named}): the stored "
+            f"{len(others)} directions are known less than twice as well as before ({named}{more}): the stored "
             "calibration holds them"
         )
     return tuple(told)
 
 
+_TOLD = 3
+"""Directions that one sentence names."""
 _ALIKE = {
     "radial scale": "planes look the same in a room that is wider in all directions by one share",
     "height scale": "planes look the same in a room that is higher by one share",

@@ -16,13 +16,17 @@ _ROBUST, _REJECT = 3.0, 4.0
 """Standard deviations beyond which a sighting counts less, and beyond which it is left out."""
 _MOST_REJECTED = 0.3
 """Share of its sightings that a good track may lose."""
+_SHARED_PX = 0.02
+"""Error that sightings in one part of the image share, and that no difference shows, as of interpolation [px]."""
 _BINS, _FEWEST_IN_BIN = 6, 60
 _FEWEST_VIEWS = 3
 _PRIOR_FREEDOM = 6.0
 _WORST = 4.0
 """Noise of a track, over the median of its kind, at most."""
-_STEP = 1e-3
-"""Of a difference quotient, in typical errors of a parameter."""
+_STEP, _POINT_STEP, _ANGLE_STEP = 1e-3, 1e-5, 1e-6
+"""Of difference quotients: standard deviations, m, rad."""
+_FOR_SCANNER = 4000
+"""Sightings from which the errors of scanner and angles are estimated."""
 
 
 class Sightings(NamedTuple):
@@ -92,7 +96,7 @@ def keep_consistent(scanner: Scanner, sightings: Sightings) -> Consistent:
         kept = _whole(kept, sightings.track, count)
         points = points_of(kept, sigma)
         kept &= _steady(points, kept, sightings.track, count)
-    return Consistent(kept, sigma, points)
+    return Consistent(kept, np.hypot(sigma, _SHARED_PX), points)
 
 
 def _left(
@@ -102,60 +106,51 @@ def _left(
     by_scanner = _scanner_gradients(scanner, part, point)
     still = np.broadcast_to(np.eye(4), (len(point), 4, 4))
     error = part.q - project_all(scanner, point, part.angle, still)
-    by_point = np.stack(
-        [
-            (
-                project_all(scanner, point + step, part.angle, still)
-                - project_all(scanner, point - step, part.angle, still)
-            )
-            / 2e-5
-            for step in 1e-5 * np.eye(3)
-        ],
-        -1,
-    )
-    ahead, behind = (project_all(scanner, point, part.angle + step, still) for step in (1e-6, -1e-6))
-    by_angle = (ahead - behind) / 2e-6
-    keys, key = np.unique(part.key, return_inverse=True)
-    tracks, track = np.unique(part.track, return_inverse=True)
-    n, k = len(point), by_scanner.shape[2]
-    design = np.zeros((n, 2, k + len(keys)))
-    design[..., :k] = by_scanner
-    design[np.arange(n), :, k + key] = by_angle * _ANGLE_SIGMA
-    left, seen = error, np.bincount(track)
-    weight = 1.0 / sigma**2
+    moved = [
+        project_all(scanner, point + step, part.angle, still) - project_all(scanner, point - step, part.angle, still)
+        for step in _POINT_STEP * np.eye(3)
+    ]
+    by_point = np.stack(moved, -1) / (2 * _POINT_STEP)
+    ahead, behind = (project_all(scanner, point, part.angle + step, still) for step in (_ANGLE_STEP, -_ANGLE_STEP))
+    by_angle = (ahead - behind) / (2 * _ANGLE_STEP) * _ANGLE_SIGMA
+    key = np.unique(part.key, return_inverse=True)[1]
+    track = np.unique(part.track, return_inverse=True)[1]
+    # Scanner and angles are held well by some of the tracks.
+    some = track % int(np.ceil(len(track) / _FOR_SCANNER)) == 0
+    chosen = np.flatnonzero(some)
+    k = by_scanner.shape[2]
+    design = np.zeros((len(chosen), 2, k + int(key.max()) + 1))
+    design[..., :k] = by_scanner[chosen]
+    design[np.arange(len(chosen)), :, k + key[chosen]] = by_angle[chosen]
+    left, weight = error, 1.0 / sigma**2
     for _ in range(_REWEIGHTED):
-        left = _reduced(design, by_point, error, weight, track, len(tracks))
+        right = np.concatenate([design, error[chosen][..., None]], -1)
+        reduced = _without_points(right, by_point[chosen], weight[chosen], track[chosen])
+        rows = reduced.reshape(-1, right.shape[-1]) * np.sqrt(np.repeat(weight[chosen], 2))[:, None]
+        normal = rows[:, :-1].T @ rows[:, :-1] + np.eye(design.shape[2])
+        x = np.linalg.solve(normal, rows[:, :-1].T @ rows[:, -1])
+        left = error - by_scanner @ x[:k] - by_angle * x[k + key][:, None]
+        left = _without_points(left[..., None], by_point, weight, track)[..., 0]
         size = np.linalg.norm(left, axis=1) / sigma / np.sqrt(2.0)
         weight = 1.0 / (sigma * (1.0 + (size / _ROBUST) ** 2)) ** 2
+    seen = np.bincount(track)
     freedom = np.maximum(2.0 * seen - 3.0, 1.0) / (2.0 * seen)
     return left, freedom[track]
 
 
-def _reduced(
-    design: np.ndarray, by_point: np.ndarray, error: np.ndarray, weight: np.ndarray, track: np.ndarray, count: int
-) -> Float[np.ndarray, "n 2"]:
-    """Errors left by weighted least squares: points eliminated, the other unknowns with prior deviations of one."""
-    w = weight[:, None, None]
+def _without_points(
+    values: Float[np.ndarray, "n 2 k"], by_point: Float[np.ndarray, "n 2 3"], weight: np.ndarray, track: np.ndarray
+) -> Float[np.ndarray, "n 2 k"]:
+    """Columns over all sightings, less the part that steps of each track's point explain."""
     order = np.argsort(track, kind="stable")
-    start = np.searchsorted(track[order], np.arange(count))
-
-    def summed(values: np.ndarray) -> np.ndarray:
-        return np.add.reduceat(values[order], start, 0)
-
+    numbers, start = np.unique(track[order], return_index=True)
+    weighted = by_point.transpose(0, 2, 1) * weight[:, None, None]
+    normal = np.add.reduceat((weighted @ by_point)[order], start, 0)
     # A camera on the axis does not see how far points are: those directions stay.
-    points = summed(by_point.transpose(0, 2, 1) @ by_point * w)
-    size = np.trace(points, axis1=1, axis2=2)[:, None, None] + 1e-30
-    inverse = np.linalg.inv(points + 1e-9 * size * np.eye(3))
-    right = np.concatenate([design, error[..., None]], -1)
-    mixed = summed(by_point.transpose(0, 2, 1) @ right * w)
-    solved = inverse @ mixed
-    across = right - by_point @ solved[track]
-    flat = across.reshape(-1, across.shape[-1])
-    root = np.sqrt(np.repeat(weight, 2))[:, None]
-    weighted = flat * root
-    normal = weighted[:, :-1].T @ weighted[:, :-1] + np.eye(design.shape[2])
-    step = np.linalg.solve(normal, weighted[:, :-1].T @ weighted[:, -1])
-    return (flat[:, -1] - flat[:, :-1] @ step).reshape(-1, 2)
+    size = np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-30
+    mixed = np.add.reduceat((weighted @ values)[order], start, 0)
+    solved = np.linalg.inv(normal + 1e-9 * size * np.eye(3)) @ mixed
+    return values - by_point @ solved[np.searchsorted(numbers, track)]
 
 
 def _scanner_gradients(
@@ -173,7 +168,7 @@ def _scanner_gradients(
     columns = []
     for direction in root.T:
         ahead, behind = (
-            project_all(scanner.retract(step), point, part.angle, still)
+            project_all(scanner, point, part.angle, still, step)
             for step in (_STEP * direction, -_STEP * direction)
         )
         columns.append((ahead - behind) / (2 * _STEP))

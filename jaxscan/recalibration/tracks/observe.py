@@ -28,6 +28,8 @@ _NOMINAL_RANGE_M = 2.5
 _LEAST_SHARE = 0.3
 """Share of features that fit the turn below which none is believed."""
 _FEWEST_TRACKS = 20
+_SIGHTINGS = 8
+"""Sightings of a track that are used, at most: neighbouring ones share what blurs and bends a feature."""
 
 
 class _Seen(NamedTuple):
@@ -129,8 +131,20 @@ def _features(
         return turning.predict(place, turn, _NOMINAL_RANGE_M)
 
     steps = Walk(cylinder, predict, len(walk), len(keys.record))
-    followed = eyes.follow(reader.ahead(keys.record[walk]), steps)
+    followed = _thinned(eyes.follow(reader.ahead(keys.record[walk]), steps))
     return _keep_features(scanner, sweep, keys, followed)
+
+
+def _thinned(followed: Followed) -> Followed:
+    """At most `_SIGHTINGS` of each track, its first and last ones and others evenly between."""
+    order = np.lexsort((followed.step, followed.track))
+    start, count = np.unique(followed.track[order], return_index=True, return_counts=True)[1:]
+    place = np.arange(len(order)) - np.repeat(start, count)
+    last, most = np.repeat(count - 1, count), np.minimum(np.repeat(count, count), _SIGHTINGS) - 1
+    # A place is kept where the rounded share of the way to the last one steps up.
+    share = np.floor(place * most / np.maximum(last, 1) + 1e-9)
+    before = np.floor((place - 1) * most / np.maximum(last, 1) + 1e-9)
+    return Followed(*(field[order[share > before]] for field in followed))
 
 
 def _keep_features(

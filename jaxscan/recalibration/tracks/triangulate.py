@@ -1,7 +1,7 @@
 """Lines of sight, pixels, and points of the room from their sightings, by a scanner whose motion is known."""
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import jax
@@ -95,14 +95,24 @@ def project_all(
     point: Float[np.ndarray, "n 3"],
     angle: Float[np.ndarray, " n"],
     station: Float[np.ndarray, "n 4 4"],
+    step: Float[np.ndarray, " params"] | None = None,
 ) -> Float[np.ndarray, "n 2"]:
-    """Pixels at which points of the room are seen at the table's angles."""
-    return _in_chunks(_project(), scanner, (point, angle, station))[0]
+    """Pixels at which points of the room are seen at the table's angles.
+
+    Args:
+        scanner: The scanner.
+        point: Points of the room [m].
+        angle: The table's angle of each [rad from home].
+        station: T_room_scanner of each.
+        step: Of the scanner in its minimal coordinates.
+    """
+    step = np.zeros(len(scanner.parameter_names())) if step is None else step
+    return _in_chunks(partial(_project(), step), scanner, (point, angle, station))[0]
 
 
 def _summed(values: np.ndarray, track: np.ndarray, count: int) -> np.ndarray:
-    flat = values.reshape(len(values), -1)
-    out = np.stack([np.bincount(track, column, count) for column in flat.T], -1)
+    size = int(np.prod(values.shape[1:]))
+    out = np.stack([np.bincount(track, column, count) for column in values.reshape(len(values), size).T], -1)
     return out.reshape(count, *values.shape[1:])
 
 
@@ -123,10 +133,13 @@ def _in_chunks(
 
 @cache
 def _project() -> Callable[..., tuple[jax.Array, ...]]:
-    def pixel(scanner: Scanner, point: jax.Array, angle: jax.Array, station: jax.Array) -> tuple[jax.Array]:
-        return (scanner.camera.project(transform(invert(station @ scanner.pose(angle)), point)),)
+    def pixel(
+        step: jax.Array, scanner: Scanner, point: jax.Array, angle: jax.Array, station: jax.Array
+    ) -> tuple[jax.Array]:
+        moved = scanner.retract(step)
+        return (moved.camera.project(transform(invert(station @ moved.pose(angle)), point)),)
 
-    return jax.jit(jax.vmap(pixel, (None, 0, 0, 0)))
+    return jax.jit(jax.vmap(pixel, (None, None, 0, 0, 0)))
 
 
 @cache

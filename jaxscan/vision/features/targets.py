@@ -14,10 +14,12 @@ from jaxscan.vision.boards import find_corners
 
 USUAL = ("DICT_APRILTAG_36h11", "DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250", "DICT_7X7_250")
 """Dictionaries that are tried where none is named; smaller ones have the same first markers."""
-_SIGMA_PX = 0.15
+_SIGMA_PX = 0.05
 """Noise of a marker's corner [px]; the differences between images tell it better."""
 _LEAST_SIDE = 32
 _REFINED_PX = 4
+_EDGE_PX, _ACROSS, _EDGE_SAMPLES = 4.0, 17, 24
+"""Reach across an edge [px], and places across and along it at which the image is sampled."""
 _SURE = 2
 """Images in which a marker is seen before its dictionary is believed: many a texture looks like a marker once."""
 
@@ -63,7 +65,7 @@ def find_targets(image: np.ndarray, board: AbstractBoard | None, dictionary: str
             if number in _own(board, dictionary):
                 continue
             names += [f"marker {number} corner {corner}" for corner in range(4)]
-            places.append(np.reshape(four, (4, 2)).astype(np.float64))
+            places.append(_by_edges(image, np.reshape(four, (4, 2)).astype(np.float64)))
             sigmas.append(np.full(4, _SIGMA_PX))
     if board is not None and _may_show(image, board):
         found = find_corners(image, board)
@@ -73,6 +75,49 @@ def find_targets(image: np.ndarray, board: AbstractBoard | None, dictionary: str
             places.append(found.q[index])
             sigmas.append(found.sigma[index])
     return FoundTargets(tuple(names), np.concatenate(places), np.concatenate(sigmas))
+
+
+def _by_edges(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Corners of a marker where the lines of its edges meet: the gradient at a corner itself lies inwards of it.
+
+    Args:
+        image: Grey, uint8 [rows, columns].
+        corners: The corners in order [4, 2], to a pixel or so.
+    """
+    following = np.roll(corners, -1, 0)
+    along = following - corners
+    length = np.linalg.norm(along, axis=1)
+    if length.min() < 4 * _EDGE_PX:
+        return corners
+    normal = np.stack([-along[:, 1], along[:, 0]], -1) / length[:, None]
+    # Clear of the corners, where the next edge is near.
+    clear = np.minimum(1.5 * _EDGE_PX / length, 0.35)[:, None]
+    share = clear + (1 - 2 * clear) * np.linspace(0, 1, _EDGE_SAMPLES)
+    r = np.linspace(-_EDGE_PX, _EDGE_PX, _ACROSS)
+    point = corners[:, None] + share[..., None] * along[:, None]
+    at = (point[:, :, None] + r[:, None] * normal[:, None, None]).astype(np.float32).reshape(-1, _ACROSS, 2)
+    level = np.asarray(cv2.remap(image.astype(np.float32), at, None, cv2.INTER_LINEAR), np.float64)
+    slope = np.maximum(np.diff(level, axis=1) * _outwards(corners), 0.0)
+    middle = (slope * (r[1:] + r[:-1]) / 2).sum(1) / np.maximum(slope.sum(1), 1e-9)
+    lines = [np.polyfit(s, m, 1) for s, m in zip(share, middle.reshape(4, -1), strict=True)]
+    start = np.array([corners[k] + np.polyval(lines[k], 0.0) * normal[k] for k in range(4)])
+    end = np.array([following[k] + np.polyval(lines[k], 1.0) * normal[k] for k in range(4)])
+    refined = np.array([_meeting((start[k - 1], end[k - 1]), (start[k], end[k])) for k in range(4)])
+    return np.where(np.abs(refined - corners).max() < _EDGE_PX, refined, corners)
+
+
+def _outwards(corners: np.ndarray) -> float:
+    """1 where the normals of the edges point out of the marker, else -1."""
+    x, y = (corners - corners.mean(0)).T
+    area = float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+    return -1.0 if area > 0 else 1.0
+
+
+def _meeting(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """The point where two lines meet, each through two points."""
+    a, b = first[1] - first[0], second[1] - second[0]
+    t, _ = np.linalg.solve(np.stack([a, -b], -1), second[0] - first[0])
+    return np.asarray(first[0] + t * a)
 
 
 def _may_show(image: np.ndarray, board: AbstractBoard) -> bool:
