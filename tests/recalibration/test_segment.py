@@ -29,14 +29,15 @@ def assert_pure(taken: Taken, points: SurfacePoints, surfaces: Surfaces) -> None
         assert count.max() >= 0.995 * count.sum(), count
 
 
-@pytest.mark.parametrize("radius", [1.0, 2.0, 5.0])
+@pytest.mark.parametrize("radius", [1.0, 5.0, 15.0])
 @pytest.mark.parametrize("known", [True, False])
 def test_a_curved_wall_is_no_plane(radius, known):
     stored, true = (rig(), rig()) if known else poor(5)
-    # 1 m of the wall x = -2 bulges outwards.
-    depth = radius - np.sqrt(radius**2 - 0.7**2)
+    # A part of the wall x = -2 bulges outwards: 1.4 m, or all of it where it is hardly curved.
+    half = 0.7 if radius < 10 else 2.4
+    depth = radius - np.sqrt(radius**2 - half**2)
     bulge = Cylinder((-2.0 - depth + radius, 0.0), radius, ((X, -9.0, -2.0),))
-    flat = [Face(X, -2.0, ((Y, 0.7, 9.0),)), Face(X, -2.0, ((Y, -9.0, -0.7),))]
+    flat = [Face(X, -2.0, ((Y, half, 9.0),)), Face(X, -2.0, ((Y, -9.0, -half),))]
     taken = take([bulge, *flat, *box()[1:]], true)
     points, surfaces = observe_surfaces([taken.sweep], stored, HOME)
     face = faces_of(taken, points)
@@ -160,11 +161,11 @@ def test_corners_are_left_out():
     face = faces_of(taken, points)
     upright = np.stack([p[:, 0] + 2.0, 2.2 - p[:, 0], p[:, 1] + 2.1, 2.4 - p[:, 1]], -1)
     own = np.arange(4) == face[:, None]
-    # 5 cm, less the noise of a stripe.
-    assert np.where(own, np.inf, upright)[face < 4].min() > 0.04
+    # 20 cm, less the noise of a stripe.
+    assert np.where(own, np.inf, upright)[face < 4].min() > 0.19
     level = np.minimum(p[:, 2] + 0.75, 0.8 - p[:, 2])[face < 4]
     assert level.min() > 0.01
-    assert np.where(own, np.inf, upright).min(1)[face < 4].min() < 0.2
+    assert np.where(own, np.inf, upright).min(1)[face < 4].min() < 0.3
 
 
 def test_labels_lie_on_planes():

@@ -12,8 +12,9 @@ from jaxscan.recalibration.observed import SurfacePoints, SweepStripes
 from jaxscan.recalibration.segment.pieces import Piece
 
 
-_CORNER_M = 0.05
-"""Distance from another wall within which points are left out: light comes back from it, and smoothing rounds [m]."""
+_CORNER_M, _CORNER = 0.2, 0.1
+"""Distance from another wall within which points are left out, because light comes back from it and smoothing rounds
+[m]; but no more than this share of their own wall's width."""
 _NEAR_M = 0.3
 """How far another wall may end from a corner that it makes [m]."""
 _CROSSING = 0.94
@@ -135,6 +136,8 @@ def _inner(members: np.ndarray, shape: tuple[int, ...]) -> Bool[np.ndarray, " me
 def _at_corners(piece: Piece, others: Sequence[Piece]) -> Bool[np.ndarray, " members"]:
     p = piece.cells.p.reshape(-1, 3)[piece.region.cells]
     near = np.zeros(len(p), bool)
+    width = np.ptp((p - piece.plane.centre) @ piece.plane.axes.T, axis=0).max()
+    margin = min(_CORNER_M, _CORNER * float(width))
     for other in others:
         plane = other.plane
         if abs(plane.normal @ piece.plane.normal) > _CROSSING:
@@ -142,7 +145,7 @@ def _at_corners(piece: Piece, others: Sequence[Piece]) -> Bool[np.ndarray, " mem
         along = (p - plane.centre) @ plane.axes.T
         reach = (other.points - other.centre) @ other.axes.T
         beside = (along > reach.min(0) - _NEAR_M) & (along < reach.max(0) + _NEAR_M)
-        near |= (np.abs(p @ plane.normal - plane.distance) < _CORNER_M) & beside.all(1)
+        near |= (np.abs(p @ plane.normal - plane.distance) < margin) & beside.all(1)
     return near
 
 

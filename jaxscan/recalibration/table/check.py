@@ -10,7 +10,7 @@ from jaxscan.recalibration.observed import SweepStripes, Tracks
 from jaxscan.recalibration.result import TableFindings
 from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.table.factor import find_factor
-from jaxscan.recalibration.table.jumps import find_steps
+from jaxscan.recalibration.table.jumps import find_steps, step_sigmas
 from jaxscan.recalibration.table.names import say_factor, say_jump, usual_ratio
 from jaxscan.recalibration.table.walls import LOOSE, Rig, settle, start_rig
 
@@ -52,21 +52,22 @@ def check_angles(
         correction += (found - 1.0) * sweep.angle
         way = np.sign(float(table.gain)) * np.sign(sweep.angle[-1] - sweep.angle[0])
         seen = np.unique(sweep.record)
-        for record, size in sorted(steps):
+        for record, size, sigma in sorted(steps):
             jumps.append((number, record, size / float(table.gain)))
             correction[record:] += size / float(table.gain)
             before = seen[seen < record]
-            sentences.append(
-                say_jump(sweep.name, int(before[-1]) if len(before) else 0, record, np.rad2deg(way * size))
-            )
+            between = (int(before[-1]) if len(before) else 0, record)
+            sentences.append(say_jump(sweep.name, between, np.rad2deg(way * size), np.rad2deg(sigma)))
     return TableFindings(factor, tuple(jumps), tuple(corrections), tuple(sentences))
 
 
-def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[float, list[tuple[int, float]]]:
-    """Factor of the journal's angles, and steps about the axis: first record and angle [rad]."""
+def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[float, list[tuple[int, float, float]]]:
+    """Factor of the journal's angles, and steps about the axis: first record, angle and its sigma [rad]."""
     own = table_angles(table, sweep.angle)
     factor = find_factor(sweep, start_rig(scanner, own))
     rig = find_steps(sweep, _settled(sweep, scanner, table, factor))
+    sigmas = step_sigmas(sweep, rig)
+    steps = [(record, size, float(sigma)) for (record, size), sigma in zip(rig.steps, sigmas, strict=True)]
     # With the steps known, and the gain free, once more.
     free = settle(sweep, rig, 3, LOOSE)
     stepless = free.theta.copy()
@@ -74,9 +75,9 @@ def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[fl
         stepless[record:] -= size
     precise = float(own @ stepless / (own @ own)) if own.any() else 1.0
     if abs(precise - 1.0) < LEAST_FACTOR:
-        return 1.0, list(rig.steps)
+        return 1.0, steps
     pair = usual_ratio(precise)
-    return (precise if pair is None else pair[0] / pair[1]), list(rig.steps)
+    return (precise if pair is None else pair[0] / pair[1]), steps
 
 
 def _settled(sweep: SweepStripes, scanner: Scanner, table: Turntable, factor: float) -> Rig:

@@ -34,6 +34,18 @@ def find_steps(sweep: SweepStripes, rig: Rig) -> Rig:
     return settle(sweep, rig, LAST_TIMES, TIGHT, MANY_POINTS) if rig.steps else rig
 
 
+def step_sigmas(sweep: SweepStripes, rig: Rig) -> Float[np.ndarray, " steps"]:
+    """Standard deviation of each step of the rig [rad]."""
+    if not rig.steps:
+        return np.zeros(0)
+    sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MANY_POINTS)
+    walls = wall_equations(sample, label_points(sample, rig.theta), rig, TIGHT)
+    n = walls.rows.nuisance
+    covariance = np.linalg.inv(n.T @ n + np.diag(1.0 / walls.prior.sigma**2))
+    widened = inflation(walls.rows, walls.rows.error, len(rig.theta))
+    return widened * np.sqrt(np.diag(covariance)[-len(rig.steps) :])
+
+
 def _with_step(sweep: SweepStripes, rig: Rig, robust: bool) -> Rig | None:
     """The rig with one more step, settled; None where no step stands out."""
     sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MOST_POINTS)

@@ -13,8 +13,9 @@ FULL_STEPS = {
     0.1: "one full step of a motor with 200 steps per turn behind a gear of 18",
 }
 """Usual full steps of a table [deg]."""
-STEP_TOLERANCE = 0.06
-"""Part of a full step by which a lost one may differ from it."""
+STEP_TOLERANCE = 0.05
+"""Part of a full step by which a lost one may differ from it, beside its sigmas."""
+STEP_SIGMAS = 2.5
 
 
 def usual_ratio(factor: float) -> tuple[int, int] | None:
@@ -44,13 +45,16 @@ def say_factor(name: str, factor: float) -> str:
     )
 
 
-def say_jump(name: str, before: int, after: int, degrees: float) -> str:
+def say_jump(name: str, records: tuple[int, int], degrees: float, sigma_deg: float) -> str:
     """The sentence for a lost step between two records; `degrees` is negative where the table lags behind."""
-    way = "behind" if degrees < 0 else "ahead"
-    size = abs(degrees)
-    likely = next((text for step, text in FULL_STEPS.items() if abs(size / step - 1.0) < STEP_TOLERANCE), "")
-    cause = f": {likely} was {'lost' if degrees < 0 else 'gained'}" if likely else ""
+    way, size = ("behind" if degrees < 0 else "ahead"), abs(degrees)
+    near = [step for step in FULL_STEPS if abs(size - step) < max(STEP_TOLERANCE * step, STEP_SIGMAS * sigma_deg)]
+    likely = min(near, key=lambda step: abs(size - step), default=None)
+    cause = ""
+    if likely is not None:
+        cause = f": {likely:g} degrees are {FULL_STEPS[likely]}, which was {'lost' if degrees < 0 else 'made twice'}"
     return (
-        f"{name}: between records {before} and {after} the table fell {size:.4g} degrees {way}, expected none{cause}; "
-        "look for what blocks it, a loose pulley, too little current or too fast a ramp"
+        f"{name}: between records {records[0]} and {records[1]} the table comes to stand {size:.4g} +- {sigma_deg:.2g} "
+        f"degrees {way}, expected none{cause}; look for what blocks it, a loose pulley, too little current or too "
+        "fast a ramp"
     )

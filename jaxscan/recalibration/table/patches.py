@@ -12,7 +12,7 @@ FLATNESS = 0.001
 """Part of the range by which a window may depart from its plane, beside noise."""
 BEND = np.cos(np.deg2rad(2.5))
 """Cosine of the angle between the normals of neighbours on one patch."""
-SAME = 0.003
+SAME = 0.005
 """Part of the range by which the distances of two parts of one wall from the axis may differ."""
 LEAST_CELLS = 40
 FOLD = np.deg2rad(6.0)

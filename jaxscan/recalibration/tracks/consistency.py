@@ -168,8 +168,7 @@ def _scanner_gradients(
     columns = []
     for direction in root.T:
         ahead, behind = (
-            project_all(scanner, point, part.angle, still, step)
-            for step in (_STEP * direction, -_STEP * direction)
+            project_all(scanner, point, part.angle, still, step) for step in (_STEP * direction, -_STEP * direction)
         )
         columns.append((ahead - behind) / (2 * _STEP))
     return np.stack(columns, -1)

@@ -42,9 +42,16 @@ def place_tracks(
     number = np.full(count, -1)
     number[kept] = np.arange(len(kept))
     some = found.valid[tracks.track]
-    fields = (tracks.q, tracks.sigma, tracks.sweep, tracks.record, number[tracks.track])
     names = tuple(tracks.name[k] for k in kept) if tracks.name else ()
-    return Tracks(*(field[some] for field in fields), found.point[kept], names if any(names) else ())
+    return Tracks(
+        tracks.q[some],
+        tracks.sigma[some],
+        tracks.sweep[some],
+        tracks.record[some],
+        number[tracks.track[some]],
+        found.point[kept],
+        names if any(names) else (),
+    )
 
 
 def named_points(

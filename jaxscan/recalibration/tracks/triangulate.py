@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.geometry import Scanner, invert, transform
+from jaxscan.geometry import Array, Scanner, invert, transform
 
 
 MOST_RANGE_M = 30.0
@@ -135,7 +135,7 @@ def _in_chunks(
 def _project() -> Callable[..., tuple[jax.Array, ...]]:
     def pixel(
         step: jax.Array, scanner: Scanner, point: jax.Array, angle: jax.Array, station: jax.Array
-    ) -> tuple[jax.Array]:
+    ) -> tuple[Array]:
         moved = scanner.retract(step)
         return (moved.camera.project(transform(invert(station @ moved.pose(angle)), point)),)
 

@@ -34,8 +34,8 @@ class _Alive(NamedTuple):
     patches: Patches
 
     def take(self, index: np.ndarray) -> "_Alive":
-        parts = (field[index] for field in self[:4])
-        return _Alive(*parts, patches=take(self.patches, index))
+        x, drift, age = self.x[index], self.drift[index], self.age[index]
+        return _Alive(self.track[index], x, drift, age, take(self.patches, index))
 
 
 def follow_features(images: Iterator[np.ndarray], walk: Walk) -> Followed:
@@ -54,7 +54,7 @@ def follow_features(images: Iterator[np.ndarray], walk: Walk) -> Followed:
     """
     maps = walk.cylinder.u.astype(np.float32), walk.cylinder.v.astype(np.float32)
     sees = _clear(walk.cylinder)
-    apart = max(6, int(np.sqrt(max(np.count_nonzero(sees), 1) / (2.5 * _FEATURES))))
+    apart = max(6, int(np.sqrt(np.count_nonzero(sees) / (2.5 * _FEATURES))))
     alive: _Alive | None = None
     before: np.ndarray | None = None
     sightings: list[tuple[np.ndarray, ...]] = []
@@ -99,13 +99,17 @@ def _next(
         return alive, np.zeros(0)
     first, guess = alive.x.astype(np.float32)[:, None], start.astype(np.float32)[:, None]
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.02)
-    options = {"winSize": _WINDOW, "maxLevel": _LEVELS, "criteria": criteria, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
-    there, found, _ = cv2.calcOpticalFlowPyrLK(before, now, first, guess.copy(), **options)
-    back, returned, _ = cv2.calcOpticalFlowPyrLK(now, before, there, first.copy(), **options)
+    window, flags = _WINDOW, cv2.OPTFLOW_USE_INITIAL_FLOW
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, now, first, guess.copy(), winSize=window, maxLevel=_LEVELS, criteria=criteria, flags=flags
+    )
+    back, returned, _ = cv2.calcOpticalFlowPyrLK(
+        now, before, there, first.copy(), winSize=window, maxLevel=_LEVELS, criteria=criteria, flags=flags
+    )
     good = (found.ravel() > 0) & (returned.ravel() > 0) & (np.abs(back - first).max((1, 2)) < _BACK_PX)
-    there = there[:, 0].astype(np.float64)
-    good &= _seen(sees, there)
-    matched = match(alive.patches, exact, np.where(good[:, None], there, -1.0))
+    place = np.asarray(there, np.float64)[:, 0]
+    good &= _seen(sees, place)
+    matched = match(alive.patches, exact, np.where(good[:, None], place, -1.0))
     good &= matched.valid & (matched.difference < _MOST_DIFFERENT)
     drift = alive.drift + matched.x - start
     moved = alive._replace(x=matched.x, drift=drift, age=alive.age + 1)
@@ -115,7 +119,7 @@ def _next(
 def _clear(cylinder: Cylinder) -> np.ndarray:
     """Where a whole piece lies in the image, uint8 [rows, columns]."""
     inside = ((cylinder.u >= 0) & (cylinder.v >= 0)).astype(np.uint8)
-    inside = cv2.copyMakeBorder(inside, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    inside = np.pad(inside, 1)
     side = 2 * (HALF + MARGIN + 1) + 1
     return cv2.erode(inside, np.ones((side, side), np.uint8))[1:-1, 1:-1]
 
@@ -139,8 +143,9 @@ def _free(sees: np.ndarray, alive: _Alive | None, apart: int) -> np.ndarray:
 
 
 def _joined(alive: _Alive, new: _Alive) -> _Alive:
-    parts = (np.concatenate(pair) for pair in zip(alive[:4], new[:4], strict=True))
-    return _Alive(*parts, patches=joined([alive.patches, new.patches]))
+    track, x = np.concatenate([alive.track, new.track]), np.concatenate([alive.x, new.x])
+    drift, age = np.concatenate([alive.drift, new.drift]), np.concatenate([alive.age, new.age])
+    return _Alive(track, x, drift, age, joined([alive.patches, new.patches]))
 
 
 def _followed(sightings: list[tuple[np.ndarray, ...]], cylinder: Cylinder) -> Followed:

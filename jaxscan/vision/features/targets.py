@@ -36,7 +36,7 @@ def find_dictionary(images: Sequence[np.ndarray]) -> str | None:
             continue
         _, ids, _, families = _detector(USUAL).detectMarkersMultiDict(np.ascontiguousarray(image))
         if ids is not None:
-            seen.update({(USUAL[k], int(i)) for k, i in zip(np.ravel(families), np.ravel(ids), strict=True)})
+            seen.update({(USUAL[int(k)], int(i)) for k, i in zip(np.ravel(families), np.ravel(ids), strict=True)})
     sure = Counter(name for (name, _), count in seen.items() if count >= _SURE)
     return sure.most_common(1)[0][0] if sure else None
 
@@ -83,6 +83,9 @@ def _by_edges(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
     Args:
         image: Grey, uint8 [rows, columns].
         corners: The corners in order [4, 2], to a pixel or so.
+
+    Returns:
+        The corners; unchanged where the marker is small.
     """
     following = np.roll(corners, -1, 0)
     along = following - corners
@@ -96,13 +99,17 @@ def _by_edges(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
     r = np.linspace(-_EDGE_PX, _EDGE_PX, _ACROSS)
     point = corners[:, None] + share[..., None] * along[:, None]
     at = (point[:, :, None] + r[:, None] * normal[:, None, None]).astype(np.float32).reshape(-1, _ACROSS, 2)
-    level = np.asarray(cv2.remap(image.astype(np.float32), at, None, cv2.INTER_LINEAR), np.float64)
+    level = np.asarray(cv2.remap(image.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)
     slope = np.maximum(np.diff(level, axis=1) * _outwards(corners), 0.0)
     middle = (slope * (r[1:] + r[:-1]) / 2).sum(1) / np.maximum(slope.sum(1), 1e-9)
-    lines = [np.polyfit(s, m, 1) for s, m in zip(share, middle.reshape(4, -1), strict=True)]
-    start = np.array([corners[k] + np.polyval(lines[k], 0.0) * normal[k] for k in range(4)])
-    end = np.array([following[k] + np.polyval(lines[k], 1.0) * normal[k] for k in range(4)])
-    refined = np.array([_meeting((start[k - 1], end[k - 1]), (start[k], end[k])) for k in range(4)])
+    # The lens bends the lines: parabolas, and at a corner their tangents.
+    bends = [np.polyfit(s, m, 2) for s, m in zip(share, middle.reshape(4, -1), strict=True)]
+
+    def tangent(k: int, place: float) -> tuple[np.ndarray, np.ndarray]:
+        way = along[k] + np.polyval(np.polyder(bends[k]), place) * normal[k]
+        return corners[k] + place * along[k] + np.polyval(bends[k], place) * normal[k], way
+
+    refined = np.array([_meeting(tangent(k - 1, 1.0), tangent(k, 0.0)) for k in range(4)])
     return np.where(np.abs(refined - corners).max() < _EDGE_PX, refined, corners)
 
 
@@ -114,10 +121,9 @@ def _outwards(corners: np.ndarray) -> float:
 
 
 def _meeting(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """The point where two lines meet, each through two points."""
-    a, b = first[1] - first[0], second[1] - second[0]
-    t, _ = np.linalg.solve(np.stack([a, -b], -1), second[0] - first[0])
-    return np.asarray(first[0] + t * a)
+    """The point where two lines meet, each a point and a direction."""
+    t, _ = np.linalg.solve(np.stack([first[1], -second[1]], -1), second[0] - first[0])
+    return np.asarray(first[0] + t * first[1])
 
 
 def _may_show(image: np.ndarray, board: AbstractBoard) -> bool:
