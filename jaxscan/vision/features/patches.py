@@ -21,7 +21,7 @@ _BENT, _NOISE_DN = 0.05, 2.0
 
 
 class Patches(NamedTuple):
-    """Pieces of images around features, float32."""
+    """Pieces of images around features."""
 
     level: np.ndarray
     """Grey levels less their mean [n, side, side]."""
