@@ -67,8 +67,8 @@ def form_blocks(room: Room, y: Unknowns, residual: Residuals, slopes: tuple[Rows
         more = _of_rows(slopes[1], residual.sightings, double, (room, count))
         blocks = jax.tree.map(jnp.add, blocks, more)
     prior = jnp.eye(scanner, dtype=blocks.dense.dtype) + room.told.T @ room.told
-    matrix = blocks.dense.at[:scanner, :scanner].add(prior)
-    gradient = blocks.dense_gradient.at[:scanner].add(residual.prior + room.told.T @ residual.told)
+    matrix = jnp.asarray(blocks.dense).at[:scanner, :scanner].add(prior)
+    gradient = jnp.asarray(blocks.dense_gradient).at[:scanner].add(residual.prior + room.told.T @ residual.told)
     if angles:
         tie, by_angle = _ties(room, residual)
         begin = scanner + stations
@@ -134,13 +134,13 @@ def _with_lengths(room: Room, y: Unknowns, residual: Residuals, blocks: Blocks) 
     slopes = (slopes[:, ends] * keep[:, 0]).reshape(-1, 3 * count)
     matrix = matrix.at[before:, before:].add(slopes.T @ slopes)
     by_ends = gradient.ravel() + slopes.T @ residual.lengths
-    empty = blocks.cross.at[ends].set(0.0)
+    empty = jnp.asarray(blocks.cross).at[ends].set(0.0)
     return Blocks(
         matrix,
         jnp.concatenate([empty, jnp.zeros((len(empty), 3 * count, 3), empty.dtype)], axis=1),
-        blocks.local.at[ends].set(0.0),
+        jnp.asarray(blocks.local).at[ends].set(0.0),
         jnp.append(blocks.dense_gradient, by_ends),
-        blocks.local_gradient.at[ends].set(0.0),
+        jnp.asarray(blocks.local_gradient).at[ends].set(0.0),
     )
 
 
@@ -181,15 +181,18 @@ def solve_blocks(room: Room, y: Unknowns, blocks: Blocks, damping: Float[Array, 
     reduced = reduce_blocks(blocks, damping)
     factor = jnp.linalg.cholesky(reduced.matrix)
     dense = jax.scipy.linalg.cho_solve((factor, True), reduced.rhs)
-    local = reduced.local - reduced.coupling @ dense
+    return unknowns_of(room, dense, reduced.local - reduced.coupling @ dense)
+
+
+def unknowns_of(room: Room, dense: Float[Array, " dense"], local: Float[Array, "locals 3"]) -> Unknowns:
+    """The unknowns from those that are dense and the others; the ends of known lengths go to their places."""
     scanner, stations, angles = room.counts
+    begin, end = scanner + stations, scanner + stations + angles
     ends = promoted(room)
     if len(ends):
-        rest = dense[scanner + stations + angles :].reshape(-1, 3)
         # The second slot of a place that has two is empty.
-        local = local.at[ends].add(rest)
-    begin = scanner + stations
-    return Unknowns(dense[:scanner], dense[scanner:begin], dense[begin : begin + angles], local)
+        local = jnp.asarray(local).at[ends].add(dense[end:].reshape(-1, 3))
+    return Unknowns(dense[:scanner], dense[scanner:begin], dense[begin:end], local)
 
 
 def _damped(diagonal: Float[Array, " n"], damping: Float[Array, ""]) -> Float[Array, " n"]:

@@ -1,14 +1,13 @@
 """A finished adjustment in the terms of its caller: scanner, stations, surfaces, residuals, covariances."""
 
+from dataclasses import replace
+
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.adjust.room import ANGLE_SCALE, LOCAL_SCALE, STATION_SCALE, moved_stations
-from jaxscan.recalibration.adjust.solver import on_host
+from jaxscan.recalibration.adjust.room import ANGLE_SCALE, LOCAL_SCALE, STATION_SCALE
 from jaxscan.recalibration.adjust.state import State
 from jaxscan.recalibration.adjusted import Adjusted
 from jaxscan.recalibration.observed import RoomObservations, Surfaces
@@ -21,7 +20,7 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
     covariance = state.covariance.dense
     departure = np.asarray(room.root @ y.scanner)
     own = room.root @ covariance[:scanner, :scanner] @ room.root.T
-    moved = on_host(prior.without_covariance().retract(departure))
+    moved = _named(state.linearised.scanner, prior)
     every = range(scanner, scanner + stations, 6)
     poses = [np.zeros((6, 6))] + [covariance[k : k + 6, k : k + 6] * STATION_SCALE**2 for k in every]
     begin = scanner + stations
@@ -35,7 +34,7 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
         scanner=eqx.tree_at(lambda s: s.covariance, moved, (own + own.T) / 2, is_leaf=lambda leaf: leaf is None),
         prior=prior,
         departure=departure,
-        stations=np.asarray(moved_stations(jax.tree.map(jnp.asarray, room), jnp.asarray(y.stations))),
+        stations=np.asarray(state.linearised.stations),
         station_covariance=np.stack(poses),
         surfaces=moved_surfaces(state, observations.surfaces),
         corrections=corrections,
@@ -48,11 +47,17 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
         wall_m=state.noise.wall_m,
         inflation=state.inflation,
         observations=observations,
-        cost=float(state.linearised.cost),
+        cost=float(state.linearised.cost) - state.shaped[1],
         freedom=rows - 3 * places - stations,
         converged=state.converged,
         steps=state.steps,
     )
+
+
+def _named(solved: Scanner, prior: Scanner) -> Scanner:
+    """The solver's scanner with the size of its images and the names of its lasers."""
+    camera = replace(solved.camera, width=prior.camera.width, height=prior.camera.height)
+    return Scanner(camera, solved.lasers, solved.turntable, None, prior.laser_names, prior.up)
 
 
 def moved_surfaces(state: State, surfaces: Surfaces) -> Surfaces:

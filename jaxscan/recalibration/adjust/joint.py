@@ -9,12 +9,14 @@ import numpy as np
 from jaxscan.calibration.solve import keep_inliers, robust_noise
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
+from jaxscan.recalibration.adjust.boards import board_equations, prepare_boards, with_boards
 from jaxscan.recalibration.adjust.conclude import conclude
-from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise, shared_errors
+from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise
 from jaxscan.recalibration.adjust.prepare import Prepared, prepare
 from jaxscan.recalibration.adjust.room import Unknowns
-from jaxscan.recalibration.adjust.solver import linearise, on_host, solve
+from jaxscan.recalibration.adjust.solver import linearise, on_host, solve, step_of
 from jaxscan.recalibration.adjust.state import State
+from jaxscan.recalibration.adjust.wall_shape import learn_heights
 from jaxscan.recalibration.adjusted import Adjusted, Start
 from jaxscan.recalibration.observed import RoomObservations
 from jaxscan.recalibration.settings import RecalibrationSettings
@@ -28,6 +30,8 @@ _ROUGH, _FINE = 1e-3, 1e-6
 _ROBUST_ROUNDS, _REJECTION_ROUNDS = 6, 8
 _REJECT_ANY, _REJECT_ALL = 5.0, 4.0
 _SETTLED = 0.01
+# The problem is nearly linear beside the minimum of plain least squares.
+_SHAPE_STEPS = 6
 
 
 def adjust(
@@ -62,7 +66,8 @@ def adjust(
     with jax.enable_x64(True):
         prepared = prepare(prior, start, observations, settings, loosened or {})
         try:
-            state = _reject(_robust(_begin(prepared, observations, settings), settings), settings)
+            state = _robust(_begin(prepared, observations, settings, prior), settings)
+            state = _shaped(_reject(state, settings), settings)
         except np.linalg.LinAlgError as problem:
             raise CalibrationError(
                 f"The captures contradict each other, so no adjustment fits them ({problem}): check that they are of "
@@ -71,10 +76,13 @@ def adjust(
         return conclude(state, prior, observations)
 
 
-def _begin(prepared: Prepared, observations: RoomObservations, settings: RecalibrationSettings) -> State:
+def _begin(
+    prepared: Prepared, observations: RoomObservations, settings: RecalibrationSettings, prior: Scanner
+) -> State:
     wall = FIRST_WALL_M if settings.wall_m is None else settings.wall_m
     linearised = on_host(linearise(prepared.room, prepared.y))
-    return State(prepared, observations, prepared.y, linearised, prepared.usable, prepared.seen, Noise(1.0, wall))
+    data = None if observations.boards is None else prepare_boards(observations.boards, prior)
+    return State(prepared, observations, prepared.y, linearised, prepared.usable, prepared.seen, Noise(1.0, wall), data)
 
 
 def _robust(state: State, settings: RecalibrationSettings) -> State:
@@ -105,8 +113,7 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
         square = cleaned.error_px[kept] ** 2 / cleaned.redundancy()[kept]
         noise = learn_noise(square, cleaned.given_px[kept], cleaned.reach[kept], settings.wall_m)
         cleaned = replace(cleaned, noise=noise)
-        inflation = shared_errors(cleaned.whitened(), cleaned.surface, cleaned.in_surface(), kept)
-        cleaned = replace(cleaned, inflation=inflation, sighting_noise=cleaned.learned_sighting_noise())
+        cleaned = replace(cleaned, sighting_noise=cleaned.learned_sighting_noise())
         same = np.array_equal(kept, state.kept) and np.array_equal(sightings, state.sighting_kept)
         ratios = _ratios(cleaned, state)
         if round_number > 0 and same and max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED:
@@ -115,11 +122,45 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
     return state
 
 
+def _shaped(state: State, settings: RecalibrationSettings) -> State:
+    """Generalised least squares, in which walls have a shape of the size that the residuals show."""
+    if not state.kept.any():
+        return state
+    heights = learn_heights(state.walls, state.plain_covariance)
+    wall = state.noise.wall_m
+    if settings.wall_m is None:
+        # Roughness was learned with the shape in it.
+        wall = float(np.sqrt(max(wall**2 - np.sum(heights**2), 0.0)))
+    state = _with_boards(replace(state, noise=Noise(state.noise.stripe, wall), heights=heights))
+    room = state.weighted(1.0, 1.0)
+    state = _moved(state, state.prepared._replace(room=room), state.y)
+    for _ in range(_SHAPE_STEPS):
+        step = on_host(step_of(room, state.shaped[0], state.covariance))
+        y = jax.tree.map(lambda old, new: np.asarray(old - new), state.y, step)
+        state = replace(_moved(state, state.prepared, y), steps=state.steps + 1)
+        if np.sqrt(np.mean(step.scanner**2)) < _ROUGH:
+            break
+    return state
+
+
+def _with_boards(state: State) -> State:
+    """The state with what captured boards say, seen with its scanner."""
+    if state.board_data is None:
+        return state
+    scanner, names = state.linearised.scanner, state.prepared.room.scanner.parameter_names()
+    equations = board_equations(scanner, state.board_data, names, state.boards)
+    room = with_boards(state.prepared.room, np.asarray(state.y.scanner), equations)
+    return replace(state, prepared=state.prepared._replace(room=room), boards=equations)
+
+
+def _moved(state: State, prepared: Prepared, y: Unknowns) -> State:
+    return replace(state, prepared=prepared, y=y, linearised=on_host(linearise(prepared.room, y)))
+
+
 def _ratios(after: State, before: State) -> tuple[float, ...]:
     mean = lambda state: float(np.mean(state.sigma_px)) if len(state.kept) else 1.0
     return (
         mean(after) / mean(before),
-        after.inflation / before.inflation,
         after.sighting_noise / before.sighting_noise,
     )
 
@@ -139,6 +180,7 @@ def _solved(
     damp: tuple[np.ndarray | float, np.ndarray | float] = (1.0, 1.0),
 ) -> State:
     """The state after one more solve, in which weights are damped by factors of the points and the sightings."""
+    state = _with_boards(state)
     room = state.weighted(*damp)
     damping = _FIRST_DAMPING if state.steps == 0 else _NEAR_DAMPING
     limits = np.asarray(damping), np.asarray(tolerance)
@@ -146,12 +188,5 @@ def _solved(
     y = Unknowns(*on_host(solution.y))
     if not all(np.isfinite(part).all() for part in y):
         raise CalibrationError("The adjustment left the range of numbers: the captures contradict each other.")
-    prepared = state.prepared._replace(room=room)
-    return replace(
-        state,
-        prepared=prepared,
-        y=y,
-        linearised=on_host(linearise(room, y)),
-        steps=state.steps + int(solution.steps),
-        converged=bool(solution.converged),
-    )
+    moved = _moved(state, state.prepared._replace(room=room), y)
+    return replace(moved, steps=state.steps + int(solution.steps), converged=bool(solution.converged))

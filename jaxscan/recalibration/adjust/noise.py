@@ -1,9 +1,9 @@
-"""Noise of points on walls, learned from their residuals: stripes, roughness, and the errors that neighbours share."""
+"""Noise of points on walls, learned from their residuals: that of stripes, and roughness."""
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 
 # First roughness of walls [m].
@@ -11,8 +11,6 @@ FIRST_WALL_M = 5e-4
 # The noise of stripes over the given sigmas lies between these [1].
 _LEAST, _MOST = 0.3, 5.0
 _ROUNDS = 20
-# Sizes of patches of a wall whose points may share an error [m].
-_PATCHES = (0.3, 0.6, 1.2)
 
 
 class Noise(NamedTuple):
@@ -62,35 +60,6 @@ def learn_noise(
         if np.allclose(parts, before, rtol=1e-4, atol=1e-14):
             break
     return Noise(float(np.sqrt(parts[0])), float(np.sqrt(parts[1])))
-
-
-def shared_errors(
-    whitened: Float[np.ndarray, " points"],
-    surface: Int[np.ndarray, " points"],
-    place: Float[np.ndarray, "points 2"],
-    kept: Bool[np.ndarray, " points"],
-) -> float:
-    """How much larger the variance of means is than that of independent errors [1], at least 1.
-
-    Points of one patch of a wall share errors: the wall is not flat, or light comes back from the next one.
-
-    Args:
-        whitened: Errors over their standard deviations.
-        surface: Number of the surface.
-        place: Coordinates in the surface [m].
-        kept: Points that count.
-    """
-    largest = 1.0
-    for size in _PATCHES:
-        cell = np.floor(place[kept] / size).astype(np.int64)
-        key = np.column_stack([surface[kept], cell])
-        _, patch = np.unique(key, axis=0, return_inverse=True)
-        count = np.bincount(patch.ravel())
-        total = np.bincount(patch.ravel(), whitened[kept])
-        several = count >= 4
-        if several.sum() >= 8:
-            largest = max(largest, float(np.sum(total[several] ** 2) / np.sum(count[several])))
-    return largest
 
 
 def cauchy_weights(size: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

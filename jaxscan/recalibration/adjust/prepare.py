@@ -55,6 +55,9 @@ def prepare(
     root, inverse = prior_root(prior, loosened)
     angles = make_angles(observations, start, prior, settings)
     told, told_value = _closed(prior, root, settings)
+    if observations.boards is not None:
+        told = np.concatenate([told, np.zeros_like(root)])
+        told_value = np.append(told_value, np.zeros(len(root)))
     # The solver needs neither names nor sizes, and would compile again for each.
     names = tuple(map(str, range(len(prior.laser_names))))
     camera = replace(prior.camera, width=0, height=0)
@@ -75,7 +78,7 @@ def prepare(
         across=np.array([1.0, 0.0] if observations.stripe_axis == "rows" else [0.0, 1.0]),
         sightings=sightings,
         sighting_weight=np.zeros(len(sightings.phi)),
-        lengths=_lengths(observations, first),
+        lengths=_lengths(observations),
     )
     y = Unknowns(
         inverse @ departure(prior, start.scanner),
@@ -105,13 +108,12 @@ def _sight_points(observations: RoomObservations, angles: Angles) -> tuple[Sight
         zero = np.zeros(1, np.int32)
         return Sight(np.zeros((1, 2)), np.zeros(1), zero, zero, zero, zero), np.zeros(0, bool)
     usable = np.isfinite(points.q).all(1) & np.isfinite(points.sigma) & (points.sigma > 0)
-    first = int(np.argmax(usable))
     size = bucket(len(usable), _POINTS)
     place = _places_of(points.sweep, points.record, angles, observations.station)
     sight = Sight(np.asarray(points.q, np.float64), *place, _whole(points.surface), _whole(points.laser))
     # Every padding is a point that can be computed.
-    sight = Sight(*(np.where(_like(usable, field), field, field[first]) for field in sight))
-    return Sight(*(pad(field, size) for field in sight)), usable
+    sight = Sight(*(_filled(np.asarray(field), usable) for field in sight))
+    return Sight(*(pad(np.asarray(field), size) for field in sight)), usable
 
 
 def _sight_tracks(
@@ -122,13 +124,12 @@ def _sight_tracks(
         none = np.zeros(0, np.int32)
         return Sight(np.zeros((0, 2)), np.zeros(0), none, none, none, none), np.zeros(0, bool), np.zeros((0, 3))
     seen = np.isfinite(tracks.q).all(1) & np.isfinite(tracks.sigma) & (tracks.sigma > 0)
-    first = int(np.argmax(seen))
     place = _places_of(tracks.sweep, tracks.record, angles, observations.station)
     sight = Sight(np.asarray(tracks.q, np.float64), *place, _whole(tracks.track), np.zeros(len(seen), np.int32))
-    sight = Sight(*(np.where(_like(seen, field), field, field[first]) for field in sight))
+    sight = Sight(*(_filled(np.asarray(field), seen) for field in sight))
     size = bucket(len(seen), _SIGHTINGS)
     points = pad(np.asarray(tracks.point, np.float64), bucket(len(tracks.point), _TRACKS))
-    return Sight(*(pad(field, size) for field in sight)), seen, points
+    return Sight(*(pad(np.asarray(field), size) for field in sight)), seen, points
 
 
 def _places_of(
@@ -159,8 +160,7 @@ def _places(observations: RoomObservations, points: Float[np.ndarray, "tracks 3"
     )
 
 
-def _lengths(observations: RoomObservations, points: Float[np.ndarray, "tracks 3"]) -> Lengths:
-    del points
+def _lengths(observations: RoomObservations) -> Lengths:
     surfaces = len(observations.surfaces.kind)
     begin = {"surfaces": 0, "tracks": bucket(surfaces, _SURFACES)}
     count = {"surfaces": surfaces, "tracks": 0 if observations.tracks is None else len(observations.tracks.point)}
@@ -173,9 +173,9 @@ def _lengths(observations: RoomObservations, points: Float[np.ndarray, "tracks 3
             )
         if known.between == "surfaces" and len({observations.surfaces.kind[end] for end in ends}) > 1:
             raise CalibrationError("A known length lies between a plane and a sphere, expected two of one kind.")
-    ends = [[begin[known.between] + end for end in (known.first, known.second)] for known in observations.lengths]
+    pairs = [[begin[known.between] + end for end in (known.first, known.second)] for known in observations.lengths]
     return Lengths(
-        np.array(ends, np.int32).reshape(-1, 2),
+        np.array(pairs, np.int32).reshape(-1, 2),
         np.array([known.metres for known in observations.lengths], np.float64),
         np.array([1.0 / known.sigma_m for known in observations.lengths], np.float64),
     )
@@ -191,8 +191,9 @@ def pad(array: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate([array, np.broadcast_to(array[:1], (size - len(array), *array.shape[1:]))])
 
 
-def _like(mask: np.ndarray, field: np.ndarray) -> np.ndarray:
-    return mask.reshape(mask.shape + (1,) * (field.ndim - 1))
+def _filled(field: np.ndarray, good: Bool[np.ndarray, " n"]) -> np.ndarray:
+    """The first good entry in place of those that are not."""
+    return np.where(good.reshape(good.shape + (1,) * (field.ndim - 1)), field, field[np.argmax(good)])
 
 
 def _whole(numbers: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """The least-squares solve: optimistix' loop and trust region round the block elimination."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,10 +11,18 @@ import optimistix as optx
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.calibration.solve import BlockArrowLM
-from jaxscan.geometry import Array
-from jaxscan.recalibration.adjust.blocks import Blocks, columns, form_blocks, solve_blocks, whitened, zero_blocks
+from jaxscan.geometry import Array, Scanner
+from jaxscan.recalibration.adjust.blocks import (
+    Blocks,
+    columns,
+    form_blocks,
+    solve_blocks,
+    unknowns_of,
+    whitened,
+    zero_blocks,
+)
 from jaxscan.recalibration.adjust.residuals import observe, residuals, twice
-from jaxscan.recalibration.adjust.room import Room, Unknowns
+from jaxscan.recalibration.adjust.room import Room, Unknowns, moved_scanner, moved_stations
 from jaxscan.recalibration.adjust.rows import PointRows, Rows
 
 
@@ -43,8 +52,7 @@ class RoomDescent(optx.AbstractDescent):
         return jax.tree.map(jnp.negative, step), optx.RESULTS.successful
 
 
-@eqx.filter_jit
-def solve(room: Room, y: Unknowns, limits: tuple[Array, Array], max_steps: int) -> Solution:
+def _solve(room: Room, y: Unknowns, limits: tuple[Array, Array], max_steps: int) -> Solution:
     """Minimise the sum of squares of `residuals`; call in 64 bit.
 
     Args:
@@ -70,10 +78,11 @@ class Linearised(NamedTuple):
     blocks: Blocks
     cost: Float[Array, ""]
     """Sum of squared whitened residuals, with those of the prior."""
+    scanner: Scanner
+    stations: Float[Array, "stations 4 4"]
 
 
-@eqx.filter_jit
-def linearise(room: Room, y: Unknowns) -> Linearised:
+def _linearise(room: Room, y: Unknowns) -> Linearised:
     """Errors and information at a step; call in 64 bit."""
     observed = observe(y, room)
     slopes = (
@@ -82,7 +91,14 @@ def linearise(room: Room, y: Unknowns) -> Linearised:
     )
     blocks = form_blocks(room, y, observed.residuals, slopes)
     cost = sum(jnp.sum(part**2) for part in observed.residuals)
-    return Linearised(observed.points, observed.sightings, blocks, jnp.asarray(cost))
+    return Linearised(
+        observed.points,
+        observed.sightings,
+        blocks,
+        jnp.asarray(cost),
+        moved_scanner(room, y.scanner),
+        moved_stations(room, y.stations),
+    )
 
 
 class Covariance(NamedTuple):
@@ -110,6 +126,24 @@ def covariance_of(blocks: Blocks) -> Covariance:
     size = 1.0 / np.sqrt(np.diag(information))
     scaled = np.linalg.inv(np.linalg.cholesky(information * np.outer(size, size))) * size[None, :]
     return Covariance(information, scaled.T @ scaled, coupling, local)
+
+
+def _compiled(function: Any) -> Any:
+    # Compiled once and run some ten times: what compiles twice as fast and runs equally fast is better.
+    options: Any = {"compiler_options": {"xla_cpu_use_fusion_emitters": False}}
+    return eqx.filter_jit(function, **options)
+
+
+solve: Callable[..., Solution] = _compiled(_solve)
+linearise: Callable[[Room, Unknowns], Linearised] = _compiled(_linearise)
+
+
+def step_of(room: Room, blocks: Blocks, covariance: Covariance) -> Unknowns:
+    """The step of Gauss and Newton, (J'J)^-1 J'r; on the host."""
+    by_local = np.einsum("lij,lj->li", covariance.local, blocks.local_gradient)
+    cross = np.swapaxes(blocks.cross, 1, 2).reshape(-1, len(blocks.dense))
+    dense = covariance.dense @ (blocks.dense_gradient - cross.T @ by_local.ravel())
+    return unknowns_of(room, dense, by_local - covariance.coupling @ dense)
 
 
 def on_host(tree: Any) -> Any:

@@ -1,17 +1,21 @@
 """An adjustment between its rounds, and at its end."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.calibration.solve import Prepared as BoardData
 from jaxscan.calibration.solve import noise_component
+from jaxscan.recalibration.adjust.blocks import Blocks
+from jaxscan.recalibration.adjust.boards import BoardEquations
 from jaxscan.recalibration.adjust.noise import Noise
 from jaxscan.recalibration.adjust.prepare import Prepared
 from jaxscan.recalibration.adjust.room import Room, Unknowns
 from jaxscan.recalibration.adjust.solver import Covariance, Linearised, covariance_of
+from jaxscan.recalibration.adjust.wall_shape import Wall, find_walls, with_shape
 from jaxscan.recalibration.observed import RoomObservations
 
 
@@ -26,10 +30,13 @@ class State:
     kept: Bool[np.ndarray, " points"]
     sighting_kept: Bool[np.ndarray, " sightings"]
     noise: Noise
+    board_data: BoardData | None = None
     sighting_noise: float = 1.0
     """Over the given sigmas [1]."""
-    inflation: float = 1.0
-    """Of the variance of points, because neighbours share errors [1]."""
+    heights: Float[np.ndarray, " sizes"] = field(default_factory=lambda: np.zeros(4))
+    """Standard deviation of the heights of patches of each size [m]."""
+    boards: BoardEquations | None = None
+    """What captured boards say, at the scanner of a few steps before."""
     steps: int = 0
     converged: bool = False
 
@@ -41,17 +48,17 @@ class State:
     @property
     def error_px(self) -> Float[np.ndarray, " points"]:
         """Seen minus predicted centres [px]."""
-        return self.linearised.points.rows.value[: len(self.kept)]
+        return np.asarray(self.linearised.points.rows.value)[: len(self.kept)]
 
     @property
     def reach(self) -> Float[np.ndarray, " points"]:
         """Size of the change of the distance from the surface by one pixel [m / px]."""
-        return np.maximum(np.abs(self.linearised.points.reach[: len(self.kept)]), 1e-7)
+        return np.maximum(np.abs(np.asarray(self.linearised.points.reach)[: len(self.kept)]), 1e-7)
 
     @property
     def error(self) -> Float[np.ndarray, " points"]:
         """Distances from the surfaces [m]."""
-        return self.error_px * self.linearised.points.reach[: len(self.kept)]
+        return self.error_px * np.asarray(self.linearised.points.reach)[: len(self.kept)]
 
     @property
     def given_px(self) -> Float[np.ndarray, " points"]:
@@ -69,12 +76,12 @@ class State:
 
     def sighting_error(self) -> Float[np.ndarray, "sightings 2"]:
         """Projected minus seen [px]."""
-        return self.linearised.sightings.value.reshape(-1, 2)[: len(self.sighting_kept)]
+        return np.asarray(self.linearised.sightings.value).reshape(-1, 2)[: len(self.sighting_kept)]
 
     def sighting_sigma(self) -> Float[np.ndarray, " sightings"]:
         """Given sigmas [px]; 1 where there is none."""
         tracks = self.observations.tracks
-        given = np.zeros(0) if tracks is None else tracks.sigma
+        given = np.zeros(0) if tracks is None else np.asarray(tracks.sigma)
         return np.where(self.prepared.seen, given, 1.0)
 
     def sighting_whitened(self) -> Float[np.ndarray, "sightings 2"]:
@@ -82,9 +89,32 @@ class State:
         return np.where(self.prepared.seen[:, None], self.sighting_error() / self.sighting_sigma()[:, None], 0.0)
 
     @cached_property
+    def walls(self) -> list[Wall]:
+        """The patches of all walls."""
+        return find_walls(self.prepared.room, self.linearised, self.kept)
+
+    @cached_property
+    def shaped(self) -> tuple[Blocks, float]:
+        """Normal equations in which walls have a shape, and how much less their sum of squares is."""
+        blocks = self.linearised.blocks
+        return with_shape(blocks, self.walls, self.heights) if self.heights.any() else (blocks, 0.0)
+
+    @cached_property
     def covariance(self) -> Covariance:
         """Of the unknowns, if this is the minimum."""
+        return covariance_of(self.shaped[0])
+
+    @cached_property
+    def plain_covariance(self) -> Covariance:
+        """What it would be if all errors of points were independent."""
         return covariance_of(self.linearised.blocks)
+
+    @property
+    def inflation(self) -> float:
+        """Mean factor of the variance of the scanner's numbers and the stations by errors that points share [1]."""
+        count = len(self.y.scanner) + len(self.y.stations)
+        plain = np.linalg.inv(self.plain_covariance.dense[:count, :count])
+        return float(np.trace(plain @ self.covariance.dense[:count, :count])) / count
 
     @cached_property
     def _free(self) -> float:
@@ -109,15 +139,11 @@ class State:
         values = self.sighting_whitened()[kept].ravel()
         return noise_component(values, np.full(len(values), min(3.0 * points / len(values), 0.9)))
 
-    def in_surface(self) -> Float[np.ndarray, "points 2"]:
-        """Coordinates of every point in its plane [m]."""
-        return self.linearised.points.place[: len(self.kept)]
-
     def weighted(self, points: np.ndarray | float, sightings: np.ndarray | float) -> Room:
         """The problem with weights by the present noise, damped by factors of points and sightings."""
         room = self.prepared.room
         point = np.zeros(len(room.point_weight))
-        point[: len(self.kept)] = self.kept * points / (self.sigma_px * np.sqrt(self.inflation))
+        point[: len(self.kept)] = self.kept * points / self.sigma_px
         sighting = np.zeros(len(room.sighting_weight))
         sighting[: len(self.sighting_kept)] = (
             self.sighting_kept * sightings / (self.sighting_sigma() * self.sighting_noise)
