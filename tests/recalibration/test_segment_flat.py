@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from jaxscan.recalibration import Adjusted, RoomObservations, SurfacePoints, Surfaces
+from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.segment import flat
-from jaxscan.recalibration.segment.triangulate import triangulate
 from tests.recalibration.faces import Cylinder, Face, Taken, X, Y, box, rig, take
 
 
@@ -27,8 +27,8 @@ def adjusted(taken: Taken, walls: list[list[int]], wall_m: float = 3e-4, seed: i
     q = np.stack([sweep.centre[profile, line], line.astype(float)], -1)
     zero = np.zeros(len(q), int)
     points = SurfacePoints(q, sweep.sigma[profile, line], zero, profile, line, zero, surface)
-    p, _ = triangulate(scanner, q, zero, sweep.angle[profile])
-    beside, _ = triangulate(scanner, q + [0.1, 0.0], zero, sweep.angle[profile])
+    p, _ = triangulate_points(scanner, q, zero, sweep.angle[profile])
+    beside, _ = triangulate_points(scanner, q + [0.1, 0.0], zero, sweep.angle[profile])
     normal, centre = np.zeros((len(walls), 3)), np.zeros((len(walls), 3))
     for k in range(len(walls)):
         own = p[surface == k]

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Scanner, stripe_pixel
+from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.observed import SweepStripes
-from jaxscan.recalibration.segment.triangulate import triangulate
 
 
 MOST_PROFILES, MOST_LINES = 400, 200
@@ -92,10 +92,10 @@ def _cells(sweep: SweepStripes, scanner: Scanner, correction: np.ndarray, laser:
     shape = valid.shape
     q = np.asarray(stripe_pixel(u, line, sweep.stripe_axis))
     flat = q.reshape(-1, 2), np.full(valid.size, laser, np.int32), phi.ravel()
-    p, incidence = triangulate(scanner, *flat)
-    valid &= (incidence > 0).reshape(shape)
+    p, exists = triangulate_points(scanner, *flat)
+    valid &= exists.reshape(shape)
     beside = np.asarray(stripe_pixel(u + 0.25, line, sweep.stripe_axis))
-    moved, _ = triangulate(scanner, beside.reshape(-1, 2), *flat[1:])
+    moved, _ = triangulate_points(scanner, beside.reshape(-1, 2), *flat[1:])
     p, slope = p.reshape(*shape, 3), ((moved - p) / 0.25).reshape(*shape, 3)
     valid &= np.linalg.norm(p, axis=-1) < _FARTHEST_M
     return Cells(

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.adjusted import Adjusted
-from jaxscan.recalibration.segment.triangulate import triangulate
 
 
 _LEAST_M, _MOST_M = 8e-4, 3e-3
@@ -126,7 +126,7 @@ def _blocks(across: np.ndarray, error: np.ndarray, weight: np.ndarray) -> tuple[
     mean, variance = mean[many], 1.0 / total[many]
     chi2, freedom = float((mean**2 / variance).sum()), max(int(many.sum()) - 3, 1)
     excess = float(np.average(mean**2 - variance, weights=count[many]))
-    return float(np.sqrt(max(excess, 0.0))), chi2 > freedom + _SIGMAS * np.sqrt(2.0 * freedom)
+    return float(np.sqrt(max(excess, 0.0))), bool(chi2 > freedom + _SIGMAS * np.sqrt(2.0 * freedom))
 
 
 def _step(across: np.ndarray, error: np.ndarray, weight: np.ndarray, plane: np.ndarray) -> float:
@@ -146,7 +146,7 @@ def _step(across: np.ndarray, error: np.ndarray, weight: np.ndarray, plane: np.n
             height = float(side @ whitened) / length
             if height * height * length > best:
                 best, found = height * height * length, abs(height) - _SIGMAS / np.sqrt(length)
-    return max(found, 0.0)
+    return max(float(found), 0.0)
 
 
 def _in_plane(p: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -166,6 +166,5 @@ def _places(adjusted: Adjusted) -> Float[np.ndarray, "points 3"]:
         own = points.sweep == k
         added = adjusted.corrections[k] if adjusted.corrections else 0.0
         phi[own] = (angle + added)[points.record[own]]
-    p, _ = triangulate(adjusted.scanner, points.q, points.laser, phi)
     pose = adjusted.stations[seen.station[points.sweep]]
-    return np.einsum("nij,nj->ni", pose[:, :3, :3], p) + pose[:, :3, 3]
+    return triangulate_points(adjusted.scanner, points.q, points.laser, phi, pose)[0]

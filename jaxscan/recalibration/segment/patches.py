@@ -8,9 +8,9 @@ from jaxtyping import Float, Int
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.observed import SweepStripes
+from jaxscan.recalibration.segment.bending import bending
 from jaxscan.recalibration.segment.cells import Cells, cells_of
 from jaxscan.recalibration.segment.regions import Region, flat_regions
-from jaxscan.recalibration.segment.triangulate import bending
 
 
 class Patches(NamedTuple):
@@ -67,7 +67,7 @@ def find_patches(
 def cells_bending(scanner: Scanner, cells: Cells) -> Float[np.ndarray, "points 3 directions"]:
     """Shifts of the valid cells by the likely steps of the calibration [m]."""
     laser = np.full(int(cells.valid.sum()), cells.laser, np.int32)
-    return bending(scanner, cells.p[cells.valid], cells.q[cells.valid], laser, cells.phi[cells.valid])
+    return bending(scanner, cells.q[cells.valid], laser, cells.phi[cells.valid])
 
 
 def _extent(cells: Cells, region: Region) -> np.ndarray:

@@ -29,6 +29,7 @@ class BentPlane(NamedTuple):
     curvature: float
     """Largest curvature of the points as they are, before the calibration is moved [1/m]."""
     curvature_sigma: float
+    """Standard deviation of the curvature, by noise and by the likely steps [1/m]."""
 
     def error(self, p: np.ndarray, bend: np.ndarray) -> np.ndarray:
         """Distances [n] of points [n, 3] from the bent plane; `bend` [n, 3, directions] as of `bending`."""
@@ -67,10 +68,11 @@ def bent_plane(
     likely = np.linalg.solve(information, (bent * weight[:, None]).T @ (height - flat @ offset))
     curved = np.column_stack([flat, s * s, s * t, t * t])
     inverse = np.linalg.pinv((curved * weight[:, None]).T @ curved)
-    c = inverse @ (curved * weight[:, None]).T @ height
+    fit = inverse @ (curved * weight[:, None]).T
+    c, by_likely = fit @ height, (fit @ shifts)[3:]
     hessian = np.array([[2 * c[3], c[4]], [c[4], 2 * c[5]]])
     curvature = float(np.abs(np.linalg.eigvalsh(hessian)).max())
-    doubt = 2.0 * float(np.sqrt(max(inverse[3, 3], inverse[5, 5])))
+    doubt = 2.0 * float(np.sqrt(max(inverse[3, 3], inverse[5, 5]) + (by_likely**2).sum(1).max(initial=0.0)))
     tilted = normal - offset[1] * axes[0] - offset[2] * axes[1]
     tilted = tilted / np.linalg.norm(tilted)
     middle = centre + offset[0] * normal

@@ -17,8 +17,12 @@ _SEED_M = 0.4
 """Radius of the first region around a seed [m]."""
 _STEP_M = 2e-3
 """Mean distance of a neighbourhood from the plane that is allowed beside its noise [m]; steps of 5 mm are larger."""
-_CURVED = 0.05
-"""Curvature from which a region is no plane [1/m]."""
+_CURVED, _MOST_CURVED = 0.015, 0.05
+"""Curvature of a flat wall beside what noise and calibration allow, and with that at most [1/m]."""
+_BOWED_M = 1.5e-3
+"""Height of the bow up to which curvature does not matter: small patches are rough [m]."""
+_FACETS = 0.012
+"""Angle from which two planes that pass smoothly into each other are facets of a curved surface [rad]."""
 _CELLS = 40
 """Cells of a region at least."""
 _NARROW_M = 0.2
@@ -51,11 +55,13 @@ def flat_regions(cells: Cells, bend: Float[np.ndarray, "points 3 directions"]) -
     found: list[Region] = []
     for name in names[np.argsort(-sizes)]:
         left = around.even & (part == name).reshape(around.even.shape)
-        while left.sum() >= _CELLS and len(found) < _REGIONS:
+        own: list[Region] = []
+        while left.sum() >= _CELLS and len(found) + len(own) < _REGIONS:
             region, tried = _grown(cells, around, left, bend, place)
             if region is not None:
-                found.append(region)
+                own.append(region)
             left &= ~tried
+        found += _without_facets(around, own)
     return sorted(found, key=lambda region: -len(region.cells))
 
 
@@ -108,9 +114,29 @@ def _grown(
         plane = bent_plane(p[region], sigma[region], bend[place[region]])
     tried.ravel()[region] = True
     extent = np.ptp((p[region] - plane.centre) @ plane.axes.T, axis=0)
-    if extent.min() < _NARROW_M or plane.curvature > _CURVED + 3.0 * plane.curvature_sigma:
+    limit = min(_CURVED + 3.0 * plane.curvature_sigma, _MOST_CURVED)
+    bowed = plane.curvature > limit and plane.curvature * extent.max() ** 2 / 8 > _BOWED_M
+    if extent.min() < _NARROW_M or bowed:
         return None, tried
     return Region(region, plane), tried
+
+
+def _without_facets(around: Surroundings, regions: list[Region]) -> list[Region]:
+    """Regions of one smooth part of the grid, without those that pass into another one at an angle."""
+    near = []
+    for region in regions if len(regions) > 1 else ():
+        mask = np.zeros(around.even.shape)
+        mask.ravel()[region.cells] = 1.0
+        near.append(around.windows.sums(mask) > 0)
+    facets = set()
+    for i in range(len(regions)):
+        for j in range(i if near else 0):
+            a, b = regions[i].plane, regions[j].plane
+            tilt = a.axes.T @ a.taken[1:] - b.axes.T @ b.taken[1:]
+            doubt = 3.0 * float(np.sqrt((tilt**2).sum(1).max(initial=0.0)))
+            if np.linalg.norm(a.normal - b.normal) > _FACETS + doubt and (near[i] & near[j]).any():
+                facets |= {i, j}
+    return [region for k, region in enumerate(regions) if k not in facets]
 
 
 def _seed(around: Surroundings, left: Bool[np.ndarray, "rows columns"]) -> int:

@@ -7,9 +7,9 @@ from jaxtyping import Float, Int
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner, stripe_pixel
+from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.observed import SurfacePoints, SweepStripes
 from jaxscan.recalibration.segment.thin import far_apart
-from jaxscan.recalibration.segment.triangulate import triangulate
 
 
 _AROUND_M = 0.25
@@ -106,11 +106,11 @@ def _points(
 ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, " points"]]:
     """Points and their standard deviations along the ray [m]; points that do not exist are far away."""
     q, laser, phi = _pixels(sweep, profile, line), sweep.laser[profile], angle[sweep.record[profile]]
-    p, incidence = triangulate(scanner, q, laser, phi)
+    p, exists = triangulate_points(scanner, q, laser, phi)
     beside = q + (np.array([0.25, 0.0]) if sweep.stripe_axis == "rows" else np.array([0.0, 0.25]))
-    moved, _ = triangulate(scanner, beside, laser, phi)
+    moved, _ = triangulate_points(scanner, beside, laser, phi)
     slope = np.linalg.norm(moved - p, axis=1) / 0.25
-    p[incidence <= 0] = 1e3
+    p[~exists] = 1e3
     return p, slope * sweep.sigma[profile, line]
 
 
@@ -122,7 +122,9 @@ def _around(
     coarse = np.zeros(sweep.valid.shape, bool)
     coarse[:: steps[0], :: steps[1]] = True
     profile, line = np.nonzero(sweep.valid & coarse)
-    p, _ = triangulate(scanner, _pixels(sweep, profile, line), sweep.laser[profile], angle[sweep.record[profile]])
+    p, _ = triangulate_points(
+        scanner, _pixels(sweep, profile, line), sweep.laser[profile], angle[sweep.record[profile]]
+    )
     close = np.linalg.norm(p - near, axis=1) < reach
     blocks = np.zeros([size // step + 1 for size, step in zip(sweep.valid.shape, steps, strict=True)], bool)
     blocks[profile[close] // steps[0], line[close] // steps[1]] = True

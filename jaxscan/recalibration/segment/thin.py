@@ -7,13 +7,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Scanner, stripe_pixel
+from jaxscan.recalibration.adjust import triangulate_points
 from jaxscan.recalibration.observed import SurfacePoints, SweepStripes
 from jaxscan.recalibration.segment.pieces import Piece
-from jaxscan.recalibration.segment.triangulate import triangulate
 
 
-_CORNER_M = 0.05
-"""Distance from another wall within which points are left out: light comes back from it, and smoothing rounds [m]."""
+_CORNER_M, _CORNER = 0.2, 0.1
+"""Distance from another wall within which points are left out, because light comes back from it and smoothing rounds
+[m]; but no more than this share of their own wall's width."""
 _NEAR_M = 0.3
 """How far another wall may end from a corner that it makes [m]."""
 _CROSSING = 0.94
@@ -96,11 +97,11 @@ def candidates(
         stripe_pixel(sweep.centre[profile, line].astype(np.float64), line.astype(np.float64), sweep.stripe_axis)
     )
     laser = sweep.laser[profile]
-    p, incidence = triangulate(scanner, q, laser, placed.angle[record])
+    p, exists = triangulate_points(scanner, q, laser, placed.angle[record])
     sigma = sweep.sigma[profile, line].astype(np.float64)
     noise = np.abs(cells.slope.reshape(-1, 3)[members[kept]] @ piece.plane.normal) * sigma
     error = piece.plane.error(p, shifts)
-    good = (incidence > 0) & (np.abs(error) < _OUTLIER * np.maximum(noise, 1.5 * np.median(noise)) + _OUTLIER_M)
+    good = exists & (np.abs(error) < _OUTLIER * np.maximum(noise, 1.5 * np.median(noise)) + _OUTLIER_M)
     points = SurfacePoints(q, sigma, np.full(len(q), piece.sweep), record, line, laser, np.zeros(len(q), int))
     at = p @ placed.pose[:3, :3].T + placed.pose[:3, 3]
     shared = np.maximum(sweep.shared_lines[profile, line].astype(np.float64), 1.0)
@@ -163,6 +164,8 @@ def _at_corners(
 ) -> Bool[np.ndarray, " members"]:
     p = piece.cells.p.reshape(-1, 3)[members]
     near = np.zeros(len(p), bool)
+    width = np.ptp((p - piece.plane.centre) @ piece.plane.axes.T, axis=0).max()
+    margin = min(_CORNER_M, _CORNER * float(width))
     for other in others:
         plane = other.plane
         if abs(plane.normal @ piece.plane.normal) > _CROSSING:
@@ -170,7 +173,7 @@ def _at_corners(
         along = (p - plane.centre) @ plane.axes.T
         reach = (other.points - other.centre) @ other.axes.T
         beside = (along > reach.min(0) - _NEAR_M) & (along < reach.max(0) + _NEAR_M)
-        near |= (np.abs(p @ plane.normal - plane.distance) < _CORNER_M) & beside.all(1)
+        near |= (np.abs(p @ plane.normal - plane.distance) < margin) & beside.all(1)
     return near
 
 
