@@ -1,6 +1,6 @@
 """Captured sweeps of a room to a better calibration of the rig that took them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,11 @@ from jaxscan.api.sweeps import reconstruct_capture
 from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.files.calibration import calibration_digest, load_calibration
-from jaxscan.files.capture import Capture, refuse_copies
+from jaxscan.files.capture import Capture, common_board, refuse_copies
+from jaxscan.files.clouds import save_cloud, save_clouds
 from jaxscan.observation import Observations, Progress
-from jaxscan.recalibration import Given, Recalibration, RecalibrationSettings, SweepStripes
-from jaxscan.reconstruction import PointCloud, smooth_stripes
+from jaxscan.recalibration import FeatureEyes, Given, Recalibration, RecalibrationSettings, SweepStripes
+from jaxscan.reconstruction import smooth_stripes
 
 
 def recalibrate(
@@ -54,7 +55,8 @@ def recalibrate(
     captures = [captures] if isinstance(captures, Capture) else list(captures)
     settings, given = settings or RecalibrationSettings(), given or Given()
     stored, origin = _stored(calibration)
-    scanner = recalibration.require_prior(stored, origin.get("name", "the calibration"))
+    named = "the calibration" if isinstance(calibration, Calibration) else str(calibration)
+    scanner = recalibration.require_prior(stored, named)
     _check_captures(captures, boards, scanner.camera.width, scanner.camera.height)
     # Everything that is wrong with a header or a journal is said before an image is read.
     watched = [_named(capture, plan_watched, capture, scanner, settings.stripes) for capture in captures]
@@ -81,26 +83,50 @@ def recalibrate(
         notes += [f"{capture.path}: {note}" for note in (*capture.notes, *one.plan.notes, *found.notes)]
     if boards:
         given = replace(given, boards=_observed(boards, scanner.laser_names, share.part(len(captures))))
+    if given.tracks is None:
+        board = boards[0].board if boards else None
+        tracks, said = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, board)
+        given, notes = replace(given, tracks=tracks), [*notes, *said]
     result = recalibration.recalibrate(sweeps, stored, settings, given, progress=share.last())
-    result = replace(result, notes=(*notes, *result.notes))
+    result = replace(result, notes=(*notes, *result.notes), settings=settings)
     provenance = {
         "captures": [{"name": one.path.name, "digest": one.digest()} for one in (*captures, *boards)],
         "calibration": origin,
         "held": stored.provenance.get("held", []),
-        "recalibration": _judgement(result, settings),
+        "recalibration": _judgement(result),
         "versions": versions(),
     }
     return recalibration.renew_calibration(result, provenance)
 
 
-def reconstruct_again(
-    captures: Sequence[Capture], result: Recalibration, settings: RecalibrationSettings
-) -> Iterator[PointCloud]:
-    """The cloud of each sweep with the new scanner and the angles that were found wrong put right."""
+def save_recalibrated_cloud(
+    captures: Sequence[Capture], result: Recalibration, path: str | Path, *, calibration_digest: str = ""
+) -> None:
+    """Write the cloud of all sweeps with the new scanner, in the frame of the room.
+
+    Angles of the table that were found wrong are put right, and each sweep is turned to its station.
+
+    Args:
+        captures: The sweeps that were recalibrated from.
+        result: As `recalibrate` gave it.
+        path: Its suffix chooses the format, as of `save_cloud`.
+        calibration_digest: Digest of the new calibration's file.
+
+    Raises:
+        CaptureError: If a sweep cannot be read.
+        CloudError: If the cloud cannot be written.
+    """
+    adjusted = result.adjusted
+    clouds = []
     for number, capture in enumerate(captures):
-        corrections = result.adjusted.corrections
-        turned = _turned(capture, corrections[number]) if number < len(corrections) else capture
-        yield reconstruct_capture(turned, result.scanner, settings=settings.stripes).cloud
+        turned = _turned(capture, adjusted.corrections[number])
+        cloud = reconstruct_capture(turned, result.scanner, settings=result.settings.stripes).cloud
+        place = int(adjusted.observations.station[number])
+        clouds.append((cloud, adjusted.stations[place], adjusted.station_covariance[place]))
+    if len(clouds) == 1:
+        save_cloud(clouds[0][0], path, calibration_digest=calibration_digest)
+    else:
+        save_clouds(clouds, path, calibration_digest=calibration_digest)
 
 
 def _stored(calibration: Calibration | str | Path) -> tuple[Calibration, dict[str, str]]:
@@ -126,6 +152,8 @@ def _check_captures(captures: Sequence[Capture], boards: Sequence[Capture], widt
                 f"{capture.path}: its images have {capture.image_size[0]} x {capture.image_size[1]} px, the "
                 f"calibration is for {width} x {height} px; use the calibration of this camera mode."
             )
+    if boards:
+        common_board(boards, single_lasers=True)
     refuse_copies([*captures, *boards])
 
 
@@ -154,6 +182,13 @@ def _observed(boards: Sequence[Capture], lasers: Sequence[str], progress: Progre
     return replace(seen, stripes=stripes, laser_names=tuple(lasers))
 
 
+def _feature_eyes() -> FeatureEyes:
+    # Imported here, so that `import jaxscan` does not load OpenCV.
+    from jaxscan.vision import feature_eyes
+
+    return feature_eyes()
+
+
 def _turned(capture: Capture, correction: np.ndarray) -> Capture:
     """The same capture with other angles of the table."""
     if not np.any(correction):
@@ -163,10 +198,10 @@ def _turned(capture: Capture, correction: np.ndarray) -> Capture:
     return replace(capture, records=records)
 
 
-def _judgement(result: Recalibration, settings: RecalibrationSettings) -> dict[str, Any]:
+def _judgement(result: Recalibration) -> dict[str, Any]:
     """What a file says of its recalibration."""
     return {
-        "settings": asdict(settings),
+        "settings": asdict(result.settings),
         "drift": asdict(result.drift),
         "gains": [asdict(gain) | {"factor": gain.factor} for gain in result.gains],
         "unobserved": list(result.unobserved),

@@ -45,6 +45,8 @@ class LengthTable(FileModel):
     def _two_places(self) -> "LengthTable":
         if self.a == self.b:
             raise ValueError("a and b are the same place, expected the two ends of a length")
+        if isinstance(self.a, str) != isinstance(self.b, str):
+            raise ValueError("one of a and b is a target and the other a point, expected two of one kind")
         return self
 
 

@@ -25,3 +25,4 @@ from jaxscan.recalibration.result import (
     TableFindings,
 )
 from jaxscan.recalibration.settings import RecalibrationSettings
+from jaxscan.recalibration.tracks import FeatureEyes, observe_features

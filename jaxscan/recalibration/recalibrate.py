@@ -15,19 +15,17 @@ from jaxscan.recalibration.adjust import adjust
 from jaxscan.recalibration.adjusted import Adjusted, Start
 from jaxscan.recalibration.given import Given
 from jaxscan.recalibration.observe import observe_room
-from jaxscan.recalibration.observed import RoomObservations, SweepStripes
+from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.prior import require_prior
 from jaxscan.recalibration.result import PanoramaOfWalls, Recalibration, TableFindings
 from jaxscan.recalibration.segment import find_patches, flat
 from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.stations import place_stations
+from jaxscan.recalibration.table import check_angles
 
 
 Progress = Callable[[int, int], None]
-_STAGES = 8
-# Planes are found again with the better scanner: the first solve needs no more points than these.
-_FIRST_POINTS = 10_000
-_HALF_POINTS = 10_000
+_STAGES = 9
 
 
 class _Job(NamedTuple):
@@ -77,13 +75,13 @@ def recalibrate(
     scanner = require_prior(stored)
     _check(sweeps, scanner)
     done = _counter(progress)
-    job = _Job(sweeps, scanner, settings, given, TableFindings())
+    job = _Job(sweeps, scanner, settings, given, check_angles(sweeps, scanner, settings, given.tracks))
+    done()
     stations = _first_stations(job)
     done()
     loose = judge.loose(scanner)
-    few = replace(settings, points=min(settings.points, _FIRST_POINTS))
     start = Start(loose, stations, job.corrections)
-    rough = adjust(loose, start._replace(scanner=scanner), observe_room(sweeps, start, given, few), few)
+    rough = adjust(loose, start._replace(scanner=scanner), observe_room(sweeps, start, given, settings), settings)
     done()
     start = Start(rough.scanner, rough.stations, job.corrections)
     observed = observe_room(sweeps, start, given, settings)
@@ -114,12 +112,12 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
     names = stored.parameter_names()
     prior = judge.with_covariance(stored, np.asarray(stored.covariance) + verdict.loosened)
     start = _after(job, adjusted)
-    halves = lambda observations: adjust(prior, start, _fewer(observations), settings)
+    halves = lambda observations: adjust(prior, start, observations, settings)
     held_out = judge.hold_out(adjusted, stored, halves)
     done()
-    compared = judge.compared_of(verdict, stored)
-    scales = judge.scales_after(verdict, compared)
-    refused = judge.refuse_result(adjusted, compared, verdict.drift, held_out, settings)
+    gained, solved = judge.compared_of(verdict, stored)
+    slopes = judge.scale_slopes(adjusted.scanner, adjusted.observations)
+    refused = judge.refuse_result(adjusted, gained, verdict.drift, held_out, settings)
     result = Recalibration(
         scanner=stored if refused else adjusted.scanner,
         updated=not refused,
@@ -127,9 +125,9 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
         # The stored covariance is told as the prior, also where a part of it was given up.
         adjusted=replace(adjusted, prior=stored),
         drift=verdict.drift,
-        gains=judge.gains_of(compared, scales, names),
-        unobserved=judge.unobserved(compared, scales, names),
-        moved=judge.moved_parameters(stored, adjusted.departure, compared, verdict.loosened),
+        gains=judge.gains_of(gained, judge.scales_of(gained, slopes), names),
+        unobserved=judge.unobserved(solved, judge.scales_of(solved, slopes), names),
+        moved=judge.moved_parameters(stored, adjusted.departure, solved, verdict.loosened),
         hold_out=held_out,
         table=job.table,
         closure=judge.closure_of(adjusted, stored),
@@ -176,12 +174,6 @@ def _first_stations(job: _Job) -> Float[np.ndarray, "stations 4 4"]:
         raise CalibrationError(f"stations: found {len(given)} poses, expected one for each of {count} stations.")
     start = None if given is None else dict(enumerate(np.asarray(given, np.float64)))
     return place_stations(corrected, job.stored, tracks=job.given.tracks, start=start)
-
-
-def _fewer(observations: RoomObservations) -> RoomObservations:
-    """Every n-th point, so that halves are quick."""
-    stride = -(-len(observations.points.q) // _HALF_POINTS)
-    return observations._replace(points=observations.points.take(np.arange(0, len(observations.points.q), stride)))
 
 
 def _panoramas(job: _Job, adjusted: Adjusted) -> tuple[PanoramaOfWalls, ...]:

@@ -1,6 +1,6 @@
 """The result of a recalibration, and what is said of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from jaxscan.calibration import Calibration
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjusted import Adjusted
+from jaxscan.recalibration.settings import RecalibrationSettings
 
 
 @dataclass(frozen=True)
@@ -142,3 +143,5 @@ class Recalibration:
     """Typical lengths, as `renew_calibration` predicts them."""
     calibration: Calibration | None = None
     """The new calibration, to be saved; None where nothing was updated."""
+    settings: RecalibrationSettings = field(default_factory=RecalibrationSettings)
+    """As they were given."""

@@ -23,6 +23,8 @@ class RecalibrationSettings:
     step as well, smooth but for lost steps."""
     features: bool | None = None
     """Whether features of the laser-off images are tracked from step to step; None: where they have texture."""
+    marker_dictionary: str | None = None
+    """OpenCV's dictionary of printed markers in the room, such as "DICT_4X4_50"; None: any usual one."""
     p_drift: float = 1e-3
     """Chance below which the rig has drifted [1]."""
     least_gain: float = 1.05

@@ -15,9 +15,9 @@ from .small_room import exact_sweep, observe, truth_scanner, with_covariance
 
 # Of a good calibration, whose axis and sheet are known to a fraction of a drift; the bow is held.
 GOOD = np.array(
-    [0.4, 0.4, 0.4, 0.4, 1e-3, 5e-3, 5e-5, 5e-5, 1e-2]
-    + [5e-5, 5e-5, 1e-5, 0.0, 0.0]
-    + [5e-5, 5e-5, 2e-5, 2e-5, 3e-4, 3e-4, 3e-4, 3e-4, 3e-4]
+    [0.2, 0.2, 0.1, 0.1, 5e-4, 2e-3, 1e-5, 1e-5, 5e-3]
+    + [3e-5, 3e-5, 1e-5, 0.0, 0.0]
+    + [3e-5, 3e-5, 2e-5, 2e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4]
 )
 WALL_M = 2e-4
 

@@ -10,7 +10,9 @@ WIDTH, HEIGHT = 2048, 1638
 FX, FY, CX, CY = 2894.462, 2887.338, 1016.814, 817.261
 SHEET = np.array([-7.606, -1.685, 1.0]), 1.296203
 AXIS, FOOT = np.array([-0.018237, -0.999833, -0.000846]), np.array([-0.009786, 0.000358, -0.212275])
-WALLS = np.array([[1.0, 0, 0, 1.97], [-1, 0, 0, 1.85], [0, 1, 0, 3.15], [0, -1, 0, 3.0], [0, 0, 1, 1.3], [0, 0, -1, 1.2]])
+WALLS = np.array(
+    [[1.0, 0, 0, 1.97], [-1, 0, 0, 1.85], [0, 1, 0, 3.15], [0, -1, 0, 3.0], [0, 0, 1, 1.3], [0, 0, -1, 1.2]]
+)
 """Outward normals and distances from the axis [m] of a room of 3.82 x 6.15 x 2.5 m."""
 
 
@@ -27,7 +29,9 @@ def knocked(scanner, rng, size=1.0):
     step = np.zeros(len(scanner.parameter_names()))
     for k, name in enumerate(scanner.parameter_names()):
         last = name.split(".")[-1]
-        step[k] = sigma.get(last, {"n1": 1e-3, "n2": 1e-3, "d": 5e-4, "d1": 1e-3, "d2": 1e-3, "p1": 1e-3, "p2": 1e-3}.get(last, 0.0))
+        step[k] = sigma.get(
+            last, {"n1": 1e-3, "n2": 1e-3, "d": 5e-4, "d1": 1e-3, "d2": 1e-3, "p1": 1e-3, "p2": 1e-3}.get(last, 0.0)
+        )
     return scanner.retract(size * step * rng.standard_normal(len(step)))
 
 
@@ -35,12 +39,21 @@ def box(centre, size):
     """The four upright faces of a piece of furniture: normal, distance, centre, half size; up to the ceiling or not."""
     (x, y, z), (a, b, c) = centre, size
     return [
-        (np.array(n, float), np.dot(n, (x + n[0] * a / 2, y + n[1] * b / 2, z)), np.array(centre, float), np.array(size) / 2)
+        (
+            np.array(n, float),
+            np.dot(n, (x + n[0] * a / 2, y + n[1] * b / 2, z)),
+            np.array(centre, float),
+            np.array(size) / 2,
+        )
         for n in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
     ]
 
 
-FURNITURE = [*box((-1.4, 1.2, -0.6), (0.6, 1.0, 1.2)), *box((1.6, -1.8, -0.2), (0.45, 0.8, 2.0)), *box((0.3, 2.9, -0.7), (1.2, 0.35, 1.0))]
+FURNITURE = [
+    *box((-1.4, 1.2, -0.6), (0.6, 1.0, 1.2)),
+    *box((1.6, -1.8, -0.2), (0.45, 0.8, 2.0)),
+    *box((0.3, 2.9, -0.7), (1.2, 0.35, 1.0)),
+]
 
 
 def sweep(scanner, phi, *, true=None, rng=None, noise=0.1, furniture=(), walls=WALLS, yaw=0.3):
@@ -61,7 +74,9 @@ def sweep(scanner, phi, *, true=None, rng=None, noise=0.1, furniture=(), walls=W
     n, d = np.asarray(scanner.lasers.normal)[0], float(np.asarray(scanner.lasers.distance)[0])
     turn = theta + yaw
     cos, sin, zero = np.cos(turn), np.sin(turn), np.zeros_like(turn)
-    rot = np.stack([np.stack([cos, -sin, zero], -1), np.stack([sin, cos, zero], -1), np.stack([zero, zero, zero + 1], -1)], -2)
+    rot = np.stack(
+        [np.stack([cos, -sin, zero], -1), np.stack([sin, cos, zero], -1), np.stack([zero, zero, zero + 1], -1)], -2
+    )
     best = np.full((len(theta), lines), np.inf)
     where = np.zeros((len(theta), lines))
 
@@ -94,6 +109,13 @@ def sweep(scanner, phi, *, true=None, rng=None, noise=0.1, furniture=(), walls=W
         u = u + noise * rng.standard_normal(u.shape)
     count = len(theta)
     return SweepStripes(
-        "room", u.astype(np.float32), np.full(u.shape, noise, np.float32), np.ones(u.shape, np.float32),
-        np.isfinite(best) & (u > 0) & (u < WIDTH - 1), np.arange(count), np.zeros(count, int), np.asarray(phi, float), "rows",
+        "room",
+        u.astype(np.float32),
+        np.full(u.shape, noise, np.float32),
+        np.ones(u.shape, np.float32),
+        np.isfinite(best) & (u > 0) & (u < WIDTH - 1),
+        np.arange(count),
+        np.zeros(count, int),
+        np.asarray(phi, float),
+        "rows",
     )

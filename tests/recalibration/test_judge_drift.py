@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxscan.recalibration.judge.compared import compare, with_prior
-from jaxscan.recalibration.judge.drift import departure_of, explain, loosened_prior
+from jaxscan.recalibration.judge.drift import Explanation, departure_of, explain, loosened_prior
 from jaxscan.recalibration.judge.moved import moved_parameters
 from jaxscan.recalibration.judge.parts import describe_move, loosening, parts_of
 from jaxscan.recalibration.judge.scale import scale_slopes
@@ -12,7 +12,6 @@ from jaxscan.recalibration.judge.scale import scale_slopes
 from .linear_room import linear_room
 
 
-LEAST = 1.05
 TILT = np.radians(0.05)
 
 
@@ -27,7 +26,7 @@ def compared(room):
 
 
 def departure(room, compared, random, move=0.0):
-    return departure_of(compared, room.departure(random, move)[0], LEAST)
+    return departure_of(compared, room.departure(random, move)[0])
 
 
 def test_without_drift_p_is_uniform(room, compared):
@@ -40,20 +39,24 @@ def test_without_drift_p_is_uniform(room, compared):
 
 def test_directions_without_gain_do_not_count(room, compared):
     found = departure(room, compared, np.random.default_rng(2))
-    assert 5 < len(found.value) == np.count_nonzero(compared.factor >= LEAST) < np.count_nonzero(np.diag(room.prior))
+    # 21 parameters are free.
+    assert 10 <= len(found.value) == np.count_nonzero(compared.ratio < 0.999) <= 17
 
 
 @pytest.mark.parametrize(
-    ("move", "part"),
+    ("points", "move", "part"),
     [
-        ({"laser_red_n1": TILT}, "laser red"),
-        ({"laser_red_n2": -TILT}, "laser red"),
-        ({"axis_p1": 1e-3}, "axis"),
-        ({"axis_d2": 2 * TILT}, "axis"),
-        ({"gain": 3e-3}, "table's angles"),
+        (10.0, {"laser_red_n1": TILT}, "laser red"),
+        (10.0, {"laser_red_n2": -TILT}, "laser red"),
+        (10.0, {"axis_d1": TILT}, "axis"),
+        (10.0, {"gain": 3e-3}, "table's angles"),
+        # Walls say little of the place of the axis: that takes a thousand times the points of the small sweep.
+        (1000.0, {"axis_p1": 5e-4}, "axis"),
     ],
 )
-def test_a_part_that_moved_is_found_and_its_move_removed(room, compared, move, part):
+def test_a_part_that_moved_is_found_and_its_move_removed(points, move, part):
+    room = linear_room(points)
+    compared = compare(room.prior, room.posterior())
     random, step = np.random.default_rng(3), room.moved(**move)
     places = [room.names.index(name.replace("_", ".")) for name in move]
     size = []
@@ -62,7 +65,7 @@ def test_a_part_that_moved_is_found_and_its_move_removed(room, compared, move, p
         seen = departure(room, compared, random, step)
         assert seen.p < 1e-3
         found = explain(seen, room.scanner)
-        assert part in [each.name for each in found.parts]
+        assert part in [each.name for some in (found.parts, *found.others) for each in some]
         assert found.p > 1e-4
         added = loosened_prior(found, seen, room.scanner, scale_known=False)
         # The same errors again, solved with the loosened prior.
@@ -75,28 +78,41 @@ def test_a_part_that_moved_is_found_and_its_move_removed(room, compared, move, p
     assert np.abs(size).max() < 4.0 and np.sqrt(np.mean(size**2)) < 1.6
 
 
-def test_parts_that_look_alike_are_all_loosened_and_the_scale_is_not_set_free(room, compared):
+def test_parts_that_look_alike_are_all_loosened_and_the_scale_is_not_set_free():
     """Sheet and axis at distances that grew by different shares: either may be the one that moved."""
+    room = linear_room(1000.0)
+    compared = compare(room.prior, room.posterior())
     random, step = np.random.default_rng(4), room.moved(laser_red_d=1e-3)
     seen = departure(room, compared, random, step)
     found = explain(seen, room.scanner)
-    assert {"laser red", "axis"} <= set(found.alternatives)
+    assert {part.name for some in (found.parts, *found.others) for part in some} == {"laser red", "axis"}
     added = loosened_prior(found, seen, room.scanner, scale_known=False)
-    free = loosened_prior(found, seen, room.scanner, scale_known=True)
     slope = scale_slopes(room.scanner, room.observations)[0]
-    sigma = [float(np.sqrt(slope @ room.posterior(room.prior + each) @ slope)) for each in (0.0 * added, added, free)]
-    # The sheet stands 0.165 m from the camera: the scale is in doubt by about 1 / 165, not by 5 / 165.
-    assert sigma[0] < 5e-4 < 2e-3 < sigma[1] < 1.2e-2 < sigma[2]
+    sigma = [float(np.sqrt(slope @ room.posterior(prior) @ slope)) for prior in (room.prior, room.prior + added)]
+    # The sheet stands 0.165 m from the camera and the axis 0.212 m: a millimetre of either is about 1 / 200.
+    assert sigma[0] < 3e-4 and 2e-3 < sigma[1] < 1e-2
     _, error = room.departure(random, step, room.prior + added)
     assert abs(slope @ error) < 2.0 * sigma[1]
 
 
-def test_a_move_of_nothing_that_is_modelled_is_said_so(room, compared):
-    random = np.random.default_rng(5)
-    shape = room.moved(k1=0.02, c2=0.0)
-    seen = departure(room, compared, random, shape + room.moved(p2=3e-3))
-    found = explain(seen, room.scanner)
-    assert found.parts == parts_of(room.scanner) or len(found.parts) > 1
+def test_where_sheet_and_axis_both_moved_the_scale_is_freed_by_no_more_than_they_did():
+    room = linear_room(1000.0)
+    step = room.moved(laser_red_n1=TILT, axis_d1=2 * TILT, axis_p1=1e-3)
+    seen = departure(room, compare(room.prior, room.posterior()), np.random.default_rng(8), step)
+    found = Explanation(parts_of(room.scanner)[:2], 0.5)
+    slope = scale_slopes(room.scanner, room.observations)[0]
+    sigma = []
+    for known in (False, True):
+        added = loosened_prior(found, seen, room.scanner, scale_known=known)
+        sigma.append(float(np.sqrt(slope @ room.posterior(room.prior + added) @ slope)))
+    # By up to a millimetre or so of 165 and 212 mm; or by five.
+    assert sigma[0] < 7e-3 < 1.5e-2 < sigma[1]
+
+
+def test_a_departure_that_no_part_explains_is_told(room, compared):
+    """The lens changed its distortion, which is no part's move."""
+    found = explain(departure(room, compared, np.random.default_rng(5), room.moved(k1=0.02)), room.scanner)
+    assert found.parts == parts_of(room.scanner) and found.p < 1e-3
 
 
 def test_a_solve_with_a_loose_prior_tells_what_a_tight_one_would(room):
@@ -117,7 +133,7 @@ def test_held_parameters_stay_held(room):
     names = room.names
     added = loosening(parts_of(room.scanner), room.scanner)
     for name in ("laser.red.b2", "laser.red.b3"):
-        assert added[names.index(name)].any() == False  # noqa: E712
+        assert not added[names.index(name)].any()
     focus = added[np.ix_([names.index("fx"), names.index("fy")], [names.index("fx"), names.index("fy")])]
     # The height scale hangs on the ratio of the focal lengths.
     ratio = np.array([1 / float(room.scanner.camera.fx), -1 / float(room.scanner.camera.fy)])

@@ -109,8 +109,7 @@ def recalibrate(
     api.save_calibration(result.calibration, output)
     files = {"calibration": str(output)}
     if cloud is not None:
-        clouds = list(api.reconstruct_again(captures, result, settings))
-        api.save_cloud(clouds[0], cloud, calibration_digest=calibration_digest(output))
+        api.save_recalibrated_cloud(captures, result, cloud, calibration_digest=calibration_digest(output))
         files["cloud"] = str(cloud)
     if report is not None:
         title = f"{calibration.name} with {', '.join(path.name for path in (*sweeps, *boards))}"

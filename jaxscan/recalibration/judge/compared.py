@@ -29,10 +29,6 @@ class Compared(NamedTuple):
         """Old over new standard deviation of each direction [1]."""
         return 1.0 / np.sqrt(self.ratio)
 
-    def gained(self, least: float) -> np.ndarray:
-        """bool [directions]: those known better by at least this factor."""
-        return self.factor >= least
-
     def chance_variance(self) -> Float[np.ndarray, "params params"]:
         """Covariance of the departure where nothing moved: that before less that after."""
         return (self.direction * (1.0 - self.ratio)) @ self.direction.T

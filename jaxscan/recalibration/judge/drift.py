@@ -44,23 +44,27 @@ class Explanation(NamedTuple):
     """The parts whose move explains a departure."""
 
     parts: tuple[Part, ...]
+    """Those of the likeliest move."""
     p: float
     """Chance of a larger rest [1]."""
-    alternatives: tuple[str, ...] = ()
-    """The names of parts each of which would explain it alone; all of them are in `parts` then."""
+    others: tuple[tuple[Part, ...], ...] = ()
+    """Parts whose move would explain it about as well, likeliest first."""
 
 
+# A variance that became less by this share is measured rather than rounded. Little is enough: where the prior is tight,
+# a part that moved is many of its standard deviations away.
+_LEARNED = 1e-3
 # A rest that comes about by chance this often is ordinary.
 _ORDINARY = 0.01
 # Of two explanations one is believed if the data are this much likelier with it: 1000 to 1.
 _DECISIVE = 2.0 * np.log(1000.0)
 
 
-def departure_of(compared: Compared, step: Float[np.ndarray, " params"], least: float) -> Departure:
-    """The departure in directions that were gained by a factor of at least `least`."""
-    gained = compared.gained(least)
-    learned = 1.0 - compared.ratio[gained]
-    whiten = compared.whiten[gained]
+def departure_of(compared: Compared, step: Float[np.ndarray, " params"]) -> Departure:
+    """The departure in the directions of which the data say something."""
+    learned = 1.0 - compared.ratio
+    seen = learned > _LEARNED
+    learned, whiten = learned[seen], compared.whiten[seen]
     return Departure(whiten @ step / np.sqrt(learned), np.sqrt(learned)[:, None] * whiten)
 
 
@@ -72,7 +76,7 @@ def explain(departure: Departure, stored: Scanner) -> Explanation:
         stored: The stored calibration's scanner with its covariance.
 
     Returns:
-        One part; or all parts each of which would do, where they cannot be told apart; or two; or all there are.
+        One part, or two, and others that would do as well; or all that there are, where two do not explain it.
     """
     parts = parts_of(stored)
     for count in (1, 2):
@@ -80,7 +84,7 @@ def explain(departure: Departure, stored: Scanner) -> Explanation:
         good = sorted([(rest, p, some) for (rest, p), some in found if p > _ORDINARY], key=lambda each: each[0])
         if good:
             near = [some for rest, _, some in good if rest - good[0][0] < _DECISIVE]
-            return _joined(near, good[0][1], parts, single=count == 1)
+            return Explanation(near[0], good[0][1], tuple(near[1:]))
     return Explanation(parts, rest_of(departure, loosening(parts, stored))[1])
 
 
@@ -113,36 +117,31 @@ def loosened_prior(
 ) -> Float[np.ndarray, "params params"]:
     """Variance added to the prior by the moves of an explanation.
 
+    The parts of the likeliest move are set free. Other moves that would explain the departure as well are one standard
+    deviation away, so that the result covers both.
+
     A room that is larger by the same share as the distances of sheet and axis from the camera looks the same. So
-    where both may have moved and no length is known, those distances are loosened by no more than the move found.
+    where both have moved and no length is known, those distances are loosened by no more than the move found.
     """
     parts = explanation.parts
-    scale = [name for part in parts for name in part.names if name in SCALE]
-    scale += [name for part in parts for name in part.names if name.startswith("laser.") and name.endswith(".d")]
-    if scale_known or not holds_no_scale(parts):
-        return loosening(parts, stored)
-    added = loosening(parts, stored, without=scale)
-    alone = [[part] for part in parts] if explanation.alternatives else [list(parts)]
-    moves = [move_of(departure, loosening(some, stored)) for some in alone]
-    names = stored.parameter_names()
-    shifts = [names.index(name) for name in scale if name in names]
-    lasers, axis = [i for i in shifts if names[i] not in SCALE], [i for i in shifts if names[i] in SCALE]
-    held = np.diag(np.asarray(stored.covariance)) <= 0
-    for group in (lasers, axis):
-        size = max(float(np.linalg.norm(move[group])) for move in moves)
-        added[group, group] = np.where(held[group], 0.0, size**2)
+    added = loosening(parts, stored)
+    if not scale_known and holds_no_scale(parts):
+        names = stored.parameter_names()
+        own = [name for part in parts for name in part.names if name in _AXIS or name.endswith(".d")]
+        move, free = move_of(departure, added), np.diag(added) > 0
+        added = loosening(parts, stored, without=own)
+        for group in ([name for name in own if name in _AXIS], [name for name in own if name not in _AXIS]):
+            at = [names.index(name) for name in group]
+            added[at, at] = np.where(free[at], np.sum(move[at] ** 2), 0.0)
+    for some in explanation.others:
+        move = move_of(departure, loosening(some, stored))
+        added = added + np.outer(move, move)
     return added
 
 
-SCALE = ("axis.p1", "axis.p2")
+_AXIS = ("axis.p1", "axis.p2")
 
 
 def holds_no_scale(parts: Sequence[Part]) -> bool:
     """Whether nothing is left that knows a distance once these parts have moved."""
     return any(part.name == "axis" for part in parts) and any(part.name.startswith("laser ") for part in parts)
-
-
-def _joined(some: Sequence[tuple[Part, ...]], p: float, parts: tuple[Part, ...], *, single: bool) -> Explanation:
-    names = {part.name for each in some for part in each}
-    alternatives = tuple(part.name for part in parts if part.name in names) if single and len(some) > 1 else ()
-    return Explanation(tuple(part for part in parts if part.name in names), p, alternatives)

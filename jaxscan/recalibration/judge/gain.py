@@ -42,49 +42,47 @@ def scales_of(compared: Compared, slope: Float[np.ndarray, "2 params"]) -> Scale
     return Scales(slope, before, after, np.sqrt(new / np.where(old > 0, old, 1.0)), left)
 
 
-def gains_of(compared: Compared, scales: Scales | None, names: tuple[str, ...]) -> tuple[Gain, ...]:
+def gains_of(compared: Compared, scales: Scales, names: tuple[str, ...]) -> tuple[Gain, ...]:
     """Radial and height scale in ppm, then all directions, best known last."""
-    found = []
-    if scales is not None:
-        found = [
-            Gain(name, 1e6 * float(old), 1e6 * float(new), "ppm")
-            for name, old, new in zip(NAMES, scales.before, scales.after, strict=True)
-        ]
+    found = [
+        Gain(name, 1e6 * float(old), 1e6 * float(new), "ppm")
+        for name, old, new in zip(NAMES, scales.before, scales.after, strict=True)
+    ]
     order = np.argsort(compared.factor, kind="stable")
     directions = [Gain(_named(compared, i, names), 1.0, float(1.0 / compared.factor[i])) for i in order]
     return (*found, *directions)
 
 
-def unobserved(compared: Compared, scales: Scales | None, names: tuple[str, ...]) -> tuple[str, ...]:
+def unobserved(compared: Compared, scales: Scales, names: tuple[str, ...]) -> tuple[str, ...]:
     """Sentences on the directions that the stored calibration alone holds: the scales, then all others."""
-    told, left = [], np.zeros((len(compared.ratio), 0))
-    if scales is not None:
-        seen = scales.factor >= _OBSERVED
-        told = [
-            f"{name}: {_ALIKE[name]}; the stored calibration alone holds it, to {1e6 * sigma:.0f} ppm"
-            for name, sigma, good in zip(NAMES, scales.after, seen, strict=True)
-            if not good
-        ]
-        left = compared.whiten @ scales.left[:, ~seen]
-        left, _ = np.linalg.qr(left)
+    seen = scales.factor >= _OBSERVED
+    told = [
+        f"{name}: {_ALIKE[name]}; the stored calibration alone holds it, to {1e6 * sigma:.0f} ppm"
+        for name, sigma, good in zip(NAMES, scales.after, seen, strict=True)
+        if not good
+    ]
+    left, _ = np.linalg.qr(compared.whiten @ scales.left[:, ~seen])
     order = np.argsort(compared.factor, kind="stable")
     others = [i for i in order if compared.factor[i] < _OBSERVED and np.sum(left[i] ** 2) < _SAME]
     if others:
-        named = "; ".join(_named(compared, i, names) for i in others)
+        some, more = others[:_TOLD], " and others" if len(others) > _TOLD else ""
+        named = "; ".join(_named(compared, i, names) for i in some)
         told.append(
-            f"{len(others)} directions are known less than twice as well as before ({named}): the stored "
+            f"{len(others)} directions are known less than twice as well as before ({named}{more}): the stored "
             "calibration holds them"
         )
     return tuple(told)
 
 
+_TOLD = 3
+"""Directions that one sentence names."""
 _ALIKE = {
     "radial scale": "planes look the same in a room that is wider in all directions by one share",
     "height scale": "planes look the same in a room that is higher by one share",
 }
 
 
-def _named(compared: Compared, index: int, names: tuple[str, ...]) -> str:
+def _named(compared: Compared, index: int | np.integer, names: tuple[str, ...]) -> str:
     """The largest components of a direction, in units of the prior's standard deviations."""
     sigma = np.sqrt(np.maximum(np.diag(compared.prior), 0.0))
     part = np.abs(compared.direction[:, index]) / np.where(sigma > 0, sigma, np.inf)

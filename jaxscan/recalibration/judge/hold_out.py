@@ -37,8 +37,8 @@ def hold_out(adjusted: Adjusted, stored: Scanner, fit: Fitting) -> HoldOut | Non
     if any(len(half) == 0 for half in numbers):
         return None
     before, after = [], []
-    for half, others in (numbers, numbers[::-1]):
-        fitted = fit(adjusted.observations.only(others))
+    for half in numbers:
+        fitted = fit(hidden(adjusted.observations, half))
         test = adjusted.point_kept & np.isin(points.surface, half)
         before.append(1e3 * flatness(stored, adjusted.observations, adjusted.corrections, test))
         after.append(1e3 * flatness(fitted.scanner, adjusted.observations, adjusted.corrections, test))
@@ -57,6 +57,14 @@ def _halves(surfaces: Surfaces, seen: Int[np.ndarray, " points"]) -> tuple[list[
         halves[smaller].append(number)
         size[smaller] += int(count[number])
     return halves
+
+
+def hidden(observations: RoomObservations, numbers: list[int]) -> RoomObservations:
+    """The observations without the points of some surfaces; arrays keep their sizes, for which a solve is compiled."""
+    points, lengths = observations.points, observations.lengths
+    sigma = np.where(np.isin(points.surface, numbers), np.inf, points.sigma)
+    own = [each for each in lengths if each.between == "tracks" or not {each.first, each.second} & {*numbers}]
+    return observations._replace(points=points._replace(sigma=sigma), lengths=tuple(own))
 
 
 def flatness(

@@ -1,6 +1,7 @@
 """Has the rig drifted, and with which prior is it solved then?"""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,9 +17,10 @@ from jaxscan.recalibration.judge.drift import (
     explain,
     holds_no_scale,
     loosened_prior,
+    move_of,
 )
-from jaxscan.recalibration.judge.gain import Scales, scales_of
-from jaxscan.recalibration.judge.parts import describe_move, loosening, parts_of
+from jaxscan.recalibration.judge.gain import scales_of
+from jaxscan.recalibration.judge.parts import Part, describe_move, loosening, parts_of
 from jaxscan.recalibration.judge.scale import scale_slopes
 from jaxscan.recalibration.result import Drift
 from jaxscan.recalibration.settings import RecalibrationSettings
@@ -66,7 +68,7 @@ def find_drift(stored: Scanner, free: Adjusted, solve: Solving, settings: Recali
     prior = np.asarray(stored.covariance)
     both = compare(np.asarray(free.prior.covariance), np.asarray(free.scanner.covariance))
     compared, step = with_prior(both, free.departure, prior)
-    departure = departure_of(compared, step, settings.least_gain)
+    departure = departure_of(compared, step)
     p = departure.p
     drift = Drift(departure.chi2, len(departure.value), p, p < settings.p_drift)
     if not drift.drifted:
@@ -75,45 +77,50 @@ def find_drift(stored: Scanner, free: Adjusted, solve: Solving, settings: Recali
     known = bool(scales_of(compared, scale_slopes(free.scanner, free.observations)).factor[0] >= _MEASURED)
     added = loosened_prior(found, departure, stored, scale_known=known)
     adjusted = solve(with_covariance(stored, prior + added), free)
-    names, covariance = stored.parameter_names(), np.asarray(adjusted.scanner.covariance)
-    sizes = [describe_move(part, names, adjusted.departure, covariance) for part in found.parts]
-    drift = Drift(
-        drift.chi2,
-        drift.freedom,
-        p,
-        drifted=True,
-        part=" and ".join(part.name for part in found.parts),
-        size="; ".join(f"{part.name} {size}" for part, size in zip(found.parts, sizes, strict=True) if size)
-        if len(sizes) > 1
-        else sizes[0],
+    covariance = np.asarray(adjusted.scanner.covariance)
+    alone = [move_of(departure, loosening(some, stored)) for some in found.others]
+    moves = [(found.parts, adjusted.departure), *zip(found.others, alone, strict=True)]
+    drift = replace(
+        drift,
+        part=" or ".join(" and ".join(part.name for part in some) for some, _ in moves),
+        size=" or ".join(
+            _size(some, stored, step, covariance if k == 0 else None) for k, (some, step) in enumerate(moves)
+        ),
     )
     return Verdict(drift, added, adjusted, _notes(found, known, settings))
 
 
-def compared_of(verdict: Verdict, stored: Scanner) -> Compared:
-    """Prior and posterior of the final solve."""
-    prior = np.asarray(stored.covariance) + verdict.loosened
-    return compare(prior, np.asarray(verdict.adjusted.scanner.covariance))
+def _size(
+    parts: Sequence[Part], stored: Scanner, step: Float[np.ndarray, " params"], covariance: np.ndarray | None
+) -> str:
+    names = stored.parameter_names()
+    none = np.zeros((len(names), len(names)))
+    sizes = [
+        (part.name, describe_move(part, names, step, none if covariance is None else covariance)) for part in parts
+    ]
+    return sizes[0][1] if len(sizes) == 1 else "; ".join(f"{name} {size}" for name, size in sizes if size)
 
 
-def scales_after(verdict: Verdict, compared: Compared) -> Scales:
-    """The scales of the room before and after."""
-    return scales_of(compared, scale_slopes(verdict.adjusted.scanner, verdict.adjusted.observations))
+def compared_of(verdict: Verdict, stored: Scanner) -> tuple[Compared, Compared]:
+    """The final covariance beside the stored one, and beside the prior of the final solve."""
+    prior, after = np.asarray(stored.covariance), np.asarray(verdict.adjusted.scanner.covariance)
+    return compare(prior, after), compare(prior + verdict.loosened, after)
 
 
 def _notes(found: Explanation, known: bool, settings: RecalibrationSettings) -> tuple[str, ...]:
     told = []
-    if found.alternatives:
-        names = " or ".join(found.alternatives)
-        told.append(f"{names}: each alone would explain the drift, so the stored values of all of them were given up")
+    if found.others:
+        names = " or ".join(" and ".join(part.name for part in some) for some in (found.parts, *found.others))
+        told.append(f"{names}: these sweeps cannot tell which of them moved; the new covariance covers each")
     if found.p < settings.p_drift:
         told.append(
             f"moves of {', '.join(part.name for part in found.parts)} do not explain the whole departure "
             f"(p = {found.p:.1g}): the rig or the room is not as its model has it; check it with a board"
         )
-    if holds_no_scale(found.parts) and not known:
+    every = [*found.parts, *(part for some in found.others for part in some)]
+    if holds_no_scale(every) and not known:
         told.append(
-            "both sheet and axis may have moved, so only their stored distances hold the scale of the room, and less "
+            "the sheet or the axis may have moved, or both, so their stored distances hold the scale of the room less "
             "firmly than before: give a known length or a capture of a board"
         )
     return tuple(told)

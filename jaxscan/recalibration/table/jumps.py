@@ -1,56 +1,72 @@
 """Lost steps: records from which on the table stands elsewhere than its journal says."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from jaxscan.recalibration.observed import SweepStripes
-from jaxscan.recalibration.table.regression import Rows, StepTest, fit_steps
-from jaxscan.recalibration.table.walls import Rig, label_points, refine, take_sample, wall_equations
+from jaxscan.recalibration.table.regression import Rows, fit_steps
+from jaxscan.recalibration.table.walls import TIGHT, Rig, label_points, settle, take_sample, truncated_cost, wall_equations
 
 
 MOST_JUMPS = 12
-FEW_PROFILES, FEW_POINTS = 400, 6_000
-"""With which the rig is refined."""
 MOST_PROFILES, MOST_POINTS = 8_000, 60_000
 """In which a step is looked for."""
+LAST_TIMES, MANY_POINTS = 4, 24_000
+"""With which the sizes of all steps are found in the end."""
 LEAST_Z = 7.0
 """How many of its sigmas a step must have, with some thousand places where chance could make one."""
+LEAST_GAIN = 0.3
+"""By how much a large step lowers the truncated cost, for each point [1]."""
 LEAST_STEP = np.deg2rad(0.02)
 """Smaller steps are no full step of any usual table."""
 
 
 def find_steps(sweep: SweepStripes, rig: Rig) -> Rig:
     """The rig with the steps that its walls show, the largest first, one after another."""
+    rig = settle(sweep, rig, 3, TIGHT)
     while len(rig.steps) < MOST_JUMPS:
-        rig = settle(sweep, rig)
-        test, left, rows = test_steps(sweep, rig)
-        z = np.abs(test.size) / test.sigma / inflation(rows, left, len(rig.theta))
-        place = int(np.argmax(z))
-        if z[place] < LEAST_Z or abs(test.size[place]) < LEAST_STEP:
-            return rig
-        theta = rig.theta.copy()
-        theta[place:] += test.size[place]
-        rig = Rig(rig.scanner, theta, (*rig.steps, (place, float(test.size[place]))))
-    return rig
+        small = _with_step(sweep, rig, robust=True)
+        # Behind a large step a wall looks as if something hung on it: all points count, and the result must be better.
+        found = small or _believed(sweep, rig, _with_step(sweep, rig, robust=False))
+        if found is None:
+            break
+        rig = found
+    return settle(sweep, rig, LAST_TIMES, TIGHT, MANY_POINTS) if rig.steps else rig
 
 
-def settle(sweep: SweepStripes, rig: Rig, times: int = 3) -> Rig:
-    """The rig after some steps of least squares with few points."""
-    for _ in range(times):
-        sample = take_sample(sweep, rig.scanner, FEW_PROFILES, FEW_POINTS)
-        label = label_points(sample, rig.theta)
-        if label.max(initial=-1) < 0:
-            return rig
-        rig = refine(rig, wall_equations(sample, label, rig))
-    return rig
+def step_sigmas(sweep: SweepStripes, rig: Rig) -> Float[np.ndarray, " steps"]:
+    """Standard deviation of each step of the rig [rad]."""
+    if not rig.steps:
+        return np.zeros(0)
+    sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MANY_POINTS)
+    walls = wall_equations(sample, label_points(sample, rig.theta), rig, TIGHT)
+    n = walls.rows.nuisance
+    covariance = np.linalg.inv(n.T @ n + np.diag(1.0 / walls.prior.sigma**2))
+    widened = inflation(walls.rows, walls.rows.error, len(rig.theta))
+    return widened * np.sqrt(np.diag(covariance)[-len(rig.steps) :])
 
 
-def test_steps(sweep: SweepStripes, rig: Rig) -> tuple[StepTest, Float[np.ndarray, " rows"], Rows]:
-    """A step at each record, the errors without any, and the equations."""
+def _with_step(sweep: SweepStripes, rig: Rig, robust: bool) -> Rig | None:
+    """The rig with one more step, settled; None where no step stands out."""
     sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MOST_POINTS)
-    walls = wall_equations(sample, label_points(sample, rig.theta), rig)
-    test, left = fit_steps(walls.rows, len(rig.theta), walls.ridge)
-    return test, left, walls.rows
+    walls = wall_equations(sample, label_points(sample, rig.theta), rig, TIGHT, robust)
+    test, left = fit_steps(walls.rows, len(rig.theta), walls.prior)
+    z = np.abs(test.size) / test.sigma / inflation(walls.rows, left, len(rig.theta))
+    place = int(np.argmax(z))
+    if z[place] < LEAST_Z or abs(test.size[place]) < LEAST_STEP:
+        return None
+    theta = rig.theta.copy()
+    theta[place:] += test.size[place]
+    more = rig._replace(theta=theta, steps=(*rig.steps, (place, float(test.size[place]))))
+    return settle(sweep, more, 3, TIGHT)
+
+
+def _believed(sweep: SweepStripes, rig: Rig, more: Rig | None) -> Rig | None:
+    """The rig with one more step if that brings clearly more points to walls."""
+    if more is None:
+        return None
+    (before, points), (after, _) = truncated_cost(sweep, rig), truncated_cost(sweep, more)
+    return more if before - after > LEAST_GAIN * points else None
 
 
 def inflation(rows: Rows, left: Float[np.ndarray, " rows"], records: int) -> float:

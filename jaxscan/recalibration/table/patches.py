@@ -8,10 +8,12 @@ from jaxtyping import Bool, Float, Int
 
 HALF = 2
 """Cells on each side of a cell in whose window its normal is taken."""
-FLATNESS = 0.0025
+FLATNESS = 0.001
 """Part of the range by which a window may depart from its plane, beside noise."""
 BEND = np.cos(np.deg2rad(2.5))
 """Cosine of the angle between the normals of neighbours on one patch."""
+SAME = 0.005
+"""Part of the range by which the distances of two parts of one wall from the axis may differ."""
 LEAST_CELLS = 40
 FOLD = np.deg2rad(6.0)
 """Largest turn about the axis between two parts of a wall that a lost step has broken."""
@@ -45,7 +47,7 @@ def find_patches(grid: Grid) -> Int[np.ndarray, "profiles lines"]:
     labels = _connect(grid, normal, flat)
     numbers, counts = np.unique(labels[labels >= 0], return_counts=True)
     planes = {}
-    for number in numbers[counts >= LEAST_CELLS]:
+    for number in numbers[counts >= LEAST_CELLS].tolist():
         plane = fit(grid.x[labels == number])
         if plane is not None:
             planes[number] = plane
@@ -81,8 +83,8 @@ def _normals(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     normal = normal * np.where(np.sum(normal * x, axis=-1) < 0, -1.0, 1.0)[..., None]
     noise = np.abs(np.sum(normal * grid.noise, axis=-1))
     along = np.linalg.norm(grid.noise, axis=-1)
-    thin = np.sqrt(np.maximum(values[..., 0], 0.0)) < 2.0 * noise + FLATNESS * size
-    wide = np.sqrt(np.maximum(values[..., 1], 0.0)) > 3.0 * noise + 2.0 * FLATNESS * size
+    thin = np.sqrt(np.maximum(values[..., 0], 0.0)) < 1.5 * noise + FLATNESS * size
+    wide = np.sqrt(np.maximum(values[..., 1], 0.0)) > 3.0 * noise + 5.0 * FLATNESS * size
     enough = count >= 0.6 * (2 * HALF + 1) ** 2
     return normal, grid.valid & thin & wide & enough & (noise > 0.1 * along)
 
@@ -110,7 +112,9 @@ def _connect(grid: Grid, normal: np.ndarray, flat: np.ndarray) -> np.ndarray:
             np.abs(np.sum(step * normal[near], axis=-1)) - 4 * np.abs(np.sum(grid.noise[near] * normal[near], axis=-1)),
             np.abs(np.sum(step * normal[far], axis=-1)) - 4 * np.abs(np.sum(grid.noise[far] * normal[far], axis=-1)),
         )
-        same = flat[near] & flat[far] & (np.sum(normal[near] * normal[far], axis=-1) > BEND) & (off < 4 * FLATNESS * size)
+        same = (
+            flat[near] & flat[far] & (np.sum(normal[near] * normal[far], axis=-1) > BEND) & (off < 4 * FLATNESS * size)
+        )
         first.append(index[near][same])
         second.append(index[far][same])
     a, b = np.concatenate(first), np.concatenate(second)
@@ -133,7 +137,9 @@ def _join(grid: Grid, labels: np.ndarray, planes: dict[int, Plane]) -> np.ndarra
     parent: dict[int, int] = {}
     points = {number: grid.x[labels == number] for number in names}
     for count, number in enumerate(names):
-        other = next((n for n in names[:count] if _one_wall(planes[number], planes[n], points[number], points[n])), None)
+        other = next(
+            (n for n in names[:count] if _one_wall(planes[number], planes[n], points[number], points[n])), None
+        )
         parent[number] = number if other is None else parent[other]
     for count, root in enumerate(sorted(set(parent.values()))):
         for number in names:
@@ -147,12 +153,14 @@ def _one_wall(a: Plane, b: Plane, x: np.ndarray, y: np.ndarray) -> bool:
     upright_a, upright_b = np.hypot(*a.normal[:2]), np.hypot(*b.normal[:2])
     if min(upright_a, upright_b) < 0.5:
         # A turn about the axis leaves a floor where it is.
-        return float(a.normal @ b.normal) > BEND and abs(a.distance - b.distance) < 4 * FLATNESS * np.linalg.norm(a.centre)
+        return float(a.normal @ b.normal) > BEND and abs(a.distance - b.distance) < 4 * FLATNESS * np.linalg.norm(
+            a.centre
+        )
     turn = np.arctan2(a.normal[1], a.normal[0]) - np.arctan2(b.normal[1], b.normal[0])
     turn = (turn + np.pi) % (2 * np.pi) - np.pi
     tilt = np.arcsin(np.clip(a.normal[2], -1, 1)) - np.arcsin(np.clip(b.normal[2], -1, 1))
     size = max(np.linalg.norm(a.centre), np.linalg.norm(b.centre))
-    if abs(turn) > FOLD or abs(tilt) > np.deg2rad(2.5) or abs(a.distance - b.distance) > 4 * FLATNESS * size:
+    if abs(turn) > FOLD or abs(tilt) > np.deg2rad(2.5) or abs(a.distance - b.distance) > SAME * size:
         return False
     along = np.cross([0.0, 0.0, 1.0], a.normal)
     s, t = x @ along, y @ along

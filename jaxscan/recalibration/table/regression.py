@@ -16,6 +16,13 @@ class Rows(NamedTuple):
     record: Int[np.ndarray, " rows"]
 
 
+class Prior(NamedTuple):
+    """What is known of the unknowns before."""
+
+    mean: Float[np.ndarray, " unknowns"]
+    sigma: Float[np.ndarray, " unknowns"]
+
+
 class StepTest(NamedTuple):
     """What a step at each record would be."""
 
@@ -25,7 +32,14 @@ class StepTest(NamedTuple):
     """Its standard deviation; infinite where nothing tells it [rad]."""
 
 
-def fit_steps(rows: Rows, records: int, ridge: Float[np.ndarray, " unknowns"]) -> tuple[StepTest, Float[np.ndarray, " rows"]]:
+def solve(rows: Rows, prior: Prior) -> Float[np.ndarray, " unknowns"]:
+    """The unknowns of least squares; errors that are larger than noise widen all that is learned from them."""
+    n = rows.nuisance
+    weight = max(1.0, float(np.mean(rows.error**2))) / prior.sigma**2
+    return np.linalg.solve(n.T @ n + np.diag(weight), n.T @ rows.error + weight * prior.mean)
+
+
+def fit_steps(rows: Rows, records: int, prior: Prior) -> tuple[StepTest, Float[np.ndarray, " rows"]]:
     r"""The step of every record, each fitted with all other unknowns but without the other steps.
 
     With N the nuisance, r the error after their fit, and c the column of a step (`turn` from its record on),
@@ -35,21 +49,21 @@ def fit_steps(rows: Rows, records: int, ridge: Float[np.ndarray, " unknowns"]) -
     Args:
         rows: Equations.
         records: How many records there are.
-        ridge: Standard deviations of the unknowns before the fit.
+        prior: Of the unknowns.
 
     Returns:
         The steps, and the errors after the fit of the nuisance.
     """
     n = rows.nuisance
-    normal = n.T @ n + np.diag(1.0 / ridge**2)
+    normal = n.T @ n + np.diag(1.0 / prior.sigma**2)
     scale = np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
-    left = rows.error - n @ (inverse @ (n.T @ rows.error))
+    left = rows.error - n @ (inverse @ (n.T @ rows.error + prior.mean / prior.sigma**2))
     score = backwards(rows.turn * left, rows.record, records)
     own = backwards(rows.turn**2, rows.record, records)
     shared = backwards(rows.turn[:, None] * n, rows.record, records)
     power = own - np.sum((shared @ inverse) * shared, axis=1)
-    known = power > 1e-6 * own[0]
+    known = power > 1e-6 * own[:1]
     safe = np.where(known, power, 1.0)
     size = np.where(known, score / safe, 0.0)
     return StepTest(size, np.where(known, 1.0 / np.sqrt(safe), np.inf)), left

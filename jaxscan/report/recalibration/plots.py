@@ -64,8 +64,7 @@ def panorama_figure(before: np.ndarray, after: np.ndarray) -> "Figure":
 
     limit = colour_limit([before, after])
     figure = new_figure(10.4, 5.4)
-    colours = colormaps["RdBu_r"].copy()
-    colours.set_bad(UNSEEN)
+    colours = colormaps["RdBu_r"].with_extremes(bad=UNSEEN)
     drawn: Any = None
     both = []
     for place, (title, picture) in enumerate((("before", before), ("after", after))):
@@ -87,7 +86,7 @@ def panorama_figure(before: np.ndarray, after: np.ndarray) -> "Figure":
         both.append(axes)
     both[1].set_xlabel("azimuth, degrees")
     bar = figure.colorbar(drawn, ax=both, shrink=0.8, aspect=30, pad=0.015, extend="both")
-    bar.set_label("distance from the wall's plane, mm")
+    bar.set_label("distance from the wall's plane, mm", color=SOFT)
     bar.outline.set_visible(False)
     bar.ax.tick_params(length=0, labelsize=8)
     return figure

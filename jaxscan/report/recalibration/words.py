@@ -12,12 +12,7 @@ SMALLEST_P = 1e-6
 """Smaller chances are not told apart."""
 LARGEST_FACTOR = 1000.0
 """Larger gains are not told apart."""
-_NAMES = {
-    "lens": "lens",
-    "camera": "camera",
-    "axis": "axis of the table",
-    "laser and axis": "laser and the axis of the table",
-}
+_NAMES = {"camera": "camera", "axis": "axis of the table"}
 
 
 def drift_words(drift: Drift) -> str:
@@ -27,8 +22,11 @@ def drift_words(drift: Drift) -> str:
         return f"The rig is as it was calibrated ({p})"
     if not drift.part:
         return f"The rig has drifted, and no single part explains it ({p})"
-    moved = f"the {_part(drift.part)} moved"
-    return f"The rig has drifted: {moved}{f' by {drift.size}' if drift.size else ''} ({p})"
+    parts = [_part(part) for part in drift.part.split(" and ")]
+    if len(parts) == 1:
+        return f"The rig has drifted: the {parts[0]} moved{f' by {drift.size}' if drift.size else ''} ({p})"
+    listed = f"{', the '.join(parts[:-1])} and the {parts[-1]}"
+    return f"The rig has drifted: the {listed} moved{f' ({drift.size})' if drift.size else ''} ({p})"
 
 
 def headline(result: Recalibration) -> Headline:
@@ -148,10 +146,7 @@ def by_sigmas(moved: tuple[Moved, ...]) -> list[Moved]:
 
 
 def _part(part: str) -> str:
-    name = part.removeprefix("laser ")
-    if part in _NAMES:
-        return _NAMES[part]
-    return f"plane of laser {name}" if part.startswith("laser ") else part
+    return f"plane of {part}" if part.startswith("laser ") else _NAMES.get(part, part)
 
 
 def _chance(p: float) -> str:

@@ -1,0 +1,225 @@
+"""Features and targets in the laser-off images of sweeps, as tracks."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxscan.geometry import AbstractBoard, Scanner, Turntable
+from jaxscan.recalibration.observed import SweepStripes, Tracks
+from jaxscan.recalibration.settings import RecalibrationSettings
+from jaxscan.recalibration.tracks.consistency import Sightings, keep_consistent
+from jaxscan.recalibration.tracks.cylinder import Turning, unroll
+from jaxscan.recalibration.tracks.key_images import MOST_KEYS, KeyImages, choose_keys
+from jaxscan.recalibration.tracks.placed import place_tracks
+from jaxscan.recalibration.tracks.reading import Reader
+from jaxscan.recalibration.tracks.seen import FeatureEyes, Followed, FoundTargets, ImageSource, Walk
+
+
+_LOOKED_AT = 6
+"""Images by which texture is judged."""
+_SEARCHED = 16
+"""Images in which the dictionary of markers is looked for."""
+_NOMINAL_RANGE_M = 2.5
+"""Where a feature is taken to be before it has moved."""
+_LEAST_SHARE = 0.3
+"""Share of features that fit the turn below which none is believed."""
+_FEWEST_TRACKS = 20
+_SIGHTINGS = 8
+"""Sightings of a track that are used, at most: neighbouring ones share what blurs and bends a feature."""
+
+
+class _Seen(NamedTuple):
+    """Sightings of one sweep, and a name for each track; "" for a feature."""
+
+    sightings: Sightings
+    record: np.ndarray
+    names: tuple[str, ...]
+
+
+def observe_features(
+    captures: Sequence[ImageSource],
+    sweeps: Sequence[SweepStripes],
+    scanner: Scanner,
+    eyes: FeatureEyes,
+    settings: RecalibrationSettings,
+    board: AbstractBoard | None = None,
+) -> tuple[Tracks | None, tuple[str, ...]]:
+    """Find targets, and follow features, through the laser-off images of sweeps.
+
+    Args:
+        captures: The sweeps' images; their angles are taken from `sweeps`.
+        sweeps: The same sweeps' stripes, in the same order: names, angles, stations.
+        scanner: The stored scanner, which predicts where features go.
+        eyes: The functions that look at images; `vision.feature_eyes` makes them.
+        settings: `features` and `marker_dictionary`.
+        board: A board that was left standing.
+
+    Returns:
+        tracks: A feature is a track of one sweep; a target has one number in all sweeps. Points are in the frame of
+            the first station that sees them, until `place_tracks` knows the stations. None without any.
+        notes: A sentence for each thing that a user should know.
+    """
+    parts: list[tuple[int, _Seen]] = []
+    notes: list[str] = []
+    for number, (capture, sweep) in enumerate(zip(captures, sweeps, strict=True)):
+        seen, said = _observe_sweep(capture, sweep, scanner, (eyes, settings, board))
+        notes += [f"{sweep.name}: {note}" for note in said]
+        parts += [(number, one) for one in seen]
+    return (_joined(parts, sweeps, scanner) if parts else None), tuple(notes)
+
+
+def _observe_sweep(
+    capture: ImageSource,
+    sweep: SweepStripes,
+    scanner: Scanner,
+    how: tuple[FeatureEyes, RecalibrationSettings, AbstractBoard | None],
+) -> tuple[list[_Seen], list[str]]:
+    """Consistent sightings of one sweep: of targets, and of features."""
+    eyes, settings, board = how
+    found = capture.image_size
+    expected = (int(scanner.camera.width), int(scanner.camera.height))
+    if found != expected:
+        return [], [
+            f"no features: found images of {found[0]} x {found[1]} px, expected {expected[0]} x {expected[1]} px."
+        ]
+    if not capture.records or not all(record.off for record in capture.records):
+        return [], ["no features: it has no laser-off images."]
+    if scanner.turntable.carries == "nothing" or len(capture.records) < 3:
+        return [], ["no features: they need a scanner that moves, and at least three records."]
+    reader = Reader(capture, eyes)
+    spread = np.unique(np.linspace(0, len(capture.records) - 1, MOST_KEYS).round().astype(int))
+    some = spread[np.unique(np.linspace(0, len(spread) - 1, _SEARCHED).round().astype(int))]
+    images = list(reader.ahead(some))
+    dictionary = settings.marker_dictionary or eyes.find_dictionary(images)
+    out: list[_Seen] = []
+    notes: list[str] = []
+    if dictionary is not None or board is not None:
+        targets = [eyes.find_targets(image, board, dictionary) for image in reader.ahead(spread)]
+        seen, said = _keep_targets(scanner, sweep, spread, targets)
+        out, notes = out + seen, notes + said
+    if settings.features is not False:
+        seen, said = _features(reader, sweep, scanner, (eyes, settings.features, images))
+        out, notes = out + seen, notes + said
+    return out, notes
+
+
+def _features(
+    reader: Reader, sweep: SweepStripes, scanner: Scanner, how: tuple[FeatureEyes, bool | None, list[np.ndarray]]
+) -> tuple[list[_Seen], list[str]]:
+    """Consistent sightings of features, and why there are none."""
+    eyes, wanted, images = how
+    table = scanner.turntable
+    if not isinstance(table, Turntable) or table.carries != "scanner":
+        return [], ["features are off: they need a table that turns the scanner."] if wanted else []
+    enough, reason = eyes.has_texture(images[:: max(1, len(images) // _LOOKED_AT)])
+    if not enough and not wanted:
+        return [], [f"features are off: too little texture ({reason})."]
+    cylinder = unroll(scanner, (int(scanner.camera.width), int(scanner.camera.height)))
+    with jax.enable_x64(True):
+        heading = np.asarray(jax.vmap(table.angle)(jnp.asarray(sweep.angle, jnp.float64)))
+    keys = choose_keys(heading, cylinder.u.shape[1] / cylinder.scale)
+    if keys is None:
+        return [], ["features are off: neighbouring images overlap by less than 60 %, or the table hardly turned."]
+    turning, walk = Turning(scanner, cylinder.scale), keys.walk()
+
+    def predict(place: np.ndarray, first: int, second: int) -> np.ndarray:
+        turn = float(keys.heading[walk[second]] - keys.heading[walk[first]])
+        return turning.predict(place, turn, _NOMINAL_RANGE_M)
+
+    steps = Walk(cylinder, predict, len(walk), len(keys.record))
+    followed = _thinned(eyes.follow(reader.ahead(keys.record[walk]), steps))
+    return _keep_features(scanner, sweep, keys, followed)
+
+
+def _thinned(followed: Followed) -> Followed:
+    """At most `_SIGHTINGS` of each track, its first and last ones and others evenly between."""
+    order = np.lexsort((followed.step, followed.track))
+    start, count = np.unique(followed.track[order], return_index=True, return_counts=True)[1:]
+    place = np.arange(len(order)) - np.repeat(start, count)
+    last, most = np.repeat(count - 1, count), np.minimum(np.repeat(count, count), _SIGHTINGS) - 1
+    # A place is kept where the rounded share of the way to the last one steps up.
+    share = np.floor(place * most / np.maximum(last, 1) + 1e-9)
+    before = np.floor((place - 1) * most / np.maximum(last, 1) + 1e-9)
+    return Followed(*(field[order[share > before]] for field in followed))
+
+
+def _keep_features(
+    scanner: Scanner, sweep: SweepStripes, keys: KeyImages, followed: Followed
+) -> tuple[list[_Seen], list[str]]:
+    if not len(followed.q):
+        return [], ["features are off: none was found again in the next image."]
+    key = keys.walk()[followed.step]
+    record = keys.record[key]
+    sightings = Sightings(followed.q, followed.sigma, sweep.angle[record], key, followed.track, np.zeros(len(key), int))
+    tested = keep_consistent(scanner, sightings)
+    share, tracks = float(tested.kept.mean()), len(np.unique(followed.track[tested.kept]))
+    if share < _LEAST_SHARE or tracks < _FEWEST_TRACKS:
+        return [], [
+            f"features are off: {tracks} of {followed.track.max() + 1} follow the turn of the table; check its steps "
+            "per turn and the calibration."
+        ]
+    kept = sightings._replace(sigma=tested.sigma).take(tested.kept)
+    return [_Seen(kept, record[tested.kept], ("",) * (int(followed.track.max()) + 1))], []
+
+
+def _keep_targets(
+    scanner: Scanner, sweep: SweepStripes, records: np.ndarray, targets: list[FoundTargets]
+) -> tuple[list[_Seen], list[str]]:
+    """Consistent sightings of targets, and notes on those that are left out."""
+    twice = sorted({name for one in targets for name, n in Counter(one.name).items() if n > 1})
+    double = {_target(name) for name in twice}
+    names = sorted({name for one in targets for name in one.name if _target(name) not in double})
+    notes = [f"{target} is in the room twice: it is left out." for target in sorted(double)]
+    if not names:
+        return [], notes
+    number = {name: k for k, name in enumerate(names)}
+    every = [(k, j) for k, one in enumerate(targets) for j, name in enumerate(one.name) if name in number]
+    image = np.array([k for k, _ in every])
+    track = np.array([number[targets[k].name[j]] for k, j in every])
+    q = np.array([targets[k].q[j] for k, j in every])
+    sigma = np.array([targets[k].sigma[j] for k, j in every])
+    kind = np.array([int(names[t].startswith("board")) for t in track])
+    record = records[image]
+    sightings = Sightings(q, sigma, sweep.angle[record], image, track, kind)
+    tested = keep_consistent(scanner, sightings)
+    before, after = (np.bincount(track, weight, len(names)) for weight in (np.ones(len(track)), tested.kept))
+    lost = {_target(names[t]) for t in np.flatnonzero((before >= 3) & (after == 0))}
+    still = {_target(names[t]) for t in np.flatnonzero(after > 0)}
+    notes += [f"{target} moves, or is in the room twice: it is left out." for target in sorted(lost - still)]
+    if not tested.kept.any():
+        return [], notes
+    kept = sightings._replace(sigma=tested.sigma).take(tested.kept)
+    return [_Seen(kept, record[tested.kept], tuple(names))], notes
+
+
+def _target(name: str) -> str:
+    """The target that a corner belongs to."""
+    return name.rsplit(" corner ", 1)[0]
+
+
+def _joined(parts: list[tuple[int, _Seen]], sweeps: Sequence[SweepStripes], scanner: Scanner) -> Tracks:
+    """The tracks of all sweeps; targets of one name are one track."""
+    names: list[str] = []
+    known: dict[str, int] = {}
+    rows: list[tuple[np.ndarray, ...]] = []
+    for sweep, seen in parts:
+        number = np.full(len(seen.names), -1)
+        for track in np.unique(seen.sightings.track):
+            name = seen.names[track]
+            if name and name in known:
+                number[track] = known[name]
+                continue
+            number[track] = len(names)
+            names.append(name)
+            if name:
+                known[name] = len(names) - 1
+        s = seen.sightings
+        rows.append((s.q, s.sigma, np.full(len(s.q), sweep), seen.record, number[s.track]))
+    q, sigma, sweep_of, record, track = (np.concatenate(column) for column in zip(*rows, strict=True))
+    point = np.zeros((len(names), 3))
+    tracks = Tracks(q, sigma, sweep_of, record, track, point, tuple(names) if any(names) else ())
+    return place_tracks(tracks, sweeps, scanner)

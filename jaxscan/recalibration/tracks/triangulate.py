@@ -1,0 +1,151 @@
+"""Lines of sight, pixels, and points of the room from their sightings, by a scanner whose motion is known."""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.geometry import Array, Scanner, invert, transform
+
+
+MOST_RANGE_M = 30.0
+LEAST_RANGE_M = 0.1
+_CHUNK = 4096
+"""Sightings that are computed at a time: one compiled function serves for any number."""
+
+
+class Rays(NamedTuple):
+    """Lines of sight in one frame."""
+
+    origin: Float[np.ndarray, "n 3"]
+    direction: Float[np.ndarray, "n 3"]
+    """Of length 1."""
+
+
+class Triangulated(NamedTuple):
+    """Points, and how well their sightings hold them."""
+
+    point: Float[np.ndarray, "tracks 3"]
+    covariance: Float[np.ndarray, "tracks 3 3"]
+    """By the sightings' noise [m^2]."""
+    range_m: Float[np.ndarray, " tracks"]
+    """Mean distance from the camera; negative behind it."""
+    valid: Bool[np.ndarray, " tracks"]
+    """In front of the camera, and no farther than `MOST_RANGE_M`."""
+
+
+def rays_of(
+    scanner: Scanner,
+    q: Float[np.ndarray, "n 2"],
+    angle: Float[np.ndarray, " n"],
+    station: Float[np.ndarray, "n 4 4"],
+) -> Rays:
+    """Lines of sight in the frame of the room.
+
+    Args:
+        scanner: The scanner.
+        q: Pixels [px].
+        angle: The table's angle of each [rad from home].
+        station: T_room_scanner of each.
+    """
+    origin, direction = _in_chunks(_rays(), scanner, (q, angle, station))
+    return Rays(origin, direction)
+
+
+def triangulate(
+    rays: Rays, sigma_rad: Float[np.ndarray, " n"], track: Int[np.ndarray, " n"], count: int
+) -> Triangulated:
+    """The point nearest to all lines of sight of each track, by linear least squares.
+
+    Args:
+        rays: The lines of sight.
+        sigma_rad: Standard deviation of each direction [rad].
+        track: Number of the point that each sees.
+        count: Number of points.
+
+    Returns:
+        The points. A camera on the axis does not tell how far they are: then `valid` is False.
+    """
+    across = np.eye(3) - rays.direction[:, :, None] * rays.direction[:, None, :]
+    weight = sigma_rad**-2.0
+    point, covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
+    range_m = np.ones(len(track))
+    for _ in range(2):
+        # An error of an angle is one of the point over its range.
+        normal = _summed(across * (weight / range_m**2)[:, None, None], track, count)
+        moment = _summed((across @ rays.origin[..., None])[..., 0] * (weight / range_m**2)[:, None], track, count)
+        size = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+        normal = normal + np.eye(3) * np.maximum(size * 1e-12, 1e-300)
+        covariance = np.linalg.inv(normal)
+        point = (covariance @ moment[..., None])[..., 0]
+        along = ((point[track] - rays.origin) * rays.direction).sum(1)
+        range_m = np.maximum(np.abs(along), LEAST_RANGE_M)
+    seen = np.maximum(np.bincount(track, minlength=count), 1)
+    mean = np.bincount(track, along, count) / seen
+    behind = np.bincount(track, along < LEAST_RANGE_M, count) > 0
+    return Triangulated(point, covariance, mean, ~behind & (mean > LEAST_RANGE_M) & (mean < MOST_RANGE_M))
+
+
+def project_all(
+    scanner: Scanner,
+    point: Float[np.ndarray, "n 3"],
+    angle: Float[np.ndarray, " n"],
+    station: Float[np.ndarray, "n 4 4"],
+    step: Float[np.ndarray, " params"] | None = None,
+) -> Float[np.ndarray, "n 2"]:
+    """Pixels at which points of the room are seen at the table's angles.
+
+    Args:
+        scanner: The scanner.
+        point: Points of the room [m].
+        angle: The table's angle of each [rad from home].
+        station: T_room_scanner of each.
+        step: Of the scanner in its minimal coordinates.
+    """
+    step = np.zeros(len(scanner.parameter_names())) if step is None else step
+    return _in_chunks(partial(_project(), step), scanner, (point, angle, station))[0]
+
+
+def _summed(values: np.ndarray, track: np.ndarray, count: int) -> np.ndarray:
+    size = int(np.prod(values.shape[1:]))
+    out = np.stack([np.bincount(track, column, count) for column in values.reshape(len(values), size).T], -1)
+    return out.reshape(count, *values.shape[1:])
+
+
+def _in_chunks(
+    function: Callable[..., tuple[jax.Array, ...]], scanner: Scanner, values: tuple[np.ndarray, ...]
+) -> tuple[np.ndarray, ...]:
+    """What a compiled function gives for many items, float64."""
+    count = len(values[0])
+    with jax.enable_x64(True):
+        given = scanner.without_covariance().as_dtype(jnp.float64)
+        parts = []
+        for start in range(0, max(count, 1), _CHUNK):
+            chunk = (np.asarray(value[start : start + _CHUNK], np.float64) for value in values)
+            padded = (np.concatenate([c, np.ones((_CHUNK - len(c), *c.shape[1:]))]) for c in chunk)
+            parts.append([np.asarray(part) for part in function(given, *padded)])
+    return tuple(np.concatenate(part)[:count] for part in zip(*parts, strict=True))
+
+
+@cache
+def _project() -> Callable[..., tuple[jax.Array, ...]]:
+    def pixel(
+        step: jax.Array, scanner: Scanner, point: jax.Array, angle: jax.Array, station: jax.Array
+    ) -> tuple[Array]:
+        moved = scanner.retract(step)
+        return (moved.camera.project(transform(invert(station @ moved.pose(angle)), point)),)
+
+    return jax.jit(jax.vmap(pixel, (None, None, 0, 0, 0)))
+
+
+@cache
+def _rays() -> Callable[..., tuple[jax.Array, ...]]:
+    def ray(scanner: Scanner, q: jax.Array, angle: jax.Array, station: jax.Array) -> tuple[jax.Array, jax.Array]:
+        pose = station @ scanner.pose(angle)
+        return pose[:3, 3], pose[:3, :3] @ scanner.camera.unproject(q)
+
+    return jax.jit(jax.vmap(ray, (None, 0, 0, 0)))

@@ -1,0 +1,93 @@
+"""Corners of a texture that stand out of the noise, and whether a room has enough of them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+
+_BLOCK = 11
+"""Side of the window over which gradients are summed [px]."""
+_LARGEST_SIGMA = 0.12
+"""A feature is followed if noise alone moves it by less than this [px]."""
+_LEAST_NOISE = 0.4
+"""Noise of an image, at least [DN]: rounding and what changes with the view."""
+_FEWEST, _CELLS, _FEWEST_CELLS = 40, (4, 4), 5
+"""Features of an image, and cells of a grid over it that have some, at least."""
+_LEAST_SIDE = 64
+
+
+class Corners(NamedTuple):
+    """Places of features in an image, best first."""
+
+    x: np.ndarray
+    """Whole column and row [n, 2], px."""
+    sigma: np.ndarray
+    """Standard deviation of a coordinate by the image's noise alone [px]."""
+
+
+def image_noise(image: np.ndarray) -> float:
+    """Noise of an image [DN], from the Laplacian's median: texture fills less than half of it.
+
+    Source: Immerkær, Fast noise variance estimation, Computer Vision and Image Understanding 64 (1996).
+    """
+    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+    laplacian = cv2.filter2D(image, cv2.CV_32F, kernel)[1:-1:3, 1:-1:3]
+    return max(float(np.median(np.abs(laplacian))) / 0.6745 / 6.0, _LEAST_NOISE)
+
+
+def find_features(image: np.ndarray, free: np.ndarray, apart: int, most: int) -> Corners:
+    """The best features of an image that lie apart from one another.
+
+    Args:
+        image: uint8 [rows, columns].
+        free: Where they may lie: uint8 [rows, columns], 0 where not.
+        apart: Least distance [px].
+        most: Number, at most.
+    """
+    noise = image_noise(image)
+    # cornerMinEigenVal divides the derivatives of a uint8 image by 255 * 4 * block; those of a ramp of one grey level
+    # per pixel are 8 before that.
+    unit = (255.0 * 4.0 * _BLOCK / 8.0) ** 2
+    # The gradients' own noise is no texture.
+    weakest = cv2.cornerMinEigenVal(image, _BLOCK, ksize=3) * unit - 12 / 64 * (_BLOCK * noise) ** 2
+    side = 2 * apart + 1
+    peak = (weakest >= cv2.dilate(weakest, np.ones((side, side), np.uint8))) & (free > 0)
+    peak &= weakest > (noise / _LARGEST_SIGMA) ** 2
+    v, u = np.nonzero(peak)
+    best = np.argsort(-weakest[v, u], kind="stable")[:most]
+    x = np.stack([u[best], v[best]], -1)
+    return Corners(x, noise / np.sqrt(weakest[v[best], u[best]]))
+
+
+def enough_texture(images: Sequence[np.ndarray]) -> tuple[bool, str]:
+    """Whether features can be followed through such images.
+
+    Args:
+        images: Grey images of a sweep, uint8 [rows, columns].
+
+    Returns:
+        enough: Whether most of them have features in most parts.
+        reason: The numbers, in a few words.
+    """
+    usable = [image for image in images if min(image.shape) >= _LEAST_SIDE]
+    if not usable:
+        return False, "no image is large enough"
+    counts = [_count(image) for image in usable]
+    number = int(np.median([count for count, _ in counts]))
+    cells = int(np.median([cell for _, cell in counts]))
+    if number < _FEWEST:
+        return False, f"{number} features in an image, expected at least {_FEWEST}"
+    if cells < _FEWEST_CELLS:
+        parts = _CELLS[0] * _CELLS[1]
+        return False, f"features in {cells} of {parts} parts of an image, expected at least {_FEWEST_CELLS}"
+    return True, f"{number} features in an image"
+
+
+def _count(image: np.ndarray) -> tuple[int, int]:
+    """Features of one image, and cells of a grid that have some."""
+    rows, columns = image.shape
+    found = find_features(image, np.full(image.shape, 255, np.uint8), max(4, min(image.shape) // 60), 2000)
+    cell = found.x[:, 1] * _CELLS[1] // rows * _CELLS[0] + found.x[:, 0] * _CELLS[0] // columns
+    return len(found.x), len(np.unique(cell))
