@@ -52,6 +52,8 @@ def draw_station(
     size = np.array(config.room.size_m)
     while True:
         place = random.uniform([0.6, 0.6, 1.0], [size[0] - 0.6, size[1] - 0.6, 1.4])
+        if how.extras is corner_filled and (place[:2] > (2.3, 3.3)).all():
+            continue
         rig = moved(config, tuple(float(x) for x in place), float(random.uniform(0, 360)))
         tilt = tuple(float(x) for x in TILT_DEG * random.standard_normal(2))
         taken = Sweeping(
