@@ -1,4 +1,4 @@
-"""Known lengths and spheres of a room: a TOML file that a person writes."""
+"""Known lengths and spheres of a room, and where the rig stood: a TOML file that a person writes."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +11,7 @@ from jaxscan.recalibration import Given, KnownSphere, MeasuredLength, Place
 
 
 MAX_ENTRIES = 1000
-"""Most lengths, and most spheres, in a file."""
+"""Most lengths, most spheres, and most stations, in a file."""
 
 _Coordinate = Annotated[Number, pydantic.Field(ge=-1000, le=1000)]
 _Point = tuple[_Coordinate, _Coordinate, _Coordinate]
@@ -58,21 +58,31 @@ class SphereTable(FileModel):
     """Its middle, roughly, in the frame of the cloud [m]."""
 
 
+class StationTable(FileModel):
+    """Where the rig stood for the second sweep, the third, and so on."""
+
+    at: _Point
+    """In the frame of the first station [m], good to half a metre."""
+    yaw_deg: Annotated[Number, pydantic.Field(ge=-360, le=360)]
+    """Its turn about the axis, from the first station's x towards its y, good to ten degrees."""
+
+
 class KnownTable(FileModel):
     """The file."""
 
     length: Annotated[tuple[LengthTable, ...], pydantic.Field(max_length=MAX_ENTRIES)] = ()
     sphere: Annotated[tuple[SphereTable, ...], pydantic.Field(max_length=MAX_ENTRIES)] = ()
+    station: Annotated[tuple[StationTable, ...], pydantic.Field(max_length=MAX_ENTRIES)] = ()
 
     @pydantic.model_validator(mode="after")
     def _says_something(self) -> "KnownTable":
-        if not self.length and not self.sphere:
-            raise ValueError("found nothing, expected [[length]] or [[sphere]]")
+        if not self.length and not self.sphere and not self.station:
+            raise ValueError("found nothing, expected [[length]], [[sphere]] or [[station]]")
         return self
 
 
 def load_known_room(path: str | Path) -> Given:
-    """Known lengths and spheres of a room.
+    """Known lengths and spheres of a room, and first poses of stations.
 
     Args:
         path: A TOML file; see docs/formats.md.
@@ -86,7 +96,16 @@ def load_known_room(path: str | Path) -> Given:
         for number, one in enumerate(table.length, 1)
     )
     spheres = tuple(KnownSphere(np.array(one.at, np.float64), 1e-3 * one.diameter_mm) for one in table.sphere)
-    return Given(lengths=lengths, spheres=spheres)
+    stations = np.stack([np.eye(4), *map(_pose, table.station)]) if table.station else None
+    return Given(stations=stations, lengths=lengths, spheres=spheres)
+
+
+def _pose(station: StationTable) -> np.ndarray:
+    """T_room_scanner [4, 4] of an upright rig."""
+    yaw, pose = np.radians(station.yaw_deg), np.eye(4)
+    pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    pose[:3, 3] = station.at
+    return pose
 
 
 def _place(value: _Point | _Target) -> Place:

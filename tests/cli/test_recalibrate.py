@@ -137,7 +137,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("text", "named"),
         [
-            ("", "found nothing, expected [[length]] or [[sphere]]"),
+            ("", "found nothing, expected [[length]], [[sphere]] or [[station]]"),
             ("[[length", "not valid TOML"),
             ("[[length]]\nmetre = 1", "unknown key"),
             ("[[length]]\nmetres = 1.0\nsigma_mm = 0.5\na = [0, 0]\nb = [1, 0, 0]", "length[0].a: expected three"),

@@ -32,6 +32,7 @@ HELD = 3.0
 """Least number of patches that hold a pose along its weakest direction."""
 MARKS_M = 0.2
 """Landmarks of two stations agree within this, whatever the calibration [m]."""
+_ASK = "leave targets standing that both see, or say where the second stood ([[station]] of --known)"
 START_M, START_RAD = 0.5, np.radians(10.0)
 
 
@@ -80,10 +81,7 @@ def place_pair(one: Station, other: Station, *, first: np.ndarray | None = None)
         return _near(one, other, given)
     guesses = guess_poses(one.view, other.view)
     if len(guesses) == 0:
-        raise CalibrationError(
-            f"{one.name}, {other.name}: found walls in fewer than two common directions; leave targets standing that "
-            "both see, or give the pose of the second."
-        )
+        raise CalibrationError(f"{one.name}, {other.name}: found walls in fewer than two common directions; {_ASK}.")
     common, denied = _compare(one.space, other.space, guesses, SOME)
     best = np.argsort(2 * denied - common, kind="stable")[:SETTLED]
     places = _places(one, other, guesses[best], few=True)
@@ -126,13 +124,13 @@ def _compare(one: Space, other: Space, poses: np.ndarray, some: int | None = Non
 
 def _decide(one: Station, other: Station, places: list[_Place]) -> Pair:
     """The place that explains most; refused where it explains too little, or another place is as good."""
-    names, ask = f"{one.name}, {other.name}", "leave targets standing that both see, or give the pose of the second"
+    names = f"{one.name}, {other.name}"
     places = [place for place in places if place.common >= LEAST_SHARE * _cells(one, other)]
     places = [place for place in places if place.denied <= MOST_DENIED * (place.common + place.denied)]
     if not places:
         raise CalibrationError(
             f"{names}: found no place in which they see {100 * LEAST_SHARE:.0f} % of their points in common and look "
-            f"through nothing that the other sees; take a sweep between the two, {ask}."
+            f"through nothing that the other sees; take a sweep between the two, {_ASK}."
         )
     most = max(place.common for place in places)
     places = [place for place in places if place.common >= most / 2]
@@ -145,7 +143,7 @@ def _decide(one: Station, other: Station, places: list[_Place]) -> Pair:
         if _far(rival.settled.pose, best.settled.pose, DISTINCT_M, DISTINCT_RAD):
             turn = np.degrees(turn_between(rival.settled.pose[:3, :3], best.settled.pose[:3, :3]))
             raise CalibrationError(
-                f"{names}: found two places of the second that fit the room alike, {turn:.0f} degrees apart; {ask}."
+                f"{names}: found two places of the second that fit the room alike, {turn:.0f} degrees apart; {_ASK}."
             )
     settled = settle(one.view, other.view, best.settled.pose)
     return Pair(settled.pose, best.common / _cells(one, other))
