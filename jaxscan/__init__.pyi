@@ -4,6 +4,7 @@ from jaxscan.api import Reconstruction as Reconstruction
 from jaxscan.api import calibrate as calibrate
 from jaxscan.api import load_simulation as load_simulation
 from jaxscan.api import observe_boards as observe_boards
+from jaxscan.api import recalibrate as recalibrate
 from jaxscan.api import reconstruct_capture as reconstruct_capture
 from jaxscan.api import simulate as simulate
 from jaxscan.calibration import Calibration as Calibration
@@ -49,6 +50,11 @@ from jaxscan.measurement import measure_room as measure_room
 from jaxscan.observation import BoardViews as BoardViews
 from jaxscan.observation import Observations as Observations
 from jaxscan.observation import StripeViews as StripeViews
+from jaxscan.recalibration import Given as Given
+from jaxscan.recalibration import KnownSphere as KnownSphere
+from jaxscan.recalibration import MeasuredLength as MeasuredLength
+from jaxscan.recalibration import Recalibration as Recalibration
+from jaxscan.recalibration import RecalibrationSettings as RecalibrationSettings
 from jaxscan.reconstruction import PointCloud as PointCloud
 from jaxscan.reconstruction import ReconstructSettings as ReconstructSettings
 from jaxscan.reconstruction import Sweep as Sweep

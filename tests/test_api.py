@@ -23,13 +23,14 @@ ROOT = Path(__file__).resolve().parent.parent
 PUBLIC = sorted(name for name in jaxscan.__all__ if not name.startswith("_"))
 FUNCTIONS = [name for name in PUBLIC if inspect.isfunction(getattr(jaxscan, name))]
 VERBS = {
-    *("calibrate", "reconstruct", "reconstruct_capture", "extract_stripes", "extract_sweep"),
+    *("calibrate", "recalibrate", "reconstruct", "reconstruct_capture", "extract_stripes", "extract_sweep"),
     *("simulate", "open_capture"),
     *("load_calibration", "save_calibration", "load_scanner", "load_cloud", "save_cloud"),
     *("fit_plane", "fit_axis", "measure_room", "measure_distance", "measure_plane", "compare_clouds"),
 }
 SUBJECTS = {
     "calibrate": ["captures"],
+    "recalibrate": ["captures", "calibration"],
     "observe_boards": ["captures"],
     "reconstruct": ["sweep", "scanner"],
     "reconstruct_capture": ["capture", "scanner"],

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from worlds.ideal_boards import IdealBoards
 
 import jaxscan
 from jaxscan.calibration import CalibrationSettings
 from jaxscan.geometry import Scanner
 from jaxscan.observation import BoardViews, Observations, StripeViews
 from jaxscan.simulation import SimulationConfig, true_scanner
+
+from .ideal_boards import IdealBoards
 
 
 CORNER_PX, STRIPE_PX = 0.1, 0.15

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from worlds.ideal_rig import NEAREST_M, IdealRig
 
 from jaxscan.errors import ConfigError
 from jaxscan.simulation import LaserSpec, Motion, SimulationConfig, rodrigues
+
+from .ideal_rig import NEAREST_M, IdealRig
 
 
 _MARGIN_PX = 8.0

@@ -124,9 +124,14 @@ def calibrate(
     provenance = {
         **result.provenance,
         "captures": [{"name": capture.path.name, "digest": capture.digest()} for capture in captures],
-        "versions": {name: metadata.version(name) for name in ("jaxscan", "jax", "optimistix", "numpy")},
+        "versions": versions(),
     }
     return replace(result, provenance=provenance)
+
+
+def versions() -> dict[str, str]:
+    """The versions of all that a solve depends on."""
+    return {name: metadata.version(name) for name in ("jaxscan", "jax", "optimistix", "numpy")}
 
 
 def _part(progress: Progress | None, look: int, looks: int) -> Progress | None:

@@ -61,6 +61,12 @@ def _drawn(path: Path) -> tuple["Calibration", str, bool | None]:
     from jaxscan.api.again import solve_again
 
     stored = jaxscan.load_calibration(path)
+    if stored.observations is None and "recalibration" in stored.provenance:
+        note = (
+            "Recalibrated from sweeps: there are no observations of boards to solve again. "
+            "jaxscan recalibrate --report draws the walls of its sweeps."
+        )
+        return stored, note, None
     if stored.observations is None:
         return stored, "The observations are not beside the calibration file, so residuals are not shown.", None
     again = solve_again(stored, name=str(path))

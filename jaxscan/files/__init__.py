@@ -2,6 +2,6 @@
 
 from jaxscan.files.calibration import load_calibration, load_scanner, save_calibration
 from jaxscan.files.capture import Capture, CaptureHeader, open_capture
-from jaxscan.files.clouds import load_cloud, save_cloud
+from jaxscan.files.clouds import load_cloud, save_cloud, save_clouds
 from jaxscan.files.disk import load_toml
 from jaxscan.files.recording import CaptureWriter, create_capture, resume_capture

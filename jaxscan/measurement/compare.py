@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Array, Scanner
-from jaxscan.measurement.samples import Cloud
+from jaxscan.measurement.samples import Cloud, places_of
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def compare_clouds(cloud: Cloud, truth: Cloud, *, scanner: Scanner | None = None
         cloud: The cloud.
         truth: The true cloud in the same frame.
         scanner: Gives the camera centres for the direction of the rays; without it rays start at
-            the origin, which is within a few decimetres of them.
+            the origin of their station, which is within a few decimetres of them.
 
     Returns:
         Error statistics and completeness.
@@ -91,6 +91,9 @@ def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudCompar
         with jax.enable_x64(True):
             exact_scanner = scanner.without_covariance().as_dtype(jnp.float64)
             centre = np.asarray(_camera_centres(exact_scanner, jnp.asarray(cloud.angle, jnp.float64)))
+    places = places_of(cloud)
+    T = places.pose[places.number]
+    centre = np.einsum("nij,nj->ni", T[:, :3, :3], centre) + T[:, :3, 3]
     profile = np.nonzero(both)[0]
     p, exact = np.asarray(cloud.xyz)[both].astype(float), np.asarray(truth.xyz)[both].astype(float)
     ray = exact - centre[profile]

@@ -7,7 +7,7 @@ import numpy as np
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
 from jaxscan.measurement.planes import Plane, Point, facing, fitted_plane, patch_around, weighted_plane
-from jaxscan.measurement.samples import Cloud, Samples, samples_of
+from jaxscan.measurement.samples import Cloud, Samples, places_of, samples_of
 from jaxscan.measurement.systematic import systematic_sigma
 
 
@@ -69,7 +69,7 @@ def measure_distance(
     variance = sum(patch.covariance_of(np.full((1, len(patch.p)), 1 / len(patch.p)), along)[0, 0] for patch in patches)
     shares = [np.full(len(patch.p), sign / len(patch.p)) for sign, patch in zip((-1, 1), patches, strict=True)]
     weights = np.outer(np.concatenate(shares), along)
-    systematic = systematic_sigma(scanner, Samples.joined(patches), weights)
+    systematic = systematic_sigma(scanner, places_of(cloud), Samples.joined(patches), weights)
     apart, apart_sigma = _between_planes(*(_flat(patch) for patch in patches))
     return DistanceMeasurement(
         value_m=value,

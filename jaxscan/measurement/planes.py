@@ -110,7 +110,7 @@ def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> Plane
         MeasurementError: If the patch has too few points, or they determine no plane.
     """
     patch = patch_around(samples_of(cloud), point, radius_m)
-    plane = facing(weighted_plane(patch.p, np.ones(len(patch.p))), -patch.p.mean(0))
+    plane = facing(weighted_plane(patch.p, np.ones(len(patch.p))), (patch.origin - patch.p).mean(0))
     extent = np.sqrt(np.mean(((patch.p - plane.centre) @ plane.axes.T) ** 2, axis=0))
     residual = patch.p @ plane.normal - plane.distance
     rms = float(np.sqrt(np.mean(residual**2)))

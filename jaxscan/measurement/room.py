@@ -1,6 +1,8 @@
 """The dimensions of a room, from wall to wall."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -8,7 +10,7 @@ from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
 from jaxscan.measurement.planes import Plane
 from jaxscan.measurement.ransac import find_planes
-from jaxscan.measurement.samples import Cloud, Samples, samples_of, spread_out
+from jaxscan.measurement.samples import Cloud, Samples, places_of, samples_of, spread_out
 from jaxscan.measurement.systematic import systematic_sigma
 from jaxscan.measurement.walls import Wall, outermost, refine_wall
 
@@ -89,7 +91,8 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
             "a room must be scanned from within, all around, in steps of a few degrees."
         )
     centre = _centre(found)
-    dimensions = sorted((_dimension(pair, centre, scanner, rng) for pair in found), key=lambda each: -each.value_m)
+    systematic = partial(systematic_sigma, scanner, places_of(cloud))
+    dimensions = sorted((_dimension(pair, centre, systematic, rng) for pair in found), key=lambda each: -each.value_m)
     height = next((each for each in dimensions if abs(each.direction[2]) > 0.5), None)
     horizontal = [each for each in dimensions if each is not height]
     return RoomBox(
@@ -159,13 +162,18 @@ def _distances(pair: list[Wall], normal: np.ndarray, at: np.ndarray) -> tuple[fl
     return float(ahead), float(behind)
 
 
-def _dimension(pair: list[Wall], centre: np.ndarray, scanner: Scanner | None, rng: np.random.Generator) -> Dimension:
+def _dimension(
+    pair: list[Wall],
+    centre: np.ndarray,
+    systematic_of: Callable[[Samples, np.ndarray], float],
+    rng: np.random.Generator,
+) -> Dimension:
     normal = _mean_normal(pair)
     ahead, behind = _distances(pair, normal, centre)
     random = np.hypot(pair[0].plane.sigma_at(centre), pair[1].plane.sigma_at(centre))
     parts = [_wall_weights(wall, centre, rng) for wall in pair]
     weights = np.concatenate([weight for _, weight in parts])
-    systematic = systematic_sigma(scanner, Samples.joined([part for part, _ in parts]), weights)
+    systematic = systematic_of(Samples.joined([part for part, _ in parts]), weights)
     counts = [len(wall.samples.p) for wall in pair]
     cosine = -pair[0].plane.normal @ pair[1].plane.normal
     return Dimension(

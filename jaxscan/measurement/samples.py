@@ -16,7 +16,10 @@ measured too."""
 
 @runtime_checkable
 class Cloud(Protocol):
-    """The fields of `PointCloud` that measurements read; `sigma_row` and `shared_lines` too, where a cloud has them."""
+    """The fields of `PointCloud` that measurements read.
+
+    `sigma_row`, `shared_lines` and `stations` too, where a cloud has them.
+    """
 
     @property
     def xyz(self) -> Array: ...
@@ -30,11 +33,22 @@ class Cloud(Protocol):
     def angle(self) -> Array: ...
 
 
+class Places(NamedTuple):
+    """The stations of a cloud, as `Stations` of `PointCloud` has them; one at the origin where it has none."""
+
+    number: np.ndarray
+    """Station of each profile [profiles]."""
+    pose: np.ndarray
+    """T_room_scanner [stations, 4, 4]."""
+    covariance: np.ndarray
+    """Of a step (translation [m], rotation [rad]) in the station's own frame [stations, 6, 6]."""
+
+
 class Samples(NamedTuple):
     """Points of a cloud as a list."""
 
     p: np.ndarray
-    """Points [n, 3], m, scanner frame."""
+    """Points [n, 3], m, scanner frame; the frame of the room where a cloud has several stations."""
     sigma: np.ndarray
     """Standard deviation along the ray [n], m; not below the floor."""
     laser: np.ndarray
@@ -49,6 +63,10 @@ class Samples(NamedTuple):
     """The same of each point from its own row alone [n], m."""
     shared: np.ndarray
     """Lines over which the noise of each point is shared [n]; 1 where it is independent."""
+    station: np.ndarray
+    """Station of each point [n]."""
+    origin: np.ndarray
+    """The station's origin, near which the camera was [n, 3], m."""
 
     def take(self, index: np.ndarray) -> "Samples":
         """The points at `index` (numbers or a mask)."""
@@ -61,7 +79,7 @@ class Samples(NamedTuple):
 
     def sigma_across(self, normal: np.ndarray) -> np.ndarray:
         """Standard deviation along `normal` [n], m: the noise lies along the ray, and the camera
-        is near the origin."""
+        is near the origin of its station."""
         return np.hypot(self.sigma * self._cosine(normal), SIGMA_FLOOR_M)
 
     def weights_across(self, normal: np.ndarray) -> np.ndarray:
@@ -91,8 +109,9 @@ class Samples(NamedTuple):
         return covariance
 
     def _cosine(self, normal: np.ndarray) -> np.ndarray:
-        distance = np.linalg.norm(self.p, axis=1)
-        return np.abs(self.p @ normal) / np.where(distance > 0, distance, 1.0)
+        ray = self.p - self.origin
+        distance = np.linalg.norm(ray, axis=1)
+        return np.abs(ray @ normal) / np.where(distance > 0, distance, 1.0)
 
 
 def samples_of(cloud: Cloud) -> Samples:
@@ -111,6 +130,8 @@ def samples_of(cloud: Cloud) -> Samples:
         np.maximum(np.asarray(field)[valid].astype(np.float64), SIGMA_FLOOR_M)
         for field in (cloud.sigma_random, cloud.sigma_random if row is None else row)
     )
+    places = places_of(cloud)
+    station = places.number[profile]
     return Samples(
         p=np.asarray(cloud.xyz)[valid].astype(np.float64),
         sigma=sigma,
@@ -120,7 +141,18 @@ def samples_of(cloud: Cloud) -> Samples:
         line=line,
         sigma_row=sigma_row,
         shared=np.ones(len(line)) if lines is None else np.maximum(np.asarray(lines, np.float64)[valid], 1.0),
+        station=station,
+        origin=places.pose[station, :3, 3],
     )
+
+
+def places_of(cloud: Cloud) -> Places:
+    """Poses of the stations of a cloud and their covariances."""
+    stations = getattr(cloud, "stations", None)
+    if stations is None:
+        return Places(np.zeros(len(cloud.valid), int), np.eye(4)[None], np.zeros((1, 6, 6)))
+    pose, covariance = (np.asarray(field, np.float64) for field in (stations.pose, stations.covariance))
+    return Places(np.asarray(stations.number), pose, covariance)
 
 
 def spread_out(count: int, wanted: int, rng: np.random.Generator) -> np.ndarray:

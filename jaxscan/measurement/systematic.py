@@ -1,4 +1,4 @@
-"""Uncertainty of a measured number by the covariance of the calibration."""
+"""Uncertainty of a measured number by the covariances of the calibration and of the poses of stations."""
 
 import jax
 import jax.numpy as jnp
@@ -7,22 +7,24 @@ import numpy as np
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Array, Scanner
 from jaxscan.geometry.rigid import invert, transform
-from jaxscan.measurement.samples import Samples
+from jaxscan.measurement.samples import Places, Samples
 
 
 BLOCK = 4096
 """Points are padded to a multiple of this, so that one compiled function serves all."""
 
 
-def systematic_sigma(scanner: Scanner | None, samples: Samples, weights: np.ndarray) -> float:
-    r"""Standard deviation of $f = \sum_i w_i \cdot p_i$ from `scanner.covariance`.
+def systematic_sigma(scanner: Scanner | None, places: Places, samples: Samples, weights: np.ndarray) -> float:
+    r"""Standard deviation of $f = \sum_i w_i \cdot p_i$ from `scanner.covariance` and those of the stations' poses.
 
     With a changed calibration every point keeps its pixel q and its table angle, and moves to
     $p_i(\delta) = \mathrm{point}(q_i;\,\mathrm{retract}(\delta))$. With
-    $J = \partial f / \partial \delta$ the variance is $J C J^T$.
+    $J = \partial f / \partial \delta$ the variance is $J C J^T$. Those of the stations are added, as if poses and
+    calibration erred independently.
 
     Args:
-        scanner: The scanner that the cloud was made with; without covariance the result is 0.
+        scanner: The scanner that the cloud was made with; without covariance its part is 0.
+        places: The stations of the cloud.
         samples: The points [n].
         weights: w [n, 3].
 
@@ -32,6 +34,19 @@ def systematic_sigma(scanner: Scanner | None, samples: Samples, weights: np.ndar
     Raises:
         MeasurementError: If the scanner does not have the lasers of the points.
     """
+    pose = places.pose[samples.station]
+    p = np.einsum("nji,nj->ni", pose[:, :3, :3], samples.p - samples.origin)
+    turned = np.einsum("nji,nj->ni", pose[:, :3, :3], weights)
+    variance = 0.0
+    for number, covariance in enumerate(places.covariance):
+        mine = samples.station == number
+        effect = np.concatenate([turned[mine].sum(0), np.cross(p[mine], turned[mine]).sum(0)])
+        variance += float(effect @ covariance @ effect)
+    return float(np.sqrt(max(variance + _by_scanner(scanner, samples._replace(p=p), turned), 0.0)))
+
+
+def _by_scanner(scanner: Scanner | None, samples: Samples, weights: np.ndarray) -> float:
+    """The variance by the covariance of the scanner; points and weights in its frame."""
     if scanner is None:
         return 0.0
     if samples.laser.max() >= len(scanner.laser_names):
@@ -52,7 +67,7 @@ def systematic_sigma(scanner: Scanner | None, samples: Samples, weights: np.ndar
             counted_weights, laser = np.where(counted, weights[index], 0.0), samples.laser[index].astype(np.int32)
             gradient += np.asarray(_gradient(exact, samples.p[index], counted_weights, laser, samples.angle[index]))
     covariance = np.asarray(scanner.covariance, np.float64)
-    return float(np.sqrt(np.maximum(gradient @ covariance @ gradient, 0.0)))
+    return float(gradient @ covariance @ gradient)
 
 
 @jax.jit

@@ -1,6 +1,7 @@
 """The result of one adjustment of the scanner to a room."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -8,6 +9,17 @@ from jaxtyping import Bool, Float
 from jaxscan.calibration import Fit
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.observed import RoomObservations, Surfaces
+
+
+class Start(NamedTuple):
+    """Where an adjustment begins; it does not pull the result."""
+
+    scanner: Scanner
+    """The stored one, or that of an adjustment before."""
+    stations: Float[np.ndarray, "stations 4 4"]
+    """T_room_scanner of every station; the identity for the first."""
+    corrections: tuple[Float[np.ndarray, " records"], ...] = ()
+    """Known faults of each sweep's angles, which are added to those of the journal [rad]; without any, none."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +38,8 @@ class Adjusted:
     """Of a step (translation [m], rotation [rad]) in the station's own frame; zero for the first."""
     surfaces: Surfaces
     corrections: tuple[Float[np.ndarray, " records"], ...]
-    """Added to the angles of each sweep's journal before the table's own model [rad]; zero without `angles="steps"`."""
+    """Added to the angles of each sweep's journal before the table's own model [rad]: the known faults of the start,
+    and with `angles="steps"` what was found of each record."""
     correction_sigma: tuple[Float[np.ndarray, " records"], ...]
     point_error: Float[np.ndarray, " points"]
     """Signed distance of each point from its surface [m]."""
@@ -39,11 +52,11 @@ class Adjusted:
     wall_m: float
     """Roughness of the walls, given or learned [m]."""
     inflation: float
-    """Factor by which the variance of points on surfaces was widened because neighbours share errors [1]."""
+    """Mean factor of the variances of scanner and stations because points of a wall share errors [1]."""
     observations: RoomObservations
     """As they were given."""
     cost: float
-    """Sum of squared whitened residuals with the prior."""
+    """Sum of squared whitened residuals, with those of the prior; of boards their excess over the best fit alone."""
     freedom: int
     """Kept residuals less unknowns that no prior holds."""
     converged: bool

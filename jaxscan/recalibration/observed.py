@@ -1,5 +1,6 @@
 """What ordinary sweeps tell of the scanner: stripe points on surfaces, tracked features, known lengths."""
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -114,3 +115,23 @@ class RoomObservations(NamedTuple):
     lengths: tuple[KnownLength, ...] = ()
     boards: Observations | None = None
     """Corners and stripes of boards that were captured with the rig as it is now."""
+
+    def only(self, numbers: Sequence[int]) -> "RoomObservations":
+        """Those of some surfaces, which are numbered anew; known lengths need both their ends."""
+        new = np.full(len(self.surfaces.kind), -1, np.int32)
+        new[list(numbers)] = np.arange(len(numbers), dtype=np.int32)
+        lengths = [
+            length._replace(first=int(new[length.first]), second=int(new[length.second]))
+            if length.between == "surfaces"
+            else length
+            for length in self.lengths
+        ]
+        points, surfaces = self.points.take(new[self.points.surface] >= 0), self.surfaces
+        return self._replace(
+            points=points._replace(surface=new[points.surface]),
+            surfaces=Surfaces(
+                tuple(surfaces.kind[k] for k in numbers),
+                *(field[list(numbers)] for field in (surfaces.normal, surfaces.distance, surfaces.centre)),
+            ),
+            lengths=tuple(length for length in lengths if min(length.first, length.second) >= 0),
+        )

@@ -1,12 +1,14 @@
 """The result of a recalibration, and what is said of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscan.calibration import Calibration
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjusted import Adjusted
+from jaxscan.recalibration.settings import RecalibrationSettings
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,19 @@ class Gain:
     def factor(self) -> float:
         """Old over new standard deviation [1]."""
         return self.before / self.after if self.after > 0 else 1.0
+
+
+@dataclass(frozen=True)
+class LengthGain:
+    """Standard deviation that the calibration alone causes in one measured length, before and after."""
+
+    laser: str
+    name: str
+    """As of `LengthSigma`: "along the stripe", "across the sweep" or "half a turn"."""
+    depth_m: float
+    length_m: float
+    before_mm: float
+    after_mm: float
 
 
 @dataclass(frozen=True)
@@ -71,7 +86,7 @@ class TableFindings:
     """True turn over that of the journal, where the steps per turn are wrong [1]."""
     jumps: tuple[tuple[int, int, float], ...] = ()
     """Sweep, record and angle [rad] from which on the table stands elsewhere: lost steps."""
-    corrections: tuple[Float[np.ndarray, " records"], ...] = ()
+    corrections: tuple[Float[np.ndarray, " _"], ...] = ()
     """Added to the angles of each sweep [rad]; they correct factor and jumps."""
     sentences: tuple[str, ...] = ()
     """Each fault, in a sentence that says what to do."""
@@ -99,6 +114,8 @@ class PanoramaOfWalls:
     after: Float[np.ndarray, "profiles lines"]
     seen: Bool[np.ndarray, "profiles lines"]
     """Points that lie on a plane."""
+    angle: Float[np.ndarray, " profiles"] | None = None
+    """The table's angle of each profile [rad]; None: evenly spread over one turn."""
 
 
 @dataclass(frozen=True)
@@ -122,3 +139,9 @@ class Recalibration:
     closure: Closure | None
     panoramas: tuple[PanoramaOfWalls, ...]
     notes: tuple[str, ...] = ()
+    lengths: tuple[LengthGain, ...] = ()
+    """Typical lengths, as `renew_calibration` predicts them."""
+    calibration: Calibration | None = None
+    """The new calibration, to be saved; None where nothing was updated."""
+    settings: RecalibrationSettings = field(default_factory=RecalibrationSettings)
+    """As they were given."""

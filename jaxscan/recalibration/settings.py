@@ -1,13 +1,19 @@
 """How a scanner is recalibrated."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
+
+from jaxscan.reconstruction import ReconstructSettings
 
 
 @dataclass(frozen=True)
 class RecalibrationSettings:
     """How sweeps refine a stored calibration."""
 
+    stations: bool = False
+    """Whether every sweep was taken from a place of its own."""
+    stripes: ReconstructSettings = field(default_factory=ReconstructSettings)
+    """How stripes are found in captures."""
     wall_m: float | None = None
     """Roughness of walls, a standard deviation [m]; None: learned from the residuals."""
     closed: bool | None = None

@@ -1,11 +1,19 @@
 """Stripes to a coloured cloud."""
 
-from jaxscan.reconstruction.cloud import SMOOTHED, CloudPoints, PointCloud
+from jaxscan.reconstruction.cloud import SMOOTHED, CloudPoints, PointCloud, Stations
 from jaxscan.reconstruction.doubts import FrameWatch, Seen, journal_doubts, sweep_doubts
 from jaxscan.reconstruction.incoming import IncomingStripes, PlannedSweep, RecordedPair
+from jaxscan.reconstruction.joining import join_clouds, of_station
 from jaxscan.reconstruction.kept import extraction_key, kept_arrays, usable_stripes
 from jaxscan.reconstruction.pair_notes import pair_notes
 from jaxscan.reconstruction.plan import Plan, make_plan
-from jaxscan.reconstruction.reconstruct import Progress, cloud_of_plan, extract_sweep, reconstruct, stripes_of_plan
+from jaxscan.reconstruction.reconstruct import (
+    Progress,
+    cloud_of_plan,
+    extract_sweep,
+    reconstruct,
+    smooth_stripes,
+    stripes_of_plan,
+)
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings, Smooth
 from jaxscan.reconstruction.sweep import FrameChunk, Sweep, SweepSource

@@ -38,12 +38,26 @@ class CloudPoints(NamedTuple):
     """float32 [n], as are the following two; None where rows were not smoothed."""
     shift_px: np.ndarray | None = None
     shared_lines: np.ndarray | None = None
+    station: np.ndarray | None = None
+    """uint8 [n]; None where the cloud has one station."""
+
+
+class Stations(NamedTuple):
+    """The places from which the profiles of a joined cloud were taken."""
+
+    number: Int[Array, " profiles"]
+    """Station of each profile."""
+    pose: Float[Array, "stations 4 4"]
+    """T_room_scanner of each station [m]."""
+    covariance: Float[Array, "stations 6 6"]
+    """Of a step (translation [m], rotation [rad]) in the station's own frame; zero for the station that is the room."""
 
 
 class PointCloud(eqx.Module):
     """Points on the grid [profile, line]: neighbours in the scan stay neighbours.
 
-    Scanner frame, metres. Entries that are not `valid` are zero, never NaN.
+    Scanner frame, metres; the frame of the room where clouds of several stations were joined. Entries that are not
+    `valid` are zero, never NaN.
     """
 
     xyz: Float[Array, "profiles lines 3"]
@@ -70,6 +84,8 @@ class PointCloud(eqx.Module):
     shared_lines: Float[Array, "profiles lines"] | None = None
     """Lines over which the noise of a point is shared: its correlation with the k-th next line of its profile is about
     1 - k / shared_lines. Points share noise with no other profile."""
+    stations: Stations | None = None
+    """Where each profile was taken from; None for the cloud of one station, which is in its scanner frame."""
 
     def points(self, start: int = 0, stop: int | None = None) -> CloudPoints:
         """The valid points as a flat list, of all profiles or of those from `start` to before `stop`."""
@@ -92,4 +108,5 @@ class PointCloud(eqx.Module):
             row=row.astype(np.int32),
             laser=np.asarray(self.laser[part])[step].astype(np.uint8),
             **{name: take(getattr(self, name), np.float32) for name in SMOOTHED if getattr(self, name) is not None},
+            station=None if self.stations is None else np.asarray(self.stations.number[part])[step].astype(np.uint8),
         )

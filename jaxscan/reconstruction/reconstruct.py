@@ -10,7 +10,7 @@ import numpy as np
 from jaxscan.errors import CalibrationError, CaptureError
 from jaxscan.geometry import Array, Scanner, StripeAxis
 from jaxscan.reconstruction.ahead import map_ahead, workers
-from jaxscan.reconstruction.along import smooth_sweep
+from jaxscan.reconstruction.along import SmoothedSweep, smooth_sweep
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness
 from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan
@@ -23,7 +23,6 @@ from jaxscan.stripes import (
     Continuation,
     NoiseModel,
     PixelFormat,
-    Sites,
     Stripes,
     laser_sites,
     pick_by_steps,
@@ -157,6 +156,12 @@ def stripes_of_plan(plan: Plan, *, noise: NoiseModel | None = None, progress: Pr
     return stripes.finish(sweep.record[profile], sweep.laser[profile])
 
 
+def smooth_stripes(plan: Plan, stripes: Stripes) -> SmoothedSweep:
+    """`smooth_sweep` of the stripes of a plan, one centre of a line at most."""
+    lasers = np.unique(plan.sweep.laser)
+    return smooth_sweep(stripes, {int(k): laser_sites(plan.sweep.pixel_format, plan.lasers[k]) for k in lasers})
+
+
 def _rows(profiles: np.ndarray, each: int) -> np.ndarray:
     return (each * profiles[:, None] + np.arange(each)[None, :]).reshape(-1)
 
@@ -221,7 +226,7 @@ def _from_stripes(
     sweep, size, axis = plan.sweep, plan.size, plan.stripe_axis
     angles = sweep.angles.astype(np.float32)
     # Several candidates of a line are no neighbours of those of the next one.
-    along = smooth_sweep(stripes, _sites(plan)) if plan.settings.smooths and each == 1 else None
+    along = smooth_stripes(plan, stripes) if plan.settings.smooths and each == 1 else None
     centre = along or stripes
 
     def compute(item: tuple[np.ndarray, Array | None]) -> tuple[np.ndarray, Points, np.ndarray]:
@@ -251,11 +256,6 @@ def _from_stripes(
         yield rows, points, amplitude, rgb, valid, beside
         if progress is not None:
             progress(int(sweep.record[rows[-1] // each]) + 1, len(sweep))
-
-
-def _sites(plan: Plan) -> dict[int, Sites]:
-    """Where the colour of each laser of the sweep is seen."""
-    return {int(k): laser_sites(plan.sweep.pixel_format, plan.lasers[k]) for k in np.unique(plan.sweep.laser)}
 
 
 def _blocks(plan: Plan) -> Iterator[np.ndarray]:

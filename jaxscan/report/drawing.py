@@ -54,12 +54,12 @@ def new_figure(width: float = 5.4, height: float = 3.3, *, fitted: bool = True) 
         return Figure(figsize=(width, height), layout="constrained" if fitted else None)
 
 
-def new_axes(figure: "Figure", *, grid: bool = True, **options: Any) -> Any:
-    """The only axes of a figure, in the report's style."""
+def new_axes(figure: "Figure", place: int = 111, *, grid: bool = True, **options: Any) -> Any:
+    """The axes at a place of a figure, the only ones if not said otherwise, in the report's style."""
     import matplotlib
 
     with matplotlib.rc_context(_STYLE):
-        axes = figure.add_subplot(**options)
+        axes = figure.add_subplot(place, **options)
         axes.grid(grid)
         axes.tick_params(labelsize=8)
         return axes

@@ -58,6 +58,10 @@ svg{display:block;width:100%;height:auto}
 svg text{font-family:inherit!important}
 details summary{cursor:pointer;color:var(--blue);margin:.4rem 0}
 footer{margin-top:3rem;border-top:1px solid var(--line);padding-top:1rem;color:var(--soft);font-size:.85rem}
+@media screen and (prefers-color-scheme:dark){:root{--ink:#e4e9ee;--soft:#a3adb8;--line:#343d47;--paper:#1b2128;
+--wash:#12171c;--blue:#62b4ee;--good:#45cfae;--bad:#ff9c61;--open:#e9c34d;color-scheme:dark}
+figure{--ink:#1c2530;--soft:#5b6672;--line:#e3e7eb;--paper:#f4f6f8;color:var(--ink)}
+tr.worse td{background:#3a2a20}}
 @media (max-width:520px){body{font-size:15px}main{padding:1.2rem .8rem 3rem}th,td{padding:.32rem .55rem}
 .tile b{font-size:1.15rem}.tiles{grid-template-columns:repeat(2,1fr);gap:.5rem}figure{padding:.35rem}}
 @media print{body{background:#fff;font-size:10pt}main{max-width:none;padding:0}.tall{max-height:none}

@@ -116,7 +116,8 @@ def _explanation(calibration: Calibration, good_to: GoodTo) -> str:
     quality = calibration.quality
     verdict, board, held = quality.verdict, quality.board, _held(calibration)
     results = [verdict.result(test) for test in verdict.tests] if verdict else []
-    sentences = ["The residuals look like noise."]
+    # A recalibration from sweeps has no tests of boards.
+    sentences = ["The residuals look like noise."] if "recalibration" not in calibration.provenance else []
     if "structure" in results:
         rig = good_to.sigma_mm is not None
         alone = millimetres(good_to.statistical_mm or 0.0) if rig else f"{good_to.statistical_px or 0.0:.2g} px"

@@ -26,6 +26,7 @@ VERBS = {
     "demo": "demo -o demo",
     "simulate": "simulate rig.toml -o made --every 4 --json made.json",
     "calibrate": "calibrate boards -o new.json --report new.html --json result.json",
+    "recalibrate": "recalibrate sweep -c calibration.json -o new.json --report new.html --json result.json",
     "reconstruct": "reconstruct sweep -c calibration.json -o new.ply --json result.json",
     "measure": "measure compare room.ply truth.npz -c calibration.json --json result.json",
     "convert": "convert sweep fast --storage npy --json result.json",

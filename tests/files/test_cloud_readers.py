@@ -124,7 +124,7 @@ def test_ours_without_the_profiles(tmp_path):
     [
         (b"ply\n", b"plx\n", "not a PLY file"),
         (b"end_header\n", b"end_heador\n", "not a PLY file, or its header does not end"),
-        (b"jaxscan-cloud/1", b"jaxscan-cloud/2", "found jaxscan-cloud/2, expected jaxscan-cloud/1"),
+        (b"jaxscan-cloud/1", b"jaxscan-cloud/3", "found jaxscan-cloud/3, expected jaxscan-cloud/1"),
         (b"comment grid 6 5", b"comment grid 6", "is missing or wrong"),
         (b"comment grid 6 5", b"comment grid 5 5", "outside the grid of 5 x 5"),
         (b"comment grid 6 5", b"comment grid 7 5", "found 6 profiles, expected 7"),

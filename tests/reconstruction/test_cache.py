@@ -115,7 +115,7 @@ def test_other_settings_find_other_stripes(capture, scanner, stripes, monkeypatc
         return stripes
 
     # What matters is whether it searches; every search with other settings would be compiled anew.
-    monkeypatch.setattr("jaxscan.api.sweeps.stripes_of_plan", search)
+    monkeypatch.setattr("jaxscan.api.stripes.stripes_of_plan", search)
     assert not reconstruct_capture(capture, scanner, **change).from_cache
     assert searched == [(change["settings"], change.get("noise"))]
     assert reconstruct_capture(capture, scanner, **change).from_cache
@@ -156,7 +156,7 @@ def test_a_calibration_that_looks_elsewhere_searches_again(capture, scanner, mon
     def search(*args, **kwargs):
         raise Searched
 
-    monkeypatch.setattr("jaxscan.api.sweeps.stripes_of_plan", search)
+    monkeypatch.setattr("jaxscan.api.stripes.stripes_of_plan", search)
     assert reconstruct_capture(capture, moved(scanner, 0.205), settings=SETTINGS).from_cache
     # The limits then lie beyond the margin of 40 px.
     with pytest.raises(Searched):
@@ -193,7 +193,7 @@ def test_without_the_cache_nothing_is_kept(capture, scanner):
 
 def test_better_code_finds_stripes_anew(capture, scanner, monkeypatch):
     reconstruct_capture(capture, scanner, settings=SETTINGS)
-    monkeypatch.setattr("jaxscan.api.sweeps.code_digest", lambda: "sha256:another")
+    monkeypatch.setattr("jaxscan.api.stripes.code_digest", lambda: "sha256:another")
     assert not reconstruct_capture(capture, scanner, settings=SETTINGS).from_cache
 
 

@@ -85,10 +85,10 @@ class PatientTrustRegion(optx.AbstractSearch):
 
     inner: optx.ClassicalTrustRegion = optx.ClassicalTrustRegion()
 
-    def init(self, y: Step, f_info_struct: Any) -> Any:
+    def init(self, y: Any, f_info_struct: Any) -> Any:
         return self.inner.init(y, f_info_struct)
 
-    def step(self, first_step: Any, y: Step, y_eval: Step, f_info: Any, f_eval_info: Any, state: Any) -> Any:
+    def step(self, first_step: Any, y: Any, y_eval: Any, f_info: Any, f_eval_info: Any, state: Any) -> Any:
         size, accept, result, new_state = self.inner.step(first_step, y, y_eval, f_info, f_eval_info, state)
         cost, new_cost = f_info.as_min(), f_eval_info.as_min()
         same = jnp.abs(new_cost - cost) <= _ROUNDING * cost

@@ -15,6 +15,7 @@ VERBS = {
     "demo": "Calibrate, scan, reconstruct and measure a simulated room: `jaxscan demo`.",
     "simulate": "Render a simulated rig: `jaxscan simulate configs/paper.toml -o captures/paper --every 10`.",
     "calibrate": "Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.",
+    "recalibrate": "Recalibrate from sweeps of a room: `jaxscan recalibrate captures/room -c old.json -o new.json`.",
     "reconstruct": "Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.",
     "scan": "Scan with a rig: `jaxscan scan configs/scan.toml -o captures/room`.",
     "measure": "Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`).",
@@ -32,7 +33,12 @@ MEASURES = {
 }
 """The same for the verbs below `jaxscan measure`."""
 
-_ROOMS = {"scan": "scanning.scan", "convert": "exchange.convert", "import": "exchange.import_"}
+_ROOMS = {
+    "scan": "scanning.scan",
+    "convert": "exchange.convert",
+    "import": "exchange.import_",
+    "recalibrate": "recalibration.recalibrate",
+}
 """Modules of the verbs that are in rooms of their own."""
 
 

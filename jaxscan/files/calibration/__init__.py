@@ -12,5 +12,5 @@ from jaxscan.files.calibration.calibration import (
 from jaxscan.files.calibration.exports import CameraFormat, check_camera_path, export_camera
 from jaxscan.files.calibration.imports import load_camera
 from jaxscan.files.calibration.observations import observations_path
-from jaxscan.files.calibration.quality import quality_table
+from jaxscan.files.calibration.quality import finite, quality_table
 from jaxscan.files.calibration.settings import stored_settings

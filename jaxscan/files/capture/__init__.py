@@ -1,6 +1,6 @@
 """Captures on disk, read."""
 
-from jaxscan.files.capture.board_captures import common_board
+from jaxscan.files.capture.board_captures import common_board, refuse_copies
 from jaxscan.files.capture.boards import BoardTable
 from jaxscan.files.capture.capture import Capture, open_capture
 from jaxscan.files.capture.decode import cores

@@ -32,12 +32,7 @@ def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> Abstrac
                     f"{capture.path}: its [{table}] is not the same as in {first.path}; "
                     "captures calibrated together must show the same board to the same rig."
                 )
-    for one, other in itertools.combinations(captures, 2):
-        if _are_copies(one, other):
-            raise CaptureError(
-                f"{other.path}: is the same capture as {one.path}; its images would count twice, and every uncertainty "
-                "would come out too small. Give each capture once."
-            )
+    refuse_copies(captures)
     for capture in captures if single_lasers else ():
         for record in capture.records:
             if len(record.lasers) > 1:
@@ -47,6 +42,20 @@ def common_board(captures: Sequence[Capture], *, single_lasers: bool) -> Abstrac
                     'needs one per record; capture a record for each, and name it there: "lasers": ["..."].'
                 )
     return cast(AbstractBoard, first.board)
+
+
+def refuse_copies(captures: Sequence[Capture]) -> None:
+    """Refuse a capture that is given twice, by another name or as a copy.
+
+    Raises:
+        CaptureError: With both names.
+    """
+    for one, other in itertools.combinations(captures, 2):
+        if _are_copies(one, other):
+            raise CaptureError(
+                f"{other.path}: is the same capture as {one.path}; its images would count twice, and every uncertainty "
+                "would come out too small. Give each capture once."
+            )
 
 
 def _are_copies(one: Capture, other: Capture) -> bool:

@@ -1,3 +1,3 @@
 """Point clouds on disk."""
 
-from jaxscan.files.clouds.clouds import READERS, WRITERS, check_cloud_path, load_cloud, save_cloud
+from jaxscan.files.clouds.clouds import READERS, WRITERS, check_cloud_path, load_cloud, save_cloud, save_clouds

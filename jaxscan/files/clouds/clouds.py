@@ -1,6 +1,6 @@
 """Point clouds on disk: the suffix chooses the format."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
@@ -16,7 +16,7 @@ from jaxscan.files.clouds.ply_reader import read_ply
 from jaxscan.files.clouds.points import check_cloud
 from jaxscan.files.clouds.text import write_ptx, write_xyz
 from jaxscan.files.disk import check_writable, write_atomically
-from jaxscan.reconstruction import PointCloud
+from jaxscan.reconstruction import PointCloud, join_clouds
 
 
 Writer = Callable[[PointCloud, Path, str], None]
@@ -67,6 +67,25 @@ def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str =
     host = jax.tree.map(np.asarray, cloud)
     check_cloud(host, str(path))
     write_atomically(path, lambda part: writer(host, part, calibration_digest), error=CloudError)
+
+
+def save_clouds(
+    stations: Sequence[tuple[PointCloud, np.ndarray, np.ndarray]], path: str | Path, *, calibration_digest: str = ""
+) -> None:
+    """Write the clouds of several stations as one: E57 and PTX as a scan each with its pose, others joined.
+
+    Args:
+        stations: Of each the cloud in its own scanner frame [m], T_room_scanner [4, 4], and the covariance [6, 6] of a
+            step (translation [m], rotation [rad]) in its own frame.
+        path: As in `save_cloud`.
+        calibration_digest: As in `save_cloud`.
+
+    Raises:
+        CloudError: As in `save_cloud`, or if the clouds are not of one camera.
+        DependencyError: If the format needs a library that is not installed.
+    """
+    clouds, poses, covariances = zip(*stations, strict=True) if stations else ((), (), ())
+    save_cloud(join_clouds(clouds, poses, covariances), path, calibration_digest=calibration_digest)
 
 
 def load_cloud(path: str | Path) -> PointCloud:

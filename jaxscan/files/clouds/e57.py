@@ -2,14 +2,16 @@
 
 import contextlib
 import uuid
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxscan.errors import DependencyError
 from jaxscan.files.clouds.points import columns
-from jaxscan.reconstruction import PointCloud
+from jaxscan.files.clouds.stations import covariance_text, quaternion
+from jaxscan.reconstruction import PointCloud, of_station
 
 
 # Bounds of coordinates and intensity are checked in double. The binding takes NumPy's int64 for 32 bits, not longlong.
@@ -27,10 +29,11 @@ _FIELDS = {
 
 
 def write_e57(cloud: PointCloud, path: Path, digest: str) -> None:
-    """Write one scan: metres, pose, row and column index, colour, intensity [DN].
+    """Write one scan for each station: metres, pose, row and column index, colour, intensity [DN].
 
-    The column is the profile, the row the line. Coordinates are float32, or float64 where the cloud holds it;
-    intensity is float32. The library holds neither normals nor sigmas.
+    The column is the profile of the station, the row the line. Points are in the station's own frame; the pose of the
+    scan carries them into that of the room, and its description holds the covariance. Coordinates are float32, or
+    float64 where the cloud holds it; intensity is float32. The library holds neither normals nor sigmas.
 
     Raises:
         DependencyError: If pye57 is not installed.
@@ -40,23 +43,51 @@ def write_e57(cloud: PointCloud, path: Path, digest: str) -> None:
         import pye57
     except ImportError as problem:
         raise DependencyError('E57 needs pye57: pip install "jaxscan[export]"') from problem
-    points = cloud.points()
-    values = columns(points)
-    fields = {name: np.ascontiguousarray(values[column], dtype) for name, (column, dtype) in _FIELDS.items()}
     name = f"jaxscan, calibration {digest}" if digest else "jaxscan"
     try:
         with contextlib.closing(pye57.E57(str(path), mode="w")) as file:
-            _write_scan(pye57.libe57, file, fields, name, double=points.xyz.dtype == np.float64)
+            for scan in _scans(cloud, name):
+                _write_scan(pye57.libe57, file, scan)
     except pye57.libe57.E57Exception as problem:
         raise OSError(str(problem).splitlines()[0]) from problem
 
 
-def _write_scan(e57: Any, file: Any, fields: dict[str, np.ndarray], name: str, *, double: bool) -> None:
-    """Append a scan with the identity as its pose.
+class _Scan(NamedTuple):
+    name: str
+    description: str
+    rotation: tuple[float, float, float, float]
+    """Unit quaternion (w, x, y, z)."""
+    translation: tuple[float, float, float]
+    fields: dict[str, np.ndarray]
+    double: bool
+
+
+def _scans(cloud: PointCloud, name: str) -> Iterator[_Scan]:
+    """The stations that saw something, one at a time."""
+    poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
+    for number, pose in enumerate(poses):
+        station, described = name, "jaxscan"
+        if cloud.stations is not None:
+            station = f"{name}, station {number}"
+            described = (
+                "jaxscan; covariance of the pose, of a step (translation x y z [m], rotation x y z [rad]) in the "
+                f"scan's own frame, upper triangle by rows: {covariance_text(cloud.stations.covariance[number])}"
+            )
+        points = of_station(cloud, number).points()
+        if len(points.xyz) == 0:
+            continue
+        values = columns(points)
+        fields = {key: np.ascontiguousarray(values[column], dtype) for key, (column, dtype) in _FIELDS.items()}
+        double = points.xyz.dtype == np.float64
+        yield _Scan(station, described, quaternion(pose[:3, :3]), tuple(pose[:3, 3].tolist()), fields, double)
+
+
+def _write_scan(e57: Any, file: Any, written: _Scan) -> None:
+    """Append a scan.
 
     pye57's own function writes singles alone, and row numbers modulo 65536.
     """
-    image = file.image_file
+    image, fields, double = file.image_file, written.fields, written.double
 
     def number(value: Any) -> Any:
         return e57.IntegerNode(image, value) if isinstance(value, int) else e57.FloatNode(image, value)
@@ -78,16 +109,16 @@ def _write_scan(e57: Any, file: Any, fields: dict[str, np.ndarray], name: str, *
 
     scan, pose = e57.StructureNode(image), e57.StructureNode(image)
     scan.set("guid", e57.StringNode(image, f"{{{uuid.uuid4()}}}"))
-    scan.set("name", e57.StringNode(image, name))
-    scan.set("description", e57.StringNode(image, "jaxscan"))
+    scan.set("name", e57.StringNode(image, written.name))
+    scan.set("description", e57.StringNode(image, written.description))
     scan.set("indexBounds", bounds({"row": "rowIndex", "column": "columnIndex"}))
     scan.set("intensityLimits", bounds({"intensity": "intensity"}))
     colours = ("colorRed", "colorGreen", "colorBlue")
     scan.set("colorLimits", structure({f"{key}{end}": k * 255 for key in colours for k, end in _ENDS}))
     scan.set("cartesianBounds", bounds({axis: f"cartesian{axis.upper()}" for axis in "xyz"}))
     scan.set("pose", pose)
-    pose.set("rotation", structure({"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}))
-    pose.set("translation", structure(dict.fromkeys("xyz", 0.0)))
+    pose.set("rotation", structure(dict(zip("wxyz", written.rotation, strict=True))))
+    pose.set("translation", structure(dict(zip("xyz", written.translation, strict=True))))
     prototype, buffers = e57.StructureNode(image), e57.VectorSourceDestBuffer()
     for key, values in fields.items():
         least, most = values.min().item(), values.max().item()

@@ -25,6 +25,9 @@ _EXTRA = {
     "step": "profile of the grid",
     "row": "line of the grid",
 }
+_STATION_EXTRA = {"station": "place of the scanner"}
+_TYPES = {"step": np.int32, "row": np.int32, "station": np.uint8}
+"""Of extra bytes that are no float32."""
 _SMOOTHED_EXTRA = {
     "sigma_row": "noise, of the row alone [m]",
     "shift_px": "centre of the row - this [px]",
@@ -54,11 +57,9 @@ def write_las(cloud: PointCloud, path: Path, digest: str) -> None:
     header.offsets, header.scales = _placed(points.xyz)
     header.generating_software = "jaxscan"
     extra = _EXTRA | {name: _SMOOTHED_EXTRA[name] for name in smoothed_names(cloud)}
+    extra |= {} if cloud.stations is None else _STATION_EXTRA
     header.add_extra_dims(
-        [
-            laspy.ExtraBytesParams(name, np.int32 if name in ("step", "row") else np.float32, description)
-            for name, description in extra.items()
-        ]
+        [laspy.ExtraBytesParams(name, _TYPES.get(name, np.float32), description) for name, description in extra.items()]
     )
     las = laspy.LasData(header)
     las.xyz = points.xyz.astype(np.float64)

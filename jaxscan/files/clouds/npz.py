@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.ply import CLOUD_FORMAT
+from jaxscan.files.clouds.ply import CLOUD_FORMAT, JOINED_FORMAT, format_of
+from jaxscan.files.clouds.points import frame_of
 from jaxscan.files.disk import check_arrays, read_arrays, write_arrays
-from jaxscan.reconstruction import SMOOTHED, PointCloud
+from jaxscan.reconstruction import SMOOTHED, PointCloud, Stations
 
 
 _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
@@ -23,14 +24,20 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "laser": (np.integer, ("profiles",)),
     "angle": (np.floating, ("profiles",)),
 }
+_STATIONS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
+    "station": (np.integer, ("profiles",)),
+    "station_pose": (np.floating, ("stations", 4, 4)),
+    "station_covariance": (np.floating, ("stations", 6, 6)),
+}
 _SMOOTHED = dict.fromkeys(SMOOTHED, _ARRAYS["intensity"])
 
 
 def write_npz(cloud: PointCloud, path: Path, digest: str) -> None:
     """Write every field that there is as it is, and the entries of the PLY header."""
-    values = {field.name: getattr(cloud, field.name) for field in dataclasses.fields(cloud)}
+    names = [field.name for field in dataclasses.fields(cloud) if field.name != "stations"]
+    values = {name: getattr(cloud, name) for name in names} | dict(zip(_STATIONS, cloud.stations or (), strict=False))
     fields = {name: np.asarray(value) for name, value in values.items() if value is not None}
-    header = {"format": CLOUD_FORMAT, "unit": "metre", "frame": "scanner", "calibration": digest}
+    header = {"format": format_of(cloud), "unit": "metre", "frame": frame_of(cloud), "calibration": digest}
     write_arrays(path, {**{key: np.array(text) for key, text in header.items()}, **fields})
 
 
@@ -42,8 +49,10 @@ def read_npz(path: Path) -> PointCloud:
     """
     arrays = read_arrays(path, error=CloudError)
     found = str(arrays.get("format", ""))
-    if found != CLOUD_FORMAT:
-        raise CloudError(f"{path}: found the format {found[:60]!r}, expected {CLOUD_FORMAT!r}.")
+    if found not in (CLOUD_FORMAT, JOINED_FORMAT):
+        raise CloudError(f"{path}: found the format {found[:60]!r}, expected {CLOUD_FORMAT!r} or {JOINED_FORMAT!r}.")
     expected = _ARRAYS | (_SMOOTHED if _SMOOTHED.keys() & arrays.keys() else {})
-    check_arrays(arrays, expected, {}, name=str(path), error=CloudError)
-    return PointCloud(**{name: arrays[name] for name in expected})
+    joined = _STATIONS if found == JOINED_FORMAT else {}
+    check_arrays(arrays, expected | joined, {}, name=str(path), error=CloudError)
+    stations = Stations(*(arrays[name] for name in joined)) if joined else None
+    return PointCloud(**{name: arrays[name] for name in expected}, stations=stations)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxscan.files.clouds.points import blocks, columns, record_of, table
+from jaxscan.files.clouds.points import blocks, columns, frame_of, record_of, table
 from jaxscan.reconstruction import PointCloud
 
 
@@ -22,11 +22,11 @@ def write_pcd(cloud: PointCloud, path: Path, digest: str) -> None:
     names, count = point.names or (), int(np.count_nonzero(cloud.valid))
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
-        f"# unit metre, frame scanner{', calibration ' + digest if digest else ''}",
+        f"# unit metre, frame {frame_of(cloud)}{', calibration ' + digest if digest else ''}",
         "VERSION 0.7",
         f"FIELDS {' '.join(names)}",
         f"SIZE {' '.join(str(point[name].itemsize) for name in names)}",
-        f"TYPE {' '.join('F' for _ in names)}",
+        f"TYPE {' '.join('U' if name == 'station' else 'F' for name in names)}",
         f"COUNT {' '.join('1' for _ in names)}",
         f"WIDTH {count}",
         "HEIGHT 1",

@@ -5,11 +5,14 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.reconstruction import SMOOTHED, CloudPoints, PointCloud
+from jaxscan.reconstruction import SMOOTHED, CloudPoints, PointCloud, Stations
 
 
 BLOCK_POINTS = 1 << 20
 """Grid cells that are processed at a time: enough to be fast, few enough for any memory."""
+
+MAX_STATIONS = 64
+"""Most stations of one cloud, so that their poses fit into the header of a PLY file."""
 
 LARGEST = 1e15
 """Largest number of a point, so that its square is finite: micrometres on the Earth's orbit."""
@@ -40,6 +43,7 @@ def columns(points: CloudPoints) -> dict[str, np.ndarray]:
         **dict(zip(("normal_x", "normal_y", "normal_z"), points.normals.T, strict=True)),
         **dict(zip(("red", "green", "blue"), points.rgb.T, strict=True)),
         **{name: getattr(points, name) for name in (*scalars, *smoothed_names(points))},
+        **({} if points.station is None else {"station": points.station}),
     }
 
 
@@ -48,14 +52,20 @@ def smoothed_names(cloud: PointCloud | CloudPoints) -> tuple[str, ...]:
     return tuple(name for name in SMOOTHED if getattr(cloud, name) is not None)
 
 
+def frame_of(cloud: PointCloud) -> str:
+    """The frame of the points, in the words of file headers."""
+    return "scanner" if cloud.stations is None else "room"
+
+
 def record_of(dtype: np.dtype, cloud: PointCloud) -> np.dtype:
-    """The fields of a format's record: those of smoothed points too, and doubles where the cloud holds doubles.
+    """The fields of a format's record: those of smoothed points and of stations too, and doubles where the cloud has.
 
     A single has 24 bits: half a metre in a national grid.
     """
     coordinate = "<f8" if np.dtype(cloud.xyz.dtype) == np.float64 else "<f4"
     fields = [(name, coordinate if name in ("x", "y", "z") else dtype[name]) for name in dtype.names or ()]
-    return np.dtype(fields + [(name, "<f4") for name in smoothed_names(cloud)])
+    station = [] if cloud.stations is None else [("station", "u1")]
+    return np.dtype(fields + [(name, "<f4") for name in smoothed_names(cloud)] + station)
 
 
 def table(values: Mapping[str, np.ndarray], dtype: np.dtype) -> np.ndarray:
@@ -75,6 +85,8 @@ def check_cloud(cloud: PointCloud, name: str) -> None:
         CloudError: If it has no point, or one that is not finite, a negative sigma, or an impossible laser.
     """
     valid = np.asarray(cloud.valid)
+    if cloud.stations is not None:
+        check_stations(cloud.stations, name)
     if not valid.any():
         raise CloudError(f"{name}: the cloud has no valid point, so there is nothing in it.")
     for laser in (np.min(cloud.laser), np.max(cloud.laser)):
@@ -92,6 +104,27 @@ def check_cloud(cloud: PointCloud, name: str) -> None:
         if least == 0 and seen.min() < 0:
             raise CloudError(f"{name}: {field} of a valid point is negative, expected 0 or more.")
         raise CloudError(f"{name}: {field} of a valid point is {np.abs(seen).max():.3g}, expected at most {most:g}.")
+
+
+def check_stations(stations: Stations, name: str) -> None:
+    """Check places of stations that were read or are to be written.
+
+    Raises:
+        CloudError: If a profile has no station, a pose is no rigid motion, or a covariance is none.
+    """
+    number, pose, covariance = (np.asarray(field) for field in stations)
+    if not 1 <= len(pose) <= MAX_STATIONS or number.min() < 0 or number.max() >= len(pose):
+        raise CloudError(
+            f"{name}: found stations {number.min()} to {number.max()} and poses of {len(pose)}, expected 0 to at most "
+            f"{MAX_STATIONS - 1}, each with its pose."
+        )
+    turned = pose[:, :3, :3] @ pose[:, :3, :3].swapaxes(1, 2)
+    rigid = np.abs(turned - np.eye(3)).max() < 1e-6 and np.abs(pose[:, 3] - [0, 0, 0, 1]).max() == 0
+    if not rigid or not (np.linalg.det(pose[:, :3, :3]) > 0).all() or np.abs(pose).max() > LARGEST:
+        raise CloudError(f"{name}: the pose of a station is no rigid motion.")
+    diagonal = np.diagonal(covariance, axis1=1, axis2=2)
+    if not (diagonal >= 0).all() or np.abs(covariance).max() > LARGEST:
+        raise CloudError(f"{name}: the covariance of a station's pose has a variance below 0 or above {LARGEST:g}.")
 
 
 def _within(values: np.ndarray, least: float, most: float) -> bool:

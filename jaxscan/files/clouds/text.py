@@ -6,7 +6,7 @@ from typing import TextIO
 import numpy as np
 
 from jaxscan.files.clouds.points import blocks
-from jaxscan.reconstruction import PointCloud
+from jaxscan.reconstruction import PointCloud, of_station
 
 
 # A micrometre is far below any scanner's noise, and near the resolution of float32.
@@ -24,20 +24,26 @@ def write_xyz(cloud: PointCloud, path: Path, digest: str) -> None:
 
 
 def write_ptx(cloud: PointCloud, path: Path, digest: str) -> None:
-    """Write the whole grid, a block per laser: `x y z intensity r g b`, holes as zeros.
+    """Write the whole grid, a block per station and laser: `x y z intensity r g b`, holes as zeros.
 
     Columns are profiles; a column runs upwards, from the last line to the first, as in files of
-    other scanners. The pose is the identity: scanner frame.
+    other scanners. Points are in the scanner frame of the station, whose pose heads the block.
     """
-    lines = cloud.valid.shape[1]
-    axes = "1 0 0\n0 1 0\n0 0 1\n"
-    pose = "0 0 0\n" + axes + "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+    poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
     with open(path, "w", encoding="ascii", newline="\n") as file:
-        for laser in np.unique(np.asarray(cloud.laser)):
-            profiles = np.flatnonzero(np.asarray(cloud.laser) == laser)
-            file.write(f"{len(profiles)}\n{lines}\n" + pose)
-            for profile in profiles:
-                _write_column(file, cloud, int(profile))
+        for number, pose in enumerate(poses):
+            station = of_station(cloud, number)
+            for laser in np.unique(np.asarray(station.laser)):
+                profiles = np.flatnonzero(np.asarray(station.laser) == laser)
+                file.write(f"{len(profiles)}\n{station.valid.shape[1]}\n" + _ptx_pose(pose))
+                for profile in profiles:
+                    _write_column(file, station, int(profile))
+
+
+def _ptx_pose(pose: np.ndarray) -> str:
+    """Place and axes of the scanner, and the motion for rows of coordinates: the transpose of T_room_scanner."""
+    rows = (pose[:3, 3], *pose[:3, :3].T, *pose.T)
+    return "".join(" ".join(f"{value:.17g}" for value in row) + "\n" for row in rows)
 
 
 def _write_column(file: TextIO, cloud: PointCloud, profile: int) -> None:

@@ -1,1 +1,5 @@
-"""One joint least squares of scanner, stations, surfaces, features and boards."""
+"""The joint adjustment of scanner, stations, surfaces, tracked points and angles."""
+
+from jaxscan.recalibration.adjust.joint import adjust
+from jaxscan.recalibration.adjust.prior import departure, prior_root
+from jaxscan.recalibration.adjust.triangulate import point_gradient, triangulate_points

@@ -1,1 +1,16 @@
-"""What an adjustment gained, and whether the rig has drifted."""
+"""What an adjustment gained, whether the rig has drifted, and whether the update can be believed."""
+
+from jaxscan.recalibration.judge.closure import closure_of
+from jaxscan.recalibration.judge.gain import gains_of, scales_of, unobserved
+from jaxscan.recalibration.judge.hold_out import hold_out
+from jaxscan.recalibration.judge.moved import moved_parameters
+from jaxscan.recalibration.judge.panorama import panorama_of
+from jaxscan.recalibration.judge.refusal import describe_surface, refuse_result
+from jaxscan.recalibration.judge.scale import scale_slopes
+from jaxscan.recalibration.judge.verdict import (
+    Verdict,
+    compared_of,
+    find_drift,
+    loose,
+    with_covariance,
+)

@@ -1,1 +1,3 @@
-"""First poses of stations, and clouds of several stations."""
+"""First poses of stations."""
+
+from jaxscan.recalibration.stations.place import place_stations

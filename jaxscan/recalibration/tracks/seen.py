@@ -1,7 +1,7 @@
 """The sources of images in which features are tracked, and the functions that look at images."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -41,7 +41,7 @@ class ImageSource(Protocol):
     def angles(self) -> np.ndarray:
         """The table's angle of each record [rad from home]."""
 
-    def image(self, reference: object, /) -> np.ndarray:
+    def image(self, reference: Any, /) -> np.ndarray:
         """One image as it is stored, uint8 [rows, columns(, 3)]."""
 
 

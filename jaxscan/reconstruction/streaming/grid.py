@@ -78,7 +78,7 @@ class GrowingCloud:
         """
         xyz = self.fields["xyz"]
         normals = np.zeros_like(xyz) if line_step is None else self._normals(laser, angle, rank, line_step)
-        return PointCloud(**self.fields, normals=normals, record=record, laser=laser, angle=angle)
+        return PointCloud(**self.fields, normals=normals, record=record, laser=laser, angle=angle, stations=None)
 
     def _normals(self, laser: np.ndarray, angle: np.ndarray, rank: np.ndarray, line_step: float) -> np.ndarray:
         """Neighbours are profiles of the same laser and rank, in the order of the angle."""

@@ -1,0 +1,210 @@
+"""One recalibration and its errors, before and after."""
+
+import resource
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxscan.calibration import Calibration
+from jaxscan.calibration.verdict import length_sigma, measure_lengths, typical_lengths
+from jaxscan.errors import JaxscanError
+from jaxscan.geometry import Scanner
+from jaxscan.recalibration import Given, Recalibration, RecalibrationSettings, SweepStripes, recalibrate
+
+
+POINTS = 4000
+"""Of each wall, from which its place is judged."""
+CLOSURE_M = 2.5
+
+
+class Task(NamedTuple):
+    """All that goes into one recalibration, and the truth by which it is judged."""
+
+    stored: Calibration
+    sweeps: Sequence[SweepStripes]
+    truth: Scanner
+    """The rig as it was during the sweeps."""
+    walls: np.ndarray
+    """Number of the wall of each centre of the first sweep [profiles, lines]; negative elsewhere."""
+    apart: tuple[tuple[int, int, float], ...] = ()
+    """Pairs of opposite walls, and their distance [m]."""
+    settings: RecalibrationSettings = RecalibrationSettings()
+    given: Given = Given()
+    known: Mapping[str, Any] = {}
+    """Figures that the world itself gives, kept as they are."""
+    more: Callable[[Recalibration], dict[str, Any]] | None = None
+    """More figures of the result."""
+
+
+def run(task: Task) -> tuple[dict[str, Any], Recalibration | None]:
+    """Figures of one recalibration as JSON holds them, and the result; none where it raised an error of jaxscan."""
+    started, before = time.perf_counter(), task.stored.scanner
+    assert before is not None
+    try:
+        result = recalibrate(task.sweeps, task.stored, task.settings, task.given)
+    except JaxscanError as problem:
+        return {"problem": str(problem), "seconds": time.perf_counter() - started}, None
+    seconds = time.perf_counter() - started
+    figures = {
+        "lengths": lengths(before, result.scanner, task.truth),
+        "walls": walls(task, result.scanner),
+        "closure_mm": [open_after_a_turn(scanner, task.truth) for scanner in (before, result.scanner)],
+        "parameters": parameters(before, result.scanner, task.truth),
+        **said(result),
+        **task.known,
+        **(task.more(result) if task.more else {}),
+        "seconds": seconds,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+    return rounded(figures), result
+
+
+def lengths(before: Scanner, after: Scanner, truth: Scanner) -> list[dict[str, Any]]:
+    """Errors and stated sigmas of the lengths by which a rig is judged [mm]."""
+    every = typical_lengths(truth, 0)
+    true = measure_lengths(truth, every)
+    columns = {
+        "before": 1e3 * (measure_lengths(before, every) - true),
+        "after": 1e3 * (measure_lengths(after, every) - true),
+        "sigma_before": 1e3 * length_sigma(before, every),
+        "sigma_after": 1e3 * length_sigma(after, every),
+    }
+    return [
+        {"name": length.name, "metres": float(true[k]), **{name: float(values[k]) for name, values in columns.items()}}
+        for k, length in enumerate(every)
+    ]
+
+
+def walls(task: Task, after: Scanner) -> dict[str, Any]:
+    """Errors of the distances of opposite walls, and root mean squares of points from their planes [mm]."""
+    before = task.stored.scanner
+    assert before is not None
+    out: dict[str, Any] = {"apart": [], "flat": []}
+    planes = []
+    for scanner in (before, after):
+        points = {wall: wall_points(scanner, task, wall) for wall in range(6)}
+        planes.append({wall: fitted(found) for wall, found in points.items() if len(found) > 50})
+    for first, second, metres in task.apart:
+        if all(first in found and second in found for found in planes):
+            errors = [1e3 * (distance(found[first], found[second]) - metres) for found in planes]
+            out["apart"].append({"walls": [first, second], "before": errors[0], "after": errors[1]})
+    out["flat"] = [1e3 * float(np.sqrt(np.mean([one[2] ** 2 for one in found.values()]))) for found in planes]
+    return out
+
+
+def wall_points(scanner: Scanner, task: Task, wall: int) -> np.ndarray:
+    """Points of one wall in the scanner's frame [n, 3]."""
+    sweep = task.sweeps[0]
+    profile, line = np.nonzero((task.walls == wall) & sweep.valid)
+    some = np.unique(np.linspace(0, len(profile) - 1, min(POINTS, len(profile))).astype(int)) if len(profile) else []
+    profile, line = profile[some], line[some]
+    # Of one size, so that one compilation serves all walls.
+    index = np.resize(np.arange(len(profile)), POINTS) if len(profile) else np.zeros(0, int)
+    if not len(index):
+        return np.zeros((0, 3))
+    across, along = sweep.centre[profile, line], line.astype(float)
+    q = np.stack([across, along] if sweep.stripe_axis == "rows" else [along, across], -1)
+    with jax.enable_x64(True):
+        bare = jax.tree.map(np.asarray, scanner.without_covariance())
+        angle = sweep.angle[sweep.record[profile]]
+        return np.asarray(_points(bare, q[index], sweep.laser[profile][index], angle[index]))[: len(profile)]
+
+
+@jax.jit
+def _points(scanner: Scanner, q: np.ndarray, laser: np.ndarray, angle: np.ndarray) -> jax.Array:
+    scanner = jax.tree.map(jax.numpy.asarray, scanner)
+    return jax.vmap(lambda q, laser, phi: scanner.point(q, laser, phi)[0])(q, laser, angle)
+
+
+def fitted(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Centre and normal of a plane through points, and their root mean square from it [m]; strays left out."""
+    for _ in range(4):
+        centre = points.mean(0)
+        normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]
+        off = (points - centre) @ normal
+        rms = float(np.sqrt(np.mean(off**2)))
+        points = points[np.abs(off) < 4 * max(rms, 1e-6)]
+    return centre, normal, rms
+
+
+def distance(first: tuple[np.ndarray, np.ndarray, float], second: tuple[np.ndarray, np.ndarray, float]) -> float:
+    """Distance of two nearly parallel planes along their mean normal, between their centres [m]."""
+    mean = first[1] + np.sign(first[1] @ second[1]) * second[1]
+    return float(abs((second[0] - first[0]) @ mean) / np.linalg.norm(mean))
+
+
+def open_after_a_turn(scanner: Scanner, truth: Scanner) -> float:
+    """By how much a point at 2.5 m is misplaced after one turn more than the truth says [mm]."""
+    with jax.enable_x64(True):
+        error = float(scanner.turntable.gain) - float(truth.turntable.gain)
+    return 1e3 * CLOSURE_M * 2 * np.pi * error
+
+
+def parameters(before: Scanner, after: Scanner, truth: Scanner) -> dict[str, list[float]]:
+    """Of each minimal coordinate the error before and after, in the stated sigma of its own covariance [1].
+
+    Sheets and axis only: what drifts. Errors are along the estimate's own tangent vectors.
+    """
+    out: dict[str, list[float]] = {}
+    for scanner in (before, after):
+        names = scanner.parameter_names()
+        sigma = dict(zip(names, np.sqrt(np.maximum(np.diag(np.asarray(scanner.covariance)), 0.0)), strict=True))
+        errors: dict[str, float] = {}
+        for index, name in enumerate(scanner.laser_names):
+            own, true = scanner.lasers, truth.lasers
+            tilt = -np.asarray(own.basis[index]) @ np.asarray(true.normal[index])
+            errors |= {f"laser.{name}.n{k + 1}": float(tilt[k]) for k in range(2)}
+            errors[f"laser.{name}.d"] = float(own.distance[index] - true.distance[index])
+        table, axis = scanner.turntable, truth.turntable
+        tilt, shift = -table.basis @ axis.direction, table.basis @ (table.point - axis.point)
+        errors |= {f"axis.d{k + 1}": float(tilt[k]) for k in range(2)}
+        errors |= {f"axis.p{k + 1}": float(shift[k]) for k in range(2)}
+        for name, error in errors.items():
+            out.setdefault(name, []).extend([error, float(sigma[name])])
+    return out
+
+
+def said(result: Recalibration) -> dict[str, Any]:
+    """The statements of a recalibration."""
+    drift, adjusted = result.drift, result.adjusted
+    return {
+        "updated": result.updated,
+        "refused": result.refused,
+        "drift": {"p": drift.p, "drifted": drift.drifted, "part": drift.part, "size": drift.size},
+        "gains": [[gain.name, gain.before, gain.after] for gain in result.gains[:6]],
+        "hold_out": None
+        if result.hold_out is None
+        else result.hold_out._asdict()
+        if hasattr(result.hold_out, "_asdict")
+        else vars(result.hold_out),
+        "table": {
+            "factor": result.table.factor,
+            "jumps": [list(jump) for jump in result.table.jumps],
+            "sentences": list(result.table.sentences),
+        },
+        "closure": None if result.closure is None else vars(result.closure),
+        "unobserved": list(result.unobserved),
+        "notes": list(result.notes),
+        "surfaces": len(adjusted.surfaces.kind),
+        "points": len(adjusted.observations.points.q),
+        "kept": float(np.mean(adjusted.point_kept)),
+        "wall_mm": 1e3 * adjusted.wall_m,
+        "inflation": adjusted.inflation,
+        "chi2": adjusted.cost / max(adjusted.freedom, 1),
+        "steps": adjusted.steps,
+        "converged": adjusted.converged,
+    }
+
+
+def rounded(value: Any) -> Any:
+    """The same with six significant digits."""
+    if isinstance(value, dict):
+        return {str(key): rounded(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [rounded(part) for part in value]
+    if isinstance(value, float | np.floating):
+        return float(f"{float(value):.6g}")
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,230 @@
+"""Captured sweeps of a room to a better calibration of the rig that took them."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxscan import recalibration
+from jaxscan.api.calibration import observe_boards, versions
+from jaxscan.api.stripes import find_stripes, plan_watched
+from jaxscan.api.sweeps import reconstruct_capture
+from jaxscan.calibration import Calibration
+from jaxscan.errors import CalibrationError, CaptureError
+from jaxscan.files.calibration import calibration_digest, load_calibration
+from jaxscan.files.capture import Capture, common_board, refuse_copies
+from jaxscan.files.clouds import save_cloud, save_clouds
+from jaxscan.observation import Observations, Progress
+from jaxscan.recalibration import FeatureEyes, Given, Recalibration, RecalibrationSettings, SweepStripes
+from jaxscan.reconstruction import smooth_stripes
+
+
+def recalibrate(
+    captures: Capture | Sequence[Capture],
+    calibration: Calibration | str | Path,
+    *,
+    boards: Sequence[Capture] = (),
+    given: Given | None = None,
+    settings: RecalibrationSettings | None = None,
+    progress: Progress | None = None,
+) -> Recalibration:
+    """Refine a stored calibration with ordinary sweeps of a room.
+
+    The walls must be flat; nothing else need be known of them. The stored calibration holds the directions of which
+    sweeps tell nothing. Stripes are kept beside each capture, so that a second time no image is read.
+
+    Args:
+        captures: Sweeps of one room, taken with the rig as it is now.
+        calibration: The stored calibration, or its file.
+        boards: Captures of a calibration board, taken with the rig as it is now.
+        given: Known lengths, spheres and places of stations.
+        settings: Settings of the recalibration.
+        progress: Called with (work done, work in all).
+
+    Returns:
+        The new scanner and everything by which it can be judged; `calibration` is to be saved. Where nothing is to be
+        updated, `refused` says why, and `calibration` is None.
+
+    Raises:
+        CaptureError: If a capture is not a sweep, is given twice, or cannot be read.
+        CalibrationError: If the calibration cannot be refined, the captures are not those of its rig, or no plane is
+            found in them.
+    """
+    captures = [captures] if isinstance(captures, Capture) else list(captures)
+    settings, given = settings or RecalibrationSettings(), given or Given()
+    stored, origin = _stored(calibration)
+    named = "the calibration" if isinstance(calibration, Calibration) else str(calibration)
+    scanner = recalibration.require_prior(stored, named)
+    _check_captures(captures, boards, scanner.camera.width, scanner.camera.height)
+    # Everything that is wrong with a header or a journal is said before an image is read.
+    watched = [_named(capture, plan_watched, capture, scanner, settings.stripes) for capture in captures]
+    share = _Share(progress, [*(len(capture) for capture in captures), sum(map(len, boards))])
+    sweeps, notes = [], []
+    for number, (capture, one) in enumerate(zip(captures, watched, strict=True)):
+        found = find_stripes(capture, one, progress=share.part(number))
+        along = smooth_stripes(one.plan, found.stripes)
+        valid = np.asarray(found.stripes.valid) & (along.sigma > 0)
+        sweeps.append(
+            SweepStripes(
+                name=str(capture.path),
+                centre=along.u,
+                sigma=along.sigma,
+                shared_lines=along.shared_lines,
+                valid=valid,
+                record=np.asarray(found.stripes.record),
+                laser=np.asarray(one.plan.sheet),
+                angle=capture.angles,
+                stripe_axis=one.plan.stripe_axis,
+                station=number if settings.stations else 0,
+            )
+        )
+        notes += [f"{capture.path}: {note}" for note in (*capture.notes, *one.plan.notes, *found.notes)]
+    if boards:
+        given = replace(given, boards=_observed(boards, scanner.laser_names, share.part(len(captures))))
+    if given.tracks is None:
+        board = boards[0].board if boards else None
+        tracks, said = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, board)
+        given, notes = replace(given, tracks=tracks), [*notes, *said]
+    result = recalibration.recalibrate(sweeps, stored, settings, given, progress=share.last())
+    result = replace(result, notes=(*notes, *result.notes), settings=settings)
+    provenance = {
+        "captures": [{"name": one.path.name, "digest": one.digest()} for one in (*captures, *boards)],
+        "calibration": origin,
+        "held": stored.provenance.get("held", []),
+        "recalibration": _judgement(result),
+        "versions": versions(),
+    }
+    return recalibration.renew_calibration(result, provenance)
+
+
+def save_recalibrated_cloud(
+    captures: Sequence[Capture], result: Recalibration, path: str | Path, *, calibration_digest: str = ""
+) -> None:
+    """Write the cloud of all sweeps with the new scanner, in the frame of the room.
+
+    Angles of the table that were found wrong are put right, and each sweep is turned to its station.
+
+    Args:
+        captures: The sweeps that were recalibrated from.
+        result: As `recalibrate` gave it.
+        path: Its suffix chooses the format, as of `save_cloud`.
+        calibration_digest: Digest of the new calibration's file.
+
+    Raises:
+        CaptureError: If a sweep cannot be read.
+        CloudError: If the cloud cannot be written.
+    """
+    adjusted = result.adjusted
+    clouds = []
+    for number, capture in enumerate(captures):
+        turned = _turned(capture, adjusted.corrections[number])
+        cloud = reconstruct_capture(turned, result.scanner, settings=result.settings.stripes).cloud
+        place = int(adjusted.observations.station[number])
+        clouds.append((cloud, adjusted.stations[place], adjusted.station_covariance[place]))
+    if len(clouds) == 1:
+        save_cloud(clouds[0][0], path, calibration_digest=calibration_digest)
+    else:
+        save_clouds(clouds, path, calibration_digest=calibration_digest)
+
+
+def _stored(calibration: Calibration | str | Path) -> tuple[Calibration, dict[str, str]]:
+    """A stored calibration, and the name and digest of its file."""
+    if isinstance(calibration, Calibration):
+        return calibration, {}
+    digest = calibration_digest(calibration)
+    return load_calibration(calibration), {"name": Path(calibration).name, "digest": digest}
+
+
+def _check_captures(captures: Sequence[Capture], boards: Sequence[Capture], width: int, height: int) -> None:
+    if not captures:
+        raise CaptureError("No sweep was given; a recalibration needs at least one capture of a room.")
+    for capture in captures:
+        if capture.header.kind != "sweep":
+            raise CaptureError(
+                f"{capture.path}: is a calibration capture, expected a sweep of a room; give captures of a board as "
+                "boards (--boards)."
+            )
+    for capture in boards:
+        if capture.image_size != (width, height):
+            raise CalibrationError(
+                f"{capture.path}: its images have {capture.image_size[0]} x {capture.image_size[1]} px, the "
+                f"calibration is for {width} x {height} px; use the calibration of this camera mode."
+            )
+    if boards:
+        common_board(boards, single_lasers=True)
+    refuse_copies([*captures, *boards])
+
+
+def _named(capture: Capture, function: Any, *arguments: Any) -> Any:
+    """The result of a function; its complaint names the capture."""
+    try:
+        return function(*arguments)
+    except CalibrationError as problem:
+        raise CalibrationError(f"{capture.path}: {problem}") from problem
+
+
+def _observed(boards: Sequence[Capture], lasers: Sequence[str], progress: Progress | None) -> Observations:
+    """Observations of boards whose lasers are counted as the scanner counts them."""
+    seen = observe_boards(boards, progress=progress)
+    names = list(seen.laser_names)
+    if set(names) <= set(lasers):
+        number = np.array([lasers.index(name) for name in names], np.int32)
+    elif len(names) <= len(lasers):
+        number = np.arange(len(names), dtype=np.int32)
+    else:
+        raise CalibrationError(
+            f"{boards[0].path}: has {len(names)} lasers, the calibration {len(lasers)} ({', '.join(lasers)}); "
+            "calibrate with all of them."
+        )
+    stripes = replace(seen.stripes, laser=number[np.asarray(seen.stripes.laser)])
+    return replace(seen, stripes=stripes, laser_names=tuple(lasers))
+
+
+def _feature_eyes() -> FeatureEyes:
+    # Imported here, so that `import jaxscan` does not load OpenCV.
+    from jaxscan.vision import feature_eyes
+
+    return feature_eyes()
+
+
+def _turned(capture: Capture, correction: np.ndarray) -> Capture:
+    """The same capture with other angles of the table."""
+    if not np.any(correction):
+        return capture
+    angles = (capture.angles + correction).tolist()
+    records = tuple(replace(record, angle=angle) for record, angle in zip(capture.records, angles, strict=True))
+    return replace(capture, records=records)
+
+
+def _judgement(result: Recalibration) -> dict[str, Any]:
+    """What a file says of its recalibration."""
+    return {
+        "settings": asdict(result.settings),
+        "drift": asdict(result.drift),
+        "gains": [asdict(gain) | {"factor": gain.factor} for gain in result.gains],
+        "unobserved": list(result.unobserved),
+        "points": int(np.count_nonzero(result.adjusted.point_kept)),
+        "wall_m": result.adjusted.wall_m,
+    }
+
+
+class _Share:
+    """Parts of one progress: sweeps and boards by their records, and at the end the solve, half of it all."""
+
+    def __init__(self, progress: Progress | None, sizes: Sequence[int]) -> None:
+        self._progress, self._before = progress, [sum(sizes[:k]) for k in range(len(sizes) + 1)]
+
+    def part(self, number: int) -> Progress | None:
+        """Progress of one of the sizes."""
+        before, total = self._before[number], 2 * self._before[-1]
+        return None if self._progress is None else self._of(before, total)
+
+    def last(self) -> Progress | None:
+        """Progress of the solve."""
+        progress, half = self._progress, self._before[-1]
+        return None if progress is None else lambda done, total: progress(half + half * done // max(total, 1), 2 * half)
+
+    def _of(self, before: int, total: int) -> Progress:
+        return lambda done, _: self._progress(before + done, total) if self._progress is not None else None

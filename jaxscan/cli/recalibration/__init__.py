@@ -1,0 +1,1 @@
+"""Recalibration from sweeps on the command line."""

@@ -1,0 +1,93 @@
+"""Known lengths and spheres of a room: a TOML file that a person writes."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pydantic
+
+from jaxscan.files.disk import FileModel, Number, load_toml
+from jaxscan.recalibration import Given, KnownSphere, MeasuredLength, Place
+
+
+MAX_ENTRIES = 1000
+"""Most lengths, and most spheres, in a file."""
+
+_Coordinate = Annotated[Number, pydantic.Field(ge=-1000, le=1000)]
+_Point = tuple[_Coordinate, _Coordinate, _Coordinate]
+_Target = Annotated[str, pydantic.Strict(), pydantic.Field(min_length=1, max_length=100)]
+
+
+class LengthTable(FileModel):
+    """A length that somebody measured."""
+
+    metres: Annotated[Number, pydantic.Field(gt=0, le=1000)]
+    sigma_mm: Annotated[Number, pydantic.Field(ge=0.001, le=1000)]
+    """Standard deviation of the measurement."""
+    a: _Point | _Target
+    """Place of one end: a point on a wall or near the middle of a sphere [m], or the name of a target."""
+    b: _Point | _Target
+
+    @pydantic.field_validator("a", "b", mode="plain")
+    @classmethod
+    def _place(cls, value: object) -> _Point | _Target:
+        if isinstance(value, str):
+            if 0 < len(value) <= 100 and value.isprintable():
+                return value
+            raise ValueError("expected the name of a target of at most 100 letters, or three coordinates in metres")
+        numbers = value if isinstance(value, list | tuple) else ()
+        real = [number for number in numbers if isinstance(number, int | float) and not isinstance(number, bool)]
+        if len(numbers) != 3 or len(real) != 3 or not all(abs(number) <= 1000 for number in real):
+            raise ValueError("expected three coordinates in metres within 1000 of 0, or the name of a target")
+        return (float(real[0]), float(real[1]), float(real[2]))
+
+    @pydantic.model_validator(mode="after")
+    def _two_places(self) -> "LengthTable":
+        if self.a == self.b:
+            raise ValueError("a and b are the same place, expected the two ends of a length")
+        if isinstance(self.a, str) != isinstance(self.b, str):
+            raise ValueError("one of a and b is a target and the other a point, expected two of one kind")
+        return self
+
+
+class SphereTable(FileModel):
+    """A sphere that stands in the room."""
+
+    diameter_mm: Annotated[Number, pydantic.Field(ge=1, le=10_000)]
+    at: _Point
+    """Its middle, roughly, in the frame of the cloud [m]."""
+
+
+class KnownTable(FileModel):
+    """The file."""
+
+    length: Annotated[tuple[LengthTable, ...], pydantic.Field(max_length=MAX_ENTRIES)] = ()
+    sphere: Annotated[tuple[SphereTable, ...], pydantic.Field(max_length=MAX_ENTRIES)] = ()
+
+    @pydantic.model_validator(mode="after")
+    def _says_something(self) -> "KnownTable":
+        if not self.length and not self.sphere:
+            raise ValueError("found nothing, expected [[length]] or [[sphere]]")
+        return self
+
+
+def load_known_room(path: str | Path) -> Given:
+    """Known lengths and spheres of a room.
+
+    Args:
+        path: A TOML file; see docs/formats.md.
+
+    Raises:
+        ConfigError: One line: the file, the line or the key, the value found and the values allowed.
+    """
+    table = load_toml(path, KnownTable)
+    lengths = tuple(
+        MeasuredLength(one.metres, 1e-3 * one.sigma_mm, _place(one.a), _place(one.b), f"length {number}")
+        for number, one in enumerate(table.length, 1)
+    )
+    spheres = tuple(KnownSphere(np.array(one.at, np.float64), 1e-3 * one.diameter_mm) for one in table.sphere)
+    return Given(lengths=lengths, spheres=spheres)
+
+
+def _place(value: _Point | _Target) -> Place:
+    return value if isinstance(value, str) else np.array(value, np.float64)

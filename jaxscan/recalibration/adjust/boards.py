@@ -1,0 +1,134 @@
+"""Boards that were captured with the rig as it is now: their information on the scanner's unknowns.
+
+Poses and shape of the boards are solved with the scanner held, and eliminated. What is left is linear in a step of the
+scanner: as many equations as it has unknowns. With a better scanner they are formed again, so that the whole is one
+joint least squares, by Gauss' and Newton's method.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.calibration import CalibrationSettings
+from jaxscan.calibration.seed import average_placements, seed_poses
+from jaxscan.calibration.solve import Adjustment, Prepared, make_problem, prepare
+from jaxscan.calibration.solve import adjust as solve_boards
+from jaxscan.calibration.solve.adjust import linearise_compiled
+from jaxscan.calibration.solve.covariance import Linearised
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import Scanner
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
+from jaxscan.observation import Observations
+from jaxscan.recalibration.adjust.room import Room
+
+
+# Unknowns beside the scanner's that boards have; the size of the squares is as the board's maker says.
+_FREE = ("warp",)
+_SINGULAR = 1e-13
+
+
+class BoardEquations(NamedTuple):
+    """Linear equations in a step of the scanner from the one that the boards were seen with."""
+
+    rows: Float[np.ndarray, "params params"]
+    """In standard deviations; 0 where boards say nothing."""
+    value: Float[np.ndarray, " params"]
+    result: Adjustment
+    """The boards, with the scanner held."""
+
+
+def prepare_boards(observations: Observations, scanner: Scanner) -> Prepared:
+    """The boards as the solver wants them, with the lasers in the scanner's order.
+
+    Raises:
+        CalibrationError: If they are of another camera or have other lasers.
+    """
+    camera = scanner.camera
+    if (observations.width, observations.height) != (camera.width, camera.height):
+        raise CalibrationError(
+            f"The boards' images have {observations.width} x {observations.height} px, those of the stored calibration "
+            f"{camera.width} x {camera.height} px: give captures of this camera mode."
+        )
+    unknown = sorted(set(observations.laser_names) - set(scanner.laser_names))
+    if unknown:
+        raise CalibrationError(
+            f"The boards were lit by laser {unknown[0]!r}, the stored calibration has "
+            f"{', '.join(scanner.laser_names)}: give captures of this rig."
+        )
+    number = np.array([scanner.laser_names.index(name) for name in observations.laser_names], np.int32)
+    stripes = replace(observations.stripes, laser=number[np.asarray(observations.stripes.laser)])
+    data = prepare(replace(observations, stripes=stripes, laser_names=scanner.laser_names))
+    if not data.usable.any():
+        raise CalibrationError("The board was found in no view of the captured boards, so they tell nothing.")
+    return data
+
+
+def board_equations(
+    scanner: Scanner, data: Prepared, names: tuple[str, ...], before: BoardEquations | None
+) -> BoardEquations:
+    """What boards say of a step of the scanner; call in 64 bit.
+
+    Args:
+        scanner: The present one, from which the step counts.
+        data: Of `prepare_boards`.
+        names: Of the scanner's minimal coordinates.
+        before: Of a scanner nearby, from which the solve begins.
+    """
+    settings = CalibrationSettings(free=_FREE, judge=False)
+    if before is None:
+        poses = average_placements(seed_poses(data, scanner.camera), data, scanner.turntable.carrying("scanner"))
+    else:
+        poses = np.asarray(before.result.problem.poses)
+    problem = make_problem(scanner.camera, scanner.lasers, scanner.turntable, poses, data, settings)
+    result = solve_boards(problem, data, settings)
+    # A motion that carries the object is described for the scanner: its angles turn backwards.
+    turned = -1.0 if scanner.turntable.carries == "object" else 1.0
+    scales = np.array(result.problem.scales)
+    scales[: len(names)] = [turned if name in ANGLE_PARAMETERS else 1.0 for name in names]
+    free = linearise_compiled(eqx.tree_at(lambda p: p.scales, result.problem, scales))
+    information, gradient = np.array(free.reduced), _gradient(result, free)
+    empty = np.asarray(free.known_poses) == 0
+    information[empty], information[:, empty] = 0.0, 0.0
+    count = len(names)
+    shape = np.flatnonzero(~empty[count:]) + count
+    beside = information[:count][:, shape]
+    taken = np.linalg.solve(information[np.ix_(shape, shape)], beside.T)
+    rows, value = _square_root(information[:count, :count] - beside @ taken, gradient[:count] - gradient[shape] @ taken)
+    return BoardEquations(rows, value, result)
+
+
+def _gradient(result: Adjustment, free: Linearised) -> Float[np.ndarray, " unknowns"]:
+    """J'r by the shared unknowns: poses are at their minimum."""
+    problem, total = result.problem, 0.0
+    for error, weight, slopes, chain in (
+        (free.corner_error, np.repeat(problem.corner_weight, 2, axis=1), free.corner_slopes, free.corner_chain),
+        (free.offset, problem.stripe_weight, free.stripe_slopes, free.stripe_chain),
+    ):
+        by_departure = np.einsum("vrd,vr->vd", np.asarray(slopes), np.asarray(error) * np.asarray(weight))
+        total = total + np.einsum("kvd,vd->k", np.asarray(chain), by_departure)
+    prior = np.asarray(problem.prior_weight) * np.asarray(problem.scales) * np.asarray(free.prior_residual)
+    return np.asarray(total)[: len(prior)] + prior
+
+
+def _square_root(
+    information: Float[np.ndarray, "n n"], gradient: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, " n"]]:
+    """Rows and values whose squares have this second and first derivative: |rows x - value|^2."""
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    unit = np.where(size > 0, size, 1.0)
+    values, axes = np.linalg.eigh(information / np.outer(unit, unit))
+    there = values > _SINGULAR * max(values[-1], 1.0)
+    root = np.sqrt(np.where(there, values, 1.0))
+    rows = np.where(there[:, None], root[:, None] * axes.T, 0.0) * size
+    return rows, np.where(there, -(axes.T @ (gradient / unit)) / root, 0.0)
+
+
+def with_boards(room: Room, z: Float[np.ndarray, " params"], equations: BoardEquations) -> Room:
+    """The room's problem with these equations of a step from the scanner at `z` in the last rows of what is told."""
+    rows = equations.rows @ room.root
+    told, value = np.array(room.told), np.array(room.told_value)
+    told[-len(rows) :], value[-len(rows) :] = rows, equations.value + rows @ z
+    return eqx.tree_at(lambda r: (r.told, r.told_value), room, (told, value))

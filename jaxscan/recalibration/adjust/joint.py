@@ -1,0 +1,192 @@
+"""The joint adjustment round the solver: robust start, rejection of outliers, noise learned, covariance."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from jaxscan.calibration.solve import keep_inliers, robust_noise
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import Scanner
+from jaxscan.recalibration.adjust.boards import board_equations, prepare_boards, with_boards
+from jaxscan.recalibration.adjust.conclude import conclude
+from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise
+from jaxscan.recalibration.adjust.prepare import Prepared, prepare
+from jaxscan.recalibration.adjust.room import Unknowns
+from jaxscan.recalibration.adjust.solver import linearise, on_host, solve, step_of
+from jaxscan.recalibration.adjust.state import State
+from jaxscan.recalibration.adjust.wall_shape import learn_heights
+from jaxscan.recalibration.adjusted import Adjusted, Start
+from jaxscan.recalibration.observed import RoomObservations
+from jaxscan.recalibration.settings import RecalibrationSettings
+
+
+# Damping at the start of a solve, relative to J'J: cautious from a poor calibration, a plain Gauss-Newton step
+# where the last solve ended beside the minimum.
+_FIRST_DAMPING, _NEAR_DAMPING = 1e-4, 1e-10
+# Root mean square change at which a solve stops: while weights still change, and at the end.
+_ROUGH, _FINE = 1e-3, 1e-6
+_ROBUST_ROUNDS, _REJECTION_ROUNDS = 6, 8
+_REJECT_ANY, _REJECT_ALL = 5.0, 4.0
+_SETTLED = 0.01
+# The problem is nearly linear beside the minimum of plain least squares.
+_SHAPE_STEPS = 6
+
+
+def adjust(
+    prior: Scanner,
+    start: Start,
+    observations: RoomObservations,
+    settings: RecalibrationSettings | None = None,
+    *,
+    loosened: Mapping[str, float] | None = None,
+) -> Adjusted:
+    """Scanner, stations, surfaces and angles in one least squares of all observations and the stored calibration.
+
+    Robust first; then outliers are rejected, the roughness of walls and the noise of stripes are learned from the
+    residuals, and a plain least squares is the estimate of maximum likelihood. Runs in float64 whatever the caller's
+    JAX settings.
+
+    Args:
+        prior: The stored scanner with its covariance; parameters without variance are held.
+        start: Where steps begin, poses of the stations, and known faults of angles.
+        observations: Stripe points on surfaces, and what there is of tracked features, known lengths and boards.
+        settings: Of the recalibration.
+        loosened: Standard deviations that are added to the prior, by the name of a minimal coordinate: where a part
+            may have moved since [px, rad, m].
+
+    Returns:
+        The adjusted scanner with its covariance, stations, surfaces, and residuals of everything.
+
+    Raises:
+        CalibrationError: If the stored calibration has no covariance, or the observations contradict each other.
+    """
+    settings = settings or RecalibrationSettings()
+    with jax.enable_x64(True):
+        prepared = prepare(prior, start, observations, settings, loosened or {})
+        try:
+            state = _robust(_begin(prepared, observations, settings, prior), settings)
+            state = _shaped(_reject(state, settings), settings)
+        except np.linalg.LinAlgError as problem:
+            raise CalibrationError(
+                f"The captures contradict each other, so no adjustment fits them ({problem}): check that they are of "
+                "this rig and of one room."
+            ) from problem
+        return conclude(state, prior, observations)
+
+
+def _begin(
+    prepared: Prepared, observations: RoomObservations, settings: RecalibrationSettings, prior: Scanner
+) -> State:
+    wall = FIRST_WALL_M if settings.wall_m is None else settings.wall_m
+    linearised = on_host(linearise(prepared.room, prepared.y))
+    data = None if observations.boards is None else prepare_boards(observations.boards, prior)
+    return State(prepared, observations, prepared.y, linearised, prepared.usable, prepared.seen, Noise(1.0, wall), data)
+
+
+def _robust(state: State, settings: RecalibrationSettings) -> State:
+    """Solves with a loss that outliers do not pull, until the size of the residuals settles."""
+    before = np.inf
+    for _ in range(_ROBUST_ROUNDS):
+        size, seen = np.abs(state.whitened()), np.abs(state.sighting_whitened()).max(1, initial=0.0)
+        scale = robust_noise(size[state.prepared.usable]), robust_noise(seen[state.prepared.seen])
+        if max(scale) > 0.9 * before:
+            break
+        before = max(scale)
+        damp = cauchy_weights(size / scale[0]) / scale[0], cauchy_weights(seen / scale[1]) / scale[1]
+        state = _solved(state, settings, _ROUGH, damp)
+    return state
+
+
+def _reject(state: State, settings: RecalibrationSettings) -> State:
+    """Plain solves without outliers, with the noise that the residuals show."""
+    limits = {"reject_any": _REJECT_ANY, "reject_all": _REJECT_ALL}
+    state = replace(state, noise=_robust_noise_of(state, settings))
+    for round_number in range(_REJECTION_ROUNDS):
+        usable, seen = state.prepared.usable, state.prepared.seen
+        size = np.abs(state.whitened()) / np.sqrt(state.redundancy())
+        kept = keep_inliers(size, usable, state.kept, **limits)
+        far = np.abs(state.sighting_whitened()).max(1, initial=0.0) / state.sighting_noise
+        sightings = keep_inliers(far, seen, state.sighting_kept, **limits)
+        cleaned = replace(state, kept=kept, sighting_kept=sightings)
+        square = cleaned.error_px[kept] ** 2 / cleaned.redundancy()[kept]
+        noise = learn_noise(square, cleaned.given_px[kept], cleaned.reach[kept], settings.wall_m)
+        cleaned = replace(cleaned, noise=noise)
+        cleaned = replace(cleaned, sighting_noise=cleaned.learned_sighting_noise())
+        same = np.array_equal(kept, state.kept) and np.array_equal(sightings, state.sighting_kept)
+        ratios = _ratios(cleaned, state)
+        if round_number > 0 and same and max(abs(ratio - 1.0) for ratio in ratios) < _SETTLED:
+            break
+        state = _solved(cleaned, settings, _FINE)
+    return state
+
+
+def _shaped(state: State, settings: RecalibrationSettings) -> State:
+    """Generalised least squares, in which walls have a shape of the size that the residuals show."""
+    if not state.kept.any():
+        return state
+    heights = learn_heights(state.walls, state.plain_covariance)
+    wall = state.noise.wall_m
+    if settings.wall_m is None:
+        # Roughness was learned with the shape in it.
+        wall = float(np.sqrt(max(wall**2 - np.sum(heights**2), 0.0)))
+    state = _with_boards(replace(state, noise=Noise(state.noise.stripe, wall), heights=heights))
+    room = state.weighted(1.0, 1.0)
+    state = _moved(state, state.prepared._replace(room=room), state.y)
+    for _ in range(_SHAPE_STEPS):
+        step = on_host(step_of(room, state.shaped[0], state.covariance))
+        y = jax.tree.map(lambda old, new: np.asarray(old - new), state.y, step)
+        state = replace(_moved(state, state.prepared, y), steps=state.steps + 1)
+        if np.sqrt(np.mean(step.scanner**2)) < _ROUGH:
+            break
+    return state
+
+
+def _with_boards(state: State) -> State:
+    """The state with what captured boards say, seen with its scanner."""
+    if state.board_data is None:
+        return state
+    scanner, names = state.linearised.scanner, state.prepared.room.scanner.parameter_names()
+    equations = board_equations(scanner, state.board_data, names, state.boards)
+    room = with_boards(state.prepared.room, np.asarray(state.y.scanner), equations)
+    return replace(state, prepared=state.prepared._replace(room=room), boards=equations)
+
+
+def _moved(state: State, prepared: Prepared, y: Unknowns) -> State:
+    return replace(state, prepared=prepared, y=y, linearised=on_host(linearise(prepared.room, y)))
+
+
+def _ratios(after: State, before: State) -> tuple[float, ...]:
+    mean = lambda state: float(np.mean(state.sigma_px)) if len(state.kept) else 1.0
+    return (
+        mean(after) / mean(before),
+        after.sighting_noise / before.sighting_noise,
+    )
+
+
+def _robust_noise_of(state: State, settings: RecalibrationSettings) -> Noise:
+    """The noise by the median, with the shares that it has: outliers are still in."""
+    if settings.wall_m is not None or not state.prepared.usable.any():
+        return state.noise
+    size = robust_noise(state.whitened()[state.prepared.usable])
+    return Noise(state.noise.stripe, state.noise.wall_m * max(size, 0.1)) if size > 1 else state.noise
+
+
+def _solved(
+    state: State,
+    settings: RecalibrationSettings,
+    tolerance: float,
+    damp: tuple[np.ndarray | float, np.ndarray | float] = (1.0, 1.0),
+) -> State:
+    """The state after one more solve, in which weights are damped by factors of the points and the sightings."""
+    state = _with_boards(state)
+    room = state.weighted(*damp)
+    damping = _FIRST_DAMPING if state.steps == 0 else _NEAR_DAMPING
+    limits = np.asarray(damping), np.asarray(tolerance)
+    solution = solve(room, state.y, limits, settings.max_steps)
+    y = Unknowns(*on_host(solution.y))
+    if not all(np.isfinite(part).all() for part in y):
+        raise CalibrationError("The adjustment left the range of numbers: the captures contradict each other.")
+    moved = _moved(state, state.prepared._replace(room=room), y)
+    return replace(moved, steps=state.steps + int(solution.steps), converged=bool(solution.converged))

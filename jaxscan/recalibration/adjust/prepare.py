@@ -1,0 +1,200 @@
+"""Observations of a room made ready for the solver: checked, and padded to few different sizes."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import Scanner, Turntable
+from jaxscan.geometry.tangent import tangent_basis
+from jaxscan.recalibration.adjust.angles import Angles, make_angles
+from jaxscan.recalibration.adjust.prior import departure, prior_root
+from jaxscan.recalibration.adjust.room import Lengths, Places, Room, Sight, Unknowns
+from jaxscan.recalibration.adjusted import Start
+from jaxscan.recalibration.observed import RoomObservations
+from jaxscan.recalibration.settings import RecalibrationSettings
+
+
+# Numbers are rounded up to these, so that rooms of about the same size share a compilation.
+_POINTS = (1_000, 5_000, 10_000, 20_000, 40_000, 80_000, 160_000)
+_SURFACES = (8, 32, 128, 512)
+_SIGHTINGS = (0, 1_000, 5_000, 20_000, 80_000)
+_TRACKS = (0, 256, 1_024, 4_096)
+# Accuracy of a full turn of a gear without slip [1].
+_CLOSED = 5e-6
+
+
+class Prepared(NamedTuple):
+    """The problem without weights, and how it belongs to the observations; all on the host."""
+
+    room: Room
+    y: Unknowns
+    """The step from the stored scanner to the start."""
+    angles: Angles
+    usable: Bool[np.ndarray, " points"]
+    """Points that are finite; the others count nothing."""
+    seen: Bool[np.ndarray, " sightings"]
+    """The same of sightings."""
+
+
+def prepare(
+    prior: Scanner,
+    start: Start,
+    observations: RoomObservations,
+    settings: RecalibrationSettings,
+    loosened: Mapping[str, float],
+) -> Prepared:
+    """The joint problem seen from the stored scanner.
+
+    Raises:
+        CalibrationError: If the stored calibration has no covariance, or parts do not fit each other.
+    """
+    root, inverse = prior_root(prior, loosened)
+    angles = make_angles(observations, start, prior, settings)
+    told, told_value = _closed(prior, root, settings)
+    if observations.boards is not None:
+        told = np.concatenate([told, np.zeros_like(root)])
+        told_value = np.append(told_value, np.zeros(len(root)))
+    # The solver needs neither names nor sizes, and would compile again for each.
+    names = tuple(map(str, range(len(prior.laser_names))))
+    camera = replace(prior.camera, width=0, height=0)
+    scanner = replace(prior.without_covariance(), camera=camera, laser_names=names)
+    points, usable = _sight_points(observations, angles)
+    sightings, seen, first = _sight_tracks(observations, angles)
+    room = Room(
+        scanner=scanner,
+        root=root,
+        told=told,
+        told_value=told_value,
+        stations=np.asarray(start.stations, np.float64),
+        smooth=angles.smooth,
+        held=angles.held,
+        places=_places(observations, first),
+        points=points,
+        point_weight=np.zeros(len(points.phi)),
+        across=np.array([1.0, 0.0] if observations.stripe_axis == "rows" else [0.0, 1.0]),
+        sightings=sightings,
+        sighting_weight=np.zeros(len(sightings.phi)),
+        lengths=_lengths(observations),
+    )
+    y = Unknowns(
+        inverse @ departure(prior, start.scanner),
+        np.zeros(6 * (len(room.stations) - 1)),
+        np.zeros(len(room.smooth)),
+        np.zeros((len(room.places.sphere) + len(first), 3)),
+    )
+    return Prepared(room, y, angles, usable, seen)
+
+
+def _closed(
+    prior: Scanner, root: np.ndarray, settings: RecalibrationSettings
+) -> tuple[Float[np.ndarray, "told params"], Float[np.ndarray, " told"]]:
+    """A full turn of a closed gear is one turn exactly."""
+    if not settings.closed or not isinstance(prior.turntable, Turntable):
+        return np.zeros((0, len(root))), np.zeros(0)
+    row = prior.parameter_names().index("gain")
+    gain = float(prior.turntable.gain)
+    return np.sign(gain) * root[row : row + 1] / _CLOSED, np.array([(1.0 - abs(gain)) / _CLOSED])
+
+
+def _sight_points(observations: RoomObservations, angles: Angles) -> tuple[Sight, Bool[np.ndarray, " points"]]:
+    points = observations.points
+    if not len(points.q):
+        if observations.tracks is None and observations.boards is None:
+            raise CalibrationError("No stripe point lies on a surface of the room, so nothing can be adjusted.")
+        zero = np.zeros(1, np.int32)
+        return Sight(np.zeros((1, 2)), np.zeros(1), zero, zero, zero, zero), np.zeros(0, bool)
+    usable = np.isfinite(points.q).all(1) & np.isfinite(points.sigma) & (points.sigma > 0)
+    size = bucket(len(usable), _POINTS)
+    place = _places_of(points.sweep, points.record, angles, observations.station)
+    sight = Sight(np.asarray(points.q, np.float64), *place, _whole(points.surface), _whole(points.laser))
+    # Every padding is a point that can be computed.
+    sight = Sight(*(_filled(np.asarray(field), usable) for field in sight))
+    return Sight(*(pad(np.asarray(field), size) for field in sight)), usable
+
+
+def _sight_tracks(
+    observations: RoomObservations, angles: Angles
+) -> tuple[Sight, Bool[np.ndarray, " sightings"], Float[np.ndarray, "tracks 3"]]:
+    tracks = observations.tracks
+    if tracks is None or not len(tracks.q):
+        none = np.zeros(0, np.int32)
+        return Sight(np.zeros((0, 2)), np.zeros(0), none, none, none, none), np.zeros(0, bool), np.zeros((0, 3))
+    seen = np.isfinite(tracks.q).all(1) & np.isfinite(tracks.sigma) & (tracks.sigma > 0)
+    place = _places_of(tracks.sweep, tracks.record, angles, observations.station)
+    sight = Sight(np.asarray(tracks.q, np.float64), *place, _whole(tracks.track), np.zeros(len(seen), np.int32))
+    sight = Sight(*(_filled(np.asarray(field), seen) for field in sight))
+    size = bucket(len(seen), _SIGHTINGS)
+    points = pad(np.asarray(tracks.point, np.float64), bucket(len(tracks.point), _TRACKS))
+    return Sight(*(pad(np.asarray(field), size) for field in sight)), seen, points
+
+
+def _places_of(
+    sweep: Int[np.ndarray, " n"], record: Int[np.ndarray, " n"], angles: Angles, station: Int[np.ndarray, " sweeps"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angle, station and number of the correction of every point."""
+    number = angles.first[sweep] + record
+    return angles.phi[number], _whole(station[sweep]), _whole(angles.knot[number])
+
+
+def _places(observations: RoomObservations, points: Float[np.ndarray, "tracks 3"]) -> Places:
+    surfaces = observations.surfaces
+    sphere = np.array([kind == "sphere" for kind in surfaces.kind], bool)
+    upright = np.array([1.0, 0.0, 0.0])
+    normal = np.where(sphere[:, None], upright, np.asarray(surfaces.normal, np.float64)).reshape(-1, 3)
+    centre = np.asarray(surfaces.centre, np.float64).reshape(-1, 3)
+    distance = np.asarray(surfaces.distance, np.float64)
+    size = bucket(len(sphere), _SURFACES)
+    full = lambda array, fill: np.concatenate([array, np.broadcast_to(fill, (size - len(array), *fill.shape))])
+    basis = np.array([tangent_basis(n) for n in normal]).reshape(-1, 2, 3)
+    return Places(
+        full(sphere, np.array(False)),
+        full(normal, upright),
+        full(basis, tangent_basis(upright)),
+        full(centre, np.zeros(3)),
+        full(np.where(sphere, distance, distance - (normal * centre).sum(1)), np.array(0.0)),
+        points,
+    )
+
+
+def _lengths(observations: RoomObservations) -> Lengths:
+    surfaces = len(observations.surfaces.kind)
+    begin = {"surfaces": 0, "tracks": bucket(surfaces, _SURFACES)}
+    count = {"surfaces": surfaces, "tracks": 0 if observations.tracks is None else len(observations.tracks.point)}
+    for known in observations.lengths:
+        ends = {known.first, known.second}
+        if len(ends) < 2 or not ends <= set(range(count[known.between])):
+            raise CalibrationError(
+                f"A known length lies between {known.between} {known.first} and {known.second}, expected two different "
+                f"ones of {count[known.between]}."
+            )
+        if known.between == "surfaces" and len({observations.surfaces.kind[end] for end in ends}) > 1:
+            raise CalibrationError("A known length lies between a plane and a sphere, expected two of one kind.")
+    pairs = [[begin[known.between] + end for end in (known.first, known.second)] for known in observations.lengths]
+    return Lengths(
+        np.array(pairs, np.int32).reshape(-1, 2),
+        np.array([known.metres for known in observations.lengths], np.float64),
+        np.array([1.0 / known.sigma_m for known in observations.lengths], np.float64),
+    )
+
+
+def bucket(count: int, sizes: tuple[int, ...]) -> int:
+    """The next size."""
+    return next((size for size in sizes if size >= count), count)
+
+
+def pad(array: np.ndarray, size: int) -> np.ndarray:
+    """The array continued by its first entry."""
+    return np.concatenate([array, np.broadcast_to(array[:1], (size - len(array), *array.shape[1:]))])
+
+
+def _filled(field: np.ndarray, good: Bool[np.ndarray, " n"]) -> np.ndarray:
+    """The first good entry in place of those that are not."""
+    return np.where(good.reshape(good.shape + (1,) * (field.ndim - 1)), field, field[np.argmax(good)])
+
+
+def _whole(numbers: np.ndarray) -> np.ndarray:
+    return np.asarray(numbers, np.int32)

@@ -1,0 +1,151 @@
+"""An adjustment between its rounds, and at its end."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.calibration.solve import Prepared as BoardData
+from jaxscan.calibration.solve import noise_component
+from jaxscan.recalibration.adjust.blocks import Blocks
+from jaxscan.recalibration.adjust.boards import BoardEquations
+from jaxscan.recalibration.adjust.noise import Noise
+from jaxscan.recalibration.adjust.prepare import Prepared
+from jaxscan.recalibration.adjust.room import Room, Unknowns
+from jaxscan.recalibration.adjust.solver import Covariance, Linearised, covariance_of
+from jaxscan.recalibration.adjust.wall_shape import Wall, find_walls, with_shape
+from jaxscan.recalibration.observed import RoomObservations
+
+
+@dataclass(frozen=True)
+class State:
+    """An adjustment between its rounds; arrays as long as the observations, without padding."""
+
+    prepared: Prepared
+    observations: RoomObservations
+    y: Unknowns
+    linearised: Linearised
+    kept: Bool[np.ndarray, " points"]
+    sighting_kept: Bool[np.ndarray, " sightings"]
+    noise: Noise
+    board_data: BoardData | None = None
+    sighting_noise: float = 1.0
+    """Over the given sigmas [1]."""
+    heights: Float[np.ndarray, " sizes"] = field(default_factory=lambda: np.zeros(4))
+    """Standard deviation of the heights of patches of each size [m]."""
+    boards: BoardEquations | None = None
+    """What captured boards say, at the scanner of a few steps before."""
+    steps: int = 0
+    converged: bool = False
+
+    @property
+    def surface(self) -> Int[np.ndarray, " points"]:
+        """Surface of every point."""
+        return np.asarray(self.observations.points.surface)
+
+    @property
+    def error_px(self) -> Float[np.ndarray, " points"]:
+        """Seen minus predicted centres [px]."""
+        return np.asarray(self.linearised.points.rows.value)[: len(self.kept)]
+
+    @property
+    def reach(self) -> Float[np.ndarray, " points"]:
+        """Size of the change of the distance from the surface by one pixel [m / px]."""
+        return np.maximum(np.abs(np.asarray(self.linearised.points.reach)[: len(self.kept)]), 1e-7)
+
+    @property
+    def error(self) -> Float[np.ndarray, " points"]:
+        """Distances from the surfaces [m]."""
+        return self.error_px * np.asarray(self.linearised.points.reach)[: len(self.kept)]
+
+    @property
+    def given_px(self) -> Float[np.ndarray, " points"]:
+        """Given standard deviations of the centres [px]; 1 where there is none."""
+        return np.where(self.prepared.usable, self.observations.points.sigma, 1.0)
+
+    @property
+    def sigma_px(self) -> Float[np.ndarray, " points"]:
+        """Standard deviation of the centres by noise and roughness [px]."""
+        return self.noise.sigma(self.given_px, self.reach)
+
+    def whitened(self) -> Float[np.ndarray, " points"]:
+        """Errors over their standard deviations; 0 where there is none."""
+        return np.where(self.prepared.usable, self.error_px / self.sigma_px, 0.0)
+
+    def sighting_error(self) -> Float[np.ndarray, "sightings 2"]:
+        """Projected minus seen [px]."""
+        return np.asarray(self.linearised.sightings.value).reshape(-1, 2)[: len(self.sighting_kept)]
+
+    def sighting_sigma(self) -> Float[np.ndarray, " sightings"]:
+        """Given sigmas [px]; 1 where there is none."""
+        tracks = self.observations.tracks
+        given = np.zeros(0) if tracks is None else np.asarray(tracks.sigma)
+        return np.where(self.prepared.seen, given, 1.0)
+
+    def sighting_whitened(self) -> Float[np.ndarray, "sightings 2"]:
+        """Errors of sightings over the given sigmas; 0 where there is none."""
+        return np.where(self.prepared.seen[:, None], self.sighting_error() / self.sighting_sigma()[:, None], 0.0)
+
+    @cached_property
+    def walls(self) -> list[Wall]:
+        """The patches of all walls."""
+        return find_walls(self.prepared.room, self.linearised, self.kept)
+
+    @cached_property
+    def shaped(self) -> tuple[Blocks, float]:
+        """Normal equations in which walls have a shape, and how much less their sum of squares is."""
+        blocks = self.linearised.blocks
+        return with_shape(blocks, self.walls, self.heights) if self.heights.any() else (blocks, 0.0)
+
+    @cached_property
+    def covariance(self) -> Covariance:
+        """Of the unknowns, if this is the minimum."""
+        return covariance_of(self.shaped[0])
+
+    @cached_property
+    def plain_covariance(self) -> Covariance:
+        """What it would be if all errors of points were independent."""
+        return covariance_of(self.linearised.blocks)
+
+    @property
+    def inflation(self) -> float:
+        """Mean factor of the variance of the scanner's numbers and the stations by errors that points share [1]."""
+        count = len(self.y.scanner) + len(self.y.stations)
+        plain = np.linalg.inv(self.plain_covariance.dense[:count, :count])
+        return float(np.trace(plain @ self.covariance.dense[:count, :count])) / count
+
+    @cached_property
+    def _free(self) -> float:
+        """Dense unknowns that the data determine rather than the prior."""
+        count = len(self.y.scanner)
+        scanner = self.covariance.dense[:count, :count]
+        return float(np.sum(1.0 - np.clip(np.diag(scanner), 0.0, 1.0))) + len(self.y.stations)
+
+    def redundancy(self) -> Float[np.ndarray, " points"]:
+        """Share of each error that the fit leaves [1]; the same for all points of a surface."""
+        count = np.bincount(self.surface[self.kept], minlength=len(self.observations.surfaces.kind))
+        every = max(int(self.kept.sum()), 1)
+        return np.clip(1.0 - 3.0 / np.maximum(count, 1)[self.surface] - self._free / every, 0.05, 1.0)
+
+    def learned_sighting_noise(self) -> float:
+        """Noise of the kept sightings over the given sigmas [1]."""
+        kept = self.sighting_kept
+        if not kept.any():
+            return 1.0
+        tracks = self.observations.tracks
+        points = len(np.unique(tracks.track[kept])) if tracks is not None else 0
+        values = self.sighting_whitened()[kept].ravel()
+        return noise_component(values, np.full(len(values), min(3.0 * points / len(values), 0.9)))
+
+    def weighted(self, points: np.ndarray | float, sightings: np.ndarray | float) -> Room:
+        """The problem with weights by the present noise, damped by factors of points and sightings."""
+        room = self.prepared.room
+        point = np.zeros(len(room.point_weight))
+        point[: len(self.kept)] = self.kept * points / self.sigma_px
+        sighting = np.zeros(len(room.sighting_weight))
+        sighting[: len(self.sighting_kept)] = (
+            self.sighting_kept * sightings / (self.sighting_sigma() * self.sighting_noise)
+        )
+        return eqx.tree_at(lambda room: (room.point_weight, room.sighting_weight), room, (point, sighting))

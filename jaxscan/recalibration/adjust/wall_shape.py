@@ -1,0 +1,177 @@
+"""Walls are not flat, and light comes back from their neighbours: errors that the points of a patch share.
+
+Independent noise averages out over ten thousands of points; a bow of a wall does not. So the shape of every wall is a
+random field: sums of patches of a few sizes, each as high or low as its size's standard deviation says, which is
+learned from the residuals. With it the least squares is a generalised one, and its covariance is honest.
+"""
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.recalibration.adjust.blocks import Blocks
+from jaxscan.recalibration.adjust.room import Room
+from jaxscan.recalibration.adjust.solver import Covariance, Linearised
+
+
+# Sizes of the patches [m]: a corner's light reaches some 0.3 m, a wall bows over metres.
+_SIZES = np.array([0.25, 0.5, 1.0, 2.0])
+# Patches of one wall at most; in larger halls all patches are larger.
+_MOST = 500
+# Patches by which the height of a size can be learned at least, less those that the fit takes up.
+_FEWEST = 5
+# Variances of the heights of all sizes by two kinds of shape. One is of the smallest size, as plaster and light that
+# comes back in corners are. The other is a smooth bow, whose patches differ in proportion to their size: it is learned
+# from small patches, since a bow over a whole wall looks like an error of the scanner and is hardly left in residuals.
+_KINDS = np.column_stack([_SIZES == _SIZES[0], (_SIZES / _SIZES[-1]) ** 2])
+# A kind of shape is believed from this many of its standard deviations.
+_BELIEVED = 1.5
+
+
+class Wall(NamedTuple):
+    """The kept points of one surface, and how its patches move them; leads with the points or the patches."""
+
+    surface: int
+    member: Int[np.ndarray, " points"]
+    moves: Float[np.ndarray, "points patches"]
+    """Whitened residual of each point by the height of each patch [1 / m]."""
+    size: Int[np.ndarray, " patches"]
+    """Number of its size."""
+    dense: Float[np.ndarray, "patches dense"]
+    """Inner products with the derivatives by the dense unknowns."""
+    local: Float[np.ndarray, "patches 3"]
+    gram: Float[np.ndarray, "patches patches"]
+    residual: Float[np.ndarray, " patches"]
+    """Inner products with the residuals."""
+
+
+def find_walls(room: Room, at: Linearised, kept: Bool[np.ndarray, " points"]) -> list[Wall]:
+    """The patches of all planes."""
+    surface, place = np.asarray(room.points.local), at.points.place
+    planes = [s for s in np.unique(surface[: len(kept)][kept]) if not room.places.sphere[s]]
+    members = [np.flatnonzero(kept & (surface[: len(kept)] == s)) for s in planes]
+    extent = [np.prod(np.ptp(place[index], axis=0) + _SIZES[0]) for index in members]
+    grown = max(1.0, float(np.sqrt(max(extent, default=0.0) / (_MOST * _SIZES[0] ** 2))))
+    return [_wall(room, at, (int(s), index, grown)) for s, index in zip(planes, members, strict=True)]
+
+
+def _wall(room: Room, at: Linearised, of: tuple[int, np.ndarray, float]) -> Wall:
+    surface, index, grown = of
+    weight = np.asarray(room.point_weight)[index]
+    rows = at.points.rows
+    by_height = weight / _some(np.asarray(at.points.reach)[index])
+    place = np.asarray(at.points.place)[index]
+    parts, sizes = [], []
+    for number, size in enumerate(_SIZES * grown):
+        cell = np.floor((place - place.min(0)) / size).astype(np.int64)
+        _, patch = np.unique(cell, axis=0, return_inverse=True)
+        own = np.zeros((len(index), int(patch.max()) + 1))
+        own[np.arange(len(index)), patch.ravel()] = by_height
+        parts.append(own)
+        sizes.append(np.full(own.shape[1], number))
+    moves = np.concatenate(parts, axis=1)
+    scanner, stations, angles = room.counts
+    begin = scanner + stations
+    # Ends of known lengths have dense unknowns of their own, which no patch reaches: see `form_blocks`.
+    dense = np.zeros((moves.shape[1], begin + angles + 6 * len(room.lengths.metres)))
+    weighted = moves * weight[:, None]
+    dense[:, :scanner] = weighted.T @ rows.scanner[index]
+    station = np.asarray(room.points.station)[index]
+    for number in range(1, len(room.stations)):
+        mine = station == number
+        columns = slice(scanner + 6 * (number - 1), scanner + 6 * number)
+        dense[:, columns] = weighted[mine].T @ rows.station[index[mine]]
+    if angles:
+        own = weighted * rows.angle[index, None]
+        summed = np.zeros((angles, moves.shape[1]))
+        np.add.at(summed, np.asarray(room.points.angle)[index], own)
+        dense[:, begin : begin + angles] = summed.T
+    local = weighted.T @ rows.local[index]
+    ends = np.flatnonzero(np.asarray(room.lengths.ends).ravel() == surface)
+    if len(ends):
+        first = begin + angles + 3 * ends[0]
+        dense[:, first : first + 3], local = local, np.zeros_like(local)
+    residual = moves.T @ (weight * rows.value[index])
+    return Wall(surface, index, moves, np.concatenate(sizes), dense, local, moves.T @ moves, residual)
+
+
+def learn_heights(walls: list[Wall], covariance: Covariance) -> Float[np.ndarray, " sizes"]:
+    """Standard deviation of the heights of the patches of each size [m], by the residuals of a plain least squares.
+
+    The mean squares of the patches' sums are compared with those that independent noise gives, and that one unit of
+    each size would add; of both only the part counts that the fit cannot take up.
+    """
+    count = len(_SIZES)
+    found, noise, spread = np.zeros(count), np.zeros(count), np.zeros(count)
+    added = np.zeros((count, count))
+    for wall in walls:
+        away = wall.dense - wall.local @ covariance.coupling[wall.surface]
+        left = wall.gram - away @ covariance.dense @ away.T
+        left = left - wall.local @ covariance.local[wall.surface] @ wall.local.T
+        size = np.diag(wall.gram)
+        for number in range(count):
+            mine = wall.size == number
+            found[number] += np.sum(wall.residual[mine] ** 2 / size[mine])
+            noise[number] += np.sum(np.diag(left)[mine] / size[mine])
+            block = left[np.ix_(mine, mine)]
+            spread[number] += 2.0 * np.sum(block**2 / np.outer(size[mine], size[mine]))
+            for other in range(count):
+                block = left[np.ix_(mine, wall.size == other)]
+                added[number, other] += np.sum(block**2 / size[mine, None])
+    # Where the fit takes up nearly all that a size adds, its sums say nothing.
+    weight = np.where(spread >= 2.0 * _FEWEST, 1.0 / np.sqrt(np.maximum(spread, 1.0)), 0.0)
+    kinds = _believed(added @ _KINDS * weight[:, None], (found - noise) * weight)
+    return np.sqrt(_KINDS @ kinds)
+
+
+def _believed(
+    matrix: Float[np.ndarray, "sizes kinds"], rhs: Float[np.ndarray, " sizes"]
+) -> Float[np.ndarray, " kinds"]:
+    """The best sum of kinds of which each is larger than chance makes it, by trying all sets."""
+    kinds = matrix.shape[1]
+    best, lowest = np.zeros(kinds), float(rhs @ rhs)
+    for count in range(1, kinds + 1):
+        for some in combinations(range(kinds), count):
+            own = matrix[:, list(some)]
+            if np.linalg.matrix_rank(own) < count:
+                continue
+            spread = np.linalg.inv(own.T @ own)
+            value = spread @ (own.T @ rhs)
+            left = rhs - own @ value
+            # Another kind must explain more than chance does.
+            if np.all(value > _BELIEVED * np.sqrt(np.diag(spread))) and left @ left < lowest - 1.0:
+                best, lowest = np.zeros(kinds), float(left @ left)
+                best[list(some)] = value
+    return best
+
+
+def with_shape(blocks: Blocks, walls: list[Wall], height: Float[np.ndarray, " sizes"]) -> tuple[Blocks, float]:
+    """The normal equations of the generalised least squares, in which patches have heights of their own.
+
+    Returns:
+        blocks: J' S^-1 J and J' S^-1 r, with S the covariance of the whitened residuals.
+        less: How much less r' S^-1 r is than the sum of squared residuals.
+    """
+    dense, gradient, less = blocks.dense.copy(), blocks.dense_gradient.copy(), 0.0
+    cross, local, by_local = blocks.cross.copy(), blocks.local.copy(), blocks.local_gradient.copy()
+    for wall in walls:
+        free = height[wall.size] > 0
+        if not free.any():
+            continue
+        size = height[wall.size[free]]
+        gram = wall.gram[np.ix_(free, free)] * np.outer(size, size) + np.eye(len(size))
+        half = np.linalg.solve(np.linalg.cholesky(gram), np.diag(size))
+        few, own, residual = half @ wall.dense[free], half @ wall.local[free], half @ wall.residual[free]
+        dense -= few.T @ few
+        gradient -= few.T @ residual
+        cross[wall.surface] -= few.T @ own
+        local[wall.surface] -= own.T @ own
+        by_local[wall.surface] -= own.T @ residual
+        less += float(residual @ residual)
+    return Blocks(dense, cross, local, gradient, by_local), less
+
+
+def _some(reach: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
+    return np.where(np.abs(reach) < 1e-7, 1e-7, reach)

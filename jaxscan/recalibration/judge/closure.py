@@ -1,0 +1,123 @@
+"""How far a full turn leaves the room open, at 2.5 m."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.geometry import Scanner, Turntable
+from jaxscan.recalibration.adjust import triangulate_points
+from jaxscan.recalibration.adjusted import Adjusted
+from jaxscan.recalibration.judge.hold_out import angles_of
+from jaxscan.recalibration.result import Closure
+
+
+RADIUS_M = 2.5
+"""Distance from the axis at which the gap is told [m]."""
+_TURN = 2.0 * np.pi
+# Fewer points of a plane say nothing of its direction.
+_LEAST_POINTS = 30
+# A point of the room that is seen again after this turn closes it [rad].
+_NEARLY = np.radians(350.0)
+
+
+class _Gap(NamedTuple):
+    angle: float
+    """By which the second pass is turned against the first [rad]."""
+    sigma: float
+
+
+def closure_of(adjusted: Adjusted, stored: Scanner) -> Closure | None:
+    """The gap after a full turn, with the stored and with the new scanner.
+
+    Where a sweep overlaps itself the gap is measured: planes that the first pass saw against points of the second.
+    Otherwise it is that of the table's model, in which a turn by the journal is `gain` turns.
+
+    Returns:
+        The gap; None without a full turn.
+    """
+    if not isinstance(stored.turntable, Turntable) or not isinstance(adjusted.scanner.turntable, Turntable):
+        return None
+    if not any(np.ptp(angle) > _NEARLY for angle in adjusted.observations.angles if len(angle)):
+        return None
+    none = tuple(np.zeros(len(angle)) for angle in adjusted.observations.angles)
+    before = _overlap_gap(stored, adjusted, none)
+    after = _overlap_gap(adjusted.scanner, adjusted, adjusted.corrections)
+    if before is not None and after is not None:
+        return Closure(_mm(before.angle), _mm(after.angle), _mm(after.sigma), "overlap")
+    before_turn, after_turn = (
+        abs(float(scanner.turntable.gain)) - 1.0  # type: ignore[attr-defined]
+        for scanner in (stored, adjusted.scanner)
+    )
+    position = stored.parameter_names().index("gain")
+    sigma = float(np.sqrt(max(np.asarray(adjusted.scanner.covariance)[position, position], 0.0)))
+    source = "features" if _seen_again(adjusted) else "model"
+    return Closure(_mm(_TURN * before_turn), _mm(_TURN * after_turn), _mm(_TURN * sigma), source)
+
+
+def _mm(angle: float) -> float:
+    return 1e3 * RADIUS_M * abs(angle)
+
+
+def _seen_again(adjusted: Adjusted) -> bool:
+    """Whether a tracked point is seen at the beginning and at the end of a turn."""
+    tracks = adjusted.observations.tracks
+    if tracks is None:
+        return False
+    kept = np.flatnonzero(adjusted.track_kept)
+    for sweep, angle in enumerate(adjusted.observations.angles):
+        own = kept[tracks.sweep[kept] == sweep]
+        phi = angle[tracks.record[own]]
+        _, point = np.unique(tracks.track[own], return_inverse=True)
+        low, high = np.full(len(own), np.inf), np.full(len(own), -np.inf)
+        np.minimum.at(low, point, phi)
+        np.maximum.at(high, point, phi)
+        if len(own) and np.any(high - low > _NEARLY):
+            return True
+    return False
+
+
+def _overlap_gap(scanner: Scanner, adjusted: Adjusted, corrections: Sequence[np.ndarray]) -> _Gap | None:
+    """The turn of the second pass against the first, a weighted mean over planes and sweeps."""
+    observations = adjusted.observations
+    kept = np.flatnonzero(adjusted.point_kept)
+    points = observations.points.take(kept)
+    journal = angles_of(observations, (), points)
+    place, valid = triangulate_points(
+        scanner, points.q, points.laser, angles_of(observations, tuple(corrections), points)
+    )
+    sigma = adjusted.point_sigma[kept]
+    weight = total = 0.0
+    for sweep, angle in enumerate(observations.angles):
+        way = 1.0 if angle[-1] >= angle[0] else -1.0
+        turned = way * (journal - angle[0])
+        end = float(np.max(way * (angle - angle[0])))
+        for surface in np.unique(points.surface[points.sweep == sweep]):
+            own = valid & (points.sweep == sweep) & (points.surface == surface)
+            if observations.surfaces.kind[surface] != "plane":
+                continue
+            first, second = own & (turned <= end - _TURN), own & (turned >= _TURN)
+            if min(first.sum(), second.sum()) >= _LEAST_POINTS:
+                information, score = _turn_of_plane(place, sigma, first, second)
+                weight, total = weight + information, total + score
+    if weight <= 0.0:
+        return None
+    return _Gap(total / weight, float(np.sqrt(adjusted.inflation / weight)))
+
+
+def _turn_of_plane(
+    place: Float[np.ndarray, "n 3"], sigma: Float[np.ndarray, " n"], first: np.ndarray, second: np.ndarray
+) -> tuple[float, float]:
+    """Information on the turn between two passes over one plane, whose three unknowns are eliminated, and its score."""
+    both = np.concatenate([place[first], place[second]])
+    late = np.repeat([0.0, 1.0], [first.sum(), second.sum()])
+    own = np.concatenate([sigma[first], sigma[second]])
+    arm = both - both.mean(0)
+    _, _, axes = np.linalg.svd(arm, full_matrices=False)
+    # A turn about the scanner's z axis moves a point by z x p.
+    moved = late * (axes[2, 1] * both[:, 0] - axes[2, 0] * both[:, 1]) / own
+    plane = np.column_stack([arm @ axes[0], arm @ axes[1], np.ones(len(arm))]) / own[:, None]
+    basis, _ = np.linalg.qr(plane)
+    free = moved - basis @ (basis.T @ moved)
+    return float(free @ free), float(free @ (arm @ axes[2] / own))

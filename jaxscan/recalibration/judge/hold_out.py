@@ -1,0 +1,123 @@
+"""Validation by planes that were not used: each half of the planes judges a scanner that the other half made."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.geometry import Scanner
+from jaxscan.recalibration.adjust import triangulate_points
+from jaxscan.recalibration.adjusted import Adjusted
+from jaxscan.recalibration.observed import RoomObservations, SurfacePoints, Surfaces
+from jaxscan.recalibration.result import HoldOut
+
+
+Fitting = Callable[[RoomObservations], Adjusted]
+# Points of one mean: so few that a wall has many, so many that noise is small beside a bend.
+_BLOCK = 40
+# A plane with fewer blocks than unknowns and some more says nothing.
+_LEAST_BLOCKS = 6
+# Flatness may come out worse by this share by chance.
+_BY_CHANCE = 1.1
+
+
+def hold_out(adjusted: Adjusted, stored: Scanner, fit: Fitting) -> HoldOut | None:
+    """Flatness of planes that were not used, with the stored scanner and with one fitted to the others.
+
+    Args:
+        adjusted: Of all planes; its observations are divided.
+        stored: The stored scanner.
+        fit: Adjusts the scanner to some of the observations as it was adjusted to all of them.
+
+    Returns:
+        RMS of means of neighbouring points over each half; None where there are fewer than two planes.
+    """
+    points = adjusted.observations.points
+    numbers = _halves(adjusted.observations.surfaces, points.surface[adjusted.point_kept])
+    if any(len(half) == 0 for half in numbers):
+        return None
+    before, after = [], []
+    for half in numbers:
+        fitted = fit(hidden(adjusted.observations, half))
+        test = adjusted.point_kept & np.isin(points.surface, half)
+        before.append(1e3 * flatness(stored, adjusted.observations, adjusted.corrections, test))
+        after.append(1e3 * flatness(fitted.scanner, adjusted.observations, adjusted.corrections, test))
+    worse = [new > _BY_CHANCE * old for old, new in zip(before, after, strict=True)]
+    return HoldOut(tuple(before), tuple(after), not all(worse))
+
+
+def _halves(surfaces: Surfaces, seen: Int[np.ndarray, " points"]) -> tuple[list[int], list[int]]:
+    """Numbers of planes in two halves, large ones first in turn: each half has walls in several directions."""
+    count = np.bincount(seen, minlength=len(surfaces.kind))
+    planes = [k for k, kind in enumerate(surfaces.kind) if kind == "plane" and count[k] >= _LEAST_BLOCKS * _BLOCK]
+    halves: tuple[list[int], list[int]] = ([], [])
+    size = [0, 0]
+    for number in sorted(planes, key=lambda k: -count[k]):
+        smaller = int(size[1] < size[0])
+        halves[smaller].append(number)
+        size[smaller] += int(count[number])
+    return halves
+
+
+def hidden(observations: RoomObservations, numbers: list[int]) -> RoomObservations:
+    """The observations without the points of some surfaces; arrays keep their sizes, for which a solve is compiled."""
+    points, lengths = observations.points, observations.lengths
+    sigma = np.where(np.isin(points.surface, numbers), np.inf, points.sigma)
+    own = [each for each in lengths if each.between == "tracks" or not {each.first, each.second} & {*numbers}]
+    return observations._replace(points=points._replace(sigma=sigma), lengths=tuple(own))
+
+
+def flatness(
+    scanner: Scanner,
+    observations: RoomObservations,
+    corrections: tuple[Float[np.ndarray, " records"], ...],
+    some: Bool[np.ndarray, " points"],
+) -> float:
+    """RMS of means of neighbouring points' distances from the best plane through each wall of each sweep [m].
+
+    Args:
+        scanner: That triangulates them.
+        observations: The points.
+        corrections: Of the angles of each sweep [rad].
+        some: Points that count.
+    """
+    points = observations.points.take(np.flatnonzero(some))
+    place, valid = triangulate_points(scanner, points.q, points.laser, angles_of(observations, corrections, points))
+    points, place = points.take(np.flatnonzero(valid)), place[valid]
+    means = []
+    for sweep, surface in {*zip(points.sweep.tolist(), points.surface.tolist(), strict=True)}:
+        own = np.flatnonzero((points.sweep == sweep) & (points.surface == surface))
+        if len(own) >= _LEAST_BLOCKS * _BLOCK:
+            error = _distances(place[own])
+            means.append(_block_means(error, points.record[own], points.line[own]))
+    return float(np.sqrt(np.mean(np.concatenate(means) ** 2))) if means else 0.0
+
+
+def angles_of(
+    observations: RoomObservations, corrections: tuple[Float[np.ndarray, " records"], ...], points: SurfacePoints
+) -> Float[np.ndarray, " points"]:
+    """The table's angle of each point with corrections [rad]."""
+    ends = np.cumsum([0, *(len(angle) for angle in observations.angles)])
+    every = np.concatenate(observations.angles)
+    if corrections:
+        every = every + np.concatenate(corrections)
+    return every[ends[points.sweep] + points.record]
+
+
+def _distances(place: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    arm = place - place.mean(0)
+    _, _, axes = np.linalg.svd(arm, full_matrices=False)
+    return arm @ axes[2]
+
+
+def _block_means(
+    error: Float[np.ndarray, " n"], record: Int[np.ndarray, " n"], line: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, " blocks"]:
+    """Means over about `_BLOCK` points that are near each other on the grid."""
+    strips = max(1, round(np.sqrt(len(error) / _BLOCK)))
+    by_record = np.argsort(record, kind="stable")
+    found = []
+    for strip in np.array_split(by_record, strips):
+        by_line = strip[np.argsort(line[strip], kind="stable")]
+        found += [error[block].mean() for block in np.array_split(by_line, max(1, len(by_line) // _BLOCK))]
+    return np.array(found)

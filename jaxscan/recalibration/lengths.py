@@ -1,0 +1,88 @@
+"""Known lengths by the places of their ends, as lengths between surfaces or targets."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import CalibrationError
+from jaxscan.recalibration.adjust import triangulate_points
+from jaxscan.recalibration.adjusted import Start
+from jaxscan.recalibration.given import MeasuredLength, Place
+from jaxscan.recalibration.observed import KnownLength, RoomObservations, Surfaces, Tracks
+
+
+# An end that is farther than this from every surface was not meant.
+_NEAR_M = 0.3
+
+
+class _Near(NamedTuple):
+    """Surfaces, and points on them in the frame of the room."""
+
+    surfaces: Surfaces
+    room: np.ndarray
+    surface: np.ndarray
+
+
+def place_lengths(
+    lengths: Sequence[MeasuredLength], observations: RoomObservations, start: Start
+) -> tuple[KnownLength, ...]:
+    """The surfaces or targets between which lengths were measured.
+
+    Args:
+        lengths: By the places of their ends.
+        observations: Surfaces with points on them, and tracks.
+        start: Scanner, stations and angles with which the points are placed.
+
+    Raises:
+        CalibrationError: If an end is near no surface, no target has its name, or both ends are the same.
+    """
+    if not lengths:
+        return ()
+    points = observations.points
+    corrections = start.corrections or tuple(np.zeros(len(angle)) for angle in observations.angles)
+    begin = np.cumsum([0, *(len(angle) for angle in observations.angles)])[points.sweep]
+    angle = (np.concatenate(observations.angles) + np.concatenate(corrections))[begin + points.record]
+    poses = np.asarray(start.stations)[np.asarray(observations.station)[points.sweep]]
+    room, valid = triangulate_points(start.scanner, points.q, points.laser, angle, poses)
+    found = []
+    for number, length in enumerate(lengths):
+        name = length.name or f"known length {number + 1}"
+        kinds = [isinstance(place, str) for place in (length.first, length.second)]
+        if kinds[0] != kinds[1]:
+            raise CalibrationError(f"{name}: one end is a target, the other a point; expected two of one kind.")
+        if kinds[0]:
+            ends = [_target(name, place, observations.tracks) for place in (length.first, length.second)]
+        else:
+            near = _Near(observations.surfaces, room[valid], points.surface[valid])
+            ends = [_surface(name, place, near) for place in (length.first, length.second)]
+        if ends[0] == ends[1]:
+            raise CalibrationError(f"{name}: both ends are on one surface or target; expected two.")
+        metres, sigma = float(length.metres), float(length.sigma_m)
+        found.append(KnownLength(metres, sigma, "tracks" if kinds[0] else "surfaces", *ends))
+    return tuple(found)
+
+
+def _target(name: str, place: Place, tracks: Tracks | None) -> int:
+    known = () if tracks is None else tracks.name
+    if place not in known:
+        some = ", ".join(sorted({each for each in known if each})[:8]) or "none"
+        raise CalibrationError(f"{name}: no target is called {place}; found {some}.")
+    return known.index(str(place))
+
+
+def _surface(name: str, place: Place, near: _Near) -> int:
+    point = np.asarray(place, np.float64)
+    for number, kind in enumerate(near.surfaces.kind):
+        if kind == "sphere" and np.linalg.norm(near.surfaces.centre[number] - point) < near.surfaces.distance[number]:
+            return number
+    away = np.linalg.norm(near.room - point, axis=1)
+    nearest = int(np.argmin(away)) if len(away) else -1
+    if nearest < 0 or away[nearest] > _NEAR_M:
+        where = ", ".join(f"{x:.2f}" for x in point)
+        far = f"; the nearest is {away[nearest]:.2f} m away" if nearest >= 0 else ""
+        raise CalibrationError(
+            f"{name}: no surface within {_NEAR_M:g} m of ({where}) m{far}; "
+            "give a point on the wall as measured in the cloud."
+        )
+    return int(near.surface[nearest])

@@ -1,0 +1,82 @@
+"""Everything that one adjustment takes in: planes, spheres, tracks, known lengths, boards."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxscan.errors import CalibrationError
+from jaxscan.recalibration.adjusted import Start
+from jaxscan.recalibration.given import Given, KnownSphere
+from jaxscan.recalibration.lengths import place_lengths
+from jaxscan.recalibration.observed import RoomObservations, SurfacePoints, Surfaces, SweepStripes
+from jaxscan.recalibration.segment import Sphere, find_sphere, observe_surfaces
+from jaxscan.recalibration.settings import RecalibrationSettings
+
+
+def observe_room(
+    sweeps: Sequence[SweepStripes], start: Start, given: Given, settings: RecalibrationSettings
+) -> RoomObservations:
+    """Surfaces of the room and points on them, found with a scanner as it is, and what was given.
+
+    Args:
+        sweeps: Stripes of each.
+        start: The scanner, whose covariance says how far it may bend a wall; stations and known faults of angles.
+        given: Spheres, tracks, lengths, boards.
+        settings: With the largest number of points.
+
+    Raises:
+        CalibrationError: If no plane is found, or something that was given is not there.
+    """
+    points, surfaces = observe_surfaces(sweeps, start.scanner, start.stations, start.corrections, settings)
+    for number, sphere in enumerate(given.spheres):
+        points, surfaces = _with_sphere(points, surfaces, _found(sweeps, start, sphere, number))
+    observed = RoomObservations(
+        points=points,
+        surfaces=surfaces,
+        angles=tuple(np.asarray(sweep.angle, np.float64) for sweep in sweeps),
+        station=np.array([sweep.station for sweep in sweeps], np.int32),
+        stripe_axis=sweeps[0].stripe_axis,
+        tracks=given.tracks,
+        boards=given.boards,
+    )
+    return observed._replace(lengths=place_lengths(given.lengths, observed, start))
+
+
+def _found(
+    sweeps: Sequence[SweepStripes], start: Start, sphere: KnownSphere, number: int
+) -> list[tuple[int, np.ndarray, Sphere]]:
+    """The sphere in every sweep that sees it: number of the sweep, T_room_scanner, and the sphere."""
+    found, problem = [], None
+    for index in range(len(sweeps)) if sphere.sweep is None else (sphere.sweep,):
+        if not 0 <= index < len(sweeps):
+            raise CalibrationError(f"sphere {number + 1}: names sweep {index}, found {len(sweeps)} sweeps.")
+        pose = np.asarray(start.stations[sweeps[index].station], np.float64)
+        near = pose[:3, :3].T @ (np.asarray(sphere.near, np.float64) - pose[:3, 3])
+        correction = start.corrections[index] if start.corrections else None
+        try:
+            one = find_sphere(sweeps[index], start.scanner, near, sphere.diameter_m, correction)
+        except CalibrationError as missed:
+            problem = missed
+        else:
+            found.append((index, pose, one))
+    if not found:
+        raise CalibrationError(f"sphere {number + 1}: {problem}") from problem
+    return found
+
+
+def _with_sphere(
+    points: SurfacePoints, surfaces: Surfaces, found: list[tuple[int, np.ndarray, Sphere]]
+) -> tuple[SurfacePoints, Surfaces]:
+    number = len(surfaces.kind)
+    parts = [points]
+    for index, _, sphere in found:
+        own = sphere.points
+        parts.append(own._replace(sweep=np.full_like(own.sweep, index), surface=np.full_like(own.surface, number)))
+    _, pose, first = found[0]
+    centre = pose[:3, :3] @ first.centre + pose[:3, 3]
+    return SurfacePoints(*(np.concatenate(fields) for fields in zip(*parts, strict=True))), Surfaces(
+        kind=(*surfaces.kind, "sphere"),
+        normal=np.concatenate([surfaces.normal, np.zeros((1, 3))]),
+        distance=np.append(surfaces.distance, first.radius),
+        centre=np.concatenate([surfaces.centre, centre[None]]),
+    )

@@ -1,0 +1,186 @@
+"""Sweeps and a stored calibration to a better one, or to the reason why not."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.calibration import Calibration
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import Scanner
+from jaxscan.recalibration import judge
+from jaxscan.recalibration.adjust import adjust
+from jaxscan.recalibration.adjusted import Adjusted, Start
+from jaxscan.recalibration.given import Given
+from jaxscan.recalibration.observe import observe_room
+from jaxscan.recalibration.observed import SweepStripes
+from jaxscan.recalibration.prior import require_prior
+from jaxscan.recalibration.result import PanoramaOfWalls, Recalibration, TableFindings
+from jaxscan.recalibration.segment import find_patches, flat
+from jaxscan.recalibration.settings import RecalibrationSettings
+from jaxscan.recalibration.stations import place_stations
+from jaxscan.recalibration.table import check_angles
+
+
+Progress = Callable[[int, int], None]
+_STAGES = 9
+
+
+class _Job(NamedTuple):
+    """What stays the same through all stages."""
+
+    sweeps: Sequence[SweepStripes]
+    stored: Scanner
+    settings: RecalibrationSettings
+    given: Given
+    table: TableFindings
+
+    @property
+    def corrections(self) -> tuple[Float[np.ndarray, " records"], ...]:
+        """Known faults of the angles of every sweep [rad]."""
+        return self.table.corrections or tuple(np.zeros(len(sweep.angle)) for sweep in self.sweeps)
+
+
+def recalibrate(
+    sweeps: Sequence[SweepStripes],
+    stored: Calibration,
+    settings: RecalibrationSettings | None = None,
+    given: Given | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Recalibration:
+    """Refine a stored calibration with sweeps of a room that have planes in them.
+
+    Planes are found with the stored calibration, the scanner is adjusted to them with that calibration as prior, planes
+    are found again, and the result is judged: drift, gain, planes that were held out.
+
+    Args:
+        sweeps: Stripes of each sweep; their `station` tells from where each was taken.
+        stored: Its covariance is the prior; nothing in it is changed.
+        settings: Of the recalibration.
+        given: Beside the sweeps: tracks, known lengths, spheres, boards, places of stations.
+        progress: Called with (stages done, stages in all).
+
+    Returns:
+        The new scanner and everything by which it can be judged. Where the update is refused, `updated` is False,
+        `refused` says why in one line, and the scanner is the stored one.
+
+    Raises:
+        CalibrationError: If nothing can be adjusted at all: no sweeps, no plane in them, a stored calibration without
+            covariance, sheet or table, or sweeps of a camera of another size.
+    """
+    settings, given = settings or RecalibrationSettings(), given or Given()
+    scanner = require_prior(stored)
+    _check(sweeps, scanner)
+    done = _counter(progress)
+    job = _Job(sweeps, scanner, settings, given, check_angles(sweeps, scanner, settings, given.tracks))
+    done()
+    stations = _first_stations(job)
+    done()
+    loose = judge.loose(scanner)
+    start = Start(loose, stations, job.corrections)
+    rough = adjust(loose, start._replace(scanner=scanner), observe_room(sweeps, start, given, settings), settings)
+    done()
+    start = Start(rough.scanner, rough.stations, job.corrections)
+    observed = observe_room(sweeps, start, given, settings)
+    done()
+    free = adjust(loose, start, observed, settings)
+    done()
+    kept = np.flatnonzero(flat(free))
+    uneven = [judge.describe_surface(free.surfaces, k) for k in range(len(free.surfaces.kind)) if k not in kept]
+    if uneven and len(kept):
+        observed = observed.only(kept.tolist())
+        free = adjust(loose, _after(job, free), observed, settings)
+    done()
+    solve = lambda prior, before: adjust(prior, _after(job, before), observed, settings)
+    verdict = judge.find_drift(scanner, free, solve, settings)
+    done()
+    result = _judged(job, verdict, done)
+    notes = [f"left out, because it is not flat: {name}" for name in uneven if len(kept)]
+    return replace(result, notes=(*job.table.sentences, *result.notes, *notes))
+
+
+def _after(job: _Job, before: Adjusted) -> Start:
+    return Start(before.scanner, before.stations, job.corrections)
+
+
+def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Recalibration:
+    """Everything that is said of a solve."""
+    stored, adjusted, settings = job.stored, verdict.adjusted, job.settings
+    names = stored.parameter_names()
+    prior = judge.with_covariance(stored, np.asarray(stored.covariance) + verdict.loosened)
+    start = _after(job, adjusted)
+    halves = lambda observations: adjust(prior, start, observations, settings)
+    held_out = judge.hold_out(adjusted, stored, halves)
+    done()
+    gained, solved = judge.compared_of(verdict, stored)
+    slopes = judge.scale_slopes(adjusted.scanner, adjusted.observations)
+    refused = judge.refuse_result(adjusted, gained, verdict.drift, held_out, settings)
+    result = Recalibration(
+        scanner=stored if refused else adjusted.scanner,
+        updated=not refused,
+        refused=refused,
+        # The stored covariance is told as the prior, also where a part of it was given up.
+        adjusted=replace(adjusted, prior=stored),
+        drift=verdict.drift,
+        gains=judge.gains_of(gained, judge.scales_of(gained, slopes), names),
+        unobserved=judge.unobserved(solved, judge.scales_of(solved, slopes), names),
+        moved=judge.moved_parameters(stored, adjusted.departure, solved, verdict.loosened),
+        hold_out=held_out,
+        table=job.table,
+        closure=judge.closure_of(adjusted, stored),
+        panoramas=_panoramas(job, adjusted),
+        notes=verdict.notes,
+    )
+    done()
+    return result
+
+
+def _check(sweeps: Sequence[SweepStripes], scanner: Scanner) -> None:
+    if not sweeps:
+        raise CalibrationError("No sweep was given; a recalibration needs at least one sweep of a room.")
+    camera = scanner.camera
+    for sweep in sweeps:
+        size, word = (camera.height, "rows") if sweep.stripe_axis == "rows" else (camera.width, "columns")
+        if size and sweep.centre.shape[1] != size:
+            raise CalibrationError(
+                f"{sweep.name}: has stripes on {sweep.centre.shape[1]} {word}, the calibration is for images of "
+                f"{camera.width} x {camera.height} px; use the calibration of this camera mode."
+            )
+        if sweep.stripe_axis != sweeps[0].stripe_axis:
+            raise CalibrationError(f"{sweep.name}: its stripes run along the other axis; expected one rig for all.")
+        if len(sweep.laser) and int(np.max(sweep.laser)) >= len(scanner.laser_names):
+            raise CalibrationError(
+                f"{sweep.name}: has {int(np.max(sweep.laser)) + 1} lasers, the calibration {len(scanner.laser_names)}; "
+                "use the calibration of this rig."
+            )
+
+
+def _counter(progress: Progress | None) -> Callable[[], None]:
+    stages = iter(range(1, _STAGES + 1))
+    return lambda: None if progress is None else progress(next(stages), _STAGES)
+
+
+def _first_stations(job: _Job) -> Float[np.ndarray, "stations 4 4"]:
+    corrected = [
+        sweep._replace(angle=sweep.angle + correction)
+        for sweep, correction in zip(job.sweeps, job.corrections, strict=True)
+    ]
+    given = job.given.stations
+    count = len({sweep.station for sweep in job.sweeps})
+    if given is not None and np.shape(given) != (count, 4, 4):
+        raise CalibrationError(f"stations: found {len(given)} poses, expected one for each of {count} stations.")
+    start = None if given is None else dict(enumerate(np.asarray(given, np.float64)))
+    return place_stations(corrected, job.stored, tracks=job.given.tracks, start=start)
+
+
+def _panoramas(job: _Job, adjusted: Adjusted) -> tuple[PanoramaOfWalls, ...]:
+    scanners = job.stored, adjusted.scanner
+    found = []
+    for number, sweep in enumerate(job.sweeps):
+        corrections = adjusted.corrections[number]
+        labels = find_patches(sweep, adjusted.scanner, corrections).labels
+        found.append(judge.panorama_of(sweep, labels, scanners, (job.corrections[number], corrections)))
+    return tuple(found)

@@ -1,0 +1,60 @@
+"""A recalibration as a calibration of its own, and its gain in lengths that people measure."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jaxscan.calibration import Calibration, CalibrationSettings, Quality, Verdict
+from jaxscan.calibration.verdict import Lengths, measure_good_to, predict_lengths, refusal, root_of
+from jaxscan.geometry import Scanner
+from jaxscan.recalibration.result import LengthGain, Recalibration
+
+
+def renew_calibration(result: Recalibration, provenance: Mapping[str, Any]) -> Recalibration:
+    """The result with its gain in lengths and, where the scanner was updated, with the new calibration.
+
+    Args:
+        result: As `recalibrate` gives it.
+        provenance: Of the new calibration: captures, settings, versions.
+    """
+    scanner = result.scanner
+    if scanner.covariance is None or result.adjusted.prior.covariance is None:
+        return result
+    before, after = predict_lengths(result.adjusted.prior), predict_lengths(scanner)
+    result = replace(result, lengths=_gains(before, after))
+    if not result.updated:
+        return result
+    calibration = Calibration(
+        camera=scanner.camera,
+        scanner=scanner,
+        order=scanner.parameter_names(),
+        covariance=np.asarray(scanner.covariance, np.float64),
+        quality=_quality(result, scanner, after),
+        provenance=dict(provenance),
+    )
+    return replace(result, calibration=calibration)
+
+
+def _quality(result: Recalibration, scanner: Scanner, lengths: Lengths) -> Quality:
+    steps = root_of(np.asarray(scanner.covariance, np.float64))
+    good_to, _ = measure_good_to(scanner.camera, scanner, steps, (), None)
+    refused = refusal(good_to, scanner.camera, CalibrationSettings())
+    return Quality(
+        converged=result.adjusted.converged,
+        steps=result.adjusted.steps,
+        lengths=lengths,
+        verdict=Verdict(refused is None, good_to, refused),
+    )
+
+
+def _gains(before: Lengths, after: Lengths) -> tuple[LengthGain, ...]:
+    """The lengths that are in reach of both."""
+    new = {(laser.name, one.name, one.depth_m): one for laser in after.lasers for one in laser.lengths}
+    return tuple(
+        LengthGain(laser.name, one.name, one.depth_m, one.length_m, one.sigma_mm, found.sigma_mm)
+        for laser in before.lasers
+        for one in laser.lengths
+        if (found := new.get((laser.name, one.name, one.depth_m))) is not None
+    )

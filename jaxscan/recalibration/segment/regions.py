@@ -1,0 +1,171 @@
+"""Flat regions of the grid: neighbours that agree, grown over all that lies on one plane."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.recalibration.segment.cells import Cells
+from jaxscan.recalibration.segment.components import connected
+from jaxscan.recalibration.segment.local import Surroundings, surroundings
+from jaxscan.recalibration.segment.plane import BentPlane, bent_plane
+
+
+_TURN = np.cos(np.radians(4.0))
+"""Cosine of the angle between the normals of neighbours on one surface, at most."""
+_SEED_M = 0.4
+"""Radius of the first region around a seed [m]."""
+_STEP_M = 2e-3
+"""Mean distance of a neighbourhood from the plane that is allowed beside its noise [m]; steps of 5 mm are larger."""
+_CURVED, _MOST_CURVED = 0.015, 0.05
+"""Curvature of a flat wall beside what noise and calibration allow, and with that at most [1/m]."""
+_BOWED_M = 1.5e-3
+"""Height of the bow up to which curvature does not matter: small patches are rough [m]."""
+_FACETS = 0.012
+"""Angle from which two planes that pass smoothly into each other are facets of a curved surface [rad]."""
+_CELLS = 40
+"""Cells of a region at least."""
+_NARROW_M = 0.2
+"""Width of a region at least [m]."""
+_ROUNDS = 12
+_PART = 0.25
+"""Size of a neighbour that makes a region a facet, over its own: a curtain's end does not spoil a wall."""
+_REGIONS = 200
+"""Regions of one grid at most."""
+
+
+class Region(NamedTuple):
+    """A part of one grid of cells."""
+
+    cells: Int[np.ndarray, " cells"]
+    """Flat indices."""
+    plane: BentPlane
+    bowed: bool
+    """Whether it is curved as a whole."""
+
+
+def flat_regions(cells: Cells, bend: Float[np.ndarray, "points 3 directions"]) -> list[Region]:
+    """All flat regions of a grid, the largest first.
+
+    Args:
+        cells: The grid.
+        bend: Shifts of its valid cells, in the order of the grid, by the likely steps of the calibration [m].
+    """
+    around = surroundings(cells)
+    place = np.full(cells.valid.size, -1)
+    place[cells.valid.ravel()] = np.arange(len(bend))
+    part = _smooth_parts(cells, around)
+    names, sizes = np.unique(part[around.even.ravel()], return_counts=True)
+    found: list[Region] = []
+    for name in names[np.argsort(-sizes)]:
+        left = around.even & (part == name).reshape(around.even.shape)
+        own: list[Region] = []
+        while left.sum() >= _CELLS and len(found) + len(own) < _REGIONS:
+            region, tried = _grown(cells, around, left, bend, place)
+            if region is not None:
+                own.append(region)
+            left &= ~tried
+        found += _without_facets(around, own)
+    return sorted(found, key=lambda region: -len(region.cells))
+
+
+def _smooth_parts(cells: Cells, around: Surroundings) -> Int[np.ndarray, " n"]:
+    """Parts of the grid whose neighbours lie on each other's planes."""
+    p, normal, even = cells.p, around.normal, around.even
+    links = []
+    for axis in (0, 1):
+        here = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
+        next_ = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
+        way = p[next_] - p[here]
+        alike = (normal[here] * normal[next_]).sum(-1) > _TURN
+        off = np.maximum(np.abs((normal[here] * way).sum(-1)), np.abs((normal[next_] * way).sum(-1)))
+        near = off < 4.0 * (around.sigma[here] + around.sigma[next_]) + _STEP_M
+        link = np.zeros(even.shape, bool)
+        link[here] = even[here] & even[next_] & alike & near
+        links.append(link)
+    return connected(links[1], links[0])
+
+
+def _grown(
+    cells: Cells,
+    around: Surroundings,
+    left: Bool[np.ndarray, "rows columns"],
+    bend: np.ndarray,
+    place: np.ndarray,
+) -> tuple[Region | None, Bool[np.ndarray, "rows columns"]]:
+    """A region around the best seed, if it is flat, and the cells that need not be tried again."""
+    members = np.flatnonzero(left.ravel())
+    p, sigma = cells.p.reshape(-1, 3), around.sigma.ravel()
+    seed = _seed(around, left)
+    near = members[np.linalg.norm(p[members] - p[seed], axis=1) < _SEED_M]
+    tried = np.zeros_like(left)
+    tried.ravel()[near] = True
+    if len(near) < _CELLS:
+        return None, tried
+    region = near
+    plane = bent_plane(p[region], sigma[region], bend[place[region]])
+    for _ in range(_ROUNDS):
+        error = plane.error(p[members], bend[place[members]])
+        fits = np.zeros(left.size, bool)
+        fits[members] = _fits(around, left, members, error)
+        now = _joined(fits.reshape(left.shape), seed)
+        if len(now) < _CELLS:
+            return None, tried
+        same = np.array_equal(now, region)
+        region = now
+        if same:
+            break
+        plane = bent_plane(p[region], sigma[region], bend[place[region]])
+    tried.ravel()[region] = True
+    extent = np.ptp((p[region] - plane.centre) @ plane.axes.T, axis=0)
+    limit = min(_CURVED + 3.0 * plane.curvature_sigma, _MOST_CURVED)
+    bowed = plane.curvature > limit and plane.curvature * extent.max() ** 2 / 8 > _BOWED_M
+    if extent.min() < _NARROW_M:
+        return None, tried
+    return Region(region, plane, bowed), tried
+
+
+def _without_facets(around: Surroundings, regions: list[Region]) -> list[Region]:
+    """Regions of one smooth part of the grid, without those that pass into another one at an angle."""
+    near = []
+    for region in regions if len(regions) > 1 else ():
+        mask = np.zeros(around.even.shape)
+        mask.ravel()[region.cells] = 1.0
+        near.append(around.windows.sums(mask) > 0)
+    facets = {k for k, region in enumerate(regions) if region.bowed}
+    for i in range(len(near)):
+        for j in range(len(near)):
+            a, b = regions[i], regions[j]
+            if i == j or len(b.cells) < _PART * len(a.cells) or not (near[i] & near[j]).any():
+                continue
+            tilt = a.plane.axes.T @ a.plane.taken[1:] - b.plane.axes.T @ b.plane.taken[1:]
+            doubt = 3.0 * float(np.sqrt((tilt**2).sum(1).max(initial=0.0)))
+            if b.bowed or np.linalg.norm(a.plane.normal - b.plane.normal) > _FACETS + doubt:
+                facets.add(i)
+    return [region for k, region in enumerate(regions) if k not in facets]
+
+
+def _seed(around: Surroundings, left: Bool[np.ndarray, "rows columns"]) -> int:
+    """The cell deepest within what is left: with the fullest neighbourhood, then the least scatter."""
+    share = around.windows.sums(left.astype(np.float64)) / around.windows.area()
+    rank = np.where(left, share - 0.1 * around.scatter / np.maximum(around.sigma, 1e-6), -np.inf)
+    return int(np.argmax(rank))
+
+
+def _fits(around: Surroundings, left: np.ndarray, members: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Which members lie on the plane, by the mean error of their neighbourhoods and by their own."""
+    grid = np.zeros(left.size)
+    grid[members] = error
+    count = np.maximum(around.windows.sums(left.astype(np.float64)).ravel()[members], 1.0)
+    mean = around.windows.sums(grid.reshape(left.shape)).ravel()[members] / count
+    sigma = around.sigma.ravel()[members]
+    return (np.abs(mean) < _STEP_M + 3.0 * sigma / np.sqrt(count)) & (np.abs(error) < 4.0 * sigma + 2.0 * _STEP_M)
+
+
+def _joined(fits: Bool[np.ndarray, "rows columns"], seed: int) -> Int[np.ndarray, " n"]:
+    """The cells that are connected with the seed."""
+    right, down = fits.copy(), fits.copy()
+    right[:, :-1] &= fits[:, 1:]
+    down[:-1] &= fits[1:]
+    part = connected(right, down)
+    return np.flatnonzero(fits.ravel() & (part == part[seed]))

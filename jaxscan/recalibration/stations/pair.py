@@ -1,0 +1,165 @@
+"""The pose of one station in the frame of another: guesses, tested by all points."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import CalibrationError
+from jaxscan.recalibration.stations.guesses import guess_poses, turn_between
+from jaxscan.recalibration.stations.landmarks import pose_of
+from jaxscan.recalibration.stations.settling import Settled, settle
+from jaxscan.recalibration.stations.space import FILLED, FREE, Space
+from jaxscan.recalibration.stations.view import View
+
+
+SOME = 400
+"""Cells of each station by which many guesses are sorted."""
+SETTLED = 24
+"""Guesses that are settled."""
+DISTINCT_M, DISTINCT_RAD = 0.3, np.radians(6.0)
+"""Poses this far apart are different places."""
+LEAST_SHARE = 0.12
+"""Least share of the cells of both stations that both see."""
+MOST_DENIED = 0.12
+"""Largest share of compared cells that one station fills and the other looked through: things that were moved."""
+DENIED = 30
+"""A place is worse than another if so many more cells are denied, and half as many again."""
+COARSER = 3.0
+"""A place is worse than another if its walls agree so much worse [1]."""
+FINE_M = 0.002
+HELD = 3.0
+"""Least number of patches that hold a pose along its weakest direction."""
+MARKS_M = 0.2
+"""Landmarks of two stations agree within this, whatever the calibration [m]."""
+START_M, START_RAD = 0.5, np.radians(10.0)
+
+
+class Station(NamedTuple):
+    """All that is known of one station, in its own frame."""
+
+    name: str
+    view: View
+    space: Space
+    landmarks: Mapping[str, np.ndarray]
+
+
+class Pair(NamedTuple):
+    """Where one station is in the frame of another."""
+
+    pose: np.ndarray
+    """T_one_other [4, 4]."""
+    share: float
+    """Share of the cells that both see [1]."""
+
+
+class _Place(NamedTuple):
+    settled: Settled
+    common: int
+    """Cells that both fill."""
+    denied: int
+    """Cells that one fills and the other looked through."""
+
+
+def place_pair(one: Station, other: Station, *, first: np.ndarray | None = None) -> Pair:
+    """T_one_other.
+
+    Args:
+        one: The station that stays.
+        other: The station that is placed.
+        first: A first pose, good to half a metre and ten degrees; None to find it.
+
+    Raises:
+        CalibrationError: If the two see too little in common, or fit in several places.
+    """
+    names = sorted(set(one.landmarks) & set(other.landmarks))
+    at, of = (np.array([marks[name] for name in names]).reshape(-1, 3) for marks in (one.landmarks, other.landmarks))
+    by_marks = pose_of(at, of) if first is None else None
+    given = first if first is not None else by_marks
+    if given is not None:
+        return _near(one, other, given)
+    guesses = guess_poses(one.view, other.view)
+    if len(guesses) == 0:
+        raise CalibrationError(
+            f"{one.name}, {other.name}: found walls in fewer than two common directions; leave targets standing that "
+            "both see, or give the pose of the second."
+        )
+    common, denied = _compare(one.space, other.space, guesses, SOME)
+    best = np.argsort(2 * denied - common, kind="stable")[:SETTLED]
+    places = _places(one, other, guesses[best], few=True)
+    if names:
+        places = [place for place in places if _distance(place.settled.pose, at, of) < MARKS_M]
+    return _decide(one, other, places)
+
+
+def _near(one: Station, other: Station, given: np.ndarray) -> Pair:
+    """A given pose, settled on the walls where these hold it."""
+    for place in _places(one, other, given[None]):
+        if not _far(place.settled.pose, given, START_M, START_RAD):
+            return Pair(place.settled.pose, place.common / _cells(one, other))
+    (common,), _ = _compare(one.space, other.space, given[None])
+    return Pair(given, common / _cells(one, other))
+
+
+def _places(one: Station, other: Station, guesses: np.ndarray, *, few: bool = False) -> list[_Place]:
+    """The guesses that walls hold, settled and compared; those that see most in common first."""
+    settled = [settle(one.view, other.view, guess, few=few) for guess in guesses]
+    settled = [each for each in settled if each.weakest * each.matched >= HELD]
+    if not settled:
+        return []
+    counts = _compare(one.space, other.space, np.array([each.pose for each in settled]))
+    places = [_Place(each, int(c), int(d)) for each, c, d in zip(settled, *counts, strict=True)]
+    return sorted(places, key=lambda place: 2 * place.denied - place.common)
+
+
+def _compare(one: Space, other: Space, poses: np.ndarray, some: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """For poses T_one_other [n, 4, 4]: cells that both fill, and that one fills and the other looked through [n]."""
+    common, denied = np.zeros(len(poses), int), np.zeros(len(poses), int)
+    for space, seen, moved in ((one, other, poses), (other, one, np.linalg.inv(poses))):
+        points = seen.some[:: max(1, len(seen.some) // some) if some else 1]
+        for k, T in enumerate(moved):
+            state = space.at(points @ T[:3, :3].T + T[:3, 3])
+            common[k] += np.count_nonzero(state == FILLED)
+            denied[k] += np.count_nonzero(state == FREE)
+    return common, denied
+
+
+def _decide(one: Station, other: Station, places: list[_Place]) -> Pair:
+    """The place that explains most; refused where it explains too little, or another place is as good."""
+    names, ask = f"{one.name}, {other.name}", "leave targets standing that both see, or give the pose of the second"
+    places = [place for place in places if place.common >= LEAST_SHARE * _cells(one, other)]
+    places = [place for place in places if place.denied <= MOST_DENIED * (place.common + place.denied)]
+    if not places:
+        raise CalibrationError(
+            f"{names}: found no place in which they see {100 * LEAST_SHARE:.0f} % of their points in common and look "
+            f"through nothing that the other sees; take a sweep between the two, {ask}."
+        )
+    most = max(place.common for place in places)
+    places = [place for place in places if place.common >= most / 2]
+    least = min(place.denied for place in places)
+    places = [place for place in places if place.denied < 1.5 * least + DENIED]
+    finest = max(min(place.settled.scale_m for place in places), FINE_M)
+    places = [place for place in places if place.settled.scale_m <= COARSER * finest]
+    best = max(places, key=lambda place: place.common)
+    for rival in places:
+        if _far(rival.settled.pose, best.settled.pose, DISTINCT_M, DISTINCT_RAD):
+            turn = np.degrees(turn_between(rival.settled.pose[:3, :3], best.settled.pose[:3, :3]))
+            raise CalibrationError(
+                f"{names}: found two places of the second that fit the room alike, {turn:.0f} degrees apart; {ask}."
+            )
+    settled = settle(one.view, other.view, best.settled.pose)
+    return Pair(settled.pose, best.common / _cells(one, other))
+
+
+def _cells(one: Station, other: Station) -> int:
+    return len(one.space.some) + len(other.space.some)
+
+
+def _far(a: np.ndarray, b: np.ndarray, metres: float, radians: float) -> bool:
+    """Whether two poses are different places."""
+    return bool(np.linalg.norm(a[:3, 3] - b[:3, 3]) > metres or turn_between(a[:3, :3], b[:3, :3]) > radians)
+
+
+def _distance(pose: np.ndarray, at: np.ndarray, of: np.ndarray) -> float:
+    """Median distance of landmarks [n, 3] of one station from those of the other [m]."""
+    return float(np.median(np.linalg.norm(of @ pose[:3, :3].T + pose[:3, 3] - at, axis=1)))

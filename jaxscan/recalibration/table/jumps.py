@@ -1,0 +1,96 @@
+"""Lost steps: records from which on the table stands elsewhere than its journal says."""
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscan.recalibration.observed import SweepStripes
+from jaxscan.recalibration.table.regression import Rows, fit_steps
+from jaxscan.recalibration.table.walls import TIGHT, Rig, label_points, settle, take_sample, truncated_cost, wall_equations
+
+
+MOST_JUMPS = 12
+MOST_PROFILES, MOST_POINTS = 8_000, 60_000
+"""In which a step is looked for."""
+LAST_TIMES, MANY_POINTS = 4, 24_000
+"""With which the sizes of all steps are found in the end."""
+LEAST_Z = 7.0
+"""How many of its sigmas a step must have, with some thousand places where chance could make one."""
+LEAST_GAIN = 0.3
+"""By how much a large step lowers the truncated cost, for each point [1]."""
+LEAST_STEP = np.deg2rad(0.02)
+"""Smaller steps are no full step of any usual table."""
+
+
+def find_steps(sweep: SweepStripes, rig: Rig) -> Rig:
+    """The rig with the steps that its walls show, the largest first, one after another."""
+    rig = settle(sweep, rig, 3, TIGHT)
+    while len(rig.steps) < MOST_JUMPS:
+        small = _with_step(sweep, rig, robust=True)
+        # Behind a large step a wall looks as if something hung on it: all points count, and the result must be better.
+        found = small or _believed(sweep, rig, _with_step(sweep, rig, robust=False))
+        if found is None:
+            break
+        rig = found
+    return settle(sweep, rig, LAST_TIMES, TIGHT, MANY_POINTS) if rig.steps else rig
+
+
+def step_sigmas(sweep: SweepStripes, rig: Rig) -> Float[np.ndarray, " steps"]:
+    """Standard deviation of each step of the rig [rad]."""
+    if not rig.steps:
+        return np.zeros(0)
+    sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MANY_POINTS)
+    walls = wall_equations(sample, label_points(sample, rig.theta), rig, TIGHT)
+    n = walls.rows.nuisance
+    covariance = np.linalg.inv(n.T @ n + np.diag(1.0 / walls.prior.sigma**2))
+    widened = inflation(walls.rows, walls.rows.error, len(rig.theta))
+    return widened * np.sqrt(np.diag(covariance)[-len(rig.steps) :])
+
+
+def _with_step(sweep: SweepStripes, rig: Rig, robust: bool) -> Rig | None:
+    """The rig with one more step, settled; None where no step stands out."""
+    sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MOST_POINTS)
+    walls = wall_equations(sample, label_points(sample, rig.theta), rig, TIGHT, robust)
+    test, left = fit_steps(walls.rows, len(rig.theta), walls.prior)
+    z = np.abs(test.size) / test.sigma / inflation(walls.rows, left, len(rig.theta))
+    place = int(np.argmax(z))
+    if z[place] < LEAST_Z or abs(test.size[place]) < LEAST_STEP:
+        return None
+    theta = rig.theta.copy()
+    theta[place:] += test.size[place]
+    more = rig._replace(theta=theta, steps=(*rig.steps, (place, float(test.size[place]))))
+    return settle(sweep, more, 3, TIGHT)
+
+
+def _believed(sweep: SweepStripes, rig: Rig, more: Rig | None) -> Rig | None:
+    """The rig with one more step if that brings clearly more points to walls."""
+    if more is None:
+        return None
+    (before, points), (after, _) = truncated_cost(sweep, rig), truncated_cost(sweep, more)
+    return more if before - after > LEAST_GAIN * points else None
+
+
+def inflation(rows: Rows, left: Float[np.ndarray, " rows"], records: int) -> float:
+    """Factor by which sums of errors over neighbouring records scatter more than independent noise would [1].
+
+    The scatter is that between stretches of records one after another, for several lengths of them, by the median: a
+    step, or the edge of a cupboard, is in few of them.
+    """
+    score = np.bincount(rows.record, rows.turn * left, records)
+    power = np.bincount(rows.record, rows.turn**2, records)
+    worst = 1.0
+    for length in (1, 2, 4, 8, 16, 32):
+        whole = records // length
+        if whole < 16:
+            break
+        angle = _blocks(score, length, whole) / np.maximum(_blocks(power, length, whole), 1e-12)
+        known = _blocks(power, length, whole)
+        pairs = (known[1:] > 0) & (known[:-1] > 0)
+        if np.count_nonzero(pairs) < 8:
+            break
+        difference = np.diff(angle)[pairs] / np.sqrt(1.0 / known[1:][pairs] + 1.0 / known[:-1][pairs])
+        worst = max(worst, float(np.median(np.abs(difference)) / 0.6745))
+    return worst
+
+
+def _blocks(values: np.ndarray, length: int, whole: int) -> np.ndarray:
+    return values[: whole * length].reshape(whole, length).sum(axis=1)

@@ -1,0 +1,15 @@
+"""A recalibration in sentences, figures and as a page."""
+
+from jaxscan.report.recalibration.page import recalibration_page
+from jaxscan.report.recalibration.words import (
+    closure_lines,
+    drift_words,
+    gain_lines,
+    headline,
+    hold_out_lines,
+    length_lines,
+    moved_rows,
+    station_rows,
+    table_lines,
+    wall_lines,
+)

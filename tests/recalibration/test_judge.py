@@ -1,0 +1,171 @@
+"""Gains, unobserved directions, hold-out, closure and refusal, on adjustments that were made up."""
+
+import numpy as np
+import pytest
+
+from jaxscan.recalibration import Drift, HoldOut, RecalibrationSettings, Surfaces
+from jaxscan.recalibration.judge import (
+    closure_of,
+    describe_surface,
+    gains_of,
+    hold_out,
+    refuse_result,
+    unobserved,
+)
+from jaxscan.recalibration.judge.compared import chance_of, compare
+from jaxscan.recalibration.judge.gain import scales_of
+from jaxscan.recalibration.judge.scale import scale_slopes
+
+from .linear_room import adjusted_of, linear_room, with_held
+from .small_room import observe, stored, truth_scanner
+
+
+@pytest.fixture(scope="module")
+def room():
+    return linear_room()
+
+
+def test_the_chance_of_a_chi_squared():
+    # Closed forms: exp(-x / 2) for two degrees of freedom; 0.0455 beyond two sigmas for one.
+    assert chance_of(3.0, 2) == pytest.approx(np.exp(-1.5))
+    assert chance_of(4.0, 1) == pytest.approx(0.04550026)
+    assert chance_of(0.0, 0) == 1.0
+    assert 0.0 < chance_of(300.0, 10) < 1e-50
+
+
+def test_covariances_are_compared_direction_by_direction():
+    prior = np.diag([4.0, 0.0, 1e-8])
+    found = compare(prior, np.diag([1.0, 0.0, 1e-8 / 9]))
+    np.testing.assert_allclose(found.factor, [2.0, 3.0], rtol=1e-9)
+    np.testing.assert_allclose(found.chance_variance(), np.diag([3.0, 0.0, 1e-8 * 8 / 9]), atol=1e-15)
+
+
+def test_scales_are_those_of_a_stretched_room(room):
+    """Steps that scale all lengths of the rig scale the room: their radial and height scale is the share."""
+    scanner = room.scanner
+    slope = scale_slopes(scanner, room.observations)
+    share = 1e-4
+    basis, point = np.asarray(scanner.turntable.basis), np.asarray(scanner.turntable.point)
+    step = room.moved(laser_red_d=share * float(scanner.lasers.distance[0]))
+    step[[room.names.index("axis.p1"), room.names.index("axis.p2")]] = share * (basis @ point)
+    # Exact but for the numbers' rounding in 64 bit.
+    np.testing.assert_allclose(slope @ step, [share, share], rtol=1e-6)
+
+
+def test_walls_leave_both_scales_to_the_stored_calibration(room):
+    both = compare(room.prior, room.posterior())
+    scales = scales_of(both, scale_slopes(room.scanner, room.observations))
+    assert np.all(scales.factor < 1.3) and np.all(scales.after <= scales.before)
+    told = unobserved(both, scales, room.names)
+    assert told[0].startswith("radial scale: planes look the same") and told[1].startswith("height scale")
+    gains = gains_of(both, scales, room.names)
+    assert [gain.name for gain in gains[:2]] == ["radial scale", "height scale"]
+    factors = [gain.factor for gain in gains[2:]]
+    assert factors == sorted(factors) and factors[-1] > 10.0
+
+
+def test_a_known_length_gives_the_radial_scale(room):
+    slope = scale_slopes(room.scanner, room.observations)
+    known = room._replace(information=room.information + np.outer(slope[0], slope[0]) / 2e-5**2)
+    both = compare(room.prior, known.posterior())
+    scales = scales_of(both, slope)
+    assert scales.factor[0] > 3.0 and scales.after[0] < 2.1e-5
+    assert not any(line.startswith("radial") for line in unobserved(both, scales, room.names))
+
+
+def test_planes_that_were_held_out_judge(room):
+    truth = truth_scanner()
+    observations = observe(truth)
+    before = with_held(room.scanner, room.moved(laser_red_n1=2e-3, cx=3.0))
+    adjusted = adjusted_of(room.scanner, observations)
+    asked = []
+
+    def fit(some):
+        asked.append(np.unique(some.points.surface[np.isfinite(some.points.sigma)]).tolist())
+        return adjusted_of(truth, some)
+
+    good = hold_out(adjusted, before, fit)
+    assert good is not None and good.better and sorted(asked[0] + asked[1]) == [0, 1, 2, 3]
+    # Exact stripes of flat walls; the stored calibration bends them by millimetres.
+    assert max(good.after_mm) < 1e-3 < 0.5 < min(good.before_mm)
+    bad = hold_out(adjusted, truth, lambda some: adjusted_of(before, some))
+    assert bad is not None and not bad.better
+
+
+def test_one_plane_cannot_be_held_out(room):
+    observations = room.observations.only([0])
+    assert hold_out(adjusted_of(room.scanner, observations), room.scanner, lambda some: None) is None
+
+
+def test_the_gap_of_an_overlap_is_measured():
+    from experiments.recalibration.world import Noise, Sweeping, true_sweep
+
+    from .small_room import config
+
+    sweep = true_sweep(
+        config(), 1, Sweeping(steps=130, turn_deg=390.0, line_stride=48, furniture=False, noise=Noise(px=0.0))
+    )
+    truth = truth_scanner()
+    observations = observe(truth, sweep_truth=sweep)
+    wrong = with_held(stored(truth, np.random.default_rng(1)), np.zeros(len(truth.parameter_names())))
+    names = wrong.parameter_names()
+    gain = np.zeros(len(names))
+    gain[names.index("gain")] = 1e-3
+    before = with_held(linear_room().scanner, gain)
+    found = closure_of(adjusted_of(truth, observations), before)
+    # 0.001 of a full turn at 2.5 m; the room's planes see it to a few per cent, through their wrong places.
+    assert found is not None and found.source == "overlap"
+    assert found.before_mm == pytest.approx(2.5 * 2 * np.pi, rel=0.05)
+    assert found.after_mm < 1e-3 < found.sigma_mm
+
+
+def test_without_overlap_the_model_tells_the_gap(room):
+    names = room.names
+    step = room.moved(gain=-1e-4)
+    adjusted = adjusted_of(room.scanner, room.observations)
+    found = closure_of(adjusted, with_held(room.scanner, step))
+    assert found is not None and found.source == "model"
+    assert found.before_mm == pytest.approx(1e-4 * 2e3 * np.pi * 2.5, rel=1e-6)
+    assert found.sigma_mm == pytest.approx(np.sqrt(room.prior[names.index("gain"), names.index("gain")]) * 5e3 * np.pi)
+
+
+def refused(room, *, drifted=False, held_out=None, gained=True, **changes):
+    adjusted = adjusted_of(room.scanner, room.observations, **changes)
+    both = compare(room.prior, room.posterior() if gained else 0.99 * room.prior)
+    drift = Drift(30.0, 10, 1e-4 if drifted else 0.5, drifted)
+    return refuse_result(adjusted, both, drift, held_out, RecalibrationSettings())
+
+
+def test_a_good_adjustment_is_not_refused(room):
+    assert refused(room) == ""
+    assert refused(room, held_out=HoldOut((1.0, 1.0), (0.5, 2.0), better=True)) == ""
+
+
+def test_refusals_say_why(room):
+    assert "did not settle in 5 steps" in refused(room, converged=False)
+    assert "became less flat (1.00 mm before, 2.00 mm after)" in refused(
+        room, held_out=HoldOut((1.0, 1.0), (2.0, 2.0), better=False)
+    )
+    assert "known 1.01 times as well" in refused(room, gained=False)
+    assert refused(room, gained=False, drifted=True) == ""
+    error = np.zeros(len(room.observations.points.q))
+    error[room.observations.points.surface == 2] = 0.02
+    said = refused(room, cost=9.0 * len(error), point_error=error)
+    assert "3.0 times as large as stated" in said and describe_surface(room.observations.surfaces, 2) in said
+    one = room._replace(observations=room.observations.only([0]))
+    assert "face 1 direction, expected at least 2" in refused(one)
+    for text in (said, refused(one)):
+        assert "\n" not in text
+
+
+def test_surfaces_are_told_by_where_they_are(room):
+    words = [describe_surface(room.observations.surfaces, k) for k in range(len(room.observations.surfaces.kind))]
+    assert len(words) == 4 and all(word.startswith("the wall at") for word in words)
+    normal = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.6, 0.8], [0.0, 0.0, 0.0]])
+    surfaces = Surfaces(("plane", "plane", "plane", "sphere"), normal, np.array([-1.2, 1.3, 2.0, 0.0725]), normal)
+    assert [describe_surface(surfaces, k) for k in range(4)] == [
+        "the floor at 1.20 m",
+        "the ceiling at 1.30 m",
+        "an inclined plane at 2.00 m",
+        "the sphere of 145 mm",
+    ]

@@ -1,0 +1,116 @@
+"""First poses of stations: rooms of boxes whose stripes are exact, seen from known places."""
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import CalibrationError
+from jaxscan.recalibration import SweepStripes, Tracks
+from jaxscan.recalibration.stations import place_stations
+from jaxscan.simulation import Motion, distort, make_rig, true_scanner
+
+from .boxes import EMPTY, FURNISHED, L_SHAPED, Room, cast, demo, pose, sweep_of
+
+
+SCANNER = true_scanner(demo())
+PLACES = (pose((2.0, 2.6, 1.2), 50.0), pose((1.4, 3.9, 1.15), 200.0, (1.5, -1.0)), pose((3.2, 1.6, 1.3), -70.0))
+# First values: a few centimetres and a degree are asked, and walls that both see give far better.
+NEAR_M, NEAR_RAD = 0.01, np.radians(0.2)
+
+
+def sweeps_of(room: Room, poses) -> list[SweepStripes]:
+    return [sweep_of(room, T, seed=k, station=k) for k, T in enumerate(poses)]
+
+
+def assert_near(found, truth):
+    assert np.linalg.norm(found[:3, 3] - truth[:3, 3]) < NEAR_M
+    turn = found[:3, :3].T @ truth[:3, :3]
+    assert np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)) < NEAR_RAD
+
+
+@pytest.mark.parametrize("room", [FURNISHED, L_SHAPED], ids=["furnished", "L"])
+def test_two_stations_are_placed_by_what_both_see(room):
+    poses = PLACES[0], PLACES[2]
+    found = place_stations(sweeps_of(room, poses), SCANNER)
+    assert found.shape == (2, 4, 4) and np.array_equal(found[0], np.eye(4))
+    assert_near(found[1], np.linalg.inv(poses[0]) @ poses[1])
+
+
+def test_three_stations_form_a_tree_and_sweeps_of_one_place_share_its_pose():
+    sweeps = sweeps_of(FURNISHED, PLACES)
+    again = sweep_of(FURNISHED, PLACES[1], seed=7, station=1)
+    found = place_stations([*sweeps, again], SCANNER)
+    for T, truth in zip(found[1:], PLACES[1:], strict=True):
+        assert_near(T, np.linalg.inv(PLACES[0]) @ truth)
+
+
+def test_one_station_is_the_room():
+    assert np.array_equal(place_stations(sweeps_of(EMPTY, PLACES[:1]), SCANNER), np.eye(4)[None])
+
+
+@pytest.fixture(scope="module")
+def empty():
+    """Two stations of an empty box, which fits itself at 180 degrees; and the pose of the second."""
+    return sweeps_of(EMPTY, PLACES[:2]), np.linalg.inv(PLACES[0]) @ PLACES[1]
+
+
+def test_an_empty_box_is_ambiguous(empty):
+    with pytest.raises(
+        CalibrationError, match=r"^sweep0, sweep1: found two places .* 180 degrees apart; leave targets"
+    ):
+        place_stations(empty[0], SCANNER)
+
+
+def test_one_landmark_tells_two_places_apart(empty):
+    """In a corner, so that no other place brings it there."""
+    corner = np.array([0.4, 0.5, 0.3])
+    marks = {k: {"ball": np.linalg.inv(PLACES[k])[:3] @ [*corner, 1]} for k in range(2)}
+    assert_near(place_stations(empty[0], SCANNER, landmarks=marks)[1], empty[1])
+
+
+def test_a_first_pose_is_settled_on_the_walls(empty):
+    start = empty[1] @ pose((0.2, -0.15, 0.1), 4.0)
+    assert_near(place_stations(empty[0], SCANNER, start={1: start})[1], empty[1])
+
+
+def test_targets_by_name_place_a_station(empty):
+    """Marks on two walls, seen as pixels; one that was moved between the sweeps is left out."""
+    world = np.array([[4.2, 2.0, 1.0], [4.2, 3.4, 1.5], [2.0, 5.4, 0.9], [1.2, 5.4, 1.6], [0.0, 3.0, 1.2]])
+    rig, camera = make_rig(demo()), demo().camera
+    rows = []
+    for station, T in enumerate(PLACES[:2]):
+        marks = world + (np.arange(5) == 4)[:, None] * station * np.array([0, 0.6, 0])
+        for record, phi in enumerate(empty[0][station].angle):
+            at = (Motion(T[:3, :3], T[:3, 3]) @ rig.pose(float(phi))).inverse().apply(marks)
+            x, y = at[:, 0] / at[:, 2], at[:, 1] / at[:, 2]
+            seen = (at[:, 2] > 0.1) & (np.abs(x) < 0.6) & (np.abs(y) < 0.5)
+            q = np.stack(distort(camera, x, y), -1)
+            rows += [(q[k], station, record, k) for k in np.flatnonzero(seen)]
+    q, sweep, record, track = (np.array(column) for column in zip(*rows, strict=True))
+    names = tuple(f"marker {k}" for k in range(5))
+    tracks = Tracks(q, np.full(len(q), 0.1), sweep, record, track, np.zeros((5, 3)), names)
+    assert_near(place_stations(empty[0], SCANNER, tracks=tracks)[1], empty[1])
+    # Without names nobody knows that they are the same.
+    with pytest.raises(CalibrationError, match="two places"):
+        place_stations(empty[0], SCANNER, tracks=tracks._replace(name=()))
+
+
+def test_stations_of_two_rooms_are_refused():
+    sweeps = [sweep_of(FURNISHED, PLACES[0]), sweep_of(Room((3.0, 7.4, 2.9)), pose((1.5, 3.0, 1.2), 10.0), station=1)]
+    with pytest.raises(CalibrationError, match=r"^sweep0, sweep1: found no place .* take a sweep between the two"):
+        place_stations(sweeps, SCANNER)
+
+
+def test_a_place_without_walls_is_refused(empty):
+    blind = empty[0][0]._replace(valid=np.zeros_like(empty[0][0].valid))
+    with pytest.raises(CalibrationError, match=r"^sweep0: found 0 flat patches, too few"):
+        place_stations([blind, empty[0][1]], SCANNER)
+
+
+def test_numbers_of_stations_have_no_gap(empty):
+    with pytest.raises(CalibrationError, match=r"^stations: found the numbers \[0, 2\], expected 0 to 1"):
+        place_stations([empty[0][0], empty[0][1]._replace(station=2)], SCANNER)
+
+
+def test_the_room_of_these_tests_stops_rays_where_it_should():
+    t, _ = cast(FURNISHED, np.array([2.0, 2.6, 0.4]), np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    np.testing.assert_allclose(t, [1.15, 2.2, 2.1], rtol=0, atol=1e-12)

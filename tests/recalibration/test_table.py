@@ -1,0 +1,129 @@
+"""Wrong steps per turn and lost steps in an ideal room: found, named and repaired; a good table is left alone."""
+
+import numpy as np
+import pytest
+
+from jaxscan.recalibration import RecalibrationSettings
+from jaxscan.recalibration.table import check_angles
+from jaxscan.recalibration.table.corrections import jumps_in
+from jaxscan.recalibration.table.names import say_factor, say_jump, usual_ratio
+from jaxscan.recalibration.table.regression import Prior, Rows, fit_steps
+from tests.recalibration.table_room import FURNITURE, knocked, paper_scanner, sweep
+
+
+def checked(phi, true, *, seed=0, furniture=FURNITURE):
+    """The findings with a poor calibration, and the corrected angles less the true ones."""
+    rng = np.random.default_rng(seed)
+    scanner = paper_scanner(40)
+    stripes = sweep(scanner, phi, true=true, rng=rng, furniture=furniture)
+    found = check_angles([stripes], knocked(scanner, rng, 0.3), RecalibrationSettings())
+    return found, phi + found.corrections[0] - true
+
+
+def poor_table(theta):
+    """Errors once and twice per turn of 0.5 mrad, and of the gain of 3e-4, that are no faults."""
+    return theta * (1 + 3e-4) + 5e-4 * np.sin(theta + 1.0) + 5e-4 * np.sin(2 * theta + 2.0)
+
+
+@pytest.mark.parametrize(("turn_deg", "seed"), [(360.0, 1), (390.0, 2), (140.0, 3)])
+def test_a_good_table_is_left_alone(turn_deg, seed):
+    phi = np.linspace(0.0, np.deg2rad(turn_deg), 240, endpoint=False)
+    found, _ = checked(phi, poor_table(phi), seed=seed)
+    assert found.sentences == () and found.jumps == () and found.factor == 1.0
+    assert not np.any(found.corrections[0])
+
+
+@pytest.mark.parametrize(("factor", "words"), [(0.5, "6400 microsteps"), (2.0, "1600 microsteps"), (10 / 9, "2880")])
+def test_wrong_steps_per_turn_are_found_and_named(factor, words):
+    phi = np.linspace(0.0, 2 * np.pi, 240, endpoint=False)
+    found, error = checked(phi, poor_table(factor * phi), seed=4)
+    assert found.factor == pytest.approx(factor, rel=1e-12)
+    assert found.jumps == ()
+    assert len(found.sentences) == 1 and words in found.sentences[0]
+    # What is left are the errors of a table that are no faults: 3e-4 of the turn, and 1 mrad in all.
+    assert np.abs(error).max() < 3e-4 * factor * 2 * np.pi + 1e-3
+
+
+def test_a_ratio_that_is_not_usual_is_named_roughly():
+    phi = np.linspace(0.0, 2 * np.pi, 240, endpoint=False)
+    found, _ = checked(phi, 0.965 * phi, seed=5)
+    # The gain is known to some parts in a thousand with the whole rig free.
+    assert found.factor == pytest.approx(0.965, abs=5e-3)
+    assert "about 0.96" in found.sentences[0]
+
+
+@pytest.mark.parametrize(("degrees", "record"), [(0.2, 130), (0.9, 60), (1.8, 170)])
+def test_a_lost_step_is_found_and_repaired(degrees, record):
+    phi = np.linspace(0.0, 2 * np.pi, 240, endpoint=False)
+    true = poor_table(phi)
+    true[record:] -= np.deg2rad(degrees)
+    found, error = checked(phi, true, seed=6)
+    ((number, at, size),) = found.jumps
+    assert number == 0 and abs(at - record) <= 1
+    # 0.1 px on 40 lines: the size is known to some hundredths of a degree.
+    assert np.rad2deg(size) == pytest.approx(-degrees, abs=0.05)
+    assert f"{record - 1} and {record}" in found.sentences[0] and "behind" in found.sentences[0]
+    away = np.ones(240, bool)
+    away[record - 2 : record + 2] = False
+    assert np.abs(error[away]).max() < np.deg2rad(0.05) + 3e-4 * 2 * np.pi + 1e-3
+
+
+def test_two_lost_steps_are_told_apart():
+    phi = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
+    true = phi.copy()
+    true[100:] -= np.deg2rad(0.3)
+    true[240:] -= np.deg2rad(0.5)
+    found, _ = checked(phi, true, seed=7)
+    assert [record for _, record, _ in found.jumps] == pytest.approx([100, 240], abs=1)
+    assert len(found.sentences) == 2
+
+
+def test_nothing_is_said_without_walls_or_of_a_tiny_sweep():
+    scanner = paper_scanner(40)
+    phi = np.linspace(0.0, 0.05, 6)
+    tiny = sweep(scanner, phi)
+    rng = np.random.default_rng(8)
+    cloud = sweep(scanner, np.linspace(0.0, 6.0, 120))
+    cloud = cloud._replace(centre=rng.uniform(950, 1400, cloud.centre.shape).astype(np.float32))
+    empty = cloud._replace(valid=np.zeros_like(cloud.valid))
+    found = check_angles([tiny, cloud, empty], scanner, RecalibrationSettings())
+    assert found.sentences == () and found.factor == 1.0 and found.jumps == ()
+    assert [len(one) for one in found.corrections] == [6, 120, 120]
+
+
+def test_steps_of_all_records_equal_separate_fits():
+    rng = np.random.default_rng(9)
+    records, rows = 12, 90
+    record = np.sort(rng.integers(0, records, rows))
+    turn, nuisance, error = rng.standard_normal(rows), rng.standard_normal((rows, 4)), rng.standard_normal(rows)
+    test, _ = fit_steps(Rows(error, turn, nuisance, record), records, Prior(np.zeros(4), np.full(4, 1e6)))
+    for k in range(1, records):
+        column = np.where(record >= k, turn, 0.0)
+        both = np.column_stack([nuisance, column])
+        expected = np.linalg.lstsq(both, error)[0][-1]
+        sigma = np.sqrt(np.linalg.inv(both.T @ both)[-1, -1])
+        # Both solve the same equations; a prior of 1e6 changes them by 1e-12.
+        assert test.size[k] == pytest.approx(expected, rel=1e-8)
+        assert test.sigma[k] == pytest.approx(sigma, rel=1e-8)
+
+
+def test_jumps_stand_out_of_smooth_corrections():
+    rng = np.random.default_rng(10)
+    angle = np.linspace(0.0, 2 * np.pi, 300, endpoint=False)
+    sigma = np.full(300, 2e-4)
+    smooth = 1e-3 * np.sin(2 * angle) + 2e-4 * rng.standard_normal(300)
+    assert jumps_in(angle, smooth, sigma) == []
+    broken = smooth + np.where(np.arange(300) >= 120, -np.deg2rad(0.2), 0.0)
+    ((record, size),) = jumps_in(angle, broken, sigma)
+    assert record == 120
+    # 2e-4 rad in 300 records: 3e-5 rad.
+    assert size == pytest.approx(-np.deg2rad(0.2), abs=2e-4)
+
+
+def test_sentences_name_the_likely_cause():
+    assert usual_ratio(0.5011) == (1, 2)
+    assert usual_ratio(1.111) == (10, 9)
+    assert usual_ratio(0.9707) is None
+    assert "6400 microsteps per turn where the configuration says 3200" in say_factor("a", 0.5)
+    assert "200 steps per turn behind a gear of 16" in say_jump("a", (1799, 1800), -0.113, 0.004)
+    assert "ahead" in say_jump("a", (1, 2), 0.5, 0.01) and "full step" not in say_jump("a", (1, 2), 0.5, 0.01)
