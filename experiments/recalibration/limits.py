@@ -33,7 +33,6 @@ TRIALS = {
     "rendered unkind": 30,
     "path-traced": 15,
     "two stations": 10,
-    "two stations, targets": 10,
 }
 """Of each kind, the first of the final seeds."""
 

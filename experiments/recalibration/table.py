@@ -25,8 +25,9 @@ Made by `python -m experiments.recalibration.table` from the trials beside it; a
   ratio of the focal lengths are drawn from their priors in every trial, and so are the boards' poses.
 - A paper-like calibration has 23 views, 4 of them lit, and one pair of views 10 degrees apart; a good one 30 lit views
   and 4 boards at 9 angles each. Corners have 0.1 px of noise, stripes on boards 0.15 px.
-- Stripes of sweeps are exact, with 0.1 px of noise that 7 neighbouring lines share. "Unkind" adds a correlation of 0.6
-  between neighbouring profiles, a pull of 0.15 px in corners of the room and 0.2 % of strays, none of them stated.
+- Stripes of sweeps are exact, with 0.1 px of noise that 7 neighbouring lines share. "Unkind" has 0.08 px that 9 lines
+  share, and unstated a correlation of 0.2 between neighbouring profiles, a pull of 0.05 px in corners of the room and
+  0.1 % of strays: somewhat worse than stripes of rendered sweeps are.
 - "Features" adds 150 points of the walls, seen in 90 laser-off images with 0.15 px of noise.
 - "Rendered unkind" are ten rendered sweeps of `configs/unkind.toml`, "path-traced" five of another renderer, each with
   several paper-like calibrations.

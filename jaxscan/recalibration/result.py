@@ -86,7 +86,7 @@ class TableFindings:
     """True turn over that of the journal, where the steps per turn are wrong [1]."""
     jumps: tuple[tuple[int, int, float], ...] = ()
     """Sweep, record and angle [rad] from which on the table stands elsewhere: lost steps."""
-    corrections: tuple[Float[np.ndarray, " records"], ...] = ()
+    corrections: tuple[Float[np.ndarray, " _"], ...] = ()
     """Added to the angles of each sweep [rad]; they correct factor and jumps."""
     sentences: tuple[str, ...] = ()
     """Each fault, in a sentence that says what to do."""

@@ -58,6 +58,8 @@ _LEARNED = 1e-3
 _ORDINARY = 0.01
 # Of two explanations one is believed if the data are this much likelier with it: 1000 to 1.
 _DECISIVE = 2.0 * np.log(1000.0)
+# Moves that are tried, as shares of what a part might have moved at most.
+_SHARES = np.geomspace(0.005, 1.0, 24)
 
 
 def departure_of(compared: Compared, step: Float[np.ndarray, " params"]) -> Departure:
@@ -97,6 +99,18 @@ def rest_of(departure: Departure, added: Float[np.ndarray, "params params"]) -> 
     return rest, chance_of(rest, len(departure.value) - left.shape[1])
 
 
+def _size_of(departure: Departure, added: Float[np.ndarray, "params params"]) -> float:
+    """Twice the share of the tolerances of a move that makes the departure likeliest [1].
+
+    A sheet that turned by a twentieth of a degree has not come nearer by millimetres, so the scale of the room keeps
+    some of its hold.
+    """
+    left, size, _ = np.linalg.svd(departure.slope @ _root(added), full_matrices=False)
+    variance = 1.0 + np.outer(_SHARES, size) ** 2
+    unlikely = np.sum(np.log(variance) + (left.T @ departure.value) ** 2 / variance, axis=1)
+    return min(1.0, 2.0 * float(_SHARES[np.argmin(unlikely)]))
+
+
 def move_of(departure: Departure, added: Float[np.ndarray, "params params"]) -> Float[np.ndarray, " params"]:
     """The likeliest move of this covariance [px, rad, m]."""
     moves = departure.slope @ _root(added)
@@ -117,14 +131,14 @@ def loosened_prior(
 ) -> Float[np.ndarray, "params params"]:
     """Variance added to the prior by the moves of an explanation.
 
-    The parts of the likeliest move are set free. Other moves that would explain the departure as well are one standard
-    deviation away, so that the result covers both.
+    The parts of the likeliest move are set free, twice as far as is likeliest. Other moves that would explain the
+    departure as well are one standard deviation away, so that the result covers both.
 
     A room that is larger by the same share as the distances of sheet and axis from the camera looks the same. So
     where both have moved and no length is known, those distances are loosened by no more than the move found.
     """
     parts = explanation.parts
-    added = loosening(parts, stored)
+    added = _size_of(departure, loosening(parts, stored)) ** 2 * loosening(parts, stored)
     if not scale_known and holds_no_scale(parts):
         names = stored.parameter_names()
         own = [name for part in parts for name in part.names if name in _AXIS or name.endswith(".d")]

@@ -23,6 +23,8 @@ class Part(NamedTuple):
 
 # A part that was knocked is within a degree and a few millimetres of its place.
 _TILT, _SHIFT = np.radians(1.0), 5e-3
+# A sheet turns about its laser, which is within some 0.1 m of the point of the sheet nearest the camera.
+_SHEET = 2e-3
 _FOCUS, _CENTRE_PX = 0.01, 20.0
 _GAIN, _HARMONIC = 3e-3, 3e-3
 # Pixels stay as square as that [1].
@@ -33,7 +35,7 @@ def parts_of(scanner: Scanner) -> tuple[Part, ...]:
     """Parts of which at least one coordinate is not held by the stored calibration; lasers first."""
     focal = float(scanner.camera.fx), float(scanner.camera.fy)
     lasers = [
-        Part(f"laser {name}", tuple(f"laser.{name}.{key}" for key in ("n1", "n2", "d")), (_TILT, _TILT, _SHIFT))
+        Part(f"laser {name}", tuple(f"laser.{name}.{key}" for key in ("n1", "n2", "d")), (_TILT, _TILT, _SHEET))
         for name in scanner.laser_names
     ]
     axis = Part("axis", ("axis.d1", "axis.d2", "axis.p1", "axis.p2"), (_TILT, _TILT, _SHIFT, _SHIFT))

@@ -44,13 +44,13 @@ def observe_surfaces(
     for number, sweep in enumerate(sweeps):
         correction = corrections[number] if len(corrections) else np.zeros(len(sweep.angle))
         placed = Placed(sweep, sweep.angle + correction, np.asarray(stations[sweep.station], np.float64))
-        of_sweep: list[tuple[Piece, np.ndarray]] = []
+        of_sweep: list[tuple[Piece, tuple[np.ndarray, np.ndarray]]] = []
         for cells in cells_of(sweep, scanner, correction):
             bend = cells_bending(scanner, cells)
             place = np.cumsum(cells.valid.ravel()) - 1
             for region in flat_regions(cells, bend):
                 one = piece(number, sweep.station, cells, region, placed.pose)
-                of_sweep.append((one, bend[place[region.cells]]))
+                of_sweep.append((one, (bend, place)))
         others = [one for one, _ in of_sweep]
         for one, bend in of_sweep:
             pieces.append(one)

@@ -30,7 +30,9 @@ _OVER = 0.25
 """Share of the smaller part that lies over the other, from which they lie over each other."""
 _STATION_M, _STATION_RAD = 0.01, 3e-3
 """Standard deviations of the given pose of a station."""
-_SAMPLES = 300
+_SAMPLES, _MORE = 300, 4000
+_LOCAL_M, _LOCAL = 0.4, 20
+"""Around the place between two parts, points within this distance, of each part at least so many, show a step."""
 
 
 class Piece(NamedTuple):
@@ -46,8 +48,12 @@ class Piece(NamedTuple):
     axes: Float[np.ndarray, "2 3"]
     points: Float[np.ndarray, "samples 3"]
     """Some of its points [m]."""
-    sigma: float
-    """Standard deviation of the plane's distance by the noise of its cells [m]."""
+    dense: Float[np.ndarray, "more 3"]
+    """More of them."""
+    noise: float
+    """Standard deviation of a cell along the normal [m]."""
+    phi: float
+    """Mean angle of the table [rad]."""
 
     @property
     def plane(self) -> BentPlane:
@@ -67,9 +73,12 @@ def piece(sweep: int, station: int, cells: Cells, region: Region, pose: Float[np
     """
     rotation, shift = pose[:3, :3], pose[:3, 3]
     plane = region.plane
-    some = region.cells[np.unique(np.linspace(0, len(region.cells) - 1, _SAMPLES).round().astype(int))]
+
+    def sampled(count: int) -> np.ndarray:
+        some = region.cells[np.unique(np.linspace(0, len(region.cells) - 1, count).round().astype(int))]
+        return cells.p.reshape(-1, 3)[some] @ rotation.T + shift
+
     normal, centre = rotation @ plane.normal, rotation @ plane.centre + shift
-    noise = np.median(cells.across(plane.normal).ravel()[region.cells])
     return Piece(
         sweep,
         station,
@@ -79,8 +88,10 @@ def piece(sweep: int, station: int, cells: Cells, region: Region, pose: Float[np
         float(normal @ centre),
         centre,
         plane.axes @ rotation.T,
-        cells.p.reshape(-1, 3)[some] @ rotation.T + shift,
-        float(noise / np.sqrt(len(region.cells))),
+        sampled(_SAMPLES),
+        sampled(_MORE),
+        float(np.median(cells.across(plane.normal).ravel()[region.cells])),
+        float(cells.phi.ravel()[region.cells].mean()),
     )
 
 
@@ -135,9 +146,12 @@ def _same(a: Piece, b: Piece) -> tuple[bool | None, float]:
         pose = sum((_pose_moves(one, at, a.axes) ** 2).sum(1) for one in (a, b) if one.station > 0)
         doubt = np.sqrt(((by_a - by_b) ** 2).sum(1) + pose)
     size = np.sqrt(np.ptp(b.points @ a.axes.T, axis=0).min() * np.ptp(a.points @ a.axes.T, axis=0).min())
-    own = _SIGMAS * np.hypot(a.sigma, b.sigma) * np.array([1.0, 3.0 / size, 3.0 / size])
+    sigma = np.hypot(a.noise / np.sqrt(len(a.region.cells)), b.noise / np.sqrt(len(b.region.cells)))
+    own = _SIGMAS * sigma * np.array([1.0, 3.0 / size, 3.0 / size])
     limit = _SIGMAS * doubt + own + np.array([_STEP_M, _TILT, _TILT])
     if np.any(np.abs(np.append(step, tilt)) > limit):
+        return False, 0.0
+    if a.sweep == b.sweep and over < _OVER and _step_between(a, b, at):
         return False, 0.0
     together = over >= _OVER or (gap < _HOME_M and _meet(a, b))
     if together:
@@ -160,6 +174,19 @@ def _pose_moves(one: Piece, at: np.ndarray, axes: np.ndarray) -> np.ndarray:
     return np.concatenate([shift[None], np.concatenate([np.zeros((2, 3)), _STATION_RAD * axes @ turned.T], 1)])
 
 
+def _step_between(a: Piece, b: Piece, at: np.ndarray) -> bool:
+    """Whether the points on both sides of a place lie on different levels; a calibration bends them together."""
+    sides = [one.dense[np.linalg.norm(one.dense - at, axis=1) < _LOCAL_M] for one in (a, b)]
+    if min(map(len, sides)) < _LOCAL:
+        return False
+    p = np.concatenate(sides) - at
+    side = np.repeat([0.0, 1.0], [len(sides[0]), len(sides[1])])
+    design = np.column_stack([np.ones(len(p)), p @ a.axes.T, side])
+    inverse = np.linalg.pinv(design.T @ design)
+    height = float((inverse @ design.T @ (p @ a.normal))[3])
+    return abs(height) > _STEP_M + _SIGMAS * max(a.noise, b.noise) * float(np.sqrt(inverse[3, 3]))
+
+
 def _meet(a: Piece, b: Piece) -> bool:
     """Whether one begins where the other ends: at the first and the last profiles of one sweep."""
     if a.sweep != b.sweep or a.cells.laser != b.cells.laser:
@@ -170,7 +197,9 @@ def _meet(a: Piece, b: Piece) -> bool:
 
 
 def _over(a: Piece, b: Piece) -> float:
-    """Share of the smaller piece that lies over the other."""
+    """Share of the smaller piece that lies over the other; in one turn of one laser nothing does."""
+    if a.sweep == b.sweep and a.cells.laser == b.cells.laser and abs(a.phi - b.phi) < np.pi:
+        return 0.0
     sides = [np.ptp(one.points @ a.axes.T, axis=0) for one in (a, b)]
     # So large that the samples leave no square of a piece empty.
     size = max(_BIN_M, float(np.sqrt(max(side.prod() for side in sides) / (_SAMPLES / 6))))

@@ -28,16 +28,20 @@ _CELLS = 40
 _NARROW_M = 0.2
 """Width of a region at least [m]."""
 _ROUNDS = 12
+_PART = 0.25
+"""Size of a neighbour that makes a region a facet, over its own: a curtain's end does not spoil a wall."""
 _REGIONS = 200
 """Regions of one grid at most."""
 
 
 class Region(NamedTuple):
-    """A flat part of one grid of cells."""
+    """A part of one grid of cells."""
 
     cells: Int[np.ndarray, " cells"]
     """Flat indices."""
     plane: BentPlane
+    bowed: bool
+    """Whether it is curved as a whole."""
 
 
 def flat_regions(cells: Cells, bend: Float[np.ndarray, "points 3 directions"]) -> list[Region]:
@@ -116,9 +120,9 @@ def _grown(
     extent = np.ptp((p[region] - plane.centre) @ plane.axes.T, axis=0)
     limit = min(_CURVED + 3.0 * plane.curvature_sigma, _MOST_CURVED)
     bowed = plane.curvature > limit and plane.curvature * extent.max() ** 2 / 8 > _BOWED_M
-    if extent.min() < _NARROW_M or bowed:
+    if extent.min() < _NARROW_M:
         return None, tried
-    return Region(region, plane), tried
+    return Region(region, plane, bowed), tried
 
 
 def _without_facets(around: Surroundings, regions: list[Region]) -> list[Region]:
@@ -128,14 +132,16 @@ def _without_facets(around: Surroundings, regions: list[Region]) -> list[Region]
         mask = np.zeros(around.even.shape)
         mask.ravel()[region.cells] = 1.0
         near.append(around.windows.sums(mask) > 0)
-    facets = set()
-    for i in range(len(regions)):
-        for j in range(i if near else 0):
-            a, b = regions[i].plane, regions[j].plane
-            tilt = a.axes.T @ a.taken[1:] - b.axes.T @ b.taken[1:]
+    facets = {k for k, region in enumerate(regions) if region.bowed}
+    for i in range(len(near)):
+        for j in range(len(near)):
+            a, b = regions[i], regions[j]
+            if i == j or len(b.cells) < _PART * len(a.cells) or not (near[i] & near[j]).any():
+                continue
+            tilt = a.plane.axes.T @ a.plane.taken[1:] - b.plane.axes.T @ b.plane.taken[1:]
             doubt = 3.0 * float(np.sqrt((tilt**2).sum(1).max(initial=0.0)))
-            if np.linalg.norm(a.normal - b.normal) > _FACETS + doubt and (near[i] & near[j]).any():
-                facets |= {i, j}
+            if b.bowed or np.linalg.norm(a.plane.normal - b.plane.normal) > _FACETS + doubt:
+                facets.add(i)
     return [region for k, region in enumerate(regions) if k not in facets]
 
 

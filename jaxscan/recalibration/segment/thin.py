@@ -20,6 +20,10 @@ _NEAR_M = 0.3
 _CROSSING = 0.94
 """Cosine of the angle below which two planes make a corner."""
 _TRIES = 6
+_ALL = 16
+"""Stripes of a cell up to which all of them may be used, and not one alone."""
+_RIM, _RIM_SIGMAS, _RIM_M = 4, 3.0, 1e-3
+"""Cells beside a region that may belong to it, and their distance from its plane: in standard deviations, and [m]."""
 _OUTLIER, _OUTLIER_M = 4.0, 2e-3
 """Standard deviations, and distance beside them [m], from which a stripe does not belong to its wall."""
 _LEAST = 30
@@ -52,36 +56,42 @@ class Placed(NamedTuple):
 def candidates(
     piece: Piece,
     others: Sequence[Piece],
-    bend: Float[np.ndarray, "cells 3 directions"],
+    bend: tuple[Float[np.ndarray, "cells 3 directions"], Int[np.ndarray, " grid"]],
     placed: Placed,
     scanner: Scanner,
 ) -> Candidates:
-    """A stripe of every inner cell of a piece.
+    """Stripes of a piece and its rim.
 
     Args:
         piece: The flat region.
         others: All pieces of its sweep; corners with them are left out.
-        bend: Shifts of the piece's cells by the likely steps [m].
+        bend: Shifts of valid cells by the likely steps [m], and the number of each cell of the grid among them.
         placed: Its sweep.
         scanner: The calibrated rig.
     """
     sweep = placed.sweep
-    cells, members = piece.cells, piece.region.cells
-    inner = _inner(members, cells.valid.shape) & ~_at_corners(piece, others)
-    members, bend = members[inner], bend[inner]
+    cells = piece.cells
+    members, shifts = _claimed(piece, others, *bend)
+    inner = ~_at_corners(piece, others, members)
+    members, shifts = members[inner], shifts[inner]
     i, j = np.unravel_index(members, cells.valid.shape)
-    # The same for the same input.
-    rng = np.random.default_rng(0)
-    row = i[:, None] * cells.block[0] + rng.integers(0, cells.block[0], (len(i), _TRIES))
-    line = j[:, None] * cells.block[1] + rng.integers(0, cells.block[1], (len(i), _TRIES))
+    i, j = i[:, None] * cells.block[0], j[:, None] * cells.block[1]
+    if cells.block[0] * cells.block[1] <= _ALL:
+        row, line = (part.ravel() for part in np.mgrid[: cells.block[0], : cells.block[1]])
+        row, line = i + row, j + line
+    else:
+        # The same for the same input.
+        rng = np.random.default_rng(0)
+        row = i + rng.integers(0, cells.block[0], (len(i), _TRIES))
+        line = j + rng.integers(0, cells.block[1], (len(i), _TRIES))
     inside = (row < len(cells.profiles)) & (line < len(cells.lines))
     profile = cells.profiles[np.minimum(row, len(cells.profiles) - 1)]
     line = cells.lines[np.minimum(line, len(cells.lines) - 1)]
     good = inside & sweep.valid[profile, line] & (sweep.sigma[profile, line] > 0)
-    first = good.argmax(1)
-    kept = good.any(1)
-    pick = np.arange(len(first))[kept], first[kept]
-    profile, line, bend = profile[pick], line[pick], bend[kept]
+    if cells.block[0] * cells.block[1] > _ALL:
+        good &= np.arange(_TRIES) == good.argmax(1)[:, None]
+    kept, _ = np.nonzero(good)
+    profile, line, shifts = profile[good], line[good], shifts[kept]
     record = sweep.record[profile]
     q = np.asarray(
         stripe_pixel(sweep.centre[profile, line].astype(np.float64), line.astype(np.float64), sweep.stripe_axis)
@@ -90,7 +100,7 @@ def candidates(
     p, exists = triangulate_points(scanner, q, laser, placed.angle[record])
     sigma = sweep.sigma[profile, line].astype(np.float64)
     noise = np.abs(cells.slope.reshape(-1, 3)[members[kept]] @ piece.plane.normal) * sigma
-    error = piece.plane.error(p, bend)
+    error = piece.plane.error(p, shifts)
     good = exists & (np.abs(error) < _OUTLIER * np.maximum(noise, 1.5 * np.median(noise)) + _OUTLIER_M)
     points = SurfacePoints(q, sigma, np.full(len(q), piece.sweep), record, line, laser, np.zeros(len(q), int))
     at = p @ placed.pose[:3, :3].T + placed.pose[:3, 3]
@@ -121,20 +131,38 @@ def choose(found: Candidates, most: int) -> Int[np.ndarray, " chosen"]:
     return np.sort(np.concatenate(chosen)) if chosen else np.zeros(0, int)
 
 
-def _inner(members: np.ndarray, shape: tuple[int, ...]) -> Bool[np.ndarray, " members"]:
-    """Cells whose eight neighbours belong to the region too; the grid's own ends are no borders."""
-    region = np.zeros(shape, bool)
-    region.ravel()[members] = True
-    wide = np.pad(region, 1, mode="edge")
-    inner = np.ones(shape, bool)
-    for di in range(3):
-        for dj in range(3):
-            inner &= wide[di : di + shape[0], dj : dj + shape[1]]
-    return inner.ravel()[members]
+def _claimed(
+    piece: Piece,
+    others: Sequence[Piece],
+    bend: Float[np.ndarray, "cells 3 directions"],
+    place: Int[np.ndarray, " grid"],
+) -> tuple[Int[np.ndarray, " members"], Float[np.ndarray, "members 3 directions"]]:
+    """Cells of a region and those beside it that lie on its plane, and their shifts by the likely steps.
+
+    Neighbourhoods are full only inside a wall; its own rim lies on its plane all the same.
+    """
+    cells = piece.cells
+    mask, taken = np.zeros(cells.valid.shape, bool), np.zeros(cells.valid.shape, bool)
+    mask.ravel()[piece.region.cells] = True
+    for other in others:
+        if other.cells is cells and other is not piece:
+            taken.ravel()[other.region.cells] = True
+    noise = cells.across(piece.plane.normal).ravel()
+    typical = float(np.median(noise[piece.region.cells]))
+    for _ in range(_RIM):
+        wide = np.pad(mask, 1)
+        beside = wide[2:, 1:-1] | wide[:-2, 1:-1] | wide[1:-1, 2:] | wide[1:-1, :-2]
+        new = np.flatnonzero((beside & ~mask & cells.valid & ~taken).ravel())
+        error = np.abs(piece.plane.error(cells.p.reshape(-1, 3)[new], bend[place[new]]))
+        mask.ravel()[new[error < _RIM_SIGMAS * np.maximum(noise[new], typical) + _RIM_M]] = True
+    members = np.flatnonzero(mask.ravel())
+    return members, bend[place[members]]
 
 
-def _at_corners(piece: Piece, others: Sequence[Piece]) -> Bool[np.ndarray, " members"]:
-    p = piece.cells.p.reshape(-1, 3)[piece.region.cells]
+def _at_corners(
+    piece: Piece, others: Sequence[Piece], members: Int[np.ndarray, " members"]
+) -> Bool[np.ndarray, " members"]:
+    p = piece.cells.p.reshape(-1, 3)[members]
     near = np.zeros(len(p), bool)
     width = np.ptp((p - piece.plane.centre) @ piece.plane.axes.T, axis=0).max()
     margin = min(_CORNER_M, _CORNER * float(width))
@@ -192,15 +220,14 @@ def far_apart(
     shared: Float[np.ndarray, " points"],
 ) -> Bool[np.ndarray, " points"]:
     """Points of which no two of one profile are nearer than the lines over which their noise is shared."""
-    along = np.lexsort((line, profile, sweep))
-    kept = np.ones(len(line), bool)
-    while True:
-        here = along[kept[along]]
-        close = (sweep[here][1:] == sweep[here][:-1]) & (profile[here][1:] == profile[here][:-1])
-        close &= line[here][1:] - line[here][:-1] < np.maximum(shared[here][1:], shared[here][:-1])
-        if not close.any():
-            return kept
-        # Of a run of close points every second goes.
-        place = np.arange(1, len(close) + 1)
-        start = np.maximum.accumulate(np.where(close, 0, place))
-        kept[here[1:][close & ((place - start) % 2 == 1)]] = False
+    # Every line in turn, all profiles at once.
+    _, own = np.unique(np.stack([sweep, profile]), axis=1, return_inverse=True)
+    own = own.reshape(-1)
+    last, reach = np.full(own.max(initial=-1) + 1, -np.inf), np.zeros(own.max(initial=-1) + 1)
+    kept = np.zeros(len(line), bool)
+    order = np.argsort(line, kind="stable")
+    for here in np.split(order, np.flatnonzero(np.diff(line[order])) + 1):
+        free = line[here] - last[own[here]] >= np.maximum(shared[here], reach[own[here]])
+        here = here[free]
+        kept[here], last[own[here]], reach[own[here]] = True, line[here], shared[here]
+    return kept

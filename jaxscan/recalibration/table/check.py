@@ -12,11 +12,15 @@ from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.table.factor import find_factor
 from jaxscan.recalibration.table.jumps import find_steps, step_sigmas
 from jaxscan.recalibration.table.names import say_factor, say_jump, usual_ratio
-from jaxscan.recalibration.table.walls import LOOSE, Rig, settle, start_rig
+from jaxscan.recalibration.table.walls import LOOSE, Rig, settle, start_rig, truncated_cost
 
 
-LEAST_FACTOR = 8e-3
+LEAST_FACTOR = 0.015
 """Departures of a factor from 1 below this are errors of the gain, which an adjustment finds by itself [1]."""
+
+
+ALIKE, FEW_STEPS, AS_GOOD = 0.1, 3, 0.2
+"""Factors so near to 1 [1] are compared with so few lost steps, by the truncated cost of a point [1]."""
 
 
 def check_angles(
@@ -66,6 +70,12 @@ def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[fl
     own = table_angles(table, sweep.angle)
     factor = find_factor(sweep, start_rig(scanner, own))
     rig = find_steps(sweep, _settled(sweep, scanner, table, factor))
+    if 0.0 < abs(factor - 1.0) < ALIKE:
+        # A step bends its wall as a factor near to 1 does: the simpler explanation is taken where it is as good.
+        plain = find_steps(sweep, _settled(sweep, scanner, table, 1.0))
+        (cost, points), (other, _) = truncated_cost(sweep, rig), truncated_cost(sweep, plain)
+        if 0 < len(plain.steps) <= FEW_STEPS and other < cost + AS_GOOD * points:
+            rig, factor = plain, 1.0
     sigmas = step_sigmas(sweep, rig)
     steps = [(record, size, float(sigma)) for (record, size), sigma in zip(rig.steps, sigmas, strict=True)]
     # With the steps known, and the gain free, once more.

@@ -23,7 +23,7 @@ LEAST_SCORE = 0.06
 """Concentration of points on four planes that hold half of them [1]."""
 NEAR = 1.2
 """Ratio of two first values that least squares would bring to one place."""
-SURE = (0.02, 0.15)
+SURE = (0.01, 0.15)
 """Nothing else is tried where least squares stays so near to a factor of 1, and so concentrates points [1, 1]."""
 STARTS, TIMES = 3, 6
 """First values that are refined, and steps of least squares for each."""
@@ -83,6 +83,9 @@ def find_factor(sweep: SweepStripes, rig: Rig) -> float:
     """
     if len(np.unique(sweep.record)) < 2 * HALF + 1:
         return 1.0
+    # Between coarse steps no plane is proposed with the journal's own angles, and any smaller factor would look better.
+    if np.median(np.abs(np.diff(rig.theta))) > SPAN / 2:
+        return 1.0
     own, best_score = _fitted(sweep, rig, 1.0)
     best = _ratio(own, rig)
     if abs(best - 1.0) < SURE[0] and best_score > SURE[1]:
@@ -101,7 +104,8 @@ def find_factor(sweep: SweepStripes, rig: Rig) -> float:
         scores[np.abs(np.log(factors / factors[k])) < np.log(NEAR)] = 0.0
     if best_score < LEAST_SCORE or np.ptp(found.theta) < LEAST_TURN:
         return 1.0
-    return _ratio(found, rig)
+    factor = _ratio(found, rig)
+    return factor if abs(factor - 1.0) >= SURE[0] else 1.0
 
 
 def _ratio(found: Rig, rig: Rig) -> float:
