@@ -5,7 +5,16 @@ from jaxtyping import Float
 
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.table.regression import Rows, fit_steps
-from jaxscan.recalibration.table.walls import TIGHT, Rig, Walls, label_points, settle, take_sample, truncated_cost, wall_equations
+from jaxscan.recalibration.table.walls import (
+    TIGHT,
+    Rig,
+    Walls,
+    label_points,
+    settle,
+    take_sample,
+    truncated_cost,
+    wall_equations,
+)
 
 
 MOST_JUMPS = 12
