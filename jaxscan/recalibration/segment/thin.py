@@ -19,6 +19,8 @@ _NEAR_M = 0.3
 """How far another wall may end from a corner that it makes [m]."""
 _CROSSING = 0.94
 """Cosine of the angle below which two planes make a corner."""
+_DENSE = 200
+"""Profiles of a turn from which they are dense."""
 _TRIES = 6
 _OUTLIER, _OUTLIER_M = 4.0, 2e-3
 """Standard deviations, and distance beside them [m], from which a stripe does not belong to its wall."""
@@ -122,12 +124,15 @@ def choose(found: Candidates, most: int) -> Int[np.ndarray, " chosen"]:
 
 
 def _inner(members: np.ndarray, shape: tuple[int, ...]) -> Bool[np.ndarray, " members"]:
-    """Cells whose eight neighbours belong to the region too; the grid's own ends are no borders."""
+    """Cells whose eight neighbours belong to the region too; the grid's own ends are no borders.
+
+    Where profiles are few, the neighbourhoods that are flat keep their middles away from borders by themselves.
+    """
     region = np.zeros(shape, bool)
     region.ravel()[members] = True
     wide = np.pad(region, 1, mode="edge")
     inner = np.ones(shape, bool)
-    for di in range(3):
+    for di in range(3) if shape[0] >= _DENSE else (1,):
         for dj in range(3):
             inner &= wide[di : di + shape[0], dj : dj + shape[1]]
     return inner.ravel()[members]
@@ -192,15 +197,20 @@ def far_apart(
     shared: Float[np.ndarray, " points"],
 ) -> Bool[np.ndarray, " points"]:
     """Points of which no two of one profile are nearer than the lines over which their noise is shared."""
-    along = np.lexsort((line, profile, sweep))
-    kept = np.ones(len(line), bool)
-    while True:
-        here = along[kept[along]]
-        close = (sweep[here][1:] == sweep[here][:-1]) & (profile[here][1:] == profile[here][:-1])
-        close &= line[here][1:] - line[here][:-1] < np.maximum(shared[here][1:], shared[here][:-1])
-        if not close.any():
-            return kept
-        # Of a run of close points every second goes.
-        place = np.arange(1, len(close) + 1)
-        start = np.maximum.accumulate(np.where(close, 0, place))
-        kept[here[1:][close & ((place - start) % 2 == 1)]] = False
+    order = np.lexsort((line, profile, sweep))
+    sweep, profile, line, shared = (field[order] for field in (sweep, profile, line, shared))
+    new = np.append(True, (np.diff(profile) != 0) | (np.diff(sweep) != 0)) if len(order) else np.zeros(0, bool)
+    # A number that rises along each profile, and from profile to profile by more than any of its lines.
+    key = (np.cumsum(new) - 1) * (2.0 * (line.max(initial=0) + shared.max(initial=1.0)) + 2.0) + line
+    kept = np.zeros(len(order), bool)
+    here = np.flatnonzero(new)
+    while len(here):
+        kept[here] = True
+        after = np.searchsorted(key, key[here] + shared[here])
+        inside = after < len(key)
+        same = np.zeros(len(here), bool)
+        same[inside] = (np.cumsum(new)[after[inside]]) == np.cumsum(new)[here[inside]]
+        here = after[same]
+    result = np.zeros(len(order), bool)
+    result[order] = kept
+    return result
