@@ -37,7 +37,7 @@ def knocked(scanner, rng, size=1.0):
 
 def box(centre, size):
     """The four upright faces of a piece of furniture: normal, distance, centre, half size; up to the ceiling or not."""
-    (x, y, z), (a, b, c) = centre, size
+    (x, y, z), (a, b, _) = centre, size
     return [
         (
             np.array(n, float),

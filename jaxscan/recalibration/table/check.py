@@ -15,7 +15,7 @@ from jaxscan.recalibration.table.names import say_factor, say_jump, usual_ratio
 from jaxscan.recalibration.table.walls import LOOSE, Rig, settle, start_rig, truncated_cost
 
 
-LEAST_FACTOR = 0.015
+LEAST_FACTOR = 0.02
 """Departures of a factor from 1 below this are errors of the gain, which an adjustment finds by itself [1]."""
 
 
@@ -35,14 +35,13 @@ def check_angles(
         sweeps: Sweeps of a room.
         scanner: The stored scanner; a poor one will do.
         settings: How the scanner is recalibrated.
-        tracks: Features seen in several images, where there are any.
+        tracks: Features seen in several images; not used yet: walls alone decide.
 
     Returns:
         Faults, corrections of the angles that repair them, and a sentence for each. Without walls nothing is found.
     """
     del settings, tracks
-    factor, jumps, sentences = 1.0, [], []
-    corrections = []
+    factor, jumps, sentences, corrections = 1.0, [], [], []
     for number, sweep in enumerate(sweeps):
         correction = np.zeros(len(sweep.angle))
         corrections.append(correction)
@@ -61,7 +60,8 @@ def check_angles(
             correction[record:] += size / float(table.gain)
             before = seen[seen < record]
             between = (int(before[-1]) if len(before) else 0, record)
-            sentences.append(say_jump(sweep.name, between, np.rad2deg(way * size), np.rad2deg(sigma)))
+            size_deg, sigma_deg = float(np.rad2deg(way * size)), float(np.rad2deg(sigma))
+            sentences.append(say_jump(sweep.name, between, size_deg, sigma_deg))
     return TableFindings(factor, tuple(jumps), tuple(corrections), tuple(sentences))
 
 

@@ -32,7 +32,9 @@ def jumps_of(adjusted: Adjusted) -> tuple[tuple[int, int, float], ...]:
 
 
 def jumps_in(
-    angle: Float[np.ndarray, " records"], correction: Float[np.ndarray, " records"], sigma: Float[np.ndarray, " records"]
+    angle: Float[np.ndarray, " records"],
+    correction: Float[np.ndarray, " records"],
+    sigma: Float[np.ndarray, " records"],
 ) -> list[tuple[int, float]]:
     """Record and angle [rad] of each jump in the corrections of one sweep.
 

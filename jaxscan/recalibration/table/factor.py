@@ -76,7 +76,7 @@ def concentration(sample: Sample, theta: Float[np.ndarray, " records"]) -> float
 
 
 def find_factor(sweep: SweepStripes, rig: Rig) -> float:
-    """The factor of the journal's angles with which points lie on the fewest planes, to a percent; 1 where none is better.
+    """The factor of the journal's angles with which points lie on the fewest planes; 1 where none is better.
 
     A scan over usual ratios gives first values, also with a poor calibration, which bends walls much as a wrong factor
     does; least squares with the whole rig free brings them nearer.

@@ -5,7 +5,16 @@ from jaxtyping import Float
 
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.table.regression import Rows, fit_steps
-from jaxscan.recalibration.table.walls import TIGHT, Rig, label_points, settle, take_sample, truncated_cost, wall_equations
+from jaxscan.recalibration.table.walls import (
+    TIGHT,
+    Rig,
+    Walls,
+    label_points,
+    settle,
+    take_sample,
+    truncated_cost,
+    wall_equations,
+)
 
 
 MOST_JUMPS = 12
@@ -15,23 +24,25 @@ LAST_TIMES, MANY_POINTS = 4, 24_000
 """With which the sizes of all steps are found in the end."""
 LEAST_Z = 7.0
 """How many of its sigmas a step must have, with some thousand places where chance could make one."""
+NEIGHBOURS = 8
+"""Records on each side of a step that was found in which it is sought once more."""
 LEAST_GAIN = 0.3
 """By how much a large step lowers the truncated cost, for each point [1]."""
 LEAST_STEP = np.deg2rad(0.02)
 """Smaller steps are no full step of any usual table."""
 
 
-def find_steps(sweep: SweepStripes, rig: Rig) -> Rig:
+def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
     """The rig with the steps that its walls show, the largest first, one after another."""
-    rig = settle(sweep, rig, 3, TIGHT)
+    rig = settle(sweep, start, 3, TIGHT)
     while len(rig.steps) < MOST_JUMPS:
-        small = _with_step(sweep, rig, robust=True)
+        small = _with_step(sweep, start, rig, robust=True)
         # Behind a large step a wall looks as if something hung on it: all points count, and the result must be better.
-        found = small or _believed(sweep, rig, _with_step(sweep, rig, robust=False))
+        found = small or _believed(sweep, rig, _with_step(sweep, start, rig, robust=False))
         if found is None:
             break
         rig = found
-    return settle(sweep, rig, LAST_TIMES, TIGHT, MANY_POINTS) if rig.steps else rig
+    return settle(sweep, _begin(start, rig.steps), LAST_TIMES, TIGHT, MANY_POINTS) if rig.steps else rig
 
 
 def step_sigmas(sweep: SweepStripes, rig: Rig) -> Float[np.ndarray, " steps"]:
@@ -46,19 +57,39 @@ def step_sigmas(sweep: SweepStripes, rig: Rig) -> Float[np.ndarray, " steps"]:
     return widened * np.sqrt(np.diag(covariance)[-len(rig.steps) :])
 
 
-def _with_step(sweep: SweepStripes, rig: Rig, robust: bool) -> Rig | None:
+def _begin(start: Rig, steps: tuple[tuple[int, float], ...]) -> Rig:
+    """The first rig with steps: what it took over from a step before that was known is forgotten."""
+    theta = start.theta.copy()
+    for record, size in steps:
+        theta[record:] += size
+    return start._replace(theta=theta, steps=steps)
+
+
+def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, robust: bool) -> Rig | None:
     """The rig with one more step, settled; None where no step stands out."""
     sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MOST_POINTS)
-    walls = wall_equations(sample, label_points(sample, rig.theta), rig, TIGHT, robust)
-    test, left = fit_steps(walls.rows, len(rig.theta), walls.prior)
-    z = np.abs(test.size) / test.sigma / inflation(walls.rows, left, len(rig.theta))
+    z, size = _tested(wall_equations(sample, label_points(sample, rig.theta), rig, TIGHT, robust), len(rig.theta))
     place = int(np.argmax(z))
-    if z[place] < LEAST_Z or abs(test.size[place]) < LEAST_STEP:
+    if z[place] < LEAST_Z or abs(size[place]) < LEAST_STEP:
         return None
-    theta = rig.theta.copy()
-    theta[place:] += test.size[place]
-    more = rig._replace(theta=theta, steps=(*rig.steps, (place, float(test.size[place]))))
-    return settle(sweep, more, 3, TIGHT)
+    more = settle(sweep, _begin(start, (*rig.steps, (place, float(size[place])))), 4, TIGHT)
+    # With the step mended, the wall is whole across it, and tells the record.
+    sample = take_sample(sweep, more.scanner, MOST_PROFILES, MOST_POINTS)
+    label = label_points(sample, more.theta)
+    theta = more.theta.copy()
+    theta[place:] -= more.steps[-1][1]
+    broken = more._replace(theta=theta, steps=more.steps[:-1])
+    again, _ = _tested(wall_equations(sample, label, broken, TIGHT, robust=False), len(theta))
+    first = max(place - NEIGHBOURS, 0)
+    best = first + int(np.argmax(again[first : place + NEIGHBOURS + 1]))
+    theta[best:] += more.steps[-1][1]
+    return more._replace(theta=theta, steps=(*more.steps[:-1], (best, more.steps[-1][1])))
+
+
+def _tested(walls: Walls, records: int) -> tuple[Float[np.ndarray, " records"], Float[np.ndarray, " records"]]:
+    """Sigmas of a step at each record, and its size [rad]."""
+    test, left = fit_steps(walls.rows, records, walls.prior)
+    return np.abs(test.size) / test.sigma / inflation(walls.rows, left, records), test.size
 
 
 def _believed(sweep: SweepStripes, rig: Rig, more: Rig | None) -> Rig | None:

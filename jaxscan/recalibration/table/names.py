@@ -3,8 +3,8 @@
 import numpy as np
 
 
-RATIO = 8e-3
-"""A factor is a ratio of numbers of steps where it is so near to one [1]."""
+POWER, RATIO = 0.02, 5e-3
+"""A factor is a power of two, or a ratio of small numbers, where it is so near to one [1]."""
 FULL_STEPS = {
     1.8: "one full step of a motor with 200 steps per turn on the axis",
     0.9: "one full step of a motor with 400 steps per turn on the axis",
@@ -20,11 +20,13 @@ STEP_SIGMAS = 2.5
 
 def usual_ratio(factor: float) -> tuple[int, int] | None:
     """The ratio of small numbers, or of usual numbers of steps, that is nearest to a factor; None if none is near."""
-    pairs = [(2**k, 1) for k in range(7)] + [(1, 2**k) for k in range(1, 7)]
-    pairs += [(a, b) for a in range(1, 13) for b in range(1, 13) if np.gcd(a, b) == 1]
-    # Simple ones first: of two that are near enough, the simpler is the likelier.
-    pairs.sort(key=lambda pair: max(pair) if max(pair) & (max(pair) - 1) else 0)
-    return next((pair for pair in pairs if abs(factor * pair[1] / pair[0] - 1.0) < RATIO), None)
+    powers = [(2**k, 1) for k in range(1, 7)] + [(1, 2**k) for k in range(1, 7)]
+    gears = [(a, b) for a in range(1, 13) for b in range(1, 13) if np.gcd(a, b) == 1 and a != b]
+    for pairs, tolerance in ((powers, POWER), (gears, RATIO)):
+        nearest = min(pairs, key=lambda pair: abs(factor * pair[1] / pair[0] - 1.0))
+        if abs(factor * nearest[1] / nearest[0] - 1.0) < tolerance:
+            return nearest
+    return None
 
 
 def say_factor(name: str, factor: float) -> str:
@@ -32,8 +34,8 @@ def say_factor(name: str, factor: float) -> str:
     pair = usual_ratio(factor)
     if pair is None:
         return (
-            f"{name}: the table turned about {factor:.3f} times as far as its journal says, expected 1; look for a belt "
-            "that slips or a wrong gear ratio, set the steps per turn, and capture again"
+            f"{name}: the table turned about {factor:.3f} times as far as its journal says, expected 1; look for a "
+            "belt that slips or a wrong gear ratio, set the steps per turn, and capture again"
         )
     up, down = pair
     configured = 3200 if 3200 * down % up == 0 else 3200 * up

@@ -153,9 +153,8 @@ def _one_wall(a: Plane, b: Plane, x: np.ndarray, y: np.ndarray) -> bool:
     upright_a, upright_b = np.hypot(*a.normal[:2]), np.hypot(*b.normal[:2])
     if min(upright_a, upright_b) < 0.5:
         # A turn about the axis leaves a floor where it is.
-        return float(a.normal @ b.normal) > BEND and abs(a.distance - b.distance) < 4 * FLATNESS * np.linalg.norm(
-            a.centre
-        )
+        near = abs(a.distance - b.distance) < SAME * np.linalg.norm(a.centre)
+        return bool(near and a.normal @ b.normal > BEND)
     turn = np.arctan2(a.normal[1], a.normal[0]) - np.arctan2(b.normal[1], b.normal[0])
     turn = (turn + np.pi) % (2 * np.pi) - np.pi
     tilt = np.arcsin(np.clip(a.normal[2], -1, 1)) - np.arcsin(np.clip(b.normal[2], -1, 1))

@@ -56,7 +56,7 @@ def sheet_points(
 
 
 def parameter_slopes(scanner: Scanner, stripes: Stripes) -> Float[np.ndarray, "points 3 params"]:
-    """Derivatives of `sheet_points` by the coordinates of camera, sheets and axis, by differences [m per px, rad, m]."""
+    """Derivatives of `sheet_points` by the coordinates of camera, sheets and axis [m per px, rad, m]."""
     spread = parameter_spread(scanner)
     steps = np.zeros((len(spread) + 1, len(scanner.parameter_names())))
     steps[1:, : len(spread)] = np.diag(DIFFERENCE * spread)

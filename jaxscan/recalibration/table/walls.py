@@ -217,7 +217,7 @@ def settle(
 
 
 def truncated_cost(sweep: SweepStripes, rig: Rig) -> tuple[float, int]:
-    """Squared errors of points from their walls in sigmas, each at most that of a point on no wall; and their number."""
+    """Squared errors of points from their walls in sigmas, at most that of one on no wall; their number."""
     sample = take_sample(sweep, rig.scanner, FEW_POINTS // FEW_LINES, FEW_POINTS)
     label = label_points(sample, rig.theta)
     angle = rig.theta[sample.record]
@@ -228,5 +228,7 @@ def truncated_cost(sweep: SweepStripes, rig: Rig) -> tuple[float, int]:
         plane = fit(x[on])
         error = (x[on] @ plane.normal - plane.distance) if plane is not None else np.full(on.sum(), np.inf)
         sigma = np.abs(noise[on] @ plane.normal) if plane is not None else np.ones(on.sum())
-        cost += float(np.minimum((error / np.hypot(sigma, FLOOR * np.linalg.norm(x[on], axis=1))) ** 2, MOST_COST).sum())
+        cost += float(
+            np.minimum((error / np.hypot(sigma, FLOOR * np.linalg.norm(x[on], axis=1))) ** 2, MOST_COST).sum()
+        )
     return cost, len(label)
