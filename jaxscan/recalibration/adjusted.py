@@ -52,11 +52,11 @@ class Adjusted:
     wall_m: float
     """Roughness of the walls, given or learned [m]."""
     inflation: float
-    """Factor by which the variance of points on surfaces was widened because neighbours share errors [1]."""
+    """Mean factor of the variances of scanner and stations because points of a wall share errors [1]."""
     observations: RoomObservations
     """As they were given."""
     cost: float
-    """Sum of squared whitened residuals with the prior."""
+    """Sum of squared whitened residuals, with those of the prior; of boards their excess over the best fit alone."""
     freedom: int
     """Kept residuals less unknowns that no prior holds."""
     converged: bool

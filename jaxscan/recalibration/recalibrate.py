@@ -22,6 +22,7 @@ from jaxscan.recalibration.segment import find_patches, flat
 from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.stations import place_stations
 from jaxscan.recalibration.table import check_angles
+from jaxscan.recalibration.tracks import place_tracks
 
 
 Progress = Callable[[int, int], None]
@@ -78,6 +79,9 @@ def recalibrate(
     job = _Job(sweeps, scanner, settings, given, check_angles(sweeps, scanner, settings, given.tracks))
     done()
     stations = _first_stations(job)
+    if given.tracks is not None and len(stations) > 1:
+        given = replace(given, tracks=place_tracks(given.tracks, _corrected(job), scanner, stations))
+        job = job._replace(given=given)
     done()
     loose = judge.loose(scanner)
     start = Start(loose, stations, job.corrections)
@@ -163,17 +167,19 @@ def _counter(progress: Progress | None) -> Callable[[], None]:
     return lambda: None if progress is None else progress(next(stages), _STAGES)
 
 
+def _corrected(job: _Job) -> list[SweepStripes]:
+    """The sweeps with the table's angles put right."""
+    both = zip(job.sweeps, job.corrections, strict=True)
+    return [sweep._replace(angle=sweep.angle + correction) for sweep, correction in both]
+
+
 def _first_stations(job: _Job) -> Float[np.ndarray, "stations 4 4"]:
-    corrected = [
-        sweep._replace(angle=sweep.angle + correction)
-        for sweep, correction in zip(job.sweeps, job.corrections, strict=True)
-    ]
     given = job.given.stations
     count = len({sweep.station for sweep in job.sweeps})
     if given is not None and np.shape(given) != (count, 4, 4):
         raise CalibrationError(f"stations: found {len(given)} poses, expected one for each of {count} stations.")
     start = None if given is None else dict(enumerate(np.asarray(given, np.float64)))
-    return place_stations(corrected, job.stored, tracks=job.given.tracks, start=start)
+    return place_stations(_corrected(job), job.stored, tracks=job.given.tracks, start=start)
 
 
 def _panoramas(job: _Job, adjusted: Adjusted) -> tuple[PanoramaOfWalls, ...]:

@@ -101,12 +101,10 @@ def test_where_sheet_and_axis_both_moved_the_scale_is_freed_by_no_more_than_they
     seen = departure(room, compare(room.prior, room.posterior()), np.random.default_rng(8), step)
     found = Explanation(parts_of(room.scanner)[:2], 0.5)
     slope = scale_slopes(room.scanner, room.observations)[0]
-    sigma = []
-    for known in (False, True):
-        added = loosened_prior(found, seen, room.scanner, scale_known=known)
-        sigma.append(float(np.sqrt(slope @ room.posterior(room.prior + added) @ slope)))
-    # By up to a millimetre or so of 165 and 212 mm; without a limit by as much as tilts of this size make likely.
-    assert 1e-3 < sigma[0] < 7e-3 and sigma[0] <= sigma[1] < 1.5e-2
+    added = loosened_prior(found, seen, room.scanner, scale_known=False)
+    sigma = float(np.sqrt(slope @ room.posterior(room.prior + added) @ slope))
+    # By up to a millimetre or so of 165 and 212 mm; the tolerances of both parts would leave 2.6 %.
+    assert 1e-3 < sigma < 7e-3
 
 
 def test_a_departure_that_no_part_explains_is_told(room, compared):

@@ -91,7 +91,7 @@ def test_unrolled_images_know_their_pixels():
     some = np.random.default_rng(3).choice(len(row), 200)
     q = np.stack([cylinder.u[row[some], column[some]], cylinder.v[row[some], column[some]]], -1)
     direction = rays_of(SCANNER, q, np.zeros(200), still(200)).direction
-    place = Turning(SCANNER, cylinder.scale).place(direction)
+    place = Turning.of(SCANNER, cylinder.scale).place(direction)
     expected = np.stack([column[some] + cylinder.left, row[some] + cylinder.top], -1)
     # Pixels are linear between places 4 px apart: the bend of a lens of 150 px within them.
     assert place == pytest.approx(expected, abs=0.03)
@@ -99,7 +99,7 @@ def test_unrolled_images_know_their_pixels():
 
 def test_a_prediction_is_where_the_point_is_seen():
     point, seen = seen_points(np.random.default_rng(4), 30, 2)
-    turning = Turning(SCANNER, RIG.focal)
+    turning = Turning.of(SCANNER, RIG.focal)
     rays = rays_of(SCANNER, seen.q, np.zeros(len(seen.q)), still(len(seen.q)))
     place = turning.place(rays.direction).reshape(-1, 2, 2)
     angle = seen.angle.reshape(-1, 2)

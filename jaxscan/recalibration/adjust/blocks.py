@@ -131,7 +131,7 @@ def _with_lengths(room: Room, y: Unknowns, residual: Residuals, blocks: Blocks) 
     corner = jax.scipy.linalg.block_diag(*local)
     matrix = jnp.block([[blocks.dense, beside], [beside.T, corner]])
     slopes = jax.jacfwd(lambda locals: length_values(room, locals))(y.locals) * room.lengths.weight[:, None, None]
-    slopes = (slopes[:, ends] * keep[:, 0]).reshape(-1, 3 * count)
+    slopes = (slopes[:, ends] * keep[None, :, 0]).reshape(-1, 3 * count)
     matrix = matrix.at[before:, before:].add(slopes.T @ slopes)
     by_ends = gradient.ravel() + slopes.T @ residual.lengths
     empty = jnp.asarray(blocks.cross).at[ends].set(0.0)

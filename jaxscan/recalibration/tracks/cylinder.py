@@ -1,5 +1,7 @@
 """Images unrolled on a cylinder about the turntable's axis, and where features go in them."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -20,12 +22,18 @@ _BACK_PX = 0.5
 """Error with which the ray of a pixel must come back to that pixel: lens models fold beyond the image."""
 
 
-class Turning:
-    """Numbers of the camera's motion, by which unrolled places are predicted: NumPy, float64."""
+class Turning(NamedTuple):
+    """Numbers of the camera's motion, by which unrolled places are predicted."""
 
-    def __init__(self, scanner: Scanner, scale: float) -> None:
-        pose = np.asarray(scanner.scanner_from_camera(), np.float64)
-        self.rotation, self.centre, self.scale = pose[:3, :3], pose[:3, 3], scale
+    centre: Float[np.ndarray, "3"]
+    """The camera's place at angle 0, scanner frame [m]."""
+    scale: float
+    """Of the unrolled image."""
+
+    @staticmethod
+    def of(scanner: Scanner, scale: float) -> "Turning":
+        """The motion of a scanner that a table turns."""
+        return Turning(np.asarray(scanner.scanner_from_camera(), np.float64)[:3, 3], scale)
 
     def place(self, direction: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
         """Unrolled places of directions in the scanner's frame at angle 0."""
@@ -54,7 +62,7 @@ def turn_about_z(p: Float[np.ndarray, "n 3"], angle: float | Float[np.ndarray, "
 def unroll(scanner: Scanner, size: tuple[int, int]) -> Cylinder:
     """The unrolled image of a camera whose images have this width and height [px]."""
     width, height = size
-    turning = Turning(scanner, 1.0)
+    turning = Turning.of(scanner, 1.0)
     edge = turning.place(_directions(scanner, _border(width, height)))
     middle = turning.place(_directions(scanner, np.array([[width / 2.0, height / 2.0]])))[0, 0]
     # Azimuths are counted from the middle of the image, so that none jumps by a turn within it.
@@ -62,7 +70,8 @@ def unroll(scanner: Scanner, size: tuple[int, int]) -> Cylinder:
     low = np.array([azimuth.min(), max(edge[:, 1].min(), -_STEEPEST)])
     high = np.array([azimuth.max(), min(edge[:, 1].max(), _STEEPEST)])
     focal = float(np.mean([scanner.camera.fx, scanner.camera.fy]))
-    turning.scale = scale = min(focal, float(np.sqrt(_MOST_PIXELS / max(np.prod(high - low), 1e-9))))
+    scale = min(focal, float(np.sqrt(_MOST_PIXELS / max(np.prod(high - low), 1e-9))))
+    turning = turning._replace(scale=scale)
     cells = np.maximum(np.ceil((high - low) * scale / _CELL).astype(int), 1)
     row, column = np.mgrid[: cells[1] + 1, : cells[0] + 1] * float(_CELL)
     direction = turning.direction(np.stack([column.ravel(), row.ravel()], -1) + low * scale)

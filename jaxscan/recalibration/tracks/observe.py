@@ -124,7 +124,7 @@ def _features(
     keys = choose_keys(heading, cylinder.u.shape[1] / cylinder.scale)
     if keys is None:
         return [], ["features are off: neighbouring images overlap by less than 60 %, or the table hardly turned."]
-    turning, walk = Turning(scanner, cylinder.scale), keys.walk()
+    turning, walk = Turning.of(scanner, cylinder.scale), keys.walk()
 
     def predict(place: np.ndarray, first: int, second: int) -> np.ndarray:
         turn = float(keys.heading[walk[second]] - keys.heading[walk[first]])

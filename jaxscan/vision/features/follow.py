@@ -66,9 +66,8 @@ def follow_features(images: Iterator[np.ndarray], walk: Walk) -> Followed:
             alive, sigma = _next(alive, (before, unrolled, exact), sees, (walk, step))
             sightings.append((alive.x, sigma, np.full(len(sigma), step), alive.track))
         if step < walk.begin:
-            free = _free(sees, alive, apart)
-            most = _FEATURES - (0 if alive is None else len(alive.track))
-            corners = find_features(unrolled, free, apart, max(most, 0))
+            taken = np.zeros((0, 2), int) if alive is None else np.rint(alive.x).astype(int)
+            corners = find_features(unrolled, sees, taken, apart, _FEATURES - len(taken))
             new = _Alive(
                 np.arange(count, count + len(corners.x)),
                 corners.x.astype(np.float64),
@@ -130,16 +129,6 @@ def _seen(sees: np.ndarray, x: np.ndarray) -> np.ndarray:
     inside = (whole >= 0).all(1) & (whole[:, 0] < columns) & (whole[:, 1] < rows)
     whole = np.where(inside[:, None], whole, 0)
     return inside & (sees[whole[:, 1], whole[:, 0]] > 0)
-
-
-def _free(sees: np.ndarray, alive: _Alive | None, apart: int) -> np.ndarray:
-    """Where no feature is near."""
-    if alive is None or not len(alive.x):
-        return sees
-    taken = np.zeros_like(sees)
-    whole = np.rint(alive.x).astype(int)
-    taken[whole[:, 1], whole[:, 0]] = 1
-    return np.where(cv2.dilate(taken, np.ones((2 * apart + 1, 2 * apart + 1), np.uint8)) > 0, 0, sees).astype(np.uint8)
 
 
 def _joined(alive: _Alive, new: _Alive) -> _Alive:

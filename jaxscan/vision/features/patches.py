@@ -21,7 +21,7 @@ _BENT, _NOISE_DN = 0.05, 2.0
 
 
 class Patches(NamedTuple):
-    """Pieces of images around features, float32."""
+    """Pieces of images around features."""
 
     level: np.ndarray
     """Grey levels less their mean [n, side, side]."""
@@ -90,7 +90,7 @@ def make_patches(image: Unrolled, x: np.ndarray) -> Patches:
     n, r = len(x), np.arange(-HALF, HALF + 1, dtype=np.float32)
     along, down = np.broadcast_to(r, gx.shape), np.broadcast_to(r[:, None], gx.shape)
     bent = [gx * along, gx * down, gy * along, gy * down]
-    columns = np.stack([gx, gy, level, np.ones_like(level), *bent], 1).reshape(n, 8, -1)
+    columns = np.stack([gx, gy, level, np.ones_like(level), *bent], 1).reshape(n, 8, (2 * HALF + 1) ** 2)
     weighted = columns * _window().ravel()
     normal = weighted @ columns.transpose(0, 2, 1)
     normal += 1e-6 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(8, dtype=np.float32)

@@ -20,6 +20,8 @@ _LEAST_SIDE = 32
 _REFINED_PX = 4
 _EDGE_PX, _ACROSS, _EDGE_SAMPLES = 4.0, 17, 24
 """Reach across an edge [px], and places across and along it at which the image is sampled."""
+_LARGEST_PX = 1400
+"""Side of the images in which dictionaries are looked for, at most."""
 _SURE = 2
 """Images in which a marker is seen before its dictionary is believed: many a texture looks like a marker once."""
 
@@ -34,7 +36,9 @@ def find_dictionary(images: Sequence[np.ndarray]) -> str | None:
     for image in images:
         if min(image.shape) < _LEAST_SIDE:
             continue
-        _, ids, _, families = _detector(USUAL).detectMarkersMultiDict(np.ascontiguousarray(image))
+        scale = min(1.0, _LARGEST_PX / max(image.shape))
+        shown = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else image
+        _, ids, _, families = _detector(USUAL).detectMarkersMultiDict(np.ascontiguousarray(shown))
         if ids is not None:
             seen.update({(USUAL[int(k)], int(i)) for k, i in zip(np.ravel(families), np.ravel(ids), strict=True)})
     sure = Counter(name for (name, _), count in seen.items() if count >= _SURE)

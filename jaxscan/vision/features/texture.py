@@ -16,6 +16,8 @@ _LEAST_NOISE = 0.4
 _FEWEST, _CELLS, _FEWEST_CELLS = 40, (4, 4), 5
 """Features of an image, and cells of a grid over it that have some, at least."""
 _LEAST_SIDE = 64
+_SEARCHED_PIXELS = 900_000
+"""Of an image in which features are looked for, at most."""
 
 
 class Corners(NamedTuple):
@@ -37,28 +39,38 @@ def image_noise(image: np.ndarray) -> float:
     return max(float(np.median(np.abs(laplacian))) / 0.6745 / 6.0, _LEAST_NOISE)
 
 
-def find_features(image: np.ndarray, free: np.ndarray, apart: int, most: int) -> Corners:
+def find_features(image: np.ndarray, sees: np.ndarray, taken: np.ndarray, apart: int, most: int) -> Corners:
     """The best features of an image that lie apart from one another.
+
+    A large image is reduced before: features are large too, and those that are not are many.
 
     Args:
         image: uint8 [rows, columns].
-        free: Where they may lie: uint8 [rows, columns], 0 where not.
+        sees: Where they may lie: uint8 [rows, columns], 0 where not.
+        taken: Whole places of others that they keep away from [n, 2], px.
         apart: Least distance [px].
         most: Number, at most.
     """
-    noise = image_noise(image)
+    factor = int(np.ceil(np.sqrt(image.size / _SEARCHED_PIXELS)))
+    rows, columns = image.shape[0] // factor, image.shape[1] // factor
+    cut = image[: rows * factor, : columns * factor]
+    small = cut if factor == 1 else np.asarray(cv2.resize(cut, (columns, rows), interpolation=cv2.INTER_AREA), np.uint8)
+    noise = image_noise(small)
     # cornerMinEigenVal divides the derivatives of a uint8 image by 255 * 4 * block; those of a ramp of one grey level
     # per pixel are 8 before that.
     unit = (255.0 * 4.0 * _BLOCK / 8.0) ** 2
     # The gradients' own noise is no texture.
-    weakest = cv2.cornerMinEigenVal(image, _BLOCK, ksize=3) * unit - 12 / 64 * (_BLOCK * noise) ** 2
-    side = 2 * apart + 1
-    peak = (weakest >= cv2.dilate(weakest, np.ones((side, side), np.uint8))) & (free > 0)
-    peak &= weakest > (noise / _LARGEST_SIGMA) ** 2
+    weakest = cv2.cornerMinEigenVal(small, _BLOCK, ksize=3) * unit - 12 / 64 * (_BLOCK * noise) ** 2
+    around = np.ones((2 * (apart // factor) + 1,) * 2, np.uint8)
+    near = np.zeros(small.shape, np.uint8)
+    near[np.minimum(taken[:, 1] // factor, rows - 1), np.minimum(taken[:, 0] // factor, columns - 1)] = 1
+    middle = factor // 2
+    peak = (weakest > (noise / _LARGEST_SIGMA) ** 2) & (weakest >= cv2.dilate(weakest, around))
+    peak &= (sees[middle::factor, middle::factor][:rows, :columns] > 0) & (cv2.dilate(near, around) == 0)
     v, u = np.nonzero(peak)
     best = np.argsort(-weakest[v, u], kind="stable")[:most]
-    x = np.stack([u[best], v[best]], -1)
-    return Corners(x, noise / np.sqrt(weakest[v[best], u[best]]))
+    x = np.stack([u[best], v[best]], -1) * factor + middle
+    return Corners(x, noise / np.sqrt(weakest[v[best], u[best]]) * factor)
 
 
 def enough_texture(images: Sequence[np.ndarray]) -> tuple[bool, str]:
@@ -88,6 +100,7 @@ def enough_texture(images: Sequence[np.ndarray]) -> tuple[bool, str]:
 def _count(image: np.ndarray) -> tuple[int, int]:
     """Features of one image, and cells of a grid that have some."""
     rows, columns = image.shape
-    found = find_features(image, np.full(image.shape, 255, np.uint8), max(4, min(image.shape) // 60), 2000)
+    everywhere, none = np.full(image.shape, 255, np.uint8), np.zeros((0, 2), int)
+    found = find_features(image, everywhere, none, max(4, min(image.shape) // 60), 2000)
     cell = found.x[:, 1] * _CELLS[1] // rows * _CELLS[0] + found.x[:, 0] * _CELLS[0] // columns
     return len(found.x), len(np.unique(cell))

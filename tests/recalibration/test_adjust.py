@@ -1,0 +1,89 @@
+"""The joint adjustment of a small known room: estimates and stated standard deviations against the truth."""
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import CalibrationError
+from jaxscan.recalibration import RecalibrationSettings, Start
+from jaxscan.recalibration.adjust import adjust, departure
+from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, truth_scanner
+
+
+SMALL = (60, 64)
+ONE = np.eye(4)[None]
+
+
+def trial(seed):
+    """Departures of the stored and of the adjusted scanner from the truth, with the adjustment."""
+    random = np.random.default_rng([seed, 7])
+    truth, room = truth_scanner(), exact_sweep(*SMALL)
+    prior = stored(truth, random)
+    noise = 0.1 * random.standard_normal(int((room[1].surface >= 0).sum()))
+    adjusted = adjust(prior, Start(prior, ONE), observe(prior, noise, sweep_truth=room))
+    return departure(truth, prior), departure(truth, adjusted.scanner), adjusted
+
+
+def test_a_poor_calibration_gets_better_by_as_much_as_it_says():
+    before, after, adjusted = trial(0)
+    sigma = np.sqrt(np.diag(adjusted.scanner.covariance))
+    names = adjusted.scanner.parameter_names()
+    assert adjusted.converged
+    assert adjusted.point_kept.mean() > 0.99
+    # Held by a variance of 0.
+    assert after[names.index("laser.red.b2")] == 0
+    gain = names.index("gain")
+    assert sigma[gain] < 0.1 * SIGMA[gain]
+    assert abs(after[gain]) < 4 * sigma[gain] < abs(before[gain])
+    free = sigma > 0
+    own = adjusted.scanner.covariance[np.ix_(free, free)]
+    # 21 numbers: beyond 46.8 once in a thousand.
+    assert after[free] @ np.linalg.solve(own, after[free]) < 46.8
+    assert 0.8 < adjusted.cost / adjusted.freedom < 1.2
+
+
+def test_outliers_do_not_pull():
+    random = np.random.default_rng(3)
+    truth, room = truth_scanner(), exact_sweep(*SMALL)
+    prior = stored(truth, random)
+    noise = 0.1 * random.standard_normal(int((room[1].surface >= 0).sum()))
+    wrong = random.random(len(noise)) < 0.05
+    noise[wrong] += random.uniform(3, 20, wrong.sum())
+    adjusted = adjust(prior, Start(prior, ONE), observe(prior, noise, sweep_truth=room))
+    assert not adjusted.point_kept[wrong].any()
+    assert adjusted.point_kept[~wrong].mean() > 0.99
+    free = np.diag(adjusted.scanner.covariance) > 0
+    after, own = departure(truth, adjusted.scanner)[free], adjusted.scanner.covariance[np.ix_(free, free)]
+    assert after @ np.linalg.solve(own, after) < 46.8
+
+
+def test_a_closed_gear_is_closed():
+    random = np.random.default_rng(4)
+    prior = stored(truth_scanner(), random)
+    noise = 0.1 * random.standard_normal(int((exact_sweep(*SMALL)[1].surface >= 0).sum()))
+    observations = observe(prior, noise, sweep_truth=exact_sweep(*SMALL))
+    adjusted = adjust(prior, Start(prior, ONE), observations, RecalibrationSettings(closed=True))
+    gain = adjusted.scanner.parameter_names().index("gain")
+    assert np.sqrt(adjusted.scanner.covariance[gain, gain]) < 5.1e-6
+    assert abs(abs(float(adjusted.scanner.turntable.gain)) - 1) < 2.5e-5
+
+
+def test_a_calibration_without_covariance_is_refused():
+    scanner = truth_scanner()
+    with pytest.raises(CalibrationError, match="has no covariance"):
+        adjust(scanner, Start(scanner, ONE), observe(scanner, 0.0, sweep_truth=exact_sweep(*SMALL)))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_stated_and_observed_errors_agree():
+    """60 trials, seeds 0 to 59; each with a calibration and noise of its own."""
+    sizes, chi2 = [], []
+    for seed in range(60):
+        _, after, adjusted = trial(seed)
+        covariance = adjusted.scanner.covariance
+        free = np.diag(covariance) > 0
+        sizes.append(after[free] / np.sqrt(np.diag(covariance)[free]))
+        chi2.append(after[free] @ np.linalg.solve(covariance[np.ix_(free, free)], after[free]))
+    assert 0.85 < np.sqrt(np.mean(np.square(sizes))) < 1.15
+    # The mean of 60 chi-squares of 21 has a standard deviation of 0.84.
+    assert 21 - 3 * 0.84 < np.mean(chi2) < 21 + 3 * 0.84
