@@ -85,7 +85,7 @@ def find_factor(sweep: SweepStripes, rig: Rig) -> float:
         return 1.0
     # Between coarse steps planes are proposed from fewer profiles with the journal's own angles than with smaller ones,
     # and any smaller factor would look better.
-    if np.median(np.abs(np.diff(rig.theta))) > SPAN / (2 * HALF):
+    if np.median(np.abs(np.diff(rig.theta))) > SPAN / 4:
         return 1.0
     own, best_score = _fitted(sweep, rig, 1.0)
     best = _ratio(own, rig)
@@ -125,8 +125,8 @@ def _fitted(sweep: SweepStripes, rig: Rig, factor: float) -> tuple[Rig, float]:
 
 def _propose(x: np.ndarray, place: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Planes through windows of some profiles, SPAN wide."""
-    starts = np.searchsorted(place, np.arange(len(angle) + 1)) if np.all(np.diff(place) >= 0) else None
-    assert starts is not None
+    # Points come profile by profile.
+    starts = np.searchsorted(place, np.arange(len(angle) + 1))
     step = np.median(np.abs(np.diff(angle))) if len(angle) > 1 else 0.0
     if step == 0 or step > SPAN / 2:
         return np.zeros((0, 3)), np.zeros(0)
