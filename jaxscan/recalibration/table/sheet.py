@@ -98,7 +98,7 @@ def parameter_spread(scanner: Scanner) -> Float[np.ndarray, " params"]:
 
 
 @functools.partial(jax.jit, static_argnums=5)
-def _points(scanner, step, centre, line, laser, axis):  # type: ignore[no-untyped-def]
+def _points(scanner, step, centre, line, laser, axis):
     moved = scanner.retract(step)
 
     def one(c: Array, row: Array, k: Array) -> tuple[Array, Array]:
