@@ -73,6 +73,27 @@ def test_a_calibration_without_covariance_is_refused():
         adjust(scanner, Start(scanner, ONE), observe(scanner, 0.0, sweep_truth=exact_sweep(*SMALL)))
 
 
+def test_one_angle_per_record_is_found():
+    """A table that wanders by 0.5 mrad: the correction of each record is found to about what it says."""
+    truth, room = truth_scanner(), exact_sweep(*SMALL)
+    random = np.random.default_rng(6)
+    wander = np.cumsum(2e-4 * random.standard_normal(SMALL[0]))
+    phi = room[0].angle
+    shapes = np.stack([np.ones_like(phi), phi, *(f(h * phi) for h in (1, 2) for f in (np.cos, np.sin))], 1)
+    # Gain, harmonics and station describe the rest.
+    wander = wander - shapes @ np.linalg.lstsq(shapes, wander, rcond=None)[0]
+    journal = (room[0]._replace(angle=phi - wander), room[1])
+    prior = stored(truth, random)
+    noise = 0.1 * random.standard_normal(int((room[1].surface >= 0).sum()))
+    observations = observe(prior, noise, sweep_truth=journal)
+    adjusted = adjust(prior, Start(prior, ONE), observations, RecalibrationSettings(angles="steps"))
+    error = adjusted.corrections[0] - wander
+    sigma = adjusted.correction_sigma[0]
+    assert np.std(error) < 0.6 * np.std(wander)
+    # 60 errors of which neighbours are correlated.
+    assert 0.6 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.5
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_stated_and_observed_errors_agree():

@@ -120,8 +120,8 @@ def test_derivatives_are_those_of_differences(everything):
             own.local * np.asarray(way.locals)[offset + local]
         ).sum(1)
         found = (np.asarray(ahead.value) - np.asarray(behind.value)) / 2e-4
-        # Two steps of Newton end at the predicted centre only from nearby.
-        near = np.abs(own.value) < (2.0 if name == "points" else np.inf)
+        # Two steps of Newton end at the predicted centre only from nearby, which points of a wall are not to a sphere.
+        near = (np.abs(own.value) < 2.0) & (local != 3) if name == "points" else np.full(len(local), True)
         assert near.sum() > 50
         # What is left of 2 px after two steps, over the 150 px of the stripe's parallax.
         np.testing.assert_allclose(found[near], expected[near], atol=1e-3 * np.abs(expected[near]).max())

@@ -26,6 +26,10 @@ from jaxscan.recalibration.adjust.room import Room, Unknowns, moved_scanner, mov
 from jaxscan.recalibration.adjust.rows import PointRows, Rows
 
 
+# Dense unknowns from which the time of an inverse counts.
+_MANY = 500
+
+
 class Solution(NamedTuple):
     """The end of a solve."""
 
@@ -124,8 +128,13 @@ def covariance_of(blocks: Blocks) -> Covariance:
     # Held unknowns and padding have no information; a 1 keeps the matrix regular.
     information = information + np.diag((np.diag(blocks.dense) == 0).astype(float))
     size = 1.0 / np.sqrt(np.diag(information))
-    scaled = np.linalg.inv(np.linalg.cholesky(information * np.outer(size, size))) * size[None, :]
-    return Covariance(information, scaled.T @ scaled, coupling, local)
+    scaled = information * np.outer(size, size)
+    if count > _MANY:
+        inverse = np.linalg.inv(scaled) * np.outer(size, size)
+        return Covariance(information, (inverse + inverse.T) / 2, coupling, local)
+    # As the product of a matrix and its transpose it is symmetric to the last digit, however weak a direction is.
+    half = np.linalg.inv(np.linalg.cholesky(scaled)) * size[None, :]
+    return Covariance(information, half.T @ half, coupling, local)
 
 
 def _compiled(function: Any) -> Any:

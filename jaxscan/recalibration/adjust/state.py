@@ -118,10 +118,17 @@ class State:
 
     @cached_property
     def _free(self) -> float:
-        """Dense unknowns that the data determine rather than the prior."""
-        count = len(self.y.scanner)
-        scanner = self.covariance.dense[:count, :count]
-        return float(np.sum(1.0 - np.clip(np.diag(scanner), 0.0, 1.0))) + len(self.y.stations)
+        """Dense unknowns that the data determine rather than the priors."""
+        count, others = len(self.y.scanner), len(self.y.stations)
+        variance = np.diag(self.covariance.dense)
+        free = float(np.sum(1.0 - np.clip(variance[:count], 0.0, 1.0))) + others
+        if len(self.y.angles):
+            room, rows = self.prepared.room, self.linearised.points.rows
+            square = (np.asarray(rows.angle) * np.asarray(room.point_weight)) ** 2
+            known = np.bincount(np.asarray(room.points.angle), square, len(self.y.angles))
+            own = variance[count + others : count + others + len(known)]
+            free += float(np.sum(np.minimum(own * known, 1.0)))
+        return free
 
     def redundancy(self) -> Float[np.ndarray, " points"]:
         """Share of each error that the fit leaves [1]; the same for all points of a surface."""
