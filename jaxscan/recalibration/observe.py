@@ -8,9 +8,10 @@ from jaxscan.errors import CalibrationError
 from jaxscan.recalibration.adjusted import Start
 from jaxscan.recalibration.given import Given, KnownSphere
 from jaxscan.recalibration.lengths import place_lengths
-from jaxscan.recalibration.observed import RoomObservations, SurfacePoints, Surfaces, SweepStripes
+from jaxscan.recalibration.observed import RoomObservations, SurfacePoints, Surfaces, SweepStripes, Tracks
 from jaxscan.recalibration.segment import Sphere, find_sphere, observe_surfaces
 from jaxscan.recalibration.settings import RecalibrationSettings
+from jaxscan.recalibration.tracks import place_tracks
 
 
 def observe_room(
@@ -36,10 +37,19 @@ def observe_room(
         angles=tuple(np.asarray(sweep.angle, np.float64) for sweep in sweeps),
         station=np.array([sweep.station for sweep in sweeps], np.int32),
         stripe_axis=sweeps[0].stripe_axis,
-        tracks=given.tracks,
+        tracks=_placed(given.tracks, sweeps, start),
         boards=given.boards,
     )
     return observed._replace(lengths=place_lengths(given.lengths, observed, start))
+
+
+def _placed(tracks: Tracks | None, sweeps: Sequence[SweepStripes], start: Start) -> Tracks | None:
+    """Tracks with their points in the room: they were observed before the stations and faults of angles were known."""
+    if tracks is None or not len(tracks.q):
+        return tracks
+    corrections = start.corrections or tuple(np.zeros(len(sweep.angle)) for sweep in sweeps)
+    turned = [s._replace(angle=s.angle + c) for s, c in zip(sweeps, corrections, strict=True)]
+    return place_tracks(tracks, turned, start.scanner, start.stations)
 
 
 def _found(
