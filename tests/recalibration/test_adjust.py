@@ -84,8 +84,8 @@ def test_one_angle_per_record_is_found():
     wander = wander - shapes @ np.linalg.lstsq(shapes, wander, rcond=None)[0]
     journal = (room[0]._replace(angle=phi - wander), room[1])
     prior = stored(truth, random)
-    noise = 0.1 * random.standard_normal(int((room[1].surface >= 0).sum()))
-    observations = observe(prior, noise, sweep_truth=journal)
+    noise = 0.03 * random.standard_normal(int((room[1].surface >= 0).sum()))
+    observations = observe(prior, noise, 0.03, journal)
     adjusted = adjust(prior, Start(prior, ONE), observations, RecalibrationSettings(angles="steps"))
     error = adjusted.corrections[0] - wander
     sigma = adjusted.correction_sigma[0]

@@ -8,9 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jaxscan.geometry import Array
-from jaxscan.recalibration.adjust.residuals import Residuals, twice
 from jaxscan.recalibration.adjust.room import ANGLE_SCALE, Room, Sight, Unknowns
-from jaxscan.recalibration.adjust.rows import Rows, length_values
+from jaxscan.recalibration.adjust.rows import Residuals, Rows, length_values, twice
 
 
 class Blocks(NamedTuple):

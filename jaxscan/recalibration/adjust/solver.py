@@ -21,9 +21,8 @@ from jaxscan.recalibration.adjust.blocks import (
     whitened,
     zero_blocks,
 )
-from jaxscan.recalibration.adjust.residuals import observe, residuals, twice
 from jaxscan.recalibration.adjust.room import Room, Unknowns, moved_scanner, moved_stations
-from jaxscan.recalibration.adjust.rows import PointRows, Rows
+from jaxscan.recalibration.adjust.rows import PointRows, Rows, observe, residuals, twice
 
 
 # Dense unknowns from which the time of an inverse counts.
