@@ -29,12 +29,12 @@ def assert_pure(taken: Taken, points: SurfacePoints, surfaces: Surfaces) -> None
         assert count.max() >= 0.995 * count.sum(), count
 
 
-@pytest.mark.parametrize("radius", [1.0, 5.0, 15.0])
+@pytest.mark.parametrize("radius", [1.0, 5.0])
 @pytest.mark.parametrize("known", [True, False])
 def test_a_curved_wall_is_no_plane(radius, known):
     stored, true = (rig(), rig()) if known else poor(5)
-    # A part of the wall x = -2 bulges outwards: 1.4 m, or all of it where it is hardly curved.
-    half = 0.7 if radius < 10 else 2.4
+    # 1.4 m of the wall x = -2 bulge outwards.
+    half = 0.7
     depth = radius - np.sqrt(radius**2 - half**2)
     bulge = Cylinder((-2.0 - depth + radius, 0.0), radius, ((X, -9.0, -2.0),))
     flat = [Face(X, -2.0, ((Y, half, 9.0),)), Face(X, -2.0, ((Y, -9.0, -half),))]

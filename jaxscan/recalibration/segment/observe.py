@@ -52,9 +52,9 @@ def observe_surfaces(
                 one = piece(number, sweep.station, cells, region, placed.pose)
                 of_sweep.append((one, (bend, place)))
         others = [one for one, _ in of_sweep]
-        for one, bend in of_sweep:
+        for one, shifts in of_sweep:
             pieces.append(one)
-            found.append(candidates(one, others, bend, placed, scanner))
+            found.append(candidates(one, others, shifts, placed, scanner))
     if not pieces:
         names = ", ".join(sweep.name for sweep in sweeps)
         raise CalibrationError(no_plane(names))

@@ -125,7 +125,7 @@ def _fitted(sweep: SweepStripes, rig: Rig, factor: float) -> tuple[Rig, float]:
 
 def _propose(x: np.ndarray, place: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Planes through windows of some profiles, SPAN wide."""
-    # Points come profile by profile.
+    # Points are in the order of their profiles.
     starts = np.searchsorted(place, np.arange(len(angle) + 1))
     step = np.median(np.abs(np.diff(angle))) if len(angle) > 1 else 0.0
     if step == 0 or step > SPAN / 2:
