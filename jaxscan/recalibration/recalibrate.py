@@ -85,7 +85,9 @@ def recalibrate(
     done()
     loose = judge.loose(scanner)
     start = Start(loose, stations, job.corrections)
-    rough = adjust(loose, start._replace(scanner=scanner), observe_room(sweeps, start, given, settings), settings)
+    # Only the scanner of this solve is used: one angle per step would cost much and change it little.
+    model = replace(settings, angles="model")
+    rough = adjust(loose, start._replace(scanner=scanner), observe_room(sweeps, start, given, settings), model)
     done()
     start = Start(rough.scanner, rough.stations, job.corrections)
     observed = observe_room(sweeps, start, given, settings)

@@ -44,18 +44,19 @@ def learn_noise(
 
     Source: Förstner's estimate of variance components.
     """
-    shapes = np.stack([given_px**2, 1.0 / reach**2], 1)
+    shapes = given_px**2, 1.0 / reach**2
     parts = np.array([1.0, (FIRST_WALL_M if wall_m is None else wall_m) ** 2])
     low = np.array([_LEAST**2, 0.0 if wall_m is None else wall_m**2])
     high = np.array([_MOST**2, np.inf if wall_m is None else wall_m**2])
     for _ in range(_ROUNDS):
-        weight = 1.0 / np.maximum(shapes @ parts, 1e-12)
+        weight = 1.0 / np.maximum(shapes[0] * parts[0] + shapes[1] * parts[1], 1e-12)
         # One after the other, each within its limits: both stay variances.
         before = parts.copy()
         for index in (0, 1):
-            mine, rest = shapes[:, index] * weight, shapes[:, 1 - index] * parts[1 - index]
-            size = float(mine @ mine)
-            wanted = float(mine @ ((square - rest) * weight)) / size if size > 0 else parts[index]
+            mine, rest = shapes[index] * weight, shapes[1 - index] * parts[1 - index]
+            # Not by BLAS, whose threads wait for each other longer than the sum takes.
+            size = float(np.sum(mine * mine))
+            wanted = float(np.sum(mine * (square - rest) * weight)) / size if size > 0 else parts[index]
             parts[index] = np.clip(wanted, low[index], high[index])
         if np.allclose(parts, before, rtol=1e-4, atol=1e-14):
             break

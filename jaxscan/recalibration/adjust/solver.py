@@ -136,14 +136,15 @@ def covariance_of(blocks: Blocks) -> Covariance:
     return Covariance(information, half.T @ half, coupling, local)
 
 
-def _compiled(function: Any) -> Any:
-    # Compiled once and run some ten times: what compiles twice as fast and runs equally fast is better.
+def compiled(function: Any) -> Any:
+    """The function for arrays of one size, as those are compiled that run some ten times."""
+    # What compiles twice as fast and runs equally fast is better.
     options: Any = {"compiler_options": {"xla_cpu_use_fusion_emitters": False}}
     return eqx.filter_jit(function, **options)
 
 
-solve: Callable[..., Solution] = _compiled(_solve)
-linearise: Callable[[Room, Unknowns], Linearised] = _compiled(_linearise)
+solve: Callable[..., Solution] = compiled(_solve)
+linearise: Callable[[Room, Unknowns], Linearised] = compiled(_linearise)
 
 
 def step_of(room: Room, blocks: Blocks, covariance: Covariance) -> Unknowns:

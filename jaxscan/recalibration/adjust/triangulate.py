@@ -2,7 +2,6 @@
 
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Array, Scanner
 from jaxscan.recalibration.adjust.rows import room_point
+from jaxscan.recalibration.adjust.solver import compiled
 
 
 _BLOCK = 16_384
@@ -77,12 +77,12 @@ def _in_blocks(function, scanner: Scanner, arrays: tuple[np.ndarray, ...]) -> li
     return [np.concatenate(leaves) for leaves in zip(*parts, strict=True)]
 
 
-@eqx.filter_jit
+@compiled
 def _points(scanner: Scanner, q: Array, laser: Array, phi: Array, station: Array) -> tuple[Array, Array]:
     return jax.vmap(partial(room_point, scanner))(station, q, laser, phi)
 
 
-@eqx.filter_jit
+@compiled
 def _gradients(scanner: Scanner, q: Array, laser: Array, phi: Array, station: Array) -> tuple[Array, Array, Array]:
     zero = jnp.zeros(len(scanner.parameter_names()), q.dtype)
 

@@ -31,12 +31,10 @@ _BELIEVED = 1.5
 
 
 class Wall(NamedTuple):
-    """The kept points of one surface, and how its patches move them; leads with the points or the patches."""
+    """The kept points of one surface, and sums over its patches; leads with the points or the patches."""
 
     surface: int
     member: Int[np.ndarray, " points"]
-    moves: Float[np.ndarray, "points patches"]
-    """Whitened residual of each point by the height of each patch [1 / m]."""
     size: Int[np.ndarray, " patches"]
     """Number of its size."""
     dense: Float[np.ndarray, "patches dense"]
@@ -61,40 +59,63 @@ def _wall(room: Room, at: Linearised, of: tuple[int, np.ndarray, float]) -> Wall
     surface, index, grown = of
     weight = np.asarray(room.point_weight)[index]
     rows = at.points.rows
+    # Whitened residual of each point by the height of its patches [1 / m].
     by_height = weight / _some(np.asarray(at.points.reach)[index])
     place = np.asarray(at.points.place)[index]
-    parts, sizes = [], []
-    for number, size in enumerate(_SIZES * grown):
-        cell = np.floor((place - place.min(0)) / size).astype(np.int64)
-        _, patch = np.unique(cell, axis=0, return_inverse=True)
-        own = np.zeros((len(index), int(patch.max()) + 1))
-        own[np.arange(len(index)), patch.ravel()] = by_height
-        parts.append(own)
-        sizes.append(np.full(own.shape[1], number))
-    moves = np.concatenate(parts, axis=1)
+    patches, sizes = _patches(place, grown)
+    count = len(sizes)
+
+    def sums(values: np.ndarray) -> np.ndarray:
+        """Sums of numbers of points over every patch; a point lies on one patch of each size."""
+        return sum((np.bincount(patch, values, count) for patch in patches), np.zeros(count))
+
     scanner, stations, angles = room.counts
     begin = scanner + stations
     # Ends of known lengths have dense unknowns of their own, which no patch reaches: see `form_blocks`.
-    dense = np.zeros((moves.shape[1], begin + angles + 6 * len(room.lengths.metres)))
-    weighted = moves * weight[:, None]
-    dense[:, :scanner] = weighted.T @ rows.scanner[index]
+    dense = np.zeros((count, begin + angles + 6 * len(room.lengths.metres)))
+    weighted = by_height * weight
+    columns_of = lambda values: np.stack([sums(column) for column in values.T], axis=1)
+    dense[:, :scanner] = columns_of(weighted[:, None] * rows.scanner[index])
     station = np.asarray(room.points.station)[index]
     for number in range(1, len(room.stations)):
-        mine = station == number
         columns = slice(scanner + 6 * (number - 1), scanner + 6 * number)
-        dense[:, columns] = weighted[mine].T @ rows.station[index[mine]]
+        dense[:, columns] = columns_of((weighted * (station == number))[:, None] * rows.station[index])
     if angles:
-        own = weighted * rows.angle[index, None]
-        summed = np.zeros((angles, moves.shape[1]))
-        np.add.at(summed, np.asarray(room.points.angle)[index], own)
-        dense[:, begin : begin + angles] = summed.T
-    local = weighted.T @ rows.local[index]
+        dense[:, begin : begin + angles] = _by_both(
+            patches, [np.asarray(room.points.angle)[index]], weighted * rows.angle[index], (count, angles)
+        )
+    local = columns_of(weighted[:, None] * rows.local[index])
     ends = np.flatnonzero(np.asarray(room.lengths.ends).ravel() == surface)
     if len(ends):
         first = begin + angles + 3 * ends[0]
         dense[:, first : first + 3], local = local, np.zeros_like(local)
-    residual = moves.T @ (weight * rows.value[index])
-    return Wall(surface, index, moves, np.concatenate(sizes), dense, local, moves.T @ moves, residual)
+    residual = sums(weighted * rows.value[index])
+    gram = _by_both(patches, patches, by_height**2, (count, count))
+    return Wall(surface, index, sizes, dense, local, gram, residual)
+
+
+def _patches(
+    place: Float[np.ndarray, "points 2"], grown: float
+) -> tuple[list[Int[np.ndarray, " points"]], Int[np.ndarray, " patches"]]:
+    """The patch of every point, for each size, numbered through; and the number of the size of every patch."""
+    patches, sizes = [], np.zeros(0, int)
+    for number, size in enumerate(_SIZES * grown):
+        cell = np.floor((place - place.min(0)) / size).astype(np.int64)
+        names, patch = np.unique(cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1], return_inverse=True)
+        patches.append(patch.ravel() + len(sizes))
+        sizes = np.append(sizes, np.full(len(names), number))
+    return patches, sizes
+
+
+def _by_both(
+    first: list[np.ndarray], second: list[np.ndarray], values: Float[np.ndarray, " points"], shape: tuple[int, int]
+) -> Float[np.ndarray, "first second"]:
+    """Sums of numbers of points by two numberings of the points."""
+    total = np.zeros(shape[0] * shape[1])
+    for one in first:
+        for other in second:
+            total += np.bincount(one.astype(np.int64) * shape[1] + other, values, len(total))
+    return total.reshape(shape)
 
 
 def learn_heights(walls: list[Wall], covariance: Covariance) -> Float[np.ndarray, " sizes"]:
