@@ -17,7 +17,7 @@ from jaxscan.recalibration.judge.gain import scales_of
 from jaxscan.recalibration.judge.scale import scale_slopes
 
 from .linear_room import adjusted_of, linear_room, with_held
-from .small_room import observe, stored, truth_scanner
+from .small_room import observe, stored, truth_scanner, with_covariance
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +131,7 @@ def test_without_overlap_only_the_sigma_of_the_gap_is_told(room):
 
 
 def refused(room, *, drifted=False, held_out=None, gained=True, **changes):
-    adjusted = adjusted_of(room.scanner, room.observations, **changes)
+    adjusted = adjusted_of(changes.pop("scanner", room.scanner), room.observations, **changes)
     both = compare(room.prior, room.posterior() if gained else 0.99 * room.prior)
     drift = Drift(30.0, 10, 1e-4 if drifted else 0.5, drifted)
     return refuse_result(adjusted, both, drift, held_out, RecalibrationSettings())
@@ -149,6 +149,8 @@ def test_refusals_say_why(room):
     )
     assert "known 1.01 times as well" in refused(room, gained=False)
     assert refused(room, gained=False, drifted=True) == ""
+    lost = with_covariance(room.scanner, 1e4 * room.prior)
+    assert "drifted" in refused(room, drifted=True, scanner=lost) and refused(room, scanner=lost) == ""
     error = np.zeros(len(room.observations.points.q))
     error[room.observations.points.surface == 2] = 0.02
     said = refused(room, cost=9.0 * len(error), point_error=error)
