@@ -34,11 +34,10 @@ def test_the_factor_is_that_of_the_variance_of_their_sum():
 
 
 def test_no_pair_reaches_over_two_walls_or_sweeps():
-    random = np.random.default_rng(1)
-    error = errors(random, 0.7)
+    error = errors(np.random.default_rng(1), 0.7)
     grid = grid_of()
     apart = grid.copy()
     apart[:, 1] = grid[:, 2] % 4
     # Neighbours of one wall are four profiles apart now, where nothing is shared.
-    assert shared_by_profiles(error, grid) > 1.8 and shared_by_profiles(error, apart) == 1.0
+    assert shared_by_profiles(error, grid) > 1.5 and shared_by_profiles(error, apart) == 1.0
     assert shared_by_profiles(np.zeros(0), np.zeros((0, 4), int)) == 1.0
