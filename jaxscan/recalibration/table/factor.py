@@ -85,7 +85,7 @@ def find_factor(sweep: SweepStripes, rig: Rig) -> float:
         return 1.0
     # Between coarse steps planes are proposed from fewer profiles with the journal's own angles than with smaller ones,
     # and any smaller factor would look better.
-    if np.median(np.abs(np.diff(rig.theta))) > SPAN / (2 * HALF):
+    if np.median(np.abs(np.diff(rig.theta))) > SPAN / 4:
         return 1.0
     own, best_score = _fitted(sweep, rig, 1.0)
     best = _ratio(own, rig)
