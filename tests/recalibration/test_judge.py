@@ -17,7 +17,7 @@ from jaxscan.recalibration.judge.gain import scales_of
 from jaxscan.recalibration.judge.scale import scale_slopes
 
 from .linear_room import adjusted_of, linear_room, with_held
-from .small_room import observe, stored, truth_scanner
+from .small_room import observe, stored, truth_scanner, with_covariance
 
 
 @pytest.fixture(scope="module")
@@ -119,18 +119,19 @@ def test_the_gap_of_an_overlap_is_measured():
     assert found.after_mm < 1e-3 < found.sigma_mm
 
 
-def test_without_overlap_the_model_tells_the_gap(room):
+def test_without_overlap_only_the_sigma_of_the_gap_is_told(room):
+    """A table whose gain is 1.0001 is no table that leaves a gap: nothing shows one."""
     names = room.names
     step = room.moved(gain=-1e-4)
     adjusted = adjusted_of(room.scanner, room.observations)
     found = closure_of(adjusted, with_held(room.scanner, step))
     assert found is not None and found.source == "model"
-    assert found.before_mm == pytest.approx(1e-4 * 2e3 * np.pi * 2.5, rel=1e-6)
+    assert found.before_mm is None and found.after_mm is None
     assert found.sigma_mm == pytest.approx(np.sqrt(room.prior[names.index("gain"), names.index("gain")]) * 5e3 * np.pi)
 
 
 def refused(room, *, drifted=False, held_out=None, gained=True, **changes):
-    adjusted = adjusted_of(room.scanner, room.observations, **changes)
+    adjusted = adjusted_of(changes.pop("scanner", room.scanner), room.observations, **changes)
     both = compare(room.prior, room.posterior() if gained else 0.99 * room.prior)
     drift = Drift(30.0, 10, 1e-4 if drifted else 0.5, drifted)
     return refuse_result(adjusted, both, drift, held_out, RecalibrationSettings())
@@ -148,6 +149,8 @@ def test_refusals_say_why(room):
     )
     assert "known 1.01 times as well" in refused(room, gained=False)
     assert refused(room, gained=False, drifted=True) == ""
+    lost = with_covariance(room.scanner, 1e4 * room.prior)
+    assert "drifted" in refused(room, drifted=True, scanner=lost) and refused(room, scanner=lost) == ""
     error = np.zeros(len(room.observations.points.q))
     error[room.observations.points.surface == 2] = 0.02
     said = refused(room, cost=9.0 * len(error), point_error=error)
@@ -169,3 +172,16 @@ def test_surfaces_are_told_by_where_they_are(room):
         "an inclined plane at 2.00 m",
         "the sphere of 145 mm",
     ]
+
+
+def test_a_scale_that_became_better_known_is_not_told_as_unchanged(room):
+    """Sentences agree with the gains: of a scale that hung on a parameter that walls see, only the rest is stored."""
+    both = compare(room.prior, room.posterior())
+    slope = scale_slopes(room.scanner, room.observations)
+    scales = scales_of(both, slope)
+    told = unobserved(both, scales._replace(before=6.0 * scales.after, factor=np.ones(2)), room.names)
+    assert told[0].endswith(
+        f"the {1e6 * scales.after[0]:.0f} ppm that are left of its sigma are the stored calibration's"
+    )
+    told = unobserved(both, scales._replace(before=1.2 * scales.after, factor=np.ones(2)), room.names)
+    assert told[0].endswith(f"the stored calibration alone holds it, to {1e6 * scales.after[0]:.0f} ppm")

@@ -4,6 +4,7 @@ import numpy as np
 
 from jaxscan.recalibration.adjusted import Adjusted
 from jaxscan.recalibration.judge.compared import Compared
+from jaxscan.recalibration.judge.scale import scale_slopes
 from jaxscan.recalibration.observed import Surfaces
 from jaxscan.recalibration.result import Drift, HoldOut
 from jaxscan.recalibration.settings import RecalibrationSettings
@@ -16,6 +17,8 @@ _ROUGHEST_M = 5e-3
 # Planes whose normals are nearer than this have one direction.
 _SAME_DIRECTION = np.cos(np.radians(15.0))
 _LEAST_DIRECTIONS = 2
+# A scanner that knows a room's scale less well measures nothing [1].
+_LEAST_SCALE = 0.01
 
 
 def refuse_result(
@@ -51,12 +54,24 @@ def refuse_result(
             f"planes that were not used became less flat ({before:.2f} mm before, {after:.2f} mm after), expected "
             "flatter ones: the walls are not flat enough, or something moved; sweep another room"
         )
+    if drift.drifted and adjusted_scale(adjusted) > _LEAST_SCALE:
+        return (
+            f"the rig has drifted (p = {drift.p:.1g}; {drift.part}), and these sweeps alone would know the scale of "
+            f"the room to {100 * adjusted_scale(adjusted):.1f} % only, expected {100 * _LEAST_SCALE:g} %: give a known "
+            "length or a capture of a board, or calibrate again"
+        )
     if best < settings.least_gain and not drift.drifted:
         return (
             f"nothing was gained: the best direction is known {best:.2f} times as well as before, expected at least "
             f"{settings.least_gain:g} times; the stored calibration is as good as these sweeps"
         )
     return ""
+
+
+def adjusted_scale(adjusted: Adjusted) -> float:
+    """Standard deviation of the radial scale [1]."""
+    slope = scale_slopes(adjusted.scanner, adjusted.observations)[0]
+    return float(np.sqrt(slope @ np.asarray(adjusted.scanner.covariance) @ slope))
 
 
 def count_directions(surfaces: Surfaces) -> int:
