@@ -11,7 +11,7 @@ from jaxscan.recalibration.settings import RecalibrationSettings
 
 # Residuals this much larger than stated, in variance, are of something that is not in the model.
 _BELIEVABLE = 3.0
-# No wall that anybody calls flat is rougher [m].
+# No wall that anybody calls flat is rougher and more uneven [m].
 _ROUGHEST_M = 5e-3
 # Planes whose normals are nearer than this have one direction.
 _SAME_DIRECTION = np.cos(np.radians(15.0))
