@@ -96,11 +96,12 @@ class TableFindings:
 class Closure:
     """What is left open after a full turn."""
 
-    before_mm: float
-    """At 2.5 m, with the stored calibration."""
-    after_mm: float
+    before_mm: float | None
+    """At 2.5 m, with the stored calibration; None where nothing is seen twice."""
+    after_mm: float | None
+    """None where no overlap shows it."""
     sigma_mm: float
-    """Standard deviation of `after_mm`."""
+    """Standard deviation of the gap with the new calibration."""
     source: str
     """ "overlap", "features" or "model"."""
 

@@ -169,3 +169,16 @@ def test_surfaces_are_told_by_where_they_are(room):
         "an inclined plane at 2.00 m",
         "the sphere of 145 mm",
     ]
+
+
+def test_a_scale_that_became_better_known_is_not_told_as_unchanged(room):
+    """Sentences agree with the gains: of a scale that hung on a parameter that walls see, only the rest is stored."""
+    both = compare(room.prior, room.posterior())
+    slope = scale_slopes(room.scanner, room.observations)
+    scales = scales_of(both, slope)
+    told = unobserved(both, scales._replace(before=6.0 * scales.after, factor=np.ones(2)), room.names)
+    assert told[0].endswith(
+        f"the {1e6 * scales.after[0]:.0f} ppm that are left of its sigma are the stored calibration's"
+    )
+    told = unobserved(both, scales._replace(before=1.2 * scales.after, factor=np.ones(2)), room.names)
+    assert told[0].endswith(f"the stored calibration alone holds it, to {1e6 * scales.after[0]:.0f} ppm")

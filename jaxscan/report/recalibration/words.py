@@ -105,10 +105,14 @@ def closure_lines(result: Recalibration) -> list[str]:
     closure = result.closure
     if closure is None:
         return []
-    source = {"overlap": "by the overlap", "features": "by features", "model": "by the table's model"}[closure.source]
+    name, sigma = "closure after a full turn, at 2.5 m", millimetres(closure.sigma_mm)
+    if closure.before_mm is None:
+        return [f"{name}: no overlap and no feature shows it; it is known to {sigma} by the table's model (one sigma)"]
+    if closure.after_mm is None:
+        return [f"{name}, by features: {millimetres(closure.before_mm)} before; it is known to {sigma} now (one sigma)"]
     return [
-        f"closure after a full turn, at 2.5 m, {source}: {millimetres(closure.before_mm)} before, "
-        f"{millimetres(closure.after_mm)} now (sigma {millimetres(closure.sigma_mm)})"
+        f"{name}, by the overlap: {millimetres(closure.before_mm)} before, "
+        f"{millimetres(closure.after_mm)} now (sigma {sigma})"
     ]
 
 
