@@ -51,10 +51,6 @@ class Adjusted:
     track_kept: Bool[np.ndarray, " sightings"]
     wall_m: float
     """Roughness of the walls, given or learned [m]."""
-    uneven_m: float
-    """Standard deviation of the walls' shape, which neighbouring points share [m]."""
-    misfit: float
-    """Mean square of the kept points' errors over the variances that were stated before any was learned [1]."""
     inflation: float
     """Mean factor of the variances of scanner and stations because points of a wall share errors [1]."""
     observations: RoomObservations
@@ -67,3 +63,7 @@ class Adjusted:
     steps: int
     boards: Fit | None = None
     """Residuals on the boards, where there were any."""
+    uneven_m: float = 0.0
+    """Standard deviation of the walls' shape, which neighbouring points share [m]."""
+    misfit: float = 1.0
+    """Mean square of the kept points' errors over the variances that were stated before any was learned [1]."""

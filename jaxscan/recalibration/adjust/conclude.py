@@ -45,14 +45,14 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
         track_error=state.sighting_error(),
         track_kept=state.sighting_kept,
         wall_m=state.noise.wall_m,
-        uneven_m=float(np.sqrt(np.sum(state.heights**2))),
-        misfit=state.misfit,
         inflation=state.inflation,
         observations=observations,
         cost=state.cost,
         freedom=rows - 3 * places - stations,
         converged=state.converged,
         steps=state.steps,
+        uneven_m=float(np.sqrt(np.sum(state.heights**2))),
+        misfit=state.misfit,
     )
 
 

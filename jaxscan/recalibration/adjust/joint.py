@@ -84,7 +84,8 @@ def _begin(
     wall = FIRST_WALL_M if settings.wall_m is None else settings.wall_m
     linearised = on_host(linearise(prepared.room, prepared.y))
     data = None if observations.boards is None else prepare_boards(observations.boards, prior)
-    return State(prepared, observations, prepared.y, linearised, prepared.usable, prepared.seen, Noise(1.0, wall), data, stated_wall_m=wall)
+    seen = prepared.usable, prepared.seen
+    return State(prepared, observations, prepared.y, linearised, *seen, Noise(1.0, wall), data, stated_wall_m=wall)
 
 
 def _robust(state: State, settings: RecalibrationSettings) -> State:
