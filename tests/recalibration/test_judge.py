@@ -18,7 +18,7 @@ from jaxscan.recalibration.judge.scale import scale_slopes
 from jaxscan.recalibration.result import LengthGain
 
 from .linear_room import adjusted_of, linear_room, with_held
-from .small_room import observe, stored, truth_scanner
+from .small_room import observe, stored, truth_scanner, with_covariance
 
 
 @pytest.fixture(scope="module")
@@ -120,13 +120,14 @@ def test_the_gap_of_an_overlap_is_measured():
     assert found.after_mm < 1e-3 < found.sigma_mm
 
 
-def test_without_overlap_the_model_tells_the_gap(room):
+def test_without_overlap_only_the_sigma_of_the_gap_is_told(room):
+    """A table whose gain is 1.0001 is no table that leaves a gap: nothing shows one."""
     names = room.names
     step = room.moved(gain=-1e-4)
     adjusted = adjusted_of(room.scanner, room.observations)
     found = closure_of(adjusted, with_held(room.scanner, step))
     assert found is not None and found.source == "model"
-    assert found.before_mm == pytest.approx(1e-4 * 2e3 * np.pi * 2.5, rel=1e-6)
+    assert found.before_mm is None and found.after_mm is None
     assert found.sigma_mm == pytest.approx(np.sqrt(room.prior[names.index("gain"), names.index("gain")]) * 5e3 * np.pi)
 
 
@@ -138,7 +139,7 @@ GAINED = (length(1.0, 0.5), length(1.0, 1.0))
 
 
 def refused(room, *, drifted=False, held_out=None, gained=True, lengths=GAINED, **changes):
-    adjusted = adjusted_of(room.scanner, room.observations, **changes)
+    adjusted = adjusted_of(changes.pop("scanner", room.scanner), room.observations, **changes)
     both = compare(room.prior, room.posterior() if gained else 0.99 * room.prior)
     drift = Drift(30.0, 10, 1e-4 if drifted else 0.5, drifted)
     return refuse_result(adjusted, both, drift, held_out, lengths, RecalibrationSettings())
@@ -156,6 +157,8 @@ def test_refusals_say_why(room):
     )
     assert "known 1.01 times as well" in refused(room, gained=False)
     assert refused(room, gained=False, drifted=True) == ""
+    lost = with_covariance(room.scanner, 1e4 * room.prior)
+    assert "drifted" in refused(room, drifted=True, scanner=lost) and refused(room, scanner=lost) == ""
     error = np.zeros(len(room.observations.points.q))
     error[room.observations.points.surface == 2] = 0.02
     said = refused(room, cost=9.0 * len(error), point_error=error)

@@ -11,12 +11,12 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjust.boards import board_equations, prepare_boards, with_boards
 from jaxscan.recalibration.adjust.conclude import conclude
-from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise
+from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise, shared_by_profiles
 from jaxscan.recalibration.adjust.prepare import Prepared, prepare
 from jaxscan.recalibration.adjust.room import Unknowns
 from jaxscan.recalibration.adjust.solver import linearise, on_host, solve, step_of
 from jaxscan.recalibration.adjust.state import State
-from jaxscan.recalibration.adjust.wall_shape import learn_heights
+from jaxscan.recalibration.adjust.wall_shape import beside_shape, learn_heights
 from jaxscan.recalibration.adjusted import Adjusted, Start
 from jaxscan.recalibration.observed import RoomObservations
 from jaxscan.recalibration.settings import RecalibrationSettings
@@ -134,7 +134,12 @@ def _shaped(state: State, settings: RecalibrationSettings) -> State:
     if settings.wall_m is None:
         # Roughness was learned with the shape in it.
         wall = float(np.sqrt(max(wall**2 - np.sum(heights**2), 0.0)))
-    state = _with_boards(replace(state, noise=Noise(state.noise.stripe, wall), heights=heights))
+    # Beside the shape neighbouring profiles say some of it twice.
+    points, kept = state.observations.points, state.kept
+    grid = np.stack([points.sweep, points.surface, points.record, points.line], 1)[kept]
+    shared = np.sqrt(shared_by_profiles(beside_shape(state.whitened(), state.walls, heights)[kept], grid))
+    noise = Noise(float(shared * state.noise.stripe), float(shared * wall))
+    state = _with_boards(replace(state, noise=noise, heights=heights))
     room = state.weighted(1.0, 1.0)
     state = _moved(state, state.prepared._replace(room=room), state.y)
     for _ in range(_SHAPE_STEPS):

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxscan.recalibration.adjusted import Adjusted
 from jaxscan.recalibration.judge.compared import Compared
+from jaxscan.recalibration.judge.scale import scale_slopes
 from jaxscan.recalibration.observed import Surfaces
 from jaxscan.recalibration.result import Drift, HoldOut, LengthGain
 from jaxscan.recalibration.settings import RecalibrationSettings
@@ -23,6 +24,8 @@ _LEAST_DIRECTIONS = 2
 _LEAST_TRACKS, _LEAST_TURN = 20, np.radians(90.0)
 # No length may be known worse than before by more than rounding and first order make of it [1].
 _WORSE = 1.02
+# A scanner that knows a room's scale less well measures nothing [1].
+_LEAST_SCALE = 0.01
 
 
 def refuse_result(
@@ -59,6 +62,12 @@ def refuse_result(
         return (
             f"planes that were not used became less flat ({before:.2f} mm before, {after:.2f} mm after), expected "
             "flatter ones: the walls are not flat enough, or something moved; sweep another room"
+        )
+    if drift.drifted and adjusted_scale(adjusted) > _LEAST_SCALE:
+        return (
+            f"the rig has drifted (p = {drift.p:.1g}; {drift.part}), and these sweeps alone would know the scale of the "
+            f"room to {100 * adjusted_scale(adjusted):.1f} % only, expected {100 * _LEAST_SCALE:g} %: give a known "
+            "length or a capture of a board, or calibrate again"
         )
     return "" if drift.drifted else _nothing_gained(best, lengths, settings.least_gain)
 
@@ -103,6 +112,12 @@ def _lit_boards(adjusted: Adjusted) -> bool:
     """Whether boards were captured with the stripe on them."""
     boards = adjusted.observations.boards
     return boards is not None and len(boards.stripes.q) > 0
+
+
+def adjusted_scale(adjusted: Adjusted) -> float:
+    """Standard deviation of the radial scale [1]."""
+    slope = scale_slopes(adjusted.scanner, adjusted.observations, adjusted.corrections)[0]
+    return float(np.sqrt(slope @ np.asarray(adjusted.scanner.covariance) @ slope))
 
 
 def count_directions(surfaces: Surfaces) -> int:
