@@ -141,7 +141,7 @@ class Recalibration:
     panoramas: tuple[PanoramaOfWalls, ...]
     notes: tuple[str, ...] = ()
     lengths: tuple[LengthGain, ...] = ()
-    """Typical lengths, as `renew_calibration` predicts them."""
+    """Typical lengths; those of the adjusted scanner also where the update is refused."""
     calibration: Calibration | None = None
     """The new calibration, to be saved; None where nothing was updated."""
     settings: RecalibrationSettings = field(default_factory=RecalibrationSettings)
