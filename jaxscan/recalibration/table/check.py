@@ -20,7 +20,7 @@ LEAST_FACTOR = 0.02
 
 
 COARSEST = np.deg2rad(1.75)
-"""Distance of records up to which faults are looked for [rad]: between farther ones furniture looks like a lost step."""
+"""Distance of records up to which faults are sought [rad]: between farther ones furniture looks like a lost step."""
 ALIKE, FEW_STEPS, AS_GOOD = 0.1, 3, 0.2
 """Factors so near to 1 [1] are compared with so few lost steps, by the truncated cost of a point [1]."""
 
