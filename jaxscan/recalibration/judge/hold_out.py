@@ -17,6 +17,8 @@ Fitting = Callable[[RoomObservations], Adjusted]
 _BLOCK = 40
 # A plane with fewer blocks than unknowns and some more says nothing.
 _LEAST_BLOCKS = 6
+# Smallest singular value of the normals of planes that place a station.
+_LEAST_SPREAD = 0.3
 # Flatness may come out worse by this share by chance.
 _BY_CHANCE = 1.1
 
@@ -30,11 +32,12 @@ def hold_out(adjusted: Adjusted, stored: Scanner, fit: Fitting) -> HoldOut | Non
         fit: Adjusts the scanner to some of the observations as it was adjusted to all of them.
 
     Returns:
-        RMS of means of neighbouring points over each half; None where there are fewer than two planes.
+        RMS of means of neighbouring points over each half; None where there are fewer than two planes, or where those
+        of one half do not place every station.
     """
     points = adjusted.observations.points
     numbers = _halves(adjusted.observations.surfaces, points.surface[adjusted.point_kept])
-    if any(len(half) == 0 for half in numbers):
+    if any(len(half) == 0 or not _places_stations(adjusted, half) for half in numbers):
         return None
     before, after = [], []
     for half in numbers:
@@ -57,6 +60,20 @@ def _halves(surfaces: Surfaces, seen: Int[np.ndarray, " points"]) -> tuple[list[
         halves[smaller].append(number)
         size[smaller] += int(count[number])
     return halves
+
+
+def _places_stations(adjusted: Adjusted, without: list[int]) -> bool:
+    """Whether planes that are left show where every station is: those it shares with others look in all directions."""
+    observations, kept = adjusted.observations, adjusted.point_kept
+    if observations.tracks is not None and len(observations.tracks.q):
+        return True
+    surface, station = observations.points.surface[kept], observations.station[observations.points.sweep[kept]]
+    for number in range(1, int(observations.station.max()) + 1):
+        shared = np.intersect1d(surface[station == number], surface[station != number])
+        normals = adjusted.surfaces.normal[np.setdiff1d(shared, without)]
+        if len(normals) < 3 or np.linalg.svd(normals, compute_uv=False)[2] < _LEAST_SPREAD:
+            return False
+    return True
 
 
 def hidden(observations: RoomObservations, numbers: list[int]) -> RoomObservations:

@@ -19,6 +19,8 @@ LEAST_FACTOR = 0.02
 """Departures of a factor from 1 below this are errors of the gain, which an adjustment finds by itself [1]."""
 
 
+COARSEST = np.deg2rad(1.75)
+"""Distance of records up to which faults are sought [rad]: between farther ones furniture looks like a lost step."""
 ALIKE, FEW_STEPS, AS_GOOD = 0.1, 3, 0.2
 """Factors so near to 1 [1] are compared with so few lost steps, by the truncated cost of a point [1]."""
 
@@ -38,7 +40,8 @@ def check_angles(
         tracks: Features seen in several images; not used yet: walls alone decide.
 
     Returns:
-        Faults, corrections of the angles that repair them, and a sentence for each. Without walls nothing is found.
+        Faults, corrections of the angles that repair them, and a sentence for each. Without walls, and in sweeps whose
+        records are more than 1.75 degrees apart, nothing is found.
     """
     del settings, tracks
     factor, jumps, sentences, corrections = 1.0, [], [], []
@@ -47,6 +50,9 @@ def check_angles(
         corrections.append(correction)
         table = scanner.turntable
         if not isinstance(table, Turntable) or table.carries != "scanner" or not sweep.valid.any():
+            continue
+        apart = np.abs(np.diff(sweep.angle[np.unique(sweep.record)]))
+        if len(apart) == 0 or np.median(apart) > COARSEST:
             continue
         found, steps = _faults(sweep, scanner, table)
         if found != 1.0:
