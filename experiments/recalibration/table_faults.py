@@ -14,7 +14,6 @@ import numpy as np
 import jaxscan
 from experiments.recalibration.calibrations import calibration_of, draw_truth
 from experiments.recalibration.world import Noise, Sweeping, sweep_of
-from jaxscan.recalibration import RecalibrationSettings
 from jaxscan.recalibration.table import check_angles
 
 
@@ -54,7 +53,7 @@ def trial(what: str, case: float, seed: int, steps: int) -> bool:
     )
     sweep = sweep_of(config, seed, how)
     start = time.process_time()
-    found = check_angles([sweep], scanner, RecalibrationSettings())
+    found = check_angles([sweep], scanner)
     took = time.process_time() - start
     jumps = [(r, round(float(np.rad2deg(size)), 4)) for _, r, size in found.jumps]
     print(f"  seed {seed} record {record}: factor {found.factor:.4f}, jumps {jumps}; {took:.1f} s", flush=True)

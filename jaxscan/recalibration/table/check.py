@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Scanner, Turntable
-from jaxscan.recalibration.observed import SweepStripes, Tracks
+from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.result import TableFindings
-from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.table.factor import find_factor
 from jaxscan.recalibration.table.jumps import find_steps, step_sigmas
 from jaxscan.recalibration.table.names import say_factor, say_jump, usual_ratio
+from jaxscan.recalibration.table.place import Place, place_step
 from jaxscan.recalibration.table.walls import LOOSE, Rig, settle, start_rig, truncated_cost
 
 
@@ -26,21 +26,16 @@ ALIKE, FEW_STEPS, AS_GOOD = 0.1, 3, 0.2
 def check_angles(
     sweeps: Sequence[SweepStripes],
     scanner: Scanner,
-    settings: RecalibrationSettings,
-    tracks: Tracks | None = None,
 ) -> TableFindings:
     """Finds a wrong number of steps per turn, and steps that the table lost.
 
     Args:
         sweeps: Sweeps of a room.
         scanner: The stored scanner; a poor one will do.
-        settings: How the scanner is recalibrated.
-        tracks: Features seen in several images; not used yet: walls alone decide.
 
     Returns:
         Faults, corrections of the angles that repair them, and a sentence for each. Without walls nothing is found.
     """
-    del settings, tracks
     factor, jumps, sentences, corrections = 1.0, [], [], []
     for number, sweep in enumerate(sweeps):
         correction = np.zeros(len(sweep.angle))
@@ -55,18 +50,18 @@ def check_angles(
         correction += (found - 1.0) * sweep.angle
         way = np.sign(float(table.gain)) * np.sign(sweep.angle[-1] - sweep.angle[0])
         seen = np.unique(sweep.record)
-        for record, size, sigma in sorted(steps):
+        for (record, first, last), size, sigma in sorted(steps):
             jumps.append((number, record, size / float(table.gain)))
             correction[record:] += size / float(table.gain)
-            before = seen[seen < record]
-            between = (int(before[-1]) if len(before) else 0, record)
+            before = seen[seen < first]
+            between = (int(before[-1]) if len(before) else 0, last)
             size_deg, sigma_deg = float(np.rad2deg(way * size)), float(np.rad2deg(sigma))
             sentences.append(say_jump(sweep.name, between, size_deg, sigma_deg))
     return TableFindings(factor, tuple(jumps), tuple(corrections), tuple(sentences))
 
 
-def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[float, list[tuple[int, float, float]]]:
-    """Factor of the journal's angles, and steps about the axis: first record, angle and its sigma [rad]."""
+def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[float, list[tuple[Place, float, float]]]:
+    """Factor of the journal's angles, and steps about the axis: their place, angle and its sigma [rad]."""
     own = table_angles(table, sweep.angle)
     factor = find_factor(sweep, start_rig(scanner, own))
     rig = find_steps(sweep, _settled(sweep, scanner, table, factor))
@@ -77,7 +72,9 @@ def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[fl
         if 0 < len(plain.steps) <= FEW_STEPS and other < cost + AS_GOOD * points:
             rig, factor = plain, 1.0
     sigmas = step_sigmas(sweep, rig)
-    steps = [(record, size, float(sigma)) for (record, size), sigma in zip(rig.steps, sigmas, strict=True)]
+    places = [place_step(sweep, rig, number) for number in range(len(rig.steps))]
+    places = [place._replace(record=record) for place, (record, _) in zip(places, rig.steps, strict=True)]
+    steps = [(place, size, float(sigma)) for place, (_, size), sigma in zip(places, rig.steps, sigmas, strict=True)]
     # With the steps known, and the gain free, once more.
     free = settle(sweep, rig, 3, LOOSE)
     stepless = free.theta.copy()

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.recalibration.observed import SweepStripes
+from jaxscan.recalibration.table.place import place_step
 from jaxscan.recalibration.table.regression import Rows, fit_steps
 from jaxscan.recalibration.table.walls import (
     TIGHT,
@@ -24,8 +25,8 @@ LAST_TIMES, MANY_POINTS = 4, 24_000
 """With which the sizes of all steps are found in the end."""
 LEAST_Z = 7.0
 """How many of its sigmas a step must have, with some thousand places where chance could make one."""
-NEIGHBOURS = 8
-"""Records on each side of a step that was found in which it is sought once more."""
+PLACED = (4, 3, 3)
+"""Steps of least squares before the record of a step is sought once more, until it stays."""
 LEAST_GAIN = 0.3
 """By how much a large step lowers the truncated cost, for each point [1]."""
 LEAST_STEP = np.deg2rad(0.02)
@@ -72,18 +73,18 @@ def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, robust: bool) -> Rig |
     place = int(np.argmax(z))
     if z[place] < LEAST_Z or abs(size[place]) < LEAST_STEP:
         return None
-    more = settle(sweep, _begin(start, (*rig.steps, (place, float(size[place])))), 4, TIGHT)
-    # With the step mended, the wall is whole across it, and tells the record.
-    sample = take_sample(sweep, more.scanner, MOST_PROFILES, MOST_POINTS)
-    label = label_points(sample, more.theta)
+    steps = (*rig.steps, (place, float(size[place])))
+    for times in PLACED:
+        # With the step mended, walls are whole across it, and tell its size and then its record.
+        more = settle(sweep, _begin(start, steps), times, TIGHT)
+        record = place_step(sweep, more, len(steps) - 1).record
+        moved, steps = record != steps[-1][0], (*more.steps[:-1], (record, more.steps[-1][1]))
+        if not moved:
+            break
     theta = more.theta.copy()
-    theta[place:] -= more.steps[-1][1]
-    broken = more._replace(theta=theta, steps=more.steps[:-1])
-    again, _ = _tested(wall_equations(sample, label, broken, TIGHT, robust=False), len(theta))
-    first = max(place - NEIGHBOURS, 0)
-    best = first + int(np.argmax(again[first : place + NEIGHBOURS + 1]))
-    theta[best:] += more.steps[-1][1]
-    return more._replace(theta=theta, steps=(*more.steps[:-1], (best, more.steps[-1][1])))
+    theta[more.steps[-1][0] :] -= more.steps[-1][1]
+    theta[record:] += more.steps[-1][1]
+    return more._replace(theta=theta, steps=steps)
 
 
 def _tested(walls: Walls, records: int) -> tuple[Float[np.ndarray, " records"], Float[np.ndarray, " records"]]:
