@@ -8,7 +8,7 @@ from jaxtyping import Float
 from jaxscan.geometry import Scanner, Turntable
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.result import TableFindings
-from jaxscan.recalibration.table.factor import find_factor
+from jaxscan.recalibration.table.factor import SURE, find_factor
 from jaxscan.recalibration.table.jumps import find_steps, step_sigmas
 from jaxscan.recalibration.table.names import say_factor, say_jump, usual_ratio
 from jaxscan.recalibration.table.place import Place, place_step
@@ -19,7 +19,7 @@ LEAST_FACTOR = 0.02
 """Departures of a factor from 1 below this are errors of the gain, which an adjustment finds by itself [1]."""
 
 
-ALIKE, FEW_STEPS, AS_GOOD = 0.1, 3, 0.2
+ALIKE, FEW_STEPS, AS_GOOD = 0.3, 3, 0.2
 """Factors so near to 1 [1] are compared with so few lost steps, by the truncated cost of a point [1]."""
 
 
@@ -64,27 +64,43 @@ def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[fl
     """Factor of the journal's angles, and steps about the axis: their place, angle and its sigma [rad]."""
     own = table_angles(table, sweep.angle)
     factor = find_factor(sweep, start_rig(scanner, own))
-    rig = find_steps(sweep, _settled(sweep, scanner, table, factor))
-    if 0.0 < abs(factor - 1.0) < ALIKE:
-        # A step bends its wall as a factor near to 1 does: the simpler explanation is taken where it is as good.
-        plain = find_steps(sweep, _settled(sweep, scanner, table, 1.0))
-        (cost, points), (other, _) = truncated_cost(sweep, rig), truncated_cost(sweep, plain)
-        if 0 < len(plain.steps) <= FEW_STEPS and other < cost + AS_GOOD * points:
-            rig, factor = plain, 1.0
+    if abs(factor - 1.0) >= ALIKE:
+        rig = find_steps(sweep, _settled(sweep, scanner, table, factor))
+    else:
+        factor, rig = _steps_or_factor(sweep, scanner, table, factor)
     sigmas = step_sigmas(sweep, rig)
     places = [place_step(sweep, rig, number) for number in range(len(rig.steps))]
     places = [place._replace(record=record) for place, (record, _) in zip(places, rig.steps, strict=True)]
     steps = [(place, size, float(sigma)) for place, (_, size), sigma in zip(places, rig.steps, sigmas, strict=True)]
-    # With the steps known, and the gain free, once more.
-    free = settle(sweep, rig, 3, LOOSE)
-    stepless = free.theta.copy()
-    for record, size in free.steps:
-        stepless[record:] -= size
-    precise = float(own @ stepless / (own @ own)) if own.any() else 1.0
+    precise = _free_factor(sweep, rig, own)
     if abs(precise - 1.0) < LEAST_FACTOR:
         return 1.0, steps
     pair = usual_ratio(precise)
     return (precise if pair is None else pair[0] / pair[1]), steps
+
+
+def _steps_or_factor(sweep: SweepStripes, scanner: Scanner, table: Turntable, factor: float) -> tuple[float, Rig]:
+    """A factor near to 1, or none and lost steps: a step bends its wall as such a factor does."""
+    start = _settled(sweep, scanner, table, 1.0)
+    plain = find_steps(sweep, start)
+    few = len(plain.steps) <= FEW_STEPS
+    if factor == 1.0 or (few and abs(_free_factor(sweep, plain, start.theta) - 1.0) < SURE[0]):
+        return 1.0, plain
+    rig = find_steps(sweep, _settled(sweep, scanner, table, factor))
+    # The simpler explanation is taken where it is as good.
+    (cost, points), (other, _) = truncated_cost(sweep, rig), truncated_cost(sweep, plain)
+    if plain.steps and few and other < cost + AS_GOOD * points:
+        return 1.0, plain
+    return factor, rig
+
+
+def _free_factor(sweep: SweepStripes, rig: Rig, own: Float[np.ndarray, " records"]) -> float:
+    """The factor of the angles `own` with the steps of the rig known, and the gain free."""
+    free = settle(sweep, rig, 3, LOOSE)
+    stepless = free.theta.copy()
+    for record, size in free.steps:
+        stepless[record:] -= size
+    return float(own @ stepless / (own @ own)) if own.any() else 1.0
 
 
 def _settled(sweep: SweepStripes, scanner: Scanner, table: Turntable, factor: float) -> Rig:
