@@ -1,6 +1,7 @@
 """Are wrong steps per turn and lost steps found, and only they?
 
-    python -m experiments.recalibration.table_faults [factor|lost|good …] [--each N] [--steps N] [--turn DEG] [--first SEED]
+    python -m experiments.recalibration.table_faults [factor|lost|good …] [--each N] [--steps N] [--turn DEG]
+        [--first SEED]
 
 Room and rig of configs/paper.toml with the values of `draw_truth`, a paper-like calibration, stripe noise 0.1 px. Lost
 steps are at random records, some of them where the walls say little: at corners and behind furniture.

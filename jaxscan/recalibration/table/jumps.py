@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.recalibration.observed import SweepStripes
-from jaxscan.recalibration.table.breaks import propose_steps
+from jaxscan.recalibration.table.breaks import LEAST_BREAK, propose_steps
 from jaxscan.recalibration.table.place import NEIGHBOURS, place_step
 from jaxscan.recalibration.table.regression import Rows, fit_steps
 from jaxscan.recalibration.table.walls import (
@@ -39,13 +39,18 @@ MOST_STEP = np.deg2rad(10.0)
 def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
     """The rig with the steps that its walls show, one after another: those that break walls, then the small ones."""
     rig = settle(sweep, start, 3, TIGHT)
+    vain: list[int] = []
     while len(rig.steps) < MOST_JUMPS:
         # A large step divides walls, and no linear equation tells its size: breaks are tried one by one.
-        breaks = [place for place in propose_steps(sweep, rig) if _is_new(rig, place[0])]
+        known = [*vain, *(record for record, _ in rig.steps)]
+        breaks = [place for place in propose_steps(sweep, rig) if _is_far(place[0], known)]
         found = _best(sweep, rig, [_with_step(sweep, start, rig, place) for place in breaks])
         if found is None:
+            vain += [record for record, _ in breaks]
             small = _stands_out(sweep, rig, robust=True)
             found = None if small is None else _with_step(sweep, start, rig, small)
+            if found is not None and abs(found.steps[-1][1]) > LEAST_BREAK:
+                found = _best(sweep, rig, [found])
         if found is None:
             large = _stands_out(sweep, rig, robust=False)
             found = None if large is None else _best(sweep, rig, [_with_step(sweep, start, rig, large)])
@@ -75,8 +80,8 @@ def _begin(start: Rig, steps: tuple[tuple[int, float], ...]) -> Rig:
     return start._replace(theta=theta, steps=steps)
 
 
-def _is_new(rig: Rig, record: int) -> bool:
-    return all(abs(record - known) > NEIGHBOURS for known, _ in rig.steps)
+def _is_far(record: int, others: list[int]) -> bool:
+    return all(abs(record - other) > NEIGHBOURS for other in others)
 
 
 def _stands_out(sweep: SweepStripes, rig: Rig, robust: bool) -> tuple[int, float] | None:
