@@ -77,7 +77,7 @@ def recalibrate(
     scanner = require_prior(stored)
     _check(sweeps, scanner)
     done = _counter(progress)
-    job = _Job(sweeps, scanner, settings, given, check_angles(sweeps, scanner, settings, given.tracks))
+    job = _Job(sweeps, scanner, settings, given, check_angles(sweeps, scanner))
     done()
     stations = _first_stations(job)
     if given.tracks is not None and len(stations) > 1:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from jaxscan.recalibration import RecalibrationSettings
 from jaxscan.recalibration.table import check_angles
 from jaxscan.recalibration.table.corrections import jumps_in
 from jaxscan.recalibration.table.names import say_factor, say_jump, usual_ratio
@@ -16,7 +15,7 @@ def checked(phi, true, *, seed=0, furniture=FURNITURE):
     rng = np.random.default_rng(seed)
     scanner = paper_scanner(40)
     stripes = sweep(scanner, phi, true=true, rng=rng, furniture=furniture)
-    found = check_angles([stripes], knocked(scanner, rng, 0.3), RecalibrationSettings())
+    found = check_angles([stripes], knocked(scanner, rng, 0.3))
     return found, phi + found.corrections[0] - true
 
 
@@ -86,7 +85,7 @@ def test_nothing_is_said_without_walls_or_of_a_tiny_sweep():
     cloud = sweep(scanner, np.linspace(0.0, 6.0, 120))
     cloud = cloud._replace(centre=rng.uniform(950, 1400, cloud.centre.shape).astype(np.float32))
     empty = cloud._replace(valid=np.zeros_like(cloud.valid))
-    found = check_angles([tiny, cloud, empty], scanner, RecalibrationSettings())
+    found = check_angles([tiny, cloud, empty], scanner)
     assert found.sentences == () and found.factor == 1.0 and found.jumps == ()
     assert [len(one) for one in found.corrections] == [6, 120, 120]
 

@@ -7,8 +7,9 @@ from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.table.walls import Rig, Sample, settle, start_rig, take_sample, turn
 
 
-SEEDS, SPAN, HALF = 48, np.deg2rad(8.0), 3
-"""Places from which planes are proposed; the turn over which one is fitted; profiles on each side of the middle."""
+SEEDS, SPAN, HALF, LEAST_HALF = 48, np.deg2rad(8.0), 3, 2
+"""Places from which planes are proposed; the turn over which one is fitted; profiles on each side of the middle, and
+fewer where steps are coarse."""
 EVALUATED = 160
 """Profiles on which proposed planes are tried."""
 CLOSE = 0.01
@@ -83,9 +84,9 @@ def find_factor(sweep: SweepStripes, rig: Rig) -> float:
     """
     if len(np.unique(sweep.record)) < 2 * HALF + 1:
         return 1.0
-    # Between coarse steps planes are proposed from fewer profiles with the journal's own angles than with smaller ones,
-    # and any smaller factor would look better.
-    if np.median(np.abs(np.diff(rig.theta))) > SPAN / 4:
+    # Between coarse steps no plane fits into the turn with the journal's own angles, and any smaller factor would look
+    # better.
+    if np.median(np.abs(np.diff(rig.theta))) > SPAN / (2 * LEAST_HALF):
         return 1.0
     own, best_score = _fitted(sweep, rig, 1.0)
     best = _ratio(own, rig)
@@ -128,10 +129,10 @@ def _propose(x: np.ndarray, place: np.ndarray, angle: np.ndarray) -> tuple[np.nd
     # Points are in the order of their profiles.
     starts = np.searchsorted(place, np.arange(len(angle) + 1))
     step = np.median(np.abs(np.diff(angle))) if len(angle) > 1 else 0.0
-    if step == 0 or step > SPAN / 2:
+    if step == 0:
         return np.zeros((0, 3)), np.zeros(0)
     apart = max(1, round(SPAN / (2 * HALF) / step))
-    half = min(HALF, int(SPAN / 2 / step))
+    half = int(np.clip(SPAN / 2 / step, LEAST_HALF, HALF))
     reach = apart * half
     if 2 * reach + 1 > len(angle):
         return np.zeros((0, 3)), np.zeros(0)

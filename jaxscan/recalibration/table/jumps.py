@@ -4,6 +4,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.recalibration.observed import SweepStripes
+from jaxscan.recalibration.table.breaks import LEAST_BREAK, propose_steps
+from jaxscan.recalibration.table.place import NEIGHBOURS, place_step
 from jaxscan.recalibration.table.regression import Rows, fit_steps
 from jaxscan.recalibration.table.walls import (
     TIGHT,
@@ -24,21 +26,34 @@ LAST_TIMES, MANY_POINTS = 4, 24_000
 """With which the sizes of all steps are found in the end."""
 LEAST_Z = 7.0
 """How many of its sigmas a step must have, with some thousand places where chance could make one."""
-NEIGHBOURS = 8
-"""Records on each side of a step that was found in which it is sought once more."""
+PLACED = (4, 3, 3)
+"""Steps of least squares before the record of a step is sought once more, until it stays."""
 LEAST_GAIN = 0.3
 """By how much a large step lowers the truncated cost, for each point [1]."""
 LEAST_STEP = np.deg2rad(0.02)
 """Smaller steps are no full step of any usual table."""
+MOST_STEP = np.deg2rad(10.0)
+"""Larger ones are no lost steps."""
 
 
 def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
-    """The rig with the steps that its walls show, the largest first, one after another."""
+    """The rig with the steps that its walls show, one after another: those that break walls, then the small ones."""
     rig = settle(sweep, start, 3, TIGHT)
+    vain: list[int] = []
     while len(rig.steps) < MOST_JUMPS:
-        small = _with_step(sweep, start, rig, robust=True)
-        # Behind a large step a wall looks as if something hung on it: all points count, and the result must be better.
-        found = small or _believed(sweep, rig, _with_step(sweep, start, rig, robust=False))
+        # A large step divides walls, and no linear equation tells its size: breaks are tried one by one.
+        known = [*vain, *(record for record, _ in rig.steps)]
+        breaks = [place for place in propose_steps(sweep, rig) if _is_far(place[0], known)]
+        found = _best(sweep, rig, [_with_step(sweep, start, rig, place) for place in breaks])
+        if found is None:
+            vain += [record for record, _ in breaks]
+            small = _stands_out(sweep, rig, robust=True)
+            found = None if small is None else _with_step(sweep, start, rig, small)
+            if found is not None and abs(found.steps[-1][1]) > LEAST_BREAK:
+                found = _best(sweep, rig, [found])
+        if found is None:
+            large = _stands_out(sweep, rig, robust=False)
+            found = None if large is None else _best(sweep, rig, [_with_step(sweep, start, rig, large)])
         if found is None:
             break
         rig = found
@@ -65,25 +80,32 @@ def _begin(start: Rig, steps: tuple[tuple[int, float], ...]) -> Rig:
     return start._replace(theta=theta, steps=steps)
 
 
-def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, robust: bool) -> Rig | None:
-    """The rig with one more step, settled; None where no step stands out."""
+def _is_far(record: int, others: list[int]) -> bool:
+    return all(abs(record - other) > NEIGHBOURS for other in others)
+
+
+def _stands_out(sweep: SweepStripes, rig: Rig, robust: bool) -> tuple[int, float] | None:
+    """The record and size of the step that most stands out of the errors; None where none does."""
     sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MOST_POINTS)
     z, size = _tested(wall_equations(sample, label_points(sample, rig.theta), rig, TIGHT, robust), len(rig.theta))
     place = int(np.argmax(z))
-    if z[place] < LEAST_Z or abs(size[place]) < LEAST_STEP:
-        return None
-    more = settle(sweep, _begin(start, (*rig.steps, (place, float(size[place])))), 4, TIGHT)
-    # With the step mended, the wall is whole across it, and tells the record.
-    sample = take_sample(sweep, more.scanner, MOST_PROFILES, MOST_POINTS)
-    label = label_points(sample, more.theta)
+    return None if z[place] < LEAST_Z or abs(size[place]) < LEAST_STEP else (place, float(size[place]))
+
+
+def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, place: tuple[int, float]) -> Rig:
+    """The rig with one more step, settled, at the record that its points tell."""
+    steps = (*rig.steps, place)
+    for times in PLACED:
+        # With the step mended, walls are whole across it, and tell its size and then its record.
+        more = settle(sweep, _begin(start, steps), times, TIGHT)
+        record = place_step(sweep, more, len(steps) - 1).record
+        moved, steps = record != steps[-1][0], (*more.steps[:-1], (record, more.steps[-1][1]))
+        if not moved:
+            break
     theta = more.theta.copy()
-    theta[place:] -= more.steps[-1][1]
-    broken = more._replace(theta=theta, steps=more.steps[:-1])
-    again, _ = _tested(wall_equations(sample, label, broken, TIGHT, robust=False), len(theta))
-    first = max(place - NEIGHBOURS, 0)
-    best = first + int(np.argmax(again[first : place + NEIGHBOURS + 1]))
-    theta[best:] += more.steps[-1][1]
-    return more._replace(theta=theta, steps=(*more.steps[:-1], (best, more.steps[-1][1])))
+    theta[more.steps[-1][0] :] -= more.steps[-1][1]
+    theta[record:] += more.steps[-1][1]
+    return more._replace(theta=theta, steps=steps)
 
 
 def _tested(walls: Walls, records: int) -> tuple[Float[np.ndarray, " records"], Float[np.ndarray, " records"]]:
@@ -92,12 +114,14 @@ def _tested(walls: Walls, records: int) -> tuple[Float[np.ndarray, " records"], 
     return np.abs(test.size) / test.sigma / inflation(walls.rows, left, records), test.size
 
 
-def _believed(sweep: SweepStripes, rig: Rig, more: Rig | None) -> Rig | None:
-    """The rig with one more step if that brings clearly more points to walls."""
-    if more is None:
+def _best(sweep: SweepStripes, rig: Rig, tried: list[Rig]) -> Rig | None:
+    """Of rigs with one more step the one that brings the most points to walls, if clearly more than without it."""
+    if not tried:
         return None
-    (before, points), (after, _) = truncated_cost(sweep, rig), truncated_cost(sweep, more)
-    return more if before - after > LEAST_GAIN * points else None
+    before, points = truncated_cost(sweep, rig)
+    costs = [truncated_cost(sweep, one)[0] if abs(one.steps[-1][1]) < MOST_STEP else np.inf for one in tried]
+    best = int(np.argmin(costs))
+    return tried[best] if before - costs[best] > LEAST_GAIN * points else None
 
 
 def inflation(rows: Rows, left: Float[np.ndarray, " rows"], records: int) -> float:

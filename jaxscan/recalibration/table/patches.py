@@ -43,7 +43,7 @@ def find_patches(grid: Grid) -> Int[np.ndarray, "profiles lines"]:
     Neighbours belong together where windows about them are flat and have nearly the same plane. Parts of one wall that
     a lost step turned against each other, or that furniture divides, get one number.
     """
-    normal, flat = _normals(grid)
+    normal, flat = normals(grid)
     labels = _connect(grid, normal, flat)
     numbers, counts = np.unique(labels[labels >= 0], return_counts=True)
     planes = {}
@@ -69,7 +69,8 @@ def fit(x: Float[np.ndarray, "points 3"]) -> Plane | None:
     return Plane(normal, float(normal @ centre), centre)
 
 
-def _normals(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+def normals(grid: Grid) -> tuple[Float[np.ndarray, "profiles lines 3"], Bool[np.ndarray, "profiles lines"]]:
+    """Normal of the window about each cell, away from the axis, and whether that window is flat."""
     mask = grid.valid.astype(float)
     x = np.where(grid.valid[..., None], grid.x, 0.0)
     size = np.linalg.norm(x, axis=-1)

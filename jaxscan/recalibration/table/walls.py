@@ -77,7 +77,21 @@ def take_sample(sweep: SweepStripes, scanner: Scanner, profiles: int, points: in
     lit = np.nonzero(sweep.valid.any(axis=0))[0]
     kept = np.unique(np.linspace(0, count - 1, min(profiles, count)).round().astype(int))
     width = int(np.clip(points // max(len(kept), 1), 8, LINES))
-    chosen = lit[np.unique(np.linspace(0, len(lit) - 1, min(width, len(lit))).round().astype(int))]
+    return _sample(sweep, scanner, kept, spread_over(lit, width))
+
+
+def take_records(sweep: SweepStripes, scanner: Scanner, records: tuple[int, int], lines: int) -> Sample:
+    """Points of all profiles of some records, from the first up to the last without it, on so many lines at most."""
+    kept = np.flatnonzero((sweep.record >= records[0]) & (sweep.record < records[1]))
+    return _sample(sweep, scanner, kept, spread_over(np.flatnonzero(sweep.valid.any(axis=0)), lines))
+
+
+def spread_over(numbers: Int[np.ndarray, " n"], count: int) -> Int[np.ndarray, " some"]:
+    """So many of the numbers at most, evenly."""
+    return numbers[np.unique(np.linspace(0, len(numbers) - 1, min(count, len(numbers))).round().astype(int))]
+
+
+def _sample(sweep: SweepStripes, scanner: Scanner, kept: np.ndarray, chosen: np.ndarray) -> Sample:
     row, column = np.nonzero(sweep.valid[np.ix_(kept, chosen)])
     profile, line = kept[row], chosen[column]
     stripes = Stripes(sweep.centre[profile, line], line, sweep.laser[profile], sweep.stripe_axis)
