@@ -29,7 +29,7 @@ def make_scanner(*, motion="turntable", covariance=True, width=WIDTH, height=HEI
     camera = Pinhole(*(np.asarray(v) for v in (900.0, 900.0, 3.0, 2.0)), np.zeros(5), width=width, height=height)
     sheet = LaserSheet.from_plane(np.array([0.97, 0.0, 0.24]), 0.2)
     table = Turntable.from_axis(np.array([0.0, -1.0, 0.0]), np.array([0.1, 0.0, -0.06]))
-    moving = {"turntable": table, "linear": LinearStage.from_direction(np.array([1.0, 0.0, 0.0])), "still": None}
+    moving = {"turntable": table, "object": table.carrying("object"), "linear": LinearStage.from_direction(np.array([1.0, 0.0, 0.0])), "still": None}
     scanner = Scanner.from_parts(camera, sheet, moving[motion], laser_names=["red"])
     if not covariance:
         return scanner
@@ -116,6 +116,9 @@ class TestBadInput:
         text = Path("room/capture.toml").read_text()
         Path("room/capture.toml").write_text(text.replace('"scanner"', '"object"'))
         assert "room: The table of the sweep carries the object" in says("room", "-c", "old.json")
+        save(make_scanner(motion="object"), here / "object.json")
+        message = says("room", "-c", "object.json")
+        assert "object.json: is that of a table that carries the object" in message and "with boards" in message
 
     def test_an_output_that_is_an_input(self, says, here):
         (here / "old.link.json").symlink_to("old.json")
