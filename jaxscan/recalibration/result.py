@@ -42,6 +42,16 @@ class LengthGain:
 
 
 @dataclass(frozen=True)
+class FoundLength:
+    """A known length, and as the new scanner finds it."""
+
+    metres: float
+    sigma_m: float
+    """As it was given."""
+    found_m: float
+
+
+@dataclass(frozen=True)
 class Moved:
     """A parameter before and after."""
 
@@ -141,6 +151,8 @@ class Recalibration:
     notes: tuple[str, ...] = ()
     lengths: tuple[LengthGain, ...] = ()
     """Typical lengths, as `renew_calibration` predicts them."""
+    known: tuple[FoundLength, ...] = ()
+    """Lengths that were given and used."""
     calibration: Calibration | None = None
     """The new calibration, to be saved; None where nothing was updated."""
     settings: RecalibrationSettings = field(default_factory=RecalibrationSettings)

@@ -33,7 +33,8 @@ def print_recalibration(out: Terminal, result: Recalibration) -> None:
             out.print(title)
         for line in lines:
             out.print(f"  {line}")
-    for text in (*words.wall_lines(result), *words.hold_out_lines(result), *words.closure_lines(result)):
+    walls = (*words.wall_lines(result), *words.hold_out_lines(result), *words.closure_lines(result))
+    for text in (*words.known_lines(result), *walls):
         out.print(text)
     for text in result.unobserved:
         out.print(f"not told by these captures: {text}")
@@ -57,6 +58,7 @@ def recalibration_json(result: Recalibration) -> dict[str, Any]:
             "verdict": words.headline(result)._asdict(),
             "drift": asdict(result.drift),
             "lengths": [asdict(one) for one in result.lengths],
+            "known_lengths": [asdict(one) for one in result.known],
             "gains": [asdict(gain) | {"factor": gain.factor} for gain in result.gains],
             "unobserved": result.unobserved,
             "moved": [asdict(one) for one in words.by_sigmas(result.moved)],

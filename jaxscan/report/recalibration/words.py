@@ -66,6 +66,15 @@ def gain_lines(gains: tuple[Gain, ...], most: int = 6) -> list[str]:
     ]
 
 
+def known_lines(result: Recalibration) -> list[str]:
+    """Lengths that were given beside those that the new scanner finds."""
+    return [
+        f"known length {one.metres:.4f} m: found {one.found_m:.4f} m, {1e3 * (one.found_m - one.metres):+.2f} mm "
+        f"(given to {millimetres(1e3 * one.sigma_m)})"
+        for one in result.known
+    ]
+
+
 def wall_lines(result: Recalibration) -> list[str]:
     """Flatness of the walls before and after, a line for each sweep."""
     lines = []
