@@ -63,3 +63,7 @@ class Adjusted:
     steps: int
     boards: Fit | None = None
     """Residuals on the boards, where there were any."""
+    uneven_m: float = 0.0
+    """Standard deviation of the walls' shape, which neighbouring points share [m]."""
+    misfit: float = 1.0
+    """Mean square of the kept points' errors over the variances that were stated before any was learned [1]."""

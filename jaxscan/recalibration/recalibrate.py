@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration import Calibration
+from jaxscan.calibration.verdict import predict_lengths
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration import judge
@@ -98,8 +99,10 @@ def recalibrate(
     done()
     kept = np.flatnonzero(flat(free))
     uneven = [judge.describe_surface(free.surfaces, k) for k in range(len(free.surfaces.kind)) if k not in kept]
-    lost = lost_lengths(observed.lengths, kept.tolist()) if len(kept) else []
-    if uneven and len(kept):
+    if "plane" not in {free.surfaces.kind[k] for k in kept}:
+        raise CalibrationError(judge.none_is_flat(free))
+    lost = lost_lengths(observed.lengths, kept.tolist())
+    if uneven:
         observed = observed.only(kept.tolist())
         free = adjust(loose, _after(job, free), observed, settings)
     done()
@@ -107,7 +110,7 @@ def recalibrate(
     verdict = judge.find_drift(scanner, free, solve, settings)
     done()
     result = _judged(job, verdict, done)
-    notes = [f"left out, because it is not flat: {name}" for name in uneven if len(kept)]
+    notes = [f"left out, because it is not flat: {name}" for name in uneven]
     return replace(result, notes=(*job.table.sentences, *result.notes, *notes, *lost))
 
 
@@ -125,8 +128,10 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
     held_out = judge.hold_out(adjusted, stored, halves)
     done()
     gained, solved = judge.compared_of(verdict, stored)
-    slopes = judge.scale_slopes(adjusted.scanner, adjusted.observations)
-    refused = judge.refuse_result(adjusted, gained, verdict.drift, held_out, settings)
+    slopes = judge.scale_slopes(adjusted.scanner, adjusted.observations, adjusted.corrections)
+    lengths = judge.length_gains(predict_lengths(stored), predict_lengths(adjusted.scanner))
+    refused = judge.refuse_result(adjusted, gained, verdict.drift, held_out, lengths, settings)
+    panoramas, hidden = _panoramas(job, adjusted)
     result = Recalibration(
         scanner=stored if refused else adjusted.scanner,
         updated=not refused,
@@ -140,8 +145,9 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
         hold_out=held_out,
         table=job.table,
         closure=judge.closure_of(adjusted, stored),
-        panoramas=_panoramas(job, adjusted),
-        notes=verdict.notes,
+        panoramas=panoramas,
+        notes=(*verdict.notes, *hidden),
+        lengths=lengths,
         known=found_lengths(adjusted.observations, _corrected(job, adjusted.corrections), adjusted.scanner),
     )
     done()
@@ -188,11 +194,16 @@ def _first_stations(job: _Job) -> Float[np.ndarray, "stations 4 4"]:
     return place_stations(_corrected(job), job.stored, tracks=job.given.tracks, start=start)
 
 
-def _panoramas(job: _Job, adjusted: Adjusted) -> tuple[PanoramaOfWalls, ...]:
+def _panoramas(job: _Job, adjusted: Adjusted) -> tuple[tuple[PanoramaOfWalls, ...], list[str]]:
+    """A picture of the walls of every sweep that has some, and a note for each that has none."""
     scanners = job.stored, adjusted.scanner
-    found = []
+    found, missed = [], []
     for number, sweep in enumerate(job.sweeps):
         corrections = adjusted.corrections[number]
-        labels = find_patches(sweep, adjusted.scanner, corrections).labels
+        try:
+            labels = find_patches(sweep, adjusted.scanner, corrections).labels
+        except CalibrationError as problem:
+            missed.append(f"no panorama of {sweep.name}: {problem}")
+            continue
         found.append(judge.panorama_of(sweep, labels, scanners, (job.corrections[number], corrections)))
-    return tuple(found)
+    return tuple(found), missed

@@ -1,4 +1,4 @@
-"""A recalibration as a calibration of its own, and its gain in lengths that people measure."""
+"""A recalibration as a calibration of its own."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,11 +9,11 @@ import numpy as np
 from jaxscan.calibration import Calibration, CalibrationSettings, Quality, Verdict
 from jaxscan.calibration.verdict import Lengths, measure_good_to, predict_lengths, refusal, root_of
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.result import LengthGain, Recalibration
+from jaxscan.recalibration.result import Recalibration
 
 
 def renew_calibration(result: Recalibration, provenance: Mapping[str, Any]) -> Recalibration:
-    """The result with its gain in lengths and, where the scanner was updated, with the new calibration.
+    """The result; where the scanner was updated, with the new calibration.
 
     Args:
         result: As `recalibrate` gives it.
@@ -22,8 +22,6 @@ def renew_calibration(result: Recalibration, provenance: Mapping[str, Any]) -> R
     scanner = result.scanner
     if scanner.covariance is None or result.adjusted.prior.covariance is None:
         return result
-    before, after = predict_lengths(result.adjusted.prior), predict_lengths(scanner)
-    result = replace(result, lengths=_gains(before, after))
     if not result.updated:
         return result
     calibration = Calibration(
@@ -31,7 +29,7 @@ def renew_calibration(result: Recalibration, provenance: Mapping[str, Any]) -> R
         scanner=scanner,
         order=scanner.parameter_names(),
         covariance=np.asarray(scanner.covariance, np.float64),
-        quality=_quality(result, scanner, after),
+        quality=_quality(result, scanner, predict_lengths(scanner)),
         provenance=dict(provenance),
     )
     return replace(result, calibration=calibration)
@@ -46,15 +44,4 @@ def _quality(result: Recalibration, scanner: Scanner, lengths: Lengths) -> Quali
         steps=result.adjusted.steps,
         lengths=lengths,
         verdict=Verdict(refused is None, good_to, refused),
-    )
-
-
-def _gains(before: Lengths, after: Lengths) -> tuple[LengthGain, ...]:
-    """The lengths that are in reach of both."""
-    new = {(laser.name, one.name, one.depth_m): one for laser in after.lasers for one in laser.lengths}
-    return tuple(
-        LengthGain(laser.name, one.name, one.depth_m, one.length_m, one.sigma_mm, found.sigma_mm)
-        for laser in before.lasers
-        for one in laser.lengths
-        if (found := new.get((laser.name, one.name, one.depth_m))) is not None
     )

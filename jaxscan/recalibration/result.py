@@ -61,7 +61,11 @@ class Moved:
     sigma_before: float
     sigma_after: float
     sigmas: float
-    """The change, in standard deviations that a change would have by chance [1]."""
+    """The change with its sign, in standard deviations that a change would have by chance [1]."""
+    unit: str = ""
+    """In which people are told of it: "degrees", "mm", "px"."""
+    scale: float = 1.0
+    """Values and standard deviations times this are in that unit."""
 
 
 @dataclass(frozen=True)
@@ -106,11 +110,12 @@ class TableFindings:
 class Closure:
     """What is left open after a full turn."""
 
-    before_mm: float
-    """At 2.5 m, with the stored calibration."""
-    after_mm: float
+    before_mm: float | None
+    """At 2.5 m, with the stored calibration; None where nothing is seen twice."""
+    after_mm: float | None
+    """None where no overlap shows it."""
     sigma_mm: float
-    """Standard deviation of `after_mm`."""
+    """Standard deviation of the gap with the new calibration."""
     source: str
     """ "overlap", "features" or "model"."""
 
@@ -150,7 +155,7 @@ class Recalibration:
     panoramas: tuple[PanoramaOfWalls, ...]
     notes: tuple[str, ...] = ()
     lengths: tuple[LengthGain, ...] = ()
-    """Typical lengths, as `renew_calibration` predicts them."""
+    """Typical lengths; those of the adjusted scanner also where the update is refused."""
     known: tuple[FoundLength, ...] = ()
     """Lengths that were given and used."""
     calibration: Calibration | None = None

@@ -265,6 +265,7 @@ class TestOutput:
         recalibrated.update(updated=False, drifted=False)
         message = says("room", "-c", "old.json", "--cloud", "room.ply")
         assert "old.json: not updated: nothing was gained" in message
+        assert "The table turns half as far as the journal says." in message
         assert "The rig is as it was calibrated (p = 0.43)." in message
 
     def test_options_arrive(self, recalibrated, run):

@@ -5,8 +5,10 @@ import pytest
 
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import RecalibrationSettings, Start
-from jaxscan.recalibration.adjust import adjust, departure
-from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, truth_scanner
+from jaxscan.recalibration.adjust import adjust, departure, joint, triangulate_points
+from jaxscan.recalibration.adjust.prepare import prepare
+from tests.recalibration.linear_room import with_held
+from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, truth_scanner, with_covariance
 
 
 SMALL = (60, 64)
@@ -65,6 +67,49 @@ def test_a_closed_gear_is_closed():
     gain = adjusted.scanner.parameter_names().index("gain")
     assert np.sqrt(adjusted.scanner.covariance[gain, gain]) < 5.1e-6
     assert abs(abs(float(adjusted.scanner.turntable.gain)) - 1) < 2.5e-5
+
+
+def test_a_held_gain_contradicts_a_closed_gear():
+    truth = truth_scanner()
+    gain = truth.parameter_names().index("gain")
+    sigma = np.where(np.arange(len(SIGMA)) == gain, 0.0, SIGMA)
+    observations = observe(truth, sweep_truth=exact_sweep(*SMALL))
+    closed = RecalibrationSettings(closed=True)
+    held = with_covariance(truth, np.diag(sigma**2))
+    one = with_held(held, (np.arange(len(sigma)) == gain) * (1.0 - float(truth.turntable.gain)))
+    # Without a row for it the residuals are those of the prior alone.
+    assert not prepare(one, Start(one, ONE), observations, closed, {}).room.told.size
+    off = with_held(one, (np.arange(len(sigma)) == gain) * 3e-4)
+    with pytest.raises(CalibrationError, match=r"holds the table's gain at 1\.000300"):
+        adjust(off, Start(off, ONE), observations, closed)
+
+
+def test_a_ray_that_misses_the_sheet_is_no_observation():
+    """It has neither an error nor a slope; counted, it would make the noise look smaller."""
+    truth, room = truth_scanner(), exact_sweep(*SMALL)
+    prior = with_covariance(truth, np.diag(SIGMA**2))
+    observations = observe(truth, sweep_truth=room)
+    missing = np.arange(len(observations.points.q)) % 7 == 0
+    # Rays that are turned away from the sheet this far meet it behind the camera.
+    q = np.where(missing[:, None], [6000.0, 800.0], observations.points.q)
+    observations = observations._replace(points=observations.points._replace(q=q))
+    assert not triangulate_points(truth, q, observations.points.laser, np.zeros(len(q)))[1][missing].any()
+    adjusted = adjust(prior, Start(prior, ONE), observations)
+    assert not adjusted.point_kept[missing].any() and adjusted.point_kept[~missing].mean() > 0.99
+    assert adjusted.freedom < (~missing).sum()
+
+
+@pytest.mark.parametrize("step", [np.nan, 1e3])
+def test_a_last_step_that_does_not_help_is_not_taken(monkeypatch, step):
+    truth, room = truth_scanner(), exact_sweep(*SMALL)
+    prior = with_covariance(truth, np.diag(SIGMA**2))
+    noise = 0.1 * np.random.default_rng(8).standard_normal(int((room[1].surface >= 0).sum()))
+    take = joint.step_of
+    spoiled = lambda *problem: take(*problem)._replace(scanner=np.full(len(SIGMA), step))
+    monkeypatch.setattr(joint, "step_of", spoiled)
+    adjusted = adjust(prior, Start(prior, ONE), observe(prior, noise, sweep_truth=room))
+    assert not adjusted.converged
+    assert np.isfinite(adjusted.departure).all() and np.abs(adjusted.departure[SIGMA > 0] / SIGMA[SIGMA > 0]).max() < 4
 
 
 def test_a_calibration_without_covariance_is_refused():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.recalibration import Drift, HoldOut, RecalibrationSettings, Surfaces
+from jaxscan.recalibration import Drift, HoldOut, RecalibrationSettings, Surfaces, Tracks
 from jaxscan.recalibration.judge import (
     closure_of,
     describe_surface,
@@ -15,9 +15,10 @@ from jaxscan.recalibration.judge import (
 from jaxscan.recalibration.judge.compared import chance_of, compare
 from jaxscan.recalibration.judge.gain import scales_of
 from jaxscan.recalibration.judge.scale import scale_slopes
+from jaxscan.recalibration.result import LengthGain
 
 from .linear_room import adjusted_of, linear_room, with_held
-from .small_room import observe, stored, truth_scanner
+from .small_room import observe, stored, truth_scanner, with_covariance
 
 
 @pytest.fixture(scope="module")
@@ -119,21 +120,29 @@ def test_the_gap_of_an_overlap_is_measured():
     assert found.after_mm < 1e-3 < found.sigma_mm
 
 
-def test_without_overlap_the_model_tells_the_gap(room):
+def test_without_overlap_only_the_sigma_of_the_gap_is_told(room):
+    """A table whose gain is 1.0001 is no table that leaves a gap: nothing shows one."""
     names = room.names
     step = room.moved(gain=-1e-4)
     adjusted = adjusted_of(room.scanner, room.observations)
     found = closure_of(adjusted, with_held(room.scanner, step))
     assert found is not None and found.source == "model"
-    assert found.before_mm == pytest.approx(1e-4 * 2e3 * np.pi * 2.5, rel=1e-6)
+    assert found.before_mm is None and found.after_mm is None
     assert found.sigma_mm == pytest.approx(np.sqrt(room.prior[names.index("gain"), names.index("gain")]) * 5e3 * np.pi)
 
 
-def refused(room, *, drifted=False, held_out=None, gained=True, **changes):
-    adjusted = adjusted_of(room.scanner, room.observations, **changes)
+def length(before, after):
+    return LengthGain("red", "across the sweep", 2.0, 1.5, before, after)
+
+
+GAINED = (length(1.0, 0.5), length(1.0, 1.0))
+
+
+def refused(room, *, drifted=False, held_out=None, gained=True, lengths=GAINED, **changes):
+    adjusted = adjusted_of(changes.pop("scanner", room.scanner), room.observations, **changes)
     both = compare(room.prior, room.posterior() if gained else 0.99 * room.prior)
     drift = Drift(30.0, 10, 1e-4 if drifted else 0.5, drifted)
-    return refuse_result(adjusted, both, drift, held_out, RecalibrationSettings())
+    return refuse_result(adjusted, both, drift, held_out, lengths, RecalibrationSettings())
 
 
 def test_a_good_adjustment_is_not_refused(room):
@@ -148,6 +157,8 @@ def test_refusals_say_why(room):
     )
     assert "known 1.01 times as well" in refused(room, gained=False)
     assert refused(room, gained=False, drifted=True) == ""
+    lost = with_covariance(room.scanner, 1e4 * room.prior)
+    assert "drifted" in refused(room, drifted=True, scanner=lost) and refused(room, scanner=lost) == ""
     error = np.zeros(len(room.observations.points.q))
     error[room.observations.points.surface == 2] = 0.02
     said = refused(room, cost=9.0 * len(error), point_error=error)
@@ -156,6 +167,51 @@ def test_refusals_say_why(room):
     assert "face 1 direction, expected at least 2" in refused(one)
     for text in (said, refused(one)):
         assert "\n" not in text
+
+
+def test_an_update_that_gains_no_length_is_refused(room):
+    few = (length(1.0, 0.97), length(2.0, 1.99))
+    assert "the best of the typical lengths is known 1.03 times as well" in refused(room, lengths=few)
+    worse = (length(1.0, 0.5), length(1.0, 1.03))
+    assert "1.5 m across the sweep would be known worse (± 1.03 mm, before ± 1.00 mm)" in refused(room, lengths=worse)
+    # Where a part moved its share of the prior is given up, so a length may well be known worse.
+    assert refused(room, lengths=worse, drifted=True) == refused(room, lengths=few, drifted=True) == ""
+
+
+def test_walls_that_took_up_the_misfit_are_refused(room):
+    """The shape of walls, and the learned noise, leave residuals of the size that was learned."""
+    assert refused(room, wall_m=3e-3, uneven_m=3e-3) == ""
+    said = refused(room, wall_m=3e-3, uneven_m=4.1e-3)
+    assert "the walls are uneven by 5.1 mm (expected at most 5 times and 5 mm)" in said
+    assert refused(room, misfit=24.0) == ""
+    assert "residuals are 5.1 times as large as stated" in refused(room, misfit=26.0)
+
+
+def tracked(room, count, turn):
+    """One plane, and points that are tracked over a turn."""
+    angle = room.observations.angles[0]
+    ends = np.array([0, int(np.argmin(np.abs(angle - angle[0] - turn)))])
+    record, track = np.tile(ends, count), np.repeat(np.arange(count), 2)
+    ones = np.ones(2 * count)
+    tracks = Tracks(np.zeros((2 * count, 2)), ones, np.zeros(2 * count, int), record, track, np.zeros((count, 3)))
+    return room._replace(observations=room.observations.only([0])._replace(tracks=tracks))
+
+
+def test_a_few_targets_do_not_stand_for_walls(room):
+    kept = lambda count: {"track_kept": np.ones(2 * count, bool), "track_error": np.zeros((2 * count, 2))}
+    assert refused(tracked(room, 20, 2.0), **kept(20)) == ""
+    assert "face 1 direction" in refused(tracked(room, 19, 2.0), **kept(19))
+    assert "face 1 direction" in refused(tracked(room, 20, 1.0), **kept(20))
+    assert "face 1 direction" in refused(tracked(room, 20, 2.0), **(kept(20) | {"track_kept": np.zeros(40, bool)}))
+
+
+def test_scales_are_of_the_room_with_corrected_angles(room):
+    """A journal of half the turn tells the same scales, once its angles are put right."""
+    angle = room.observations.angles[0]
+    folded = room.observations._replace(angles=(angle / 2,))
+    found = scale_slopes(room.scanner, folded, (angle / 2,))
+    np.testing.assert_allclose(found, scale_slopes(room.scanner, room.observations))
+    assert not np.allclose(found, scale_slopes(room.scanner, folded), rtol=0.1)
 
 
 def test_surfaces_are_told_by_where_they_are(room):
@@ -169,3 +225,16 @@ def test_surfaces_are_told_by_where_they_are(room):
         "an inclined plane at 2.00 m",
         "the sphere of 145 mm",
     ]
+
+
+def test_a_scale_that_became_better_known_is_not_told_as_unchanged(room):
+    """Sentences agree with the gains: of a scale that hung on a parameter that walls see, only the rest is stored."""
+    both = compare(room.prior, room.posterior())
+    slope = scale_slopes(room.scanner, room.observations)
+    scales = scales_of(both, slope)
+    told = unobserved(both, scales._replace(before=6.0 * scales.after, factor=np.ones(2)), room.names)
+    assert told[0].endswith(
+        f"the {1e6 * scales.after[0]:.0f} ppm that are left of its sigma are the stored calibration's"
+    )
+    told = unobserved(both, scales._replace(before=1.2 * scales.after, factor=np.ones(2)), room.names)
+    assert told[0].endswith(f"the stored calibration alone holds it, to {1e6 * scales.after[0]:.0f} ppm")

@@ -89,10 +89,12 @@ def test_walls_become_flat_in_the_panorama(poor):
     assert after < 0.8 * before
 
 
-def test_the_closure_becomes_small(poor):
-    closure = poor[1].closure
-    assert closure is not None and closure.source == "model"
-    assert closure.after_mm < min(closure.before_mm, 4.0 * closure.sigma_mm)
+def test_without_overlap_the_turn_is_known_better_but_no_gap_is_told(poor):
+    calibration, result, _ = poor
+    closure, names = result.closure, result.scanner.parameter_names()
+    assert closure is not None and closure.source == "model" and closure.before_mm is closure.after_mm is None
+    stored = np.sqrt(np.asarray(calibration.scanner.covariance)[names.index("gain"), names.index("gain")])
+    assert closure.sigma_mm < 0.5 * 5e3 * np.pi * stored
 
 
 def test_progress_ends_at_its_end(poor):

@@ -45,7 +45,11 @@ def print_recalibration(out: Terminal, result: Recalibration) -> None:
 def moved_lines(result: Recalibration) -> list[str]:
     """Parameters that moved further than chance moves them, and by how many sigmas."""
     moved = [one for one in words.by_sigmas(result.moved) if abs(one.sigmas) > _UNUSUAL]
-    return [f"{one.name}: {one.before:.7g} → {one.after:.7g}, {one.sigmas:+.1f} sigmas" for one in moved]
+    return [
+        f"{one.name}: {one.scale * one.before:.7g} → {one.scale * one.after:.7g}{f' {one.unit}' if one.unit else ''}, "
+        f"{one.sigmas:+.1f} sigmas"
+        for one in moved
+    ]
 
 
 def recalibration_json(result: Recalibration) -> dict[str, Any]:

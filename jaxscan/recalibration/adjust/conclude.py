@@ -47,10 +47,12 @@ def conclude(state: State, prior: Scanner, observations: RoomObservations) -> Ad
         wall_m=state.noise.wall_m,
         inflation=state.inflation,
         observations=observations,
-        cost=float(state.linearised.cost) - state.shaped[1],
+        cost=state.cost,
         freedom=rows - 3 * places - stations,
         converged=state.converged,
         steps=state.steps,
+        uneven_m=float(np.sqrt(np.sum(state.heights**2))),
+        misfit=state.misfit,
     )
 
 

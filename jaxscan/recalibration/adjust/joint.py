@@ -11,12 +11,12 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjust.boards import board_equations, prepare_boards, with_boards
 from jaxscan.recalibration.adjust.conclude import conclude
-from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise
+from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, cauchy_weights, learn_noise, shared_by_profiles
 from jaxscan.recalibration.adjust.prepare import Prepared, prepare
 from jaxscan.recalibration.adjust.room import Unknowns
 from jaxscan.recalibration.adjust.solver import linearise, on_host, solve, step_of
 from jaxscan.recalibration.adjust.state import State
-from jaxscan.recalibration.adjust.wall_shape import learn_heights
+from jaxscan.recalibration.adjust.wall_shape import beside_shape, learn_heights
 from jaxscan.recalibration.adjusted import Adjusted, Start
 from jaxscan.recalibration.observed import RoomObservations
 from jaxscan.recalibration.settings import RecalibrationSettings
@@ -31,7 +31,9 @@ _ROBUST_ROUNDS, _REJECTION_ROUNDS = 6, 8
 _REJECT_ANY, _REJECT_ALL = 5.0, 4.0
 _SETTLED = 0.01
 # The problem is nearly linear beside the minimum of plain least squares.
-_SHAPE_STEPS = 6
+_SHAPE_STEPS = 8
+# Share by which the sum of squares may rise in such a step: patches follow the points.
+_RISE = 1e-3
 
 
 def adjust(
@@ -82,7 +84,8 @@ def _begin(
     wall = FIRST_WALL_M if settings.wall_m is None else settings.wall_m
     linearised = on_host(linearise(prepared.room, prepared.y))
     data = None if observations.boards is None else prepare_boards(observations.boards, prior)
-    return State(prepared, observations, prepared.y, linearised, prepared.usable, prepared.seen, Noise(1.0, wall), data)
+    seen = prepared.usable, prepared.seen
+    return State(prepared, observations, prepared.y, linearised, *seen, Noise(1.0, wall), data, stated_wall_m=wall)
 
 
 def _robust(state: State, settings: RecalibrationSettings) -> State:
@@ -90,7 +93,7 @@ def _robust(state: State, settings: RecalibrationSettings) -> State:
     before = np.inf
     for _ in range(_ROBUST_ROUNDS):
         size, seen = np.abs(state.whitened()), np.abs(state.sighting_whitened()).max(1, initial=0.0)
-        scale = robust_noise(size[state.prepared.usable]), robust_noise(seen[state.prepared.seen])
+        scale = robust_noise(size[state.usable]), robust_noise(seen[state.prepared.seen])
         if max(scale) > 0.9 * before:
             break
         before = max(scale)
@@ -104,7 +107,7 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
     limits = {"reject_any": _REJECT_ANY, "reject_all": _REJECT_ALL}
     state = replace(state, noise=_robust_noise_of(state, settings))
     for round_number in range(_REJECTION_ROUNDS):
-        usable, seen = state.prepared.usable, state.prepared.seen
+        usable, seen = state.usable, state.prepared.seen
         size = np.abs(state.whitened()) / np.sqrt(state.redundancy())
         kept = keep_inliers(size, usable, state.kept, **limits)
         far = np.abs(state.sighting_whitened()).max(1, initial=0.0) / state.sighting_noise
@@ -131,16 +134,28 @@ def _shaped(state: State, settings: RecalibrationSettings) -> State:
     if settings.wall_m is None:
         # Roughness was learned with the shape in it.
         wall = float(np.sqrt(max(wall**2 - np.sum(heights**2), 0.0)))
-    state = _with_boards(replace(state, noise=Noise(state.noise.stripe, wall), heights=heights))
+    # Beside the shape neighbouring profiles say some of it twice.
+    points, kept = state.observations.points, state.kept
+    grid = np.stack([points.sweep, points.surface, points.record, points.line], 1)[kept]
+    shared = np.sqrt(shared_by_profiles(beside_shape(state.whitened(), state.walls, heights)[kept], grid))
+    noise = Noise(float(shared * state.noise.stripe), float(shared * wall))
+    state = _with_boards(replace(state, noise=noise, heights=heights))
     room = state.weighted(1.0, 1.0)
     state = _moved(state, state.prepared._replace(room=room), state.y)
     for _ in range(_SHAPE_STEPS):
         step = on_host(step_of(room, state.shaped[0], state.covariance))
         y = jax.tree.map(lambda old, new: np.asarray(old - new), state.y, step)
-        state = replace(_moved(state, state.prepared, y), steps=state.steps + 1)
-        if np.sqrt(np.mean(step.scanner**2)) < _ROUGH:
+        if not all(np.isfinite(part).all() for part in y):
             break
-    return state
+        after = replace(_moved(state, state.prepared, y), steps=state.steps + 1)
+        # Written so that a sum which is no number is no improvement either.
+        if not after.cost <= (1.0 + _RISE) * state.cost:
+            break
+        state = after
+        if np.sqrt(np.mean(step.scanner**2)) < _ROUGH:
+            return state
+    # A step that was not taken, or not the last one: the caller must know that this is no minimum.
+    return replace(state, converged=False)
 
 
 def _with_boards(state: State) -> State:
@@ -167,9 +182,9 @@ def _ratios(after: State, before: State) -> tuple[float, ...]:
 
 def _robust_noise_of(state: State, settings: RecalibrationSettings) -> Noise:
     """The noise by the median, with the shares that it has: outliers are still in."""
-    if settings.wall_m is not None or not state.prepared.usable.any():
+    if settings.wall_m is not None or not state.usable.any():
         return state.noise
-    size = robust_noise(state.whitened()[state.prepared.usable])
+    size = robust_noise(state.whitened()[state.usable])
     return Noise(state.noise.stripe, state.noise.wall_m * max(size, 0.1)) if size > 1 else state.noise
 
 

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 # First roughness of walls [m].
@@ -11,6 +11,10 @@ FIRST_WALL_M = 5e-4
 # The noise of stripes over the given sigmas lies between these [1].
 _LEAST, _MOST = 0.3, 5.0
 _ROUNDS = 20
+# Neighbours that share errors are at most so many profiles and lines apart.
+_NEAR_PROFILES, _NEAR_LINES = 3, 3
+# A sum of products is believed if it is so many of its own standard deviations.
+_CERTAIN = 2.5
 
 
 class Noise(NamedTuple):
@@ -60,6 +64,38 @@ def learn_noise(
         if np.allclose(parts, before, rtol=1e-4, atol=1e-14):
             break
     return Noise(float(np.sqrt(parts[0])), float(np.sqrt(parts[1])))
+
+
+def shared_by_profiles(whitened: Float[np.ndarray, " points"], grid: Int[np.ndarray, "points 4"]) -> float:
+    """Factor of the variance of slow sums of errors by what neighbouring profiles share of them [1]; at least 1.
+
+    Along the line points are so far apart that their errors are independent. From profile to profile speckle and the
+    paint of a wall change little where steps are small. The factor is 1 + 2 sum of r_i r_j / sum of r_i^2 over the
+    pairs of neighbours, and 1 where that sum is no more than chance makes it.
+
+    Args:
+        whitened: Errors over their standard deviations.
+        grid: Sweep, surface, record and line of each.
+    """
+    square = float(whitened @ whitened)
+    if square <= 0.0:
+        return 1.0
+    wall = np.unique(grid[:, :2], axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+    place = (grid[:, 2:] - grid[:, 2:].min(0)).astype(np.int64)
+    # With room between walls and profiles, so that no pair reaches over two of them.
+    length, height = place.max(0) + 1 + np.array([_NEAR_PROFILES, 2 * _NEAR_LINES])
+    key = (wall * length + place[:, 0]) * height + place[:, 1]
+    order = np.argsort(key)
+    products, pairs = 0.0, 0
+    for profiles in range(1, _NEAR_PROFILES + 1):
+        for lines in range(-_NEAR_LINES, _NEAR_LINES + 1):
+            wanted = key + profiles * height + lines
+            other = order[np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)]
+            there = key[other] == wanted
+            products += float(whitened[there] @ whitened[other[there]])
+            pairs += int(there.sum())
+    chance = np.sqrt(pairs) * square / len(key)
+    return 1.0 + 2.0 * products / square if products > _CERTAIN * chance else 1.0
 
 
 def cauchy_weights(size: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

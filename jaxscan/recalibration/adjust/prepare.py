@@ -25,6 +25,8 @@ _SIGHTINGS = (0, 1_000, 5_000, 20_000, 80_000)
 _TRACKS = (0, 256, 1_024, 4_096)
 # Accuracy of a full turn of a gear without slip [1].
 _CLOSED = 5e-6
+# A held gain that is farther from 1 than this many of them contradicts it.
+_CONTRADICTS = 5.0
 
 
 class Prepared(NamedTuple):
@@ -97,6 +99,14 @@ def _closed(
         return np.zeros((0, len(root))), np.zeros(0)
     row = prior.parameter_names().index("gain")
     gain = float(prior.turntable.gain)
+    if not root[row].any():
+        # A row that no unknown meets would only add to the residuals.
+        if abs(1.0 - abs(gain)) > _CONTRADICTS * _CLOSED:
+            raise CalibrationError(
+                f"The stored calibration holds the table's gain at {gain:.6f}, but a closed gear has 1 (--closed): "
+                "leave that out, or calibrate with a gain that is not held."
+            )
+        return np.zeros((0, len(root))), np.zeros(0)
     return np.sign(gain) * root[row : row + 1] / _CLOSED, np.array([(1.0 - abs(gain)) / _CLOSED])
 
 

@@ -45,6 +45,8 @@ class PointRows(NamedTuple):
     """Change of the distance from the surface by one pixel across the line [m / px]."""
     place: Float[Array, "points 2"]
     """Coordinates in the plane [m]."""
+    meets: Bool[Array, " points"]
+    """Whether the ray meets the sheet; where it does not, there is neither an error nor a slope."""
 
 
 class Own(NamedTuple):
@@ -87,7 +89,7 @@ def point_rows(room: Room, y: Unknowns) -> PointRows:
         q, phi = sight.q + shift * room.across, sight.phi + ANGLE_SCALE * own.angle
         point, meets = room_point(moved_scanner(room, z), pose, q, sight.laser, phi)
         distance = jnp.where(meets, surface_distance(place, own.local, point), 0.0)
-        return distance, place.basis @ (point - place.centre)
+        return distance, (place.basis @ (point - place.centre), meets)
 
     def one(sight: Sight):
         place = jax.tree.map(lambda leaf: leaf[sight.local], places)
@@ -100,11 +102,11 @@ def point_rows(room: Room, y: Unknowns) -> PointRows:
 
         shift = jax.lax.fori_loop(0, _NEWTON_STEPS, newton, jnp.zeros_like(sight.phi))
         by = jax.value_and_grad(error, argnums=(0, 1, 2), has_aux=True)
-        (distance, at), (z, own, reach) = by(y.scanner, own, shift, sight, place)
+        (distance, (at, meets)), (z, own, reach) = by(y.scanner, own, shift, sight, place)
         one_px = _some(reach)
         value = distance / one_px - shift
         return PointRows(
-            Rows(value, z / one_px, own.station / one_px, own.angle / one_px, own.local / one_px), reach, at
+            Rows(value, z / one_px, own.station / one_px, own.angle / one_px, own.local / one_px), reach, at, meets
         )
 
     return jax.vmap(one)(room.points)

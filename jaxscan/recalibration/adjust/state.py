@@ -11,7 +11,7 @@ from jaxscan.calibration.solve import Prepared as BoardData
 from jaxscan.calibration.solve import noise_component
 from jaxscan.recalibration.adjust.blocks import Blocks
 from jaxscan.recalibration.adjust.boards import BoardEquations
-from jaxscan.recalibration.adjust.noise import Noise
+from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise
 from jaxscan.recalibration.adjust.prepare import Prepared
 from jaxscan.recalibration.adjust.room import Room, Unknowns
 from jaxscan.recalibration.adjust.solver import Covariance, Linearised, covariance_of
@@ -35,10 +35,17 @@ class State:
     """Over the given sigmas [1]."""
     heights: Float[np.ndarray, " sizes"] = field(default_factory=lambda: np.zeros(4))
     """Standard deviation of the heights of patches of each size [m]."""
+    stated_wall_m: float = FIRST_WALL_M
+    """Roughness of walls before any was learned [m]."""
     boards: BoardEquations | None = None
     """What captured boards say, at the scanner of a few steps before."""
     steps: int = 0
     converged: bool = False
+
+    @property
+    def usable(self) -> Bool[np.ndarray, " points"]:
+        """Points that are finite and whose rays meet the sheet; an error of 0 of the others is no observation."""
+        return self.prepared.usable & np.asarray(self.linearised.points.meets)[: len(self.kept)]
 
     @property
     def surface(self) -> Int[np.ndarray, " points"]:
@@ -72,7 +79,7 @@ class State:
 
     def whitened(self) -> Float[np.ndarray, " points"]:
         """Errors over their standard deviations; 0 where there is none."""
-        return np.where(self.prepared.usable, self.error_px / self.sigma_px, 0.0)
+        return np.where(self.usable, self.error_px / self.sigma_px, 0.0)
 
     def sighting_error(self) -> Float[np.ndarray, "sightings 2"]:
         """Projected minus seen [px]."""
@@ -103,6 +110,19 @@ class State:
     def covariance(self) -> Covariance:
         """Of the unknowns, if this is the minimum."""
         return covariance_of(self.shaped[0])
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared whitened residuals with those of the prior, beside what the shape of walls explains."""
+        return float(self.linearised.cost) - self.shaped[1]
+
+    @property
+    def misfit(self) -> float:
+        """Mean square of the errors of kept points over what was stated of them: no noise is learned here [1]."""
+        if not self.kept.any():
+            return 0.0
+        square = (self.error_px / Noise(1.0, self.stated_wall_m).sigma(self.given_px, self.reach)) ** 2
+        return float(np.sum(square[self.kept]) / np.sum(self.redundancy()[self.kept]))
 
     @cached_property
     def plain_covariance(self) -> Covariance:

@@ -173,5 +173,17 @@ def with_shape(blocks: Blocks, walls: list[Wall], height: Float[np.ndarray, " si
     return Blocks(dense, cross, local, gradient, by_local), less
 
 
+def beside_shape(
+    whitened: Float[np.ndarray, " points"], walls: list[Wall], height: Float[np.ndarray, " sizes"]
+) -> Float[np.ndarray, " points"]:
+    """Whitened errors less the likeliest shapes of the walls."""
+    left = whitened.copy()
+    for wall in walls:
+        size = height[wall.size]
+        gram = wall.gram * np.outer(size, size) + np.eye(len(size))
+        left[wall.member] -= wall.moves @ (size * np.linalg.solve(gram, size * wall.residual))
+    return left
+
+
 def _some(reach: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
     return np.where(np.abs(reach) < 1e-7, 1e-7, reach)

@@ -32,7 +32,8 @@ def closure_of(adjusted: Adjusted, stored: Scanner) -> Closure | None:
     """The gap after a full turn, with the stored and with the new scanner.
 
     Where a sweep overlaps itself the gap is measured: planes that the first pass saw against points of the second.
-    Otherwise it is that of the table's model, in which a turn by the journal is `gain` turns.
+    A table's gain need not be 1, so without an overlap the gap is that of the stored gain against the new one where
+    features close the turn, and nobody knows it where nothing does: then only its standard deviation is told.
 
     Returns:
         The gap; None without a full turn.
@@ -46,14 +47,12 @@ def closure_of(adjusted: Adjusted, stored: Scanner) -> Closure | None:
     after = _overlap_gap(adjusted.scanner, adjusted, adjusted.corrections)
     if before is not None and after is not None:
         return Closure(_mm(before.angle), _mm(after.angle), _mm(after.sigma), "overlap")
-    before_turn, after_turn = (
-        abs(float(scanner.turntable.gain)) - 1.0  # type: ignore[attr-defined]
-        for scanner in (stored, adjusted.scanner)
-    )
     position = stored.parameter_names().index("gain")
     sigma = float(np.sqrt(max(np.asarray(adjusted.scanner.covariance)[position, position], 0.0)))
-    source = "features" if _seen_again(adjusted) else "model"
-    return Closure(_mm(_TURN * before_turn), _mm(_TURN * after_turn), _mm(_TURN * sigma), source)
+    if not _seen_again(adjusted):
+        return Closure(None, None, _mm(_TURN * sigma), "model")
+    change = float(adjusted.scanner.turntable.gain) - float(stored.turntable.gain)
+    return Closure(_mm(_TURN * change), None, _mm(_TURN * sigma), "features")
 
 
 def _mm(angle: float) -> float:

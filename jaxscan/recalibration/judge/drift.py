@@ -138,12 +138,13 @@ def loosened_prior(
     where both have moved and no length is known, those distances are loosened by no more than the move found.
     """
     parts = explanation.parts
-    added = _size_of(departure, loosening(parts, stored)) ** 2 * loosening(parts, stored)
+    share = _size_of(departure, loosening(parts, stored)) ** 2
+    added = share * loosening(parts, stored)
     if not scale_known and holds_no_scale(parts):
         names = stored.parameter_names()
         own = [name for part in parts for name in part.names if name in _AXIS or name.endswith(".d")]
         move, free = move_of(departure, added), np.diag(added) > 0
-        added = loosening(parts, stored, without=own)
+        added = share * loosening(parts, stored, without=own)
         for group in ([name for name in own if name in _AXIS], [name for name in own if name not in _AXIS]):
             at = [names.index(name) for name in group]
             added[at, at] = np.where(free[at], np.sum(move[at] ** 2), 0.0)

@@ -57,8 +57,8 @@ def unobserved(compared: Compared, scales: Scales, names: tuple[str, ...]) -> tu
     """Sentences on the directions that the stored calibration alone holds: the scales, then all others."""
     seen = scales.factor >= _OBSERVED
     told = [
-        f"{name}: {_ALIKE[name]}; the stored calibration alone holds it, to {1e6 * sigma:.0f} ppm"
-        for name, sigma, good in zip(NAMES, scales.after, seen, strict=True)
+        f"{name}: {_ALIKE[name]}; {_holding(old, new)}"
+        for name, old, new, good in zip(NAMES, scales.before, scales.after, seen, strict=True)
         if not good
     ]
     left, _ = np.linalg.qr(compared.whiten @ scales.left[:, ~seen])
@@ -72,6 +72,13 @@ def unobserved(compared: Compared, scales: Scales, names: tuple[str, ...]) -> tu
             "calibration holds them"
         )
     return tuple(told)
+
+
+def _holding(before: float, after: float) -> str:
+    """Who holds a scale; walls also tell of parameters that bend them, on which it hangs besides."""
+    if before >= _OBSERVED * after:
+        return f"the {1e6 * after:.0f} ppm that are left of its sigma are the stored calibration's"
+    return f"the stored calibration alone holds it, to {1e6 * after:.0f} ppm"
 
 
 _TOLD = 3

@@ -1,21 +1,31 @@
 """Why a calibration is not updated: one sentence each, with the finding, the expectation and the remedy."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jaxscan.recalibration.adjusted import Adjusted
 from jaxscan.recalibration.judge.compared import Compared
+from jaxscan.recalibration.judge.scale import scale_slopes
 from jaxscan.recalibration.observed import Surfaces
-from jaxscan.recalibration.result import Drift, HoldOut
+from jaxscan.recalibration.result import Drift, HoldOut, LengthGain
 from jaxscan.recalibration.settings import RecalibrationSettings
 
 
-# Residuals this much larger than stated, in variance, are of something that is not in the model.
-_BELIEVABLE = 3.0
-# No wall that anybody calls flat is rougher [m].
+# Residuals this much larger than they are known to be, in variance, are of something that is not in the model: than
+# was learned from them, and than was stated before (walls may be rougher, and stripes noisier, than anybody stated).
+_BELIEVABLE, _MISFIT = 3.0, 25.0
+# No wall that anybody calls flat is rougher and more uneven [m].
 _ROUGHEST_M = 5e-3
 # Planes whose normals are nearer than this have one direction.
 _SAME_DIRECTION = np.cos(np.radians(15.0))
 _LEAST_DIRECTIONS = 2
+# Tracked points, and turn over which they are seen [rad], that stand for walls in other directions.
+_LEAST_TRACKS, _LEAST_TURN = 20, np.radians(90.0)
+# No length may be known worse than before by more than rounding and first order make of it [1].
+_WORSE = 1.02
+# A scanner that knows a room's scale less well measures nothing [1].
+_LEAST_SCALE = 0.01
 
 
 def refuse_result(
@@ -23,27 +33,29 @@ def refuse_result(
     compared: Compared,
     drift: Drift,
     held_out: HoldOut | None,
+    lengths: Sequence[LengthGain],
     settings: RecalibrationSettings,
 ) -> str:
     """The first reason not to update; empty where there is none."""
     best = float(np.max(compared.factor, initial=1.0))
     directions = count_directions(adjusted.surfaces)
-    others = adjusted.observations.tracks is not None or adjusted.observations.boards is not None
     if not adjusted.converged:
         return (
             f"the adjustment did not settle in {adjusted.steps} steps; check that the sweeps are of this rig and of "
             "one room that stood still"
         )
-    if directions < _LEAST_DIRECTIONS and not others:
+    if directions < _LEAST_DIRECTIONS and not (_many_tracks(adjusted) or _lit_boards(adjusted)):
         return (
             f"the planes found face {directions} direction{'s' if directions != 1 else ''}, expected at least "
             f"{_LEAST_DIRECTIONS}, better 3 (two walls and the floor): sweep more of the room"
         )
-    if (ratio := adjusted.cost / max(adjusted.freedom, 1)) > _BELIEVABLE or adjusted.wall_m > _ROUGHEST_M:
+    learned, uneven = adjusted.cost / max(adjusted.freedom, 1), float(np.hypot(adjusted.wall_m, adjusted.uneven_m))
+    if learned > _BELIEVABLE or adjusted.misfit > _MISFIT or uneven > _ROUGHEST_M:
         return (
-            f"the walls do not fit: residuals are {np.sqrt(ratio):.1f} times as large as stated and the walls are "
-            f"rough to {1e3 * adjusted.wall_m:.1f} mm, worst {_worst_surfaces(adjusted)}; check that nothing moved "
-            "during the sweep and that the calibration is of this rig"
+            f"the walls do not fit: residuals are {np.sqrt(max(learned, adjusted.misfit)):.1f} times as large as "
+            f"stated and the walls are uneven by {1e3 * uneven:.1f} mm (expected at most {np.sqrt(_MISFIT):.0f} times "
+            f"and {1e3 * _ROUGHEST_M:.0f} mm), worst {_worst_surfaces(adjusted)}; check that nothing moved during the "
+            "sweep and that the calibration is of this rig"
         )
     if held_out is not None and not held_out.better:
         before, after = np.mean(held_out.before_mm), np.mean(held_out.after_mm)
@@ -51,12 +63,61 @@ def refuse_result(
             f"planes that were not used became less flat ({before:.2f} mm before, {after:.2f} mm after), expected "
             "flatter ones: the walls are not flat enough, or something moved; sweep another room"
         )
-    if best < settings.least_gain and not drift.drifted:
+    if drift.drifted and adjusted_scale(adjusted) > _LEAST_SCALE:
+        return (
+            f"the rig has drifted (p = {drift.p:.1g}; {drift.part}), and these sweeps alone would know the scale of the "
+            f"room to {100 * adjusted_scale(adjusted):.1f} % only, expected {100 * _LEAST_SCALE:g} %: give a known "
+            "length or a capture of a board, or calibrate again"
+        )
+    return "" if drift.drifted else _nothing_gained(best, lengths, settings.least_gain)
+
+
+def _nothing_gained(best: float, lengths: Sequence[LengthGain], least: float) -> str:
+    if best < least:
         return (
             f"nothing was gained: the best direction is known {best:.2f} times as well as before, expected at least "
-            f"{settings.least_gain:g} times; the stored calibration is as good as these sweeps"
+            f"{least:g} times; the stored calibration is as good as these sweeps"
+        )
+    # A length that the stored calibration makes without any error can neither gain nor lose.
+    shares = [each.after_mm / each.before_mm for each in lengths if each.before_mm > 0]
+    if shares and min(shares) > 1.0 / least:
+        return (
+            f"nothing was gained: the best of the typical lengths is known {1.0 / min(shares):.2f} times as well as "
+            f"before, expected at least {least:g} times; the stored calibration is as good as these sweeps"
+        )
+    if shares and max(shares) > _WORSE:
+        worst = max((each for each in lengths if each.before_mm > 0), key=lambda each: each.after_mm / each.before_mm)
+        return (
+            f"a length of {worst.length_m:.1f} m {worst.name} would be known worse (± {worst.after_mm:.2f} mm, before "
+            f"± {worst.before_mm:.2f} mm), though nothing has drifted; the stored calibration is better there"
         )
     return ""
+
+
+def _many_tracks(adjusted: Adjusted) -> bool:
+    """Whether tracked points say as much of the table as walls in two directions do."""
+    tracks = adjusted.observations.tracks
+    if tracks is None or not adjusted.track_kept.any():
+        return False
+    sweep, record = tracks.sweep[adjusted.track_kept], tracks.record[adjusted.track_kept]
+    turned = [
+        float(np.ptp(angle[record[sweep == number]]))
+        for number, angle in enumerate(adjusted.observations.angles)
+        if np.any(sweep == number)
+    ]
+    return len(np.unique(tracks.track[adjusted.track_kept])) >= _LEAST_TRACKS and max(turned) >= _LEAST_TURN
+
+
+def _lit_boards(adjusted: Adjusted) -> bool:
+    """Whether boards were captured with the stripe on them."""
+    boards = adjusted.observations.boards
+    return boards is not None and len(boards.stripes.q) > 0
+
+
+def adjusted_scale(adjusted: Adjusted) -> float:
+    """Standard deviation of the radial scale [1]."""
+    slope = scale_slopes(adjusted.scanner, adjusted.observations, adjusted.corrections)[0]
+    return float(np.sqrt(slope @ np.asarray(adjusted.scanner.covariance) @ slope))
 
 
 def count_directions(surfaces: Surfaces) -> int:
@@ -76,6 +137,15 @@ def _worst_surfaces(adjusted: Adjusted) -> str:
     rms = np.sqrt(square / np.maximum(np.bincount(own, minlength=len(square)), 1))
     order = np.argsort(-rms)[:2]
     return " and ".join(f"{describe_surface(adjusted.surfaces, int(k))} ({1e3 * rms[k]:.1f} mm)" for k in order)
+
+
+def none_is_flat(adjusted: Adjusted) -> str:
+    """One line for a room of which no surface can be used."""
+    planes = adjusted.surfaces.kind.count("plane")
+    return (
+        f"none of the {planes} surfaces found is flat, worst {_worst_surfaces(adjusted)}; expected flat walls: sweep a "
+        "room that has some, and check that nothing moved during the sweep and that the calibration is of this rig."
+    )
 
 
 def describe_surface(surfaces: Surfaces, number: int) -> str:

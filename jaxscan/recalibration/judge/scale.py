@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from jaxscan.geometry import Scanner, Turntable
 from jaxscan.recalibration.adjust import point_gradient, triangulate_points
+from jaxscan.recalibration.judge.hold_out import angles_of
 from jaxscan.recalibration.observed import RoomObservations
 
 
@@ -17,16 +18,19 @@ NAMES = ("radial scale", "height scale")
 _POINTS = 512
 
 
-def scale_slopes(scanner: Scanner, observations: RoomObservations) -> Float[np.ndarray, "2 params"]:
+def scale_slopes(
+    scanner: Scanner, observations: RoomObservations, corrections: tuple[Float[np.ndarray, " records"], ...] = ()
+) -> Float[np.ndarray, "2 params"]:
     """Radial and height scale of a room by a step of the scanner that measures it [1 per px, rad, m].
 
     Args:
         scanner: With a turntable; where the derivatives are taken.
         observations: Whose points stand for the room.
+        corrections: Of the angles of each sweep [rad]; without any, none.
     """
     points = observations.points
     some = np.unique(np.linspace(0, len(points.q) - 1, _POINTS).round().astype(int))
-    angle = np.array([observations.angles[points.sweep[i]][points.record[i]] for i in some])
+    angle = angles_of(observations, corrections, points.take(some))
     where = points.q[some], points.laser[some], angle
     arm, valid = triangulate_points(scanner, *where)
     slope, _, _ = point_gradient(scanner, *where)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from jaxscan.geometry import Scanner
 from jaxscan.recalibration.adjusted import Adjusted
+from jaxscan.recalibration.judge.bow import Bow, bow_of, bow_variance, held_bow, without_bow
 from jaxscan.recalibration.judge.compared import Compared, compare, with_prior
 from jaxscan.recalibration.judge.drift import (
     Explanation,
@@ -46,8 +47,8 @@ class Verdict(NamedTuple):
 
 
 def loose(stored: Scanner) -> Scanner:
-    """The stored scanner with a covariance by which every part may have moved a little."""
-    every = _LOOSE**2 * loosening(parts_of(stored), stored)
+    """The stored scanner with a covariance by which every part may have moved a little, and sheets may be bowed."""
+    every = _LOOSE**2 * loosening(parts_of(stored), stored) + bow_variance(stored)
     return with_covariance(stored, np.asarray(stored.covariance) + every)
 
 
@@ -69,13 +70,21 @@ def find_drift(stored: Scanner, free: Adjusted, solve: Solving, settings: Recali
     both = compare(np.asarray(free.prior.covariance), np.asarray(free.scanner.covariance))
     compared, step = with_prior(both, free.departure, prior)
     departure = departure_of(compared, step)
+    bow = _seen_bow(stored, both, free.departure, settings)
+    bowed = np.zeros_like(prior) if bow is None else bow_variance(stored)
+    told: tuple[str, ...] = ()
+    if bow is not None:
+        compared, step = with_prior(both, free.departure, prior + bowed)
+        compared = without_bow(compared, held_bow(stored))
+        departure = departure_of(compared, step)
+        told = (_bow_note(bow),)
     p = departure.p
     drift = Drift(departure.chi2, len(departure.value), p, p < settings.p_drift)
     if not drift.drifted:
-        return Verdict(drift, np.zeros_like(prior), solve(stored, free))
+        return Verdict(drift, bowed, solve(with_covariance(stored, prior + bowed), free), told)
     found = explain(departure, stored)
     known = bool(scales_of(compared, scale_slopes(free.scanner, free.observations)).factor[0] >= _MEASURED)
-    added = loosened_prior(found, departure, stored, scale_known=known)
+    added = bowed + loosened_prior(found, departure, stored, scale_known=known)
     adjusted = solve(with_covariance(stored, prior + added), free)
     covariance = np.asarray(adjusted.scanner.covariance)
     alone = [move_of(departure, loosening(some, stored)) for some in found.others]
@@ -87,7 +96,30 @@ def find_drift(stored: Scanner, free: Adjusted, solve: Solving, settings: Recali
             _size(some, stored, step, covariance if k == 0 else None) for k, (some, step) in enumerate(moves)
         ),
     )
-    return Verdict(drift, added, adjusted, _notes(found, known, settings))
+    return Verdict(drift, added, adjusted, (*told, *_notes(found, known, settings)))
+
+
+def _seen_bow(
+    stored: Scanner, both: Compared, step: Float[np.ndarray, " params"], settings: RecalibrationSettings
+) -> Bow | None:
+    """Bows of sheets that the stored calibration holds flat, where walls show them beyond chance."""
+    at = held_bow(stored)
+    if not at:
+        return None
+    compared, tight = with_prior(both, step, np.asarray(stored.covariance) + bow_variance(stored))
+    moved = departure_of(without_bow(compared, at), tight).p < settings.p_drift
+    # A part that moved bends walls too, so the bow must show whatever else did.
+    found = bow_of(both, step, at) if moved else bow_of(compared, tight, at)
+    return found if found.p < settings.p_drift else None
+
+
+def _bow_note(bow: Bow) -> str:
+    both = zip(bow.step, bow.sigma, strict=True)
+    sizes = ", ".join(f"{1e3 * value:.2f} ± {1e3 * sigma:.2f}" for value, sigma in both)
+    return (
+        f"the stored calibration holds the laser sheet flat, but walls show it bowed (b2, b3: {sizes} / 1000, "
+        f"p = {bow.p:.1g} for a flat one): that is no drift; it is free now, so free it in the next calibration too"
+    )
 
 
 def _size(

@@ -78,6 +78,9 @@ def _faults(sweep: SweepStripes, scanner: Scanner, table: Turntable) -> tuple[fl
             rig, factor = plain, 1.0
     sigmas = step_sigmas(sweep, rig)
     steps = [(record, size, float(sigma)) for (record, size), sigma in zip(rig.steps, sigmas, strict=True)]
+    if factor == 1.0:
+        # No other factor makes walls flatter, and the stored gain is known better than a free one of a few walls.
+        return 1.0, steps
     # With the steps known, and the gain free, once more.
     free = settle(sweep, rig, 3, LOOSE)
     stepless = free.theta.copy()

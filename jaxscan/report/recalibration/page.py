@@ -136,7 +136,7 @@ def _moved(result: Recalibration) -> Html | None:
 
 
 def _closure(result: Recalibration) -> Html | None:
-    if result.closure is None:
+    if result.closure is None or result.closure.before_mm is None:
         return None
     caption = "The distance between the ends of one full turn, with one standard deviation."
     drawn = _figure(plots.closure_figure(result.closure), "closure", "Closure before and after", caption)

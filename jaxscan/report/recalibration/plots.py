@@ -134,7 +134,8 @@ def closure_figure(closure: Closure) -> "Figure":
     """What is left open after a full turn, before and after."""
     figure = new_figure(5.4, 1.5)
     axes = new_axes(figure, xlabel="gap after a full turn at 2.5 m, mm")
-    values = [abs(closure.before_mm), abs(closure.after_mm)]
+    # A gap that nothing shows is 0 by the best estimate.
+    values = [abs(closure.before_mm or 0.0), abs(closure.after_mm or 0.0)]
     axes.barh([0, 1], values, height=0.55, color=[ORANGE, GREEN], xerr=[0.0, closure.sigma_mm], ecolor=SOFT, capsize=3)
     axes.set_yticks([0, 1], ["before", "after"])
     axes.set_ylim(1.6, -0.6)
