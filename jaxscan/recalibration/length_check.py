@@ -17,6 +17,8 @@ from jaxscan.recalibration.tracks import named_points
 
 # A length that is farther off was misread, mistyped, or measured somewhere else.
 _SIGMAS = 6.0
+# The same where the rig was knocked; those sigmas are tolerances already.
+_LOOSE_SIGMAS = 3.0
 # Points of a surface that are looked at.
 _POINTS = 200
 
@@ -27,32 +29,47 @@ class _Found(NamedTuple):
     """By noise and by walls that are not flat, without the calibration."""
 
 
-def check_lengths(observations: RoomObservations, sweeps: Sequence[SweepStripes], stored: Scanner) -> None:
-    """Refuse a known length that the stored calibration contradicts.
+def check_lengths(
+    observations: RoomObservations, sweeps: Sequence[SweepStripes], stored: Scanner, loose: Scanner
+) -> list[str]:
+    """Refuse a known length that contradicts the stored calibration even if the rig was knocked.
 
-    The standard deviation of the comparison is that of the stored calibration, with those of the length as it was
-    measured and of the surfaces. Lengths whose ends no single sweep sees are not compared.
+    The standard deviation of the comparison is that of the calibration, with those of the length as it was measured
+    and of the surfaces. Lengths whose ends no single sweep sees are not compared.
 
     Args:
         observations: With the known lengths, in the order of the user.
         sweeps: With their angles put right.
         stored: The stored scanner with its covariance.
+        loose: The same with a covariance by which every part may have moved.
+
+    Returns:
+        A sentence for each length that only a rig that was knocked explains.
 
     Raises:
         CalibrationError: With both lengths.
     """
+    notes = []
     for number, known in enumerate(observations.lengths):
         found = _length(known, observations, sweeps, stored)
         if found is None:
             continue
-        own = _sigma_of_calibration(known, observations, sweeps, stored)
-        sigma = float(np.sqrt(known.sigma_m**2 + found.sigma_m**2 + own**2))
-        if abs(found.metres - known.metres) > _SIGMAS * sigma:
+        own, knocked = (_sigma_of_calibration(known, observations, sweeps, one) for one in (stored, loose))
+        measured = np.hypot(known.sigma_m, found.sigma_m)
+        limit = _SIGMAS * float(np.hypot(measured, own))
+        farthest = max(limit, _LOOSE_SIGMAS * float(np.hypot(measured, knocked)))
+        said = f"known length {number + 1}: found {found.metres:.4f} m by the stored calibration, expected "
+        off = abs(found.metres - known.metres)
+        if off > farthest:
             raise CalibrationError(
-                f"known length {number + 1}: found {found.metres:.4f} m by the stored calibration, expected "
-                f"{known.metres:.4f} m within {1e3 * _SIGMAS * sigma:.2g} mm; check its number and its ends; if the "
+                f"{said}{known.metres:.4f} m within {1e3 * farthest:.2g} mm; check its number and its ends; if the "
                 "rig was knocked, leave the length out and recalibrate first."
             )
+        if off > limit:
+            notes.append(
+                f"{said}{known.metres:.4f} m within {1e3 * limit:.2g} mm; if the rig was not knocked, measure it again"
+            )
+    return notes
 
 
 def found_lengths(

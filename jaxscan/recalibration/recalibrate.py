@@ -89,7 +89,7 @@ def recalibrate(
     loose = judge.loose(scanner)
     start = Start(loose, stations, job.corrections)
     observed = observe_room(sweeps, start, given, settings)
-    check_lengths(observed, _corrected(job), scanner)
+    doubts = check_lengths(observed, _corrected(job), scanner, loose)
     rough = adjust(loose, start._replace(scanner=scanner), observed, settings)
     done()
     start = Start(rough.scanner, rough.stations, job.corrections)
@@ -111,7 +111,7 @@ def recalibrate(
     done()
     result = _judged(job, verdict, done)
     notes = [f"left out, because it is not flat: {name}" for name in uneven]
-    return replace(result, notes=(*job.table.sentences, *result.notes, *notes, *lost))
+    return replace(result, notes=(*job.table.sentences, *result.notes, *notes, *doubts, *lost))
 
 
 def _after(job: _Job, before: Adjusted) -> Start:

@@ -132,10 +132,8 @@ def test_gains_are_in_words():
 
 
 def test_a_motion_has_its_sign_and_unit():
-    moved = (
-        Moved("laser.red.n1", 0.0, -8.727e-4, 1e-3, 1e-4, -9.0, "degrees", 180 / np.pi),
-        Moved("k1", 0, 1, 1, 1, 2.0),
-    )
+    tilt = Moved("laser.red.n1", 0.0, -8.727e-4, 1e-3, 1e-4, -9.0, "degrees", float(np.degrees(1.0)))
+    moved = (tilt, Moved("k1", 0.0, 1.0, 1.0, 1.0, 2.0))
     first, second = words.moved_rows(moved)
     assert first == ("laser.red.n1, degrees", "0", "-0.05000203", "0.057", "0.0057", "-9.0")
     assert second[0] == "k1" and second[-1] == "+2.0"

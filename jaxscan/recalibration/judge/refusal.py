@@ -65,8 +65,8 @@ def refuse_result(
         )
     if drift.drifted and adjusted_scale(adjusted) > _LEAST_SCALE:
         return (
-            f"the rig has drifted (p = {drift.p:.1g}; {drift.part}), and these sweeps alone would know the scale of the "
-            f"room to {100 * adjusted_scale(adjusted):.1f} % only, expected {100 * _LEAST_SCALE:g} %: give a known "
+            f"the rig has drifted (p = {drift.p:.1g}; {drift.part}), and these sweeps alone would know the scale of "
+            f"the room to {100 * adjusted_scale(adjusted):.1f} % only, expected {100 * _LEAST_SCALE:g} %: give a known "
             "length or a capture of a board, or calibrate again"
         )
     return "" if drift.drifted else _nothing_gained(best, lengths, settings.least_gain)
