@@ -58,6 +58,7 @@ def recalibrate(
     named = "the calibration" if isinstance(calibration, Calibration) else str(calibration)
     scanner = recalibration.require_prior(stored, named)
     _check_captures(captures, boards, scanner.camera.width, scanner.camera.height)
+    recalibration.refuse_used([(str(one.path), one.digest()) for one in (*captures, *boards)], stored.provenance, named)
     # Everything that is wrong with a header or a journal is said before an image is read.
     watched = [_named(capture, plan_watched, capture, scanner, settings.stripes) for capture in captures]
     share = _Share(progress, [*(len(capture) for capture in captures), sum(map(len, boards))])
@@ -92,6 +93,7 @@ def recalibrate(
     provenance = {
         "captures": [{"name": one.path.name, "digest": one.digest()} for one in (*captures, *boards)],
         "calibration": origin,
+        "earlier": recalibration.earlier_captures(stored.provenance),
         "held": stored.provenance.get("held", []),
         "recalibration": _judgement(result),
         "versions": versions(),

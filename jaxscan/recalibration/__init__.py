@@ -16,6 +16,7 @@ from jaxscan.recalibration.renew import renew_calibration
 from jaxscan.recalibration.result import (
     Closure,
     Drift,
+    FoundLength,
     Gain,
     HoldOut,
     LengthGain,
@@ -26,3 +27,4 @@ from jaxscan.recalibration.result import (
 )
 from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.tracks import FeatureEyes, observe_features
+from jaxscan.recalibration.used import earlier_captures, refuse_used

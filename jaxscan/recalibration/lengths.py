@@ -14,6 +14,10 @@ from jaxscan.recalibration.observed import KnownLength, RoomObservations, Surfac
 
 # An end that is farther than this from every surface was not meant.
 _NEAR_M = 0.3
+# A point that is farther than this from the plane of its wall is on something else.
+_ON_M = 0.05
+# Walls between which there is one length: opposite ones, or steps of one wall.
+_PARALLEL = np.cos(np.radians(5.0))
 
 
 class _Near(NamedTuple):
@@ -35,7 +39,8 @@ def place_lengths(
         start: Scanner, stations and angles with which the points are placed.
 
     Raises:
-        CalibrationError: If an end is near no surface, no target has its name, or both ends are the same.
+        CalibrationError: If an end is near no surface, no target has its name, both ends are the same, or they lie on
+            walls that are not parallel.
     """
     if not lengths:
         return ()
@@ -56,6 +61,7 @@ def place_lengths(
         else:
             near = _Near(observations.surfaces, room[valid], points.surface[valid])
             ends = [_surface(name, place, near) for place in (length.first, length.second)]
+            _check_parallel(name, observations.surfaces, ends)
         if ends[0] == ends[1]:
             raise CalibrationError(f"{name}: both ends are on one surface or target; expected two.")
         metres, sigma = float(length.metres), float(length.sigma_m)
@@ -85,4 +91,37 @@ def _surface(name: str, place: Place, near: _Near) -> int:
             f"{name}: no surface within {_NEAR_M:g} m of ({where}) m{far}; "
             "give a point on the wall as measured in the cloud."
         )
-    return int(near.surface[nearest])
+    number = int(near.surface[nearest])
+    normal, distance = near.surfaces.normal[number], float(near.surfaces.distance[number])
+    if near.surfaces.kind[number] == "plane" and (off := abs(float(normal @ point) - distance)) > _ON_M:
+        raise CalibrationError(
+            f"{name}: found an end {100 * off:.0f} cm off the plane of the nearest flat surface, expected at most "
+            f"{100 * _ON_M:.0f} cm; give a point on a wall as measured in the cloud."
+        )
+    return number
+
+
+def _check_parallel(name: str, surfaces: Surfaces, ends: Sequence[int]) -> None:
+    if any(surfaces.kind[end] != "plane" for end in ends):
+        return
+    cosine = abs(float(surfaces.normal[ends[0]] @ surfaces.normal[ends[1]]))
+    if cosine < _PARALLEL:
+        raise CalibrationError(
+            f"{name}: its ends lie on walls at {np.degrees(np.arccos(cosine)):.0f} degrees to each other, expected "
+            "parallel ones; give a point on each of two opposite walls."
+        )
+
+
+def lost_lengths(lengths: Sequence[KnownLength], kept: Sequence[int]) -> list[str]:
+    """A sentence for each length that goes because one of its surfaces is not flat.
+
+    Args:
+        lengths: Known ones.
+        kept: Numbers of the surfaces that stay.
+    """
+    return [
+        f"known length {number + 1} ({length.metres:.4g} m) is left out, because one of its ends is on a surface that "
+        "is not flat: it holds no scale; measure between flat walls"
+        for number, length in enumerate(lengths)
+        if length.between == "surfaces" and not {length.first, length.second} <= set(kept)
+    ]

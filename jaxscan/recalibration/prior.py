@@ -28,6 +28,11 @@ def require_prior(stored: Calibration, name: str = "the calibration") -> Scanner
         raise CalibrationError(
             f"{name}: is that of {moves}; only sweeps of a turntable tell more of their rig: calibrate with boards."
         )
+    if scanner.turntable.carries != "scanner":
+        raise CalibrationError(
+            f"{name}: is that of a table that carries the {scanner.turntable.carries}, expected one that turns the "
+            "scanner in its room; calibrate with boards."
+        )
     if scanner.covariance is None or not np.any(np.diag(np.asarray(scanner.covariance)) > 0):
         raise CalibrationError(
             f"{name}: has no covariance, so nothing holds the two scales that walls leave open; sweeps refine a "

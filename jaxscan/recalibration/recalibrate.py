@@ -15,6 +15,8 @@ from jaxscan.recalibration import judge
 from jaxscan.recalibration.adjust import adjust
 from jaxscan.recalibration.adjusted import Adjusted, Start
 from jaxscan.recalibration.given import Given
+from jaxscan.recalibration.length_check import check_lengths, found_lengths
+from jaxscan.recalibration.lengths import lost_lengths
 from jaxscan.recalibration.observe import observe_room
 from jaxscan.recalibration.observed import SweepStripes
 from jaxscan.recalibration.prior import require_prior
@@ -86,9 +88,10 @@ def recalibrate(
     done()
     loose = judge.loose(scanner)
     start = Start(loose, stations, job.corrections)
+    observed = observe_room(sweeps, start, given, settings)
+    doubts = check_lengths(observed, _corrected(job), scanner, loose)
     # Only the scanner of this solve is used: one angle per step would cost much and change it little.
-    model = replace(settings, angles="model")
-    rough = adjust(loose, start._replace(scanner=scanner), observe_room(sweeps, start, given, settings), model)
+    rough = adjust(loose, start._replace(scanner=scanner), observed, replace(settings, angles="model"))
     done()
     start = Start(rough.scanner, rough.stations, job.corrections)
     observed = observe_room(sweeps, start, given, settings)
@@ -99,6 +102,7 @@ def recalibrate(
     uneven = [judge.describe_surface(free.surfaces, k) for k in range(len(free.surfaces.kind)) if k not in kept]
     if "plane" not in {free.surfaces.kind[k] for k in kept}:
         raise CalibrationError(judge.none_is_flat(free))
+    lost = lost_lengths(observed.lengths, kept.tolist())
     if uneven:
         observed = observed.only(kept.tolist())
         free = adjust(loose, _after(job, free), observed, settings)
@@ -108,7 +112,7 @@ def recalibrate(
     done()
     result = _judged(job, verdict, done)
     notes = [f"left out, because it is not flat: {name}" for name in uneven]
-    return replace(result, notes=(*job.table.sentences, *result.notes, *notes))
+    return replace(result, notes=(*job.table.sentences, *result.notes, *notes, *doubts, *lost))
 
 
 def _after(job: _Job, before: Adjusted) -> Start:
@@ -145,6 +149,7 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
         panoramas=panoramas,
         notes=(*verdict.notes, *hidden),
         lengths=lengths,
+        known=found_lengths(adjusted.observations, _corrected(job, adjusted.corrections), adjusted.scanner),
     )
     done()
     return result
@@ -175,9 +180,9 @@ def _counter(progress: Progress | None) -> Callable[[], None]:
     return lambda: None if progress is None else progress(next(stages), _STAGES)
 
 
-def _corrected(job: _Job) -> list[SweepStripes]:
-    """The sweeps with the table's angles put right."""
-    both = zip(job.sweeps, job.corrections, strict=True)
+def _corrected(job: _Job, corrections: Sequence[np.ndarray] = ()) -> list[SweepStripes]:
+    """The sweeps with the table's angles put right, by its known faults where no corrections are given."""
+    both = zip(job.sweeps, corrections or job.corrections, strict=True)
     return [sweep._replace(angle=sweep.angle + correction) for sweep, correction in both]
 
 

@@ -42,6 +42,16 @@ class LengthGain:
 
 
 @dataclass(frozen=True)
+class FoundLength:
+    """A known length, and as the new scanner finds it."""
+
+    metres: float
+    sigma_m: float
+    """As it was given."""
+    found_m: float
+
+
+@dataclass(frozen=True)
 class Moved:
     """A parameter before and after."""
 
@@ -51,7 +61,11 @@ class Moved:
     sigma_before: float
     sigma_after: float
     sigmas: float
-    """The change, in standard deviations that a change would have by chance [1]."""
+    """The change with its sign, in standard deviations that a change would have by chance [1]."""
+    unit: str = ""
+    """In which people are told of it: "degrees", "mm", "px"."""
+    scale: float = 1.0
+    """Values and standard deviations times this are in that unit."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +156,8 @@ class Recalibration:
     notes: tuple[str, ...] = ()
     lengths: tuple[LengthGain, ...] = ()
     """Typical lengths; those of the adjusted scanner also where the update is refused."""
+    known: tuple[FoundLength, ...] = ()
+    """Lengths that were given and used."""
     calibration: Calibration | None = None
     """The new calibration, to be saved; None where nothing was updated."""
     settings: RecalibrationSettings = field(default_factory=RecalibrationSettings)

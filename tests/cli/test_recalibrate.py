@@ -29,7 +29,8 @@ def make_scanner(*, motion="turntable", covariance=True, width=WIDTH, height=HEI
     camera = Pinhole(*(np.asarray(v) for v in (900.0, 900.0, 3.0, 2.0)), np.zeros(5), width=width, height=height)
     sheet = LaserSheet.from_plane(np.array([0.97, 0.0, 0.24]), 0.2)
     table = Turntable.from_axis(np.array([0.0, -1.0, 0.0]), np.array([0.1, 0.0, -0.06]))
-    moving = {"turntable": table, "linear": LinearStage.from_direction(np.array([1.0, 0.0, 0.0])), "still": None}
+    stage = LinearStage.from_direction(np.array([1.0, 0.0, 0.0]))
+    moving = {"turntable": table, "object": table.carrying("object"), "linear": stage, "still": None}
     scanner = Scanner.from_parts(camera, sheet, moving[motion], laser_names=["red"])
     if not covariance:
         return scanner
@@ -84,6 +85,30 @@ class TestBadInput:
         for other in ("room", "same", "copy"):
             assert f"{other}: is the same capture as room" in says("room", other, "-c", "old.json")
 
+    def test_captures_that_were_used_already(self, says, here):
+        sweep, board = (
+            {"name": "renamed", "digest": jaxscan.open_capture(here / name).digest()} for name in ("room", "boards")
+        )
+        other = {"name": "other", "digest": "sha256:00"}
+        save(make_scanner(), here / "new.json", captures=[sweep])
+        assert "room: was already used for new.json or" in says("room", "-c", "new.json", output="newer.json")
+        save(
+            make_scanner(),
+            here / "third.json",
+            captures=[other],
+            earlier=[{"captures": [board]}, {"captures": [sweep]}],
+        )
+        assert "room: was already used for third.json or" in says("room", "-c", "third.json")
+        shutil.copytree("room", "room2")
+        Path("room2/frames.jsonl").write_text(Path("room/frames.jsonl").read_text().replace("0.1,", "0.15,"))
+        save(make_scanner(), here / "boards.json", captures=[board])
+        assert "boards: was already used for boards.json" in says("room2", "-c", "boards.json", "--boards", "boards")
+        # A file that a person wrote.
+        save(
+            make_scanner(width=8), here / "odd.json", captures={"a": 1}, earlier=[3, {"captures": [[], {"digest": 3}]}]
+        )
+        assert "calibrated for images of 8 x 4 px" in says("room", "-c", "odd.json")
+
     def test_no_sweep(self, says):
         assert "No sweep was given" in says("-c", "old.json")
 
@@ -116,6 +141,9 @@ class TestBadInput:
         text = Path("room/capture.toml").read_text()
         Path("room/capture.toml").write_text(text.replace('"scanner"', '"object"'))
         assert "room: The table of the sweep carries the object" in says("room", "-c", "old.json")
+        save(make_scanner(motion="object"), here / "object.json")
+        message = says("room", "-c", "object.json")
+        assert "object.json: is that of a table that carries the object" in message and "with boards" in message
 
     def test_an_output_that_is_an_input(self, says, here):
         (here / "old.link.json").symlink_to("old.json")
@@ -235,8 +263,9 @@ class TestOutput:
 
     def test_nothing_is_written_where_nothing_was_gained(self, recalibrated, says):
         recalibrated.update(updated=False, drifted=False)
-        message = says("room", "-c", "old.json", "--report", "new.html", "--json", "new.txt", "--cloud", "room.ply")
+        message = says("room", "-c", "old.json", "--cloud", "room.ply")
         assert "old.json: not updated: nothing was gained" in message
+        assert "The table turns half as far as the journal says." in message
         assert "The rig is as it was calibrated (p = 0.43)." in message
 
     def test_options_arrive(self, recalibrated, run):
@@ -298,13 +327,17 @@ class TestWholeWay:
         assert all(one["after_mm"] < 1.01 * one["before_mm"] for one in result["lengths"]) and result["lengths"]
         assert min(one["after_mm"] / one["before_mm"] for one in result["lengths"]) < 0.95
 
-    def test_the_new_calibration_says_where_it_is_from(self, whole_way, tiny):
+    def test_the_new_calibration_says_where_it_is_from(self, whole_way, tiny, refused):
         folder, _ = whole_way
         new = jaxscan.load_calibration(folder / "new.json")
         told = new.provenance
         assert told["calibration"] == {"name": "calibration.json", "digest": calibration_digest(tiny.calibration)}
         (capture,) = told["captures"]
         assert capture == {"name": "sweep", "digest": jaxscan.open_capture(tiny.sweep).digest()}
+        before = jaxscan.load_calibration(tiny.calibration).provenance["captures"]
+        assert told["earlier"] == [{"captures": before}] and before
+        again = [folder / "sweep", "-c", folder / "new.json", "-o", folder / "newer.json"]
+        assert "was already used for" in refused("recalibrate", *again)
         assert told["recalibration"]["drift"]["p"] > 1e-3
         assert told["recalibration"]["settings"]["angles"] == "model"
         assert new.quality.verdict.usable

@@ -2,6 +2,7 @@
 
 from functools import lru_cache
 
+import jax
 import numpy as np
 import pytest
 
@@ -10,16 +11,19 @@ from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import (
     Given,
+    KnownLength,
     MeasuredLength,
     RecalibrationSettings,
     Start,
+    Tracks,
     recalibrate,
 )
 from jaxscan.recalibration.adjust import departure
-from jaxscan.recalibration.lengths import place_lengths
+from jaxscan.recalibration.length_check import check_lengths, found_lengths
+from jaxscan.recalibration.lengths import lost_lengths, place_lengths
 
 from .linear_room import GOOD
-from .small_room import config, observe, stored, truth_scanner, with_covariance
+from .small_room import SIGMA, config, exact_sweep, observe, stored, truth_scanner, with_covariance
 
 
 SETTINGS = RecalibrationSettings(points=5_000)
@@ -154,3 +158,73 @@ def test_known_lengths_find_their_walls():
         place_lengths([near._replace(first="marker 7")], observed, start)
     with pytest.raises(CalibrationError, match="no target is called marker 7; found none"):
         place_lengths([near._replace(first="marker 7", second="marker 8")], observed, start)
+    normal = observed.surfaces.normal[0]
+    with pytest.raises(CalibrationError, match="across: found an end 20 cm off the plane"):
+        place_lengths([near._replace(first=ends[0] + 0.2 * normal)], observed, start)
+    across = np.abs(observed.surfaces.normal @ normal)
+    beside = observed.surfaces.centre[int(np.argmin(across))]
+    with pytest.raises(CalibrationError, match="across: its ends lie on walls at 90 degrees to each other"):
+        place_lengths([near._replace(second=beside)], observed, start)
+
+
+def test_a_length_on_a_wall_that_is_not_flat_is_told():
+    lengths = [KnownLength(3.82, 1e-3, "surfaces", 0, 1), KnownLength(2.5, 1e-3, "surfaces", 2, 3)]
+    (said,) = lost_lengths([*lengths, KnownLength(1.0, 1e-3, "tracks", 0, 1)], [1, 2, 3])
+    assert said.startswith("known length 1 (3.82 m) is left out")
+
+
+def facing_walls(observed, sweeps, scanner):
+    """Two walls that face each other as a known length, true to 1 mm."""
+    pairs = np.argwhere(np.triu(np.abs(observed.surfaces.normal @ observed.surfaces.normal.T) > 0.99, 1))
+    known = KnownLength(1.0, 1e-3, "surfaces", *pairs[0].tolist())
+    (found,) = found_lengths(observed._replace(lengths=(known,)), sweeps, scanner)
+    return known._replace(metres=found.found_m)
+
+
+def test_a_length_that_the_stored_calibration_contradicts_is_refused():
+    truth, sweeps = truth_scanner(), [exact_sweep()[0]]
+    good = with_covariance(truth, np.diag(GOOD**2))
+    observed = observe(truth)
+    known = facing_walls(observed, sweeps, truth)
+    a, b = observed.surfaces.normal[known.first], observed.surfaces.normal[known.second]
+    exact = abs(observed.surfaces.distance[known.first] - np.sign(a @ b) * observed.surfaces.distance[known.second])
+    assert known.metres == pytest.approx(exact, abs=1e-6)
+    given = lambda metres: observed._replace(lengths=(known._replace(metres=metres),))
+    poor = with_covariance(truth, np.diag((5 * SIGMA) ** 2))
+    assert check_lengths(given(exact + 2e-3), sweeps, good, good) == []
+    with pytest.raises(CalibrationError, match=r"known length 1: found .* if the rig was knocked") as problem:
+        check_lengths(given(exact - 0.54), sweeps, good, good)
+    assert "\n" not in str(problem.value)
+    # A length that a good calibration contradicts may be true if the rig was knocked: it is told.
+    (note,) = check_lengths(given(exact + 0.05), sweeps, good, poor)
+    assert note.endswith("if the rig was not knocked, measure it again")
+    assert check_lengths(given(exact + 0.05), sweeps, poor, poor) == []
+
+
+def test_a_length_between_targets_is_compared_too():
+    truth, sweeps = truth_scanner(), [exact_sweep()[0]]
+    observed = observe(truth)
+    point = np.array([[2.0, 0.3, 0.1], [1.9, -0.4, 0.2]])
+    rows = [(k, record, pixel) for k in range(2) for record, pixel in sightings_of(truth, sweeps[0].angle, point[k])]
+    assert len(rows) > 12
+    track, record = (np.array([row[k] for row in rows]) for k in range(2))
+    q, none = np.array([row[2] for row in rows]), np.zeros(len(rows), int)
+    tracks = Tracks(q, np.full(len(q), 0.05), none, record, track, point, ("marker 1 corner 1", "marker 2 corner 1"))
+    exact = float(np.linalg.norm(point[0] - point[1]))
+    good = with_covariance(truth, np.diag(GOOD**2))
+    given = lambda metres: observed._replace(tracks=tracks, lengths=(KnownLength(metres, 1e-4, "tracks", 0, 1),))
+    (found,) = found_lengths(given(exact), sweeps, truth)
+    assert found.found_m == pytest.approx(exact, abs=1e-5)
+    assert check_lengths(given(exact), sweeps, good, good) == []
+    with pytest.raises(CalibrationError, match="known length 1: found"):
+        check_lengths(given(exact + 0.2), sweeps, good, good)
+
+
+def sightings_of(scanner, angles, point):
+    """Record and pixel of every image that sees a point of the room."""
+    with jax.enable_x64(True):
+        poses = np.asarray(jax.vmap(scanner.pose)(np.asarray(angles, np.float64)))
+        local = np.einsum("nji,nj->ni", poses[:, :3, :3], point - poses[:, :3, 3])
+        seen = np.flatnonzero((local[:, 2] > 0.3) & (np.hypot(*local[:, :2].T) < 0.4 * local[:, 2]))
+        pixels = np.asarray(jax.vmap(scanner.camera.project)(local[seen]))
+    return list(zip(seen.tolist(), pixels, strict=True))

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxscan.recalibration import Drift, Gain
+from jaxscan.recalibration import Drift, FoundLength, Gain, Moved
 from jaxscan.report.recalibration import drift_words, gain_lines, plots, recalibration_page, words
 
 from .conftest import make_calibration
@@ -105,6 +105,16 @@ def test_flatness_is_the_root_mean_square_of_seen_points():
             "The rig has drifted: the plane of laser red and the axis of the table moved (laser red 0.05 degrees; axis "
             "0.2 mm) (p < 1e-6)",
         ),
+        (
+            Drift(90.0, 20, 1e-9, True, "laser red or axis", "0.05 degrees, 0.1 mm or 0.2 degrees"),
+            "The rig has drifted: the plane of laser red moved by 0.05 degrees, 0.1 mm, or the axis of the table moved "
+            "by 0.2 degrees; these sweeps cannot tell which (p < 1e-6)",
+        ),
+        (
+            Drift(90.0, 20, 1e-9, True, "laser red and camera or axis and camera", "a 1 mm; b 2 px or c 3 mm; b 4 px"),
+            "The rig has drifted: the plane of laser red and the camera moved (a 1 mm; b 2 px), or the axis of the "
+            "table and the camera moved (c 3 mm; b 4 px); these sweeps cannot tell which (p < 1e-6)",
+        ),
         (Drift(90.0, 20, 1e-30, True, "camera"), "The rig has drifted: the camera moved (p < 1e-6)"),
     ],
 )
@@ -119,3 +129,17 @@ def test_gains_are_in_words():
         "b: 100 times better known",
         "a: 2.0 times better known",
     ]
+
+
+def test_a_motion_has_its_sign_and_unit():
+    tilt = Moved("laser.red.n1", 0.0, -8.727e-4, 1e-3, 1e-4, -9.0, "degrees", float(np.degrees(1.0)))
+    moved = (tilt, Moved("k1", 0.0, 1.0, 1.0, 1.0, 2.0))
+    first, second = words.moved_rows(moved)
+    assert first == ("laser.red.n1, degrees", "0", "-0.05000203", "0.057", "0.0057", "-9.0")
+    assert second[0] == "k1" and second[-1] == "+2.0"
+
+
+def test_known_lengths_are_told_with_their_residuals(result):
+    known = dataclasses.replace(result, known=(FoundLength(3.82, 1e-3, 3.8212),))
+    assert words.known_lines(known) == ["known length 3.8200 m: found 3.8212 m, +1.20 mm (given to 1.0 mm)"]
+    assert "found 3.8212 m" in recalibration_page(known)

@@ -18,7 +18,7 @@ from jaxscan.files.clouds import check_cloud_path
 from jaxscan.files.disk import check_writable, write_atomically
 from jaxscan.files.known_room import load_known_room
 from jaxscan.recalibration import Given
-from jaxscan.report.recalibration import drift_words, recalibration_page
+from jaxscan.report.recalibration import drift_words, recalibration_page, table_lines
 
 
 _RANGES = api.ReconstructSettings()
@@ -56,15 +56,16 @@ def recalibrate(
         sweeps: One or more sweeps of the same room with the rig as it is now.
         calibration: Calibration of the rig, as `jaxscan calibrate` or this verb wrote it.
         output: Calibration file to write.
-        boards: Captures of a calibration board with the rig as it is now.
+        boards: Captures of a calibration board with the rig as it is now, beside at least one sweep.
         stations: Every sweep was taken from a place of its own.
         known: Known lengths and spheres of the room (.toml).
         angles: Errors of the table's angles: `model`, its gain and errors once and twice per turn; `steps`, one angle
             per step as well.
-        features: Track features of the laser-off images, whatever their texture.
+        features: Track features of the laser-off images, also where they have little texture; a note says where that
+            fails.
         no_features: Track no features; without either, they are tracked where the images have texture.
         closed: A full turn of the table is exactly one turn (a gear without slip).
-        no_closed: It may not be.
+        no_closed: No such assumption, which is the default.
         min_range: Smallest distance of points from the camera [m].
         max_range: Largest distance of points from the camera [m].
         report: Report to write: an HTML page by which to judge the recalibration.
@@ -123,7 +124,13 @@ def recalibrate(
     emit_json(json, "recalibrate", files | recalibration_json(result))
     if result.calibration is None:
         raise CalibrationError(
-            f"{calibration}: not updated: {result.refused.removesuffix('.')}. {drift_words(result.drift)}."
+            " ".join(
+                (
+                    f"{calibration}: not updated: {result.refused.removesuffix('.')}.",
+                    *table_lines(result),
+                    f"{drift_words(result.drift)}.",
+                )
+            )
         )
 
 

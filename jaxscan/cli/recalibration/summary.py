@@ -33,7 +33,8 @@ def print_recalibration(out: Terminal, result: Recalibration) -> None:
             out.print(title)
         for line in lines:
             out.print(f"  {line}")
-    for text in (*words.wall_lines(result), *words.hold_out_lines(result), *words.closure_lines(result)):
+    walls = (*words.wall_lines(result), *words.hold_out_lines(result), *words.closure_lines(result))
+    for text in (*words.known_lines(result), *walls):
         out.print(text)
     for text in result.unobserved:
         out.print(f"not told by these captures: {text}")
@@ -44,7 +45,11 @@ def print_recalibration(out: Terminal, result: Recalibration) -> None:
 def moved_lines(result: Recalibration) -> list[str]:
     """Parameters that moved further than chance moves them, and by how many sigmas."""
     moved = [one for one in words.by_sigmas(result.moved) if abs(one.sigmas) > _UNUSUAL]
-    return [f"{one.name}: {one.before:.7g} → {one.after:.7g}, {one.sigmas:+.1f} sigmas" for one in moved]
+    return [
+        f"{one.name}: {one.scale * one.before:.7g} → {one.scale * one.after:.7g}{f' {one.unit}' if one.unit else ''}, "
+        f"{one.sigmas:+.1f} sigmas"
+        for one in moved
+    ]
 
 
 def recalibration_json(result: Recalibration) -> dict[str, Any]:
@@ -57,6 +62,7 @@ def recalibration_json(result: Recalibration) -> dict[str, Any]:
             "verdict": words.headline(result)._asdict(),
             "drift": asdict(result.drift),
             "lengths": [asdict(one) for one in result.lengths],
+            "known_lengths": [asdict(one) for one in result.known],
             "gains": [asdict(gain) | {"factor": gain.factor} for gain in result.gains],
             "unobserved": result.unobserved,
             "moved": [asdict(one) for one in words.by_sigmas(result.moved)],

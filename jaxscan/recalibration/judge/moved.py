@@ -6,6 +6,7 @@ from jaxtyping import Float
 
 from jaxscan.geometry import Scanner, Turntable
 from jaxscan.recalibration.judge.compared import Compared
+from jaxscan.recalibration.judge.parts import unit_of
 from jaxscan.recalibration.result import Moved
 
 
@@ -39,9 +40,10 @@ def moved_parameters(
     for i, name in enumerate(stored.parameter_names()):
         if sigma[i] > 0:
             own = max(float(chance[i, i]), 0.0)
-            size = abs(float(step[i])) / np.sqrt(own) if own > _LEARNED * sigma[i] ** 2 else 0.0
+            size = float(step[i]) / np.sqrt(own) if own > _LEARNED * sigma[i] ** 2 else 0.0
             value = float(before[i])
-            found.append(Moved(name, value, value + float(step[i]), float(sigma[i]), float(after[i]), float(size)))
+            told = (float(sigma[i]), float(after[i]), float(size), *unit_of(name))
+            found.append(Moved(name, value, value + float(step[i]), *told))
     return tuple(found)
 
 

@@ -115,6 +115,12 @@ def kind_of(name: str) -> str:
     return "px" if name in ("fx", "fy", "cx", "cy") else ""
 
 
+def unit_of(name: str) -> tuple[str, float]:
+    """The unit in which people are told of a coordinate's value, and its factor; a ratio is told as it is."""
+    kind = kind_of(name)
+    return ("", 1.0) if kind in ("", "ppm") else (kind, _UNITS[kind])
+
+
 def _digits(value: float, sigma: float) -> str:
     """Value and sigma, both to two digits of the sigma."""
     if sigma <= 0.0:

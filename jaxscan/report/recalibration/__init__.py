@@ -7,6 +7,7 @@ from jaxscan.report.recalibration.words import (
     gain_lines,
     headline,
     hold_out_lines,
+    known_lines,
     length_lines,
     moved_rows,
     station_rows,

@@ -69,9 +69,9 @@ def _tile(value: str, text: str) -> Html:
 
 def _remarks(result: Recalibration) -> Html | None:
     parts = []
-    known = [*words.wall_lines(result), *words.hold_out_lines(result), *words.closure_lines(result)]
+    walls = [*words.wall_lines(result), *words.hold_out_lines(result), *words.closure_lines(result)]
     for title, lines in (
-        ("", known),
+        ("", [*words.known_lines(result), *walls]),
         ("The table", words.table_lines(result)),
         ("Of this these captures tell nothing", result.unobserved),
         ("Notes", result.notes),

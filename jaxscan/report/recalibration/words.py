@@ -22,11 +22,20 @@ def drift_words(drift: Drift) -> str:
         return f"The rig is as it was calibrated ({p})"
     if not drift.part:
         return f"The rig has drifted, and no single part explains it ({p})"
-    parts = [_part(part) for part in drift.part.split(" and ")]
+    # Alternatives, likeliest first; each is one part or several.
+    parts, sizes = drift.part.split(" or "), drift.size.split(" or ") if drift.size else []
+    sizes = sizes if len(sizes) == len(parts) else [""] * len(parts)
+    moves = [_move(part.split(" and "), size) for part, size in zip(parts, sizes, strict=True)]
+    unsure = "; these sweeps cannot tell which" if len(moves) > 1 else ""
+    return f"The rig has drifted: {', or '.join(moves)}{unsure} ({p})"
+
+
+def _move(names: list[str], size: str) -> str:
+    """How parts moved together."""
+    parts = [_part(name) for name in names]
     if len(parts) == 1:
-        return f"The rig has drifted: the {parts[0]} moved{f' by {drift.size}' if drift.size else ''} ({p})"
-    listed = f"{', the '.join(parts[:-1])} and the {parts[-1]}"
-    return f"The rig has drifted: the {listed} moved{f' ({drift.size})' if drift.size else ''} ({p})"
+        return f"the {parts[0]} moved{f' by {size}' if size else ''}"
+    return f"the {', the '.join(parts[:-1])} and the {parts[-1]} moved{f' ({size})' if size else ''}"
 
 
 def headline(result: Recalibration) -> Headline:
@@ -63,6 +72,15 @@ def gain_lines(gains: tuple[Gain, ...], most: int = 6) -> list[str]:
     return [
         *(f"{gain.name}: {_gain(gain)}" for gain in scales),
         *(f"{gain.name}: {_gain(gain)}" for gain in others[:most] if gain.factor > 1.005),
+    ]
+
+
+def known_lines(result: Recalibration) -> list[str]:
+    """Lengths that were given beside those that the new scanner finds."""
+    return [
+        f"known length {one.metres:.4f} m: found {one.found_m:.4f} m, {1e3 * (one.found_m - one.metres):+.2f} mm "
+        f"(given to {millimetres(1e3 * one.sigma_m)})"
+        for one in result.known
     ]
 
 
@@ -124,7 +142,11 @@ def table_lines(result: Recalibration) -> list[str]:
 def moved_rows(moved: tuple[Moved, ...]) -> list[tuple[str, ...]]:
     """Parameters that moved, the most by its sigmas first: name, before, after, sigmas before and after, sigmas."""
     return [
-        (one.name, _number(one.before), _number(one.after), _number(one.sigma_before, 2), _number(one.sigma_after, 2))
+        (
+            f"{one.name}, {one.unit}" if one.unit else one.name,
+            *(_number(one.scale * value) for value in (one.before, one.after)),
+            *(_number(one.scale * sigma, 2) for sigma in (one.sigma_before, one.sigma_after)),
+        )
         + (f"{one.sigmas:+.1f}",)
         for one in by_sigmas(moved)
     ]
