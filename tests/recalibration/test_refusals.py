@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.recalibration.world import Noise, Sweeping, moved, true_sweep
+from experiments.recalibration.world import Noise, Sweeping, true_sweep, turn_laser
 from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import RecalibrationSettings, recalibrate
@@ -32,29 +32,18 @@ def one_wall():
     return sweep._replace(valid=sweep.valid & (truth.surface == 0))
 
 
-def pushed():
-    """The tripod was pushed by 20 mm after half of the turn."""
-    sweep, _ = true_sweep(config(), 5, HOW)
-    room = config().room
-    x, y, z = room.rig_m
-    other, _ = true_sweep(moved(config(), (x + 0.02, y + 0.01, z), room.yaw_deg), 6, HOW)
-    late = np.asarray(sweep.record)[:, None] >= 90
-    return sweep._replace(
-        centre=np.where(late, other.centre, sweep.centre), valid=np.where(late, other.valid, sweep.valid)
-    )
-
-
-def bent():
-    """Walls that bulge: every stripe is as if its wall had a barrel of its own."""
-    sweep, _ = true_sweep(config(), 5, HOW)
-    line = np.linspace(-1.0, 1.0, sweep.centre.shape[1])
-    return sweep._replace(centre=sweep.centre + 8.0 * np.cos(6.0 * line))
+def of_another_rig():
+    """Its laser stands 3 degrees elsewhere."""
+    return true_sweep(turn_laser(config(), 3.0, 3), 5, HOW)[0]
 
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     ("sweep", "said"),
-    [(one_wall, r"the planes found face 1 direction, expected at least 2")],
+    [
+        (one_wall, "the planes found face 1 direction, expected at least 2"),
+        (of_another_rig, "found no plane, expected flat walls"),
+    ],
 )
 def test_no_calibration_is_updated(sweep, said):
     text = refused(sweep())

@@ -109,7 +109,7 @@ def _reject(state: State, settings: RecalibrationSettings) -> State:
     for round_number in range(_REJECTION_ROUNDS):
         usable, seen = state.usable, state.prepared.seen
         size = np.abs(state.whitened()) / np.sqrt(state.redundancy())
-        kept = keep_inliers(size, usable, state.kept, **limits)
+        kept = usable & keep_inliers(size, usable, state.kept, **limits)
         far = np.abs(state.sighting_whitened()).max(1, initial=0.0) / state.sighting_noise
         sightings = keep_inliers(far, seen, state.sighting_kept, **limits)
         cleaned = replace(state, kept=kept, sighting_kept=sightings)

@@ -105,7 +105,8 @@ def _many_tracks(adjusted: Adjusted) -> bool:
         for number, angle in enumerate(adjusted.observations.angles)
         if np.any(sweep == number)
     ]
-    return len(np.unique(tracks.track[adjusted.track_kept])) >= _LEAST_TRACKS and max(turned) >= _LEAST_TURN
+    seen = len(np.unique(tracks.track[adjusted.track_kept]))
+    return seen >= _LEAST_TRACKS and bool(max(turned) >= _LEAST_TURN)
 
 
 def _lit_boards(adjusted: Adjusted) -> bool:
