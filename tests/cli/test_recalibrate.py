@@ -274,6 +274,19 @@ def whole_way(tiny, tmp_path_factory):
     return folder, code
 
 
+def test_a_refusal_is_reported_too(here, monkeypatch, refused):
+    """The verdict on drift is worth knowing where nothing was gained; calibration and cloud are not written."""
+    made = make_recalibration(make_scanner())
+    made = dataclasses.replace(made, updated=False, refused="nothing was gained", calibration=None)
+    monkeypatch.setattr(api, "recalibrate", lambda *_, **__: made)
+    options = "-o new.json --cloud new.ply --report new.html --json result.json".split()
+    message = refused("recalibrate", "room", "-c", "old.json", *options)
+    assert "old.json: not updated: nothing was gained." in message
+    assert json.loads((here / "result.json").read_text())["updated"] is False
+    assert "not updated" in (here / "new.html").read_text()
+    assert not (here / "new.json").exists() and not (here / "new.ply").exists()
+
+
 class TestWholeWay:
     def test_a_rig_that_nobody_has_touched(self, whole_way):
         folder, code = whole_way

@@ -50,7 +50,7 @@ def recalibrate(
     """Recalibrate from sweeps of a room: `jaxscan recalibrate captures/room -c old.json -o new.json`.
 
     The first line says whether the rig is as it was calibrated. The old calibration is not changed; where these
-    sweeps gain nothing, no file is written and the exit code is 1.
+    sweeps gain nothing, no calibration and no cloud is written and the exit code is 1.
 
     Args:
         sweeps: One or more sweeps of the same room with the rig as it is now.
@@ -102,25 +102,29 @@ def recalibrate(
     notes = calibration_notes(calibration)
     with progress_bar("Recalibrating") as progress:
         result = api.recalibrate(captures, calibration, boards=shown, given=given, settings=settings, progress=progress)
-    if result.calibration is None:
-        raise CalibrationError(
-            f"{calibration}: not updated: {result.refused.removesuffix('.')}. {drift_words(result.drift)}."
-        )
-    api.save_calibration(result.calibration, output)
-    files = {"calibration": str(output)}
-    if cloud is not None:
-        api.save_recalibrated_cloud(captures, result, cloud, calibration_digest=calibration_digest(output))
-        files["cloud"] = str(cloud)
+    files: dict[str, str] = {}
+    if result.calibration is not None:
+        api.save_calibration(result.calibration, output)
+        files["calibration"] = str(output)
+        if cloud is not None:
+            api.save_recalibrated_cloud(captures, result, cloud, calibration_digest=calibration_digest(output))
+            files["cloud"] = str(cloud)
+    # Whether the rig has drifted is worth knowing where nothing was updated too.
     if report is not None:
         title = f"{calibration.name} with {', '.join(path.name for path in (*sweeps, *boards))}"
         write_atomically(report, recalibration_page(result, title=title, notes=tuple(notes)).encode())
         files["report"] = str(report)
-    out = console(json)
-    for note in notes:
-        out.print(f"note: {note}")
-    print_recalibration(out, result)
-    out.print(f"written: {', '.join(files.values())}")
+    if result.calibration is not None:
+        out = console(json)
+        for note in notes:
+            out.print(f"note: {note}")
+        print_recalibration(out, result)
+        out.print(f"written: {', '.join(files.values())}")
     emit_json(json, "recalibrate", files | recalibration_json(result))
+    if result.calibration is None:
+        raise CalibrationError(
+            f"{calibration}: not updated: {result.refused.removesuffix('.')}. {drift_words(result.drift)}."
+        )
 
 
 def _others(cloud: Path | None, report: Path | None, json: str | None) -> list[tuple[str, Path | str | None]]:
