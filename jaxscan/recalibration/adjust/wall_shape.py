@@ -35,6 +35,10 @@ class Wall(NamedTuple):
 
     surface: int
     member: Int[np.ndarray, " points"]
+    patch: Int[np.ndarray, "sizes points"]
+    """The patch of each size that a point lies on."""
+    by_height: Float[np.ndarray, " points"]
+    """Whitened residual by the height of any of them [1 / m]."""
     size: Int[np.ndarray, " patches"]
     """Number of its size."""
     dense: Float[np.ndarray, "patches dense"]
@@ -59,7 +63,6 @@ def _wall(room: Room, at: Linearised, of: tuple[int, np.ndarray, float]) -> Wall
     surface, index, grown = of
     weight = np.asarray(room.point_weight)[index]
     rows = at.points.rows
-    # Whitened residual of each point by the height of its patches [1 / m].
     by_height = weight / _some(np.asarray(at.points.reach)[index])
     place = np.asarray(at.points.place)[index]
     patches, sizes = _patches(place, grown)
@@ -91,7 +94,7 @@ def _wall(room: Room, at: Linearised, of: tuple[int, np.ndarray, float]) -> Wall
         dense[:, first : first + 3], local = local, np.zeros_like(local)
     residual = sums(weighted * rows.value[index])
     gram = _by_both(patches, patches, by_height**2, (count, count))
-    return Wall(surface, index, sizes, dense, local, gram, residual)
+    return Wall(surface, index, np.stack(patches), by_height, sizes, dense, local, gram, residual)
 
 
 def _patches(
@@ -202,7 +205,8 @@ def beside_shape(
     for wall in walls:
         size = height[wall.size]
         gram = wall.gram * np.outer(size, size) + np.eye(len(size))
-        left[wall.member] -= wall.moves @ (size * np.linalg.solve(gram, size * wall.residual))
+        likeliest = size * np.linalg.solve(gram, size * wall.residual)
+        left[wall.member] -= wall.by_height * likeliest[wall.patch].sum(0)
     return left
 
 
