@@ -173,12 +173,12 @@ def _observed(boards: Sequence[Capture], lasers: Sequence[str], progress: Progre
     names = list(seen.laser_names)
     if set(names) <= set(lasers):
         number = np.array([lasers.index(name) for name in names], np.int32)
-    elif len(names) <= len(lasers):
-        number = np.arange(len(names), dtype=np.int32)
+    elif len(names) == len(lasers) == 1:
+        number = np.zeros(1, np.int32)
     else:
         raise CalibrationError(
-            f"{boards[0].path}: has {len(names)} lasers, the calibration {len(lasers)} ({', '.join(lasers)}); "
-            "calibrate with all of them."
+            f"{boards[0].path}: found lasers {', '.join(names)}, expected those of the calibration "
+            f"({', '.join(lasers)}); use the same names in its capture.toml."
         )
     stripes = replace(seen.stripes, laser=number[np.asarray(seen.stripes.laser)])
     return replace(seen, stripes=stripes, laser_names=tuple(lasers))

@@ -65,6 +65,8 @@ def place_lengths(
         if ends[0] == ends[1]:
             raise CalibrationError(f"{name}: both ends are on one surface or target; expected two.")
         metres, sigma = float(length.metres), float(length.sigma_m)
+        if not kinds[0] and observations.surfaces.kind[ends[0]] == "plane":
+            metres = _between_centres(length, observations.surfaces, ends)
         found.append(KnownLength(metres, sigma, "tracks" if kinds[0] else "surfaces", *ends))
     return tuple(found)
 
@@ -110,6 +112,27 @@ def _check_parallel(name: str, surfaces: Surfaces, ends: Sequence[int]) -> None:
             f"{name}: its ends lie on walls at {np.degrees(np.arccos(cosine)):.0f} degrees to each other, expected "
             "parallel ones; give a point on each of two opposite walls."
         )
+
+
+def _between_centres(length: MeasuredLength, surfaces: Surfaces, ends: Sequence[int]) -> float:
+    """The length midway between the centres of both walls, where the adjustment has it [m].
+
+    It was measured midway between the user's points. The walls as they were found tell the difference, which is small
+    where they are nearly parallel; to a nanometre.
+    """
+    a, b = surfaces.normal[ends[0]], surfaces.normal[ends[1]]
+    sign = -1.0 if a @ b < 0 else 1.0
+    mean = (a + sign * b) / np.linalg.norm(a + sign * b)
+
+    def apart(middle: np.ndarray) -> float:
+        first, second = (
+            (surfaces.distance[end] - surfaces.normal[end] @ middle) / (surfaces.normal[end] @ mean) for end in ends
+        )
+        return abs(float(first - second))
+
+    measured = (np.asarray(length.first, np.float64) + np.asarray(length.second, np.float64)) / 2
+    centres = (surfaces.centre[ends[0]] + surfaces.centre[ends[1]]) / 2
+    return round(float(length.metres) + apart(centres) - apart(measured), 9)
 
 
 def lost_lengths(lengths: Sequence[KnownLength], kept: Sequence[int]) -> list[str]:

@@ -195,6 +195,18 @@ def says_with_second(says):
     return says("room", "-c", "old.json", "--boards", "room2")
 
 
+def test_lasers_of_boards_are_known_by_their_names(here, monkeypatch):
+    from jaxscan.api.recalibration import _observed
+    from jaxscan.errors import CalibrationError
+
+    class Seen:
+        laser_names = ("laser1",)
+
+    monkeypatch.setattr("jaxscan.api.recalibration.observe_boards", lambda *_, **__: Seen())
+    with pytest.raises(CalibrationError, match=r"boards: found lasers laser1, expected .* \(red, green\)"):
+        _observed([jaxscan.open_capture(here / "boards")], ("red", "green"), None)
+
+
 def test_known_lengths_and_spheres_are_read(tmp_path):
     (tmp_path / "known.toml").write_text(
         "[[length]]\nmetres = 3.9\nsigma_mm = 0.5\na = [1, 2.5, 0]\nb = [-2.9, 2.5, 0]\n"

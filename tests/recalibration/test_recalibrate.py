@@ -15,12 +15,13 @@ from jaxscan.recalibration import (
     MeasuredLength,
     RecalibrationSettings,
     Start,
+    Surfaces,
     Tracks,
     recalibrate,
 )
 from jaxscan.recalibration.adjust import departure
 from jaxscan.recalibration.length_check import check_lengths, found_lengths
-from jaxscan.recalibration.lengths import lost_lengths, place_lengths
+from jaxscan.recalibration.lengths import _between_centres, lost_lengths, place_lengths
 
 from .linear_room import GOOD
 from .small_room import SIGMA, config, exact_sweep, observe, stored, truth_scanner, with_covariance
@@ -165,6 +166,15 @@ def test_known_lengths_find_their_walls():
     beside = observed.surfaces.centre[int(np.argmin(across))]
     with pytest.raises(CalibrationError, match="across: its ends lie on walls at 90 degrees to each other"):
         place_lengths([near._replace(second=beside)], observed, start)
+
+
+def test_a_length_is_that_between_the_points_of_the_user():
+    """Walls 3 mrad from parallel are 3 mm farther apart a metre aside."""
+    normal = np.array([[1.0, 0.0, 0.0], [np.cos(3e-3), np.sin(3e-3), 0.0]])
+    centre = np.array([[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0]])
+    surfaces = Surfaces(("plane", "plane"), normal, (normal * centre).sum(1), centre)
+    aside = MeasuredLength(4.003, 1e-3, np.array([2.0, 1.0, 0.0]), np.array([-2.003, 1.0, 0.0]))
+    assert _between_centres(aside, surfaces, (0, 1)) == pytest.approx(4.0, abs=2e-5)
 
 
 def test_a_length_on_a_wall_that_is_not_flat_is_told():

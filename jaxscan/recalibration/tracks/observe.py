@@ -69,7 +69,10 @@ def observe_features(
         seen, said = _observe_sweep(capture, sweep, scanner, (eyes, settings, board))
         notes += [f"{sweep.name}: {note}" for note in said]
         parts += [(number, one) for one in seen]
-    return (_joined(parts, sweeps, scanner) if parts else None), tuple(notes)
+    tracks = _joined(parts, sweeps, scanner) if parts else None
+    if tracks is not None and not len(tracks.point):
+        notes.append("features: none could be placed in the room; a camera on the axis sees no depth by turning.")
+    return tracks, tuple(notes)
 
 
 def _observe_sweep(
