@@ -58,7 +58,7 @@ def rows(limits: tuple[Limit, ...], trials: dict[str, Trials]) -> tuple[list[str
 
 
 def spreads(trials: dict[str, Trials]) -> list[str]:
-    """Root mean square errors across 180 degrees of each kind, before and after, with what was stated."""
+    """Root mean square errors across 180 degrees of each kind, before and after, with the stated sigmas."""
     lines = ["| trials | length | before | stated | after | stated | updated |", "|---|---|---|---|---|---|---|"]
     for kind, every in trials.items():
         own = [trial for trial in every if "problem" not in trial]

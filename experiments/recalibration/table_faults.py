@@ -27,7 +27,7 @@ LIMITS = "every factor; 16 of 20 lost steps at their record or the next, within 
 
 
 def main() -> None:
-    """Runs what is asked for, a line for each sweep."""
+    """Runs the cases asked for, a line for each sweep."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", nargs="*", default=["factor", "lost", "good"])
     parser.add_argument("--each", type=int, default=5)

@@ -146,7 +146,7 @@ def open_after_a_turn(scanner: Scanner, truth: Scanner) -> float:
 def parameters(before: Scanner, after: Scanner, truth: Scanner) -> dict[str, list[float]]:
     """Of each minimal coordinate the error before and after, in the stated sigma of its own covariance [1].
 
-    Sheets and axis only: what drifts. Errors are along the estimate's own tangent vectors.
+    Sheets and axis only, which drift. Errors are along the estimate's own tangent vectors.
     """
     out: dict[str, list[float]] = {}
     for scanner in (before, after):

@@ -25,7 +25,7 @@ from jaxscan.stripes import NoiseModel, Stripes
 
 
 class Watched(NamedTuple):
-    """A sweep that is planned and not read, and what watches its frames."""
+    """A sweep that is planned and not read, and the watch over its frames."""
 
     plan: Plan
     watch: FrameWatch

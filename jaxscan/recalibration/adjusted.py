@@ -39,7 +39,7 @@ class Adjusted:
     surfaces: Surfaces
     corrections: tuple[Float[np.ndarray, " records"], ...]
     """Added to the angles of each sweep's journal before the table's own model [rad]: the known faults of the start,
-    and with `angles="steps"` what was found of each record."""
+    and with `angles="steps"` the correction found for each record."""
     correction_sigma: tuple[Float[np.ndarray, " records"], ...]
     point_error: Float[np.ndarray, " points"]
     """Signed distance of each point from its surface [m]."""

@@ -17,7 +17,7 @@ from jaxscan.recalibration.tracks import place_tracks
 def observe_room(
     sweeps: Sequence[SweepStripes], start: Start, given: Given, settings: RecalibrationSettings
 ) -> RoomObservations:
-    """Surfaces of the room and points on them, found with a scanner as it is, and what was given.
+    """Surfaces of the room and points on them, found with a scanner as it is, and everything that was given.
 
     Args:
         sweeps: Stripes of each.

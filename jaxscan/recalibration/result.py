@@ -1,4 +1,4 @@
-"""The result of a recalibration, and what is said of it."""
+"""The result of a recalibration, and its verdicts."""
 
 from dataclasses import dataclass, field
 

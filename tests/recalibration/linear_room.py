@@ -1,4 +1,4 @@
-"""An adjustment to walls as linear least squares with a known truth: what theory says of it can be checked."""
+"""An adjustment to walls as linear least squares with a known truth: theory can be checked with it."""
 
 from functools import lru_cache
 from typing import NamedTuple

@@ -119,7 +119,7 @@ def test_a_calibration_without_covariance_is_refused():
 
 
 def test_one_angle_per_record_is_found():
-    """A table that wanders by 0.5 mrad: the correction of each record is found to about what it says."""
+    """A table that wanders by 0.5 mrad: the correction of each record is found to about its stated sigma."""
     truth, room = truth_scanner(), exact_sweep(*SMALL)
     random = np.random.default_rng(6)
     wander = np.cumsum(2e-4 * random.standard_normal(SMALL[0]))

@@ -94,7 +94,7 @@ def test_a_poor_calibration_bends_walls_by_millimetres():
         p, _ = triangulate_points(stored, q, np.zeros(len(q), int), taken.sweep.angle[profile])
         p = p - p.mean(0)
         worst.append(np.abs(p @ np.linalg.eigh(p.T @ p)[1][:, 0]).max())
-    # Beyond what a wall may be uneven: without the covariance there would be no planes.
+    # More than a wall may be uneven: without the covariance there would be no planes.
     assert max(worst) > 3e-3
 
 

@@ -17,7 +17,7 @@ _UNUSUAL = 3.0
 
 
 def print_recalibration(out: Terminal, result: Recalibration) -> None:
-    """Print the drift verdict first, then what was gained, what moved, walls, closure and what stays open."""
+    """Print the drift verdict first, then gains, moves, walls, closure and open directions."""
     first = words.headline(result)
     out.print(f"{first.headline}.", style=_STYLE[first.kind])
     out.print(first.explanation)

@@ -127,7 +127,7 @@ def _square_root(
 
 
 def with_boards(room: Room, z: Float[np.ndarray, " params"], equations: BoardEquations) -> Room:
-    """The room's problem with these equations of a step from the scanner at `z` in the last rows of what is told."""
+    """The room's problem with these equations of a step from the scanner at `z` in the last rows of `told`."""
     rows = equations.rows @ room.root
     told, value = np.array(room.told), np.array(room.told_value)
     told[-len(rows) :], value[-len(rows) :] = rows, equations.value + rows @ z

@@ -53,7 +53,7 @@ def adjust(
     Args:
         prior: The stored scanner with its covariance; parameters without variance are held.
         start: Where steps begin, poses of the stations, and known faults of angles.
-        observations: Stripe points on surfaces, and what there is of tracked features, known lengths and boards.
+        observations: Stripe points on surfaces; perhaps tracked features, known lengths and boards.
         settings: Of the recalibration.
         loosened: Standard deviations that are added to the prior, by the name of a minimal coordinate: where a part
             may have moved since [px, rad, m].
@@ -159,7 +159,7 @@ def _shaped(state: State, settings: RecalibrationSettings) -> State:
 
 
 def _with_boards(state: State) -> State:
-    """The state with what captured boards say, seen with its scanner."""
+    """The state with the equations of captured boards, seen with its scanner."""
     if state.board_data is None:
         return state
     scanner, names = state.linearised.scanner, state.prepared.room.scanner.parameter_names()

@@ -192,7 +192,7 @@ class Residuals(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """Residuals at a step, and what they are made of."""
+    """Residuals at a step, and the rows they are made of."""
 
     residuals: Residuals
     points: PointRows
@@ -200,7 +200,7 @@ class Observed(NamedTuple):
 
 
 def residuals(y: Unknowns, room: Room) -> Residuals:
-    """Residuals of a step; their derivatives are formed once per point, and are linear in what the point meets."""
+    """Residuals of a step; their derivatives are formed once per point, and are linear in the unknowns that the point meets."""
     return observe(y, room).residuals
 
 
@@ -230,7 +230,7 @@ def twice(values: Array) -> Array:
 
 
 def angle_residuals(room: Room, angles: Float[Array, " angles"]) -> tuple[Array, Array]:
-    """Steps between neighbouring corrections, and what the scanner's own numbers describe of them."""
+    """Steps between neighbouring corrections, and the part of them that the scanner's own numbers describe."""
     size = ANGLE_SCALE * angles
     return (jnp.append(size[1:], size[-1:]) - size) * room.smooth, room.held @ size
 

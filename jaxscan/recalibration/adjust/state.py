@@ -113,12 +113,12 @@ class State:
 
     @property
     def cost(self) -> float:
-        """Sum of squared whitened residuals with those of the prior, beside what the shape of walls explains."""
+        """Sum of squared whitened residuals with those of the prior, less the part that the shape of walls explains."""
         return float(self.linearised.cost) - self.shaped[1]
 
     @property
     def misfit(self) -> float:
-        """Mean square of the errors of kept points over what was stated of them: no noise is learned here [1]."""
+        """Mean square of the errors of kept points over their stated variance: no noise is learned here [1]."""
         if not self.kept.any():
             return 0.0
         square = (self.error_px / Noise(1.0, self.stated_wall_m).sigma(self.given_px, self.reach)) ** 2

@@ -1,4 +1,4 @@
-"""Two covariances of one scanner, direction by direction: what the data added to the prior."""
+"""Two covariances of one scanner, direction by direction: the information that the data added to the prior."""
 
 from typing import NamedTuple
 

@@ -58,7 +58,7 @@ _LEARNED = 1e-3
 _ORDINARY = 0.01
 # Of two explanations one is believed if the data are this much likelier with it: 1000 to 1.
 _DECISIVE = 2.0 * np.log(1000.0)
-# Moves that are tried, as shares of what a part might have moved at most.
+# Moves that are tried, as shares of the largest move of a part.
 _SHARES = np.geomspace(0.005, 1.0, 24)
 
 

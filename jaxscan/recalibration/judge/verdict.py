@@ -29,7 +29,7 @@ from jaxscan.recalibration.settings import RecalibrationSettings
 
 Solving = Callable[[Scanner, Adjusted], Adjusted]
 """A solve with a prior, the stored scanner with any covariance, that begins where another ended."""
-# While nothing is known of a drift, every part may have moved by this share of what it might have moved at most.
+# While nothing is known of a drift, every part may have moved by this share of its largest move.
 _LOOSE = 0.1
 # A scale that is known this much better than from the calibration is measured.
 _MEASURED = 2.0

@@ -1,4 +1,4 @@
-"""Which surfaces are still flat after an adjustment, by the shape of what is left."""
+"""Which surfaces are still flat after an adjustment, by the shape of the residuals."""
 
 from typing import NamedTuple
 
@@ -47,7 +47,7 @@ def flat(adjusted: Adjusted) -> Bool[np.ndarray, " surfaces"]:
     """Which surfaces are flat within noise and the unevenness that most walls of the room have.
 
     A plane is fitted to the distances of each surface's points. What is left is compared with a bow, with a step, and
-    with means over blocks; noise is widened by the errors that neighbours share. Spheres are what they are.
+    with means over blocks; noise is widened by the errors that neighbours share. Spheres always pass.
     """
     surfaces, points = adjusted.surfaces, adjusted.observations.points
     place = _places(adjusted)

@@ -18,7 +18,7 @@ _SEED_M = 0.4
 _STEP_M = 2e-3
 """Mean distance of a neighbourhood from the plane that is allowed beside its noise [m]; steps of 5 mm are larger."""
 _CURVED, _MOST_CURVED = 0.015, 0.05
-"""Curvature of a flat wall beside what noise and calibration allow, and with that at most [1/m]."""
+"""Curvature of a flat wall beside the part that noise and calibration allow, and with that at most [1/m]."""
 _BOWED_M = 1.5e-3
 """Height of the bow up to which curvature does not matter: small patches are rough [m]."""
 _FACETS = 0.012
@@ -146,7 +146,7 @@ def _without_facets(around: Surroundings, regions: list[Region]) -> list[Region]
 
 
 def _seed(around: Surroundings, left: Bool[np.ndarray, "rows columns"]) -> int:
-    """The cell deepest within what is left: with the fullest neighbourhood, then the least scatter."""
+    """The cell deepest within the rest: with the fullest neighbourhood, then the least scatter."""
     share = around.windows.sums(left.astype(np.float64)) / around.windows.area()
     rank = np.where(left, share - 0.1 * around.scatter / np.maximum(around.sigma, 1e-6), -np.inf)
     return int(np.argmax(rank))

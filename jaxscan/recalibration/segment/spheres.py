@@ -202,7 +202,7 @@ def _own_radius(p: np.ndarray, centre: np.ndarray, radius: float) -> float:
         kept = (facing > _GRAZING) & (np.abs(error) < 0.15 * radius)
         if kept.sum() < _FEWEST:
             return own
-        # Of Geman and McClure: what is behind the sphere does not count.
+        # Of Geman and McClure: points behind the sphere do not count.
         weight = (1.0 + (error[kept] / (0.03 * radius)) ** 2) ** -2
         design = np.column_stack([out[kept], np.ones(kept.sum())])
         normal = (design * weight[:, None]).T @ design + 1e-9 * np.eye(4)

@@ -39,7 +39,7 @@ def place_stations(
         T_room_scanner [S, 4, 4]; the identity for station 0.
 
     Raises:
-        CalibrationError: If a station sees too little of what others see, or fits in several places.
+        CalibrationError: If a station sees too little of the surfaces that others see, or fits in several places.
     """
     numbers = sorted({sweep.station for sweep in sweeps})
     if numbers != list(range(len(numbers))):

@@ -23,7 +23,7 @@ def propose_steps(sweep: SweepStripes, rig: Rig) -> list[tuple[int, float]]:
     """Records at which walls break by a turn about the axis, and that turn [rad], the largest first.
 
     Normals before and behind a place are compared line by line, and their median is taken. The edge of a cupboard
-    breaks a wall too: what is proposed here has to be tried.
+    breaks a wall too: every proposal has to be tried.
     """
     sample = take_sample(sweep, rig.scanner, PROFILES, PROFILES * LINES)
     one = sample.stripes.laser == sample.stripes.laser[0]

@@ -38,7 +38,7 @@ def jumps_in(
 ) -> list[tuple[int, float]]:
     """Record and angle [rad] of each jump in the corrections of one sweep.
 
-    Their stated sigmas hold what all records share, and a step does not see that: the scatter between neighbours, which
+    Their stated sigmas hold the errors that all records share, and a step does not see that: the scatter between neighbours, which
     one step does not change, sets the scale.
     """
     count = len(correction)

@@ -73,7 +73,7 @@ def step_sigmas(sweep: SweepStripes, rig: Rig) -> Float[np.ndarray, " steps"]:
 
 
 def _begin(start: Rig, steps: tuple[tuple[int, float], ...]) -> Rig:
-    """The first rig with steps: what it took over from a step before that was known is forgotten."""
+    """The first rig with steps: numbers that took over a part of a step before it was known are forgotten."""
     theta = start.theta.copy()
     for record, size in steps:
         theta[record:] += size

@@ -1,4 +1,4 @@
-"""Faults of a table in words: found, expected, what to do."""
+"""Faults of a table in words: found, expected, remedy."""
 
 import numpy as np
 
@@ -57,6 +57,6 @@ def say_jump(name: str, records: tuple[int, int], degrees: float, sigma_deg: flo
         cause = f": {likely:g} degrees are {FULL_STEPS[likely]}, which was {'lost' if degrees < 0 else 'made twice'}"
     return (
         f"{name}: between records {records[0]} and {records[1]} the table comes to stand {size:.4g} +- {sigma_deg:.2g} "
-        f"degrees {way}, expected none{cause}; look for what blocks it, a loose pulley, too little current or too "
+        f"degrees {way}, expected none{cause}; look for an obstacle, a loose pulley, too little current or too "
         "fast a ramp"
     )

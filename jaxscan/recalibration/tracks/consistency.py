@@ -61,15 +61,15 @@ class Consistent(NamedTuple):
 def keep_consistent(scanner: Scanner, sightings: Sightings) -> Consistent:
     """Leave out sightings that do not fit points at rest, and learn the noise of the others.
 
-    The scanner and the angle of each image may move within what is known of them, by linearised least squares, so
+    The scanner and the angle of each image may move within their covariance, by linearised least squares, so
     that errors of a poor calibration are not taken for wrong tracks.
 
     Args:
-        scanner: The stored scanner; its covariance is what is known of it.
+        scanner: The stored scanner; its covariance is the prior.
         sightings: Sightings of points by one sweep.
 
     Returns:
-        The kept sightings, whose noise is learned from what is left after that fit.
+        The kept sightings, whose noise is learned from the residuals of that fit.
     """
     count = int(sightings.track.max(initial=-1)) + 1
     still = np.broadcast_to(np.eye(4), (len(sightings.q), 4, 4))

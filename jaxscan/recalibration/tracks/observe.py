@@ -29,7 +29,7 @@ _LEAST_SHARE = 0.3
 """Share of features that fit the turn below which none is believed."""
 _FEWEST_TRACKS = 20
 _SIGHTINGS = 8
-"""Sightings of a track that are used, at most: neighbouring ones share what blurs and bends a feature."""
+"""Sightings of a track that are used, at most: neighbouring ones share the blur and bend of a feature."""
 
 
 class _Seen(NamedTuple):

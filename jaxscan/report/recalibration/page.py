@@ -20,7 +20,7 @@ def recalibration_page(result: Recalibration, *, title: str = "", notes: tuple[s
 
     Args:
         result: Sections without data are left out.
-        title: What was recalibrated with what, as plain text.
+        title: The calibration and the captures, as plain text.
         notes: Remarks that come first, as plain text.
 
     Returns:

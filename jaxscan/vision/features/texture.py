@@ -12,7 +12,7 @@ _BLOCK = 11
 _LARGEST_SIGMA = 0.12
 """A feature is followed if noise alone moves it by less than this [px]."""
 _LEAST_NOISE = 0.4
-"""Noise of an image, at least [DN]: rounding and what changes with the view."""
+"""Noise of an image, at least [DN]: rounding, and changes with the view."""
 _FEWEST, _CELLS, _FEWEST_CELLS = 40, (4, 4), 5
 """Features of an image, and cells of a grid over it that have some, at least."""
 _LEAST_SIDE = 64
