@@ -21,8 +21,8 @@ def join_clouds(
     Args:
         clouds: Of each station, in its own scanner frame; all of one camera.
         poses: T_room_scanner of each [4, 4].
-        covariances: Of a step (translation [m], rotation [rad]) in each station's own frame [6, 6]; the part that a pose shares
-            with the calibration is not counted.
+        covariances: Of a step (translation [m], rotation [rad]) in each station's own frame [6, 6]; the part that
+            a pose shares with the calibration is not counted.
 
     Returns:
         The joined cloud, NumPy arrays.

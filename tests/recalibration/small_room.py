@@ -17,7 +17,7 @@ from jaxscan.simulation.truth import true_scanner
 
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper.toml"
-# About the sigmas that 23 views of boards leave: fx, fy, cx, cy; k1, k2, p1, p2, k3; sheet; bow held; axis; gain; harmonics.
+# About the sigmas after 23 views of boards: fx, fy, cx, cy; k1, k2, p1, p2, k3; sheet; bow held; axis; gain; harmonics.
 SIGMA = np.array(
     [2.0, 2.0, 3.0, 3.0, 3e-3, 1e-2, 4e-4, 4e-4, 1e-2]
     + [1e-3, 1e-3, 5e-4, 0.0, 0.0]

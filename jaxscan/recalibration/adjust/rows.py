@@ -200,7 +200,7 @@ class Observed(NamedTuple):
 
 
 def residuals(y: Unknowns, room: Room) -> Residuals:
-    """Residuals of a step; their derivatives are formed once per point, and are linear in the unknowns that the point meets."""
+    """Residuals of a step; their derivatives are formed once per point, and linear in its unknowns."""
     return observe(y, room).residuals
 
 

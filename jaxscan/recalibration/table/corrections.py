@@ -38,8 +38,8 @@ def jumps_in(
 ) -> list[tuple[int, float]]:
     """Record and angle [rad] of each jump in the corrections of one sweep.
 
-    Their stated sigmas hold the errors that all records share, and a step does not see that: the scatter between neighbours, which
-    one step does not change, sets the scale.
+    Their stated sigmas hold the errors that all records share, and a step does not see those: the scatter between
+    neighbours, which one step does not change, sets the scale.
     """
     count = len(correction)
     if count < LEAST_RECORDS or not np.any(sigma > 0):
