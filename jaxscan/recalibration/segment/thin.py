@@ -22,6 +22,8 @@ _CROSSING = 0.94
 _TRIES = 6
 _ALL = 16
 """Stripes of a cell up to which all of them may be used, and not one alone."""
+_DENSE = 200
+"""Profiles of a sweep from which they are dense."""
 _RIM, _RIM_SIGMAS, _RIM_M = 4, 3.0, 1e-3
 """Cells beside a region that may belong to it, and their distance from its plane: in standard deviations, and [m]."""
 _OUTLIER, _OUTLIER_M = 4.0, 2e-3
@@ -72,8 +74,6 @@ def candidates(
     sweep = placed.sweep
     cells = piece.cells
     members, shifts = _claimed(piece, others, *bend)
-    inner = ~_at_corners(piece, others, members)
-    members, shifts = members[inner], shifts[inner]
     i, j = np.unravel_index(members, cells.valid.shape)
     i, j = i[:, None] * cells.block[0], j[:, None] * cells.block[1]
     if cells.block[0] * cells.block[1] <= _ALL:
@@ -102,6 +102,7 @@ def candidates(
     noise = np.abs(cells.slope.reshape(-1, 3)[members[kept]] @ piece.plane.normal) * sigma
     error = piece.plane.error(p, shifts)
     good = exists & (np.abs(error) < _OUTLIER * np.maximum(noise, 1.5 * np.median(noise)) + _OUTLIER_M)
+    good &= ~_at_corners(piece, others, p)
     points = SurfacePoints(q, sigma, np.full(len(q), piece.sweep), record, line, laser, np.zeros(len(q), int))
     at = p @ placed.pose[:3, :3].T + placed.pose[:3, 3]
     shared = np.maximum(sweep.shared_lines[profile, line].astype(np.float64), 1.0)
@@ -137,13 +138,34 @@ def _claimed(
     bend: Float[np.ndarray, "cells 3 directions"],
     place: Int[np.ndarray, " grid"],
 ) -> tuple[Int[np.ndarray, " members"], Float[np.ndarray, "members 3 directions"]]:
-    """Cells of a region and those beside it that lie on its plane, and their shifts by the likely steps.
+    """Cells of a region that are surely its own, and their shifts by the likely steps.
 
-    Neighbourhoods are full only inside a wall; its own rim lies on its plane all the same.
+    Where profiles are dense, these are the inner ones: a curved wall may begin at the border. Where they are few,
+    neighbourhoods are full only well inside a wall, so cells beside the region that lie on its plane count too.
     """
-    cells = piece.cells
-    mask, taken = np.zeros(cells.valid.shape, bool), np.zeros(cells.valid.shape, bool)
+    mask = np.zeros(piece.cells.valid.shape, bool)
     mask.ravel()[piece.region.cells] = True
+    mask = _inner(mask) if len(mask) >= _DENSE else _with_rim(mask, piece, others, (bend, place))
+    members = np.flatnonzero(mask.ravel())
+    return members, bend[place[members]]
+
+
+def _inner(mask: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
+    """Cells whose eight neighbours belong to the region too; the grid's own ends are no borders."""
+    wide = np.pad(mask, 1, mode="edge")
+    rows, columns = mask.shape
+    return np.logical_and.reduce([wide[i : i + rows, j : j + columns] for i in range(3) for j in range(3)])
+
+
+def _with_rim(
+    mask: Bool[np.ndarray, "rows columns"],
+    piece: Piece,
+    others: Sequence[Piece],
+    shifts: tuple[Float[np.ndarray, "cells 3 directions"], Int[np.ndarray, " grid"]],
+) -> Bool[np.ndarray, "rows columns"]:
+    """A region and the cells beside it that lie on its plane and belong to no other."""
+    cells, (bend, place) = piece.cells, shifts
+    mask, taken = mask.copy(), np.zeros_like(mask)
     for other in others:
         if other.cells is cells and other is not piece:
             taken.ravel()[other.region.cells] = True
@@ -155,16 +177,12 @@ def _claimed(
         new = np.flatnonzero((beside & ~mask & cells.valid & ~taken).ravel())
         error = np.abs(piece.plane.error(cells.p.reshape(-1, 3)[new], bend[place[new]]))
         mask.ravel()[new[error < _RIM_SIGMAS * np.maximum(noise[new], typical) + _RIM_M]] = True
-    members = np.flatnonzero(mask.ravel())
-    return members, bend[place[members]]
+    return mask
 
 
-def _at_corners(
-    piece: Piece, others: Sequence[Piece], members: Int[np.ndarray, " members"]
-) -> Bool[np.ndarray, " members"]:
-    p = piece.cells.p.reshape(-1, 3)[members]
+def _at_corners(piece: Piece, others: Sequence[Piece], p: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
     near = np.zeros(len(p), bool)
-    width = np.ptp((p - piece.plane.centre) @ piece.plane.axes.T, axis=0).max()
+    width = np.ptp((piece.points - piece.centre) @ piece.axes.T, axis=0).max()
     margin = min(_CORNER_M, _CORNER * float(width))
     for other in others:
         plane = other.plane
