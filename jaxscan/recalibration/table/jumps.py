@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.recalibration.observed import SweepStripes
-from jaxscan.recalibration.table.breaks import LEAST_BREAK, propose_steps
+from jaxscan.recalibration.table.breaks import propose_steps
 from jaxscan.recalibration.table.place import NEIGHBOURS, place_step
 from jaxscan.recalibration.table.regression import Rows, fit_steps
 from jaxscan.recalibration.table.walls import (
@@ -34,6 +34,8 @@ LEAST_STEP = np.deg2rad(0.02)
 """Smaller steps are no full step of any usual table."""
 MOST_STEP = np.deg2rad(10.0)
 """Larger ones are no lost steps."""
+PLAIN_BREAK = np.deg2rad(1.0)
+"""A larger one breaks its wall plainly: where no break showed it, it must bring points to walls to be believed."""
 
 
 def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
@@ -49,14 +51,15 @@ def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
             vain += [record for record, _ in breaks]
             small = _stands_out(sweep, rig, robust=True)
             found = None if small is None else _with_step(sweep, start, rig, small)
-            if found is not None and abs(found.steps[-1][1]) > LEAST_BREAK:
+            if found is not None and abs(found.steps[-1][1]) > PLAIN_BREAK:
                 found = _best(sweep, rig, [found])
         if found is None:
             large = _stands_out(sweep, rig, robust=False)
             found = None if large is None else _best(sweep, rig, [_with_step(sweep, start, rig, large)])
         if found is None:
             break
-        rig = found
+        # With one step known, a break that was tried in vain may be believed.
+        rig, vain = found, []
     return settle(sweep, _begin(start, rig.steps), LAST_TIMES, TIGHT, MANY_POINTS) if rig.steps else rig
 
 
