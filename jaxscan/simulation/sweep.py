@@ -13,7 +13,7 @@ from jaxscan.simulation.planning import Placement, plan_boards
 from jaxscan.simulation.printing import make_print
 from jaxscan.simulation.records import ExpectedRecord, RenderedRecord, develop, expect_record
 from jaxscan.simulation.rig import make_rig
-from jaxscan.simulation.scene import make_scene
+from jaxscan.simulation.scene import Scene, make_scene
 from jaxscan.simulation.settings import SimulationConfig
 
 
@@ -71,7 +71,14 @@ def expect_boards(
     return _ahead(expect, [(one, phi, n) for one in placements for phi in one.angles for n in range(len(rig.sheets))])
 
 
-def render_sweep(config: SimulationConfig, *, every: int = 1, seed: int | None = None) -> Iterator[RenderedRecord]:
+def render_sweep(
+    config: SimulationConfig,
+    *,
+    every: int = 1,
+    seed: int | None = None,
+    angles: np.ndarray | None = None,
+    scene: Scene | None = None,
+) -> Iterator[RenderedRecord]:
     """The frames of a sweep, in order.
 
     Args:
@@ -79,10 +86,12 @@ def render_sweep(config: SimulationConfig, *, every: int = 1, seed: int | None =
         every: Only every n-th step.
         seed: Of the noise, instead of the configuration's. The same seed gives the same frames,
             whatever `every` is.
+        angles: Commanded angles [rad], instead of those of the plan.
+        scene: What the rig sees, instead of the configuration's room alone; see `make_scene`.
     """
     seed = config.seed if seed is None else seed
-    rig, scene = make_rig(config), make_scene(config)
-    lasers, angles = len(rig.sheets), sweep_angles(config, every=every)
+    rig, scene = make_rig(config), make_scene(config) if scene is None else scene
+    lasers, angles = len(rig.sheets), sweep_angles(config, every=every) if angles is None else angles[::every]
     jobs = [(k * every * lasers + index, float(phi), index) for k, phi in enumerate(angles) for index in range(lasers)]
 
     def render(job: tuple[int, float, int]) -> RenderedRecord:

@@ -1,5 +1,6 @@
 """The scene: triangles for ray casting, and the room's light at the points that are hit."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -162,13 +163,18 @@ def room_from_scanner(config: SimulationConfig) -> Motion:
 
 
 @lru_cache(maxsize=4)
-def make_scene(config: SimulationConfig, *, boards: bool = False) -> Scene:
+def make_scene(
+    config: SimulationConfig, *, boards: bool = False, extras: Callable[[Mesh], None] | None = None
+) -> Scene:
     """The scene of a configuration; the last few are kept.
 
-    Where the table carries an object, that is taken off to make place for `boards`.
+    Where the table carries an object, that is taken off to make place for `boards`. `extras` adds surfaces to a room,
+    in its coordinates: origin in a corner on the floor, x and y along the walls, z up [m].
     """
     if config.room is not None:
         mesh = furnish(config.room)
+        if extras is not None:
+            extras(mesh)
         size = np.array(config.room.size_m)
         lamp, reach = size * (0.5, 0.5, LAMP_HEIGHT_SHARE), float(np.mean(size[:2]) / 2)
     elif config.object is not None:

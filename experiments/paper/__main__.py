@@ -1,0 +1,104 @@
+"""The tables and figures of the paper, and what goes beyond it.
+
+    python -m experiments.paper [NAME …] [--world kind|unkind] [--quick] [--out FOLDER] [--save-baseline]
+
+Every experiment prints its figures, writes a picture and is compared with the committed baseline. Without a name all run,
+each world in a process of its own. `--quick` takes small images and few draws, to see that all of it works. Work files
+are kept in FOLDER/work: what is there is not made again.
+"""
+
+import argparse
+import importlib
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from experiments.paper.metrics import Metric, line, load_baseline, save_baseline
+from experiments.paper.stage import Stage
+from experiments.paper.worlds import WORLDS, world
+
+
+EXPERIMENTS = {
+    "table_1": "tables.table_1",
+    "table_2": "tables.table_2",
+    "figure_5": "figures.figure_5",
+    "figure_6": "figures.figure_6",
+    "figure_7": "figures.figure_7",
+    "figure_8": "figures.figure_8",
+    "figure_9": "figures.figure_9",
+    "fisheye": "beyond.fisheye",
+    "sensitivity": "beyond.sensitivity",
+    "acceptance": "beyond.acceptance",
+    "peers": "beyond.peers",
+}
+"""Each is a module with `run(stage) -> list[Metric]`."""
+
+
+def part_of(name: str, quick: bool) -> str:
+    """Of the baseline."""
+    return f"quick {name}" if quick else name
+
+
+def results_path(out: Path, name: str, quick: bool) -> Path:
+    """File of the figures of a world."""
+    return out / f"{part_of(name, quick).replace(' ', '_')}.json"
+
+
+def run_one(stage: Stage, name: str) -> dict[str, Any]:
+    """An experiment, printed: its figures, and seconds."""
+    started = time.perf_counter()
+    metrics: list[Metric] = importlib.import_module(f"experiments.paper.{EXPERIMENTS[name]}").run(stage)
+    seconds = time.perf_counter() - started
+    print(f"\n{name}, {stage.world} world ({seconds:.0f} s)", flush=True)
+    baseline = load_baseline(part_of(stage.world, stage.quick))
+    worse = []
+    for metric in metrics:
+        known = baseline.get(f"{name}.{metric.key}")
+        was = "" if known is None else f", baseline {known:.4f}"
+        if known is not None and metric.worse_than(known):
+            worse.append(metric.key)
+            was += " WORSE"
+        print(line(metric) + was, flush=True)
+    return {"seconds": seconds, "worse": worse, "metrics": [metric._asdict() for metric in metrics]}
+
+
+def run_world(name: str, chosen: list[str], options: argparse.Namespace) -> int:
+    """Experiments of one world; their figures are written as each ends."""
+    folder = options.out / "work" / part_of(name, options.quick).replace(" ", "_")
+    stage = Stage(name, world(name, quick=options.quick), folder, options.out, options.quick)
+    path = results_path(options.out, name, options.quick)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    done = json.loads(path.read_text()) if path.exists() else {}
+    for each in chosen:
+        done[each] = run_one(stage, each)
+        path.write_text(json.dumps(done, indent=1) + "\n")
+        if options.save_baseline:
+            values = {f"{each}.{one['key']}": one["value"] for one in done[each]["metrics"]}
+            save_baseline(part_of(name, options.quick), values)
+    return int(any(done[each]["worse"] for each in chosen))
+
+
+def main() -> int:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(EXPERIMENTS))
+    parser.add_argument("--world", choices=WORLDS)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--out", type=Path, default=Path("paper-figures"), metavar="FOLDER")
+    parser.add_argument("--save-baseline", action="store_true", help="replace the committed baseline by these figures")
+    options = parser.parse_args()
+    if strange := set(options.names) - set(EXPERIMENTS):
+        parser.error(f"no such experiment: {', '.join(sorted(strange))}; there are {', '.join(EXPERIMENTS)}")
+    chosen = [name for name in EXPERIMENTS if name in options.names or not options.names]
+    if options.world:
+        return run_world(options.world, chosen, options)
+    command = [sys.executable, "-m", "experiments.paper", *sys.argv[1:], "--world"]
+    running = [subprocess.Popen([*command, name]) for name in WORLDS]
+    return max(process.wait() for process in running)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,72 @@
+"""Figures of an experiment: what they are called, which way is better, and how far they may move from the baseline."""
+
+import json
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+
+Direction = Literal["less", "more", "near", "none"]
+"""Which way is better; "near": it is to stay where it is; "none": it only describes."""
+BASELINE = Path(__file__).with_name("baseline.json")
+
+
+class Metric(NamedTuple):
+    """One figure."""
+
+    key: str
+    """Short name with underscores, unique in its experiment."""
+    value: float
+    unit: str
+    direction: Direction = "none"
+    tolerance: float = 0.0
+    """How much worse than the baseline it may be, in its unit."""
+    paper: float | None = None
+    """What the paper reports."""
+    low: float | None = None
+    high: float | None = None
+    """What it must reach: at least `low`, at most `high`."""
+    label: str = ""
+    """What it is, in the words of the table of results."""
+
+    def met(self) -> bool:
+        """Whether it is where it must be; a figure without limits is, if it is finite."""
+        if not np.isfinite(self.value):
+            return False
+        return (self.low is None or self.value >= self.low) and (self.high is None or self.value <= self.high)
+
+    def wanted(self) -> str:
+        """Its limits in words."""
+        if self.low is not None and self.high is not None:
+            return f"{self.low:g} ... {self.high:g}"
+        return f"≤ {self.high:g}" if self.high is not None else f"≥ {self.low:g}" if self.low is not None else ""
+
+    def worse_than(self, baseline: float) -> bool:
+        """Whether it is farther from the baseline, in the wrong direction, than its tolerance."""
+        change = self.value - baseline
+        if not np.isfinite(change):
+            return True
+        worse = {"less": change, "more": -change, "near": abs(change), "none": -np.inf}[self.direction]
+        return bool(worse > self.tolerance)
+
+
+def line(metric: Metric) -> str:
+    """A figure as it is printed."""
+    way = {"less": "less is better", "more": "more is better", "near": "to stay", "none": ""}[metric.direction]
+    notes = [way, f"within {metric.tolerance:g}" if metric.tolerance else ""]
+    notes += [f"paper {metric.paper:g}" if metric.paper is not None else "", metric.wanted()]
+    notes += ["" if metric.met() else "MISSED"]
+    return f"{metric.key:>44} {metric.value:12.4f} {metric.unit:<10} " + ", ".join(note for note in notes if note)
+
+
+def load_baseline(part: str) -> dict[str, float]:
+    """Committed values by "experiment.key", of one `part`: a world, or "quick kind"."""
+    return json.loads(BASELINE.read_text()).get(part, {}) if BASELINE.exists() else {}
+
+
+def save_baseline(part: str, values: dict[str, float]) -> None:
+    """Replace values of one part; others stay."""
+    every = json.loads(BASELINE.read_text()) if BASELINE.exists() else {}
+    every[part] = dict(sorted({**every.get(part, {}), **values}.items()))
+    BASELINE.write_text(json.dumps(dict(sorted(every.items())), indent=1) + "\n")
