@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import time
+import traceback
 from pathlib import Path
 from typing import Any
 
@@ -62,13 +63,20 @@ def run_world(name: str, chosen: list[str], options: argparse.Namespace) -> int:
     keep_compiled(options.out / "work" / "compiled")
     path.parent.mkdir(parents=True, exist_ok=True)
     done = json.loads(path.read_text()) if path.exists() else {}
+    failed = False
     for each in chosen:
-        done[each] = run_one(stage, each)
+        try:
+            done[each] = run_one(stage, each)
+        except Exception:
+            # The others are worth their hour all the same.
+            traceback.print_exc()
+            failed = True
+            continue
         path.write_text(json.dumps(done, indent=1) + "\n")
         if options.save_baseline:
             values = {f"{each}.{one['key']}": one["value"] for one in done[each]["metrics"]}
             save_baseline(part_of(name, options.quick), values)
-    return int(any(done[each]["worse"] for each in chosen))
+    return int(failed or any(done[each]["worse"] for each in chosen))
 
 
 def main() -> int:
