@@ -149,9 +149,7 @@ def calibrate_camera(found: list[BoardCorners | None], size: tuple[int, int]) ->
 
 def rays(matrix: np.ndarray, k: float, uv: np.ndarray) -> np.ndarray:
     """Directions (x, y, 1) of pixels [..., 2], equation (3) solved for the undistorted radius by Newton's method."""
-    distorted = np.stack(
-        [(uv[..., 0] - matrix[0, 2]) / matrix[0, 0], (uv[..., 1] - matrix[1, 2]) / matrix[1, 1]], -1
-    )
+    distorted = np.stack([(uv[..., 0] - matrix[0, 2]) / matrix[0, 0], (uv[..., 1] - matrix[1, 2]) / matrix[1, 1]], -1)
     wanted = np.linalg.norm(distorted, axis=-1)
     radius = wanted.copy()
     for _ in range(8):
