@@ -94,8 +94,21 @@ def distance(first: Fit, second: Fit, scanner: Scanner) -> Measured:
     variance = along @ (first.covariance + second.covariance) @ along
     if scanner.covariance is not None:
         effect = along @ (second.effect - first.effect)
-        variance += effect @ np.asarray(scanner.covariance, np.float64) @ effect
+        variance += effect @ np.asarray(scanner.covariance, float) @ effect
     return Measured(value, float(np.sqrt(variance)))
+
+
+def together(fits: dict[str, Fit], pairs: list[tuple[str, str]], scanner: Scanner) -> np.ndarray:
+    """Predicted covariance of distances between spheres [pairs, pairs], m^2: they share spheres and calibration."""
+    number = {name: 3 * index for index, name in enumerate(fits)}
+    rows = np.zeros((len(pairs), 3 * len(fits)))
+    for row, (first, second) in zip(rows, pairs, strict=True):
+        apart = fits[second].centre - fits[first].centre
+        for name, sign in ((first, -1), (second, 1)):
+            row[number[name] : number[name] + 3] = sign * apart / np.linalg.norm(apart)
+    noise = sum(rows[:, at : at + 3] @ fits[name].covariance @ rows[:, at : at + 3].T for name, at in number.items())
+    effect = rows @ np.concatenate([fit.effect for fit in fits.values()])
+    return noise if scanner.covariance is None else noise + effect @ np.asarray(scanner.covariance, float) @ effect.T
 
 
 def band95(residual: np.ndarray) -> float:
@@ -113,7 +126,8 @@ def _search(p: np.ndarray, radius: float) -> np.ndarray:
     normal = np.cross(ab, ac)
     square = np.maximum(np.sum(normal**2, -1, keepdims=True), 1e-18)
     to_middle = (
-        np.sum(ac**2, -1, keepdims=True) * np.cross(normal, ab) + np.sum(ab**2, -1, keepdims=True) * np.cross(ac, normal)
+        np.sum(ac**2, -1, keepdims=True) * np.cross(normal, ab)
+        + np.sum(ab**2, -1, keepdims=True) * np.cross(ac, normal)
     ) / (2 * square)
     height2 = radius**2 - np.sum(to_middle**2, -1)
     sound = height2 > 0

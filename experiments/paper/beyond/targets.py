@@ -89,7 +89,9 @@ def make_hall(*, quick: bool) -> Hall:
     for number, (azimuth, distance, along) in enumerate(_BARS[:2] if quick else _BARS, 1):
         middle = _place(azimuth, distance, 0.0)
         half = BAR_M / 2 * np.array(along) / np.linalg.norm(along) @ _frame(azimuth)
-        ends = [Ball(f"bar {number}{side}", _plain(middle + sign * half), 0.125) for sign, side in ((-1, "a"), (1, "b"))]
+        ends = [
+            Ball(f"bar {number}{side}", _plain(middle + sign * half), 0.125) for sign, side in ((-1, "a"), (1, "b"))
+        ]
         balls += ends
         lengths.append(Length("bar", f"bar {number}", ends[0].name, ends[1].name))
     for azimuth, distance, diameter in _SINGLE[:2] if quick else _SINGLE:
@@ -162,7 +164,10 @@ def _plate(number: int, pose: tuple[float, float, float, float]) -> Plate:
     azimuth, *turns = pose
     about_up, about_level, about_normal = np.deg2rad(turns)
     away, sideways, up = _frame(azimuth)
-    sideways, away = np.cos(about_up) * sideways + np.sin(about_up) * away, np.cos(about_up) * away - np.sin(about_up) * sideways
+    sideways, away = (
+        np.cos(about_up) * sideways + np.sin(about_up) * away,
+        np.cos(about_up) * away - np.sin(about_up) * sideways,
+    )
     up = np.cos(about_level) * up + np.sin(about_level) * away
     c, s = np.cos(about_normal), np.sin(about_normal)
     return Plate(
