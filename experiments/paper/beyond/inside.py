@@ -26,7 +26,9 @@ def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tup
     xyz, rgb = np.where(valid[..., None], xyz, 0.0), np.asarray(cloud.rgb)
     along = np.array([0.0, 1.0, 0.0]) if box.length is None else box.length.direction
     ahead = along / np.linalg.norm(along)
-    figure, axes = plt.subplot_mosaic([["inside", "inside"], ["top", "side"]], figsize=(14, 14), height_ratios=(1, 0.9))
+    figure, axes = plt.subplot_mosaic(
+        [["inside", "inside"], ["top", "side"]], figsize=(14, 13), height_ratios=(1.3, 1), layout="constrained"
+    )
     within = View((0.0, 0.0, 0.15), tuple(map(float, 3 * ahead)), fov_deg=110.0, cut_away=False)
     axes["inside"].imshow(draw_cloud(xyz, rgb, size=(1400, 750), view=within))
     axes["inside"].set_title("From the scanner's place, along the room")
@@ -50,7 +52,7 @@ def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tup
     sides = [f"{name} {1e3 * side.value_m:.1f} ± {1e3 * side.sigma_m:.1f} mm" for name, side in _sides(box)]
     seen = f"seen {100 * shares[0]:.0f} % of all directions; the paper's camera: {100 * shares[1]:.0f} % at most"
     figure.suptitle(f"The room in one turn of a fisheye, {stage.world} world\n{', '.join(sides)}\n{seen}")
-    figure.savefig(stage.picture("fisheye"), dpi=100, bbox_inches="tight")
+    figure.savefig(stage.picture("fisheye"), dpi=100)
     plt.close(figure)
 
 

@@ -27,7 +27,9 @@ _COLOURS = plt.get_cmap("coolwarm")
 
 def draw_hall(stage: Stage, hall: Hall, tests: "list[Tested]") -> None:
     """The hall from above with its lengths by their errors; errors with their sigmas; form against distance."""
-    figure, axes = plt.subplot_mosaic([["top", "errors"], ["top", "form"]], figsize=(15, 9), width_ratios=(1.25, 1))
+    figure, axes = plt.subplot_mosaic(
+        [["top", "errors"], ["top", "form"]], figsize=(16, 9.5), width_ratios=(1.2, 1), layout="constrained"
+    )
     _top(axes["top"], hall, tests[0])
     _errors(axes["errors"], hall, tests)
     _form(axes["form"], hall, tests[0])
@@ -36,7 +38,7 @@ def draw_hall(stage: Stage, hall: Hall, tests: "list[Tested]") -> None:
         scale, ax=axes["top"], orientation="horizontal", shrink=0.7, pad=0.06, label="error of a length [mm]"
     )
     figure.suptitle(f"Acceptance tests in a hall of {HALL.size_m[0]:g} x {HALL.size_m[1]:g} m, {stage.world} world")
-    figure.savefig(stage.picture("acceptance"), dpi=110, bbox_inches="tight")
+    figure.savefig(stage.picture("acceptance"), dpi=110)
     plt.close(figure)
 
 
@@ -65,7 +67,7 @@ def _top(axes: Axes, hall: Hall, test: "Tested") -> None:
 
 
 def _errors(axes: Axes, hall: Hall, tests: "list[Tested]") -> None:
-    place, order = [], np.argsort([("bar", "front", "across").index(one.test) for one in hall.lengths], kind="stable")
+    order = np.argsort([("bar", "front", "across").index(one.test) for one in hall.lengths], kind="stable")
     for number, test in enumerate(tests):
         place = np.arange(len(order)) + 0.22 * (number - (len(tests) - 1) / 2)
         axes.errorbar(

@@ -125,10 +125,8 @@ def _search(p: np.ndarray, radius: float) -> np.ndarray:
     ab, ac = b - a, c - a
     normal = np.cross(ab, ac)
     square = np.maximum(np.sum(normal**2, -1, keepdims=True), 1e-18)
-    to_middle = (
-        np.sum(ac**2, -1, keepdims=True) * np.cross(normal, ab)
-        + np.sum(ab**2, -1, keepdims=True) * np.cross(ac, normal)
-    ) / (2 * square)
+    ab2, ac2 = (np.sum(side**2, -1, keepdims=True) for side in (ab, ac))
+    to_middle = (ac2 * np.cross(normal, ab) + ab2 * np.cross(ac, normal)) / (2 * square)
     height2 = radius**2 - np.sum(to_middle**2, -1)
     sound = height2 > 0
     foot, up = a + to_middle, normal * np.sqrt(np.maximum(height2, 0.0) / square[:, 0])[:, None]
@@ -154,7 +152,7 @@ def _rays(samples: Samples) -> np.ndarray:
 
 
 def _sigma_across(samples: Samples, normal: np.ndarray) -> np.ndarray:
-    """Standard deviation along the normals of a point by its own row alone [n], m; not below a tenth of a millimetre."""
+    """Standard deviation along the normals of a point by its own row alone [n], m; at least 0.1 mm."""
     return np.hypot(samples.sigma_row * np.abs(np.sum(_rays(samples) * normal, -1)), 1e-4)
 
 

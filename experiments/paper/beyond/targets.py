@@ -122,7 +122,7 @@ _BARS = (
     (126.0, 2.10, (0.7, 0.7, 0)),
     (192.0, 2.15, (1, 1, 1)),
 )
-"""Azimuth [deg], distance [m] and direction (away, sideways, up) of the seven dumb-bells; all of them end before 2.5 m."""
+"""Azimuth [deg], distance [m] and direction (away, sideways, up) of the seven dumb-bells, to 2.5 m at most."""
 _PLATES = (
     (62.0, 0.0, 0.0, 0.0),
     (166.0, 0.0, 0.0, 90.0),
