@@ -19,7 +19,7 @@ class Part(NamedTuple):
     stop: int
 
 
-def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_step_deg: float) -> list[Part]:
+def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_every: int) -> list[Part]:
     """Parts of a scan that together see every target: near spheres, other spheres, plates.
 
     All parts read equally many columns.
@@ -28,17 +28,20 @@ def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_step_deg: float) ->
         hall: The targets where they nominally are.
         scanner: The calibration.
         step_deg: Step of the table where spheres are.
-        plate_step_deg: The same where plates are.
+        plate_every: Where plates are, only every so many steps are taken.
     """
     balls = [(np.array(ball.centre), ball.diameter / 2) for ball in hall.balls.values()]
     near = [ball for ball in balls if np.linalg.norm(ball[0]) < 1.9]
     far = [ball for ball in balls if np.linalg.norm(ball[0]) >= 1.9]
     clouds = [
-        (np.concatenate([_on_sphere(*ball) for ball in near]), step_deg),
-        (np.concatenate([_on_sphere(*ball) for ball in far]), step_deg),
-        (np.concatenate([_on_plate(plate.centre, plate.edges) for plate in hall.plates]), plate_step_deg),
+        (np.concatenate([_on_sphere(*ball) for ball in near]), 1),
+        (np.concatenate([_on_sphere(*ball) for ball in far]), 1),
+        (np.concatenate([_on_plate(plate.centre, plate.edges) for plate in hall.plates]), plate_every),
     ]
-    met = [_met(scanner, points, step) for points, step in clouds]
+    angles = np.deg2rad(np.arange(0.0, 360.0, step_deg))
+    with jax.enable_x64(True):
+        poses = np.asarray(jax.vmap(scanner.without_covariance().as_dtype(np.float64).pose)(angles))
+    met = [_met(scanner, points, angles[::every], poses[::every]) for points, every in clouds]
     width = max(int(np.ceil(high - low)) for _, low, high in met)
     width = min(-(-width // 32) * 32, scanner.camera.width)
     parts = []
@@ -48,21 +51,18 @@ def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_step_deg: float) ->
     return parts
 
 
-def _met(scanner: Scanner, points: np.ndarray, step_deg: float) -> tuple[np.ndarray, float, float]:
+def _met(
+    scanner: Scanner, points: np.ndarray, angles: np.ndarray, poses: np.ndarray
+) -> tuple[np.ndarray, float, float]:
     """Angles [rad] at which the sheet meets points [n, 3], and the columns between which it then lies [px]."""
-    angles = np.deg2rad(np.arange(0.0, 360.0, step_deg))
-    with jax.enable_x64(True):
-        exact = scanner.without_covariance().as_dtype(np.float64)
-        pose = np.asarray(jax.vmap(exact.pose)(angles))
-        local = np.einsum("kji,kni->knj", np.swapaxes(pose[:, :3, :3], 1, 2), points - pose[:, None, :3, 3])
-        normal, away = np.asarray(exact.laser(0).normal), float(exact.laser(0).distance)
-        beside = local @ normal - away
-        depth = np.where(local[..., 2] > 0.3, local[..., 2], np.inf)
-        # Between two steps the sheet moves by this much.
-        reach = 0.6 * np.deg2rad(step_deg) * np.linalg.norm(points, axis=1)
-        lit = (np.abs(beside) < np.maximum(reach, 0.004)) & np.isfinite(depth)
-        u = np.asarray(jax.vmap(exact.camera.project)(local[lit]))[:, 0]
-    margin = 0.012 * float(scanner.camera.fx)
+    local = np.einsum("kji,kni->knj", np.swapaxes(poses[:, :3, :3], 1, 2), points - poses[:, None, :3, 3])
+    sheet, camera = scanner.laser(0), scanner.camera
+    beside = local @ np.asarray(sheet.normal) - float(sheet.distance)
+    # Between two steps the sheet moves by this much.
+    reach = 0.6 * (angles[1] - angles[0]) * np.linalg.norm(points, axis=1)
+    lit = (np.abs(beside) < np.maximum(reach, 0.004)) & (local[..., 2] > 0.3)
+    # The margin is for what the lens bends, and for the sheet's bow.
+    u, margin = camera.fx * local[lit][:, 0] / local[lit][:, 2] + camera.cx, 0.012 * camera.fx
     return angles[lit.any(1)], float(u.min() - margin), float(u.max() + margin)
 
 

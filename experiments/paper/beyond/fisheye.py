@@ -1,10 +1,10 @@
 """The paper's future work: the same room by a fisheye camera in one turn, floor and ceiling included.
 
 The rig is that of configs/fisheye.toml, with a lens that sees 195 degrees and a laser whose fan has 175, in the room of
-Figure 9. In the unkind world it has that world's sensor, light, table and board, and its laser has that world's speckle,
-bow, lobes and uneven light; a lens so short has next to no defocus. Images are smaller than the configuration's 1600 x
-1600, with pixels as much larger, and the turn has fewer steps than its 1800, so that an experiment takes minutes: more
-of both would make points closer and their noise smaller, not the room larger.
+Figure 9. In the unkind world it has that world's sensor, light, table and print of the board, and its laser has that
+world's speckle, bow, lobes and uneven light; a lens so short has next to no defocus. Images are smaller than the
+configuration's 1600 x 1600, with pixels as much larger, and the turn has fewer steps than its 1800, so that an
+experiment takes minutes: more of both would make points closer and their noise smaller, not the room larger.
 
 The calibration is the rig's own, from boards; nothing of it is taken from the truth. The turn is seen in colour.
 """
@@ -47,7 +47,7 @@ _LASER = (
 _PRINT = ("warp_mm", "ink", "paper", "uneven", "print_blur_mm", "gloss", "gloss_deg")
 """What a board has of its world."""
 _NEAR_M = 0.05
-"""A place of a surface is seen if a point of the cloud is nearer than this [m]; steps of 1 degree are 4 cm apart at 2.5 m."""
+"""A place is seen if a point of the cloud is nearer than this [m]; steps of 1 degree are 4 cm apart at 2.5 m."""
 _PLACES = 20_000
 
 

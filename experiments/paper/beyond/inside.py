@@ -9,7 +9,7 @@ import numpy as np
 
 import jaxscan
 from experiments.paper.stage import Stage
-from jaxscan.measurement import RoomBox
+from jaxscan.measurement.room import Dimension, RoomBox
 from jaxscan.report.picture import View, draw_cloud
 
 
@@ -56,6 +56,6 @@ def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tup
     plt.close(figure)
 
 
-def _sides(box: RoomBox) -> list[tuple[str, jaxscan.measurement.room.Dimension]]:
+def _sides(box: RoomBox) -> list[tuple[str, Dimension]]:
     named = ((name, getattr(box, name)) for name in ("length", "width", "height"))
     return [(name, side) for name, side in named if side is not None]
