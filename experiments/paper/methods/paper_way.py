@@ -15,6 +15,8 @@ from jaxscan.files import Capture
 
 Extract = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """A stripe finder of `plain_stripes`: frames on and off to columns [rows], and which are valid."""
+STRAY = 10.0
+"""A pixel so far from the straight line through a board's stripe is not of the stripe, as anybody sees [px]."""
 
 
 class PaperWay(NamedTuple):
@@ -79,6 +81,7 @@ def calibrate_paper_way(capture: Capture, extract: Extract) -> PaperWay:
             x, y, _ = np.linalg.inv(at)[:3] @ np.column_stack([points, np.ones(len(points))]).T
             (x0, y0), (x1, y1) = size[0], size[2]
             kept = (x > x0) & (x < x1) & (y > y0) & (y < y1)
+            kept[kept] = _near_line(uv[kept])
             uv = uv[kept]
             lifted.append(points[kept])
         stripe.append(uv)
@@ -149,9 +152,7 @@ def calibrate_camera(found: list[BoardCorners | None], size: tuple[int, int]) ->
 
 def rays(matrix: np.ndarray, k: float, uv: np.ndarray) -> np.ndarray:
     """Directions (x, y, 1) of pixels [..., 2], equation (3) solved for the undistorted radius by Newton's method."""
-    distorted = np.stack(
-        [(uv[..., 0] - matrix[0, 2]) / matrix[0, 0], (uv[..., 1] - matrix[1, 2]) / matrix[1, 1]], -1
-    )
+    distorted = np.stack([(uv[..., 0] - matrix[0, 2]) / matrix[0, 0], (uv[..., 1] - matrix[1, 2]) / matrix[1, 1]], -1)
     wanted = np.linalg.norm(distorted, axis=-1)
     radius = wanted.copy()
     for _ in range(8):
@@ -259,3 +260,14 @@ def _from_black(image: np.ndarray, grid: np.ndarray) -> np.ndarray:
     bright = image[at[..., 1], at[..., 0]].astype(np.float64)
     even = np.add.outer(np.arange(bright.shape[0]), np.arange(bright.shape[1])) % 2 == 0
     return grid if bright[even].mean() < bright[~even].mean() else grid[::-1, ::-1]
+
+
+def _near_line(uv: np.ndarray) -> np.ndarray:
+    """Which pixels [n, 2] lie near the straight line u(v) through most of them."""
+    half = len(uv) // 2
+    if half == 0:
+        return np.zeros(len(uv), bool)
+    # Each pixel of the upper half with one of the lower: the median does not feel a few strays.
+    change = uv[half : 2 * half] - uv[:half]
+    rest = uv[:, 0] - np.median(change[:, 0] / change[:, 1]) * uv[:, 1]
+    return np.abs(rest - np.median(rest)) < STRAY
