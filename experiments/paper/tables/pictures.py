@@ -45,8 +45,12 @@ def strips(series: list[Series], titles: list[str], headline: str, path: Path, *
             axis.plot([at - 0.3, at + 0.3], [mean, mean], color=one.colour, linewidth=2)
             aside = random.uniform(-0.2, 0.2, len(values))
             axis.plot(at + aside, values, ".", color=one.colour, markersize=5, label=one.name)
-            axis.text(at, -0.02, f"{mean:+.2g}\n± {spread:.2g}", color=one.colour, ha="center", va="top", fontsize=8,
+            said = f"{mean:+.2g}\n± {spread:.2g}" if len(values) > 1 else f"{mean:+.2g}"
+            axis.text(at, -0.02, said, color=one.colour, ha="center", va="top", fontsize=8,
                       transform=axis.get_xaxis_transform())  # fmt: skip
+        # Bars would otherwise end at the frame.
+        axis.use_sticky_edges = False
+        axis.margins(y=0.08)
         axis.set_xticks([])
         axis.set_xlim(-0.6, len(series) - 0.4)
         axis.set_title(title, fontsize=10)
