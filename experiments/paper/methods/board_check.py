@@ -1,5 +1,7 @@
 """Points of a stripe by the pose of the board that it lies on, against the same points by camera and sheet."""
 
+from typing import NamedTuple
+
 import cv2
 import jax
 import numpy as np
@@ -17,31 +19,42 @@ from experiments.paper.methods.paper_way import (
 from jaxscan.observation import Observations
 
 
-Differences = list[np.ndarray]
-"""Of each board [points, 3]: by sheet minus by board, camera frame [m]."""
+class Check(NamedTuple):
+    """The stripe of one board."""
+
+    record: int
+    row: np.ndarray
+    """Image rows [points]."""
+    difference: np.ndarray
+    """By sheet minus by board, camera frame [points, 3], m."""
+
+    def at_rows_of(self, others: list["Check"]) -> "Check":
+        """The points of rows at which another method has one too."""
+        rows = [other.row for other in others if other.record == self.record]
+        kept = np.isin(self.row, np.concatenate(rows)) if rows else np.zeros(len(self.row), bool)
+        return Check(self.record, self.row[kept], self.difference[kept])
 
 
-def paper_own(way: PaperWay) -> Differences:
+def paper_own(way: PaperWay) -> list[Check]:
     """On the boards that the sheet was fitted to, with the poses of the calibration."""
-    pairs = zip(way.pose, way.stripe, strict=True)
-    return [points_on_sheet(way, uv) - points_on_board(way.matrix, way.k, pose, uv) for pose, uv in pairs if len(uv)]
+    pairs = enumerate(zip(way.pose, way.stripe, strict=True))
+    return [_paper_check(way, record, pose, uv) for record, (pose, uv) in pairs if len(uv)]
 
 
-def paper_held_out(way: PaperWay, capture: jaxscan.Capture, extract: Extract) -> Differences:
+def paper_held_out(way: PaperWay, capture: jaxscan.Capture, extract: Extract) -> list[Check]:
     """On boards that took no part in the calibration."""
     board, out = capture.board, []
     for index in range(len(capture.records)):
         on, off = capture.frames(index)
         found = find_board(off, board.grid(), board.square)
-        if found is None:
-            continue
-        pose = board_pose(way.matrix, way.k, found)
-        uv = stripe_on_board(way.matrix, way.k, pose, board.outline(), extract(on, off))
-        out.append(points_on_sheet(way, uv) - points_on_board(way.matrix, way.k, pose, uv))
+        if found is not None:
+            pose = board_pose(way.matrix, way.k, found)
+            uv = stripe_on_board(way.matrix, way.k, pose, board.outline(), extract(on, off))
+            out.append(_paper_check(way, index, pose, uv))
     return out
 
 
-def ours(scanner: jaxscan.Scanner, warp: tuple[float, float], observations: Observations) -> Differences:
+def ours(scanner: jaxscan.Scanner, warp: tuple[float, float], observations: Observations) -> list[Check]:
     """Of our stripes; poses are found from corners alone, so that the sheet has no say in them.
 
     Args:
@@ -55,9 +68,16 @@ def ours(scanner: jaxscan.Scanner, warp: tuple[float, float], observations: Obse
     for index, view in enumerate(np.asarray(stripes.view)):
         seen = np.asarray(corners.valid[view])
         pose = _pose(shape.corners()[seen], _rays(scanner, np.asarray(corners.q[view])[seen]))
-        rays = _rays(scanner, np.asarray(stripes.q[index])[np.asarray(stripes.valid[index])])
-        out.append(_on_sheet(scanner, rays) - shape.meet(pose, rays))
+        uv = np.asarray(stripes.q[index])[np.asarray(stripes.valid[index])]
+        rays = _rays(scanner, uv)
+        difference = _on_sheet(scanner, rays) - shape.meet(pose, rays)
+        out.append(Check(int(corners.record[view]), np.rint(uv[:, 1]).astype(int), difference))
     return out
+
+
+def _paper_check(way: PaperWay, record: int, pose: np.ndarray, uv: np.ndarray) -> Check:
+    difference = points_on_sheet(way, uv) - points_on_board(way.matrix, way.k, pose, uv)
+    return Check(record, uv[:, 1].astype(int), difference)
 
 
 class _Bow:
