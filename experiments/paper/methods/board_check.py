@@ -19,6 +19,10 @@ from experiments.paper.methods.paper_way import (
 from jaxscan.observation import Observations
 
 
+_POINTS = 512
+"""Most points of a stripe on a board, and most corners."""
+
+
 class Check(NamedTuple):
     """The stripe of one board."""
 
@@ -67,10 +71,10 @@ def ours(scanner: jaxscan.Scanner, warp: tuple[float, float], observations: Obse
     shape = _Bow(observations.board.corners(), warp)
     for index, view in enumerate(np.asarray(stripes.view)):
         seen = np.asarray(corners.valid[view])
-        pose = _pose(shape.corners()[seen], _rays(scanner, np.asarray(corners.q[view])[seen]))
+        pose = _pose(shape.corners()[seen], _rays(scanner, np.asarray(corners.q[view])[seen])[0])
         uv = np.asarray(stripes.q[index])[np.asarray(stripes.valid[index])]
-        rays = _rays(scanner, uv)
-        difference = _on_sheet(scanner, rays) - shape.meet(pose, rays)
+        rays, on_sheet = _rays(scanner, uv)
+        difference = on_sheet - shape.meet(pose, rays)
         out.append(Check(int(corners.record[view]), np.rint(uv[:, 1]).astype(int), difference))
     return out
 
@@ -113,12 +117,17 @@ def _pose(places: np.ndarray, rays: np.ndarray) -> np.ndarray:
     return pose
 
 
-def _rays(scanner: jaxscan.Scanner, q: np.ndarray) -> np.ndarray:
-    with jax.enable_x64(True):
-        return np.asarray(jax.vmap(scanner.as_dtype(np.float64).camera.unproject)(q))
+@jax.jit
+def _look(scanner: jaxscan.Scanner, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Unit rays of pixels [n, 2], and how far along them the sheet is."""
+    rays = jax.vmap(scanner.camera.unproject)(q)
+    return rays, jax.vmap(scanner.laser(0).intersect)(rays)[0]
 
 
-def _on_sheet(scanner: jaxscan.Scanner, rays: np.ndarray) -> np.ndarray:
+def _rays(scanner: jaxscan.Scanner, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit rays [n, 3] of pixels [n, 2], and where they meet the sheet [n, 3], camera frame."""
+    # One size for all, so that one compiled function serves.
+    padded = np.concatenate([q, np.zeros((_POINTS - len(q), 2))])
     with jax.enable_x64(True):
-        distance, _ = jax.vmap(scanner.as_dtype(np.float64).laser(0).intersect)(rays)
-    return np.asarray(distance)[:, None] * rays
+        rays, distance = (np.asarray(part)[: len(q)] for part in _look(scanner.as_dtype(np.float64), padded))
+    return rays, distance[:, None] * rays
