@@ -169,8 +169,11 @@ def test_strays_on_a_board_are_left_out(poses):
 
 
 def test_points_are_compared_at_the_rows_of_another_method():
-    one = Check(3, np.array([5, 6, 8]), np.arange(9.0).reshape(3, 3))
-    others = [Check(2, np.array([6]), np.zeros((1, 3))), Check(3, np.array([8, 5]), np.zeros((2, 3)))]
+    one = Check(3, np.array([5, 6, 8]), np.arange(9.0).reshape(3, 3), np.ones(3))
+    others = [
+        Check(2, np.array([6]), np.zeros((1, 3)), np.ones(1)),
+        Check(3, np.array([8, 5]), one.difference, one.row),
+    ]
     np.testing.assert_array_equal(one.at_rows_of(others).row, [5, 8])
     assert len(one.at_rows_of(others[:1]).row) == 0
 

@@ -60,6 +60,9 @@ def run(stage: Stage) -> list[Metric]:
     value = float(deviations(found.every_row)[2])
     label = "standard deviation Z, ours, on boards not used, rows on ink too"
     metrics.append(Metric("ours_every_row_z", value, "mm", "less", 0.15 * value, label=label))
+    label = "Z observed over Z predicted from the stripe's noise, root mean square, ours, on boards not used"
+    ratio = observed_over_predicted(found.held_out["ours"])
+    metrics.append(Metric("ours_observed_over_predicted", ratio, "1", "near", 0.1, low=0.8, high=1.2, label=label))
     _picture(stage, found)
     return metrics
 
@@ -76,10 +79,9 @@ def compare(stage: Stage) -> Found:
             found.own[f"paper_way_{name}"] += own
             found.held_out[f"paper_way_{name}"] += others
         calibration = jaxscan.load_calibration(draw.ours)
-        scanner, warp = calibration.scanner, calibration.quality.board_warp_m or (0.0, 0.0)
-        assert scanner is not None and calibration.observations is not None
-        found.own["ours"] += [each.at_rows_of(own) for each in ours(scanner, warp, calibration.observations)]
-        checks = ours(scanner, warp, observe_held_out(scanner, capture))
+        assert calibration.scanner is not None and calibration.observations is not None
+        found.own["ours"] += [each.at_rows_of(own) for each in ours(calibration, calibration.observations)]
+        checks = ours(calibration, observe_held_out(calibration.scanner, capture))
         found.held_out["ours"] += [each.at_rows_of(others) for each in checks]
         found.every_row.extend(checks)
         stage.say(f"draw {draw.number + 1} of figure 6")
@@ -89,6 +91,11 @@ def compare(stage: Stage) -> Found:
 def deviations(checks: list[Check]) -> np.ndarray:
     """Standard deviations of X, Y and Z over all points [mm]."""
     return 1e3 * np.concatenate([each.difference for each in checks]).std(0)
+
+
+def observed_over_predicted(checks: list[Check]) -> float:
+    """Root mean square of Z in units of what the stripe's noise predicts [1]."""
+    return float(np.sqrt(np.mean(np.concatenate([each.difference[:, 2] / each.predicted for each in checks]) ** 2)))
 
 
 def _metric(stage: Stage, way: str, boards: str, axis: str, value: float) -> Metric:

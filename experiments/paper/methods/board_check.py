@@ -16,11 +16,16 @@ from experiments.paper.methods.paper_way import (
     points_on_sheet,
     stripe_on_board,
 )
-from jaxscan.observation import Observations
+from jaxscan.calibration import Quality
+from jaxscan.observation import Observations, StripeViews
 
 
 _POINTS = 512
 """Most points of a stripe on a board, and most corners."""
+_STEP_PX = 0.01
+_FITTED = ("even print", "weak edge", "strong edge")
+_CONTRASTS = (*_FITTED, *(f"{name}, not through the print" for name in _FITTED))
+"""Names of the contrast classes of `StripeViews` in `Quality.stripe_noise_by_contrast`."""
 
 
 class Check(NamedTuple):
@@ -31,12 +36,14 @@ class Check(NamedTuple):
     """Image rows [points]."""
     difference: np.ndarray
     """By sheet minus by board, camera frame [points, 3], m."""
+    predicted: np.ndarray
+    """Standard deviation of the difference's Z that the stripe's noise must cause [points], m; NaN where not known."""
 
     def at_rows_of(self, others: list["Check"]) -> "Check":
         """The points of rows at which another method has one too."""
         rows = [other.row for other in others if other.record == self.record]
         kept = np.isin(self.row, np.concatenate(rows)) if rows else np.zeros(len(self.row), bool)
-        return Check(self.record, self.row[kept], self.difference[kept])
+        return Check(self.record, self.row[kept], self.difference[kept], self.predicted[kept])
 
 
 def paper_own(way: PaperWay) -> list[Check]:
@@ -58,30 +65,50 @@ def paper_held_out(way: PaperWay, capture: jaxscan.Capture, extract: Extract) ->
     return out
 
 
-def ours(scanner: jaxscan.Scanner, warp: tuple[float, float], observations: Observations) -> list[Check]:
+def ours(calibration: jaxscan.Calibration, observations: Observations) -> list[Check]:
     """Of our stripes; poses are found from corners alone, so that the sheet has no say in them.
 
     Args:
-        scanner: The calibration.
-        warp: Heights of the board's bow [m], as the calibration found them.
+        calibration: The rig, the board's bow, and how noisy the calibration found stripes to be.
         observations: Corners and stripes.
+
+    Raises:
+        ValueError: If the calibration has no scanner.
     """
+    scanner, quality = calibration.scanner, calibration.quality
+    if scanner is None:
+        raise ValueError("The calibration has no scanner.")
     out = []
     corners, stripes = observations.corners, observations.stripes
-    shape = _Bow(observations.board.corners(), warp)
+    shape = _Bow(observations.board.corners(), quality.board_warp_m or (0.0, 0.0))
     for index, view in enumerate(np.asarray(stripes.view)):
         seen = np.asarray(corners.valid[view])
         pose = _pose(shape.corners()[seen], _rays(scanner, np.asarray(corners.q[view])[seen])[0])
-        uv = np.asarray(stripes.q[index])[np.asarray(stripes.valid[index])]
-        rays, on_sheet = _rays(scanner, uv)
-        difference = on_sheet - shape.meet(pose, rays)
-        out.append(Check(int(corners.record[view]), np.rint(uv[:, 1]).astype(int), difference))
+        kept = np.asarray(stripes.valid[index])
+        uv = np.asarray(stripes.q[index])[kept]
+
+        def by_both(uv: np.ndarray, pose: np.ndarray = pose) -> np.ndarray:
+            rays, on_sheet = _rays(scanner, uv)
+            return on_sheet - shape.meet(pose, rays)
+
+        difference = by_both(uv)
+        slope = (by_both(uv + [_STEP_PX, 0.0]) - difference)[:, 2] / _STEP_PX
+        predicted = np.abs(slope) * _stripe_noise(quality, stripes, index)[kept]
+        out.append(Check(int(corners.record[view]), np.rint(uv[:, 1]).astype(int), difference, predicted))
     return out
+
+
+def _stripe_noise(quality: Quality, stripes: StripeViews, index: int) -> np.ndarray:
+    """Standard deviation of a stripe's centres [points], px: the extractor's, scaled by what the calibration found."""
+    promised = np.asarray(stripes.sigma[index])
+    rest = quality.stripe_noise_over_sigma or 1.0
+    factors = np.array([(quality.stripe_noise_by_contrast or {}).get(name, rest) for name in _CONTRASTS])
+    return promised * (rest if stripes.contrast is None else factors[np.asarray(stripes.contrast[index])])
 
 
 def _paper_check(way: PaperWay, record: int, pose: np.ndarray, uv: np.ndarray) -> Check:
     difference = points_on_sheet(way, uv) - points_on_board(way.matrix, way.k, pose, uv)
-    return Check(record, uv[:, 1].astype(int), difference)
+    return Check(record, uv[:, 1].astype(int), difference, np.full(len(uv), np.nan))
 
 
 class _Bow:
