@@ -63,7 +63,7 @@ def find_edges(grey: np.ndarray, valid: np.ndarray) -> Edges:
     share = grey / np.maximum(_surroundings(grey, valid), 1.0)
     dark = valid & (share < _DARK)
     # A patch keeps its missing points and single bright ones.
-    label, count = ndimage.label(ndimage.binary_closing(dark, np.ones((3, 3))))
+    label, _ = ndimage.label(ndimage.binary_closing(dark, np.ones((3, 3))))
     found: list[tuple[int, int, float, float]] = []
     for mark, place in enumerate(ndimage.find_objects(label)):
         profiles, lines = place
@@ -205,9 +205,7 @@ def _surroundings(grey: np.ndarray, valid: np.ndarray) -> np.ndarray:
     return wide[np.ix_(at, line)]
 
 
-def _crossings(
-    grey: np.ndarray, valid: np.ndarray, ends: tuple[int, int], ink: float
-) -> list[tuple[float, float]]:
+def _crossings(grey: np.ndarray, valid: np.ndarray, ends: tuple[int, int], ink: float) -> list[tuple[float, float]]:
     """Where a profile crosses the middle between wall and ink, above and below a mark: line, and gradient."""
     first, last = ends
     reach = max(2, (last - first) // 3)

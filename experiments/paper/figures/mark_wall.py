@@ -63,5 +63,3 @@ def stripe_window(config: SimulationConfig, near: float, far: float) -> tuple[in
     margin = camera.width / 40
     low, high = cx + camera.fx * min(x) - margin, cx + camera.fx * max(x) + margin
     return max(int(low), 0), min(int(np.ceil(high)) + 1, camera.width)
-
-
