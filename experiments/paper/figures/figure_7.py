@@ -28,9 +28,9 @@ from jaxscan.stripes import NoiseModel, estimate_noise
 
 
 LENGTH_MM = 300.0
-COLUMNS = {False: 15, True: 7}
+COLUMNS = {False: 15, True: 5}
 """Of marks, in the full and the quick wall."""
-STEP_DEG = 0.1
+STEP_DEG = {False: 0.1, True: 0.2}
 DEPTHS_M = (2.2, 3.1)
 """Between which the wall lies: a surveyor knows that."""
 REPEATED = 0.4
@@ -116,7 +116,7 @@ def before_wall(stage: Stage) -> Wall:
     distance = wall_distance(config)
     # The stripe stands aslant, and to the right of the middle of the image: 3.8 degrees, and 3 to both sides.
     half = np.degrees(np.arctan2(PITCH_M * columns / 2, distance)) + 4.5
-    angles = np.deg2rad(np.arange(np.floor(-half + 3.8), np.ceil(half + 3.8), STEP_DEG))
+    angles = np.deg2rad(np.arange(np.floor(-half + 3.8), np.ceil(half + 3.8), STEP_DEG[stage.quick]))
     scene = make_scene(config, extras=partial(wall, distance, columns))
     return Wall(partial(RenderedSweep, config, scene=scene), angles, first, stop)
 

@@ -28,7 +28,8 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
 
-STEP_DEG = 0.1
+STEP_DEG = {False: 0.1, True: 0.2}
+"""Of the full and the quick sweep."""
 TURN_DEG = (-11.5, 11.5)
 DEPTHS_M = (1.05, 1.70)
 """Between which objects and table lie."""
@@ -53,7 +54,7 @@ def run(stage: Stage) -> list[Metric]:
     first, stop = stripe_window(config, *DEPTHS_M)
     config = windowed(config, first, stop)
     scene = make_scene(config, extras=objects)
-    angles = np.deg2rad(np.arange(*TURN_DEG, STEP_DEG))
+    angles = np.deg2rad(np.arange(*TURN_DEG, STEP_DEG[stage.quick]))
     shape = len(angles), config.camera.height
     plain = np.zeros(shape), np.zeros(shape, bool)
     sweep = RenderedSweep(config, angles, seed=_SEED, scene=scene, watch=partial(_watch, plain))

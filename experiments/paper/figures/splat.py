@@ -7,10 +7,11 @@ from scipy import ndimage
 
 
 BACKGROUND = 247.0
-_JOINED = 3.0
-"""Neighbouring profiles belong together up to this many times their usual distance."""
-_BETWEEN = 6
-"""Points between two neighbours of a profile, and of a line."""
+_JOINED_M = 0.012
+"""Neighbours on the grid that are farther apart lie on different surfaces."""
+_FINE_M = 0.0008
+"""Points are added between neighbours until they are as near as this, if ever so many do not become too many."""
+_MOST = 6
 
 
 class Eye(NamedTuple):
@@ -47,8 +48,8 @@ def dense(xyz: np.ndarray, valid: np.ndarray, normals: np.ndarray, rgb: np.ndarr
         rgb: Colours.
     """
     fields = [np.asarray(field, np.float32) for field in (xyz, normals, rgb)]
-    for axis, count in ((0, _BETWEEN), (1, 2)):
-        fields, valid = _filled(fields, valid, axis, count)
+    for axis in (0, 1):
+        fields, valid = _filled(fields, valid, axis)
     return Surface(*(field[valid] for field in fields))
 
 
@@ -77,14 +78,15 @@ def picture(surface: Surface, eye: Eye, *, coloured: bool) -> np.ndarray:
 
 
 def _filled(
-    fields: list[np.ndarray], valid: np.ndarray, axis: int, count: int
+    fields: list[np.ndarray], valid: np.ndarray, axis: int
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Fields on a grid that is `count` times as fine along an axis."""
+    """Fields on a grid that is finer along an axis."""
     one, two = (tuple(slice(*ends) if k == axis else slice(None) for k in (0, 1)) for ends in ((None, -1), (1, None)))
     xyz = fields[0]
     gap = np.linalg.norm(xyz[two] - xyz[one], axis=-1)
     both = valid[one] & valid[two]
-    both &= gap < _JOINED * (float(np.median(gap[both])) if both.any() else 0.0)
+    both &= gap < _JOINED_M
+    count = int(np.clip(np.ceil(np.percentile(gap[both], 90) / _FINE_M), 1, _MOST)) if both.any() else 1
     shape = list(valid.shape)
     shape[axis] = count * (shape[axis] - 1)
     new = [np.empty((*shape, 3), np.float32) for _ in fields]
