@@ -5,7 +5,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from experiments.paper.figures.room_clouds import Size, paper_points, size_of
+from experiments.paper.figures.room_clouds import Size, box_of, paper_points, size_of
 from experiments.paper.methods.paper_way import BoardCorners, PaperWay, find_board, pair_motion
 from experiments.paper.products.draws import Draw
 from experiments.paper.products.room import PlainStripes
@@ -59,7 +59,7 @@ def pair_angles(stage: Stage, known: list[Draw], plain: PlainStripes, angles: np
             views = [_corners(stage.config, record.off, random) for record in records]
             if all(view is not None for view in views):
                 way = with_pair(known[draw % len(known)].paper, views, np.deg2rad(degrees))
-                sizes.append(size_of(paper_points(way, plain, angles)))
+                sizes.append(size_of(box_of(paper_points(way, plain, angles))))
         out.append(PairAngle(degrees, depth, sizes))
     return out
 

@@ -9,6 +9,7 @@ from experiments.paper.methods.paper_way import PaperWay, cloud
 from experiments.paper.products.room import PlainStripes, Room, room_sweep
 from experiments.paper.stage import Stage
 from jaxscan import recalibration
+from jaxscan.measurement.room import RoomBox
 from jaxscan.reconstruction import make_plan, smooth_stripes
 
 
@@ -59,13 +60,18 @@ def true_size(stage: Stage) -> Size:
     return Size(width, length)
 
 
-def size_of(points: Points | jaxscan.PointCloud, scanner: jaxscan.Scanner | None = None) -> Size:
-    """Wall to wall by planes; NaN where no two pairs of opposite walls are found."""
+def box_of(points: Points | jaxscan.PointCloud, scanner: jaxscan.Scanner | None = None) -> RoomBox | None:
+    """Walls by planes; None where no two pairs of opposite walls are found."""
     try:
         box = jaxscan.measure_room(points, scanner=scanner)
     except jaxscan.MeasurementError:
-        return NOT_MEASURED
-    if box.width is None or box.length is None:
+        return None
+    return None if box.width is None or box.length is None else box
+
+
+def size_of(box: RoomBox | None) -> Size:
+    """Wall to wall; NaN where they were not found."""
+    if box is None or box.width is None or box.length is None:
         return NOT_MEASURED
     sides = box.width, box.length
     return Size(*(1e3 * side.value_m for side in sides), *(1e3 * side.sigma_m for side in sides))
