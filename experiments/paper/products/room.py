@@ -69,7 +69,7 @@ def room(stage: Stage) -> Room:
 
 
 def room_sweep(stage: Stage, angles: np.ndarray) -> RenderedSweep:
-    """The sweep of the whole camera that stripes with colours belong to, for `jaxscan.reconstruct`: no frame is read."""
+    """The sweep of the whole camera, for `jaxscan.reconstruct`: with stripes that have colours it reads no frame."""
     return RenderedSweep(stage.config, angles, seed=stage.config.seed)
 
 
