@@ -3,8 +3,8 @@
 import numpy as np
 
 
-LEAST = 5.0
-"""What counts as the stripe's light, in standard deviations of the noise of a difference of two frames."""
+THRESHOLD = 25
+"""Difference above which a pixel counts as the stripe's light [DN]: above the noise of all but the brightest pixels."""
 REACH = 8
 """Pixels to both sides of the highest one that a centre of gravity may use."""
 
@@ -18,7 +18,7 @@ def highest(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         u: Column, float64 [(records,) rows]; zero where not valid. The first of equals.
-        valid: Whether it stands out of the noise, bool of the same shape.
+        valid: Whether it is above the threshold, bool of the same shape.
     """
     _, at, valid = _strongest(on, off)
     return np.where(valid, at, 0).astype(np.float64), valid
@@ -33,14 +33,14 @@ def gravity(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         u: Column, float64 [(records,) rows]; zero where not valid.
-        valid: Whether the highest pixel stands out of the noise, bool of the same shape.
+        valid: Whether the highest pixel is above the threshold, bool of the same shape.
     """
     light, at, valid = _strongest(on, off)
     steps = np.arange(-REACH, REACH + 1)
     columns = at[..., None] + steps
     inside = (columns >= 0) & (columns < light.shape[-1])
     near = np.take_along_axis(light, np.clip(columns, 0, light.shape[-1] - 1), -1).astype(np.float64)
-    over = inside & (near > threshold(light)[..., None, None])
+    over = inside & (near > THRESHOLD)
     # A pixel counts if all between it and the highest one do.
     right = np.logical_and.accumulate(over[..., REACH:], -1)
     left = np.logical_and.accumulate(over[..., REACH::-1], -1)[..., ::-1]
@@ -48,15 +48,6 @@ def gravity(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     total = weight.sum(-1)
     shift = (weight * steps).sum(-1) / np.where(total > 0, total, 1.0)
     return np.where(valid, at + shift, 0.0), valid
-
-
-def threshold(light: np.ndarray) -> np.ndarray:
-    """`LEAST` standard deviations of a difference's noise [DN], of each frame [...] of [..., rows, columns].
-
-    From the median absolute difference, which the stripe's few pixels do not move; never below 1 DN a deviation.
-    """
-    sample = np.abs(light[..., ::7, ::7].astype(np.float32))
-    return LEAST * np.maximum(1.4826 * np.median(sample, axis=(-2, -1)), 1.0)
 
 
 def _strongest(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -70,4 +61,4 @@ def _strongest(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     light -= off
     at = light.argmax(-1)
     top = np.take_along_axis(light, at[..., None], -1)[..., 0]
-    return light, at, top > threshold(light)[..., None]
+    return light, at, top > THRESHOLD
