@@ -112,7 +112,8 @@ def _calibration(stage: Stage, config: SimulationConfig) -> jaxscan.Scanner:
         stage.say(f"fisheye: rendered {len(plan.lit)} views of the board")
         # Bow that no one sees on a board in a narrow field of view bends the ends of a fan as wide as this one.
         settings = CalibrationSettings(camera="fisheye", judge=False, free=(*USUALLY_FREE, "bow"))
-        jaxscan.save_calibration(jaxscan.calibrate(jaxscan.open_capture(folder), settings=settings), path)
+        found = jaxscan.calibrate(jaxscan.open_capture(folder), settings=settings, redetect=not stage.quick)
+        jaxscan.save_calibration(found, path)
         shutil.rmtree(folder)
     return jaxscan.load_scanner(path)
 
