@@ -1,5 +1,6 @@
 """One pair of frames: the light that arrives, and the codes that the sensor makes of it."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +36,10 @@ from jaxscan.simulation.rig import WALL_ALBEDO, Motion, Sheet, TrueRig
 from jaxscan.simulation.scene import Scene
 from jaxscan.simulation.settings import SimulationConfig
 from jaxscan.simulation.view import View, observe, points_at
+
+
+_STRIP = 64
+"""Rows evaluated at a time: their numbers stay in the processor's cache."""
 
 
 class ExpectedRecord(NamedTuple):
@@ -138,7 +143,7 @@ def expect_record(
         off[:, *where] = off[:, *where] * (1 - fills) + albedo * light + fills * shine
         scale = _board_power(rig, sheet, in_front)
     shot = shot._replace(board=board)
-    samples = lit_samples(shot, depth, lens_blur(config, depth))
+    samples = lit_samples(shot, depth, lens_blur(config, depth), room.facet_at)
     glow: np.ndarray = laser_image(samples) * np.float32(scale)
     truth_glow, shade = glow, vignette(config)
     mirrored = mirrored_samples(shot, scene.mirror[room.triangle] > 0, depth, lens_blur(config, depth))
@@ -193,18 +198,21 @@ def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: View) -> np.ndarray
 
 def _returned(shot: LitScene, room: View, depth: np.ndarray, front: Cover | None) -> np.ndarray:
     """The laser's light that comes back from the surfaces it lights, through the lens, float32 [height, width], DN."""
-    rig, pose = shot.rig, shot.pose
-    field = returned_light(shot, line_pieces(shot), points_at(rig, pose, depth))
-    normal = shot.scene.normal[room.triangle]
-    points = points_at(rig, pose, room.depth)
-    away = np.sum(normal * (points - pose.translation.astype(np.float32)), -1) > 0
-    strength = np.maximum(np.sum(field * normal, -1) * np.where(away, np.float32(-1), np.float32(1)), 0)
-    image = strength * room.albedo[0]
+    rig, scene, pose = shot.rig, shot.scene, shot.pose
+    field = returned_light(shot, line_pieces(shot), partial(points_at, rig, pose, depth))
+    image = np.empty_like(room.depth)
+    normal = [np.ascontiguousarray(part) for part in scene.facing(pose.translation).T]
+    for start in range(0, len(image), _STRIP):
+        part = np.s_[start : start + _STRIP]
+        strength = sum(along[part] * way.take(room.triangle[part]) for along, way in zip(field, normal, strict=True))
+        image[part] = np.maximum(strength, 0) * room.albedo[0, part]
     image = blurred(lambda psf: blur(image, psf), lens_blur(rig.config, room.depth))
     if front is not None and shot.board is not None:
         where, fills, albedo, _ = front
         facing = (pose.rotation @ shot.board.normal()).astype(np.float32)
-        image[where] = image[where] * (1 - fills) + albedo * np.maximum(field[where] @ facing, 0)
+        image[where] = image[where] * (1 - fills) + albedo * np.maximum(
+            np.einsum("irc,i->rc", field[:, *where], facing), 0
+        )
     return image
 
 
