@@ -16,6 +16,7 @@ from jaxscan.simulation.light.fan import band
 from jaxscan.simulation.light.flat import light_on
 from jaxscan.simulation.light.lit import LitScene, illuminate, stacked
 from jaxscan.simulation.light.mirror import lit_mirrors, mirrored_light, mirrored_sheet, thrown_light, thrown_sheet
+from jaxscan.simulation.light.open import FanView
 from jaxscan.simulation.rig import Sheet, TrueRig
 from jaxscan.simulation.scene import Plane, Rays
 
@@ -96,13 +97,14 @@ def _sampled(
     dv = ((np.arange(samples_v) + 0.5) / samples_v - 0.5).repeat(samples_u).astype(np.float32)
     du = np.tile((np.arange(samples_u) + 0.5) / samples_u - 0.5, samples_v).astype(np.float32)
     shown = np.full(len(rows), -1) if facet_at is None else facet_at(rows, columns)
+    fan = FanView(shot) if facet_at is not None else None
     for triangle, part in _alike(shown):
         x, y, z = rig.rays.at(rows[part], columns[part], None).moved(du, dv)
         if triangle < 0:
             light[part] = light_of(stacked(x, y, z).reshape(3, -1)).reshape(len(part), -1)
-        elif triangle < len(shot.scene.normal) - 1:
+        elif fan is not None and triangle < len(shot.scene.normal) - 1:
             rays = Rays(x, y, z if isinstance(z, np.ndarray) else None)
-            light[part] = light_on(shot, Plane.of(shot.scene, triangle, shot.pose), rays)
+            light[part] = light_on(shot, Plane.of(shot.scene, triangle, shot.pose), rays, fan)
     return LitSamples(light, rows, columns, (samples_v, samples_u), rig.rays.shape, blur.at(rows, columns))
 
 
