@@ -71,8 +71,7 @@ def look(stage: Stage) -> list[SeenStripe]:
     """All boards of the first draw, every way."""
     given, draw = held_out(stage), draws(stage)[0]
     capture, way = jaxscan.open_capture(given.captures[0]), draw.paper
-    scanner = jaxscan.load_scanner(draw.ours)
-    observed = observe_held_out(scanner, capture)
+    observed = observe_held_out(draw.ours, given.captures[0])
     record_of = np.asarray(observed.corners.record)[np.asarray(observed.stripes.view)].tolist()
     boards = []
     for index in range(len(capture.records)):
@@ -137,7 +136,7 @@ def _details(board: SeenStripe) -> dict[str, int]:
 
 def _picture(stage: Stage, board: SeenStripe, metrics: list[Metric]) -> None:
     difference = board.on.astype(np.float64) - board.off
-    figure = pyplot.figure(figsize=(15.5, 10.6), layout="constrained")
+    figure = pyplot.figure(figsize=(15.5, 9.6), layout="constrained")
     axes = figure.subplots(2, 3, height_ratios=(0.78, 1.0))
     bright, ceiling = np.percentile(board.off, 99.9), np.percentile(difference, 99.9)
     images = {

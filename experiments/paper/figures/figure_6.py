@@ -79,9 +79,9 @@ def compare(stage: Stage) -> Found:
             found.own[f"paper_way_{name}"] += own
             found.held_out[f"paper_way_{name}"] += others
         calibration = jaxscan.load_calibration(draw.ours)
-        assert calibration.scanner is not None and calibration.observations is not None
+        assert calibration.observations is not None
         found.own["ours"] += [each.at_rows_of(own) for each in ours(calibration, calibration.observations)]
-        checks = ours(calibration, observe_held_out(calibration.scanner, capture))
+        checks = ours(calibration, observe_held_out(draw.ours, path))
         found.held_out["ours"] += [each.at_rows_of(others) for each in checks]
         found.every_row.extend(checks)
         stage.say(f"draw {draw.number + 1} of figure 6")
