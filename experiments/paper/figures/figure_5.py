@@ -13,8 +13,9 @@ import numpy as np
 
 import jaxscan
 from experiments.paper.methods.paper_way import board_pose, find_board, stripe_on_board
+from experiments.paper.methods.plain_stripes import EXTRACTORS
 from experiments.paper.metrics import Metric
-from experiments.paper.products.draws import EXTRACTORS, draws
+from experiments.paper.products.draws import draws
 from experiments.paper.products.held_out import held_out, observe_held_out
 from experiments.paper.stage import Stage
 
