@@ -143,7 +143,7 @@ def _picture(stage: Stage, board: SeenStripe, metrics: list[Metric]) -> None:
     difference = board.on.astype(np.float64) - board.off
     figure = pyplot.figure(figsize=(15.5, 9.6), layout="constrained")
     axes = figure.subplots(2, 3, height_ratios=(0.78, 1.0))
-    bright, ceiling = np.percentile(board.off, 99.9), np.percentile(difference, 99.9)
+    bright, ceiling = np.percentile(board.off, 99.9), np.percentile(difference, 99.95)
     images = {
         "laser off": (board.off, bright),
         "laser on": (board.on, bright),
@@ -166,7 +166,7 @@ def _picture(stage: Stage, board: SeenStripe, metrics: list[Metric]) -> None:
     value = {metric.key: metric.value for metric in metrics}
     rms = "; ".join(f"{words} {value[f'{way}_rms']:.3f} ({value[f'{way}_median']:.3f})" for way, words in WAYS.items())
     title = f"Figure 5, {stage.world} world: the stripe on a board at 1.3 m"
-    figure.suptitle(f"{title}\nerror on white squares, all boards, rms (median) [px]: {rms}")
+    figure.suptitle(f"{title}\nerror on white squares, all boards, rms (median) [px]: {rms}", fontsize=10)
     figure.savefig(stage.picture("figure_5"), dpi=120)
     pyplot.close(figure)
 

@@ -7,9 +7,9 @@ calibration itself (1.0 to 1.6 m; the paper's last four, to which the plane was 
 calibration has seen.
 
 The paper does not say how it found the stripe: its method is run with a centre of gravity and with the highest pixel.
-A few rows at the edges of squares, where the print cuts off a part of the stripe, make up most of the standard deviation
-of the centre of gravity; the spread of the middle of the points is reported beside it. Both plain ways see the stripe on
-white squares alone; ours is compared at the same rows, and at every row too, where those on ink are many times fainter.
+A few rows at the edges of squares, where the print cuts off a part of the stripe, make up most of the deviation of the
+centre of gravity; the spread of the middle of the points is reported beside it. Both plain ways see the stripe on white
+squares alone; ours is compared at the same rows, and at every row too, where those on ink are many times fainter.
 """
 
 from typing import NamedTuple
