@@ -116,7 +116,9 @@ def judge(key: str, points: np.ndarray, truth: Truth) -> list[Metric]:
     median, most = (float(np.percentile(away, level)) for level in (50, 95))
     return [
         Metric(f"{key}_share", share, "%", "more", 2, label=f"visible surface with points, {what}"),
-        Metric(f"{key}_distance", median, "mm", "less", 0.1, label=f"median distance of points from the surface, {what}"),
+        Metric(
+            f"{key}_distance", median, "mm", "less", 0.1, label=f"median distance of points from the surface, {what}"
+        ),
         Metric(f"{key}_distance_95", most, "mm", "less", 0.3, label=f"distance below which 95 % of them are, {what}"),
     ]
 
