@@ -34,6 +34,7 @@ from jaxscan.simulation.light import (
 from jaxscan.simulation.rig import WALL_ALBEDO, Motion, Sheet, TrueRig
 from jaxscan.simulation.scene import Scene
 from jaxscan.simulation.settings import SimulationConfig
+from jaxscan.simulation.view import View, observe, points_at
 
 
 class ExpectedRecord(NamedTuple):
@@ -123,7 +124,8 @@ def expect_record(
     """One pair of frames at the table's angle `phi` [rad], without noise."""
     config, sensor, sheet = rig.config, rig.config.sensor, rig.sheets[laser]
     pose, sees = rig.pose(phi), rig.rays.sees
-    room = _look(rig, scene, pose)
+    shot = LitScene(rig, sheet, scene, pose, None)
+    room = _look(shot)
     white = config.light.white_dn if board is None else config.boards.white_dn
     off = _ambient(rig, scene, pose, room) * np.float32(white)
     scale, depth, front = 1.0, room.depth, None
@@ -135,7 +137,7 @@ def expect_record(
         light, shine = (part * np.float32(white) for part in _board_light(rig, scene, pose, board, where))
         off[:, *where] = off[:, *where] * (1 - fills) + albedo * light + fills * shine
         scale = _board_power(rig, sheet, in_front)
-    shot = LitScene(rig, sheet, scene, pose, board)
+    shot = shot._replace(board=board)
     samples = lit_samples(shot, depth, lens_blur(config, depth))
     glow: np.ndarray = laser_image(samples) * np.float32(scale)
     truth_glow, shade = glow, vignette(config)
@@ -158,58 +160,46 @@ def expect_record(
     return ExpectedRecord(phi, placement, *frames, truth, laser, tuple(kept))
 
 
-class _Room(NamedTuple):
-    """The part of the scene that every pixel sees, without a board."""
-
-    depth: np.ndarray
-    """Along the ray of its centre, float32 [height, width]; inf where nothing is."""
-    triangle: np.ndarray
-    points: np.ndarray
-    """Scanner frame, float32 [height, width, 3]; the camera's place where nothing is."""
-
-
-def _look(rig: TrueRig, scene: Scene, pose: Motion) -> _Room:
-    rays = pose.turn(rig.rays.vectors)
-    depth, triangle = (part.reshape(rig.rays.shape) for part in scene.cast(pose.translation, rays))
-    depth = _in_view(rig, depth)
-    reached = np.where(np.isfinite(depth), depth, np.float32(0)).reshape(-1, 1)
-    points = rays * reached + pose.translation.astype(np.float32)
-    return _Room(depth, triangle, points.reshape(*depth.shape, 3))
+def _look(shot: LitScene) -> View:
+    """The part of the scene that every pixel sees, without a board; where light comes back, with albedos for it."""
+    sensor = shot.rig.config.sensor
+    further = laser_channel(shot) if shot.rig.config.light.bounce > 0 else None
+    room = observe(shot.rig, shot.scene, shot.pose, channels(sensor), further)
+    return room._replace(depth=_in_view(shot.rig, room.depth))
 
 
 def _in_view(rig: TrueRig, depth: np.ndarray) -> np.ndarray:
     return depth if rig.rays.sees is None else np.where(rig.rays.sees, depth, np.float32(np.inf))
 
 
-def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: _Room) -> np.ndarray:
+def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: View) -> np.ndarray:
     """The scene in its own light through the lens, float32 [channels, height, width]; 1 is white."""
-    image = scene.ambient(room.triangle, room.points, pose.translation, channels(rig.config.sensor))
+    image = room.ambient
     hit = np.isfinite(room.depth)
     if not hit.all():
-        image *= hit
-    glass = scene.mirror[room.triangle]
+        image = image * hit
+    glass = scene.mirror[room.triangle] if scene.mirror.any() else scene.mirror
     if glass.any():
         rows, columns = np.nonzero(glass)
-        met = room.triangle[rows, columns], room.points[rows, columns]
-        _, triangle, points = scene.reflect(pose.translation, met[1], met[0])
+        triangle, points = room.triangle[rows, columns], points_at(rig, pose, room.depth, (rows, columns))
+        _, behind, places = scene.reflect(pose.translation, points, triangle)
         # Surfaces are seen from the camera's own picture in the mirror.
-        normal = scene.normal[met[0][0]]
-        view = pose.translation - 2 * ((pose.translation - met[1][0]) @ normal) * normal
-        behind = scene.ambient(triangle[None], points[None], view, channels(rig.config.sensor))[:, 0]
-        image[:, rows, columns] += glass[rows, columns] * behind
+        normal = scene.normal[triangle[0]]
+        view = pose.translation - 2 * ((pose.translation - points[0]) @ normal) * normal
+        light = scene.ambient(behind[None], places[None], view, channels(rig.config.sensor))[:, 0]
+        image[:, rows, columns] += glass[rows, columns] * light
     return blurred(lambda psf: blur(image, psf), lens_blur(rig.config, room.depth))
 
 
-def _returned(shot: LitScene, room: _Room, depth: np.ndarray, front: Cover | None) -> np.ndarray:
+def _returned(shot: LitScene, room: View, depth: np.ndarray, front: Cover | None) -> np.ndarray:
     """The laser's light that comes back from the surfaces it lights, through the lens, float32 [height, width], DN."""
     rig, pose = shot.rig, shot.pose
-    reached = np.where(np.isfinite(depth), depth, np.float32(0)).reshape(-1, 1)
-    field = returned_light(shot, line_pieces(shot), pose.apply(rig.rays.vectors * reached).reshape(room.points.shape))
-    colour, _ = shot.scene.look(room.triangle.ravel(), room.points.reshape(-1, 3), laser_channel(shot))
+    field = returned_light(shot, line_pieces(shot), points_at(rig, pose, depth))
     normal = shot.scene.normal[room.triangle]
-    away = np.sum(normal * (room.points - pose.translation.astype(np.float32)), -1) > 0
+    points = points_at(rig, pose, room.depth)
+    away = np.sum(normal * (points - pose.translation.astype(np.float32)), -1) > 0
     strength = np.maximum(np.sum(field * normal, -1) * np.where(away, np.float32(-1), np.float32(1)), 0)
-    image = strength * colour[0].reshape(depth.shape)
+    image = strength * room.albedo[0]
     image = blurred(lambda psf: blur(image, psf), lens_blur(rig.config, room.depth))
     if front is not None and shot.board is not None:
         where, fills, albedo, _ = front

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from jaxscan.simulation.rig import Motion, rodrigues
+from jaxscan.simulation.scene.edges import Outline
 from jaxscan.simulation.scene.meshes import Mesh
 from jaxscan.simulation.scene.open3d import load_open3d
 from jaxscan.simulation.scene.room import LAMP_HEIGHT_SHARE, furnish, set_table
+from jaxscan.simulation.scene.shadow import LampView
 from jaxscan.simulation.settings import SimulationConfig
 
 
@@ -32,6 +34,9 @@ class Scene:
     shadows: bool
     mirror: np.ndarray
     """Share of the light that each triangle reflects as a mirror, float32 [triangles + 1]."""
+    outline: Outline
+    """Facets, and the edges between them."""
+    lamp_view: LampView
 
     def cast(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nearest hits of rays from one point.
@@ -78,11 +83,12 @@ class Scene:
 
         The last `skin` metres before the point are not looked at: they are its own surface.
         """
-        legs = points - origin.astype(points.dtype)
-        distance = np.sqrt(np.einsum("ij,ij->i", legs, legs))
-        # The leg is scaled so that its skin begins at 1, one far limit for all rays.
-        legs = legs * np.maximum(1 - skin / np.maximum(distance, 1e-9), 0)[:, None]
-        return self.caster.test_occlusions(_pack(origin, legs), tnear=0.0, tfar=1.0).numpy()
+        return _occluded(self.caster, origin, points - origin.astype(points.dtype), skin)
+
+    def lit_share(self, legs: list[np.ndarray]) -> np.ndarray:
+        """Share of the lamp's light that ends of ways x, y, z from the lamp receive, float32 of their shape."""
+        dark = _occluded(self.caster, self.lamp, np.stack(legs, -1).reshape(-1, 3), 5e-3).reshape(legs[0].shape)
+        return np.where(dark, np.float32(0.25), np.float32(1))
 
     def ambient(self, triangle: np.ndarray, points: np.ndarray, view: np.ndarray, channels: np.ndarray) -> np.ndarray:
         """A picture in the room's own light, float32 [channels, rows, columns]; white in mean light is 1.
@@ -122,9 +128,7 @@ class Scene:
     def _shadow(self, points: np.ndarray) -> np.ndarray:
         """Share of the lamp's light at points [rows, columns, 3]: looked up at every other one."""
         rows, columns = points.shape[:2]
-        every = points[::2, ::2]
-        dark = self.blocked(self.lamp, every.reshape(-1, 3), skin=5e-3).reshape(every.shape[:2])
-        share = np.where(dark, np.float32(0.25), np.float32(1))
+        share = self.lit_share(list(np.moveaxis(points[::2, ::2] - self.lamp.astype(points.dtype), -1, 0)))
         return share.repeat(2, 0).repeat(2, 1)[:rows, :columns]
 
     def look(self, triangle: np.ndarray, points: np.ndarray, channels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -197,6 +201,7 @@ def build_scene(mesh: Mesh, lamp: np.ndarray, reach: float, *, shadows: bool) ->
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     surface = np.repeat(np.arange(len(mesh.triangles)), [len(part) for part in mesh.triangles])
+    outline = Outline(mesh, normal)
     scene = Scene(
         caster,
         mesh,
@@ -206,6 +211,8 @@ def build_scene(mesh: Mesh, lamp: np.ndarray, reach: float, *, shadows: bool) ->
         reach,
         shadows,
         np.append(np.array([part.material.mirror for part in mesh.surfaces], np.float32)[surface], np.float32(0)),
+        outline,
+        LampView(outline, lamp),
     )
     # The first cast builds the search tree; later ones may come from several threads.
     scene.cast(np.zeros(3), np.array([[1.0, 0.0, 0.0]]))
@@ -222,6 +229,14 @@ def _carry(mesh: Mesh, motion: Motion) -> Mesh:
         for surface in mesh.surfaces
     ]
     return Mesh([motion.apply(part) for part in mesh.triangles], surfaces)
+
+
+def _occluded(caster: Any, origin: np.ndarray, legs: np.ndarray, skin: float) -> np.ndarray:
+    """Whether something stands on ways [n, 3] from `origin`, before their last `skin` metres, bool [n]."""
+    distance = np.sqrt(np.einsum("ij,ij->i", legs, legs))
+    # The way is scaled so that its skin begins at 1, one far limit for all rays.
+    ways = legs * np.maximum(1 - skin / np.maximum(distance, 1e-9), 0)[:, None]
+    return caster.test_occlusions(_pack(origin, ways), tnear=0.0, tfar=1.0).numpy()
 
 
 def _pack(origin: np.ndarray, directions: np.ndarray) -> Any:
