@@ -11,12 +11,13 @@ from experiments.paper.products.draws import Draw
 from experiments.paper.products.room import PlainStripes
 from experiments.paper.rendering.boards import PAIR_DEG, BoardPlan, expect_each
 from experiments.paper.stage import Stage
-from jaxscan.simulation import Motion, Placement, SimulationConfig, make_rig, rodrigues, take_frame, true_scanner
+from jaxscan.simulation import Motion, Placement, SimulationConfig, make_rig, rodrigues, take_frame
+from jaxscan.simulation.rays import project
 
 
 ANGLES_DEG = (PAIR_DEG, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 30.0)
-QUICK_DEG = (PAIR_DEG, 8.0, 24.0)
-DRAWS, QUICK_DRAWS = 12, 2
+QUICK_DEG = (PAIR_DEG, 16.0)
+DRAWS, QUICK_DRAWS = 12, 1
 WORKING_M = 1.3
 """Depth of the board where the turn allows it: the paper's working distance."""
 _STREAM = 91
@@ -83,7 +84,7 @@ def place_pair(config: SimulationConfig, angle: float) -> tuple[Placement, float
     Returns:
         The placement, and the board's depth midway [m].
     """
-    rig, camera = make_rig(config), true_scanner(config).camera
+    rig = make_rig(config)
     outline = config.boards.board().outline()
     middle = np.append(outline.mean(0), 0.0)
     edge = np.column_stack([outline, np.zeros(len(outline))])
@@ -91,8 +92,8 @@ def place_pair(config: SimulationConfig, angle: float) -> tuple[Placement, float
     angles = (-angle / 2, angle / 2)
     for depth in np.arange(WORKING_M, 2.8, 0.05):
         pose = rig.pose(0.0) @ Motion(_TILT, np.array([0.0, 0.0, depth]) - _TILT @ middle)
-        seen = [(rig.pose(phi).inverse() @ pose).apply(edge) for phi in angles]
-        pixels = np.array([[camera.project(point) for point in view] for view in seen])
+        seen = np.concatenate([(rig.pose(phi).inverse() @ pose).apply(edge) for phi in angles])
+        pixels = np.stack(project(config.camera, seen), -1)
         if np.all((pixels > _MARGIN * size) & (pixels < (1 - _MARGIN) * size)):
             return Placement(pose, angles, 0), float(depth)
     raise ValueError(f"No board fits into the image over a turn of {np.rad2deg(angle):.1f} degrees.")
