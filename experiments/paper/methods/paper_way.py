@@ -70,27 +70,18 @@ def calibrate_paper_way(capture: Capture, extract: Extract) -> PaperWay:
     matrix, k, pose = calibrate_camera(found, capture.image_size)
     if np.isnan(pose[-2:]).any():
         raise ValueError("The board was not found in the last two views, from which Tr is made.")
-    size = board.outline()
-    stripe, lifted = [], []
-    for (on, off), at in zip(pairs, pose, strict=True):
-        uv = np.zeros((0, 2))
-        if on is not None and off is not None and np.isfinite(at).all():
-            u, valid = extract(on, off)
-            uv = np.column_stack([u, np.arange(len(u))])[valid]
-            points = points_on_board(matrix, k, at, uv)
-            x, y, _ = np.linalg.inv(at)[:3] @ np.column_stack([points, np.ones(len(points))]).T
-            (x0, y0), (x1, y1) = size[0], size[2]
-            kept = (x > x0) & (x < x1) & (y > y0) & (y < y1)
-            kept[kept] = _near_line(uv[kept])
-            uv = uv[kept]
-            lifted.append(points[kept])
-        stripe.append(uv)
+    stripe = [np.zeros((0, 2)) for _ in pairs]
+    for index, (on, off) in enumerate(pairs):
+        if on is not None and off is not None and np.isfinite(pose[index]).all():
+            stripe[index] = stripe_on_board(matrix, k, pose[index], board.outline(), extract(on, off))
+    lifted = [points_on_board(matrix, k, at, uv) for at, uv in zip(pose, stripe, strict=True) if len(uv)]
     every = np.concatenate([*lifted, np.zeros((0, 3))])
     if len(every) < 3:
         raise ValueError("No stripe was found on a board.")
     first, second = capture.records[-2:]
     turn = float(second.angle - first.angle)
-    return PaperWay(matrix, k, pose, stripe, linear_plane(every), total_plane(every), pair_motion(*pose[-2:]), turn)
+    tr = pair_motion(*pose[-2:])
+    return PaperWay(matrix, k, pose, stripe, linear_plane(every), total_plane(every), tr, turn)
 
 
 def find_board(image: np.ndarray, grid: tuple[int, int], square: float) -> BoardCorners | None:
@@ -148,6 +139,35 @@ def calibrate_camera(found: list[BoardCorners | None], size: tuple[int, int]) ->
         pose[index, :3, :3] = cv2.Rodrigues(turn)[0]
         pose[index, :3, 3] = shift[:, 0]
     return matrix, float(lens.ravel()[0]), pose
+
+
+def board_pose(matrix: np.ndarray, k: float, found: BoardCorners) -> np.ndarray:
+    """T_cam_board [4, 4] of a board that took no part in the calibration, by OpenCV's `solvePnP`."""
+    lens = np.array([k, 0.0, 0.0, 0.0])
+    _, turn, shift = cv2.solvePnP(found.places, found.pixels, matrix, lens, flags=cv2.SOLVEPNP_ITERATIVE)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
+    return pose
+
+
+def stripe_on_board(
+    matrix: np.ndarray, k: float, pose: np.ndarray, outline: np.ndarray, found: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Pixels (u, v) [n, 2] of a stripe that lie on a board's print, without strays.
+
+    Args:
+        matrix: A.
+        k: The radial coefficient.
+        pose: T_cam_board.
+        outline: Corners of the printed area in the board's frame [4, 2], m.
+        found: The stripe in the whole frame, of `Extract`.
+    """
+    u, valid = found
+    uv = np.column_stack([u, np.arange(len(u))])[valid]
+    points = points_on_board(matrix, k, pose, uv)
+    place = ((points - pose[:3, 3]) @ pose[:3, :3])[:, :2]
+    uv = uv[((place > outline[0]) & (place < outline[2])).all(1)]
+    return uv[_near_line(uv)]
 
 
 def rays(matrix: np.ndarray, k: float, uv: np.ndarray) -> np.ndarray:

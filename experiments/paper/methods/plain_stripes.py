@@ -4,8 +4,7 @@ import numpy as np
 
 
 THRESHOLD = 25
-"""Difference above which a pixel counts as the stripe's light [DN]: the noise of these cameras stays below it, and it was
-not chosen by results."""
+"""Difference above which a pixel counts as the stripe's light [DN]: above the noise of all but the brightest pixels."""
 REACH = 8
 """Pixels to both sides of the highest one that a centre of gravity may use."""
 

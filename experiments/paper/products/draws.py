@@ -7,16 +7,24 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
-from experiments.paper.methods.paper_way import PaperWay, calibrate_paper_way
+from experiments.paper.methods.paper_way import (
+    Extract,
+    PaperWay,
+    calibrate_paper_way,
+    linear_plane,
+    points_on_board,
+    stripe_on_board,
+    total_plane,
+)
 from experiments.paper.methods.plain_stripes import gravity, highest
 from experiments.paper.rendering.boards import expect, expect_each, our_plan, paper_plan, write_capture, write_captures
 from experiments.paper.stage import Stage
 from jaxscan.calibration import CalibrationSettings
+from jaxscan.files import Capture
 
 
 SETTINGS = CalibrationSettings(judge=False)
 """Tests of the models take longer than the solve, and no draw needs them."""
-EXTRACTORS = {"gravity": gravity, "highest": highest}
 _OURS = 1000
 """First seed of the captures of our protocol."""
 
@@ -43,8 +51,9 @@ def draws(stage: Stage) -> list[Draw]:
         for number in missing:
             folder = _emptied(stage.product(f"draws/capture_{number}"))
             capture = jaxscan.open_capture(write_capture(stage, records, plan, number, folder))
-            for name, extract in EXTRACTORS.items():
-                save_paper_way(calibrate_paper_way(capture, extract), _paper_path(stage, number, name))
+            way = calibrate_paper_way(capture, gravity)
+            save_paper_way(way, _paper_path(stage, number, "gravity"))
+            save_paper_way(with_stripes(way, capture, highest), _paper_path(stage, number, "highest"))
             calibration = jaxscan.calibrate(capture, settings=SETTINGS)
             # Last: a draw with this file is complete.
             jaxscan.save_calibration(calibration, _ours_path(stage, number))
@@ -74,6 +83,18 @@ def our_calibrations(stage: Stage, count: int = 3) -> list[Path]:
             shutil.rmtree(folder)
         stage.say(f"{len(missing)} calibrations by our protocol")
     return paths
+
+
+def with_stripes(way: PaperWay, capture: Capture, extract: Extract) -> PaperWay:
+    """The paper's calibration of the same capture with another stripe finder: camera and poses do not depend on it."""
+    outline, stripe, lifted = capture.board.outline(), list(way.stripe), []
+    for index, uv in enumerate(way.stripe):
+        if len(uv):
+            found = extract(*capture.frames(index))
+            stripe[index] = stripe_on_board(way.matrix, way.k, way.pose[index], outline, found)
+            lifted.append(points_on_board(way.matrix, way.k, way.pose[index], stripe[index]))
+    every = np.concatenate(lifted)
+    return way._replace(stripe=stripe, linear=linear_plane(every), total=total_plane(every))
 
 
 def save_paper_way(way: PaperWay, path: Path) -> None:
@@ -106,8 +127,8 @@ def _is_there(stage: Stage, number: int) -> bool:
 
 
 def _load(stage: Stage, number: int) -> Draw:
-    ways = {name: load_paper_way(_paper_path(stage, number, name)) for name in EXTRACTORS}
-    return Draw(number, ways["gravity"], _ours_path(stage, number), ways["highest"])
+    mean, top = (load_paper_way(_paper_path(stage, number, name)) for name in ("gravity", "highest"))
+    return Draw(number, mean, _ours_path(stage, number), top)
 
 
 def _emptied(folder: Path) -> Path:

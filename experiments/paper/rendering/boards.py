@@ -55,10 +55,10 @@ class BoardPlan(NamedTuple):
 def paper_plan(stage: Stage) -> BoardPlan:
     """23 views: 19 without a laser, then 4 with the stripe, of which the last two show one board, 1.98 degrees apart.
 
-    The paper says how many views there were and what they were for, and no more. Assumed are: a board of 11 x 8 corners,
-    40 mm apart, tilted by 20 to 45 degrees; distances of 0.9 to 2 m for the camera, and of 1 to 1.6 m with the stripe,
-    round a working distance of 1.3 m. The latter is where a stripe of Table II's plane crosses the middle of the image,
-    which fits the ratio of X and Y to Z in the paper's Fig. 6.
+    The paper says how many views there were and what they were for, and no more. Assumed are: a board of 11 x 8
+    corners, 40 mm apart, tilted by 20 to 45 degrees; distances of 0.9 to 2 m for the camera, and of 1 to 1.6 m with the
+    stripe, round a working distance of 1.3 m. The latter is where a stripe of Table II's plane crosses the middle of
+    the image, which fits the ratio of X and Y to Z in the paper's Fig. 6.
 
     Raises:
         ConfigError: If no board stays in the image while the table turns by 1.98 degrees.
@@ -82,18 +82,18 @@ def our_plan(stage: Stage) -> BoardPlan:
 
 
 def expect(stage: Stage, plan: BoardPlan) -> list[ExpectedRecord]:
-    """All frames of a plan without noise; 13 MB each in full size, and as much for the laser's light where it is lit."""
+    """All frames of a plan without noise: in full size 13 MB a view, and as much for the laser's light if it is lit."""
     return list(expect_each(stage, plan))
 
 
 def expect_each(stage: Stage, plan: BoardPlan) -> Iterator[ExpectedRecord]:
     """The same one by one. Records that are not lit have no laser's light."""
     config = stage.config
-    rig, scene = make_rig(config), make_scene(config)
+    rig, dark, scene = make_rig(config), make_rig(_plain(config)), make_scene(config)
     picture = make_print(config.boards, board_texture(config.boards.board(), TEXTURE_PX))
     for placement, phi, lit in plan.jobs():
         board = SeenBoard(picture, placement.scanner_from_board.inverse() @ rig.pose(phi))
-        record = expect_record(rig, scene, phi, board=board, placement=placement.number)
+        record = expect_record(rig if lit else dark, scene, phi, board=board, placement=placement.number)
         yield record if lit else record._replace(laser=np.zeros(0, np.float32), samples=())
 
 
@@ -143,6 +143,12 @@ def _planned(stage: Stage, number: int, **changes: object) -> list[Placement]:
     """Poses as a careful person would choose them, with changes of the configuration's protocol."""
     config = stage.config.model_copy(update={"boards": stage.config.boards.model_copy(update=changes)})
     return plan_boards(make_rig(config), make_scene(config), stage.generator(_PLAN, number))
+
+
+def _plain(config: SimulationConfig) -> SimulationConfig:
+    """The same room's light, and a plain laser, which is rendered faster and then thrown away."""
+    lasers = tuple(laser.model_copy(update={"speckle_contrast": 0.0}) for laser in config.laser)
+    return config.model_copy(update={"light": config.light.model_copy(update={"bounce": 0.0}), "laser": lasers})
 
 
 def _frames(
