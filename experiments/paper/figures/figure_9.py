@@ -190,14 +190,19 @@ def _paper_metrics(found: Measured, truth: Size) -> list[Metric]:
 def _pair_metrics(pairs: list[PairAngle], truth: Size) -> list[Metric]:
     """Errors by the angle of the pair, and the angles that explain those of the paper."""
     out = []
-    rms = np.array([pair.rms(truth) for pair in pairs])
+    rms, scatter = np.array([[pair.rms(truth), pair.scatter(truth)] for pair in pairs]).transpose(1, 0, 2)
     for side, letters in enumerate(SIDES):
-        for pair, value in zip(pairs, rms[:, side], strict=True):
-            label = f"room's {letters}: rms error, Tr from {pair.angle_deg:g}°, board at {pair.depth_m:.2f} m"
-            out.append(Metric(f"pair_{pair.angle_deg:g}_{letters}_rms", float(value), "mm", label=label))
+        for pair, whole, alone in zip(pairs, rms[:, side], scatter[:, side], strict=True):
+            key = f"pair_{pair.angle_deg:g}_{letters}"
+            label = f"room's {letters}, Tr from {pair.angle_deg:g}°, board at {pair.depth_m:.2f} m"
+            out.append(Metric(f"{key}_rms", float(whole), "mm", label=f"{label}: rms error"))
+            out.append(Metric(f"{key}_scatter", float(alone), "mm", label=f"{label}: scatter by the pair's noise"))
         error = abs(PAPER_MM[side] - truth[side])
-        label = f"turn between the two views of Tr from which on the {letters} has an rms error of {error:g} mm"
-        out.append(Metric(f"pair_angle_for_{letters}", smallest_angle(pairs, rms[:, side], error), "°", label=label))
+        angle = smallest_angle(pairs, scatter[:, side], error)
+        label = (
+            f"turn between the two views of Tr from which on their noise moves the {letters} by {error:g} mm or less"
+        )
+        out.append(Metric(f"pair_angle_for_{letters}", angle, "°", label=label))
     return out
 
 

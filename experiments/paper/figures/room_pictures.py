@@ -96,7 +96,7 @@ def draw_elevations(path: Path, ours: Survey, title: str) -> None:
         shown = _front(row[0], at, 1e3 * depth[kept], extent, "cividis", (-10, 250))
         _front(row[1], at, ours.rgb[kept], extent, None, None)
         row[0].set_ylabel(f"wall at {'+' if side > 0 else '-'}{name}: height [m]")
-    figure.colorbar(shown, ax=axes[:, 0], location="bottom", shrink=0.6, aspect=40, label="before the wall [mm]")
+    figure.colorbar(shown, ax=axes, location="bottom", shrink=0.35, aspect=40, label="before the wall [mm]")
     axes[0, 0].set_xlim(-reach, reach)
     axes[0, 0].set_title("Without colour: by distance before the wall")
     axes[0, 1].set_title("With colour")
