@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 import jaxscan
-from experiments.paper.methods import plain_stripes
+from experiments.paper.methods import horus_stripes, plain_stripes
 from experiments.paper.products.draws import our_calibrations
 from experiments.paper.rendering.sweeps import RenderedSweep
 from experiments.paper.stage import Stage
@@ -22,7 +22,7 @@ NEAR_M, FAR_M = 1.2, 4.0
 """Depths between which everything of the room stands: a person who set the rig up knows them [m]."""
 MARGIN_PX = 40
 """Columns beside the stripe's that are read too, at full size [px]."""
-PLAIN = {"gravity": plain_stripes.gravity, "highest": plain_stripes.highest}
+PLAIN = {"gravity": plain_stripes.gravity, "highest": plain_stripes.highest, "horus": horus_stripes.scan}
 STRIDE = {"kind": 1, "unkind": 10}
 """Every n-th of the plan's steps is taken."""
 _QUICK_STEPS = 90
@@ -43,7 +43,7 @@ class Room(NamedTuple):
     stripes: jaxscan.Stripes
     """By our extractor, which looked where our first calibration expects them; with colours."""
     plain: dict[str, PlainStripes]
-    """By "gravity" and by "highest"."""
+    """By "gravity", by "highest" and by "horus"."""
     angles: np.ndarray
     """As commanded [records]; rad."""
     window: tuple[int, int]
