@@ -12,7 +12,7 @@ import numpy as np
 from jaxscan.simulation import RoomSpec
 
 
-COLOURS = {"ours": "tab:blue", "horus": "tab:red", "lens": "tab:orange", "whole": "tab:olive"}
+COLOURS = {"ours": "tab:blue", "horus": "tab:red", "tuned": "tab:orange", "whole": "tab:olive"}
 
 
 def draw_bars(
@@ -20,7 +20,9 @@ def draw_bars(
 ) -> None:
     """One panel for each figure, one bar for each way."""
     figure, axes = plt.subplots(2, 5, figsize=(16, 7.4), constrained_layout=True)
-    for axis, (what, (unit, label)) in zip(axes.flat, units.items(), strict=True):
+    # A room that cannot be measured shows in the panels of its dimensions.
+    panels = {what: text for what, text in units.items() if what != "measured"}
+    for axis, (what, (unit, label)) in zip(axes.flat, panels.items(), strict=True):
         shown = [name for name in ways if what in figures[name]]
         values = np.array([figures[name][what] for name in shown])
         bars = axis.bar(range(len(shown)), np.nan_to_num(values), color=[COLOURS[name] for name in shown])
