@@ -11,7 +11,7 @@ BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev li
 SHARED := -n 2 --dist loadfile --no-loadscope-reorder
 QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
 
-.PHONY: demo test test-all lint format libraries firmware bench bench-deps clean
+.PHONY: demo test test-all experiments lint format libraries firmware bench bench-deps clean
 
 demo: $(INSTALLED) libraries
 	$(BIN)/jaxscan demo -o demo
@@ -25,6 +25,12 @@ test: $(INSTALLED)
 
 test-all: $(INSTALLED)
 	$(BIN)/python -m pytest -q $(SHARED) -m "slow or not slow"
+
+# The tables and figures of the paper, in both worlds, to paper-figures/: an hour on two cores.
+# `make experiments QUICK=--quick` shows in two minutes that all of it works.
+experiments: $(INSTALLED) libraries
+	$(BIN)/python -m experiments.paper $(QUICK) --out paper-figures
+	$(BIN)/python -m experiments.paper.page $(QUICK) paper-figures
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .
@@ -69,5 +75,5 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@touch $@
 
 clean:
-	rm -rf $(VENV) demo build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo paper-figures build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	rm -rf hardware/bench/build hardware/firmware/build

@@ -2,49 +2,30 @@
 
     python -m experiments.paper [NAME …] [--world kind|unkind] [--quick] [--out FOLDER] [--save-baseline]
 
-Every experiment prints its figures, writes a picture and is compared with the committed baseline. Without a name all run,
-each world in a process of its own. `--quick` takes small images and few draws, to see that all of it works. Work files
-are kept in FOLDER/work: what is there is not made again.
+Every experiment prints its figures, writes a picture and is compared with the committed baseline. Without a name all
+run; without a world both, each in a process of its own. `--quick` takes small images and few draws, to see that all of
+it works. Work files are kept in FOLDER/work: those that are there are not made again; `--fresh` removes them first.
+`python -m experiments.paper.page FOLDER` writes the page of results.
 """
 
 import argparse
 import importlib
 import json
+import os
+import shutil
 import subprocess
 import sys
 import time
+import traceback
 from pathlib import Path
 from typing import Any
 
+import jax
+
+from experiments.paper.contents import EXPERIMENTS, part_of, results_path
 from experiments.paper.metrics import Metric, line, load_baseline, save_baseline
 from experiments.paper.stage import Stage
 from experiments.paper.worlds import WORLDS, world
-
-
-EXPERIMENTS = {
-    "table_1": "tables.table_1",
-    "table_2": "tables.table_2",
-    "figure_5": "figures.figure_5",
-    "figure_6": "figures.figure_6",
-    "figure_7": "figures.figure_7",
-    "figure_8": "figures.figure_8",
-    "figure_9": "figures.figure_9",
-    "fisheye": "beyond.fisheye",
-    "sensitivity": "beyond.sensitivity",
-    "acceptance": "beyond.acceptance",
-    "peers": "beyond.peers",
-}
-"""Each is a module with `run(stage) -> list[Metric]`."""
-
-
-def part_of(name: str, quick: bool) -> str:
-    """Of the baseline."""
-    return f"quick {name}" if quick else name
-
-
-def results_path(out: Path, name: str, quick: bool) -> Path:
-    """File of the figures of a world."""
-    return out / f"{part_of(name, quick).replace(' ', '_')}.json"
 
 
 def run_one(stage: Stage, name: str) -> dict[str, Any]:
@@ -65,20 +46,37 @@ def run_one(stage: Stage, name: str) -> dict[str, Any]:
     return {"seconds": seconds, "worse": worse, "metrics": [metric._asdict() for metric in metrics]}
 
 
+def keep_compiled(folder: Path) -> None:
+    """Keep compiled code for the next run, and share it between both worlds, unless the environment says where."""
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
 def run_world(name: str, chosen: list[str], options: argparse.Namespace) -> int:
     """Experiments of one world; their figures are written as each ends."""
     folder = options.out / "work" / part_of(name, options.quick).replace(" ", "_")
     stage = Stage(name, world(name, quick=options.quick), folder, options.out, options.quick)
     path = results_path(options.out, name, options.quick)
+    if options.fresh:
+        shutil.rmtree(folder, ignore_errors=True)
+    keep_compiled(options.out / "work" / "compiled")
     path.parent.mkdir(parents=True, exist_ok=True)
     done = json.loads(path.read_text()) if path.exists() else {}
+    failed = False
     for each in chosen:
-        done[each] = run_one(stage, each)
+        try:
+            done[each] = run_one(stage, each)
+        except Exception:
+            # The others are worth their hour all the same.
+            traceback.print_exc()
+            failed = True
+            continue
         path.write_text(json.dumps(done, indent=1) + "\n")
         if options.save_baseline:
             values = {f"{each}.{one['key']}": one["value"] for one in done[each]["metrics"]}
             save_baseline(part_of(name, options.quick), values)
-    return int(any(done[each]["worse"] for each in chosen))
+    return int(failed or any(done[each]["worse"] for each in chosen))
 
 
 def main() -> int:
@@ -88,6 +86,7 @@ def main() -> int:
     parser.add_argument("--world", choices=WORLDS)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("paper-figures"), metavar="FOLDER")
+    parser.add_argument("--fresh", action="store_true", help="remove work files of earlier runs first")
     parser.add_argument("--save-baseline", action="store_true", help="replace the committed baseline by these figures")
     options = parser.parse_args()
     if strange := set(options.names) - set(EXPERIMENTS):

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import jaxscan
-from jaxscan.simulation import SimulationConfig
+from jaxscan.simulation import CameraSpec, SimulationConfig
 
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -33,7 +33,7 @@ def windowed(config: SimulationConfig, first: int, stop: int) -> SimulationConfi
     A camera that reads fewer columns is faster, and so is its simulation. Light and sharpness of a pixel stay what they
     are in the whole image; its fixed pattern is another one.
     """
-    camera, (cx, cy) = config.camera, config.camera.centre()
+    camera, (cx, _) = config.camera, config.camera.centre()
     part = camera.model_copy(update={"width": stop - first, "cx": cx - first})
     share = _corner2(part) / _corner2(camera)
     sensor = config.sensor
@@ -48,7 +48,7 @@ def windowed_scanner(scanner: jaxscan.Scanner, first: int, stop: int) -> jaxscan
     return type(scanner)(**{**vars(scanner), "camera": part})
 
 
-def _corner2(camera: object) -> float:
+def _corner2(camera: CameraSpec) -> float:
     """Squared distance from the principal point to the farthest corner [px^2]."""
     cx, cy = camera.centre()
     return max(cx, camera.width - 1 - cx) ** 2 + max(cy, camera.height - 1 - cy) ** 2

@@ -1,4 +1,4 @@
-"""What recalibration must reach, the final seeds and the numbers of trials: written down before any of them was run."""
+"""Limits of recalibration, the final seeds and the numbers of trials: written down before any of them was run."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

@@ -201,7 +201,7 @@ def _turned(capture: Capture, correction: np.ndarray) -> Capture:
 
 
 def _judgement(result: Recalibration) -> dict[str, Any]:
-    """What a file says of its recalibration."""
+    """The recalibration that a file tells of."""
     return {
         "settings": asdict(result.settings),
         "drift": asdict(result.drift),

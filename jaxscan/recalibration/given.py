@@ -1,4 +1,4 @@
-"""What a user gives beside the sweeps: places of stations, known lengths, spheres, tracks, boards."""
+"""Knowledge that a user gives beside the sweeps: places of stations, known lengths, spheres, tracks, boards."""
 
 from dataclasses import dataclass
 from typing import NamedTuple

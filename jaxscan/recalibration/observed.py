@@ -1,4 +1,4 @@
-"""What ordinary sweeps tell of the scanner: stripe points on surfaces, tracked features, known lengths."""
+"""Observations of the scanner in ordinary sweeps: stripe points on surfaces, tracked features, known lengths."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple

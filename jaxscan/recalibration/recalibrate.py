@@ -24,7 +24,7 @@ from jaxscan.recalibration.result import PanoramaOfWalls, Recalibration, TableFi
 from jaxscan.recalibration.segment import find_patches, flat
 from jaxscan.recalibration.settings import RecalibrationSettings
 from jaxscan.recalibration.stations import place_stations
-from jaxscan.recalibration.table import check_angles
+from jaxscan.recalibration.table import check_angles, say_lost_steps
 from jaxscan.recalibration.tracks import place_tracks
 
 
@@ -33,7 +33,7 @@ _STAGES = 9
 
 
 class _Job(NamedTuple):
-    """What stays the same through all stages."""
+    """The inputs that stay the same through all stages."""
 
     sweeps: Sequence[SweepStripes]
     stored: Scanner
@@ -112,6 +112,8 @@ def recalibrate(
     done()
     result = _judged(job, verdict, done)
     notes = [f"left out, because it is not flat: {name}" for name in uneven]
+    if settings.angles == "steps" and not job.table.jumps:
+        notes += say_lost_steps(verdict.adjusted, [sweep.name for sweep in sweeps])
     return replace(result, notes=(*job.table.sentences, *result.notes, *notes, *doubts, *lost))
 
 

@@ -108,7 +108,7 @@ class TableFindings:
 
 @dataclass(frozen=True)
 class Closure:
-    """What is left open after a full turn."""
+    """The gap that is left after a full turn."""
 
     before_mm: float | None
     """At 2.5 m, with the stored calibration; None where nothing is seen twice."""

@@ -7,7 +7,7 @@ from jaxscan.errors import CaptureError
 
 
 def earlier_captures(provenance: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """What a new calibration says of the ones before it: calibration and captures of each, the oldest first.
+    """The ancestors of a new calibration: calibration and captures of each, the oldest first.
 
     Args:
         provenance: Of the stored calibration.

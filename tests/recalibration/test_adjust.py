@@ -1,5 +1,7 @@
 """The joint adjustment of a small known room: estimates and stated standard deviations against the truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import RecalibrationSettings, Start
 from jaxscan.recalibration.adjust import adjust, departure, joint, triangulate_points
 from jaxscan.recalibration.adjust.prepare import prepare
+from jaxscan.recalibration.table import say_lost_steps
 from tests.recalibration.linear_room import with_held
 from tests.recalibration.small_room import SIGMA, exact_sweep, observe, stored, truth_scanner, with_covariance
 
@@ -137,6 +140,12 @@ def test_one_angle_per_record_is_found():
     assert np.std(error) < 0.6 * np.std(wander)
     # 60 errors of which neighbours are correlated.
     assert 0.6 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.5
+    # Wandering is no lost step; a jump of all later records is one, and is said with its records.
+    assert say_lost_steps(adjusted, ["room"]) == []
+    lost = adjusted.corrections[0] + np.deg2rad(1.8) * (np.arange(SMALL[0]) >= 30)
+    (sentence,) = say_lost_steps(replace(adjusted, corrections=(lost,)), ["room"])
+    assert sentence.startswith("room: between records 29 and 30 the table comes to stand 1.8")
+    assert "degrees ahead" in sentence
 
 
 @pytest.mark.slow

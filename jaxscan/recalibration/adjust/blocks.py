@@ -108,7 +108,7 @@ def _of_rows(rows: Rows, values: Array, sight: Sight, shapes: tuple[Room, int]) 
 
 
 def _ties(room: Room, residual: Residuals) -> tuple[Float[Array, "angles angles"], Float[Array, " angles"]]:
-    """What the priors of the corrections say: small steps, and nothing that the scanner's own numbers describe."""
+    """The priors of the corrections: small steps, and nothing that the scanner's own numbers describe."""
     size = ANGLE_SCALE * room.smooth
     squared, held = size**2, ANGLE_SCALE * room.held
     before = jnp.pad(size, (1, 0))[:-1]

@@ -69,7 +69,7 @@ def prepare_boards(observations: Observations, scanner: Scanner) -> Prepared:
 def board_equations(
     scanner: Scanner, data: Prepared, names: tuple[str, ...], before: BoardEquations | None
 ) -> BoardEquations:
-    """What boards say of a step of the scanner; call in 64 bit.
+    """The information of boards on a step of the scanner; call in 64 bit.
 
     Args:
         scanner: The present one, from which the step counts.

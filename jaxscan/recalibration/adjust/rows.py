@@ -50,7 +50,7 @@ class PointRows(NamedTuple):
 
 
 class Own(NamedTuple):
-    """What one observation meets of the unknowns, and of the places."""
+    """The unknowns, and the places, that one observation depends on."""
 
     station: Float[Array, "6"]
     angle: Float[Array, ""]

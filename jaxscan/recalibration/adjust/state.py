@@ -38,7 +38,7 @@ class State:
     stated_wall_m: float = FIRST_WALL_M
     """Roughness of walls before any was learned [m]."""
     boards: BoardEquations | None = None
-    """What captured boards say, at the scanner of a few steps before."""
+    """The information of captured boards, at the scanner of a few steps before."""
     steps: int = 0
     converged: bool = False
 
@@ -126,7 +126,7 @@ class State:
 
     @cached_property
     def plain_covariance(self) -> Covariance:
-        """What it would be if all errors of points were independent."""
+        """The same if all errors of points were independent."""
         return covariance_of(self.linearised.blocks)
 
     @property

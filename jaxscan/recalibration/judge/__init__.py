@@ -1,4 +1,4 @@
-"""What an adjustment gained, whether the rig has drifted, and whether the update can be believed."""
+"""The gain of an adjustment, whether the rig has drifted, and whether the update can be believed."""
 
 from jaxscan.recalibration.judge.closure import closure_of
 from jaxscan.recalibration.judge.gain import gains_of, scales_of, unobserved

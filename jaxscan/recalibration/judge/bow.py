@@ -15,7 +15,7 @@ from jaxscan.recalibration.judge.compared import Compared, chance_of, compare
 
 
 class Bow(NamedTuple):
-    """What a solve says of bows that the stored calibration holds."""
+    """Findings of a solve on bows that the stored calibration holds."""
 
     step: Float[np.ndarray, " held"]
     sigma: Float[np.ndarray, " held"]

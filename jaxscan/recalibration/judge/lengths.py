@@ -1,4 +1,4 @@
-"""What lengths that people measure gain."""
+"""The gain in lengths that people measure."""
 
 from jaxscan.calibration.verdict import Lengths
 from jaxscan.recalibration.result import LengthGain

@@ -36,7 +36,7 @@ _MEASURED = 2.0
 
 
 class Verdict(NamedTuple):
-    """What an adjustment says of the rig, and the prior that follows."""
+    """The verdict of an adjustment on the rig, and the prior that follows."""
 
     drift: Drift
     loosened: Float[np.ndarray, "params params"]

@@ -1,4 +1,4 @@
-"""What the neighbourhood of every cell looks like: normal, scatter around it, curvature."""
+"""The neighbourhood of every cell: normal, scatter around it, curvature."""
 
 from typing import NamedTuple
 

@@ -23,7 +23,7 @@ class BentPlane(NamedTuple):
     likely: Float[np.ndarray, " directions"]
     """Likely steps of the calibration that take off most of the bend."""
     rest: Float[np.ndarray, "3"]
-    """What these steps shift (at the centre [m]) and tilt (along the axes) the plane."""
+    """How far these steps shift (at the centre [m]) and tilt (along the axes) the plane."""
     taken: Float[np.ndarray, "3 directions"]
     """The same of each likely step by itself."""
     curvature: float

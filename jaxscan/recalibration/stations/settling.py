@@ -52,7 +52,7 @@ def settle(one: View, other: View, pose: np.ndarray, *, few: bool = False) -> Se
         weight = 1 / (1 + (apart / (2 * scale)) ** 2) ** 2
         design = np.column_stack([normals, np.cross(at, normals)])
         equations = (design * weight[:, None]).T @ design
-        # What nothing holds stays where it is.
+        # Directions that no observation holds stay where they are.
         equations += 1e-3 * np.trace(equations) / 6 * np.eye(6)
         pose = _moved(pose, np.linalg.solve(equations, (design * weight[:, None]).T @ apart))
     share = np.linalg.eigvalsh(normals.T @ normals / len(normals))[0]

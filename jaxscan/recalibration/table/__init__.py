@@ -1,4 +1,4 @@
 """Faults of the table's angles: wrong steps per turn, lost steps."""
 
 from jaxscan.recalibration.table.check import check_angles
-from jaxscan.recalibration.table.corrections import jumps_of
+from jaxscan.recalibration.table.corrections import say_lost_steps

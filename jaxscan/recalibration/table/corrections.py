@@ -1,10 +1,13 @@
 """Lost steps in the corrections of angles that an adjustment has found."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.recalibration.adjusted import Adjusted
 from jaxscan.recalibration.table.jumps import LEAST_STEP, LEAST_Z, MOST_JUMPS, inflation
+from jaxscan.recalibration.table.names import say_jump
 from jaxscan.recalibration.table.regression import Prior, Rows, fit_steps
 
 
@@ -13,22 +16,19 @@ WAVES = 3
 LEAST_RECORDS = 24
 
 
-def jumps_of(adjusted: Adjusted) -> tuple[tuple[int, int, float], ...]:
-    """Jumps in the corrections of an adjustment with one angle per step.
+def say_lost_steps(adjusted: Adjusted, names: Sequence[str]) -> list[str]:
+    """Sentences for the jumps in the corrections of an adjustment with one angle per step.
 
     Args:
         adjusted: Its corrections follow the sweeps of its observations.
-
-    Returns:
-        Sweep, record and angle [rad] from which on the table stands elsewhere, in the order of sweeps and records.
+        names: Names of the sweeps.
     """
-    return tuple(
-        (number, record, size)
-        for number, (angle, correction, sigma) in enumerate(
-            zip(adjusted.observations.angles, adjusted.corrections, adjusted.correction_sigma, strict=True)
-        )
+    each = zip(names, adjusted.observations.angles, adjusted.corrections, adjusted.correction_sigma, strict=True)
+    return [
+        say_jump(name, (record - 1, record), float(np.rad2deg(size)), float(np.rad2deg(sigma[record])))
+        for name, angle, correction, sigma in each
         for record, size in sorted(jumps_in(angle, correction, sigma))
-    )
+    ]
 
 
 def jumps_in(

@@ -17,14 +17,14 @@ class Rows(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """What is known of the unknowns before."""
+    """Prior knowledge of the unknowns."""
 
     mean: Float[np.ndarray, " unknowns"]
     sigma: Float[np.ndarray, " unknowns"]
 
 
 class StepTest(NamedTuple):
-    """What a step at each record would be."""
+    """The step that each record would need."""
 
     size: Float[np.ndarray, " records"]
     """Angle by which this and all later records stand ahead of their angle [rad]."""

@@ -97,7 +97,7 @@ def parameter_spread(scanner: Scanner) -> Float[np.ndarray, " params"]:
     return np.array([SPREAD.get(name, SPREAD.get(name.split(".")[-1], 0.1)) for name in names])
 
 
-# What compiles twice as fast and runs equally fast is better.
+# This option halves the time to compile, and costs no time to run.
 @functools.partial(jax.jit, static_argnums=5, compiler_options={"xla_cpu_use_fusion_emitters": False})
 def _points(scanner, step, centre, line, laser, axis):
     moved = scanner.retract(step)

@@ -35,7 +35,7 @@ MOST_SHIFT = 300.0
 
 
 class Rig(NamedTuple):
-    """What a sweep's points are made with; it is refined while faults are looked for."""
+    """The scanner and angles that a sweep's points are made with; refined while faults are looked for."""
 
     scanner: Scanner
     theta: Float[np.ndarray, " records"]
@@ -181,7 +181,7 @@ def wall_equations(
         sigma[on] = np.hypot(noise[on] @ m, FLOOR * np.linalg.norm(x[on], axis=1))
         whitened = error[on] / sigma[on]
         if robust:
-            # What hangs on the wall has little weight; a wall that is bent as a whole keeps its own.
+            # Things that hang on the wall have little weight; a wall that is bent as a whole keeps its own.
             limit = ROBUST * max(1.0, float(np.median(np.abs(whitened))) / 0.6745)
             sigma[on] *= 1.0 + (whitened / limit) ** 2
         lever[on] = m[1] * x[on, 0] - m[0] * x[on, 1]

@@ -102,7 +102,7 @@ def keep_consistent(scanner: Scanner, sightings: Sightings) -> Consistent:
 def _left(
     scanner: Scanner, part: Sightings, point: Float[np.ndarray, "n 3"], sigma: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-    """What a robust fit leaves of each sighting [px], and the share of its variance that a fit leaves."""
+    """Residual of each sighting after a robust fit [px], and the share of its variance that a fit leaves."""
     by_scanner = _scanner_gradients(scanner, part, point)
     still = np.broadcast_to(np.eye(4), (len(point), 4, 4))
     error = part.q - project_all(scanner, point, part.angle, still)

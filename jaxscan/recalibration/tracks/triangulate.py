@@ -119,7 +119,7 @@ def _summed(values: np.ndarray, track: np.ndarray, count: int) -> np.ndarray:
 def _in_chunks(
     function: Callable[..., tuple[jax.Array, ...]], scanner: Scanner, values: tuple[np.ndarray, ...]
 ) -> tuple[np.ndarray, ...]:
-    """What a compiled function gives for many items, float64."""
+    """Results of a compiled function for many items, float64."""
     count = len(values[0])
     with jax.enable_x64(True):
         given = scanner.without_covariance().as_dtype(jnp.float64)

@@ -1,0 +1,56 @@
+"""Observed errors of calibrations against the covariance that each states."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.worlds.calibration_trials import errors, to_true_tangents
+from jaxscan.geometry import Scanner
+from jaxscan.geometry.motions import ANGLE_PARAMETERS
+from jaxscan.simulation import SimulationConfig
+
+
+class Honesty(NamedTuple):
+    """How errors compare with what was predicted."""
+
+    names: tuple[str, ...]
+    """Parameters that are compared."""
+    ratio: np.ndarray
+    """Observed spread over predicted standard deviation of each."""
+    pooled: float
+    """The root mean square of them."""
+    pooled_error: float
+    """Its standard error."""
+    squared: float
+    """Mean of e' C⁻¹ e per parameter; e are errors about the truth, so that a bias counts. 1 is expected."""
+    squared_error: float
+
+
+def compare(scanners: list[Scanner], config: SimulationConfig) -> Honesty:
+    """Compare calibrations of independent draws.
+
+    Parameters that were held are left out, and those of the table's angle: a few degrees hardly show them, so that
+    their priors speak for them, from which the true rig was not drawn.
+    """
+    names = scanners[0].parameter_names()
+    turned = [to_true_tangents(scanner, config) for scanner in scanners]
+    error = np.array([turn @ errors(scanner, config) for turn, scanner in zip(turned, scanners, strict=True)])
+    covariance = np.array(
+        [turn @ np.asarray(one.covariance) @ turn.T for turn, one in zip(turned, scanners, strict=True)]
+    )
+    free = (np.diagonal(covariance, axis1=1, axis2=2) > 0).all(0)
+    free &= np.array([name not in ANGLE_PARAMETERS for name in names])
+    error, covariance = error[:, free], covariance[:, free][:, :, free]
+    squared = np.array([e @ np.linalg.solve(c, e) for e, c in zip(error, covariance, strict=True)]) / error.shape[1]
+    variance = np.diagonal(covariance, axis1=1, axis2=2).mean(0)
+    # Each draw's share of the mean square; parameters hang together, draws do not.
+    spread = (error - error.mean(0)) ** 2 / variance * len(error) / (len(error) - 1)
+    pooled = float(np.sqrt(spread.mean()))
+    return Honesty(
+        tuple(np.array(names)[free]),
+        np.sqrt(spread.mean(0)),
+        pooled,
+        float(spread.mean(1).std(ddof=1) / np.sqrt(len(error)) / (2 * pooled)),
+        float(squared.mean()),
+        float(squared.std(ddof=1) / np.sqrt(len(error))),
+    )

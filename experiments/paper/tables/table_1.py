@@ -1,0 +1,116 @@
+"""Table I and Tr: the paper's protocol, by its method and by ours on the same images, with 30 draws of noise.
+
+The paper's method takes one step after the other: Zhang's camera with one radial coefficient, the plane by linear least
+squares, Tr from the last two views, the motion at step n as Trⁿ. Ours is one joint solve with an explicit axis. The
+third series is our own protocol with many lit views and wider turns.
+
+A length across 180 degrees is found by carrying two opposite points into one frame. Their pixels come from the true
+rig, without noise: its error is that of the calibration alone.
+"""
+
+import numpy as np
+
+import jaxscan
+from experiments.paper.metrics import Metric
+from experiments.paper.products.draws import draws, our_calibrations
+from experiments.paper.stage import Stage
+from experiments.paper.tables.honesty import Honesty, compare
+from experiments.paper.tables.pictures import Series, strips
+from experiments.paper.tables.quantities import (
+    QUANTITIES,
+    Quantity,
+    across_half_a_turn,
+    of_paper_way,
+    of_scanner,
+    true_values,
+)
+from jaxscan.calibration.verdict import Length, length_sigma
+from jaxscan.geometry import Scanner
+
+
+_ENOUGH = 10
+"""Draws from which a spread can be judged: of fewer, its standard error alone is over 20 %."""
+NAMES = {"paper_way": "the paper's method", "ours": "jaxscan"}
+
+
+def run(stage: Stage) -> list[Metric]:
+    """Figures and picture of Table I."""
+    lengths = across_half_a_turn(stage.config)
+    true = true_values(stage.config, lengths)
+    drawn = draws(stage)
+    scanners = [jaxscan.load_scanner(draw.ours) for draw in drawn]
+    protocol = [jaxscan.load_scanner(path) for path in our_calibrations(stage)]
+    found = {
+        "paper_way": np.array([of_paper_way(draw.paper, lengths) for draw in drawn]),
+        "ours": np.array([of_scanner(scanner, lengths) for scanner in scanners]),
+        "our_protocol": np.array([of_scanner(scanner, lengths) for scanner in protocol]),
+    }
+    honesty = compare(scanners, stage.config)
+    labels = [f"{one.title} [{one.unit}]" if one.unit != "1" else one.title for one in QUANTITIES]
+    series = [
+        Series("the paper's method", found["paper_way"] - true, "tab:red"),
+        Series("jaxscan, same images", found["ours"] - true, "tab:blue"),
+        Series("jaxscan, own protocol", found["our_protocol"] - true, "tab:green"),
+    ]
+    title = f"Table I, {stage.world} world: error of each of {len(drawn)} draws of noise (bar: mean; box: ± spread)"
+    strips(series, labels, title, stage.picture("table_1"))
+    return [
+        *(metric for way in NAMES for metric in _spreads(way, found[way], true, full=not stage.quick)),
+        *_predicted("ours", "jaxscan, same images", scanners, lengths),
+        *_predicted("our_protocol", "jaxscan, own protocol", protocol, lengths),
+        *_protocol_errors(found["our_protocol"], true),
+        *_honesty(honesty, len(drawn)),
+    ]
+
+
+def _spreads(way: str, found: np.ndarray, true: np.ndarray, *, full: bool) -> list[Metric]:
+    """Mean (where the paper has a value), bias and spread of each quantity."""
+    count, metrics = len(found), []
+    for quantity, values, truth in zip(QUANTITIES, found.T, true, strict=True):
+        spread = float(values.std(ddof=1))
+        of_mean, of_spread = 3 * spread / np.sqrt(count), 3 * spread / np.sqrt(2 * count - 2)
+        label, near = f"{quantity.title}, {NAMES[way]}", "near" if way == "ours" else "none"
+        key = f"{way}_{quantity.key}"
+        if full and quantity.paper is not None:
+            mean = Metric(f"{key}_mean", float(values.mean()), quantity.unit, near, of_mean, quantity.paper)
+            metrics.append(mean._replace(label=f"{label}: mean"))
+        bias, less = float(values.mean() - truth), "less" if way == "ours" else "none"
+        metrics.append(Metric(f"{key}_bias", bias, quantity.unit, near, of_mean, label=f"{label}: bias"))
+        metrics.append(Metric(f"{key}_spread", spread, quantity.unit, less, of_spread, label=f"{label}: spread"))
+    return metrics
+
+
+def _predicted(key: str, title: str, scanners: list[Scanner], lengths: list[Length]) -> list[Metric]:
+    """What the covariance says of the lengths."""
+    sigma = 1000 * np.sqrt(np.mean([length_sigma(scanner, lengths) ** 2 for scanner in scanners], axis=0))
+    return [
+        Metric(f"{key}_{one.key}_predicted", float(value), "mm", "less", 0.1 * float(value),
+               label=f"{one.title}, {title}: predicted standard deviation")
+        for one, value in zip(_lengths(), sigma, strict=True)
+    ]  # fmt: skip
+
+
+def _protocol_errors(found: np.ndarray, true: np.ndarray) -> list[Metric]:
+    """Root mean square errors of the few calibrations by our own protocol."""
+    rms = np.sqrt(np.mean((found - true) ** 2, axis=0))
+    return [
+        Metric(f"our_protocol_{one.key}_rms", float(value), one.unit, "less", 2 * float(value),
+               label=f"{one.title}, jaxscan, own protocol: root mean square error of {len(found)}")
+        for one, value in zip(QUANTITIES, rms, strict=True)
+    ]  # fmt: skip
+
+
+def _honesty(honesty: Honesty, count: int) -> list[Metric]:
+    pooled = Metric("ours_spread_over_predicted", honesty.pooled, "1", "near", 3 * honesty.pooled_error)
+    if count >= _ENOUGH:
+        pooled = pooled._replace(low=0.8, high=1.2)
+    squared = Metric("ours_squared_error_over_predicted", honesty.squared, "1", "near", 3 * honesty.squared_error)
+    what = f"{len(honesty.names)} parameters of jaxscan, {count} draws"
+    return [
+        pooled._replace(label=f"observed spread over predicted, {what}, ± {honesty.pooled_error:.2g}"),
+        squared._replace(label=f"normalised squared error per parameter, {what}, ± {honesty.squared_error:.2g}"),
+    ]
+
+
+def _lengths() -> list[Quantity]:
+    return [one for one in QUANTITIES if one.key.startswith("length")]

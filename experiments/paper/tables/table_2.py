@@ -1,0 +1,191 @@
+"""Table II: the laser's plane, by linear least squares as in (8), by total least squares, and from the joint solve.
+
+All are from the same images, in 30 draws of noise. The first two take the paper's camera and board poses as exact, and
+stripes that a plain finder found: by their centre of gravity, and by their highest pixel. Depth errors are those at the
+pixels where the true rig sees its stripe at that depth, over all rows, so that camera and plane count together.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import matplotlib
+
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+import jaxscan
+from experiments.paper.methods.paper_way import PaperWay, points_on_sheet
+from experiments.paper.metrics import Metric
+from experiments.paper.products.draws import Draw, draws, our_calibrations
+from experiments.paper.stage import Stage
+from jaxscan.calibration.verdict import depth_sigma, stripe_depths, stripe_pixels
+from jaxscan.geometry import Scanner
+from jaxscan.simulation import true_scanner
+
+
+DEPTHS_M = (1.3, 2.5)
+"""The paper's working distance, and the distance of its wall."""
+PAPER = (-7.606, -1.685, 1296.203)
+COEFFICIENTS = (("a", "1"), ("b", "1"), ("c", "mm"))
+_CURVE_M = np.array([0.8, 1.0, 1.3, 1.6, 2.0, 2.5, 3.0])
+"""Depths of the picture."""
+
+
+class Plane(NamedTuple):
+    """A way to the plane, in all draws."""
+
+    key: str
+    title: str
+    abc: np.ndarray
+    """a, b [1] and c [mm], [draws, 3]."""
+    depth: list[np.ndarray]
+    """Depth errors [mm] for each of some depths, [draws, rows]."""
+
+
+def run(stage: Stage) -> list[Metric]:
+    """Figures and picture of Table II."""
+    true = true_scanner(stage.config)
+    drawn = draws(stage)
+    scanners = [jaxscan.load_scanner(draw.ours) for draw in drawn]
+    pixels = {depth: stripe_pixels(true, 0, depth) for depth in {*DEPTHS_M, *_CURVE_M}}
+    seen = {depth: q for depth, q in sorted(pixels.items()) if len(q)}
+    every = [
+        _of_paper(drawn, "linear", "gravity", seen),
+        _of_paper(drawn, "total", "gravity", seen),
+        _of_paper(drawn, "linear", "highest", seen),
+        _of_paper(drawn, "total", "highest", seen),
+        _of_scanners("ours", "jaxscan, joint solve", scanners, seen),
+    ]
+    protocol = [jaxscan.load_scanner(path) for path in our_calibrations(stage)]
+    own = _of_scanners("our_protocol", "jaxscan, own protocol", protocol, seen)
+    depths = list(seen)
+    _picture(stage, [*every, own], depths)
+    laser = stage.config.laser[0]
+    truth = np.array([laser.a, laser.b, laser.c_mm], float)
+    metrics = [metric for plane in every if "highest" not in plane.key for metric in _coefficients(plane, truth)]
+    for depth in DEPTHS_M:
+        at = depths.index(depth)
+        metrics += [metric for plane in every for metric in _depth(plane, depth, plane.depth[at])]
+        metrics += _depth(own, depth, own.depth[at])[:1]
+        sigma = float(np.sqrt(np.mean([depth_sigma(one, 0, seen[depth]) ** 2 for one in scanners])))
+        name = f"depth at {depth:g} m, {every[-1].title}: predicted standard deviation"
+        metrics.append(
+            Metric(f"ours_depth_{_mm(depth)}_predicted", 1000 * sigma, "mm", "less", 100 * sigma, label=name)
+        )
+    return [*metrics, _joint_over_sequential(every, depths.index(2.5))]
+
+
+def _of_paper(drawn: list[Draw], fit: str, finder: str, seen: dict[float, np.ndarray]) -> Plane:
+    ways = [draw.paper if finder == "gravity" else draw.highest for draw in drawn]
+    planes = [getattr(way, fit) for way in ways]
+
+    def depths(way: PaperWay, q: np.ndarray) -> np.ndarray:
+        return points_on_sheet(way, q, getattr(way, fit))[..., 2]
+
+    fits = {"linear": "linear least squares", "total": "total least squares"}
+    finders = {"gravity": "centre of gravity", "highest": "highest pixel"}
+    key = f"paper_way_{fit}" if finder == "gravity" else f"paper_way_{fit}_highest"
+    title = f"{fits[fit]}, {finders[finder]}"
+    return Plane(key, title, np.array(planes) * [1, 1, 1000], _errors(ways, depths, seen))
+
+
+def _of_scanners(key: str, title: str, scanners: list[Scanner], seen: dict[float, np.ndarray]) -> Plane:
+    abc = []
+    for scanner in scanners:
+        normal, distance = np.asarray(scanner.lasers.normal)[0], float(scanner.lasers.distance[0])
+        abc.append([normal[0] / normal[2], normal[1] / normal[2], 1000 * distance / normal[2]])
+    return Plane(key, title, np.array(abc), _errors(scanners, lambda one, q: stripe_depths(one, 0, q), seen))
+
+
+def _errors(found: list, depths: Callable, seen: dict[float, np.ndarray]) -> list[np.ndarray]:
+    """Depth errors [mm] at each of the depths, [draws, rows]."""
+    return [1000 * (np.array([depths(one, q) for one in found]) - depth) for depth, q in seen.items()]
+
+
+def _coefficients(plane: Plane, truth: np.ndarray) -> list[Metric]:
+    """Mean (beside the paper's one calibration), bias and spread of a, b, c."""
+    metrics, ours = [], plane.key == "ours"
+    for index, (name, unit) in enumerate(COEFFICIENTS):
+        values = plane.abc[:, index]
+        spread = float(values.std(ddof=1))
+        of_mean, of_spread = 3 * spread / np.sqrt(len(values)), 3 * spread / np.sqrt(2 * len(values) - 2)
+        key, label, near = f"{plane.key}_{name}", f"{name}, {plane.title}", "near" if ours else "none"
+        metrics += [
+            Metric(f"{key}_mean", float(values.mean()), unit, near, of_mean, PAPER[index], label=f"{label}: mean"),
+            Metric(f"{key}_bias", float(values.mean() - truth[index]), unit, near, of_mean, label=f"{label}: bias"),
+            Metric(f"{key}_spread", spread, unit, "less" if ours else "none", of_spread, label=f"{label}: spread"),
+        ]
+    return metrics
+
+
+def _depth(plane: Plane, depth: float, errors: np.ndarray) -> list[Metric]:
+    """Root mean square, bias and spread of the depth error over draws and rows."""
+    less, near = ("none", "none") if plane.key.startswith("paper") else ("less", "near")
+    rms, bias = _rms(errors), float(errors.mean())
+    # Rows of a draw hang together: a draw counts once.
+    square = np.mean(errors**2, axis=1)
+    of_rms = 3 * _deviation(square) / np.sqrt(len(errors)) / (2 * rms)
+    of_bias = 3 * _deviation(errors.mean(1)) / np.sqrt(len(errors))
+    spread = _rms(errors - errors.mean(0)) * np.sqrt(len(errors) / max(len(errors) - 1, 1))
+    key, label = f"{plane.key}_depth_{_mm(depth)}", f"depth at {depth:g} m, {plane.title}"
+    if len(errors) < 10:
+        of_rms = max(of_rms, 2 * rms)
+    return [
+        Metric(f"{key}_rms", rms, "mm", less, of_rms, label=f"{label}: root mean square error"),
+        Metric(f"{key}_bias", bias, "mm", near, of_bias, label=f"{label}: bias"),
+        Metric(f"{key}_spread", float(spread), "mm", less, of_rms, label=f"{label}: spread"),
+    ]
+
+
+def _joint_over_sequential(every: list[Plane], at: int) -> Metric:
+    """The joint solve against the better of the two fits after the sequence, with the better stripe finder."""
+    rms = {plane.key: _rms(plane.depth[at]) for plane in every}
+    best = min(value for key, value in rms.items() if key.startswith("paper_way"))
+    ratio = rms["ours"] / best
+    label = "depth error at 2.5 m of the joint solve, of the best that the paper's method reaches"
+    return Metric("joint_over_sequential", ratio, "1", "less", 0.5 * ratio, high=0.75, label=label)
+
+
+def _picture(stage: Stage, planes: list[Plane], depths: list[float]) -> None:
+    """a, b, c of every draw, and the depth error over depth."""
+    colours = ("tab:red", "tab:orange", "tab:brown", "tab:pink", "tab:blue", "tab:green")
+    laser = stage.config.laser[0]
+    figure, axes = plt.subplots(1, 4, figsize=(17, 5.2), width_ratios=(1, 1, 1, 1.6))
+    random = np.random.default_rng(0)
+    for index, (axis, (name, unit)) in enumerate(zip(axes, COEFFICIENTS, strict=False)):
+        axis.axhline((laser.a, laser.b, laser.c_mm)[index], color="0.4", linewidth=1, linestyle="--")
+        for at, (plane, colour) in enumerate(zip(planes, colours, strict=True)):
+            values = plane.abc[:, index]
+            axis.plot(at + random.uniform(-0.2, 0.2, len(values)), values, ".", color=colour)
+            axis.plot([at - 0.35, at + 0.35], [values.mean()] * 2, color=colour, linewidth=2)
+        axis.set_xticks([])
+        axis.set_title(f"{name} [{unit}]" if unit != "1" else name)
+    axes[3].set_title("depth error of camera and plane [mm]")
+    for plane, colour in zip(planes, colours, strict=True):
+        rms = [_rms(errors) for errors in plane.depth]
+        axes[3].plot(depths, rms, "o-", color=colour, label=plane.title, markersize=4)
+    axes[3].set_xlabel("depth [m]")
+    axes[3].set_ylabel("root mean square over draws and rows [mm]")
+    axes[3].set_yscale("log")
+    axes[3].grid(which="both", alpha=0.3)
+    handles, names = axes[3].get_legend_handles_labels()
+    figure.legend(handles, names, loc="lower center", ncols=3, fontsize=10)
+    count = len(planes[0].abc)
+    figure.suptitle(f"Table II, {stage.world} world: the laser's plane in {count} draws of noise (dashed: truth)")
+    figure.tight_layout(rect=(0, 0.11, 1, 1))
+    figure.savefig(stage.picture("table_2"), dpi=110)
+    plt.close(figure)
+
+
+def _mm(depth: float) -> str:
+    return f"{1000 * depth:.0f}"
+
+
+def _deviation(values: np.ndarray) -> float:
+    return float(values.std(ddof=1)) if len(values) > 1 else 0.0
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
