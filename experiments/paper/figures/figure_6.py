@@ -11,8 +11,8 @@ A few rows at the edges of squares, where the print cuts off a part of the strip
 centre of gravity; the spread of the middle of the points is reported beside it.
 
 Both plain ways see the stripe on white squares alone. Ours is compared at the same rows: row by row, as a calibration
-takes them, and smoothed along the stripe, as `jaxscan.reconstruct` makes points of them. A third figure is that of every
-row by itself, where those on ink are many times fainter.
+takes them, and smoothed along the stripe, as `jaxscan.reconstruct` makes points of them. A third figure is that of
+every row by itself, where those on ink are many times fainter.
 """
 
 from typing import NamedTuple
@@ -145,6 +145,7 @@ def _picture(stage: Stage, found: Found) -> None:
     points.set(xlabel="row of the image [px]", ylabel="Z by plane − Z by board [mm]", ylim=(-reach, reach))
     points.set_title("One board not used, at 1.3 m; gaps are black squares")
     histogram.set(xlabel="Z by plane − Z by board [mm]", ylabel="share of points per mm")
+    histogram.set_ylim(top=1.4 * histogram.get_ylim()[1])
     histogram.set_title(f"All {len(found.held_out['ours'])} boards not used: standard deviation of Z")
     paper = np.array(list(PAPER.values()))
     for number, way in enumerate(WAYS):
