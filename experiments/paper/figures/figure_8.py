@@ -25,7 +25,7 @@ from jaxscan.simulation.scene import Scene, load_open3d, make_scene
 
 
 mpl.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+import matplotlib.pyplot as plt
 
 
 STEP_DEG = {False: 0.1, True: 0.2}
