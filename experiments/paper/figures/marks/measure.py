@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
-from experiments.paper.figures import mark_finder as finder
+from experiments.paper.figures.marks import finder
 from experiments.paper.methods import paper_way
 from jaxscan.stripes import NoiseModel
 
