@@ -43,7 +43,7 @@ from jaxscan.simulation import make_scene
 
 _STEPS = {"kind": (0.25, 4), "unkind": (0.5, 2)}
 """Steps of the table where spheres are [deg], and every how many are taken where plates are."""
-_QUICK_STEPS = (0.75, 4)
+_QUICK_STEPS = (0.75, None)
 _SETTINGS = jaxscan.ReconstructSettings(min_range_m=0.5, max_range_m=5.2, normals=False, chunk_records=16)
 _HAND = 0.04
 """How far the places are off that the operator clicks, in each coordinate, at most [m]."""

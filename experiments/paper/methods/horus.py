@@ -65,8 +65,8 @@ def calibrate(capture: Capture, *, seed: int = 0) -> Horus:
         ValueError: If too few boards are found.
     """
     board, records = capture.board, capture.records
-    pairs = [capture.frames(index) for index in range(len(records))]
-    found = [find_board(off, board.grid(), board.square) for _, off in pairs]
+    # Twice: all frames at once are too many to keep.
+    found = [find_board(capture.frames(index)[1], board.grid(), board.square) for index in range(len(records))]
     free = [view for view, record in zip(found, records, strict=True) if record.placement is None and view is not None]
     chosen = [free[k] for k in np.unique(np.linspace(0, len(free) - 1, min(VIEWS, len(free))).astype(int))]
     if len(chosen) < 3:
@@ -75,9 +75,10 @@ def calibrate(capture: Capture, *, seed: int = 0) -> Horus:
     _, matrix, lens, _, _ = cv2.calibrateCamera(places, pixels, capture.image_size, None, None)
     matrix, lens = np.round(matrix, 3), np.round(lens.ravel()[:5], 3)
     pose, points = np.full((len(records), 4, 4), np.nan), [np.zeros((0, 3))]
-    for number, ((on, off), view) in enumerate(zip(pairs, found, strict=True)):
+    for number, view in enumerate(found):
         if view is None:
             continue
+        on, off = capture.frames(number)
         _, turn, shift = cv2.solvePnP(view.places, view.pixels, matrix, lens)
         pose[number] = np.eye(4)
         pose[number, :3, :3], pose[number, :3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]

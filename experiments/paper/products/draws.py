@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
+from experiments.paper.methods import horus
 from experiments.paper.methods.paper_way import (
     Extract,
     PaperWay,
@@ -20,11 +21,14 @@ from experiments.paper.methods.plain_stripes import gravity, highest
 from experiments.paper.rendering.boards import expect, expect_each, our_plan, paper_plan, write_capture, write_captures
 from experiments.paper.stage import Stage
 from jaxscan.calibration import CalibrationSettings
+from jaxscan.calibration.parameters import USUALLY_FREE
 from jaxscan.files import Capture
 
 
 SETTINGS = CalibrationSettings(judge=False)
 """Tests of the models take longer than the solve, and no draw needs them."""
+OUR_SETTINGS = CalibrationSettings(judge=False, free=(*USUALLY_FREE, "bow"))
+"""With sixty views of the stripe the sheet's bow is estimated too: the verdict of a calibration advises it."""
 _OURS = 1000
 """First seed of the captures of our protocol."""
 
@@ -70,7 +74,7 @@ def our_calibrations(stage: Stage, count: int = 3) -> list[Path]:
     """
     count = 1 if stage.quick else count
     paths = [stage.product(f"draws/our_protocol_{number}.json") for number in range(count)]
-    missing = [number for number, path in enumerate(paths) if not path.exists()]
+    missing = [number for number, path in enumerate(paths) if not path.exists() or not horus_path(stage, number).exists()]
     if missing:
         plan = our_plan(stage)
         folders = {_OURS + number: _emptied(stage.product(f"draws/our_capture_{number}")) for number in missing}
@@ -78,11 +82,17 @@ def our_calibrations(stage: Stage, count: int = 3) -> list[Path]:
         write_captures(stage, expect_each(stage, plan), plan, folders)
         stage.say(f"rendered the {len(plan.lit)} views of our protocol")
         for number, folder in zip(missing, folders.values(), strict=True):
-            calibration = jaxscan.calibrate(jaxscan.open_capture(folder), settings=SETTINGS)
+            calibration = jaxscan.calibrate(jaxscan.open_capture(folder), settings=OUR_SETTINGS)
             jaxscan.save_calibration(calibration, paths[number])
+            horus.save(horus.calibrate(jaxscan.open_capture(folder)), horus_path(stage, number))
             shutil.rmtree(folder)
         stage.say(f"{len(missing)} calibrations by our protocol")
     return paths
+
+
+def horus_path(stage: Stage, number: int) -> Path:
+    """Where `our_calibrations` leaves a desk scanner's calibration of the same images, for `horus.load`."""
+    return stage.product(f"draws/horus_{number}.npz")
 
 
 def with_stripes(way: PaperWay, capture: Capture, extract: Extract) -> PaperWay:

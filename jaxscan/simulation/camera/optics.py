@@ -54,6 +54,8 @@ def splat(
         float32 [height, width].
     """
     height, width = shape
+    lit = np.flatnonzero(values.any(1))
+    values, rows, columns = values[lit], rows[lit], columns[lit]
     spread = np.einsum("mi,nj->ijmn", weights_v, weights_u).reshape(values.shape[1], -1)
     light = values.astype(np.float32) @ spread
     reach_v, reach_u = len(weights_v) // 2, len(weights_u) // 2
@@ -104,19 +106,38 @@ def blur(image: np.ndarray, psf_px: float) -> np.ndarray:
     Good enough for the room in its own light, which is looked at but not measured. Binomial
     passes (a, 1 - 2a, a) of the same variance, psf^2 + 1/12, stand for the Gaussian.
     """
-    variance = psf_px**2 + 1 / 12
-    passes = math.ceil(variance / 0.6)
-    a = np.float32(variance / passes / 2)
+    passes, a = _passes(psf_px)
     for _ in range(passes):
         image = _binomial(_binomial(image, a).swapaxes(-1, -2), a).swapaxes(-1, -2)
     return image
 
 
+def blurred_part(image: np.ndarray, psf_px: float, rows: slice, columns: slice) -> np.ndarray:
+    """Some pixels of `blur`; slices have starts and stops."""
+    reach = _passes(psf_px)[0]
+    whole = []
+    for part, size in ((rows, image.shape[-2]), (columns, image.shape[-1])):
+        whole.append(slice(max(part.start - reach, 0), min(part.stop + reach, size)))
+    done = blur(image[..., *whole], psf_px)
+    inner = (
+        slice(part.start - more.start, part.stop - more.start)
+        for part, more in zip((rows, columns), whole, strict=True)
+    )
+    return done[..., *inner]
+
+
+def _passes(psf_px: float) -> tuple[int, np.float32]:
+    """How many binomial passes make a blur, and the share of each that goes to a neighbour."""
+    variance = psf_px**2 + 1 / 12
+    passes = math.ceil(variance / 0.6)
+    return passes, np.float32(variance / passes / 2)
+
+
 def _binomial(image: np.ndarray, a: np.float32) -> np.ndarray:
     """(a, 1 - 2a, a) down the columns; beyond the border stands the border."""
-    out = image * (1 - 2 * a)
-    out[..., 1:, :] += a * image[..., :-1, :]
-    out[..., :-1, :] += a * image[..., 1:, :]
-    out[..., 0, :] += a * image[..., 0, :]
-    out[..., -1, :] += a * image[..., -1, :]
+    out, aside = image * (1 - 2 * a), image * a
+    out[..., 1:, :] += aside[..., :-1, :]
+    out[..., :-1, :] += aside[..., 1:, :]
+    out[..., 0, :] += aside[..., 0, :]
+    out[..., -1, :] += aside[..., -1, :]
     return out
