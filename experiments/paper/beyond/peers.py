@@ -1,9 +1,10 @@
 """Ours beside the method of the best-known desk scanner, re-implemented, on the same images.
 
-The same boards (our protocol), the same sweep of the room. Three of the other kind: `horus` as that program is shipped;
-`tuned` as a person could make it fit a room, with a lower threshold, and stripe points corrected for the lens as a
-descendant does it; `whole` the same with whole pixels, as another desk scanner rounds its centroids. The truth of rows is from the independent equations of
-`experiments.recalibration.world`, for some records and rows; everything else is from images.
+The same boards (our protocol), the same sweep of the room. Three of the other kind: `horus` as that program is
+shipped; `tuned` as a person could make it fit a room, with a lower threshold, and stripe points corrected for the
+lens as a descendant does it; `whole` the same with whole pixels, as another desk scanner rounds its centroids. The
+truth of rows is from the independent equations of `experiments.recalibration.world`, for some records and rows;
+everything else is from images.
 """
 
 from typing import NamedTuple
@@ -241,6 +242,10 @@ def _axis_errors(stage: Stage, rigs: list[Rig], name: str) -> dict[str, float]:
 def _metric(name: str, what: str, value: float) -> Metric:
     unit, label = UNITS[what]
     # Three standard errors of what three calibrations give, and of another seed's noise.
-    tolerance = 0.02 * abs(value) + 0.5 if what in ("rows", "strays", "measured") else (0.1 if what == "stripe" else 1.5) * value
+    tolerance = (
+        0.02 * abs(value) + 0.5
+        if what in ("rows", "strays", "measured")
+        else (0.1 if what == "stripe" else 1.5) * value
+    )
     direction = "none" if name != "ours" else "more" if what in ("rows", "measured") else "less"
     return Metric(f"{name}_{what}", value, unit, direction, tolerance, label=f"{WAYS[name]}: {label}")
