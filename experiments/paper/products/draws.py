@@ -83,7 +83,9 @@ def our_calibrations(stage: Stage, count: int = 3) -> list[Path]:
     """
     count = 1 if stage.quick else count
     paths = [stage.product(f"draws/our_protocol_{number}.json") for number in range(count)]
-    missing = [number for number, path in enumerate(paths) if not path.exists() or not horus_path(stage, number).exists()]
+    missing = [
+        number for number, path in enumerate(paths) if not path.exists() or not horus_path(stage, number).exists()
+    ]
     if missing:
         plan = our_plan(stage)
         folders = {_OURS + number: _emptied(stage.product(f"draws/our_capture_{number}")) for number in missing}
