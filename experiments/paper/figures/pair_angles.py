@@ -11,12 +11,16 @@ from experiments.paper.products.draws import Draw
 from experiments.paper.products.room import PlainStripes
 from experiments.paper.rendering.boards import PAIR_DEG, BoardPlan, expect_each
 from experiments.paper.stage import Stage
-from jaxscan.simulation import Motion, Placement, SimulationConfig, make_rig, rodrigues, take_frame, true_scanner
+from jaxscan.simulation import Motion, Placement, SimulationConfig, make_rig, rodrigues, take_frame
+from jaxscan.simulation.rays import project
 
 
-ANGLES_DEG = (PAIR_DEG, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 30.0)
-QUICK_DEG = (PAIR_DEG, 8.0, 24.0)
-DRAWS, QUICK_DRAWS = 12, 2
+ANGLES_DEG = (PAIR_DEG, 4.0, 8.0, 12.0, 16.0, 24.0, 30.0)
+QUICK_DEG = (PAIR_DEG, 16.0)
+CALIBRATIONS, QUICK_CALIBRATIONS = 4, 1
+"""Of the draws of the paper's way, that take a Tr from another pair."""
+DRAWS, QUICK_DRAWS = 3, 2
+"""Of the noise of each pair, for each calibration."""
 WORKING_M = 1.3
 """Depth of the board where the turn allows it: the paper's working distance."""
 _STREAM = 91
@@ -31,13 +35,23 @@ class PairAngle(NamedTuple):
     angle_deg: float
     depth_m: float
     """Of the board from the camera, midway between both views."""
-    sizes: list[Size]
-    """Of each draw of noise."""
+    sizes: list[list[Size]]
+    """By each calibration, with each draw of the pair's noise."""
 
     def rms(self, truth: Size) -> np.ndarray:
-        """Root mean square error of width and length [2], mm; of the draws in which walls were found."""
-        errors = np.array([size.errors(truth) for size in self.sizes]).reshape(-1, 2)
-        return np.sqrt(np.nanmean(errors**2, axis=0)) if np.isfinite(errors).any() else np.full(2, np.inf)
+        """Root mean square error of width and length [2], mm; where walls were found."""
+        errors = self._errors(truth)
+        return np.sqrt(np.nanmean(errors**2, axis=(0, 1)))
+
+    def scatter(self, truth: Size) -> np.ndarray:
+        """Standard deviation of width and length [2], mm, by the noise of the pair alone: calibrations stay."""
+        errors = self._errors(truth)
+        apart = errors - np.nanmean(errors, axis=1, keepdims=True)
+        seen = np.isfinite(errors).sum(1)
+        return np.sqrt(np.nansum(apart**2, axis=(0, 1)) / np.maximum(seen - 1, 0).sum(0))
+
+    def _errors(self, truth: Size) -> np.ndarray:
+        return np.array([[size.errors(truth) for size in sizes] for sizes in self.sizes])
 
 
 def pair_angles(stage: Stage, known: list[Draw], plain: PlainStripes, angles: np.ndarray) -> list[PairAngle]:
@@ -50,26 +64,30 @@ def pair_angles(stage: Stage, known: list[Draw], plain: PlainStripes, angles: np
         angles: Of the table, of each record [rad].
     """
     out = []
-    for number, degrees in enumerate(QUICK_DEG if stage.quick else ANGLES_DEG):
+    for degrees in QUICK_DEG if stage.quick else ANGLES_DEG:
         placement, depth = place_pair(stage.config, np.deg2rad(degrees))
         records = list(expect_each(stage, BoardPlan([placement], [False, False])))
-        sizes = []
+        some = known[: QUICK_CALIBRATIONS if stage.quick else CALIBRATIONS]
+        sizes: list[list[Size]] = [[] for _ in some]
         for draw in range(QUICK_DRAWS if stage.quick else DRAWS):
-            random = stage.generator(_STREAM, number, draw)
-            views = [_corners(stage.config, record.off, random) for record in records]
-            if all(view is not None for view in views):
-                way = with_pair(known[draw % len(known)].paper, views, np.deg2rad(degrees))
-                sizes.append(size_of(box_of(paper_points(way, plain, angles))))
+            for number, calibration in enumerate(some):
+                random = stage.generator(_STREAM, round(100 * degrees), draw, number)
+                views = [_corners(stage.config, record.off, random) for record in records]
+                way = with_pair(calibration.paper, views, np.deg2rad(degrees))
+                box = None if way is None else box_of(paper_points(way, plain, angles))
+                sizes[number].append(size_of(box))
         out.append(PairAngle(degrees, depth, sizes))
     return out
 
 
-def with_pair(way: PaperWay, views: list[BoardCorners | None], angle: float) -> PaperWay:
-    """The same calibration with Tr from two other views, equation (10); `angle` between them [rad]."""
+def with_pair(way: PaperWay, views: list[BoardCorners | None], angle: float) -> PaperWay | None:
+    """The same calibration with Tr from two other views, equation (10), `angle` between them [rad]; None if a board was
+    not found."""
     lens = np.array([way.k, 0, 0, 0, 0])
     poses = []
     for view in views:
-        assert view is not None
+        if view is None:
+            return None
         _, turn, shift = cv2.solvePnP(view.places, view.pixels, way.matrix, lens)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
@@ -83,7 +101,7 @@ def place_pair(config: SimulationConfig, angle: float) -> tuple[Placement, float
     Returns:
         The placement, and the board's depth midway [m].
     """
-    rig, camera = make_rig(config), true_scanner(config).camera
+    rig = make_rig(config)
     outline = config.boards.board().outline()
     middle = np.append(outline.mean(0), 0.0)
     edge = np.column_stack([outline, np.zeros(len(outline))])
@@ -91,28 +109,28 @@ def place_pair(config: SimulationConfig, angle: float) -> tuple[Placement, float
     angles = (-angle / 2, angle / 2)
     for depth in np.arange(WORKING_M, 2.8, 0.05):
         pose = rig.pose(0.0) @ Motion(_TILT, np.array([0.0, 0.0, depth]) - _TILT @ middle)
-        seen = [(rig.pose(phi).inverse() @ pose).apply(edge) for phi in angles]
-        pixels = np.array([[camera.project(point) for point in view] for view in seen])
+        seen = np.concatenate([(rig.pose(phi).inverse() @ pose).apply(edge) for phi in angles])
+        pixels = np.stack(project(config.camera, seen), -1)
         if np.all((pixels > _MARGIN * size) & (pixels < (1 - _MARGIN) * size)):
             return Placement(pose, angles, 0), float(depth)
     raise ValueError(f"No board fits into the image over a turn of {np.rad2deg(angle):.1f} degrees.")
 
 
-def smallest_angle(pairs: list[PairAngle], rms: np.ndarray, wanted: float) -> float:
-    """The angle at which the rms error falls to a value, between those that were tried; infinite if it never does.
+def smallest_angle(pairs: list[PairAngle], values: np.ndarray, wanted: float) -> float:
+    """The angle at which a value falls to another, between those that were tried; infinite if it never does.
 
     Args:
         pairs: In the order of their angles.
-        rms: Of each [mm].
-        wanted: The value [mm].
+        values: Of each [mm].
+        wanted: The other [mm].
     """
-    good = np.flatnonzero(rms <= wanted)
+    good = np.flatnonzero(values <= wanted)
     if len(good) == 0:
         return np.inf
     at, angle = good[0], [pair.angle_deg for pair in pairs]
     if at == 0:
         return angle[0]
-    share = np.log(rms[at - 1] / wanted) / np.log(rms[at - 1] / rms[at])
+    share = np.log(values[at - 1] / wanted) / np.log(values[at - 1] / values[at])
     return float(angle[at - 1] * (angle[at] / angle[at - 1]) ** share)
 
 

@@ -66,9 +66,10 @@ def _dots(axis: Axes, groups: dict[str, list[Size]], truth: Size) -> None:
 
 def _against_angle(axis: Axes, pairs: list[PairAngle], truth: Size) -> None:
     angle = np.array([pair.angle_deg for pair in pairs])
-    rms = np.array([pair.rms(truth) for pair in pairs])
+    rms, scatter = np.array([[pair.rms(truth), pair.scatter(truth)] for pair in pairs]).transpose(1, 0, 2)
     for side, (colour, name) in enumerate(zip(COLOURS, SIDES, strict=True)):
-        axis.plot(angle, rms[:, side], "o-", color=colour, label=name)
+        axis.plot(angle, rms[:, side], "o-", color=colour, label=f"{name}: rms error")
+        axis.plot(angle, scatter[:, side], "s:", color=colour, label=f"{name}: scatter by the pair's noise alone")
         axis.axhline(-PAPER_ERRORS[side], color=colour, ls="--", lw=1)
     axis.set_xscale("log")
     axis.set_yscale("log")
@@ -77,7 +78,7 @@ def _against_angle(axis: Axes, pairs: list[PairAngle], truth: Size) -> None:
         scale.set_minor_formatter(mpl.ticker.NullFormatter())
     axis.set_xticks(angle, [f"{each:g}" for each in angle])
     axis.set_xlabel("turn between the two views that give Tr [°]")
-    axis.set_ylabel("rms error of the room [mm]")
+    axis.set_ylabel("error of the room [mm]")
     axis.set_title("The paper's way by the angle of its pair; dashed: the paper's errors")
     axis.grid(alpha=0.3, which="both")
     axis.legend()

@@ -62,7 +62,7 @@ def draw_plans(path: Path, ours: Survey, paper: Survey | None, paper_azimuth: np
     axes[0].set_title("Ours, without colour: by height")
     figure.colorbar(shown, ax=axes[0], shrink=0.4, label="height above the scanner [m]")
     _plan(axes[1], ours, half, ours.rgb, None, None)
-    axes[1].set_title("Ours, with the camera's own light")
+    axes[1].set_title("Ours, with colour")
     for axis in axes[:2]:
         _dimensions(axis, ours)
     if paper is None:
@@ -78,10 +78,12 @@ def draw_plans(path: Path, ours: Survey, paper: Survey | None, paper_azimuth: np
 
 def draw_elevations(path: Path, ours: Survey, title: str) -> None:
     """Side views of all four walls, from within: without colour, by the distance before the wall, and with colour."""
-    figure, axes = plt.subplots(4, 2, figsize=(17, 14), constrained_layout=True)
-    figure.suptitle(title, fontsize=15)
     low, high = np.percentile(ours.xyz[:, 2], [0.2, 99.8])
+    reach = max(ours.length_m, ours.width_m) / 2 + 0.1
+    figure, axes = plt.subplots(4, 2, figsize=(18, 12.5), sharex=True, sharey=True, constrained_layout=True)
+    figure.suptitle(title, fontsize=15)
     walls = (("x", 1.0), ("y", 1.0), ("x", -1.0), ("y", -1.0))
+    shown = None
     for row, (name, side) in zip(axes, walls, strict=True):
         across = "xy".index(name)
         depth = (ours.width_m if name == "x" else ours.length_m) / 2 - side * ours.xyz[:, across]
@@ -93,28 +95,27 @@ def draw_elevations(path: Path, ours: Survey, title: str) -> None:
         extent = (-half - 0.05, half + 0.05, low, high)
         shown = _front(row[0], at, 1e3 * depth[kept], extent, "cividis", (-10, 250))
         _front(row[1], at, ours.rgb[kept], extent, None, None)
-        figure.colorbar(shown, ax=row[0], label="before the wall [mm]")
-        row[0].set_ylabel(f"wall {'+' if side > 0 else '-'}{name}\nheight [m]")
+        row[0].set_ylabel(f"wall at {'+' if side > 0 else '-'}{name}: height [m]")
+    figure.colorbar(shown, ax=axes, location="bottom", shrink=0.35, aspect=40, label="before the wall [mm]")
+    axes[0, 0].set_xlim(-reach, reach)
     axes[0, 0].set_title("Without colour: by distance before the wall")
-    axes[0, 1].set_title("With the camera's own light")
+    axes[0, 1].set_title("With colour")
     for axis in axes[-1]:
         axis.set_xlabel("along the wall [m]")
     _save(figure, path)
 
 
-def draw_view(path: Path, cloud: jaxscan.PointCloud, every: int) -> None:
+def draw_view(path: Path, cloud: jaxscan.PointCloud, rgb: np.ndarray, every: int) -> None:
     """The room from above one of its corners: without colour on the left, with it on the right."""
     from jaxscan.report import draw_cloud
 
-    xyz, rgb, normals = (np.asarray(field)[::every] for field in (cloud.xyz, cloud.rgb, cloud.normals))
+    xyz, rgb, normals = (np.asarray(field)[::every] for field in (cloud.xyz, rgb, cloud.normals))
     size = (1500, 1000)
     light = np.abs(normals @ np.array([0.5, 0.62, 0.6], np.float32))
     grey = np.repeat(np.where(cloud.valid[::every], 70 + 170 * light, 0)[..., None], 3, -1).astype(np.uint8)
     both = [draw_cloud(xyz, colours, normals=normals, size=size) for colours in (grey, rgb)]
     figure, axes = plt.subplots(1, 2, figsize=(18, 6.4), constrained_layout=True)
-    for axis, picture, name in zip(
-        axes, both, ("without colour: by the normals", "with the camera's own light"), strict=True
-    ):
+    for axis, picture, name in zip(axes, both, ("without colour: by the normals", "with colour"), strict=True):
         axis.imshow(picture)
         axis.set_title(f"The cloud of the room, {name}")
         axis.axis("off")
