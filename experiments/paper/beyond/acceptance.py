@@ -23,6 +23,8 @@ calibration by our own protocol, rendered frames, stripes, cloud, fits.
 Errors are against the lengths as built; the standards take a reference with an uncertainty of a quarter of the limit.
 """
 
+import itertools
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -38,13 +40,16 @@ from experiments.paper.rendering.sweeps import RenderedSweep
 from experiments.paper.stage import Stage
 from experiments.paper.worlds import windowed, windowed_scanner
 from jaxscan.measurement.samples import Samples, samples_of
-from jaxscan.simulation import make_scene
+from jaxscan.reconstruction import FrameChunk
+from jaxscan.simulation import RenderedRecord, make_scene, render_sweep
 
 
-_STEPS = {"kind": (0.25, 4), "unkind": (0.5, 2)}
+_STEPS = {"kind": (0.5, 2), "unkind": (0.5, 4)}
 """Steps of the table where spheres are [deg], and every how many are taken where plates are."""
 _QUICK_STEPS = (0.75, None)
 _SETTINGS = jaxscan.ReconstructSettings(min_range_m=0.5, max_range_m=5.2, normals=False, chunk_records=16)
+_SECTOR_DEG, _BESIDE_DEG = 10.0, 18.0
+"""Records are rendered by sectors, with the targets in them and so far beside them."""
 _HAND = 0.04
 """How far the places are off that the operator clicks, in each coordinate, at most [m]."""
 _EDGE, _BESIDE = 0.04, 0.05
@@ -79,15 +84,34 @@ def run(stage: Stage) -> list[Metric]:
     return _metrics(hall, tests, limits=not stage.quick)
 
 
+class _HallSweep(RenderedSweep):
+    """Of each sector only the targets around it are in the scene: their fine meshes take time."""
+
+    hall: Hall
+
+    def chunks(self, size: int) -> Iterator[FrameChunk]:
+        """All frames in order, `size` records at a time."""
+        records = self._records()
+        while part := list(itertools.islice(records, size)):
+            yield FrameChunk(np.stack([one.on for one in part]), np.stack([one.off for one in part]))
+
+    def _records(self) -> Iterator[RenderedRecord]:
+        sector = np.rad2deg(self.angles) // _SECTOR_DEG
+        for number in np.unique(sector):
+            around = self.hall.around((number + 0.5) * _SECTOR_DEG, _SECTOR_DEG / 2 + _BESIDE_DEG)
+            scene, angles = make_scene(self.config, extras=around.build), self.angles[sector == number]
+            yield from render_sweep(self.config, seed=self.seed + 1000 * int(number), angles=angles, scene=scene)
+
+
 def _scan(stage: Stage, hall: Hall, scanners: list[jaxscan.Scanner]) -> list[Samples]:
     """The points of all parts of the scan, by each calibration."""
     config = hall_config(stage.config)
-    scene = make_scene(config, extras=hall.build)
     parts = aim(hall, scanners[0], *(_QUICK_STEPS if stage.quick else _STEPS[stage.world]))
     clouds: list[list[Samples]] = [[] for _ in scanners]
     for number, part in enumerate(parts):
         window = windowed(config, part.first, part.stop)
-        sweep = RenderedSweep(window, part.angles, seed=config.seed + 40 + number, scene=scene)
+        sweep = _HallSweep(window, part.angles, seed=config.seed + 40 + number)
+        sweep.hall = hall
         stripes = jaxscan.extract_sweep(sweep, _cut(scanners[0], part), settings=_SETTINGS)
         stage.say(f"acceptance: {len(sweep)} records of {part.stop - part.first} columns")
         for cloud, scanner in zip(clouds, scanners, strict=True):

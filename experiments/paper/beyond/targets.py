@@ -65,6 +65,17 @@ class Hall(NamedTuple):
         ends = [np.array(self.balls[name].centre) for name in (length.first, length.second)]
         return float(np.linalg.norm(ends[1] - ends[0]))
 
+    def around(self, azimuth: float, reach: float) -> "Hall":
+        """The targets whose middle lies within `reach` of an azimuth [deg]: of a fine mesh all of it costs time."""
+
+        def inside(point: np.ndarray | tuple[float, ...]) -> bool:
+            turn = np.rad2deg(np.arctan2(point[1], point[0])) - azimuth
+            return bool(abs((turn + 180) % 360 - 180) < reach)
+
+        balls = {name: ball for name, ball in self.balls.items() if inside(ball.centre)}
+        lengths = [one for one in self.lengths if {one.first, one.second} <= balls.keys()]
+        return Hall(balls, [plate for plate in self.plates if inside(plate.centre)], lengths)
+
     def build(self, mesh: Mesh) -> None:
         """Adds the targets to the hall's mesh, in its own coordinates."""
         shift = np.array(HALL.rig_m)
@@ -191,9 +202,16 @@ def _plain(point: np.ndarray) -> tuple[float, float, float]:
 
 
 def _sphere(mesh: Mesh, centre: np.ndarray, radius: float) -> None:
-    angle = np.linspace(-np.pi / 2, np.pi / 2, _SIDES // 2 + 1)
-    profile = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
-    mesh.lathe(_plain(centre), profile, _MATT, sides=_SIDES)
+    """The side of a ball that the scanner sees: within 110 degrees of the direction to it."""
+    angle = np.linspace(0.0, np.deg2rad(110.0), round(110 / 360 * _SIDES) + 1)
+    ball = Mesh()
+    ball.lathe((0, 0, 0), radius * np.stack([np.sin(angle), np.cos(angle)], -1), _MATT, sides=_SIDES)
+    way = np.array(HALL.rig_m) - centre
+    way /= np.linalg.norm(way)
+    side = np.cross([0.0, 0.0, 1.0], way)
+    side /= np.linalg.norm(side)
+    turn = np.stack([side, np.cross(way, side), way], 1)
+    mesh.add(centre + ball.triangles[0] @ turn.T, Surface(_MATT, centre, turn[:, 0], turn[:, 1]))
 
 
 def _rod(mesh: Mesh, a: np.ndarray, b: np.ndarray) -> None:
