@@ -1,7 +1,7 @@
 """Fig. 7: marks 300 mm apart on a flat wall about 2.5 m away, measured in the coloured cloud.
 
 One sweep of the wall gives both clouds: ours, and that of the paper's way, whose stripe is found in the same frames by
-its two plain extractors. Marks are found by their colours alone, `mark_finder`. A person who clicks on a point of the
+its two plain extractors. Marks are found by their colours alone, `marks.finder`. A person who clicks on a point of the
 cloud gets the one nearest to the mark's middle instead: with a profile every 4.6 mm that dominates his distances, so it
 is reported apart ("picked").
 """
@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
-from experiments.paper.figures.mark_measure import LENGTH_MM, Measured, Plain, measure_ours, measure_paper_way
-from experiments.paper.figures.mark_picture import draw_marks, wall_picture
-from experiments.paper.figures.mark_wall import PITCH_M, hall, stripe_window, wall, wall_distance
-from experiments.paper.figures.repeated import Kept, random_part
+from experiments.paper.figures.marks.measure import LENGTH_MM, Measured, Plain, measure_ours, measure_paper_way
+from experiments.paper.figures.marks.picture import draw_marks, wall_picture
+from experiments.paper.figures.marks.repeated import Kept, random_part
+from experiments.paper.figures.marks.wall import PITCH_M, hall, stripe_window, wall, wall_distance
 from experiments.paper.methods import paper_way
 from experiments.paper.methods.plain_stripes import gravity, highest
 from experiments.paper.metrics import Metric

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import jaxscan
-from experiments.paper.figures import splat
-from experiments.paper.figures.mark_wall import stripe_window
-from experiments.paper.figures.still_life import GLOBE_M, GLOBE_RADIUS, VASE_M, objects, studio
+from experiments.paper.figures.marks.wall import stripe_window
+from experiments.paper.figures.objects import splat
+from experiments.paper.figures.objects.still_life import GLOBE_M, GLOBE_RADIUS, VASE_M, objects, studio
 from experiments.paper.methods import paper_way
 from experiments.paper.methods.plain_stripes import gravity
 from experiments.paper.metrics import Metric

@@ -2,10 +2,11 @@
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 import jaxscan
-from experiments.paper.figures import mark_finder as finder
+from experiments.paper.figures.marks import finder
 from experiments.paper.methods import paper_way
 from jaxscan.stripes import NoiseModel
 
@@ -46,13 +47,20 @@ def measure_ours(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner, noise: Noi
     """Marks in our cloud, with their predicted uncertainty."""
     xyz, valid = np.asarray(cloud.xyz, np.float64), np.asarray(cloud.valid)
     grey = np.asarray(cloud.rgb, np.float64).mean(-1)
-    towards = np.stack([np.asarray(scanner.pose(phi))[:3, 3] for phi in cloud.angle])
-    ray = xyz - towards[:, None]
-    ray *= (np.asarray(cloud.sigma_random) / np.maximum(np.linalg.norm(ray, axis=-1), 1e-9))[..., None]
+    poses = np.asarray(jax.vmap(scanner.pose)(np.asarray(cloud.angle)), np.float64)
+    ray, sigma = xyz - poses[:, None, :3, 3], np.asarray(cloud.sigma_random, np.float64)
+    far = np.maximum(np.linalg.norm(ray, axis=-1), 1e-9)
+    # The colour of a point that uses its neighbours is that at the centre of its own row, some way along the row: a
+    # change of range is d / (n_x range) as wide there.
+    own = sigma if cloud.sigma_row is None else np.asarray(cloud.sigma_row, np.float64)
+    sheet = np.asarray(scanner.lasers.distance).ravel()[0] / abs(np.asarray(scanner.lasers.normal).reshape(-1, 3)[0, 0])
+    wide = np.sqrt(np.maximum(own**2 - sigma**2, 0)) * sheet / far
+    aside = wide[..., None] * poses[:, None, :3, 0]
+    ray *= (sigma / far)[..., None]
     shared = np.ones(valid.shape) if cloud.shared_lines is None else np.asarray(cloud.shared_lines)
     # A grey value is a mean of two pixels, on average of two thirds of the variance of one.
     level = np.sqrt(noise.variance(np.median(grey[valid])) * 2 / 3 + 1 / 12)
-    return _measured((xyz, valid, grey), np.array([0.0, 0.0, 1.0]), finder.Noise(ray, shared, float(level)))
+    return _measured((xyz, valid, grey), np.array([0.0, 0.0, 1.0]), finder.Noise(ray, shared, aside, float(level)))
 
 
 def measure_paper_way(seen: Plain, ways: list[paper_way.PaperWay], angles: np.ndarray) -> list[Measured]:

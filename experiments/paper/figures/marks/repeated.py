@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 import jaxscan
-from experiments.paper.figures.mark_measure import Measured, measure_ours
+from experiments.paper.figures.marks.measure import Measured, measure_ours
 from experiments.paper.metrics import Metric
 from jaxscan.reconstruction import SweepSource
 from jaxscan.stripes import NoiseModel
