@@ -28,7 +28,7 @@ from jaxscan.simulation.light import (
     lit_samples,
     lobe,
     mirrored_samples,
-    returned_light,
+    returned_field,
     row_truth,
     speckle_light,
 )
@@ -201,7 +201,7 @@ def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: View, lens: Blur) -
 def _returned(shot: LitScene, room: View, lens: Blur, depth: np.ndarray, front: Cover | None) -> np.ndarray:
     """The laser's light that comes back from the surfaces it lights, through the lens, float32 [height, width], DN."""
     rig, scene, pose = shot.rig, shot.scene, shot.pose
-    field = returned_light(shot, line_pieces(shot), partial(points_at, rig, pose, depth))
+    field = returned_field(shot, line_pieces(shot), partial(points_at, rig, pose, depth))
     image = np.empty_like(room.depth)
     normal = [np.ascontiguousarray(part) for part in scene.facing(pose.translation).T]
     for start in range(0, len(image), _STRIP):

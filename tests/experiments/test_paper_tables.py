@@ -74,10 +74,27 @@ def drawn(config: SimulationConfig, factor: float, count: int = 40) -> list[Scan
     return found
 
 
+def test_a_bias_counts_as_an_error_and_not_as_spread(config) -> None:
+    scanners = drawn(config, 1.0)
+    with jax.enable_x64(True):
+        step = np.zeros(len(scanners[0].parameter_names()))
+        step[0] = 5 * np.sqrt(scanners[0].covariance[0, 0])
+        moved = [one.as_dtype(np.float64).retract(step) for one in scanners]
+    moved = [
+        Scanner(*(jax.tree.map(np.asarray, part) for part in (one.camera, one.lasers, one.turntable)), each.covariance)
+        for one, each in zip(moved, scanners, strict=True)
+    ]
+    biased, unbiased = compare(moved, config), compare(scanners, config)
+    assert biased.spread == pytest.approx(unbiased.spread, rel=1e-3)
+    wanted = np.sqrt(unbiased.pooled**2 + 25 / len(unbiased.names))
+    assert biased.pooled == pytest.approx(wanted, rel=0.15)
+
+
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 def test_errors_are_compared_with_their_covariance(config, factor) -> None:
     honesty = compare(drawn(config, factor), config)
     assert "gain" not in honesty.names
     assert "fx" in honesty.names
     assert honesty.pooled == pytest.approx(factor, rel=0.25)
+    assert honesty.spread == pytest.approx(factor, rel=0.25)
     assert honesty.squared == pytest.approx(factor**2, rel=0.25)

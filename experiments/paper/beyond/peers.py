@@ -1,9 +1,10 @@
 """Ours beside the method of the best-known desk scanner, re-implemented, on the same images.
 
-The same boards (our protocol), the same sweep of the room. Three of the other kind: `horus` as that program is shipped;
-`tuned` as a person could make it fit a room, with a lower threshold, and stripe points corrected for the lens as a
-descendant does it; `whole` the same with whole pixels, as another desk scanner rounds its centroids. The truth of rows is from the independent equations of
-`experiments.recalibration.world`, for some records and rows; everything else is from images.
+The same boards (our protocol), the same sweep of the room. Three of the other kind: `horus` as that program is
+shipped; `tuned` as a person could make it fit a room, with a lower threshold, and stripe points corrected for the
+lens as a descendant does it; `whole` the same with whole pixels, as another desk scanner rounds its centroids. The
+truth of rows is from the independent equations of `experiments.recalibration.world`, for some records and rows;
+everything else is from images.
 """
 
 from typing import NamedTuple
@@ -53,7 +54,7 @@ UNITS = {
     "measured": ("%", "calibrations with which the room can be measured"),
     "width": ("mm", "error of the room's width"),
     "length": ("mm", "error of the room's length"),
-    "flatness": ("mm", "RMS flatness of walls"),
+    "flatness": ("mm", "RMS flatness of walls that all see"),
 }
 _FINDER = {"horus": "horus", "tuned": "horus_tuned", "whole": "horus_tuned"}
 DEPTHS_M = (1.3, 2.5)
@@ -94,14 +95,14 @@ def run(stage: Stage) -> list[Metric]:
     truth, step = _truth(stage, len(seen.angles))
     found = {name: _seen(stage, seen, rigs[0], name, step) for name in WAYS}
     stage.say("peers: rooms")
-    figures = {}
+    figures, patches = {}, _patches(found, truth)
     for name in WAYS:
         sizes = [_size(stage, seen, rig, name) for rig in rigs]
         errors = np.mean(np.abs([size.errors(true_size(stage)) for size in sizes]), axis=0)
         measured = float(np.mean([np.isfinite(size.errors(true_size(stage))).all() for size in sizes]))
         figures[name] = {
             **_rows(found[name], truth),
-            "flatness": _flatness(found[name], truth),
+            "flatness": _flatness(found[name], patches),
             "measured": 100 * measured,
             "width": float(errors[0]),
             "length": float(errors[1]),
@@ -182,19 +183,25 @@ def _rows(seen: Seen, truth: TrueSweep) -> dict[str, float]:
     }
 
 
-def _flatness(seen: Seen, truth: TrueSweep) -> float:
-    """Root mean square distance of points from planes through small parts of the four walls [mm]."""
+def _patches(found: dict[str, Seen], truth: TrueSweep) -> list[np.ndarray]:
+    """Parts of walls [records, rows] that all ways saw: no way is judged by near walls alone."""
     out = []
     for wall in range(4):
         on_wall = truth.surface == wall
-        if on_wall.sum() < 50:
+        if not on_wall.any():
             continue
         middle = np.median(truth.point[on_wall], axis=0)
         patch = on_wall & (np.linalg.norm(truth.point - middle, axis=-1) < PATCH_M)
-        points = seen.xyz[patch & np.isfinite(seen.xyz).all(-1)]
-        if len(points) >= 30:
-            out.append(fitted(points)[2])
-    return 1e3 * float(np.sqrt(np.mean(np.square(out)))) if out else np.nan
+        for seen in found.values():
+            patch &= np.isfinite(seen.xyz).all(-1)
+        out += [patch] if patch.sum() >= 30 else []
+    return out
+
+
+def _flatness(seen: Seen, patches: list[np.ndarray]) -> float:
+    """Root mean square distance of points from the planes of their patches [mm]."""
+    rms = [fitted(seen.xyz[patch])[2] for patch in patches]
+    return 1e3 * float(np.sqrt(np.mean(np.square(rms)))) if rms else np.nan
 
 
 def _depth_error(stage: Stage, rigs: list[Rig], name: str, depth: float) -> float:
@@ -241,6 +248,10 @@ def _axis_errors(stage: Stage, rigs: list[Rig], name: str) -> dict[str, float]:
 def _metric(name: str, what: str, value: float) -> Metric:
     unit, label = UNITS[what]
     # Three standard errors of what three calibrations give, and of another seed's noise.
-    tolerance = 0.02 * abs(value) + 0.5 if what in ("rows", "strays", "measured") else (0.1 if what == "stripe" else 1.5) * value
+    tolerance = (
+        0.02 * abs(value) + 0.5
+        if what in ("rows", "strays", "measured")
+        else (0.1 if what == "stripe" else 1.5) * value
+    )
     direction = "none" if name != "ours" else "more" if what in ("rows", "measured") else "less"
     return Metric(f"{name}_{what}", value, unit, direction, tolerance, label=f"{WAYS[name]}: {label}")

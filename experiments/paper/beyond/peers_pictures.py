@@ -16,7 +16,11 @@ COLOURS = {"ours": "tab:blue", "horus": "tab:red", "tuned": "tab:orange", "whole
 
 
 def draw_bars(
-    path: Path, figures: dict[str, dict[str, float]], ways: dict[str, str], units: dict[str, tuple[str, str]], world: str
+    path: Path,
+    figures: dict[str, dict[str, float]],
+    ways: dict[str, str],
+    units: dict[str, tuple[str, str]],
+    world: str,
 ) -> None:
     """One panel for each figure, one bar for each way."""
     figure, axes = plt.subplots(2, 5, figsize=(16, 7.4), constrained_layout=True)

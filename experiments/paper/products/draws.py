@@ -46,7 +46,7 @@ class Draw(NamedTuple):
 
 
 def draws(stage: Stage) -> list[Draw]:
-    """`stage.draws` draws of noise; made once, then loaded."""
+    """`stage.draws` draws of noise; made once, then loaded. Those that a method cannot calibrate are left out."""
     missing = [number for number in range(stage.draws) if not _is_there(stage, number)]
     if missing:
         plan = paper_plan(stage)
@@ -55,15 +55,24 @@ def draws(stage: Stage) -> list[Draw]:
         for number in missing:
             folder = _emptied(stage.product(f"draws/capture_{number}"))
             capture = jaxscan.open_capture(write_capture(stage, records, plan, number, folder))
-            way = calibrate_paper_way(capture, gravity)
-            save_paper_way(way, _paper_path(stage, number, "gravity"))
-            save_paper_way(with_stripes(way, capture, highest), _paper_path(stage, number, "highest"))
-            calibration = jaxscan.calibrate(capture, settings=SETTINGS)
-            # Last: a draw with this file is complete.
-            jaxscan.save_calibration(calibration, _ours_path(stage, number))
+            try:
+                _calibrate(stage, capture, number)
+                stage.say(f"draw {number + 1} of {stage.draws}")
+            except (ValueError, jaxscan.JaxscanError) as problem:
+                # Tables say how many draws they have.
+                _failed_path(stage, number).write_text(f"{problem}\n")
+                stage.say(f"draw {number + 1} of {stage.draws} failed: {problem}")
             shutil.rmtree(folder)
-            stage.say(f"draw {number + 1} of {stage.draws}")
-    return [_load(stage, number) for number in range(stage.draws)]
+    found = [number for number in range(stage.draws) if not _failed_path(stage, number).exists()]
+    return [_load(stage, number) for number in found]
+
+
+def _calibrate(stage: Stage, capture: Capture, number: int) -> None:
+    way = calibrate_paper_way(capture, gravity)
+    save_paper_way(way, _paper_path(stage, number, "gravity"))
+    save_paper_way(with_stripes(way, capture, highest), _paper_path(stage, number, "highest"))
+    # Last: a draw with this file is complete.
+    jaxscan.save_calibration(jaxscan.calibrate(capture, settings=SETTINGS), _ours_path(stage, number))
 
 
 def our_calibrations(stage: Stage, count: int = 3) -> list[Path]:
@@ -74,7 +83,9 @@ def our_calibrations(stage: Stage, count: int = 3) -> list[Path]:
     """
     count = 1 if stage.quick else count
     paths = [stage.product(f"draws/our_protocol_{number}.json") for number in range(count)]
-    missing = [number for number, path in enumerate(paths) if not path.exists() or not horus_path(stage, number).exists()]
+    missing = [
+        number for number, path in enumerate(paths) if not path.exists() or not horus_path(stage, number).exists()
+    ]
     if missing:
         plan = our_plan(stage)
         folders = {_OURS + number: _emptied(stage.product(f"draws/our_capture_{number}")) for number in missing}
@@ -133,7 +144,11 @@ def _ours_path(stage: Stage, number: int) -> Path:
 
 
 def _is_there(stage: Stage, number: int) -> bool:
-    return _ours_path(stage, number).exists()
+    return _ours_path(stage, number).exists() or _failed_path(stage, number).exists()
+
+
+def _failed_path(stage: Stage, number: int) -> Path:
+    return stage.product(f"draws/failed_{number:02}.txt")
 
 
 def _load(stage: Stage, number: int) -> Draw:

@@ -66,17 +66,22 @@ def line_pieces(shot: LitScene) -> Pieces:
     return Pieces(*(part.astype(np.float32) for part in (points, normal[hit], power[hit])))
 
 
-def returned_light(shot: LitScene, pieces: Pieces, points: Callable[..., np.ndarray]) -> np.ndarray:
+def returned_light(shot: LitScene, pieces: Pieces, points: np.ndarray) -> np.ndarray:
     """Vector irradiance of the pieces on every pixel, on a coarse grid and interpolated.
 
     Args:
         shot: The scene and its laser.
         pieces: The lamps.
-        points: Points that pixels see, float32 [rows, columns, 3], scanner frame, by their rows and columns.
+        points: Point that every pixel sees, float32 [height, width, 3], scanner frame.
 
     Returns:
-        float32 [3, height, width]: its part along a normal is the light of a white surface, DN.
+        float32 [height, width, 3]: its part along a normal is the light of a white surface, DN.
     """
+    return np.moveaxis(returned_field(shot, pieces, points.__getitem__), 0, -1)
+
+
+def returned_field(shot: LitScene, pieces: Pieces, points: Callable[..., np.ndarray]) -> np.ndarray:
+    """As `returned_light`, float32 [3, height, width]; `points` gives those of pixels by their rows and columns."""
     height, width = shot.rig.rays.shape
     rows, columns = (np.linspace(0, size - 1, max(2, size // GRID + 1)) for size in (height, width))
     places = points((np.rint(rows).astype(int)[:, None], np.rint(columns).astype(int))).reshape(-1, 3)

@@ -32,20 +32,20 @@ def light_on(shot: LitScene, plane: Plane, rays: Rays, fan: FanView) -> np.ndarr
     ahead, aside, out = (
         depth * rays.along(axis) - f(axis @ sheet.origin) for axis in (sheet.ahead, sheet.across, sheet.normal)
     )
-    beside = out if sheet.spec.bow == (0.0, 0.0) else depth * sheet.slope_at(*rays.whole()) - f(sheet.distance)
     r2 = ahead * ahead
     r2 += aside * aside
     r2 += out * out
     r = np.sqrt(r2, out=r2)
-    near = np.abs(beside) < f(band(sheet)) * sheet.thickness(r) * f(1 + sheet.spec.widening)
-    at = np.flatnonzero(near)
-    ahead, aside, beside, r = (part.ravel()[at] for part in (ahead, aside, beside, r))
+    thick = f(band(sheet) * (1 + sheet.spec.widening)) * sheet.thickness(r)
+    at = np.flatnonzero(np.abs(out) < thick + f(sheet.bulge) * depth)
+    ahead, aside, out, r, depth = (part.ravel()[at] for part in (ahead, aside, out, r, depth))
+    some = Rays(*(None if part is None else part.ravel()[at] for part in rays))
+    beside = out if sheet.spec.bow == (0.0, 0.0) else depth * sheet.slope_at(*some.whole()) - f(sheet.distance)
     angle = np.arctan2(aside, ahead)
     thickness = sheet.thickness(r) * widened(sheet, angle)
     power = along(sheet, angle)
     inside = np.flatnonzero((np.abs(beside) < f(band(sheet)) * thickness) & (power > 0))
-    at = at[inside]
-    some, depth = Rays(*(None if part is None else part.ravel()[at] for part in rays)), depth.ravel()[at]
+    at, some, depth = at[inside], some.at(inside), depth[inside]
     open_ = np.flatnonzero(_open(shot, plane, fan, at // rays.x.shape[-1], (some, depth, angle[inside], r[inside])))
     inside, some, depth = inside[open_], some.at(open_), depth[open_]
     beside, r, thickness, power = beside[inside], r[inside], thickness[inside], power[inside]

@@ -23,7 +23,7 @@ class FanView:
         # How thick the lit band can be at all, with its bow.
         far = float(np.sqrt(np.max(np.sum(legs * legs, -1), initial=0)))
         thick = float(max(sheet.thickness(np.array([0.0, far])))) * band(sheet) * (1 + sheet.spec.widening)
-        thick += far * self._half**2 * (abs(sheet.spec.bow[0]) + abs(sheet.spec.bow[1]) * self._half)
+        thick += (far + float(np.linalg.norm(sheet.origin))) * sheet.bulge
         near = (out.min(1) <= thick) & (out.max(1) >= -thick)
         legs, out = legs[near], out[near]
         step = out[:, 1] - out[:, 0]
