@@ -13,6 +13,7 @@ import cv2
 import jax
 import numba
 import numpy as np
+from paper.methods import horus_stripes
 from worlds.speed_scene import DISTORTION, HEIGHT, WIDTH
 
 from jaxscan.geometry import Scanner
@@ -20,8 +21,7 @@ from jaxscan.geometry import Scanner
 
 THREADS = 2
 """As many as there are cores: frames over threads, since NumPy, OpenCV and the kernels let go of the lock."""
-REACH = 8
-"""Half of the window of the centroid [px]."""
+REACH = horus_stripes.REACH
 _ROWS = np.arange(HEIGHT)[:, None]
 
 Centres = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -84,11 +84,7 @@ def horus(scanner: Scanner, on: np.ndarray, off: np.ndarray, angle: np.ndarray, 
 
 def usual_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same centroids as `horus`, for all rows at once and in the window alone."""
-    difference = cv2.subtract(on, off)
-    cv2.threshold(difference, 50, 255, cv2.THRESH_TOZERO, dst=difference)
-    cv2.blur(difference, (5, 5), dst=difference)
-    cv2.threshold(difference, 50, 255, cv2.THRESH_TOZERO, dst=difference)
-    return _centroid(difference, difference.argmax(axis=1), REACH, 0)
+    return horus_stripes.centres(on, off)
 
 
 def lean_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -96,16 +92,8 @@ def lean_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarra
     difference = cv2.subtract(on, off)
     blurred = cv2.GaussianBlur(difference, (5, 1), 0)
     peak = blurred.argmax(axis=1)
-    u, _ = _centroid(difference, peak, 6, 6)
+    u, _ = horus_stripes.centroid(difference, peak, 6, 6)
     return u, blurred[_ROWS[:, 0], peak] > 12
-
-
-def _centroid(image: np.ndarray, peak: np.ndarray, reach: int, least: int) -> tuple[np.ndarray, np.ndarray]:
-    columns = np.clip(peak[:, None] + np.arange(-reach, reach + 1), 0, WIDTH - 1)
-    window = image[_ROWS, columns].astype(np.float32)
-    window[window < least] = 0
-    total = window.sum(1)
-    return (window * columns).sum(1) / np.maximum(total, 1.0), total > 0
 
 
 def pipeline(

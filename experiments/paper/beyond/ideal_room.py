@@ -36,7 +36,7 @@ class Faults:
     harmonics: tuple[float, float] = (0.0, 0.0)
     """Amplitudes of the table's errors once and twice per turn; their phases are drawn [rad]."""
     jitter_rad: float = 0.0
-    """Independent errors of the table's stops, a standard deviation [rad]."""
+    """Independent errors of the table's stops, evenly spread over this width [rad]."""
     bow: tuple[float, float] = (0.0, 0.0)
     """Of the laser's sheet, as `LaserSpec.bow`; its sign is drawn."""
 
@@ -97,7 +97,8 @@ def measured_room(
     how = Sweeping(
         steps=study.steps,
         line_stride=study.stride,
-        wander_deg=float(np.rad2deg(faults.jitter_rad)),
+        # Of that width the standard deviation.
+        wander_deg=float(np.rad2deg(faults.jitter_rad)) / np.sqrt(12),
         noise=Noise(px=noise, shared_lines=1),
     )
     stripes, _ = true_sweep(config, int(random.integers(2**31)), how)
@@ -159,7 +160,7 @@ def _calibrated(
     """A calibration of the rig as it truly is, by someone who knows the nominal one."""
     # Free views are all taken at home: nothing turns between them.
     turning = np.bincount(study.poses.placement)[study.poses.placement] > 1
-    stops = study.poses.angle + faults.jitter_rad * turning * random.standard_normal(len(turning))
+    stops = study.poses.angle + faults.jitter_rad * turning * random.uniform(-0.5, 0.5, len(turning))
     ideal = ideal_boards(truth, study.poses._replace(angle=stops), points=study.points)
     noise = float(np.hypot(faults.stripe_px, faults.speckle_px))
     seen = add_noise(ideal, random, corner_px=faults.corner_px, stripe_px=noise)

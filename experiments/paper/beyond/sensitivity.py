@@ -1,14 +1,15 @@
 """How far each source of error moves the dimensions of the room: each source alone, and all together.
 
-Not from rendered images. Pixels come from the independent equations of `ideal_room`: boards in the poses of our own
+Not from rendered images. Pixels come from the independent equations of `ideal_room`: boards in poses of our own
 protocol, a joint calibration, a sweep of the empty room, and the distances of its walls. Each source acts alone, all
-others are zero; "all together" has them all and is held against the predicted standard deviation. The same sizes hold in
-both worlds, whose rigs differ by their lens alone; draws differ.
+others are zero; "all together" has them all and is held against the predicted standard deviation. The same sizes hold
+in both worlds, whose rigs differ by their lens alone; poses and draws differ.
 
-Sizes: corners 0.1 px and stripe centres 0.05 px, white; speckle as measured, from rendered rows of the unkind world with
-and without it; board pitch 0.1 mm over 300 mm, a standard deviation; angle: gain and harmonics of the unkind table, their
-signs and phases drawn, and a jitter of one microstep of 28 800; sheet bow as in the unkind world, its sign drawn. The
-bow is a free parameter, and the pitch has a prior of its true size, so that the covariance knows of both; "bow not
+Sizes: corners 0.1 px and stripe centres 0.05 px, white; speckle as measured, from rendered rows of the unkind world
+with and without it; board pitch 0.1 mm over 300 mm, a standard deviation; angle: gain and harmonics of the unkind
+table, their signs and phases drawn, and a jitter evenly spread over one microstep of 28 800 a turn, as positions are
+rounded; sheet bow as in the unkind world, its sign drawn. Gain and harmonics are estimated; jitter is nobody's
+parameter. The bow is free, and the pitch has a prior of its true size, so that the covariance knows of both; "bow not
 modelled" shows the price of a flat sheet. The rendered rows of the world at hand check the 0.05 px.
 """
 
@@ -29,7 +30,7 @@ from jaxscan.simulation.scene import make_scene
 
 
 mpl.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+import matplotlib.pyplot as plt
 
 
 CORNER_PX, STRIPE_PX = 0.1, 0.05
@@ -90,11 +91,8 @@ def sources(every: Faults) -> list[Source]:
         Source("stripe", f"stripe, {every.stripe_px:g} px", Faults(stripe_px=every.stripe_px)),
         Source("speckle", f"speckle, {every.speckle_px:.2f} px", Faults(speckle_px=every.speckle_px)),
         Source("pitch", "board pitch, 0.1 mm in 300 mm", Faults(pitch=every.pitch)),
-        Source(
-            "angle",
-            "angle: gain, harmonics, jitter",
-            Faults(gain=every.gain, harmonics=every.harmonics, jitter_rad=every.jitter_rad),
-        ),
+        Source("angle", "angle: gain, harmonics", Faults(gain=every.gain, harmonics=every.harmonics)),
+        Source("jitter", "angle: jitter of a microstep", Faults(jitter_rad=every.jitter_rad)),
         Source("bow", "sheet bow, estimated", bow),
         Source("bow_not_modelled", "sheet bow, not modelled", bow),
     ]

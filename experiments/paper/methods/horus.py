@@ -1,12 +1,13 @@
 """The method of the best-known desk scanner, Horus: step after step, each with a fixed recipe.
 
-Written anew from facts about it, nothing is copied. Intrinsics by OpenCV from 15 views at most, rounded to three decimals;
-the stripe's centroid on boards, straightened by a line; the sheet by RANSAC and the smallest singular vector; the axis from
-one corner of one board traced over the turn: a plane, then a circle. Where facts leave a choice, it falls in favour of the
-method: the sheet sees the stripes of all lit views of our protocol, not of one sweep of a near board; RANSAC counts the
-offset of its hypotheses, which the original forgets, and its tolerance of 0.1 mm at desk distance grows with the square
-of the distance, as errors of stripes do; the axis comes from the placement with the longest arc. The original does not
-correct stripe points for the lens; `lens=True` of `cloud` does, as a descendant of it does.
+Written anew from facts about it, nothing is copied. Intrinsics by OpenCV from 15 views at most, rounded to three
+decimals; the stripe's centroid on boards, straightened by a line; the sheet by RANSAC and the smallest singular
+vector; the axis from one corner of one board traced over the turn: a plane, then a circle. Where facts leave a choice,
+it falls in favour of the method: the sheet sees the stripes of all lit views of our protocol, not of one sweep of a
+near board; RANSAC counts the offset of its hypotheses, which the original forgets, and its tolerance of 0.1 mm at desk
+distance grows with the square of the distance, as errors of stripes do; the axis comes from the placement with the
+longest arc. The original does not correct stripe points for the lens; a second sheet, and `lens=True` of `cloud`, are
+with them corrected, as a descendant of it does.
 """
 
 from collections.abc import Sequence
@@ -39,6 +40,9 @@ class Horus(NamedTuple):
     """Of the sheet [3], unit."""
     distance: float
     """Of the sheet: normal . p = distance."""
+    lens_normal: np.ndarray
+    """The same sheet from stripe points that were corrected for the lens."""
+    lens_distance: float
     direction: np.ndarray
     """Of the axis [3], unit; the camera turns right-handed about it where the table's angle grows."""
     point: np.ndarray
@@ -65,8 +69,8 @@ def calibrate(capture: Capture, *, seed: int = 0) -> Horus:
         ValueError: If too few boards are found.
     """
     board, records = capture.board, capture.records
-    pairs = [capture.frames(index) for index in range(len(records))]
-    found = [find_board(off, board.grid(), board.square) for _, off in pairs]
+    # Twice: all frames at once are too many to keep.
+    found = [find_board(capture.frames(index)[1], board.grid(), board.square) for index in range(len(records))]
     free = [view for view, record in zip(found, records, strict=True) if record.placement is None and view is not None]
     chosen = [free[k] for k in np.unique(np.linspace(0, len(free) - 1, min(VIEWS, len(free))).astype(int))]
     if len(chosen) < 3:
@@ -74,18 +78,26 @@ def calibrate(capture: Capture, *, seed: int = 0) -> Horus:
     places, pixels = [view.places for view in chosen], [view.pixels for view in chosen]
     _, matrix, lens, _, _ = cv2.calibrateCamera(places, pixels, capture.image_size, None, None)
     matrix, lens = np.round(matrix, 3), np.round(lens.ravel()[:5], 3)
-    pose, points = np.full((len(records), 4, 4), np.nan), [np.zeros((0, 3))]
-    for number, ((on, off), view) in enumerate(zip(pairs, found, strict=True)):
+    pose, points = np.full((len(records), 4, 4), np.nan), []
+    for number, view in enumerate(found):
         if view is None:
             continue
+        on, off = capture.frames(number)
         _, turn, shift = cv2.solvePnP(view.places, view.pixels, matrix, lens)
         pose[number] = np.eye(4)
         pose[number, :3, :3], pose[number, :3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
         if on is not None and off is not None:
             edge = np.column_stack([board.outline(), np.zeros(4)])
             quad = cv2.projectPoints(edge, turn, shift, matrix, lens)[0][:, 0]
-            points.append(_on_board(matrix, pose[number], straight_stripe(on, off, quad)))
-    normal, distance = ransac_plane(np.concatenate(points), np.random.default_rng(seed))
+            uv = stripe_on_board(on, off, quad)
+            lines = [straightened(uv), straightened(_corrected(matrix, lens, uv))]
+            points.append([_on_board(matrix, pose[number], line) for line in lines])
+    sheets = [
+        ransac_plane(np.concatenate([np.zeros((0, 3)), *each]), np.random.default_rng(seed))
+        for each in zip(*points, strict=True)
+    ]
+    if not sheets:
+        raise ValueError("No stripe was found on a board.")
     arcs = {}
     for number, record in enumerate(records):
         if record.placement is not None and np.isfinite(pose[number]).all():
@@ -95,35 +107,30 @@ def calibrate(capture: Capture, *, seed: int = 0) -> Horus:
     if len(longest) < 3:
         raise ValueError("No placement of the board was seen from three angles.")
     direction, point = axis_of([phi for phi, _ in longest], np.array([corner for _, corner in longest]))
-    return Horus(matrix, lens, normal, distance, direction, point)
+    return Horus(matrix, lens, *sheets[0], *sheets[1], direction, point)
 
 
-def straight_stripe(on: np.ndarray, off: np.ndarray, quad: np.ndarray) -> np.ndarray:
-    """The stripe on a board as a straight line through its centroids.
-
-    Args:
-        on: uint8 [rows, columns].
-        off: The same with the laser off.
-        quad: Corners of the board in the image [4, 2]; px.
-
-    Returns:
-        (u, v) of the line at the rows that have a centroid near it [n, 2]; px.
-    """
+def stripe_on_board(on: np.ndarray, off: np.ndarray, quad: np.ndarray) -> np.ndarray:
+    """Centroids (u, v) [n, 2] of the stripe on a board whose corners [4, 2] in the image are given; px."""
     inside = np.zeros_like(on)
     cv2.fillConvexPoly(inside, np.round(quad).astype(np.int32), 255)
     u, valid = centres(cv2.bitwise_and(on, inside), cv2.bitwise_and(off, inside), CALIBRATION)
-    rows = np.flatnonzero(valid).astype(float)
-    if len(rows) < 2:
+    return np.column_stack([u, np.arange(len(u))])[valid].astype(np.float64)
+
+
+def straightened(uv: np.ndarray) -> np.ndarray:
+    """Centroids [n, 2] moved along their rows to the straight line through most of them; strays are left out."""
+    if len(uv) < 2:
         return np.zeros((0, 2))
-    u = u[valid].astype(float)
-    random = np.random.default_rng(len(rows))
-    best = np.zeros(len(rows), bool)
+    u, v = uv.T
+    random = np.random.default_rng(len(uv))
+    best = np.zeros(len(uv), bool)
     for _ in range(100):
-        i, k = random.choice(len(rows), 2, replace=False)
-        near = np.abs(u - u[i] - (u[k] - u[i]) / (rows[k] - rows[i]) * (rows - rows[i])) < LINE_PX
+        i, k = random.choice(len(uv), 2, replace=False)
+        near = np.abs(u - u[i] - (u[k] - u[i]) / (v[k] - v[i]) * (v - v[i])) < LINE_PX
         best = near if near.sum() > best.sum() else best
-    line = np.polyfit(rows[best], u[best], 1)
-    return np.column_stack([np.polyval(line, rows[best]), rows[best]])
+    line = np.polyfit(v[best], u[best], 1)
+    return np.column_stack([np.polyval(line, v[best]), v[best]])
 
 
 def ransac_plane(points: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, float]:
@@ -197,16 +204,17 @@ def points_on_sheet(calibration: Horus, uv: np.ndarray, *, lens: bool = False) -
         uv: Pixels.
         lens: Whether the lens is corrected, as the original does not.
     """
-    matrix = calibration.matrix
+    matrix, normal, distance = calibration.matrix, calibration.normal, calibration.distance
     if lens:
-        flat = np.ascontiguousarray(np.nan_to_num(uv.reshape(-1, 1, 2)), dtype=np.float64)
-        xy = cv2.undistortPoints(flat, matrix, calibration.lens).reshape(uv.shape)
-        xy = np.where(np.isfinite(uv), xy, np.nan)
-    else:
-        xy = (uv - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
+        uv, normal, distance = (
+            _corrected(matrix, calibration.lens, uv),
+            calibration.lens_normal,
+            calibration.lens_distance,
+        )
+    xy = (uv - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
     ray = np.concatenate([xy, np.ones_like(xy[..., :1])], -1)
-    slope = ray @ calibration.normal
-    return ray * (calibration.distance / np.where(slope > 0, slope, np.nan))[..., None]
+    slope = ray @ normal
+    return ray * (distance / np.where(slope > 0, slope, np.nan))[..., None]
 
 
 def cloud(
@@ -239,10 +247,17 @@ def load(path: Path) -> Horus:
     """Read what `save` wrote."""
     with np.load(path) as file:
         fields = dict(file)
-    return Horus(**fields | {"distance": float(fields["distance"])})
+    return Horus(**fields | {name: float(fields[name]) for name in ("distance", "lens_distance")})
+
+
+def _corrected(matrix: np.ndarray, lens: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Pixels [..., 2] as a lens without distortion has them; NaN where they are."""
+    flat = np.ascontiguousarray(np.nan_to_num(uv.reshape(-1, 1, 2)), dtype=np.float64)
+    out = cv2.undistortPoints(flat, matrix, lens, P=matrix) if len(flat) else flat
+    return np.where(np.isfinite(uv), out.reshape(uv.shape), np.nan)
 
 
 def _on_board(matrix: np.ndarray, pose: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Points [n, 3] of a board, camera frame, at pixels [n, 2], without correction of the lens."""
+    """Points [n, 3] of a board, camera frame, at pixels [n, 2], of an ideal lens."""
     ray = np.column_stack([(uv - matrix[:2, 2]) / matrix[[0, 1], [0, 1]], np.ones(len(uv))])
     return ray * ((pose[:3, 2] @ pose[:3, 3]) / (ray @ pose[:3, 2]))[:, None]

@@ -6,6 +6,8 @@ import numpy as np
 
 SCAN, CALIBRATION = 50, 30
 """Its thresholds, fixed, in 8-bit codes."""
+TUNED = 15
+"""About three standard deviations of a pixel of the difference [DN]."""
 REACH = 8
 """Half of the window of its centroid [px]."""
 SMOOTHING = 2.0
@@ -55,10 +57,15 @@ def smoothed(u: np.ndarray, valid: np.ndarray, sigma: float = SMOOTHING) -> np.n
     return out
 
 
-def scan(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def scan(on: np.ndarray, off: np.ndarray, threshold: int = SCAN) -> tuple[np.ndarray, np.ndarray]:
     """Smoothed centroids of a frame, or of several [records, rows, columns]: float64 and bool [(records,) rows]."""
     if on.ndim == 3:
-        u, valid = zip(*map(scan, on, off), strict=True)
+        u, valid = zip(*(scan(*pair, threshold) for pair in zip(on, off, strict=True)), strict=True)
         return np.stack(u), np.stack(valid)
-    u, valid = centres(on, off)
+    u, valid = centres(on, off, threshold)
     return np.where(valid, smoothed(u, valid), 0.0), valid
+
+
+def tuned(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`scan` with a threshold that a person turns down until the far walls are there."""
+    return scan(on, off, TUNED)

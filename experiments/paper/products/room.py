@@ -4,13 +4,14 @@ In the kind world the table takes all 3600 steps, as in the paper. In the unkind
 costs twice as much, and all experiments together have an hour. A quick sweep has 90 steps.
 """
 
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
 import jaxscan
-from experiments.paper.methods import plain_stripes
+from experiments.paper.methods import horus_stripes, plain_stripes
 from experiments.paper.products.draws import our_calibrations
 from experiments.paper.rendering.sweeps import RenderedSweep
 from experiments.paper.stage import Stage
@@ -22,7 +23,10 @@ NEAR_M, FAR_M = 1.2, 4.0
 """Depths between which everything of the room stands: a person who set the rig up knows them [m]."""
 MARGIN_PX = 40
 """Columns beside the stripe's that are read too, at full size [px]."""
-PLAIN = {"gravity": plain_stripes.gravity, "highest": plain_stripes.highest}
+PLAIN = {"gravity": plain_stripes.gravity, "highest": plain_stripes.highest} | {
+    "horus": horus_stripes.scan,
+    "horus_tuned": horus_stripes.tuned,
+}
 STRIDE = {"kind": 1, "unkind": 10}
 """Every n-th of the plan's steps is taken."""
 _QUICK_STEPS = 90
@@ -43,7 +47,7 @@ class Room(NamedTuple):
     stripes: jaxscan.Stripes
     """By our extractor, which looked where our first calibration expects them; with colours."""
     plain: dict[str, PlainStripes]
-    """By "gravity" and by "highest"."""
+    """By the names of `PLAIN`."""
     angles: np.ndarray
     """As commanded [records]; rad."""
     window: tuple[int, int]
@@ -53,7 +57,7 @@ class Room(NamedTuple):
 def room(stage: Stage) -> Room:
     """The sweep, rendered once in each world and kept."""
     path = stage.product("room.npz")
-    if not path.exists():
+    if not _is_complete(path):
         found = _sweep(stage)
         arrays = {f"ours_{name}": np.asarray(field) for name, field in vars(found.stripes).items() if field is not None}
         for name, plain in found.plain.items():
@@ -66,6 +70,13 @@ def room(stage: Stage) -> Room:
         plain = {name: PlainStripes(kept[f"{name}_u"], kept[f"{name}_valid"]) for name in PLAIN}
         first, stop = kept["window"].tolist()
         return Room(jaxscan.Stripes(**ours), plain, kept["angles"], (first, stop))
+
+
+def _is_complete(path: Path) -> bool:
+    if not path.exists():
+        return False
+    with np.load(path) as kept:
+        return all(f"{name}_u" in kept.files for name in PLAIN)
 
 
 def room_sweep(stage: Stage, angles: np.ndarray) -> RenderedSweep:

@@ -1,0 +1,257 @@
+"""Ours beside the method of the best-known desk scanner, re-implemented, on the same images.
+
+The same boards (our protocol), the same sweep of the room. Three of the other kind: `horus` as that program is
+shipped; `tuned` as a person could make it fit a room, with a lower threshold, and stripe points corrected for the
+lens as a descendant does it; `whole` the same with whole pixels, as another desk scanner rounds its centroids. The
+truth of rows is from the independent equations of `experiments.recalibration.world`, for some records and rows;
+everything else is from images.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+import jaxscan
+from experiments.paper.beyond.peers_pictures import draw_bars, draw_plans
+from experiments.paper.figures.room_clouds import (
+    NOT_MEASURED,
+    PROFILES,
+    Points,
+    Size,
+    box_of,
+    our_cloud,
+    records_of,
+    size_of,
+    thinned,
+    true_size,
+)
+from experiments.paper.methods import horus
+from experiments.paper.metrics import Metric
+from experiments.paper.products.draws import horus_path, our_calibrations
+from experiments.paper.products.room import PlainStripes, Room, room
+from experiments.paper.stage import Stage
+from experiments.recalibration.trial import fitted
+from experiments.recalibration.world import Sweeping, TrueSweep, true_sweep
+from experiments.worlds.ideal_rig import IdealRig
+from jaxscan.reconstruction.along import smooth_sweep
+from jaxscan.simulation import true_scanner
+
+
+WAYS = {
+    "ours": "jaxscan",
+    "horus": "Horus",
+    "tuned": "Horus, tuned for a room",
+    "whole": "the same in whole pixels",
+}
+UNITS = {
+    "rows": ("%", "lit rows with a point"),
+    "stripe": ("px", "RMS error of rows"),
+    "strays": ("%", "rows that err by 3 px or more"),
+    "depth_1.3m": ("mm", "depth error at 1.3 m"),
+    "depth_2.5m": ("mm", "depth error at 2.5 m"),
+    "axis_direction": ("deg", "direction of the axis"),
+    "axis_place": ("mm", "place of the axis"),
+    "measured": ("%", "calibrations with which the room can be measured"),
+    "width": ("mm", "error of the room's width"),
+    "length": ("mm", "error of the room's length"),
+    "flatness": ("mm", "RMS flatness of walls that all see"),
+}
+_FINDER = {"horus": "horus", "tuned": "horus_tuned", "whole": "horus_tuned"}
+DEPTHS_M = (1.3, 2.5)
+RECORDS = 120
+"""Of which the true stripes are known."""
+ROW_STEP = 4
+STRAY_PX = 3.0
+"""A centre that is farther from the truth is another thing, and counts by itself."""
+FARTHEST_M = 10.0
+"""Nobody believes points farther away than a house is long."""
+PATCH_M = 0.4
+"""Flatness is judged within this distance of the middle of a wall's part that is seen."""
+_UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+class Seen(NamedTuple):
+    """The centres of one way, and its cloud, at the records and rows of the truth."""
+
+    u: np.ndarray
+    """Column [records, rows]; px."""
+    valid: np.ndarray
+    xyz: np.ndarray
+    """[records, rows, 3], m; origin on the way's own axis, z up; NaN where there is no point."""
+
+
+class Rig(NamedTuple):
+    """One calibration of each kind, of the same images."""
+
+    ours: jaxscan.Scanner
+    theirs: horus.Horus
+
+
+def run(stage: Stage) -> list[Metric]:
+    """Stripes, planes, axes and rooms of all ways against the truth."""
+    paths, seen = our_calibrations(stage), room(stage)
+    rigs = [Rig(jaxscan.load_scanner(path), horus.load(horus_path(stage, k))) for k, path in enumerate(paths)]
+    stage.say("peers: true stripes")
+    truth, step = _truth(stage, len(seen.angles))
+    found = {name: _seen(stage, seen, rigs[0], name, step) for name in WAYS}
+    stage.say("peers: rooms")
+    figures, patches = {}, _patches(found, truth)
+    for name in WAYS:
+        sizes = [_size(stage, seen, rig, name) for rig in rigs]
+        errors = np.mean(np.abs([size.errors(true_size(stage)) for size in sizes]), axis=0)
+        measured = float(np.mean([np.isfinite(size.errors(true_size(stage))).all() for size in sizes]))
+        figures[name] = {
+            **_rows(found[name], truth),
+            "flatness": _flatness(found[name], patches),
+            "measured": 100 * measured,
+            "width": float(errors[0]),
+            "length": float(errors[1]),
+            **{f"depth_{depth:g}m": _depth_error(stage, rigs, name, depth) for depth in DEPTHS_M},
+            **(_axis_errors(stage, rigs, name) if name in ("ours", "horus") else {}),
+        }
+    draw_bars(stage.picture("peers"), figures, WAYS, UNITS, stage.world)
+    assert stage.config.room is not None
+    plans = {WAYS[name]: found[name].xyz for name in ("ours", "horus", "tuned")}
+    draw_plans(stage.picture("peers_plan"), plans, stage.config.room, stage.world)
+    every = [(name, what, value) for name, values in figures.items() for what, value in values.items()]
+    # A room that could not be measured has no dimensions; `measured` says so.
+    return [_metric(name, what, value) for name, what, value in every if np.isfinite(value)]
+
+
+def _truth(stage: Stage, records: int) -> tuple[TrueSweep, int]:
+    """True stripes of some records, and every how many of the sweep's they are."""
+    count = RECORDS if records % RECORDS == 0 else records
+    _, truth = true_sweep(stage.config, 0, Sweeping(steps=count, line_stride=ROW_STEP))
+    some = np.s_[:, ::ROW_STEP]
+    return TrueSweep(truth.surface[some], truth.point[some], truth.centre[some], truth.angle), records // count
+
+
+def _seen(stage: Stage, seen: Room, rig: Rig, name: str, step: int) -> Seen:
+    """Centres and points of some records, by one way."""
+    if name != "ours":
+        plain = seen.plain[_FINDER[name]]
+        some = np.s_[::step, ::ROW_STEP]
+        return Seen(_columns(plain, name)[some], plain.valid[some], _their_points(seen, rig, name, step)[:, ::ROW_STEP])
+    few = Room(records_of(seen.stripes, step), {}, seen.angles[::step], seen.window)
+    cloud, along = our_cloud(stage, few, rig.ours), smooth_sweep(few.stripes)
+    valid = np.asarray(few.stripes.valid) & (along.sigma > 0)
+    xyz = np.where(np.asarray(cloud.valid)[..., None], np.asarray(cloud.xyz), np.nan)
+    return Seen(*(field[:, ::ROW_STEP] for field in (along.u, valid, xyz)))
+
+
+def _columns(plain: PlainStripes, name: str) -> np.ndarray:
+    return np.rint(plain.u) if name == "whole" else plain.u
+
+
+def _their_points(seen: Room, rig: Rig, name: str, step: int) -> np.ndarray:
+    """Points of some records [records, rows, 3] with the origin on the axis and z up."""
+    plain, theirs = seen.plain[_FINDER[name]], rig.theirs
+    u, valid = _columns(plain, name)[::step], plain.valid[::step]
+    xyz = horus.cloud(theirs, u, valid, seen.angles[::step], lens=name != "horus")
+    # The axis' point at the height of the camera.
+    foot = theirs.point - (theirs.point @ theirs.direction) * theirs.direction
+    xyz = (xyz - foot) @ _UPRIGHT.T
+    far = np.linalg.norm(xyz, axis=-1, keepdims=True)
+    return np.where(far < FARTHEST_M, xyz, np.nan)
+
+
+def _size(stage: Stage, seen: Room, rig: Rig, name: str) -> Size:
+    """The room by one calibration; NaN where no walls are found."""
+    if name == "ours":
+        return size_of(box_of(our_cloud(stage, thinned(seen), rig.ours), rig.ours))
+    step = max(1, len(seen.angles) // PROFILES)
+    xyz = _their_points(seen, rig, name, step)[:, ::ROW_STEP]
+    valid = np.isfinite(xyz).all(-1)
+    if not valid.any():
+        return NOT_MEASURED
+    # The method states no noise of a point; it grows with the square of the distance.
+    sigma = np.where(valid, 1e-3 * (np.linalg.norm(np.nan_to_num(xyz), axis=-1) / DEPTHS_M[0]) ** 2, 0.0)
+    laser = np.zeros(len(xyz), np.uint8)
+    return size_of(box_of(Points(np.nan_to_num(xyz), sigma, valid, laser, seen.angles[::step])))
+
+
+def _rows(seen: Seen, truth: TrueSweep) -> dict[str, float]:
+    """Share of lit rows with a centre, root mean square of their errors, and share of strays."""
+    lit = truth.surface >= 0
+    there = lit & seen.valid
+    error = (seen.u - truth.centre)[there]
+    near = np.abs(error) < STRAY_PX
+    return {
+        "rows": 100 * float(there.sum() / lit.sum()),
+        "stripe": float(np.sqrt(np.mean(error[near] ** 2))) if near.any() else np.nan,
+        "strays": 100 * float(np.mean(~near)) if len(near) else np.nan,
+    }
+
+
+def _patches(found: dict[str, Seen], truth: TrueSweep) -> list[np.ndarray]:
+    """Parts of walls [records, rows] that all ways saw: no way is judged by near walls alone."""
+    out = []
+    for wall in range(4):
+        on_wall = truth.surface == wall
+        if not on_wall.any():
+            continue
+        middle = np.median(truth.point[on_wall], axis=0)
+        patch = on_wall & (np.linalg.norm(truth.point - middle, axis=-1) < PATCH_M)
+        for seen in found.values():
+            patch &= np.isfinite(seen.xyz).all(-1)
+        out += [patch] if patch.sum() >= 30 else []
+    return out
+
+
+def _flatness(seen: Seen, patches: list[np.ndarray]) -> float:
+    """Root mean square distance of points from the planes of their patches [mm]."""
+    rms = [fitted(seen.xyz[patch])[2] for patch in patches]
+    return 1e3 * float(np.sqrt(np.mean(np.square(rms)))) if rms else np.nan
+
+
+def _depth_error(stage: Stage, rigs: list[Rig], name: str, depth: float) -> float:
+    """Root mean square error of the depth of points on the sheet, over the height of the image [mm]."""
+    true = IdealRig(stage.config)
+    camera, laser = stage.config.camera, stage.config.laser[0]
+    y = depth * (np.linspace(0.05, 0.95, 33) * camera.height - camera.centre()[1]) / camera.fy
+    (nx, ny, nz), d = laser.plane()
+    x = (d - ny * y - nz * depth) / nx
+    for _ in range(4):
+        # The sheet may be bowed.
+        x = x - true.beside(np.column_stack([x, y, np.full_like(y, depth)]), laser) / nx
+    uv = true.project(np.column_stack([x, y, np.full_like(y, depth)]))
+    errors = []
+    for rig in rigs:
+        if name == "ours":
+            z = np.array([_on_our_sheet(rig.ours, q) for q in uv])
+        else:
+            uv = np.column_stack([np.rint(uv[:, 0]), uv[:, 1]]) if name == "whole" else uv
+            z = horus.points_on_sheet(rig.theirs, uv, lens=name != "horus")[:, 2]
+        errors.append(z - depth)
+    return 1e3 * float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _on_our_sheet(scanner: jaxscan.Scanner, q: np.ndarray) -> float:
+    ray = scanner.camera.unproject(q)
+    return float((scanner.laser(0).intersect(ray)[0] * ray)[2])
+
+
+def _axis_errors(stage: Stage, rigs: list[Rig], name: str) -> dict[str, float]:
+    """Mean errors of the axis: its direction [deg], and its place at the height of the camera [mm]."""
+    true = true_scanner(stage.config).turntable
+    along, place = np.asarray(true.direction), np.asarray(true.point)
+    turned, moved = [], []
+    for rig in rigs:
+        table = rig.ours.turntable if name == "ours" else rig.theirs
+        direction, point = np.asarray(table.direction), np.asarray(table.point)
+        cosine = direction @ along
+        turned.append(np.rad2deg(np.arcsin(np.linalg.norm(np.cross(direction, along)))))
+        moved.append(np.linalg.norm(point - direction * ((point - place) @ along) / cosine - place))
+    return {"axis_direction": float(np.mean(turned)), "axis_place": 1e3 * float(np.mean(moved))}
+
+
+def _metric(name: str, what: str, value: float) -> Metric:
+    unit, label = UNITS[what]
+    # Three standard errors of what three calibrations give, and of another seed's noise.
+    tolerance = (
+        0.02 * abs(value) + 0.5
+        if what in ("rows", "strays", "measured")
+        else (0.1 if what == "stripe" else 1.5) * value
+    )
+    direction = "none" if name != "ours" else "more" if what in ("rows", "measured") else "less"
+    return Metric(f"{name}_{what}", value, unit, direction, tolerance, label=f"{WAYS[name]}: {label}")
