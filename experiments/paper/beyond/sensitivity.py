@@ -2,9 +2,8 @@
 
 Not from rendered images. Pixels come from the independent equations of `ideal_room`: boards in poses of our own
 protocol, a joint calibration, a sweep of the empty room, and the distances of its walls. Each source acts alone, all
-others are zero; "all together" has them all; all but jitter, which no covariance
-knows, are held against the predicted standard deviation. The same sizes hold
-in both worlds, whose rigs differ by their lens alone; poses and draws differ.
+others are zero. "All together" has them all; all but jitter, which no covariance knows, are held against the predicted
+standard deviation. The same sizes hold in both worlds, whose rigs differ by their lens alone; poses and draws differ.
 
 Sizes: corners 0.1 px and stripe centres 0.05 px, white; speckle as measured, from rendered rows of the unkind world
 with and without it; board pitch 0.1 mm over 300 mm, a standard deviation; angle: gain and harmonics of the unkind
