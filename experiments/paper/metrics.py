@@ -54,7 +54,7 @@ class Metric(NamedTuple):
 def line(metric: Metric) -> str:
     """A figure as it is printed."""
     way = {"less": "less is better", "more": "more is better", "near": "to stay", "none": ""}[metric.direction]
-    notes = [way, f"within {metric.tolerance:g}" if metric.tolerance else ""]
+    notes = [way, f"within {metric.tolerance:.2g}" if metric.tolerance else ""]
     notes += [f"paper {metric.paper:g}" if metric.paper is not None else "", metric.wanted()]
     notes += ["" if metric.met() else "MISSED"]
     return f"{metric.key:>44} {metric.value:12.4f} {metric.unit:<10} " + ", ".join(note for note in notes if note)

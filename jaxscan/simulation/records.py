@@ -1,13 +1,13 @@
 """One pair of frames: the light that arrives, and the codes that the sensor makes of it."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxscan.simulation.boards import Cover, SeenBoard, cover
 from jaxscan.simulation.camera import (
-    blur,
-    blurred,
+    Blur,
     channels,
     dimmed,
     expose,
@@ -15,6 +15,7 @@ from jaxscan.simulation.camera import (
     laser_response,
     lens_blur,
     mosaic,
+    softened,
     vignette,
 )
 from jaxscan.simulation.light import (
@@ -27,7 +28,7 @@ from jaxscan.simulation.light import (
     lit_samples,
     lobe,
     mirrored_samples,
-    returned_light,
+    returned_field,
     row_truth,
     speckle_light,
 )
@@ -35,6 +36,10 @@ from jaxscan.simulation.rig import WALL_ALBEDO, Motion, Sheet, TrueRig
 from jaxscan.simulation.scene import Scene
 from jaxscan.simulation.settings import SimulationConfig
 from jaxscan.simulation.view import View, observe, points_at
+
+
+_STRIP = 64
+"""Rows evaluated at a time: their numbers stay in the processor's cache."""
 
 
 class ExpectedRecord(NamedTuple):
@@ -127,25 +132,27 @@ def expect_record(
     shot = LitScene(rig, sheet, scene, pose, None)
     room = _look(shot)
     white = config.light.white_dn if board is None else config.boards.white_dn
-    off = _ambient(rig, scene, pose, room) * np.float32(white)
+    lens = behind = lens_blur(config, room.depth)
+    off = _ambient(rig, scene, pose, room, behind) * np.float32(white)
     scale, depth, front = 1.0, room.depth, None
     if board is not None:
         in_front = _in_view(rig, board.hit(rig.rays.x, rig.rays.y, rig.rays.z)[0])
         depth = np.minimum(depth, in_front)
-        front = cover(rig, board, in_front, lens_blur(config, depth))
+        lens = lens_blur(config, depth)
+        front = cover(rig, board, in_front, lens)
         where, fills, albedo, board = front
         light, shine = (part * np.float32(white) for part in _board_light(rig, scene, pose, board, where))
         off[:, *where] = off[:, *where] * (1 - fills) + albedo * light + fills * shine
         scale = _board_power(rig, sheet, in_front)
     shot = shot._replace(board=board)
-    samples = lit_samples(shot, depth, lens_blur(config, depth))
+    samples = lit_samples(shot, depth, lens, room.facet_at)
     glow: np.ndarray = laser_image(samples) * np.float32(scale)
     truth_glow, shade = glow, vignette(config)
-    mirrored = mirrored_samples(shot, scene.mirror[room.triangle] > 0, depth, lens_blur(config, depth))
+    mirrored = mirrored_samples(shot, scene.mirror[room.triangle] > 0, depth, lens)
     for part in mirrored:
         glow = glow + laser_image(part) * np.float32(scale)
     if config.light.bounce > 0:
-        glow = glow + _returned(shot, room, depth, front) * np.float32(scale * config.light.bounce)
+        glow = glow + _returned(shot, room, behind, depth, front) * np.float32(scale * config.light.bounce)
     if sees is not None:
         # Nothing comes through the lens from beyond its field of view.
         off, glow, truth_glow = off * sees, glow * sees, truth_glow * sees
@@ -172,7 +179,7 @@ def _in_view(rig: TrueRig, depth: np.ndarray) -> np.ndarray:
     return depth if rig.rays.sees is None else np.where(rig.rays.sees, depth, np.float32(np.inf))
 
 
-def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: View) -> np.ndarray:
+def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: View, lens: Blur) -> np.ndarray:
     """The scene in its own light through the lens, float32 [channels, height, width]; 1 is white."""
     image = room.ambient
     hit = np.isfinite(room.depth)
@@ -188,23 +195,26 @@ def _ambient(rig: TrueRig, scene: Scene, pose: Motion, room: View) -> np.ndarray
         view = pose.translation - 2 * ((pose.translation - points[0]) @ normal) * normal
         light = scene.ambient(behind[None], places[None], view, channels(rig.config.sensor))[:, 0]
         image[:, rows, columns] += glass[rows, columns] * light
-    return blurred(lambda psf: blur(image, psf), lens_blur(rig.config, room.depth))
+    return softened(image, lens)
 
 
-def _returned(shot: LitScene, room: View, depth: np.ndarray, front: Cover | None) -> np.ndarray:
+def _returned(shot: LitScene, room: View, lens: Blur, depth: np.ndarray, front: Cover | None) -> np.ndarray:
     """The laser's light that comes back from the surfaces it lights, through the lens, float32 [height, width], DN."""
-    rig, pose = shot.rig, shot.pose
-    field = returned_light(shot, line_pieces(shot), points_at(rig, pose, depth))
-    normal = shot.scene.normal[room.triangle]
-    points = points_at(rig, pose, room.depth)
-    away = np.sum(normal * (points - pose.translation.astype(np.float32)), -1) > 0
-    strength = np.maximum(np.sum(field * normal, -1) * np.where(away, np.float32(-1), np.float32(1)), 0)
-    image = strength * room.albedo[0]
-    image = blurred(lambda psf: blur(image, psf), lens_blur(rig.config, room.depth))
+    rig, scene, pose = shot.rig, shot.scene, shot.pose
+    field = returned_field(shot, line_pieces(shot), partial(points_at, rig, pose, depth))
+    image = np.empty_like(room.depth)
+    normal = [np.ascontiguousarray(part) for part in scene.facing(pose.translation).T]
+    for start in range(0, len(image), _STRIP):
+        part = np.s_[start : start + _STRIP]
+        strength = sum(along[part] * way.take(room.triangle[part]) for along, way in zip(field, normal, strict=True))
+        image[part] = np.maximum(strength, 0) * room.albedo[0, part]
+    image = softened(image, lens)
     if front is not None and shot.board is not None:
         where, fills, albedo, _ = front
         facing = (pose.rotation @ shot.board.normal()).astype(np.float32)
-        image[where] = image[where] * (1 - fills) + albedo * np.maximum(field[where] @ facing, 0)
+        image[where] = image[where] * (1 - fills) + albedo * np.maximum(
+            np.einsum("irc,i->rc", field[:, *where], facing), 0
+        )
     return image
 
 

@@ -22,8 +22,8 @@ _BATCH = 256
 """Tiles evaluated at a time: their numbers stay in the processor's cache."""
 _BEHIND = 1.001
 """Edges that lie deeper than this many times the corners of a tile are hidden."""
-_REACH = 0.35 * TILE
-"""Half the largest distance between points of an edge [px], at the least."""
+_REACH = 0.4 * TILE
+"""Half the largest distance between points of an edge [px], and half a pixel round each."""
 
 
 class View(NamedTuple):
@@ -37,6 +37,12 @@ class View(NamedTuple):
     """The scene in its own light, float32 [channels, height, width]; white in mean light is 1."""
     albedo: np.ndarray
     """Of the surfaces in further channels, float32 [channels, height, width]."""
+    flat: np.ndarray
+    """A triangle of the one facet that a tile shows, int64 [rows of tiles, columns]; -1 where it may show several."""
+
+    def facet_at(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """A triangle of the facet that all of a pixel shows; -1 where it may show several."""
+        return self.flat[rows // TILE, columns // TILE]
 
 
 class Tiles(NamedTuple):
@@ -128,7 +134,7 @@ def observe(rig: TrueRig, scene: Scene, pose: Motion, channels: np.ndarray, furt
                 depth[batch], picture[:, batch] = plane.seen(tiles.rays.at(batch), weights, count, here)
     images = (_image(part, tiles.shape, rig.rays.shape) for part in (depth, triangle, picture))
     seen, hit, picture = images
-    return View(seen, hit, picture[:count], picture[count:])
+    return View(seen, hit, picture[:count], picture[count:], first.reshape(tiles.shape))
 
 
 def points_at(

@@ -43,7 +43,7 @@ from jaxscan.simulation import make_scene
 
 _STEPS = {"kind": (0.25, 4), "unkind": (0.5, 2)}
 """Steps of the table where spheres are [deg], and every how many are taken where plates are."""
-_QUICK_STEPS = (0.75, 4)
+_QUICK_STEPS = (0.75, None)
 _SETTINGS = jaxscan.ReconstructSettings(min_range_m=0.5, max_range_m=5.2, normals=False, chunk_records=16)
 _HAND = 0.04
 """How far the places are off that the operator clicks, in each coordinate, at most [m]."""
@@ -57,12 +57,12 @@ class Tested(NamedTuple):
     """What one calibration gives."""
 
     known: dict[str, Fit]
-    """Spheres by their calibrated diameter."""
+    """Spheres that were found, by their calibrated diameter."""
     free: dict[str, Fit]
     flatness: dict[str, float]
     """E_Form.Pla.D95 of each plate [m]."""
     error: np.ndarray
-    """Of each of the hall's lengths [m]."""
+    """Of each of the hall's lengths [m]; NaN where a sphere was not found."""
     sigma: np.ndarray
     """Predicted [m]."""
     whitened: np.ndarray
@@ -107,16 +107,22 @@ def _test(stage: Stage, hall: Hall, scanner: jaxscan.Scanner, samples: Samples) 
     known, free = {}, {}
     for name, ball in hall.balls.items():
         click = np.array(ball.centre) + hand.uniform(-_HAND, _HAND, 3)
-        known[name], free[name] = (
-            fit_sphere(samples, click, ball.diameter, scanner, free=each) for each in (False, True)
-        )
+        try:
+            fits = [fit_sphere(samples, click, ball.diameter, scanner, free=each) for each in (False, True)]
+        except ValueError as error:
+            stage.say(f"acceptance: {name} is not found: {error}")
+            continue
+        known[name], free[name] = fits
     flatness = {plate.name: band95(_flat(samples, plate)) for plate in hall.plates}
-    ends = [(known[length.first], known[length.second]) for length in hall.lengths]
-    measured = [distance(*pair, scanner) for pair in ends]
-    error = np.array([one.value - hall.true_length(length) for one, length in zip(measured, hall.lengths, strict=True)])
-    sigma = np.array([one.sigma for one in measured])
-    lower = np.linalg.cholesky(together(known, [(length.first, length.second) for length in hall.lengths], scanner))
-    return Tested(known, free, flatness, error, sigma, np.linalg.solve(lower, error))
+    there = [{length.first, length.second} <= known.keys() for length in hall.lengths]
+    lengths = [length for length, each in zip(hall.lengths, there, strict=True) if each]
+    error, sigma = np.full((2, len(hall.lengths)), np.nan)
+    pairs = [(length.first, length.second) for length in lengths]
+    measured = [distance(known[first], known[second], scanner) for first, second in pairs]
+    error[there] = [one.value - hall.true_length(length) for one, length in zip(measured, lengths, strict=True)]
+    sigma[there] = [one.sigma for one in measured]
+    lower = np.linalg.cholesky(together(known, pairs, scanner))
+    return Tested(known, free, flatness, error, sigma, np.linalg.solve(lower, error[there]))
 
 
 def _flat(samples: Samples, plate: Plate) -> np.ndarray:
@@ -131,13 +137,14 @@ def _flat(samples: Samples, plate: Plate) -> np.ndarray:
 
 
 def _metrics(hall: Hall, tests: list[Tested], *, limits: bool) -> list[Metric]:
-    near = [name for name, ball in hall.balls.items() if np.linalg.norm(ball.centre) < _NEAR]
-    far = [name for name in hall.balls if name not in near]
+    found = tests[0].free
+    near = [name for name in found if np.linalg.norm(hall.balls[name].centre) < _NEAR]
+    far = [name for name in found if name not in near]
     groups = {test: [one.test == test for one in hall.lengths] for test in ("bar", "front", "across")}
-    error = {test: 1e3 * np.concatenate([one.error[part] for one in tests]) for test, part in groups.items()}
-    sigma = {test: 1e3 * np.concatenate([one.sigma[part] for one in tests]) for test, part in groups.items()}
-    form = {name: 1e3 * band95(tests[0].free[name].residual) for name in hall.balls}
-    size = {name: 2e3 * tests[0].free[name].radius - 1e3 * ball.diameter for name, ball in hall.balls.items()}
+    error = {test: 1e3 * np.concatenate([_known(one.error[part]) for one in tests]) for test, part in groups.items()}
+    sigma = {test: 1e3 * np.concatenate([_known(one.sigma[part]) for one in tests]) for test, part in groups.items()}
+    form = {name: 1e3 * band95(fit.residual) for name, fit in found.items()}
+    size = {name: 2e3 * fit.radius - 1e3 * hall.balls[name].diameter for name, fit in found.items()}
     flat = 1e3 * np.array(list(tests[0].flatness.values()))
     whitened = np.concatenate([one.whitened for one in tests])
 
@@ -158,6 +165,8 @@ def _metrics(hall: Hall, tests: list[Tested], *, limits: bool) -> list[Metric]:
         figure("across_worst", np.abs(error["across"]).max(), 0.5, "lengths across 180 degrees, worst error"),
         figure("across_predicted", _rms(sigma["across"]), 0.1, "lengths across 180 degrees, predicted sigma"),
     ]
+    share = 100 * len(found) / len(hall.balls)
+    out.append(Metric("spheres_found", share, "%", "more", label="spheres found where an operator clicks"))
     ratios = [("all", "all lengths, whitened", whitened)]
     ratios += [(test, f"lengths ({test})", error[test] / sigma[test]) for test in groups]
     for test, label, each in ratios:
@@ -167,6 +176,10 @@ def _metrics(hall: Hall, tests: list[Tested], *, limits: bool) -> list[Metric]:
             )
         )
     return out
+
+
+def _known(values: np.ndarray) -> np.ndarray:
+    return values[np.isfinite(values)]
 
 
 def _rms(values: np.ndarray | list[float]) -> float:

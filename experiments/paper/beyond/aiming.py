@@ -19,7 +19,7 @@ class Part(NamedTuple):
     stop: int
 
 
-def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_every: int) -> list[Part]:
+def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_every: int | None) -> list[Part]:
     """Parts of a scan that together see every target: near spheres, other spheres, plates.
 
     All parts read equally many columns.
@@ -28,16 +28,15 @@ def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_every: int) -> list
         hall: The targets where they nominally are.
         scanner: The calibration.
         step_deg: Step of the table where spheres are.
-        plate_every: Where plates are, only every so many steps are taken.
+        plate_every: Where plates are, only every so many steps are taken; None: all is one part in equal steps.
     """
     balls = [(np.array(ball.centre), ball.diameter / 2) for ball in hall.balls.values()]
-    near = [ball for ball in balls if np.linalg.norm(ball[0]) < 1.9]
-    far = [ball for ball in balls if np.linalg.norm(ball[0]) >= 1.9]
-    clouds = [
-        (np.concatenate([_on_sphere(*ball) for ball in near]), 1),
-        (np.concatenate([_on_sphere(*ball) for ball in far]), 1),
-        (np.concatenate([_on_plate(plate.centre, plate.edges) for plate in hall.plates]), plate_every),
-    ]
+    spheres = np.array([_on_sphere(*ball) for ball in balls])
+    near = np.array([np.linalg.norm(centre) < 1.9 for centre, _ in balls])
+    plates = np.concatenate([_on_plate(plate.centre, plate.edges) for plate in hall.plates])
+    clouds = [(spheres[near].reshape(-1, 3), 1), (spheres[~near].reshape(-1, 3), 1), (plates, plate_every or 1)]
+    if plate_every is None:
+        clouds = [(np.concatenate([points for points, _ in clouds]), 1)]
     angles = np.deg2rad(np.arange(0.0, 360.0, step_deg))
     with jax.enable_x64(True):
         poses = np.asarray(jax.vmap(scanner.without_covariance().as_dtype(np.float64).pose)(angles))

@@ -45,7 +45,7 @@ def draw_hall(stage: Stage, hall: Hall, tests: "list[Tested]") -> None:
 def _top(axes: Axes, hall: Hall, test: "Tested") -> None:
     for length, error in zip(hall.lengths, 1e3 * test.error, strict=True):
         ends = np.array([hall.balls[name].centre for name in (length.first, length.second)])
-        colour = _COLOURS(0.5 + 0.5 * error / _LARGEST_MM)
+        colour = _COLOURS(0.5 + 0.5 * error / _LARGEST_MM) if np.isfinite(error) else "0.6"
         axes.plot(*ends[:, :2].T, color=colour, lw=3 if length.test == "bar" else 1.5, zorder=2)
         if length.test == "bar":
             x, y = ends[:, :2].mean(0) * 1.17
@@ -88,7 +88,7 @@ def _errors(axes: Axes, hall: Hall, tests: "list[Tested]") -> None:
 
 
 def _form(axes: Axes, hall: Hall, test: "Tested") -> None:
-    balls = list(hall.balls.values())
+    balls = [hall.balls[name] for name in test.free]
     away = [np.linalg.norm(ball.centre) for ball in balls]
     axes.plot(away, [1e3 * band95(test.free[ball.name].residual) for ball in balls], "o", label="P_Form.Sph.D95")
     size = [abs(2e3 * test.free[ball.name].radius - 1e3 * ball.diameter) for ball in balls]

@@ -13,8 +13,9 @@ import numpy as np
 
 import jaxscan
 from experiments.paper.methods.paper_way import board_pose, find_board, stripe_on_board
-from experiments.paper.metrics import Metric
-from experiments.paper.products.draws import EXTRACTORS, draws
+from experiments.paper.methods.plain_stripes import EXTRACTORS
+from experiments.paper.metrics import Direction, Metric
+from experiments.paper.products.draws import draws
 from experiments.paper.products.held_out import held_out, observe_held_out
 from experiments.paper.stage import Stage
 
@@ -54,10 +55,14 @@ def run(stage: Stage) -> list[Metric]:
     plain = [np.isfinite(board.found["gravity"]) for board in boards]
     for way, label in WAYS.items():
         error = np.concatenate([(b.found[way] - b.true)[rows] for b, rows in zip(boards, plain, strict=True)])
-        rms = float(np.sqrt(np.nanmean(error**2)))
-        words = f"error of stripe centres on white squares, root mean square, {label}"
-        direction = "less" if way.startswith("ours") else "near"
-        metrics.append(Metric(f"{way}_rms", rms, "px", direction, 0.15 * rms, label=words))
+        direction: Direction = "less" if way.startswith("ours") else "near"
+        # Rows at the edges of squares make up most of the one, and leave the other as it is.
+        rms, middle = float(np.sqrt(np.nanmean(error**2))), float(np.nanmedian(np.abs(error)))
+        words = f"error of stripe centres on white squares, %s, {label}"
+        metrics += [
+            Metric(f"{way}_rms", rms, "px", direction, 0.15 * rms, label=words % "root mean square"),
+            Metric(f"{way}_median", middle, "px", direction, 0.15 * middle, label=words % "median"),
+        ]
     for way in ("ours_sweep", "gravity"):
         shares = [np.isfinite(board.found[way][_span(board)]).mean() for board in boards]
         words = f"rows of the board on which the stripe is found, {WAYS[way]}"
@@ -71,8 +76,7 @@ def look(stage: Stage) -> list[SeenStripe]:
     """All boards of the first draw, every way."""
     given, draw = held_out(stage), draws(stage)[0]
     capture, way = jaxscan.open_capture(given.captures[0]), draw.paper
-    scanner = jaxscan.load_scanner(draw.ours)
-    observed = observe_held_out(scanner, capture)
+    observed = observe_held_out(draw.ours, given.captures[0])
     record_of = np.asarray(observed.corners.record)[np.asarray(observed.stripes.view)].tolist()
     boards = []
     for index in range(len(capture.records)):
@@ -137,9 +141,9 @@ def _details(board: SeenStripe) -> dict[str, int]:
 
 def _picture(stage: Stage, board: SeenStripe, metrics: list[Metric]) -> None:
     difference = board.on.astype(np.float64) - board.off
-    figure = pyplot.figure(figsize=(15.5, 10.6), layout="constrained")
+    figure = pyplot.figure(figsize=(15.5, 9.6), layout="constrained")
     axes = figure.subplots(2, 3, height_ratios=(0.78, 1.0))
-    bright, ceiling = np.percentile(board.off, 99.9), np.percentile(difference, 99.9)
+    bright, ceiling = np.percentile(board.off, 99.9), np.percentile(difference, 99.95)
     images = {
         "laser off": (board.off, bright),
         "laser on": (board.on, bright),
@@ -159,9 +163,10 @@ def _picture(stage: Stage, board: SeenStripe, metrics: list[Metric]) -> None:
         axes[0, 2].annotate(letter, (middle, row), (middle + aside, row), color="yellow", arrowprops=arrow, va="center")
     handles, labels = axes[1, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-    rms = "; ".join(f"{WAYS[m.key[:-4]]} {m.value:.3f}" for m in metrics if m.key.endswith("_rms"))
+    value = {metric.key: metric.value for metric in metrics}
+    rms = "; ".join(f"{words} {value[f'{way}_rms']:.3f} ({value[f'{way}_median']:.3f})" for way, words in WAYS.items())
     title = f"Figure 5, {stage.world} world: the stripe on a board at 1.3 m"
-    figure.suptitle(f"{title}\nerror on white squares, all boards, rms [px]: {rms}")
+    figure.suptitle(f"{title}\nerror on white squares, all boards, rms (median) [px]: {rms}", fontsize=10)
     figure.savefig(stage.picture("figure_5"), dpi=120)
     pyplot.close(figure)
 

@@ -15,11 +15,11 @@ from jaxscan.simulation import Motion, Placement, SimulationConfig, make_rig, ro
 from jaxscan.simulation.rays import project
 
 
-ANGLES_DEG = (PAIR_DEG, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 30.0)
+ANGLES_DEG = (PAIR_DEG, 4.0, 8.0, 12.0, 16.0, 24.0, 30.0)
 QUICK_DEG = (PAIR_DEG, 16.0)
 CALIBRATIONS, QUICK_CALIBRATIONS = 4, 1
 """Of the draws of the paper's way, that take a Tr from another pair."""
-DRAWS, QUICK_DRAWS = 4, 2
+DRAWS, QUICK_DRAWS = 3, 2
 """Of the noise of each pair, for each calibration."""
 WORKING_M = 1.3
 """Depth of the board where the turn allows it: the paper's working distance."""

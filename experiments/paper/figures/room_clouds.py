@@ -13,7 +13,7 @@ from jaxscan.measurement.room import RoomBox
 from jaxscan.reconstruction import make_plan, smooth_stripes
 
 
-PROFILES, ROWS = 360, 400
+PROFILES, ROWS = 360, 200
 """Of a thinned cloud, about: planes through so many points are as good, and thirty clouds take no time."""
 _UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """From the camera's frame (right, down, ahead) to one whose z is up."""

@@ -1,5 +1,6 @@
 """Points of a stripe by the pose of the board that it lies on, against the same points by camera and sheet."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -18,6 +19,7 @@ from experiments.paper.methods.paper_way import (
 )
 from jaxscan.calibration import Quality
 from jaxscan.observation import Observations, StripeViews
+from jaxscan.stripes import smooth_profiles
 
 
 _POINTS = 512
@@ -96,6 +98,19 @@ def ours(calibration: jaxscan.Calibration, observations: Observations) -> list[C
         predicted = np.abs(slope) * _stripe_noise(quality, stripes, index)[kept]
         out.append(Check(int(corners.record[view]), np.rint(uv[:, 1]).astype(int), difference, predicted))
     return out
+
+
+def along_the_stripe(observations: Observations) -> Observations:
+    """The same with stripes smoothed over neighbouring rows, as `jaxscan.reconstruct` does before it makes points."""
+    stripes = observations.stripes
+    q, sigma, valid = (np.array(part) for part in (stripes.q, stripes.sigma, stripes.valid))
+    for index in range(len(q)):
+        rows = np.rint(q[index, valid[index], 1]).astype(int)
+        u, deviation, there = np.zeros((3, 1, observations.height))
+        u[0, rows], deviation[0, rows], there[0, rows] = q[index, valid[index], 0], sigma[index, valid[index]], 1
+        found = smooth_profiles(u.astype(np.float32), deviation.astype(np.float32), there.astype(bool))
+        q[index, valid[index], 0], sigma[index, valid[index]] = found.u[0, rows], found.sigma[0, rows]
+    return replace(observations, stripes=replace(stripes, q=q, sigma=sigma))
 
 
 def _stripe_noise(quality: Quality, stripes: StripeViews, index: int) -> np.ndarray:

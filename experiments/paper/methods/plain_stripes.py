@@ -62,3 +62,7 @@ def _strongest(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     at = light.argmax(-1)
     top = np.take_along_axis(light, at[..., None], -1)[..., 0]
     return light, at, top > THRESHOLD
+
+
+EXTRACTORS = {"gravity": gravity, "highest": highest}
+"""Both by name."""

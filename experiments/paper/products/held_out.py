@@ -1,6 +1,7 @@
 """Boards at the paper's working distance that no calibration has seen, in several draws of noise."""
 
 import shutil
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -80,10 +81,17 @@ def held_out_plan(stage: Stage, boards: int) -> BoardPlan:
     return BoardPlan(placements, [True] * boards)
 
 
-def observe_held_out(scanner: jaxscan.Scanner, capture: jaxscan.Capture) -> Observations:
-    """Corners and stripes of a capture as a calibration of the given rig would find them; the rig stays as it is."""
+@lru_cache(maxsize=4)
+def observe_held_out(calibration: Path, capture: Path) -> Observations:
+    """Corners and stripes of a capture as a calibration of the given rig finds them; the rig stays as it is.
+
+    Args:
+        calibration: File of the rig.
+        capture: One of `held_out`.
+    """
+    scanner = jaxscan.load_scanner(calibration)
     known = jaxscan.KnownParts(camera=scanner.camera, sheets=(scanner.laser(0),), motion=scanner.turntable)
     settings = jaxscan.CalibrationSettings(judge=False)
-    observations = jaxscan.calibrate(capture, known=known, settings=settings).observations
+    observations = jaxscan.calibrate(jaxscan.open_capture(capture), known=known, settings=settings).observations
     assert observations is not None
     return observations

@@ -15,14 +15,15 @@ class Honesty(NamedTuple):
 
     names: tuple[str, ...]
     """Parameters that are compared."""
-    ratio: np.ndarray
-    """Observed spread over predicted standard deviation of each."""
     pooled: float
-    """The root mean square of them."""
+    """Root mean square of errors about the truth, each over its predicted standard deviation; a bias counts."""
     pooled_error: float
-    """Its standard error."""
+    """Its standard error from draw to draw; a bias that all draws share is not in it."""
+    spread: float
+    """The same about the mean of the draws."""
+    spread_error: float
     squared: float
-    """Mean of e' C⁻¹ e per parameter; e are errors about the truth, so that a bias counts. 1 is expected."""
+    """Mean of e' C⁻¹ e per parameter, errors about the truth; 1 is expected."""
     squared_error: float
 
 
@@ -42,15 +43,18 @@ def compare(scanners: list[Scanner], config: SimulationConfig) -> Honesty:
     free &= np.array([name not in ANGLE_PARAMETERS for name in names])
     error, covariance = error[:, free], covariance[:, free][:, :, free]
     squared = np.array([e @ np.linalg.solve(c, e) for e, c in zip(error, covariance, strict=True)]) / error.shape[1]
-    variance = np.diagonal(covariance, axis1=1, axis2=2).mean(0)
-    # Each draw's share of the mean square; parameters hang together, draws do not.
-    spread = (error - error.mean(0)) ** 2 / variance * len(error) / (len(error) - 1)
-    pooled = float(np.sqrt(spread.mean()))
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    count = len(error)
     return Honesty(
         tuple(np.array(names)[free]),
-        np.sqrt(spread.mean(0)),
-        pooled,
-        float(spread.mean(1).std(ddof=1) / np.sqrt(len(error)) / (2 * pooled)),
+        *_root_mean_square(error**2 / variance),
+        *_root_mean_square((error - error.mean(0)) ** 2 / variance * count / (count - 1)),
         float(squared.mean()),
-        float(squared.std(ddof=1) / np.sqrt(len(error))),
+        float(squared.std(ddof=1) / np.sqrt(count)),
     )
+
+
+def _root_mean_square(squares: np.ndarray) -> tuple[float, float]:
+    """Of squares [draws, parameters], with its standard error: parameters hang together, draws do not."""
+    root = float(np.sqrt(squares.mean()))
+    return root, float(squares.mean(1).std(ddof=1) / np.sqrt(len(squares)) / (2 * root))

@@ -23,7 +23,7 @@ class Quantity(NamedTuple):
     title: str
     unit: str
     paper: float | None = None
-    """As the paper reports it."""
+    """As the paper reports it, or as it follows from its Tr."""
 
 
 QUANTITIES = (
@@ -33,7 +33,7 @@ QUANTITIES = (
     Quantity("cy", "principal point v0", "px", 817.261),
     Quantity("k1", "radial coefficient k", "1"),
     Quantity("turn", "turn of Tr", "deg", 1.98),
-    Quantity("axis_distance", "distance of the axis from the camera", "mm", 213.0),
+    Quantity("axis_distance", "distance of the axis from the camera", "mm", 212.5),
     Quantity("axis_sideways", "tilt of the axis sideways", "deg"),
     Quantity("axis_forwards", "tilt of the axis forwards", "deg"),
     Quantity("length_3820", "a length of 3.82 m across 180°", "mm"),
@@ -62,7 +62,7 @@ def of_scanner(scanner: Scanner, lengths: list[Length]) -> np.ndarray:
         raise TypeError("A calibration with a turntable is needed.")
     with jax.enable_x64(True):
         camera = dict(zip(scanner.camera.parameter_names(), np.asarray(scanner.camera.parameters()), strict=True))
-        turn = np.rad2deg(float(table.angle(np.deg2rad(PAIR_DEG))))
+        turn = np.rad2deg(float(table.angle(np.asarray(np.deg2rad(PAIR_DEG)))))
     lens = [camera[name] for name in ("fx", "fy", "cx", "cy", "k1")]
     return np.array([*lens, abs(turn), *_axis(table), *(1000 * measure_lengths(scanner, lengths))])
 

@@ -7,12 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxscan.simulation.camera.optics import blurred_part
 from jaxscan.simulation.settings import WIDEST_BLUR_PX, CameraSpec, SimulationConfig
 
 
 _STEP_PX = 0.12
 """Widths of blur this close are blended: a mixture of two such Gaussians is one of the width between."""
 _MOST_WIDTHS = 6
+_ROWS, _COLUMNS = 64, 256
+"""Of the parts in which pictures are blurred."""
 
 
 class Blur(NamedTuple):
@@ -60,6 +63,31 @@ def blurred(make: Callable[[float], np.ndarray], blur: Blur) -> np.ndarray:
     for width, share in zip(blur.widths, blur.shares(), strict=True):
         total = total + make(width) * share
     return total
+
+
+def softened(image: np.ndarray, blur: Blur) -> np.ndarray:
+    """A picture sampled at pixel centres through the lens [..., height, width]: part by part, which stay in the cache.
+
+    Args:
+        image: The picture, float32.
+        blur: Of its pixels. Each part is blurred only by the widths that it has.
+    """
+    height, width = image.shape[-2:]
+    out = np.empty_like(image)
+    step = width if blur.place is None else _COLUMNS
+    for top in range(0, height, _ROWS):
+        for left in range(0, width, step):
+            part = slice(top, min(top + _ROWS, height)), slice(left, min(left + step, width))
+            if blur.place is None:
+                out[..., *part] = blurred_part(image, blur.widths[0], *part)
+                continue
+            place = blur.place[part]
+            total: np.ndarray = np.zeros((*image.shape[:-2], *place.shape), np.float32)
+            for k in range(math.floor(place.min()), math.ceil(place.max()) + 1):
+                share = np.maximum(1 - np.abs(place - np.float32(k)), 0)
+                total += blurred_part(image, blur.widths[k], *part) * share
+            out[..., *part] = total
+    return out
 
 
 def lens_blur(config: SimulationConfig, depth: np.ndarray) -> Blur:

@@ -10,6 +10,10 @@ import math
 import numpy as np
 
 
+_ROWS = 64
+"""Rows that are spread at a time: they stay in the processor's cache."""
+
+
 def psf_weights(psf_px: float, samples: int) -> np.ndarray:
     """Share of a sample's light that each pixel receives.
 
@@ -53,16 +57,50 @@ def splat(
     Returns:
         float32 [height, width].
     """
-    height, width = shape
-    spread = np.einsum("mi,nj->ijmn", weights_v, weights_u).reshape(values.shape[1], -1)
-    light = values.astype(np.float32) @ spread
+    count_v, count_u = weights_v.shape[1], weights_u.shape[1]
+    lit = np.flatnonzero(values.any(1))
+    if len(lit) == 0:
+        return np.zeros(shape, np.float32)
+    light, rows, columns = values[lit].reshape(-1, count_v, count_u), rows[lit], columns[lit]
+    if count_v > count_u:
+        return _splat(light.swapaxes(1, 2), columns, rows, weights_u, weights_v, shape[::-1]).T.copy()
+    return _splat(light, rows, columns, weights_v, weights_u, shape)
+
+
+def _splat(
+    light: np.ndarray,
+    rows: np.ndarray,
+    columns: np.ndarray,
+    weights_v: np.ndarray,
+    weights_u: np.ndarray,
+    shape: tuple[int, int],
+) -> np.ndarray:
+    """As `splat`, of light [pixels, samples_v, samples_u]: spread along u sample by sample, then along v as pictures.
+
+    Only of those rows and columns that are lit.
+    """
     reach_v, reach_u = len(weights_v) // 2, len(weights_u) // 2
-    padded = width + 2 * reach_u
-    offsets = (np.arange(len(weights_v))[:, None] * padded + np.arange(len(weights_u))).ravel()
-    places = (rows * padded + columns)[:, None] + offsets
-    total = np.bincount(places.ravel(), weights=light.ravel(), minlength=(height + 2 * reach_v) * padded)
-    image = total.astype(np.float32).reshape(height + 2 * reach_v, padded)
-    return np.ascontiguousarray(image[reach_v : reach_v + height, reach_u : reach_u + width])
+    top, left = int(rows.min()), int(columns.min())
+    height, width = int(rows.max()) - top + 1, int(columns.max()) - left + 1 + 2 * reach_u
+    spread = np.einsum("pij,nj->ipn", light.astype(np.float32), weights_u)
+    places = (((rows - top) * width + columns - left)[:, None] + np.arange(len(weights_u))).ravel()
+    image = np.zeros((height + 2 * reach_v, width), np.float32)
+    for part, shares in zip(spread, weights_v.T, strict=True):
+        plane = np.bincount(places, weights=part.ravel(), minlength=height * width)
+        plane = plane.astype(np.float32).reshape(height, width)
+        for start in range(0, height, _ROWS):
+            some = plane[start : start + _ROWS]
+            for m, share in enumerate(shares):
+                image[start + m : start + m + len(some)] += some * share
+    out = np.zeros(shape, np.float32)
+    # Light that falls beside the sensor is lost.
+    first_row, first_column = max(top - reach_v, 0), max(left - reach_u, 0)
+    stop_row, stop_column = min(top + height + reach_v, shape[0]), min(left + width - reach_u, shape[1])
+    out[first_row:stop_row, first_column:stop_column] = image[
+        first_row - top + reach_v : stop_row - top + reach_v,
+        first_column - left + reach_u : stop_column - left + reach_u,
+    ]
+    return out
 
 
 def integrate(samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -104,19 +142,38 @@ def blur(image: np.ndarray, psf_px: float) -> np.ndarray:
     Good enough for the room in its own light, which is looked at but not measured. Binomial
     passes (a, 1 - 2a, a) of the same variance, psf^2 + 1/12, stand for the Gaussian.
     """
-    variance = psf_px**2 + 1 / 12
-    passes = math.ceil(variance / 0.6)
-    a = np.float32(variance / passes / 2)
+    passes, a = _passes(psf_px)
     for _ in range(passes):
         image = _binomial(_binomial(image, a).swapaxes(-1, -2), a).swapaxes(-1, -2)
     return image
 
 
+def blurred_part(image: np.ndarray, psf_px: float, rows: slice, columns: slice) -> np.ndarray:
+    """Some pixels of `blur`; slices have starts and stops."""
+    reach = _passes(psf_px)[0]
+    whole = []
+    for part, size in ((rows, image.shape[-2]), (columns, image.shape[-1])):
+        whole.append(slice(max(part.start - reach, 0), min(part.stop + reach, size)))
+    done = blur(image[..., *whole], psf_px)
+    inner = (
+        slice(part.start - more.start, part.stop - more.start)
+        for part, more in zip((rows, columns), whole, strict=True)
+    )
+    return done[..., *inner]
+
+
+def _passes(psf_px: float) -> tuple[int, np.float32]:
+    """How many binomial passes make a blur, and the share of each that goes to a neighbour."""
+    variance = psf_px**2 + 1 / 12
+    passes = math.ceil(variance / 0.6)
+    return passes, np.float32(variance / passes / 2)
+
+
 def _binomial(image: np.ndarray, a: np.float32) -> np.ndarray:
     """(a, 1 - 2a, a) down the columns; beyond the border stands the border."""
-    out = image * (1 - 2 * a)
-    out[..., 1:, :] += a * image[..., :-1, :]
-    out[..., :-1, :] += a * image[..., 1:, :]
-    out[..., 0, :] += a * image[..., 0, :]
-    out[..., -1, :] += a * image[..., -1, :]
+    out, aside = image * (1 - 2 * a), image * a
+    out[..., 1:, :] += aside[..., :-1, :]
+    out[..., :-1, :] += aside[..., 1:, :]
+    out[..., 0, :] += aside[..., 0, :]
+    out[..., -1, :] += aside[..., -1, :]
     return out

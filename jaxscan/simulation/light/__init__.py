@@ -1,6 +1,6 @@
 """The laser's light, as the camera sees it."""
 
-from jaxscan.simulation.light.bounce import line_pieces, returned_light
+from jaxscan.simulation.light.bounce import line_pieces, returned_field, returned_light
 from jaxscan.simulation.light.gloss import lobe
 from jaxscan.simulation.light.lit import LitScene, laser_channel
 from jaxscan.simulation.light.row_truth import RowTruth, row_truth

@@ -7,6 +7,7 @@ pixel takes its part along its own normal.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,11 @@ GRID = 8
 """Pixels from one point of the grid to the next."""
 _LENGTH = 0.03
 """A piece is no point: nearer than about this [m] its light does not grow any more."""
+_FAINT = 1e-3
+"""Light of one piece that nothing is taken to stand in the way of [DN]; all such of a place are about 0.01 DN."""
+_BATCH = 1024
+"""Places evaluated at a time."""
+_ROWS = 64
 _SKIN = 2e-3
 """Height over a surface from which pieces shine [m]."""
 
@@ -71,28 +77,52 @@ def returned_light(shot: LitScene, pieces: Pieces, points: np.ndarray) -> np.nda
     Returns:
         float32 [height, width, 3]: its part along a normal is the light of a white surface, DN.
     """
-    height, width = points.shape[:2]
+    return np.moveaxis(returned_field(shot, pieces, points.__getitem__), 0, -1)
+
+
+def returned_field(shot: LitScene, pieces: Pieces, points: Callable[..., np.ndarray]) -> np.ndarray:
+    """As `returned_light`, float32 [3, height, width]; `points` gives those of pixels by their rows and columns."""
+    height, width = shot.rig.rays.shape
     rows, columns = (np.linspace(0, size - 1, max(2, size // GRID + 1)) for size in (height, width))
-    places = points[np.rint(rows).astype(int)[:, None], np.rint(columns).astype(int)].reshape(-1, 3)
-    legs = pieces.points - places[:, None]
-    distance2 = np.sum(np.square(legs), -1)
-    distance = np.sqrt(distance2)
-    cosine = np.maximum(-np.sum(legs * pieces.normal, -1), 0) / np.maximum(distance, 1e-6)
-    strength = pieces.power * cosine / (np.float32(np.pi) * (distance2 + np.float32(_LENGTH**2)))
+    places = points((np.rint(rows).astype(int)[:, None], np.rint(columns).astype(int))).reshape(-1, 3)
+    parts = [_field(shot, pieces, places[at : at + _BATCH]) for at in range(0, len(places), _BATCH)]
+    field = np.ascontiguousarray(np.concatenate(parts).T)
+    return _between(field.reshape(3, len(rows), len(columns)), height, width)
+
+
+def _field(shot: LitScene, pieces: Pieces, places: np.ndarray) -> np.ndarray:
+    """Vector irradiance of the pieces on places [n, 3], float32 [n, 3]."""
+    legs = [pieces.points[:, axis, None] - places[:, axis] for axis in range(3)]
+    distance2 = legs[0] * legs[0] + legs[1] * legs[1] + legs[2] * legs[2]
+    np.maximum(distance2, np.float32(1e-12), out=distance2)
+    leaving = -sum(leg * pieces.normal[:, axis, None] for axis, leg in enumerate(legs))
+    # By the distance once for the cosine, and once more for the direction.
+    strength = np.maximum(leaving, 0)
+    strength *= pieces.power[:, None]
+    strength /= distance2 * (distance2 + np.float32(_LENGTH**2)) * np.float32(np.pi)
     # Places are looked at from the piece: hidden ones get nothing.
-    dark = shot.scene.blocked(
-        np.tile(pieces.points, (len(places), 1)), np.repeat(places, len(pieces.points), 0), skin=5e-3
-    )
-    strength[dark.reshape(strength.shape)] = 0
-    field = np.sum((strength / np.maximum(distance, 1e-6))[..., None] * legs, 1)
-    return _between(field.reshape(len(rows), len(columns), 3), height, width)
+    bounce = max(shot.rig.config.light.bounce, 1e-9)
+    which, at = np.nonzero(strength * np.sqrt(distance2) > np.float32(_FAINT / bounce))
+    dark = shot.scene.blocked(pieces.points[which], places[at], skin=5e-3)
+    strength[which[dark], at[dark]] = 0
+    return np.stack([np.einsum("kn,kn->n", strength, leg) for leg in legs], -1)
 
 
 def _between(grid: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Values at all pixels from those of an even grid over the image, bilinear."""
-    for axis, size in ((0, height), (1, width)):
+    """Values [3, height, width] at all pixels from those of an even grid over the image, bilinear."""
+    for axis, size in ((2, width), (1, height)):
         at = np.arange(size, dtype=np.float32) * ((grid.shape[axis] - 1) / (size - 1))
         low = np.minimum(at.astype(np.intp), grid.shape[axis] - 2)
-        share = (at - low).astype(np.float32).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
-        grid = grid.take(low, axis) * (1 - share) + grid.take(low + 1, axis) * share
+        share = (at - low).astype(np.float32).reshape((-1, 1) if axis == 1 else (1, -1))
+        rise = np.diff(grid, axis=axis)
+        out = np.empty((3, height, width) if axis == 1 else (3, grid.shape[1], width), np.float32)
+        for plane, values, steps in zip(out, grid, rise, strict=True):
+            # Part by part, in the processor's cache.
+            for start in range(0, plane.shape[0], _ROWS):
+                part = np.s_[start : start + _ROWS]
+                if axis == 1:
+                    plane[part] = values.take(low[part], 0) + steps.take(low[part], 0) * share[part]
+                else:
+                    plane[part] = values[part].take(low, 1) + steps[part].take(low, 1) * share
+        grid = out
     return grid

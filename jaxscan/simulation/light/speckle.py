@@ -62,7 +62,7 @@ def speckle_light(samples: LitSamples, grain: float, contrast: float, rng: np.ra
         part = light[seen].reshape(len(i), *(CORE + 2 * reach,) * 2, *samples.counts)
         part = part.transpose(0, 1, 3, 2, 4).reshape(len(i), *((CORE + 2 * reach) * n for n in samples.counts))
         # Not by matrix products: their threads get in the way of those that render other frames.
-        product = np.einsum("bij,oj->bio", np.einsum("ai,bij->baj", lens_v, part), lens_u)
+        product = np.einsum("ai,bio->bao", lens_v, np.einsum("bij,oj->bio", part, lens_u))
         product *= _pattern(len(i), fine, grain, contrast, rng)
         total[i, :, j] = product.reshape(len(i), CORE, fine, CORE, fine).mean((2, 4))
     return total.reshape(rows * CORE, columns * CORE)[:height, :width]
@@ -88,12 +88,15 @@ def _pattern(count: int, fine: int, grain: float, contrast: float, rng: np.rando
     k = np.fft.fftfreq(period * fine, 1 / (period * fine))
     pupil = np.hypot(k[:, None], k) <= period / (2 * grain)
     patterns = max(1, min(MOST_PATTERNS, math.floor(1 / contrast**2 + 1e-6)))
-    side, passed = CORE * fine, int(pupil.sum())
+    side, passed, open_rows = CORE * fine, int(pupil.sum()), np.flatnonzero(pupil.any(1))
     total = np.zeros((count, side, side), np.float32)
     for _ in range(patterns):
-        waves = np.zeros((count, *pupil.shape), np.complex64)
-        waves[:, pupil] = rng.standard_normal((count, passed, 2), np.float32).view(np.complex64)[..., 0]
-        field = np.fft.ifft2(waves, norm="forward")[:, :side, :side]
+        waves = np.zeros((count, len(open_rows), len(k)), np.complex64)
+        waves[:, pupil[open_rows]] = rng.standard_normal((count, passed, 2), np.float32).view(np.complex64)[..., 0]
+        # Only rows that the pupil passes are transformed, and only columns that are used.
+        across = np.zeros((count, len(k), side), np.complex64)
+        across[:, open_rows] = np.fft.ifft(waves, norm="forward")[:, :, :side]
+        field = np.fft.ifft(across, axis=1, norm="forward")[:, :side]
         total += field.real**2 + field.imag**2
     total *= np.float32(1 / (2 * passed * patterns))
     total -= 1

@@ -5,7 +5,7 @@ edges, shadows and printed edges cut the stripe at their true places.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import NamedTuple
 
@@ -13,13 +13,20 @@ import numpy as np
 
 from jaxscan.simulation.camera import Blur, psf_weights, splat
 from jaxscan.simulation.light.fan import band
+from jaxscan.simulation.light.flat import light_on
 from jaxscan.simulation.light.lit import LitScene, illuminate, stacked
 from jaxscan.simulation.light.mirror import lit_mirrors, mirrored_light, mirrored_sheet, thrown_light, thrown_sheet
+from jaxscan.simulation.light.open import FanView
 from jaxscan.simulation.rig import Sheet, TrueRig
+from jaxscan.simulation.scene import Plane, Rays
 
 
 SAMPLES_ALONG = 2
 """Samples per pixel along the stripe."""
+_BATCH = 1024
+"""Pixels evaluated at a time."""
+
+FacetAt = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class LitSamples(NamedTuple):
@@ -38,16 +45,20 @@ class LitSamples(NamedTuple):
     """The lens's blur at each listed pixel."""
 
 
-def lit_samples(shot: LitScene, depth: np.ndarray, blur: Blur) -> LitSamples:
+def lit_samples(shot: LitScene, depth: np.ndarray, blur: Blur, facet_at: FacetAt | None = None) -> LitSamples:
     """The laser's light in the band round its sheet.
 
     Args:
         shot: The scene and its laser.
         depth: Depth along the ray of every pixel's centre, float32 [height, width]; inf where nothing is.
         blur: Of the lens, in all pixels.
+        facet_at: Triangle of the facet that the whole of pixels shows, by their rows and columns; -1 where it is
+            unknown. Without it, and with a board in front, a ray is cast for each sample.
     """
     near = _crossed(*_beside(shot.sheet, depth))
-    return _sampled(shot, near, blur, lambda rays: illuminate(shot, rays))
+    if facet_at is None or shot.board is not None:
+        return _sampled(shot, near, blur, lambda rays: illuminate(shot, rays))
+    return _sampled(shot, near, blur, lambda rays: illuminate(shot, rays), facet_at)
 
 
 def mirrored_samples(shot: LitScene, glass: np.ndarray, depth: np.ndarray, blur: Blur) -> list[LitSamples]:
@@ -69,20 +80,40 @@ def mirrored_samples(shot: LitScene, glass: np.ndarray, depth: np.ndarray, blur:
     return found
 
 
-def _sampled(shot: LitScene, near: np.ndarray, blur: Blur, light_of: Callable[[np.ndarray], np.ndarray]) -> LitSamples:
-    """Light along rays through some pixels, bool [height, width]."""
+def _sampled(
+    shot: LitScene,
+    near: np.ndarray,
+    blur: Blur,
+    light_of: Callable[[np.ndarray], np.ndarray],
+    facet_at: FacetAt | None = None,
+) -> LitSamples:
+    """Light along rays through some pixels, bool [height, width]; `light_of` is for those that show several facets."""
     rig = shot.rig
     samples_v, samples_u = SAMPLES_ALONG, samples_across(rig, shot.sheet)
     if shot.sheet.spec.stripe_axis == "columns":
         samples_v, samples_u = samples_u, samples_v
     rows, columns = np.divmod(np.flatnonzero(near), rig.rays.shape[1])
-    light: np.ndarray = np.zeros((0, samples_v * samples_u), np.float32)
-    if len(rows):
-        dv = ((np.arange(samples_v) + 0.5) / samples_v - 0.5).repeat(samples_u).astype(np.float32)
-        du = np.tile((np.arange(samples_u) + 0.5) / samples_u - 0.5, samples_v).astype(np.float32)
-        rays = stacked(*rig.rays.at(rows, columns, None).moved(du, dv))
-        light = light_of(rays.reshape(3, -1)).reshape(rays.shape[1:])
+    light: np.ndarray = np.zeros((len(rows), samples_v * samples_u), np.float32)
+    dv = ((np.arange(samples_v) + 0.5) / samples_v - 0.5).repeat(samples_u).astype(np.float32)
+    du = np.tile((np.arange(samples_u) + 0.5) / samples_u - 0.5, samples_v).astype(np.float32)
+    shown = np.full(len(rows), -1) if facet_at is None else facet_at(rows, columns)
+    fan = FanView(shot) if facet_at is not None else None
+    for triangle, part in _alike(shown):
+        x, y, z = rig.rays.at(rows[part], columns[part], None).moved(du, dv)
+        if triangle < 0:
+            light[part] = light_of(stacked(x, y, z).reshape(3, -1)).reshape(len(part), -1)
+        elif fan is not None and triangle < len(shot.scene.normal) - 1:
+            rays = Rays(x, y, z if isinstance(z, np.ndarray) else None)
+            light[part] = light_on(shot, Plane.of(shot.scene, triangle, shot.pose), rays, fan)
     return LitSamples(light, rows, columns, (samples_v, samples_u), rig.rays.shape, blur.at(rows, columns))
+
+
+def _alike(values: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """Every value and the places where it stands, in parts whose samples stay in the processor's cache."""
+    order = np.argsort(values, kind="stable")
+    for part in np.split(order, np.flatnonzero(np.diff(values[order])) + 1):
+        for start in range(0, len(part), _BATCH):
+            yield int(values[part[0]]), part[start : start + _BATCH]
 
 
 def laser_image(samples: LitSamples) -> np.ndarray:

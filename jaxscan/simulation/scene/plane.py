@@ -21,6 +21,10 @@ class Rays(NamedTuple):
         """Some of them."""
         return Rays(self.x[index], self.y[index], None if self.z is None else self.z[index])
 
+    def whole(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | float]:
+        """x, y, z; the number 1 where all z are."""
+        return self.x, self.y, 1.0 if self.z is None else self.z
+
     def along(self, way: np.ndarray) -> np.ndarray:
         """Their product with a vector [3]."""
         a, b, c = way.astype(np.float32)
@@ -60,19 +64,33 @@ class Plane(NamedTuple):
             lit: In the first channels stands a picture in the scene's light, in the others the albedo.
             share: That of the lamp's light which arrives; see `shadow`.
         """
-        f, depth = np.float32, self._depth(rays)
+        depth = self.depth(rays)
+        u, v = self._place(rays, depth)
+        material = self.surface.material
+        colours = material.albedo(u.ravel(), v.ravel(), weights).reshape(-1, *depth.shape)
+        colours[:lit] *= self._light(rays, depth, (u, v), share)
+        if material.glow:
+            colours[:lit] += np.float32(material.glow)
+        return depth, colours
+
+    def albedo(self, rays: Rays, depth: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Albedo [channels, n] of points on n rays, float32; `weights` [3, channels] of R, G, B."""
+        return self.surface.material.albedo(*self._place(rays, depth), weights)
+
+    def points(self, rays: Rays, depth: np.ndarray) -> np.ndarray:
+        """Points on n rays, scanner frame, float32 [n, 3], m."""
+        places = zip(self.pose.rotation, self.pose.translation, strict=True)
+        return np.stack([rays.along(row) * depth + np.float32(at) for row, at in places], -1)
+
+    def _place(self, rays: Rays, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Texture coordinates of points on rays [m]."""
         _, origin, along_u, along_v = self.surface
         start, back = self.pose.translation - origin, self.pose.rotation.T
         u, v = rays.along(back @ along_u), rays.along(back @ along_v)
         for place, way in ((u, along_u), (v, along_v)):
             place *= depth
-            place += f(start @ way)
-        material = self.surface.material
-        colours = material.albedo(u.ravel(), v.ravel(), weights).reshape(-1, *depth.shape)
-        colours[:lit] *= self._light(rays, depth, (u, v), share)
-        if material.glow:
-            colours[:lit] += f(material.glow)
-        return depth, colours
+            place += np.float32(start @ way)
+        return u, v
 
     def shadow(self, rays: Rays) -> np.ndarray | None:
         """Share of the lamp's light on tiles, looked up at every other pixel of every other row.
@@ -95,7 +113,8 @@ class Plane(NamedTuple):
         share[~clear] = self.scene.lit_share(self._from_lamp(rays.at(some)))
         return None if share.min() == 1 else share.reshape(tiles, side // 2, side // 2)
 
-    def _depth(self, rays: Rays) -> np.ndarray:
+    def depth(self, rays: Rays) -> np.ndarray:
+        """Depth at which rays meet the plane, float32."""
         depth = rays.along(self.pose.rotation.T @ self.normal)
         np.divide(np.float32(self.offset - self.normal @ self.pose.translation), depth, out=depth)
         return depth
@@ -132,6 +151,6 @@ class Plane(NamedTuple):
 
     def _from_lamp(self, rays: Rays, depth: np.ndarray | None = None) -> list[np.ndarray]:
         """Ways x, y, z from the lamp to points on rays."""
-        depth = self._depth(rays) if depth is None else depth
+        depth = self.depth(rays) if depth is None else depth
         start = self.pose.translation - self.scene.lamp
         return [rays.along(row) * depth + np.float32(at) for row, at in zip(self.pose.rotation, start, strict=True)]

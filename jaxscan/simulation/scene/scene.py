@@ -54,6 +54,11 @@ class Scene:
         nothing = len(self.normal) - 1
         return hits["t_hit"].numpy(), np.minimum(triangle, np.uint32(nothing)).astype(np.int64)
 
+    def facing(self, eye: np.ndarray) -> np.ndarray:
+        """Unit normal of each triangle on the side of a place [3], float32 [triangles + 1, 3]."""
+        behind = np.sum(self.outline.normal * (eye - self.outline.corners[:, 0]), -1) < 0
+        return np.where(np.append(behind, False)[:, None], -self.normal, self.normal)
+
     def glass(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """A point and the unit normal of every mirror."""
         ends = np.cumsum([len(part) for part in self.mesh.triangles])

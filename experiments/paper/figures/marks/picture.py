@@ -7,7 +7,7 @@ import matplotlib as mpl
 import numpy as np
 
 import jaxscan
-from experiments.paper.figures import mark_finder as finder
+from experiments.paper.figures.marks import finder
 
 
 mpl.use("Agg")

@@ -51,15 +51,15 @@ def wall(distance: float, columns: int, mesh: Mesh) -> None:
 
 
 def stripe_window(config: SimulationConfig, near: float, far: float) -> tuple[int, int]:
-    """Columns in which the stripe of surfaces at depths from `near` to `far` [m] lies: first, and the one after the last.
+    """Columns in which the stripe of surfaces at depths `near` to `far` [m] lies: the first, and one after the last.
 
-    From the nominal plane, a X + b Y + Z = c, with a margin of a fortieth of the width.
+    From the nominal plane, a X + b Y + Z = c, with a margin of an eightieth of the width.
     """
     camera, laser = config.camera, config.laser[0]
     cx, cy = camera.centre()
     normal, distance = laser.plane()
     y = (np.array([0, camera.height - 1]) - cy) / camera.fy
     x = [(distance / depth - normal[2] - normal[1] * each) / normal[0] for depth in (near, far) for each in y]
-    margin = camera.width / 40
+    margin = camera.width / 80
     low, high = cx + camera.fx * min(x) - margin, cx + camera.fx * max(x) + margin
     return max(int(low), 0), min(int(np.ceil(high)) + 1, camera.width)

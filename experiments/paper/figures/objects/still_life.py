@@ -58,7 +58,9 @@ def objects(mesh: Mesh) -> None:
     angle = np.linspace(-np.pi / 2, np.pi / 2, 65)
     ball = GLOBE_RADIUS * np.stack([np.cos(angle), np.sin(angle)], -1)
     mesh.lathe(centre, ball, Material(colours, partial(_continents, radius=GLOBE_RADIUS)), sides=128)
-    foot = np.array([[0, 0], [0.075, 0], [0.07, 0.015], [0.03, 0.03], [0.018, 0.07], [0.03, 0.115], [0, _STAND + 0.004]])
+    foot = np.array(
+        [[0, 0], [0.075, 0], [0.07, 0.015], [0.03, 0.03], [0.018, 0.07], [0.03, 0.115], [0, _STAND + 0.004]]
+    )
     stand = Material(((0.62, 0.40, 0.24), (0.52, 0.32, 0.18)), wood)
     mesh.lathe((x + GLOBE_M[0], y + _AHEAD + GLOBE_M[1], _TOP), foot, stand, sides=64)
 

@@ -77,9 +77,7 @@ def picture(surface: Surface, eye: Eye, *, coloured: bool) -> np.ndarray:
     return _closed(shown, depth)
 
 
-def _filled(
-    fields: list[np.ndarray], valid: np.ndarray, axis: int
-) -> tuple[list[np.ndarray], np.ndarray]:
+def _filled(fields: list[np.ndarray], valid: np.ndarray, axis: int) -> tuple[list[np.ndarray], np.ndarray]:
     """Fields on a grid that is finer along an axis."""
     one, two = (tuple(slice(*ends) if k == axis else slice(None) for k in (0, 1)) for ends in ((None, -1), (1, None)))
     xyz = fields[0]

@@ -14,6 +14,8 @@ _DARK = 0.75
 """A point is of a mark if it is darker than this share of its surroundings."""
 _MIN_PROFILES = 3
 _MIN_EDGES = 6
+_STRAY = 7.5
+"""Edges farther from the circle than this many times the median of them do not count: five standard deviations."""
 _RADIUS_SHARE = (0.6, 1.6)
 """Circles much smaller or larger than most of them are no marks."""
 
@@ -38,6 +40,20 @@ class Wall(NamedTuple):
     """[3], m."""
     axes: np.ndarray
     """To the right, upwards and towards the scanner, unit rows [3, 3]."""
+
+
+class Noise(NamedTuple):
+    """Random noise of a coloured cloud."""
+
+    along: np.ndarray
+    """A standard deviation of each point, as a vector along its ray [profiles, lines, 3], m."""
+    shared: np.ndarray
+    """Lines of a profile over which it is shared [profiles, lines]."""
+    aside: np.ndarray
+    """A standard deviation of the place whose colour a point has, from the point: its own in each [profiles, lines, 3],
+    m."""
+    grey: float
+    """Standard deviation of a grey value [DN]."""
 
 
 class Centres(NamedTuple):
@@ -108,8 +124,7 @@ def find_centres(
         valid: Which points exist.
         edges: From `find_edges` of the same cloud.
         wall: Its plane.
-        noise: Standard deviations as vectors along the rays [profiles, lines, 3], m; lines over which this noise is
-            shared; and the standard deviation of a grey value [DN].
+        noise: For the prediction of the centres' uncertainty.
     """
     low = np.floor(edges.line).astype(int)
     rest = (edges.line - low)[:, None]
@@ -130,9 +145,15 @@ def find_centres(
         own = own[kept]
         sigma = np.zeros(2)
         if noise is not None:
-            along = (between(noise[0])[own] @ wall.axes.T)[:, :2]
-            grey = step[own] * (noise[2] / edges.gradient[own])[:, None]
-            sigma = _predicted(at[own, :2] - centre, (along, grey), (edges.profile[own], edges.line[own]), noise[1])
+            shared = np.maximum(noise.shared[edges.profile[own], low[own]], 1.0)
+            # A position between two lines, and the crossing between two grey values, are means of both.
+            apart, slope = rest[own, 0] * (1 - rest[own, 0]), edges.gradient[own]
+            along = (between(noise.along)[own] @ wall.axes.T)[:, :2] * np.sqrt(1 - 2 * apart / shared)[:, None]
+            greys = step[own] * (noise.grey * np.sqrt(1 - 2 * apart) / slope)[:, None]
+            aside = (between(noise.aside)[own] @ wall.axes.T)[:, :2] * np.sqrt(1 - 2 * apart)[:, None]
+            sigma = _predicted(
+                at[own, :2] - centre, (along, greys, aside), (edges.profile[own], edges.line[own]), shared
+            )
         fits.append((int(mark), np.append(centre, np.median(at[own, 2])), radius, sigma))
     if not fits:
         return Centres(np.zeros(0, int), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
@@ -156,7 +177,7 @@ def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float, np.ndarray] | Non
         apart = points - centre
         far = np.maximum(np.linalg.norm(apart, axis=1), 1e-9)
         residual = far - radius
-        kept = np.abs(residual) < max(4 * 1.4826 * float(np.median(np.abs(residual))), 1e-4)
+        kept = np.abs(residual) < max(_STRAY * float(np.median(np.abs(residual))), 3e-4)
         if kept.sum() < _MIN_EDGES:
             return None
         design = np.column_stack([apart / far[:, None], np.ones(len(points))])[kept]
@@ -230,21 +251,23 @@ def _crossings(grey: np.ndarray, valid: np.ndarray, ends: tuple[int, int], ink: 
 
 
 def _predicted(
-    apart: np.ndarray, noise: tuple[np.ndarray, np.ndarray], grid: tuple[np.ndarray, np.ndarray], shared: float
+    apart: np.ndarray, noise: tuple[np.ndarray, ...], grid: tuple[np.ndarray, np.ndarray], shared: np.ndarray
 ) -> np.ndarray:
     """Standard deviation [2] of a circle's centre from the noise of its points.
 
     Args:
         apart: Points from the centre [n, 2].
-        noise: Displacements by one standard deviation of the points' ranges, shared along a profile, and of their
-            grey values [n, 2].
+        noise: Displacements by one standard deviation of the points' ranges, shared along a profile, of their grey
+            values, and of the places of these [n, 2].
         grid: Profile and line of each point.
-        shared: Lines over which the noise of ranges is shared.
+        shared: Lines over which the noise of each range is shared.
     """
     normal = apart / np.linalg.norm(apart, axis=1)[:, None]
     factors = np.linalg.pinv(np.column_stack([normal, np.ones(len(normal))]))[:2]
-    ranges, greys = (np.sum(normal * part, 1) for part in noise)
+    ranges, greys, aside = (np.sum(normal * part, 1) for part in noise)
     profile, line = grid
-    alike = np.clip(1 - np.abs(line[:, None] - line) / max(shared, 1.0), 0, 1) * (profile[:, None] == profile)
-    covariance = alike * np.outer(ranges, ranges) + np.diag(greys**2)
+    alike = np.clip(1 - np.abs(line[:, None] - line) / np.minimum(shared[:, None], shared), 0, 1) * (
+        profile[:, None] == profile
+    )
+    covariance = alike * np.outer(ranges, ranges) + np.diag(greys**2 + aside**2)
     return np.sqrt(np.diag(factors @ covariance @ factors.T))

@@ -1,0 +1,51 @@
+"""Where the laser's fan meets edges: between their angles in it, no shadow of the laser ends on a facet."""
+
+import math
+
+import numpy as np
+
+from jaxscan.simulation.light.fan import band
+from jaxscan.simulation.light.lit import LitScene
+
+
+_CELLS = 4096
+"""Over the fan, in angle."""
+
+
+class FanView:
+    """The nearest edges that the laser's fan meets, in cells of angle."""
+
+    def __init__(self, shot: LitScene) -> None:
+        sheet = shot.sheet
+        self._sheet, self._half = sheet, math.radians(sheet.spec.fan_deg) / 2
+        legs = shot.pose.inverse().apply(shot.scene.outline.edges) - sheet.origin
+        out = legs @ sheet.normal
+        # How thick the lit band can be at all, with its bow.
+        far = float(np.sqrt(np.max(np.sum(legs * legs, -1), initial=0)))
+        thick = float(max(sheet.thickness(np.array([0.0, far])))) * band(sheet) * (1 + sheet.spec.widening)
+        thick += (far + float(np.linalg.norm(sheet.origin))) * sheet.bulge
+        near = (out.min(1) <= thick) & (out.max(1) >= -thick)
+        legs, out = legs[near], out[near]
+        step = out[:, 1] - out[:, 0]
+        step = np.where(np.abs(step) < 1e-12, 1e-12, step)
+        shares = np.sort((np.array([-thick, thick]) - out[:, :1]) / step[:, None], 1).clip(0, 1)
+        ends = legs[:, None, 0] + shares[..., None] * (legs[:, None, 1] - legs[:, None, 0])
+        low, high = np.sort(self._cell(sheet.angle(ends)), 1).T
+        # No point of an edge is nearer than its nearer end by more than its length.
+        distance = np.linalg.norm(ends, axis=-1).min(1) - np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
+        low, high = np.maximum(low - 1, 0), np.minimum(high + 1, _CELLS - 1)
+        counts = np.maximum(high - low + 1, 0)
+        which = np.arange(len(counts)).repeat(counts)
+        cells = low[which] + np.arange(len(which)) - (np.cumsum(counts) - counts)[which]
+        self._nearest = np.full(_CELLS, np.inf, np.float32)
+        np.minimum.at(self._nearest, cells, distance[which].astype(np.float32))
+
+    def clear(self, first: np.ndarray, last: np.ndarray, far: np.ndarray) -> np.ndarray:
+        """Whether no shadow can end between pairs of angles in the fan [rad], up to a distance [m] of the laser."""
+        low, high = self._cell(first), self._cell(last)
+        inside = (low >= 0) & (high < _CELLS) & (high - low <= 2)
+        low, high = (np.clip(cell, 0, _CELLS - 1) for cell in (low, high))
+        return inside & (self._nearest[low] > far) & (self._nearest[high] > far)
+
+    def _cell(self, angle: np.ndarray) -> np.ndarray:
+        return np.floor((angle + self._half) * (_CELLS / (2 * self._half))).astype(np.int64)
