@@ -127,11 +127,13 @@ def draw_chart(stage: Stage, errors: dict[str, np.ndarray], sigma: np.ndarray, l
             error = errors[name][:, side]
             size = _rms(error)
             colour = "tab:gray" if name in _TOGETHER else "tab:blue"
-            axis.barh(place, size, xerr=size / np.sqrt(2 * len(error)), color=colour, alpha=0.75, capsize=3)
+            axis.barh(
+                place, size, xerr=size / np.sqrt(2 * len(error)), color=colour, alpha=0.75, capsize=3, height=0.55
+            )
             axis.plot(np.abs(error), np.full(len(error), place), "k.", ms=4, alpha=0.6)
-            axis.text(0, place + 0.48, f"{size:.3f} mm", fontsize=8, va="center")
+            axis.text(0, place + 0.4, f"{size:.3f} mm", fontsize=8, va="center")
         predicted = _rms(sigma[:, side])
-        axis.plot([predicted] * 2, [-0.45, 0.45], color="tab:red", lw=2.5, label=f"predicted: {predicted:.2f} mm")
+        axis.plot([predicted] * 2, [-0.35, 0.35], color="tab:red", lw=2.5, label=f"predicted: {predicted:.2f} mm")
         axis.set(title=f"Room {title}", xlabel="RMS error [mm]; dots: size of the error of each draw")
         axis.set_yticks(places, [labels[name] for name in names])
         axis.set_ylim(-0.6, len(names) - 0.2)
