@@ -39,11 +39,11 @@ def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tup
     colour = np.clip(rgb[valid] / 200.0, 0, 1)
     below = z < 0.6
     order = np.flatnonzero(below)[np.argsort(z[below])]
-    axes["top"].scatter(x[order], y[order], c=colour[order], s=0.4, lw=0)
+    axes["top"].scatter(x[order], y[order], c=colour[order], s=1.2, lw=0)
     axes["top"].set(title="From above, without what is higher than 0.6 m over the scanner", ylabel="across [m]")
     beyond = y > -0.3
     order = np.flatnonzero(beyond)[np.argsort(-y[beyond])]
-    axes["side"].scatter(x[order], z[order], c=colour[order], s=0.4, lw=0)
+    axes["side"].scatter(x[order], z[order], c=colour[order], s=1.2, lw=0)
     axes["side"].set(title="From the side, cut 0.3 m before the scanner", ylabel="up [m]")
     for one in (axes["top"], axes["side"]):
         one.plot(0, 0, "r^", ms=8)
