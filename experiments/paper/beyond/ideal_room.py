@@ -13,7 +13,7 @@ import jaxscan
 from experiments.recalibration.world import Noise, Sweeping, true_sweep
 from experiments.worlds.calibration_trials import observations
 from experiments.worlds.ideal_boards import BoardPoses, add_noise, ideal_boards
-from jaxscan.calibration.parameters import PRIORS, USUALLY_FREE
+from jaxscan.calibration.parameters import USUALLY_FREE
 from jaxscan.recalibration import SweepStripes
 from jaxscan.simulation import SimulationConfig, make_rig
 from jaxscan.simulation.planning import Placement
@@ -106,7 +106,9 @@ def measured_room(
     room = jaxscan.measure_room(cloud_of(stripes, scanner, study.stride, stated), scanner=scanner)
     assert room.length is not None and room.width is not None
     sides = (room.width, room.length)
-    return np.array([side.value_m for side in sides]), np.array([side.sigma_m for side in sides])
+    value, sigma = (np.array([getattr(side, name) for side in sides]) for name in ("value_m", "sigma_m"))
+    # No image shows the size of the squares: every length is as uncertain as they are.
+    return value, np.hypot(sigma, study.stated.pitch * value)
 
 
 def cloud_of(stripes: SweepStripes, scanner: jaxscan.Scanner, stride: int, sigma_px: float) -> jaxscan.PointCloud:
@@ -171,9 +173,8 @@ def _calibrated(
         corners=replace(found.corners, sigma=np.full(found.corners.valid.shape, corner)),
         stripes=replace(found.stripes, sigma=np.full(found.stripes.valid.shape, stripe)),
     )
-    free = (*USUALLY_FREE, *(("bow",) if any(study.stated.bow) else ()), *(("pitch",) if study.stated.pitch else ()))
-    priors = PRIORS | ({"pitch": study.stated.pitch} if study.stated.pitch else {})
-    settings = jaxscan.CalibrationSettings(judge=False, free=free, priors=priors)
+    free = (*USUALLY_FREE, *(("bow",) if any(study.stated.bow) else ()))
+    settings = jaxscan.CalibrationSettings(judge=False, free=free)
     if not as_user:
         settings = replace(settings, estimate_noise=False, stripe_correlation=1.0)
     scanner = jaxscan.calibrate_observations(found, settings=settings).scanner

@@ -33,7 +33,7 @@ COLUMNS = {False: 15, True: 5}
 STEP_DEG = {False: 0.1, True: 0.2}
 DEPTHS_M = (2.2, 3.1)
 """Between which the wall lies: a surveyor knows that."""
-REPEATED = 0.4
+REPEATED = 0.5
 """Share of the sweep that is repeated with other noise, which tells the random part of the distances."""
 _SEED, _OTHER = 71, 72
 _PLAIN = {"gravity": gravity, "highest": highest}

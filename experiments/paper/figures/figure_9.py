@@ -114,7 +114,8 @@ def _draw(stage: Stage, seen: Room, scanner: jaxscan.Scanner, rival: Draw) -> Si
     azimuth = np.rad2deg(np.broadcast_to(there.angle[:, None], there.valid.shape)[there.valid])
     steps = f"{len(seen.angles)} steps, {stage.world} world"
     draw_plans(stage.picture("figure_9"), survey, paper, azimuth, f"The room from above, {steps}")
-    draw_elevations(stage.picture("figure_9_sides"), survey, f"The walls of the room from within, {steps}")
+    sides = f"The walls of the room from within, {steps}"
+    draw_elevations(stage.picture("figure_9_sides"), survey, len(seen.angles), sides)
     draw_view(stage.picture("figure_9_view"), cloud, rgb, max(1, len(seen.angles) // 900))
     return size_of(box)
 

@@ -15,7 +15,7 @@ from jaxscan.simulation import Motion, Placement, SimulationConfig, make_rig, ro
 from jaxscan.simulation.rays import project
 
 
-ANGLES_DEG = (PAIR_DEG, 4.0, 8.0, 12.0, 16.0, 24.0, 30.0)
+ANGLES_DEG = (PAIR_DEG, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0)
 QUICK_DEG = (PAIR_DEG, 16.0)
 CALIBRATIONS, QUICK_CALIBRATIONS = 4, 1
 """Of the draws of the paper's way, that take a Tr from another pair."""
@@ -65,7 +65,10 @@ def pair_angles(stage: Stage, known: list[Draw], plain: PlainStripes, angles: np
     """
     out = []
     for degrees in QUICK_DEG if stage.quick else ANGLES_DEG:
-        placement, depth = place_pair(stage.config, np.deg2rad(degrees))
+        place = place_pair(stage.config, np.deg2rad(degrees))
+        if place is None:
+            continue
+        placement, depth = place
         records = list(expect_each(stage, BoardPlan([placement], [False, False])))
         some = known[: QUICK_CALIBRATIONS if stage.quick else CALIBRATIONS]
         sizes: list[list[Size]] = [[] for _ in some]
@@ -95,11 +98,11 @@ def with_pair(way: PaperWay, views: list[BoardCorners | None], angle: float) -> 
     return way._replace(tr=pair_motion(*poses), pair_angle=angle)
 
 
-def place_pair(config: SimulationConfig, angle: float) -> tuple[Placement, float]:
+def place_pair(config: SimulationConfig, angle: float) -> tuple[Placement, float] | None:
     """A board before the camera, seen from half the angle on either side, as near to the working distance as it fits.
 
     Returns:
-        The placement, and the board's depth midway [m].
+        The placement, and the board's depth midway [m]; None if the field of view is too small for the turn.
     """
     rig = make_rig(config)
     outline = config.boards.board().outline()
@@ -113,7 +116,7 @@ def place_pair(config: SimulationConfig, angle: float) -> tuple[Placement, float
         pixels = np.stack(project(config.camera, seen), -1)
         if np.all((pixels > _MARGIN * size) & (pixels < (1 - _MARGIN) * size)):
             return Placement(pose, angles, 0), float(depth)
-    raise ValueError(f"No board fits into the image over a turn of {np.rad2deg(angle):.1f} degrees.")
+    return None
 
 
 def smallest_angle(pairs: list[PairAngle], values: np.ndarray, wanted: float) -> float:

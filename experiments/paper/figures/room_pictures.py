@@ -10,13 +10,16 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from scipy.ndimage import distance_transform_edt  # type: ignore[import-untyped]
 
 import jaxscan
 from jaxscan.measurement.room import RoomBox
 
 
-PIXEL_M = 0.005
-"""Of plans and elevations [m]."""
+PLAN_M, FRONT_M = 0.01, 0.005
+"""Pixels of plans, whose lines are to be seen, and of elevations [m]."""
+FAR_M = 3.5
+"""Distance at which neighbouring profiles of an elevation still touch [m]."""
 MARGIN_M = 0.15
 IN_FRONT_M = 0.75
 """Points so far before a wall belong to its elevation [m]."""
@@ -76,10 +79,11 @@ def draw_plans(path: Path, ours: Survey, paper: Survey | None, paper_azimuth: np
     _save(figure, path)
 
 
-def draw_elevations(path: Path, ours: Survey, title: str) -> None:
+def draw_elevations(path: Path, ours: Survey, steps: int, title: str) -> None:
     """Side views of all four walls, from within: without colour, by the distance before the wall, and with colour."""
     low, high = np.percentile(ours.xyz[:, 2], [0.2, 99.8])
     reach = max(ours.length_m, ours.width_m) / 2 + 0.1
+    gap = FAR_M * 2 * np.pi / steps
     figure, axes = plt.subplots(4, 2, figsize=(18, 12.5), sharex=True, sharey=True, constrained_layout=True)
     figure.suptitle(title, fontsize=15)
     walls = (("x", 1.0), ("y", 1.0), ("x", -1.0), ("y", -1.0))
@@ -93,8 +97,8 @@ def draw_elevations(path: Path, ours: Survey, title: str) -> None:
         kept = (np.abs(depth) < IN_FRONT_M) & (np.abs(right) < half + 0.05)
         at = np.column_stack([right[kept], ours.xyz[kept, 2]])
         extent = (-half - 0.05, half + 0.05, low, high)
-        shown = _front(row[0], at, 1e3 * depth[kept], extent, "cividis", (-10, 250))
-        _front(row[1], at, ours.rgb[kept], extent, None, None)
+        shown = _front(row[0], at, 1e3 * depth[kept], extent, ("cividis", -10, 250), gap)
+        _front(row[1], at, ours.rgb[kept], extent, None, gap)
         row[0].set_ylabel(f"wall at {'+' if side > 0 else '-'}{name}: height [m]")
     figure.colorbar(shown, ax=axes, location="bottom", shrink=0.35, aspect=40, label="before the wall [mm]")
     axes[0, 0].set_xlim(-reach, reach)
@@ -128,12 +132,12 @@ def _save(figure: plt.Figure, path: Path) -> None:
 
 
 def _raster(
-    at: np.ndarray, values: np.ndarray, extent: tuple[float, float, float, float]
+    at: np.ndarray, values: np.ndarray, extent: tuple[float, float, float, float], pixel_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean of values [n] or [n, 3] and number of points in each pixel [rows, columns]; NaN where there is none."""
-    shape = round((extent[3] - extent[2]) / PIXEL_M), round((extent[1] - extent[0]) / PIXEL_M)
-    column = np.floor((at[:, 0] - extent[0]) / PIXEL_M).astype(int)
-    row = np.floor((at[:, 1] - extent[2]) / PIXEL_M).astype(int)
+    shape = round((extent[3] - extent[2]) / pixel_m), round((extent[1] - extent[0]) / pixel_m)
+    column = np.floor((at[:, 0] - extent[0]) / pixel_m).astype(int)
+    row = np.floor((at[:, 1] - extent[2]) / pixel_m).astype(int)
     inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
     pixel = row[inside] * shape[1] + column[inside]
     count = np.bincount(pixel, minlength=shape[0] * shape[1])
@@ -154,7 +158,7 @@ def _plan(
 ) -> object:
     """Points from above, the denser the darker."""
     extent = (-half[0], half[0], -half[1], half[1])
-    mean, count = _raster(survey.xyz[:, :2], values, extent)
+    mean, count = _raster(survey.xyz[:, :2], values, extent, PLAN_M)
     strength = np.clip(np.log1p(count) / np.log1p(np.percentile(count[count > 0], 90)), 0, 1)
     axis.set_facecolor("white")
     axis.plot(*survey.rig_m, "+", color="crimson", markersize=11)
@@ -178,20 +182,23 @@ def _front(
     at: np.ndarray,
     values: np.ndarray,
     extent: tuple[float, float, float, float],
-    colours: str | None,
-    limits: tuple[float, float] | None,
+    shades: tuple[str, float, float] | None,
+    gap_m: float,
 ) -> object:
     """Points from the front; a pixel has the mean of its points."""
-    mean, count = _raster(at, values, extent)
+    mean, count = _raster(at, values, extent, FRONT_M)
+    # Gaps between profiles take the nearest points.
+    distance, nearest = distance_transform_edt(count == 0, return_indices=True)
+    mean, count = mean[tuple(nearest)], (distance <= 1 + gap_m / 2 / FRONT_M).astype(int)
     axis.set_facecolor("0.93")
     axis.set_aspect("equal")
-    if colours is None:
+    if shades is None:
         picture = np.dstack([_brightened(mean), np.where(count > 0, 1.0, 0.0)])
         picture[count == 0] = 0
         return axis.imshow(picture, extent=extent, origin="lower")
-    assert limits is not None
+    colours, low, high = shades
     image = np.where(count > 0, mean[..., 0], np.nan)
-    return axis.imshow(image, extent=extent, origin="lower", cmap=colours, vmin=limits[0], vmax=limits[1])
+    return axis.imshow(image, extent=extent, origin="lower", cmap=colours, vmin=low, vmax=high)
 
 
 def _brightened(mean: np.ndarray) -> np.ndarray:

@@ -83,7 +83,8 @@ def softened(image: np.ndarray, blur: Blur) -> np.ndarray:
                 continue
             place = blur.place[part]
             total: np.ndarray = np.zeros((*image.shape[:-2], *place.shape), np.float32)
-            for k in range(math.floor(place.min()), math.ceil(place.max()) + 1):
+            # Rounding may put a place a little beyond the last width.
+            for k in range(math.floor(place.min()), min(math.ceil(place.max()), len(blur.widths) - 1) + 1):
                 share = np.maximum(1 - np.abs(place - np.float32(k)), 0)
                 total += blurred_part(image, blur.widths[k], *part) * share
             out[..., *part] = total

@@ -86,8 +86,8 @@ def _splat(
     places = (((rows - top) * width + columns - left)[:, None] + np.arange(len(weights_u))).ravel()
     image = np.zeros((height + 2 * reach_v, width), np.float32)
     for part, shares in zip(spread, weights_v.T, strict=True):
-        plane = np.bincount(places, weights=part.ravel(), minlength=height * width)
-        plane = plane.astype(np.float32).reshape(height, width)
+        sums = np.bincount(places, weights=part.ravel(), minlength=height * width)
+        plane = sums.astype(np.float32).reshape(height, width)
         for start in range(0, height, _ROWS):
             some = plane[start : start + _ROWS]
             for m, share in enumerate(shares):
@@ -151,15 +151,9 @@ def blur(image: np.ndarray, psf_px: float) -> np.ndarray:
 def blurred_part(image: np.ndarray, psf_px: float, rows: slice, columns: slice) -> np.ndarray:
     """Some pixels of `blur`; slices have starts and stops."""
     reach = _passes(psf_px)[0]
-    whole = []
-    for part, size in ((rows, image.shape[-2]), (columns, image.shape[-1])):
-        whole.append(slice(max(part.start - reach, 0), min(part.stop + reach, size)))
-    done = blur(image[..., *whole], psf_px)
-    inner = (
-        slice(part.start - more.start, part.stop - more.start)
-        for part, more in zip((rows, columns), whole, strict=True)
-    )
-    return done[..., *inner]
+    top, left = max(rows.start - reach, 0), max(columns.start - reach, 0)
+    done = blur(image[..., top : rows.stop + reach, left : columns.stop + reach], psf_px)
+    return done[..., rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
 
 
 def _passes(psf_px: float) -> tuple[int, np.float32]:

@@ -39,7 +39,7 @@ def light_on(shot: LitScene, plane: Plane, rays: Rays, fan: FanView) -> np.ndarr
     thick = f(band(sheet) * (1 + sheet.spec.widening)) * sheet.thickness(r)
     at = np.flatnonzero(np.abs(out) < thick + f(sheet.bulge) * depth)
     ahead, aside, out, r, depth = (part.ravel()[at] for part in (ahead, aside, out, r, depth))
-    some = Rays(*(None if part is None else part.ravel()[at] for part in rays))
+    some = rays.ravel().at(at)
     beside = out if sheet.spec.bow == (0.0, 0.0) else depth * sheet.slope_at(*some.whole()) - f(sheet.distance)
     angle = np.arctan2(aside, ahead)
     thickness = sheet.thickness(r) * widened(sheet, angle)

@@ -21,6 +21,10 @@ class Rays(NamedTuple):
         """Some of them."""
         return Rays(self.x[index], self.y[index], None if self.z is None else self.z[index])
 
+    def ravel(self) -> "Rays":
+        """All in one row."""
+        return Rays(self.x.ravel(), self.y.ravel(), None if self.z is None else self.z.ravel())
+
     def whole(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | float]:
         """x, y, z; the number 1 where all z are."""
         return self.x, self.y, 1.0 if self.z is None else self.z
@@ -134,9 +138,9 @@ class Plane(NamedTuple):
         _, origin, *axes = self.surface
         if abs(axes[0] @ axes[1]) < 1e-9 and all(abs(axis @ self.normal) < 1e-9 for axis in axes):
             foot = scene.lamp - origin
-            r2: np.ndarray = f(height**2)
-            for at, axis in zip(place, axes, strict=True):
-                r2 = r2 + np.square(at - f(foot @ axis))
+            r2: np.ndarray = np.square(place[0] - f(foot @ axes[0]))
+            r2 += np.square(place[1] - f(foot @ axes[1]))
+            r2 += f(height**2)
         else:
             r2 = np.sum([np.square(part) for part in self._from_lamp(rays, depth)], axis=0)
         light = r2 + f(0.6 * scene.reach**2)

@@ -100,4 +100,6 @@ def _histogram(axes: Any, name: str, clouds: list[Any]) -> None:
     spread = np.median([one.distances.std(ddof=1) for one in clouds])
     axes.set(xlabel="distance [mm]", ylabel="density [1/mm]", xlim=(297, 303))
     axes.set_title(f"{name}: {every.mean():.2f} ± {spread:.2f} mm\n({len(clouds)} calibrations)", fontsize=11)
+    # Room for the legend.
+    axes.set_ylim(0, 1.45 * axes.get_ylim()[1])
     axes.legend(fontsize=8)
