@@ -1,4 +1,4 @@
-"""The tables and figures of the paper, and what goes beyond it.
+"""The tables and figures of the paper, and experiments beyond it.
 
     python -m experiments.paper [NAME …] [--world kind|unkind] [--quick] [--out FOLDER] [--save-baseline]
 
@@ -29,7 +29,7 @@ from experiments.paper.worlds import WORLDS, world
 
 
 def run_one(stage: Stage, name: str) -> dict[str, Any]:
-    """An experiment, printed: its figures, and seconds."""
+    """Run an experiment, print its figures, and return them with its run time."""
     started = time.perf_counter()
     metrics: list[Metric] = importlib.import_module(f"experiments.paper.{EXPERIMENTS[name]}").run(stage)
     seconds = time.perf_counter() - started
@@ -68,7 +68,7 @@ def run_world(name: str, chosen: list[str], options: argparse.Namespace) -> int:
         try:
             done[each] = run_one(stage, each)
         except Exception:
-            # The others are worth their hour all the same.
+            # The other experiments still run.
             traceback.print_exc()
             failed = True
             continue

@@ -1,4 +1,4 @@
-"""The table of contents: every experiment, and where its figures are written."""
+"""The table of contents: every experiment and its module, and the files of its figures."""
 
 from pathlib import Path
 

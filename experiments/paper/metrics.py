@@ -1,4 +1,4 @@
-"""Figures of an experiment: what they are called, which way is better, and how far they may move from the baseline."""
+"""Figures of an experiment: names, units, directions, limits, and tolerances against the baseline."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 
 
 Direction = Literal["less", "more", "near", "none"]
-"""Which way is better; "near": it is to stay where it is; "none": it only describes."""
+"""Better are smaller ("less") or larger ("more") values; "near": no change is wanted; "none": it only describes."""
 BASELINE = Path(__file__).with_name("baseline.json")
 
 
@@ -23,15 +23,15 @@ class Metric(NamedTuple):
     tolerance: float = 0.0
     """How much worse than the baseline it may be, in its unit."""
     paper: float | None = None
-    """What the paper reports."""
+    """The paper's figure."""
     low: float | None = None
     high: float | None = None
-    """What it must reach: at least `low`, at most `high`."""
+    """Limits: at least `low`, at most `high`."""
     label: str = ""
-    """What it is, in the words of the table of results."""
+    """Its line in the table of results: the method, then the quantity."""
 
     def met(self) -> bool:
-        """Whether it is where it must be; a figure without limits is, if it is finite."""
+        """Whether it is finite and within its limits, if it has any."""
         if not np.isfinite(self.value):
             return False
         return (self.low is None or self.value >= self.low) and (self.high is None or self.value <= self.high)
@@ -43,7 +43,7 @@ class Metric(NamedTuple):
         return f"≤ {self.high:g}" if self.high is not None else f"≥ {self.low:g}" if self.low is not None else ""
 
     def worse_than(self, baseline: float) -> bool:
-        """Whether it is farther from the baseline, in the wrong direction, than its tolerance."""
+        """Whether it is worse than the baseline by more than its tolerance."""
         change = self.value - baseline
         if not np.isfinite(change):
             return True
@@ -51,10 +51,16 @@ class Metric(NamedTuple):
         return bool(worse > self.tolerance)
 
 
+def rms(values: np.ndarray) -> float:
+    """Root mean square of all values, in their unit; NaN if there is none."""
+    values = np.asarray(values)
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else np.nan
+
+
 def line(metric: Metric) -> str:
     """A figure as it is printed."""
-    way = {"less": "less is better", "more": "more is better", "near": "to stay", "none": ""}[metric.direction]
-    notes = [way, f"within {metric.tolerance:.2g}" if metric.tolerance else ""]
+    words = {"less": "less is better", "more": "more is better", "near": "no change wanted", "none": ""}
+    notes = [words[metric.direction], f"within {metric.tolerance:.2g}" if metric.tolerance else ""]
     notes += [f"paper {metric.paper:g}" if metric.paper is not None else "", metric.wanted()]
     notes += ["" if metric.met() else "MISSED"]
     return f"{metric.key:>44} {metric.value:12.4f} {metric.unit:<10} " + ", ".join(note for note in notes if note)

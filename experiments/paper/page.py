@@ -23,7 +23,7 @@ BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
 HEAD = """# The paper's tables and figures
 
 `make experiments` writes this page. Every figure comes from rendered images through the whole chain, unless its
-experiment says otherwise; the truth is used in the comparison alone. **Bold**: the figure misses what it must reach.
+experiment says otherwise; the truth is used in the comparison alone. **Bold**: the figure misses its limit.
 """
 
 

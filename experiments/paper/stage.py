@@ -1,4 +1,4 @@
-"""What every experiment is given: a world, a folder for its files, and how much it may take."""
+"""The surroundings of an experiment: its world, its folders, and the number of draws."""
 
 import sys
 import time
@@ -19,14 +19,14 @@ class Stage:
     config: SimulationConfig
     """The paper's rig in that world; small if `quick`."""
     folder: Path
-    """Where products are kept that several experiments use: each is made when it is first asked for."""
+    """Where products are kept that several experiments use; each is made at its first use."""
     pictures: Path
     quick: bool = False
     started: float = field(default_factory=time.perf_counter)
 
     @property
     def draws(self) -> int:
-        """Draws of noise of the paper's protocol."""
+        """Number of draws of noise of the paper's protocol."""
         return 2 if self.quick else 30
 
     def picture(self, name: str) -> Path:

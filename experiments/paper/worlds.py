@@ -1,4 +1,4 @@
-"""The worlds of the experiments: the paper's rig where light is kind to estimators, and where it is not."""
+"""The worlds of the experiments: the paper's rig without and with the effects of `configs/unkind.toml`."""
 
 from pathlib import Path
 
@@ -9,17 +9,27 @@ from jaxscan.simulation import CameraSpec, SimulationConfig
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 WORLDS = {"kind": CONFIGS / "paper.toml", "unkind": CONFIGS / "paper_unkind.toml"}
 _QUICK = 0.25
-"""Size of the quick images, of the full ones."""
+"""Size of the quick images over that of the full ones."""
 
 
 def world(name: str, *, quick: bool = False) -> SimulationConfig:
-    """The configuration of a world; a quick one has small images, of the same field of view."""
+    """The configuration of a world.
+
+    Args:
+        name: "kind" or "unkind".
+        quick: Small images of the same field of view.
+    """
     config = jaxscan.load_simulation(WORLDS[name])
     return smaller(config, _QUICK) if quick else config
 
 
 def smaller(config: SimulationConfig, scale: float) -> SimulationConfig:
-    """The same lens on a sensor of larger pixels; blur and grains of speckle keep their size in pixels."""
+    """The same lens on a sensor of larger pixels; blur and grains of speckle keep their size in pixels.
+
+    Args:
+        config: The rig.
+        scale: New width of the image over the old one.
+    """
     camera = config.camera
     update = {name: getattr(camera, name) * scale for name in ("fx", "fy")}
     cx, cy = ((at + 0.5) * scale - 0.5 for at in camera.centre())
@@ -30,8 +40,8 @@ def smaller(config: SimulationConfig, scale: float) -> SimulationConfig:
 def windowed(config: SimulationConfig, first: int, stop: int) -> SimulationConfig:
     """The same camera, of which only the columns `first` ... `stop` - 1 are read out.
 
-    A camera that reads fewer columns is faster, and so is its simulation. Light and sharpness of a pixel stay what they
-    are in the whole image; its fixed pattern is another one.
+    A camera that reads fewer columns is faster, and so is its simulation. Light and sharpness of a pixel are those of
+    the whole image; its fixed pattern is another one.
     """
     camera, (cx, _) = config.camera, config.camera.centre()
     part = camera.model_copy(update={"width": stop - first, "cx": cx - first})

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from experiments.paper.methods import paper_way
+from experiments.paper.methods import equations, paper_way
 from experiments.paper.methods.board_check import Check
 from experiments.paper.methods.paper_way import BoardCorners, PaperWay
 from experiments.paper.methods.plain_stripes import gravity, highest
@@ -77,27 +77,27 @@ def test_rays_and_boards_undo_the_projection(poses):
     places = np.column_stack([random.uniform(0, 0.4, (50, 2)), np.zeros(50)])
     points = places @ poses[0][:3, :3].T + poses[0][:3, 3]
     uv = project(points)
-    np.testing.assert_allclose(paper_way.rays(MATRIX, K, uv), points / points[:, 2:], atol=1e-12)
-    np.testing.assert_allclose(paper_way.points_on_board(MATRIX, K, poses[0], uv), points, atol=1e-12)
+    np.testing.assert_allclose(equations.rays(MATRIX, K, uv), points / points[:, 2:], atol=1e-12)
+    np.testing.assert_allclose(equations.points_on_board(MATRIX, K, poses[0], uv), points, atol=1e-12)
 
 
 def test_an_exact_plane_comes_back():
     points = points_of_sheet()
-    np.testing.assert_allclose(paper_way.linear_plane(points), PLANE, rtol=1e-10)
-    np.testing.assert_allclose(paper_way.total_plane(points), PLANE, rtol=1e-10)
+    np.testing.assert_allclose(equations.linear_plane(points), PLANE, rtol=1e-10)
+    np.testing.assert_allclose(equations.total_plane(points), PLANE, rtol=1e-10)
 
 
 def test_noise_along_z_moves_only_the_total_fit():
     """Equation (8) minimises the errors along Z, so noise there alone leaves it without bias."""
     points = points_of_sheet(20000)
     points[:, 2] += 0.1 * np.random.default_rng(6).standard_normal(len(points))
-    linear, total = (fit(points)[0] / PLANE[0] - 1 for fit in (paper_way.linear_plane, paper_way.total_plane))
+    linear, total = (fit(points)[0] / PLANE[0] - 1 for fit in (equations.linear_plane, equations.total_plane))
     assert 4 * abs(linear) < abs(total)
 
 
 def test_tr_is_the_motion_between_two_views():
     board, turned = motion((0.2, -0.3, 0.1), (0.1, -0.1, 1.3)), motion((0, 0.0345, 0), (-0.0073, 0, 0.0002))
-    tr = paper_way.pair_motion(board, np.linalg.inv(turned) @ board)
+    tr = equations.pair_motion(board, np.linalg.inv(turned) @ board)
     np.testing.assert_allclose(tr, turned, atol=1e-14)
 
 
@@ -106,13 +106,13 @@ def test_powers_turn_by_multiples_of_the_angle():
     angle = np.deg2rad(1.98)
     tr = motion(angle * axis, (-0.00734, 0.0000031, 0.00021142))
     numbers = np.array([0, 1, 2, 7, 0.5, -1, 360 / 1.98, 1800])
-    found = paper_way.power(tr, numbers)
+    found = equations.power(tr, numbers)
     for n, each in zip(numbers, found, strict=True):
         np.testing.assert_allclose(each[:3, :3], cv2.Rodrigues(n * angle * axis)[0], atol=1e-9)
         if n == int(n):
             np.testing.assert_allclose(each, np.linalg.matrix_power(tr, int(n)), atol=1e-9)
     np.testing.assert_allclose(found[4] @ found[4], tr, atol=1e-14)
-    shifts = paper_way.power(motion((0, 0, 0), (0.0, 0.1, 0.2)), np.array([0.5, 3.0]))[:, :3, 3]
+    shifts = equations.power(motion((0, 0, 0), (0.0, 0.1, 0.2)), np.array([0.5, 3.0]))[:, :3, 3]
     np.testing.assert_allclose(shifts, [[0, 0.05, 0.1], [0, 0.3, 0.6]], atol=1e-15)
 
 
@@ -124,7 +124,7 @@ def test_a_fixed_point_stays_in_the_cloud():
     seen = paper_way.points_on_sheet(way, project(points_of_sheet()))
     np.testing.assert_allclose(seen, points_of_sheet(), atol=1e-11)
     # The camera moves with the table, so in its own frame the point has moved back; a sheet of its own meets it there.
-    for angle, moved in zip(angles, paper_way.power(tr, angles / pair), strict=True):
+    for angle, moved in zip(angles, equations.power(tr, angles / pair), strict=True):
         there = np.linalg.inv(moved) @ np.append(fixed, 1.0)
         own = way._replace(linear=np.array([*PLANE[:2], PLANE[:2] @ there[:2] + there[2]]))
         uv = project(there[None, :3])[0]

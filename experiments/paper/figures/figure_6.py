@@ -91,7 +91,7 @@ def compare(stage: Stage) -> Found:
     for draw, path in zip(draws(stage), boards.captures, strict=False):
         capture = jaxscan.open_capture(path)
         for name, extract in EXTRACTORS.items():
-            way = {"gravity": draw.paper, "highest": draw.highest}[name]
+            way = draw.by(name)
             own, others = paper_own(way), paper_held_out(way, capture, extract)
             found.own[f"paper_way_{name}"] += own
             found.held_out[f"paper_way_{name}"] += others

@@ -91,8 +91,7 @@ def _ours(stage: Stage, seen: Room, scanner: jaxscan.Scanner) -> Size:
 
 
 def _papers(seen: Room, draw: Draw, name: str) -> Size:
-    way = draw.paper if name == "gravity" else draw.highest
-    return size_of(box_of(paper_points(way, seen.plain[name], seen.angles)))
+    return size_of(box_of(paper_points(draw.by(name), seen.plain[name], seen.angles)))
 
 
 def _middle(sizes: list[Size], truth: Size) -> int:

@@ -1,13 +1,14 @@
-"""How well the paper's Tr serves a room, by the angle between the two views that it is made from."""
+"""Errors of a room by the paper's method against the turn between the two views of its Tr."""
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from experiments.paper.figures.room_clouds import Size, box_of, paper_points, size_of
-from experiments.paper.methods.paper_way import BoardCorners, PaperWay, find_board, pair_motion
+from experiments.paper.methods.equations import pair_motion
+from experiments.paper.methods.paper_way import BoardCorners, PaperWay, board_pose, find_board
 from experiments.paper.products.draws import Draw
+from experiments.paper.products.held_out import WORKING_M
 from experiments.paper.products.room import PlainStripes
 from experiments.paper.rendering.boards import PAIR_DEG, BoardPlan, expect_each
 from experiments.paper.stage import Stage
@@ -18,11 +19,9 @@ from jaxscan.simulation.rays import project
 ANGLES_DEG = (PAIR_DEG, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0)
 QUICK_DEG = (PAIR_DEG, 16.0)
 CALIBRATIONS, QUICK_CALIBRATIONS = 4, 1
-"""Of the draws of the paper's way, that take a Tr from another pair."""
+"""Number of calibrations by the paper's method that take their Tr from another pair."""
 DRAWS, QUICK_DRAWS = 3, 2
-"""Of the noise of each pair, for each calibration."""
-WORKING_M = 1.3
-"""Depth of the board where the turn allows it: the paper's working distance."""
+"""Draws of the noise of each pair, for each calibration."""
 _STREAM = 91
 _TILT = rodrigues(np.array([np.cos(0.7), np.sin(0.7), 0.0]), np.deg2rad(30.0))
 _MARGIN = 0.01
@@ -55,11 +54,11 @@ class PairAngle(NamedTuple):
 
 
 def pair_angles(stage: Stage, known: list[Draw], plain: PlainStripes, angles: np.ndarray) -> list[PairAngle]:
-    """The room by the paper's way, with Tr from pairs of larger turns; all else as it was in its draws.
+    """The room by the paper's method, with Tr from pairs of larger turns; camera and plane are those of its draws.
 
     Args:
         stage: The world.
-        known: Calibrations by the paper's way, of which Tr is replaced.
+        known: Calibrations by the paper's method, of which Tr is replaced.
         plain: Stripes of the room.
         angles: Of the table, of each record [rad].
     """
@@ -84,17 +83,21 @@ def pair_angles(stage: Stage, known: list[Draw], plain: PlainStripes, angles: np
 
 
 def with_pair(way: PaperWay, views: list[BoardCorners | None], angle: float) -> PaperWay | None:
-    """The same calibration with Tr from two other views, equation (10), `angle` between them [rad]; None if a board was
-    not found."""
-    lens = np.array([way.k, 0, 0, 0, 0])
+    """The same calibration with Tr from two other views, equation (10).
+
+    Args:
+        way: The calibration.
+        views: The board in both views.
+        angle: The table's turn between them, as commanded [rad].
+
+    Returns:
+        None if a board was not found.
+    """
     poses = []
     for view in views:
         if view is None:
             return None
-        _, turn, shift = cv2.solvePnP(view.places, view.pixels, way.matrix, lens)
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
-        poses.append(pose)
+        poses.append(board_pose(way.matrix, way.k, view))
     return way._replace(tr=pair_motion(*poses), pair_angle=angle)
 
 

@@ -1,4 +1,4 @@
-"""Points of a stripe by the pose of the board that it lies on, against the same points by camera and sheet."""
+"""Stripe points by the pose of their board against the same points by camera and sheet, as in Fig. 6."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -8,12 +8,12 @@ import jax
 import numpy as np
 
 import jaxscan
+from experiments.paper.methods.equations import points_on_board, rigid
 from experiments.paper.methods.paper_way import (
     Extract,
     PaperWay,
     board_pose,
     find_board,
-    points_on_board,
     points_on_sheet,
     stripe_on_board,
 )
@@ -39,23 +39,33 @@ class Check(NamedTuple):
     difference: np.ndarray
     """By sheet minus by board, camera frame [points, 3], m."""
     predicted: np.ndarray
-    """Standard deviation of the difference's Z that the stripe's noise must cause [points], m; NaN where not known."""
+    """Standard deviation of the difference's Z by the stripe's noise alone [points], m; NaN where not known."""
 
     def at_rows_of(self, others: list["Check"]) -> "Check":
-        """The points of rows at which another method has one too."""
+        """The points of rows at which another method has one too.
+
+        Args:
+            others: Of that method; those of other records are ignored.
+        """
         rows = [other.row for other in others if other.record == self.record]
         kept = np.isin(self.row, np.concatenate(rows)) if rows else np.zeros(len(self.row), bool)
         return Check(self.record, self.row[kept], self.difference[kept], self.predicted[kept])
 
 
 def paper_own(way: PaperWay) -> list[Check]:
-    """On the boards that the sheet was fitted to, with the poses of the calibration."""
+    """By the paper's method, on the boards to which its plane was fitted, with the poses of its calibration."""
     pairs = enumerate(zip(way.pose, way.stripe, strict=True))
     return [_paper_check(way, record, pose, uv) for record, (pose, uv) in pairs if len(uv)]
 
 
 def paper_held_out(way: PaperWay, capture: jaxscan.Capture, extract: Extract) -> list[Check]:
-    """On boards that took no part in the calibration."""
+    """By the paper's method, on boards that no calibration has seen.
+
+    Args:
+        way: The calibration.
+        capture: Of the boards, each with its stripe.
+        extract: The stripe finder.
+    """
     board, out = capture.board, []
     for index in range(len(capture.records)):
         on, off = capture.frames(index)
@@ -68,10 +78,10 @@ def paper_held_out(way: PaperWay, capture: jaxscan.Capture, extract: Extract) ->
 
 
 def ours(calibration: jaxscan.Calibration, observations: Observations) -> list[Check]:
-    """Of our stripes; poses are found from corners alone, so that the sheet has no say in them.
+    """By our method. The poses are found from corners alone: the sheet does not influence them.
 
     Args:
-        calibration: The rig, the board's bow, and how noisy the calibration found stripes to be.
+        calibration: The rig, the board's bow, and the noise of stripes that the calibration estimated.
         observations: Corners and stripes.
 
     Raises:
@@ -114,7 +124,7 @@ def along_the_stripe(observations: Observations) -> Observations:
 
 
 def _stripe_noise(quality: Quality, stripes: StripeViews, index: int) -> np.ndarray:
-    """Standard deviation of a stripe's centres [points], px: the extractor's, scaled by what the calibration found."""
+    """Standard deviation of a stripe's centres [points], px: the extractor's times the calibration's factor."""
     promised = np.asarray(stripes.sigma[index])
     rest = quality.stripe_noise_over_sigma or 1.0
     factors = np.array([(quality.stripe_noise_by_contrast or {}).get(name, rest) for name in _CONTRASTS])
@@ -152,11 +162,9 @@ def _pose(places: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """T_cam_board [4, 4] of corners [n, 3] that are seen along rays [n, 3]."""
     seen = rays[:, :2] / rays[:, 2:]
     _, turn, shift = cv2.solvePnP(places, seen, np.eye(3), None, flags=cv2.SOLVEPNP_ITERATIVE)
-    # The bow makes the corners no plane: from the first pose to the best one.
+    # The corners of a bowed board are not in a plane: the first pose is refined.
     turn, shift = cv2.solvePnPRefineLM(places, seen, np.eye(3), None, turn, shift)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
-    return pose
+    return rigid(turn, shift)
 
 
 @jax.jit

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from experiments.paper.methods.equations import points_on_board, principal_axes, rigid
 from experiments.paper.methods.horus_stripes import CALIBRATION, centres
 from experiments.paper.methods.paper_way import find_board
 from jaxscan.files import Capture
@@ -84,14 +85,14 @@ def calibrate(capture: Capture, *, seed: int = 0) -> Horus:
             continue
         on, off = capture.frames(number)
         _, turn, shift = cv2.solvePnP(view.places, view.pixels, matrix, lens)
-        pose[number] = np.eye(4)
-        pose[number, :3, :3], pose[number, :3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
+        pose[number] = rigid(turn, shift)
         if on is not None and off is not None:
             edge = np.column_stack([board.outline(), np.zeros(4)])
             quad = cv2.projectPoints(edge, turn, shift, matrix, lens)[0][:, 0]
             uv = stripe_on_board(on, off, quad)
             lines = [straightened(uv), straightened(_corrected(matrix, lens, uv))]
-            points.append([_on_board(matrix, pose[number], line) for line in lines])
+            # The lens is ideal: its correction is in the pixels, or is not made.
+            points.append([points_on_board(matrix, 0.0, pose[number], line) for line in lines])
     sheets = [
         ransac_plane(np.concatenate([np.zeros((0, 3)), *each]), np.random.default_rng(seed))
         for each in zip(*points, strict=True)
@@ -164,16 +165,14 @@ def ransac_plane(points: np.ndarray, random: np.random.Generator) -> tuple[np.nd
         if count > best:
             best, kept = count, (normal, float(normal @ a))
     near = points[np.abs(points @ kept[0] - kept[1]) < tolerance]
-    centre = near.mean(0)
-    normal = np.linalg.svd(near - centre, full_matrices=False)[2][2]
+    centre, (_, _, normal) = principal_axes(near)
     normal = normal * np.sign(normal @ centre)
     return normal, float(normal @ centre)
 
 
 def fit_circle(points: np.ndarray) -> Circle:
     """Plane through points [n, 3], then the circle in it with the least algebraic error (Kasa 1976)."""
-    middle = points.mean(0)
-    first, second, normal = np.linalg.svd(points - middle, full_matrices=False)[2]
+    middle, (first, second, normal) = principal_axes(points)
     x, y = (points - middle) @ first, (points - middle) @ second
     a, b, c = np.linalg.lstsq(np.column_stack([2 * x, 2 * y, np.ones(len(x))]), x**2 + y**2, rcond=None)[0]
     return Circle(normal, middle + a * first + b * second, float(np.sqrt(c + a * a + b * b)))
@@ -192,7 +191,7 @@ def axis_of(angles: Sequence[float], corner: np.ndarray) -> tuple[np.ndarray, np
     circle = fit_circle(corner)
     order = np.argsort(angles)
     first, last = corner[order[0]] - circle.centre, corner[order[-1]] - circle.centre
-    # Seen from the camera, the room turns the other way.
+    # Seen from the camera, the room turns in the opposite sense.
     return -np.sign(np.cross(first, last) @ circle.normal) * circle.normal, circle.centre
 
 
@@ -244,7 +243,7 @@ def save(calibration: Horus, path: Path) -> None:
 
 
 def load(path: Path) -> Horus:
-    """Read what `save` wrote."""
+    """Read a file of `save`."""
     with np.load(path) as file:
         fields = dict(file)
     return Horus(**fields | {name: float(fields[name]) for name in ("distance", "lens_distance")})
@@ -255,9 +254,3 @@ def _corrected(matrix: np.ndarray, lens: np.ndarray, uv: np.ndarray) -> np.ndarr
     flat = np.ascontiguousarray(np.nan_to_num(uv.reshape(-1, 1, 2)), dtype=np.float64)
     out = cv2.undistortPoints(flat, matrix, lens, P=matrix) if len(flat) else flat
     return np.where(np.isfinite(uv), out.reshape(uv.shape), np.nan)
-
-
-def _on_board(matrix: np.ndarray, pose: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Points [n, 3] of a board, camera frame, at pixels [n, 2], of an ideal lens."""
-    ray = np.column_stack([(uv - matrix[:2, 2]) / matrix[[0, 1], [0, 1]], np.ones(len(uv))])
-    return ray * ((pose[:3, 2] @ pose[:3, 3]) / (ray @ pose[:3, 2]))[:, None]

@@ -10,17 +10,26 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from experiments.paper.methods.equations import (
+    linear_plane,
+    pair_motion,
+    points_on_board,
+    power,
+    rays,
+    rigid,
+    total_plane,
+)
 from jaxscan.files import Capture
 
 
 Extract = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """A stripe finder of `plain_stripes`: frames on and off to columns [rows], and which are valid."""
 STRAY = 10.0
-"""A pixel so far from the straight line through a board's stripe is not of the stripe, as anybody sees [px]."""
+"""Pixels farther than this from the straight line through a board's stripe do not belong to it [px]."""
 
 
 class PaperWay(NamedTuple):
-    """A calibration by the paper's method, and what it was made from. Lengths in metres."""
+    """A calibration by the paper's method, with its poses and stripes. Lengths in metres."""
 
     matrix: np.ndarray
     """A of equation (1), [3, 3]; px."""
@@ -91,6 +100,9 @@ def find_board(image: np.ndarray, grid: tuple[int, int], square: float) -> Board
         image: uint8 [rows, columns].
         grid: Columns and rows of inner corners.
         square: Side of a square [m].
+
+    Returns:
+        None if it is not found.
     """
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, corners = cv2.findChessboardCorners(image, grid, flags=flags)
@@ -135,19 +147,28 @@ def calibrate_camera(found: list[BoardCorners | None], size: tuple[int, int]) ->
     pose = np.full((len(found), 4, 4), np.nan)
     which = [index for index, view in enumerate(found) if view is not None]
     for index, turn, shift in zip(which, turns, shifts, strict=True):
-        pose[index] = np.eye(4)
-        pose[index, :3, :3] = cv2.Rodrigues(turn)[0]
-        pose[index, :3, 3] = shift[:, 0]
+        pose[index] = rigid(turn, shift)
     return matrix, float(lens.ravel()[0]), pose
 
 
 def board_pose(matrix: np.ndarray, k: float, found: BoardCorners) -> np.ndarray:
-    """T_cam_board [4, 4] of a board that took no part in the calibration, by OpenCV's `solvePnP`."""
+    """T_cam_board [4, 4] of a board that took no part in the calibration, by OpenCV's `solvePnP`.
+
+    Args:
+        matrix: A [3, 3], px.
+        k: The radial coefficient.
+        found: Its corners.
+    """
     lens = np.array([k, 0.0, 0.0, 0.0])
     _, turn, shift = cv2.solvePnP(found.places, found.pixels, matrix, lens, flags=cv2.SOLVEPNP_ITERATIVE)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
-    return pose
+    return rigid(turn, shift)
+
+
+def in_window(way: PaperWay, first: int) -> PaperWay:
+    """The same calibration for a camera whose image begins at column `first` of the whole one."""
+    matrix = way.matrix.copy()
+    matrix[0, 2] -= first
+    return way._replace(matrix=matrix)
 
 
 def stripe_on_board(
@@ -158,7 +179,7 @@ def stripe_on_board(
     Args:
         matrix: A.
         k: The radial coefficient.
-        pose: T_cam_board.
+        pose: T_cam_board [4, 4].
         outline: Corners of the printed area in the board's frame [4, 2], m.
         found: The stripe in the whole frame, of `Extract`.
     """
@@ -168,70 +189,6 @@ def stripe_on_board(
     place = ((points - pose[:3, 3]) @ pose[:3, :3])[:, :2]
     uv = uv[((place > outline[0]) & (place < outline[2])).all(1)]
     return uv[_near_line(uv)]
-
-
-def rays(matrix: np.ndarray, k: float, uv: np.ndarray) -> np.ndarray:
-    """Directions (x, y, 1) of pixels [..., 2], equation (3) solved for the undistorted radius by Newton's method."""
-    distorted = np.stack([(uv[..., 0] - matrix[0, 2]) / matrix[0, 0], (uv[..., 1] - matrix[1, 2]) / matrix[1, 1]], -1)
-    wanted = np.linalg.norm(distorted, axis=-1)
-    radius = wanted.copy()
-    for _ in range(8):
-        radius -= (radius * (1 + k * radius**2) - wanted) / (1 + 3 * k * radius**2)
-    out = np.ones((*wanted.shape, 3))
-    out[..., :2] = distorted / (1 + k * radius**2)[..., None]
-    return out
-
-
-def points_on_board(matrix: np.ndarray, k: float, pose: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Points [n, 3] of a board, camera frame [m], at pixels [n, 2]: rays meet the board, equations (5) to (7)."""
-    along, normal = rays(matrix, k, uv), pose[:3, 2]
-    return along * ((normal @ pose[:3, 3]) / (along @ normal))[:, None]
-
-
-def linear_plane(points: np.ndarray) -> np.ndarray:
-    """a, b, c of a X + b Y + Z = c from points [n, 3] by linear least squares, equation (8)."""
-    columns = np.column_stack([points[:, 0], points[:, 1], -np.ones(len(points))])
-    return np.linalg.lstsq(columns, -points[:, 2], rcond=None)[0]
-
-
-def total_plane(points: np.ndarray) -> np.ndarray:
-    """The same with the least sum of squared distances from the plane."""
-    middle = points.mean(0)
-    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
-    return np.array([normal[0], normal[1], normal @ middle]) / normal[2]
-
-
-def pair_motion(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Tr [4, 4] from the poses of one board that is seen from two table positions, equation (10)."""
-    return first @ np.linalg.inv(second)
-
-
-def power(tr: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """Tr^n [n, 4, 4], n any real numbers [n]: equation (11), by the logarithm of the motion.
-
-    Source: exponential of a twist, Murray, Li and Sastry 1994, section 2.3.
-    """
-    turn = cv2.Rodrigues(np.ascontiguousarray(tr[:3, :3]))[0][:, 0]
-    angle = float(np.linalg.norm(turn))
-    axis = turn / angle if angle > 0 else np.array([0.0, 0.0, 1.0])
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-
-    def parts(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rotations by `theta`, and their integrals over the angle, [n, 3, 3]."""
-        s, c, t = (part[:, None, None] for part in (np.sin(theta), np.cos(theta), theta))
-        square = cross @ cross
-        return np.eye(3) + s * cross + (1 - c) * square, t * np.eye(3) + (1 - c) * cross + (t - s) * square
-
-    n = np.asarray(n, np.float64)
-    out = np.zeros((len(n), 4, 4))
-    out[:, 3, 3] = 1
-    if angle == 0:
-        out[:, :3, :3], out[:, :3, 3] = np.eye(3), n[:, None] * tr[:3, 3]
-        return out
-    velocity = np.linalg.solve(parts(np.array([angle]))[1][0], tr[:3, 3])
-    out[:, :3, :3], carried = parts(n * angle)
-    out[:, :3, 3] = carried @ velocity
-    return out
 
 
 def points_on_sheet(way: PaperWay, uv: np.ndarray, plane: np.ndarray | None = None) -> np.ndarray:

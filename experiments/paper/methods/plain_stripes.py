@@ -1,4 +1,4 @@
-"""Two plain ways to find a laser's stripe in a pair of frames; the paper does not say how it found its own."""
+"""Two plain stripe finders: centre of gravity and highest pixel. The paper does not say how it found its stripe."""
 
 import numpy as np
 
@@ -66,3 +66,5 @@ def _strongest(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 EXTRACTORS = {"gravity": gravity, "highest": highest}
 """Both by name."""
+METHODS = {"gravity": "paper's method, centre of gravity", "highest": "paper's method, highest pixel"}
+"""The paper's method with either of them, in the words of tables and pictures."""

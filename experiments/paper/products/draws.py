@@ -8,15 +8,8 @@ import numpy as np
 
 import jaxscan
 from experiments.paper.methods import horus
-from experiments.paper.methods.paper_way import (
-    Extract,
-    PaperWay,
-    calibrate_paper_way,
-    linear_plane,
-    points_on_board,
-    stripe_on_board,
-    total_plane,
-)
+from experiments.paper.methods.equations import linear_plane, points_on_board, total_plane
+from experiments.paper.methods.paper_way import Extract, PaperWay, calibrate_paper_way, stripe_on_board
 from experiments.paper.methods.plain_stripes import gravity, highest
 from experiments.paper.rendering.boards import expect, expect_each, our_plan, paper_plan, write_capture, write_captures
 from experiments.paper.stage import Stage
@@ -26,9 +19,9 @@ from jaxscan.files import Capture
 
 
 SETTINGS = CalibrationSettings(judge=False)
-"""Tests of the models take longer than the solve, and no draw needs them."""
+"""The tests of the models take longer than the solve, and no draw uses them."""
 OUR_SETTINGS = CalibrationSettings(judge=False, free=(*USUALLY_FREE, "bow"))
-"""With sixty views of the stripe the sheet's bow is estimated too: the verdict of a calibration advises it."""
+"""With sixty views of the stripe the sheet's bow is estimated too, as the verdict of a calibration advises."""
 _OURS = 1000
 """First seed of the captures of our protocol."""
 
@@ -43,6 +36,10 @@ class Draw(NamedTuple):
     """Of the same images: the calibration by `jaxscan.calibrate`."""
     highest: PaperWay
     """By the paper's method, stripes by their highest pixel."""
+
+    def by(self, finder: str) -> PaperWay:
+        """By the paper's method with a stripe finder of `EXTRACTORS`."""
+        return {"gravity": self.paper, "highest": self.highest}[finder]
 
 
 def draws(stage: Stage) -> list[Draw]:
@@ -127,7 +124,7 @@ def save_paper_way(way: PaperWay, path: Path) -> None:
 
 
 def load_paper_way(path: Path) -> PaperWay:
-    """Read what `save_paper_way` wrote."""
+    """Read a file of `save_paper_way`."""
     with np.load(path) as file:
         fields = dict(file)
     counts, stripe = fields.pop("counts"), fields.pop("stripe")

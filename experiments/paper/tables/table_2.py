@@ -78,7 +78,7 @@ def run(stage: Stage) -> list[Metric]:
 
 
 def _of_paper(drawn: list[Draw], fit: str, finder: str, seen: dict[float, np.ndarray]) -> Plane:
-    ways = [draw.paper if finder == "gravity" else draw.highest for draw in drawn]
+    ways = [draw.by(finder) for draw in drawn]
     planes = [getattr(way, fit) for way in ways]
 
     def depths(way: PaperWay, q: np.ndarray) -> np.ndarray:
