@@ -1,4 +1,4 @@
-"""Observed errors of calibrations against the covariance that each states."""
+"""Observed errors of calibrations against their stated covariances."""
 
 from typing import NamedTuple
 
@@ -11,14 +11,14 @@ from jaxscan.simulation import SimulationConfig
 
 
 class Honesty(NamedTuple):
-    """How errors compare with what was predicted."""
+    """Errors over their predicted standard deviations."""
 
     names: tuple[str, ...]
     """Parameters that are compared."""
     pooled: float
     """Root mean square of errors about the truth, each over its predicted standard deviation; a bias counts."""
     pooled_error: float
-    """Its standard error from draw to draw; a bias that all draws share is not in it."""
+    """Its standard error from draw to draw, without a bias that all draws share."""
     spread: float
     """The same about the mean of the draws."""
     spread_error: float
@@ -30,8 +30,12 @@ class Honesty(NamedTuple):
 def compare(scanners: list[Scanner], config: SimulationConfig) -> Honesty:
     """Compare calibrations of independent draws.
 
-    Parameters that were held are left out, and those of the table's angle: a few degrees hardly show them, so that
-    their priors speak for them, from which the true rig was not drawn.
+    Held parameters are left out, and those of the table's angle: a few degrees hardly determine them, so their
+    predicted errors are those of their priors, from which the true rig was not drawn.
+
+    Args:
+        scanners: Calibrations with the same free parameters.
+        config: The true rig.
     """
     names = scanners[0].parameter_names()
     turned = [to_true_tangents(scanner, config) for scanner in scanners]
@@ -55,6 +59,6 @@ def compare(scanners: list[Scanner], config: SimulationConfig) -> Honesty:
 
 
 def _root_mean_square(squares: np.ndarray) -> tuple[float, float]:
-    """Of squares [draws, parameters], with its standard error: parameters hang together, draws do not."""
+    """Of squares [draws, parameters], with its standard error; draws are independent, parameters are not."""
     root = float(np.sqrt(squares.mean()))
     return root, float(squares.mean(1).std(ddof=1) / np.sqrt(len(squares)) / (2 * root))

@@ -3,12 +3,9 @@
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib
-
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+
+from experiments.paper.drawing import plt, save
 
 
 class Series(NamedTuple):
@@ -21,10 +18,10 @@ class Series(NamedTuple):
 
 
 def strips(series: list[Series], titles: list[str], headline: str, path: Path, *, columns: int = 4) -> None:
-    """A panel for each number: every draw is a point, its series' mean a bar, its spread a box.
+    """Draw a panel for each number: a point for each draw, a line for the mean, a box for its standard deviation.
 
     Args:
-        series: The same panels of each.
+        series: One for each method; all have the same panels.
         titles: Of the panels, with units.
         headline: Of the picture.
         path: Where it is written.
@@ -58,5 +55,4 @@ def strips(series: list[Series], titles: list[str], headline: str, path: Path, *
     figure.suptitle(headline, fontsize=12)
     figure.legend(handles, names, loc="lower center", ncols=len(series), fontsize=10, markerscale=2)
     figure.tight_layout(rect=(0, 0.05, 1, 0.98), h_pad=2.0)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save(figure, path, 110)

@@ -1,4 +1,4 @@
-"""Numbers of a calibration that both methods have, and lengths that are measured with it."""
+"""Numbers that calibrations of both methods have, and lengths measured with them."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ WALLS_M = (3.82, 6.15)
 
 
 class Quantity(NamedTuple):
-    """A number of Table I, or of what follows from it."""
+    """A number of Table I, or one derived from it."""
 
     key: str
     title: str
@@ -43,7 +43,7 @@ QUANTITIES = (
 
 
 def across_half_a_turn(config: SimulationConfig) -> list[Length]:
-    """From one wall to the opposite one, in the middle of the image: the pixels are those of the true rig.
+    """Lengths from one wall to the opposite one, in the middle of the image, at the pixels of the true rig.
 
     No noise of a sweep takes part, so that an error of the length is the calibration's alone.
     """
@@ -57,7 +57,15 @@ def across_half_a_turn(config: SimulationConfig) -> list[Length]:
 
 
 def of_scanner(scanner: Scanner, lengths: list[Length]) -> np.ndarray:
-    """`QUANTITIES` of a calibration, in their units."""
+    """`QUANTITIES` of a calibration, in their units.
+
+    Args:
+        scanner: The calibration.
+        lengths: Of `across_half_a_turn`.
+
+    Raises:
+        TypeError: If it has no turntable.
+    """
     table = scanner.turntable
     if not isinstance(table, Turntable):
         raise TypeError("A calibration with a turntable is needed.")
@@ -71,7 +79,7 @@ def of_scanner(scanner: Scanner, lengths: list[Length]) -> np.ndarray:
 def of_paper_way(way: PaperWay, lengths: list[Length]) -> np.ndarray:
     """`QUANTITIES` of a calibration by the paper's method, in their units."""
     table = Turntable.from_tr(way.tr)
-    # The axis of a turn, on the image's upper side as everywhere.
+    # The axis points to the upper side of the image, as in all calibrations.
     table = table.pointed(np.array([0.0, -1.0, 0.0]))
     turn = np.rad2deg(np.arccos(np.clip((np.trace(way.tr[:3, :3]) - 1) / 2, -1, 1)))
     matrix = way.matrix

@@ -1,8 +1,8 @@
 """Table I and Tr: the paper's protocol, by its method and by ours on the same images, with 30 draws of noise.
 
-The paper's method takes one step after the other: Zhang's camera with one radial coefficient, the plane by linear least
-squares, Tr from the last two views, the motion at step n as Trⁿ. Ours is one joint solve with an explicit axis. The
-third series is our own protocol with many lit views and wider turns.
+The paper's method is sequential: Zhang's camera with one radial coefficient, the plane by linear least squares, Tr from
+the last two views, the motion at step n as Trⁿ. Ours is one joint solve with an explicit axis. The third series is our
+own protocol with many lit views and wider turns.
 
 A length across 180 degrees is found by carrying two opposite points into one frame. Their pixels come from the true
 rig, without noise: its error is that of the calibration alone.
@@ -11,6 +11,7 @@ rig, without noise: its error is that of the calibration alone.
 import numpy as np
 
 import jaxscan
+from experiments.paper.methods.plain_stripes import METHODS
 from experiments.paper.metrics import Metric
 from experiments.paper.products.draws import draws, our_calibrations
 from experiments.paper.stage import Stage
@@ -29,8 +30,12 @@ from jaxscan.geometry import Scanner
 
 
 _ENOUGH = 10
-"""Draws from which a spread can be judged: of fewer, its standard error alone is over 20 %."""
-NAMES = {"paper_way": "the paper's method", "ours": "jaxscan"}
+"""Fewest draws for a limit: with fewer, the standard error of a spread is over 20 %."""
+NAMES = {
+    "paper_way": METHODS["gravity"],
+    "ours": "ours, the paper's views",
+    "our_protocol": "ours, own protocol",
+}
 
 
 def run(stage: Stage) -> list[Metric]:
@@ -48,44 +53,56 @@ def run(stage: Stage) -> list[Metric]:
     honesty = compare(scanners, stage.config)
     labels = [f"{one.title} [{one.unit}]" if one.unit != "1" else one.title for one in QUANTITIES]
     series = [
-        Series("the paper's method", found["paper_way"] - true, "tab:red"),
-        Series("jaxscan, same images", found["ours"] - true, "tab:blue"),
-        Series("jaxscan, own protocol", found["our_protocol"] - true, "tab:green"),
+        Series(NAMES[key], found[key] - true, colour)
+        for key, colour in zip(NAMES, ("tab:red", "tab:blue", "tab:green"), strict=True)
     ]
-    title = f"Table I, {stage.world} world: error of each of {len(drawn)} draws of noise (bar: mean; box: ± spread)"
+    title = (
+        f"Table I, {stage.world} world: errors in {len(drawn)} draws of noise (line: mean; box: ± standard deviation)"
+    )
     strips(series, labels, title, stage.picture("table_1"))
     return [
-        *(metric for way in NAMES for metric in _spreads(way, found[way], true, full=not stage.quick)),
-        *_predicted("ours", "jaxscan, same images", scanners, lengths),
-        *_predicted("our_protocol", "jaxscan, own protocol", protocol, lengths),
+        *(metric for way in ("paper_way", "ours") for metric in _spreads(way, found[way], true, full=not stage.quick)),
+        *_predicted("ours", scanners, lengths),
+        *_predicted("our_protocol", protocol, lengths),
         *_protocol_errors(found["our_protocol"], true),
         *_honesty(honesty, len(drawn)),
     ]
 
 
 def _spreads(way: str, found: np.ndarray, true: np.ndarray, *, full: bool) -> list[Metric]:
-    """Mean (where the paper has a value), bias and spread of each quantity."""
+    """Mean (if `full`, where the paper has a value), bias and standard deviation of each quantity."""
     count, metrics = len(found), []
     for quantity, values, truth in zip(QUANTITIES, found.T, true, strict=True):
         spread = float(values.std(ddof=1))
         of_mean, of_spread = 3 * spread / np.sqrt(count), 3 * spread / np.sqrt(2 * count - 2)
-        label, near = f"{quantity.title}, {NAMES[way]}", "near" if way == "ours" else "none"
+        label, near = f"{NAMES[way]}: {quantity.title}", "near" if way == "ours" else "none"
         key = f"{way}_{quantity.key}"
         if full and quantity.paper is not None:
             mean = Metric(f"{key}_mean", float(values.mean()), quantity.unit, near, of_mean, quantity.paper)
-            metrics.append(mean._replace(label=f"{label}: mean"))
+            metrics.append(mean._replace(label=f"{label}, mean of {count} draws"))
         bias, less = float(values.mean() - truth), "less" if way == "ours" else "none"
-        metrics.append(Metric(f"{key}_bias", bias, quantity.unit, near, of_mean, label=f"{label}: bias"))
-        metrics.append(Metric(f"{key}_spread", spread, quantity.unit, less, of_spread, label=f"{label}: spread"))
+        metrics.append(
+            Metric(f"{key}_bias", bias, quantity.unit, near, of_mean, label=f"{label}, bias (mean minus truth)")
+        )
+        metrics.append(
+            Metric(
+                f"{key}_spread",
+                spread,
+                quantity.unit,
+                less,
+                of_spread,
+                label=f"{label}, standard deviation of the draws",
+            )
+        )
     return metrics
 
 
-def _predicted(key: str, title: str, scanners: list[Scanner], lengths: list[Length]) -> list[Metric]:
-    """What the covariance says of the lengths."""
+def _predicted(key: str, scanners: list[Scanner], lengths: list[Length]) -> list[Metric]:
+    """Standard deviations of the lengths, predicted by the covariance."""
     sigma = 1000 * np.sqrt(np.mean([length_sigma(scanner, lengths) ** 2 for scanner in scanners], axis=0))
     return [
         Metric(f"{key}_{one.key}_predicted", float(value), "mm", "less", 0.1 * float(value),
-               label=f"{one.title}, {title}: predicted standard deviation")
+               label=f"{NAMES[key]}: {one.title}, predicted standard deviation")
         for one, value in zip(_lengths(), sigma, strict=True)
     ]  # fmt: skip
 
@@ -95,25 +112,26 @@ def _protocol_errors(found: np.ndarray, true: np.ndarray) -> list[Metric]:
     rms = np.sqrt(np.mean((found - true) ** 2, axis=0))
     return [
         Metric(f"our_protocol_{one.key}_rms", float(value), one.unit, "less", 2 * float(value),
-               label=f"{one.title}, jaxscan, own protocol: root mean square error of {len(found)}")
+               label=f"{NAMES['our_protocol']}: {one.title}, rms error, {len(found)} calibrations")
         for one, value in zip(QUANTITIES, rms, strict=True)
     ]  # fmt: skip
 
 
 def _honesty(honesty: Honesty, count: int) -> list[Metric]:
-    """Observed errors over predicted ones. Unknowns that only priors hold are the same in every draw.
+    """Observed errors over predicted ones.
 
-    They do not spread although the covariance has them, so the spread alone may well be below 1.
+    The covariance includes unknowns that only their priors determine; they are the same in all draws. So the ratio of
+    the spread alone may be below 1.
     """
     limits = (0.8, 1.2) if count >= _ENOUGH else (None, None)
-    what = f"{len(honesty.names)} parameters of jaxscan, {count} draws"
+    name, of = NAMES["ours"], f"{len(honesty.names)} parameters, {count} draws"
     return [
         Metric("ours_error_over_predicted", honesty.pooled, "1", "near", 3 * honesty.pooled_error, None, *limits,
-               f"error over predicted standard deviation, {what}, ± {honesty.pooled_error:.2g}"),
+               f"{name}: rms error over predicted standard deviation, {of}, ± {honesty.pooled_error:.2g}"),
         Metric("ours_spread_over_predicted", honesty.spread, "1", "near", 3 * honesty.spread_error,
-               label=f"spread over predicted standard deviation, {what}, ± {honesty.spread_error:.2g}"),
+               label=f"{name}: observed over predicted standard deviation, {of}, ± {honesty.spread_error:.2g}"),
         Metric("ours_squared_error_over_predicted", honesty.squared, "1", "near", 3 * honesty.squared_error,
-               label=f"normalised squared error per parameter, {what}, ± {honesty.squared_error:.2g}"),
+               label=f"{name}: squared error normalised by the covariance, {of}, ± {honesty.squared_error:.2g}"),
     ]  # fmt: skip
 
 

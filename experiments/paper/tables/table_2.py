@@ -1,23 +1,20 @@
 """Table II: the laser's plane, by linear least squares as in (8), by total least squares, and from the joint solve.
 
-All are from the same images, in 30 draws of noise. The first two take the paper's camera and board poses as exact, and
-stripes that a plain finder found: by their centre of gravity, and by their highest pixel. Depth errors are those at the
-pixels where the true rig sees its stripe at that depth, over all rows, so that camera and plane count together.
+All are from the same images, in 30 draws of noise. The first two take the paper's camera and board poses as exact;
+their stripes are centres of gravity, or highest pixels. Depth errors are taken at the pixels where the true rig sees its
+stripe at that depth, over all rows: they are errors of camera and plane together.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
-import matplotlib
-
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxscan
+from experiments.paper.drawing import plt, save
 from experiments.paper.methods.paper_way import PaperWay, points_on_sheet
-from experiments.paper.metrics import Metric
+from experiments.paper.methods.plain_stripes import METHODS
+from experiments.paper.metrics import Metric, rms
 from experiments.paper.products.draws import Draw, draws, our_calibrations
 from experiments.paper.stage import Stage
 from jaxscan.calibration.verdict import depth_sigma, stripe_depths, stripe_pixels
@@ -34,7 +31,7 @@ _CURVE_M = np.array([0.8, 1.0, 1.3, 1.6, 2.0, 2.5, 3.0])
 
 
 class Plane(NamedTuple):
-    """A way to the plane, in all draws."""
+    """The plane by one method, in all draws."""
 
     key: str
     title: str
@@ -56,10 +53,10 @@ def run(stage: Stage) -> list[Metric]:
         _of_paper(drawn, "total", "gravity", seen),
         _of_paper(drawn, "linear", "highest", seen),
         _of_paper(drawn, "total", "highest", seen),
-        _of_scanners("ours", "jaxscan, joint solve", scanners, seen),
+        _of_scanners("ours", "ours, the paper's views", scanners, seen),
     ]
     protocol = [jaxscan.load_scanner(path) for path in our_calibrations(stage)]
-    own = _of_scanners("our_protocol", "jaxscan, own protocol", protocol, seen)
+    own = _of_scanners("our_protocol", "ours, own protocol", protocol, seen)
     depths = list(seen)
     _picture(stage, [*every, own], depths)
     laser = stage.config.laser[0]
@@ -70,7 +67,7 @@ def run(stage: Stage) -> list[Metric]:
         metrics += [metric for plane in every for metric in _depth(plane, depth, plane.depth[at])]
         metrics += _depth(own, depth, own.depth[at])[:1]
         sigma = float(np.sqrt(np.mean([depth_sigma(one, 0, seen[depth]) ** 2 for one in scanners])))
-        name = f"depth at {depth:g} m, {every[-1].title}: predicted standard deviation"
+        name = f"{every[-1].title}: depth at {depth:g} m, predicted standard deviation"
         metrics.append(
             Metric(f"ours_depth_{_mm(depth)}_predicted", 1000 * sigma, "mm", "less", 100 * sigma, label=name)
         )
@@ -85,9 +82,8 @@ def _of_paper(drawn: list[Draw], fit: str, finder: str, seen: dict[float, np.nda
         return points_on_sheet(way, q, getattr(way, fit))[..., 2]
 
     fits = {"linear": "linear least squares", "total": "total least squares"}
-    finders = {"gravity": "centre of gravity", "highest": "highest pixel"}
     key = f"paper_way_{fit}" if finder == "gravity" else f"paper_way_{fit}_highest"
-    title = f"{fits[fit]}, {finders[finder]}"
+    title = f"{METHODS[finder]}, {fits[fit]}"
     return Plane(key, title, np.array(planes) * [1, 1, 1000], _errors(ways, depths, seen))
 
 
@@ -105,46 +101,51 @@ def _errors(found: list, depths: Callable, seen: dict[float, np.ndarray]) -> lis
 
 
 def _coefficients(plane: Plane, truth: np.ndarray) -> list[Metric]:
-    """Mean (beside the paper's one calibration), bias and spread of a, b, c."""
+    """Mean (beside the value of the paper's one calibration), bias and standard deviation of a, b, c."""
     metrics, ours = [], plane.key == "ours"
+    less = "less" if ours else "none"
     for index, (name, unit) in enumerate(COEFFICIENTS):
         values = plane.abc[:, index]
         spread = float(values.std(ddof=1))
         of_mean, of_spread = 3 * spread / np.sqrt(len(values)), 3 * spread / np.sqrt(2 * len(values) - 2)
-        key, label, near = f"{plane.key}_{name}", f"{name}, {plane.title}", "near" if ours else "none"
+        key, label, near = (
+            f"{plane.key}_{name}",
+            f"{plane.title}: {name} of the laser's plane",
+            "near" if ours else "none",
+        )
         metrics += [
-            Metric(f"{key}_mean", float(values.mean()), unit, near, of_mean, PAPER[index], label=f"{label}: mean"),
-            Metric(f"{key}_bias", float(values.mean() - truth[index]), unit, near, of_mean, label=f"{label}: bias"),
-            Metric(f"{key}_spread", spread, unit, "less" if ours else "none", of_spread, label=f"{label}: spread"),
+            Metric(f"{key}_mean", float(values.mean()), unit, near, of_mean, PAPER[index], label=f"{label}, mean"),
+            Metric(f"{key}_bias", float(values.mean() - truth[index]), unit, near, of_mean, label=f"{label}, bias"),
+            Metric(f"{key}_spread", spread, unit, less, of_spread, label=f"{label}, standard deviation"),
         ]
     return metrics
 
 
 def _depth(plane: Plane, depth: float, errors: np.ndarray) -> list[Metric]:
-    """Root mean square, bias and spread of the depth error over draws and rows."""
+    """Root mean square, bias and standard deviation of the depth error over draws and rows."""
     less, near = ("none", "none") if plane.key.startswith("paper") else ("less", "near")
-    rms, bias = _rms(errors), float(errors.mean())
-    # Rows of a draw hang together: a draw counts once.
+    whole, bias = rms(errors), float(errors.mean())
+    # Rows of a draw are not independent: a draw counts once.
     square = np.mean(errors**2, axis=1)
-    of_rms = 3 * _deviation(square) / np.sqrt(len(errors)) / (2 * rms)
+    of_rms = 3 * _deviation(square) / np.sqrt(len(errors)) / (2 * whole)
     of_bias = 3 * _deviation(errors.mean(1)) / np.sqrt(len(errors))
-    spread = _rms(errors - errors.mean(0)) * np.sqrt(len(errors) / max(len(errors) - 1, 1))
-    key, label = f"{plane.key}_depth_{_mm(depth)}", f"depth at {depth:g} m, {plane.title}"
+    spread = rms(errors - errors.mean(0)) * np.sqrt(len(errors) / max(len(errors) - 1, 1))
+    key, label = f"{plane.key}_depth_{_mm(depth)}", f"{plane.title}: depth at {depth:g} m"
     if len(errors) < 10:
-        of_rms = max(of_rms, 2 * rms)
+        of_rms = max(of_rms, 2 * whole)
     return [
-        Metric(f"{key}_rms", rms, "mm", less, of_rms, label=f"{label}: root mean square error"),
-        Metric(f"{key}_bias", bias, "mm", near, of_bias, label=f"{label}: bias"),
-        Metric(f"{key}_spread", float(spread), "mm", less, of_rms, label=f"{label}: spread"),
+        Metric(f"{key}_rms", whole, "mm", less, of_rms, label=f"{label}, rms error"),
+        Metric(f"{key}_bias", bias, "mm", near, of_bias, label=f"{label}, bias"),
+        Metric(f"{key}_spread", float(spread), "mm", less, of_rms, label=f"{label}, standard deviation"),
     ]
 
 
 def _joint_over_sequential(every: list[Plane], at: int) -> Metric:
-    """The joint solve against the better of the two fits after the sequence, with the better stripe finder."""
-    rms = {plane.key: _rms(plane.depth[at]) for plane in every}
-    best = min(value for key, value in rms.items() if key.startswith("paper_way"))
-    ratio = rms["ours"] / best
-    label = "depth error at 2.5 m of the joint solve, of the best that the paper's method reaches"
+    """The joint solve over the best of the paper's method: the better fit with the better stripe finder."""
+    error = {plane.key: rms(plane.depth[at]) for plane in every}
+    best = min(value for key, value in error.items() if key.startswith("paper_way"))
+    ratio = error["ours"] / best
+    label = "ours over the best fit of the paper's method, the paper's views: rms depth error at 2.5 m"
     return Metric("joint_over_sequential", ratio, "1", "less", 0.5 * ratio, high=0.75, label=label)
 
 
@@ -164,8 +165,9 @@ def _picture(stage: Stage, planes: list[Plane], depths: list[float]) -> None:
         axis.set_title(f"{name} [{unit}]" if unit != "1" else name)
     axes[3].set_title("depth error of camera and plane [mm]")
     for plane, colour in zip(planes, colours, strict=True):
-        rms = [_rms(errors) for errors in plane.depth]
-        axes[3].plot(depths, rms, "o-", color=colour, label=plane.title, markersize=4)
+        axes[3].plot(
+            depths, [rms(errors) for errors in plane.depth], "o-", color=colour, label=plane.title, markersize=4
+        )
     axes[3].set_xlabel("depth [m]")
     axes[3].set_ylabel("root mean square over draws and rows [mm]")
     axes[3].set_yscale("log")
@@ -175,8 +177,7 @@ def _picture(stage: Stage, planes: list[Plane], depths: list[float]) -> None:
     count = len(planes[0].abc)
     figure.suptitle(f"Table II, {stage.world} world: the laser's plane in {count} draws of noise (dashed: truth)")
     figure.tight_layout(rect=(0, 0.11, 1, 1))
-    figure.savefig(stage.picture("table_2"), dpi=110)
-    plt.close(figure)
+    save(figure, stage.picture("table_2"), 110)
 
 
 def _mm(depth: float) -> str:
@@ -185,7 +186,3 @@ def _mm(depth: float) -> str:
 
 def _deviation(values: np.ndarray) -> float:
     return float(values.std(ddof=1)) if len(values) > 1 else 0.0
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
