@@ -1,35 +1,31 @@
 """Figure 5: the stripe on a board: laser off, laser on, their difference, and centres in enlarged details.
 
-The boards of Fig. 6 that no calibration has seen. The paper does not say how it found the stripe; the two plain ways
-are a centre of gravity and the highest pixel. Ours is drawn as the calibration finds it, which knows the print, and is
-judged too as a sweep finds it, which does not. The true centre, where the middle of the sheet of light meets the board,
-is for comparison alone.
+The boards of Fig. 6 that no calibration has seen. The paper does not say how it found the stripe; the two plain finders
+are a centre of gravity and the highest pixel. Our stripe is that of a calibration, which knows the print, and that of a
+sweep, which does not. The true centre, where the middle of the sheet of light meets the board, serves the comparison
+alone.
 """
 
 from typing import NamedTuple
 
-import matplotlib
 import numpy as np
 
 import jaxscan
+from experiments.paper.drawing import plt, save
 from experiments.paper.methods.paper_way import board_pose, find_board, stripe_on_board
-from experiments.paper.methods.plain_stripes import EXTRACTORS
+from experiments.paper.methods.plain_stripes import EXTRACTORS, METHODS
 from experiments.paper.metrics import Direction, Metric
 from experiments.paper.products.draws import draws
 from experiments.paper.products.held_out import held_out, observe_held_out
 from experiments.paper.stage import Stage
 
 
-matplotlib.use("Agg")
-from matplotlib import pyplot
-
-
 WAYS = {
-    "ours": "ours, as the calibration finds it",
-    "ours_sweep": "ours, as a sweep finds it",
-    "gravity": "centre of gravity",
-    "highest": "highest pixel",
+    "ours": "ours, as in a calibration",
+    "ours_sweep": "ours, as in a sweep",
+    **METHODS,
 }
+"""Stripe finders."""
 _STYLES = {
     "highest": {"marker": "s", "ms": 7, "mfc": "none", "color": "tab:orange"},
     "gravity": {"marker": "x", "ms": 6, "color": "deepskyblue"},
@@ -41,31 +37,33 @@ class SeenStripe(NamedTuple):
     """One board with its stripe."""
 
     on: np.ndarray
+    """Laser-on frame, uint8 [rows, columns]."""
     off: np.ndarray
+    """Laser-off frame."""
     true: np.ndarray
     """The true centre of every row [rows], px; NaN without one."""
     found: dict[str, np.ndarray]
-    """By way: centres of every row on the board, NaN without one."""
+    """By stripe finder: centres of every row on the board [rows], px; NaN without one."""
 
 
 def run(stage: Stage) -> list[Metric]:
-    """Errors of centres [px] by every way, at rows that the plain ways find."""
+    """Errors of centres [px] by every stripe finder, at the rows of the plain finders."""
     boards = look(stage)
     metrics = []
     plain = [np.isfinite(board.found["gravity"]) for board in boards]
     for way, label in WAYS.items():
         error = np.concatenate([(b.found[way] - b.true)[rows] for b, rows in zip(boards, plain, strict=True)])
         direction: Direction = "less" if way.startswith("ours") else "near"
-        # Rows at the edges of squares make up most of the one, and leave the other as it is.
-        rms, middle = float(np.sqrt(np.nanmean(error**2))), float(np.nanmedian(np.abs(error)))
-        words = f"error of stripe centres on white squares, %s, {label}"
+        # Rows at the edges of squares dominate the root mean square and hardly change the median.
+        whole, middle = float(np.sqrt(np.nanmean(error**2))), float(np.nanmedian(np.abs(error)))
+        words = f"{label}: %s error of stripe centres on white squares"
         metrics += [
-            Metric(f"{way}_rms", rms, "px", direction, 0.15 * rms, label=words % "root mean square"),
-            Metric(f"{way}_median", middle, "px", direction, 0.15 * middle, label=words % "median"),
+            Metric(f"{way}_rms", whole, "px", direction, 0.15 * whole, label=words % "rms"),
+            Metric(f"{way}_median", middle, "px", direction, 0.15 * middle, label=words % "median absolute"),
         ]
     for way in ("ours_sweep", "gravity"):
         shares = [np.isfinite(board.found[way][_span(board)]).mean() for board in boards]
-        words = f"rows of the board on which the stripe is found, {WAYS[way]}"
+        words = f"{WAYS[way]}: rows of the board with a stripe centre"
         direction = "more" if way.startswith("ours") else "near"
         metrics.append(Metric(f"{way}_rows", 100 * float(np.mean(shares)), "%", direction, 3, label=words))
     _picture(stage, boards[0], metrics)
@@ -73,7 +71,7 @@ def run(stage: Stage) -> list[Metric]:
 
 
 def look(stage: Stage) -> list[SeenStripe]:
-    """All boards of the first draw, every way."""
+    """All boards of the first draw, by every stripe finder."""
     given, draw = held_out(stage), draws(stage)[0]
     capture, way = jaxscan.open_capture(given.captures[0]), draw.paper
     observed = observe_held_out(draw.ours, given.captures[0])
@@ -109,7 +107,7 @@ def _by_row(uv: np.ndarray, rows: int) -> np.ndarray:
 
 
 def _span(board: SeenStripe) -> slice:
-    """Rows from the first to the last on which anybody finds the stripe on the board."""
+    """Rows from the first to the last on which any finder finds the stripe on the board."""
     rows = np.flatnonzero(np.any([np.isfinite(each) for each in board.found.values()], axis=0))
     return slice(rows[0], rows[-1] + 1)
 
@@ -118,7 +116,7 @@ def _details(board: SeenStripe) -> dict[str, int]:
     """Middle rows of the details: on a white square, across an edge, and on a black one, near the stripe's middle."""
     span = _span(board)
     rows = np.arange(span.start, span.stop)
-    # Nobody finds every row: the rows between are filled in.
+    # No finder finds every row: the rows between are interpolated.
     known = np.isfinite(board.found["ours"][span])
     u = np.interp(rows, rows[known], board.found["ours"][span][known])
     beside = np.stack([board.off[rows, np.rint(u).astype(int) + step] for step in (-1, 0, 1)]).mean(0)
@@ -141,7 +139,7 @@ def _details(board: SeenStripe) -> dict[str, int]:
 
 def _picture(stage: Stage, board: SeenStripe, metrics: list[Metric]) -> None:
     difference = board.on.astype(np.float64) - board.off
-    figure = pyplot.figure(figsize=(15.5, 9.6), layout="constrained")
+    figure = plt.figure(figsize=(15.5, 9.6), layout="constrained")
     axes = figure.subplots(2, 3, height_ratios=(0.78, 1.0))
     bright, ceiling = np.percentile(board.off, 99.9), np.percentile(difference, 99.95)
     images = {
@@ -164,14 +162,14 @@ def _picture(stage: Stage, board: SeenStripe, metrics: list[Metric]) -> None:
     handles, labels = axes[1, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     value = {metric.key: metric.value for metric in metrics}
-    rms = "; ".join(f"{words} {value[f'{way}_rms']:.3f} ({value[f'{way}_median']:.3f})" for way, words in WAYS.items())
+    errors = [f"{words} {value[f'{way}_rms']:.3f} ({value[f'{way}_median']:.3f})" for way, words in WAYS.items()]
+    said = "; ".join(errors[:2]) + "\n" + "; ".join(errors[2:])
     title = f"Figure 5, {stage.world} world: the stripe on a board at 1.3 m"
-    figure.suptitle(f"{title}\nerror on white squares, all boards, rms (median) [px]: {rms}", fontsize=10)
-    figure.savefig(stage.picture("figure_5"), dpi=120)
-    pyplot.close(figure)
+    figure.suptitle(f"{title}\nerrors on white squares of all boards, rms (median absolute) [px]: {said}", fontsize=10)
+    save(figure, stage.picture("figure_5"), 120)
 
 
-def _detail(place: pyplot.Axes, board: SeenStripe, difference: np.ndarray, row: int) -> int:
+def _detail(place: plt.Axes, board: SeenStripe, difference: np.ndarray, row: int) -> int:
     """The difference around a row of the stripe, with all centres; returns the column in its middle."""
     rows = np.arange(max(0, row - 10), min(len(difference), row + 11))
     middle = round(float(np.nanmedian(np.concatenate([board.true[rows], board.found["ours"][rows]]))))

@@ -81,19 +81,10 @@ def _spreads(way: str, found: np.ndarray, true: np.ndarray, *, full: bool) -> li
             mean = Metric(f"{key}_mean", float(values.mean()), quantity.unit, near, of_mean, quantity.paper)
             metrics.append(mean._replace(label=f"{label}, mean of {count} draws"))
         bias, less = float(values.mean() - truth), "less" if way == "ours" else "none"
-        metrics.append(
-            Metric(f"{key}_bias", bias, quantity.unit, near, of_mean, label=f"{label}, bias (mean minus truth)")
-        )
-        metrics.append(
-            Metric(
-                f"{key}_spread",
-                spread,
-                quantity.unit,
-                less,
-                of_spread,
-                label=f"{label}, standard deviation of the draws",
-            )
-        )
+        metrics += [
+            Metric(f"{key}_bias", bias, quantity.unit, near, of_mean, label=f"{label}, bias"),
+            Metric(f"{key}_spread", spread, quantity.unit, less, of_spread, label=f"{label}, standard deviation"),
+        ]
     return metrics
 
 

@@ -1,8 +1,8 @@
 """Table II: the laser's plane, by linear least squares as in (8), by total least squares, and from the joint solve.
 
 All are from the same images, in 30 draws of noise. The first two take the paper's camera and board poses as exact;
-their stripes are centres of gravity, or highest pixels. Depth errors are taken at the pixels where the true rig sees its
-stripe at that depth, over all rows: they are errors of camera and plane together.
+their stripes are centres of gravity, or highest pixels. Depth errors are taken at the pixels where the true rig sees
+its stripe at that depth, over all rows: they are errors of camera and plane together.
 """
 
 from collections.abc import Callable
