@@ -144,7 +144,8 @@ def paper_metrics(name: str, paper: list[Measured]) -> list[Metric]:
     around = {"low": PAPER_STD_MM / CLASS, "high": PAPER_STD_MM * CLASS}
     return [
         Metric(f"{key}_pairs", count, "1", "more", 10, label=f"{what}: pairs of marks, median of the draws"),
-        Metric(f"{key}_mean_error", rms(error), "mm", "none", 0, PAPER_ERROR_MM, PAPER_ERROR_MM / CLASS, PAPER_ERROR_MM * CLASS,
+        Metric(f"{key}_mean_error", rms(error), "mm", "none", 0,
+               PAPER_ERROR_MM, PAPER_ERROR_MM / CLASS, PAPER_ERROR_MM * CLASS,
                f"{what}: mean error of distances, rms of the draws"),
         Metric(f"{key}_std", std, "mm", "none", 0, PAPER_STD_MM, **around, label=f"{what}: {spread}"),
         Metric(f"{key}_picked_std", picked, "mm", "none", 0, PAPER_STD_MM,

@@ -4,16 +4,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
 from scipy.spatial import cKDTree
 
 import jaxscan
+from experiments.paper.drawing import plt, save
 from experiments.paper.figures.marks.wall import stripe_window
 from experiments.paper.figures.objects import splat
 from experiments.paper.figures.objects.still_life import GLOBE_M, GLOBE_RADIUS, VASE_M, objects, studio
 from experiments.paper.methods import paper_way
-from experiments.paper.methods.plain_stripes import gravity
+from experiments.paper.methods.plain_stripes import METHODS, gravity
 from experiments.paper.metrics import Metric
 from experiments.paper.products.draws import draws, our_calibrations
 from experiments.paper.rendering.sweeps import RenderedSweep
@@ -22,10 +22,6 @@ from experiments.paper.worlds import windowed, windowed_scanner
 from jaxscan.simulation import SimulationConfig, make_rig
 from jaxscan.simulation.camera import channels
 from jaxscan.simulation.scene import Scene, load_open3d, make_scene
-
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 
 
 STEP_DEG = {False: 0.1, True: 0.2}
@@ -40,7 +36,7 @@ _SAMPLES = 20_000
 
 
 class Truth(NamedTuple):
-    """What the scanner could see."""
+    """The objects, and the parts of their surfaces that the scanner can see."""
 
     scene: Scene
     config: SimulationConfig
@@ -67,10 +63,8 @@ def run(stage: Stage) -> list[Metric]:
     truth = Truth(scene, config, visible_places(config, scene, angles), REACH_M[stage.quick])
     metrics = judge("ours", np.asarray(cloud.xyz, np.float64)[np.asarray(cloud.valid)], truth)
     metrics += judge_colours(cloud, truth)
-    way = draws(stage)[0].paper
-    matrix = way.matrix.copy()
-    matrix[0, 2] -= first
-    xyz = paper_way.cloud(way._replace(matrix=matrix), *plain, angles)
+    way = paper_way.in_window(draws(stage)[0].paper, first)
+    xyz = paper_way.cloud(way, *plain, angles)
     pose = make_rig(config).pose(0.0)
     metrics += judge("paper_way", pose.apply(xyz[np.isfinite(xyz).all(-1)]), truth)
     draw_objects(stage.picture("figure_8"), f"Fig. 8, {stage.world} world: a vase and a globe", cloud)
@@ -78,9 +72,17 @@ def run(stage: Stage) -> list[Metric]:
 
 
 def visible_places(config: SimulationConfig, scene: Scene, angles: np.ndarray) -> np.ndarray:
-    """Places of the surface that the sheet crosses during the sweep where camera and laser see it [n, 3], m.
+    """Places of the surface that the sheet crosses during the sweep where camera and laser see it.
 
-    Surfaces seen flatter than about 12 degrees, by either, do not count.
+    Surfaces at less than about 12 degrees to either ray do not count.
+
+    Args:
+        config: The rig.
+        scene: The room with the objects.
+        angles: Of the table, of each record [rad].
+
+    Returns:
+        [n, 3], m, scanner frame.
     """
     rig = make_rig(config)
     sheet = rig.sheets[0]
@@ -114,12 +116,21 @@ def judge(key: str, points: np.ndarray, truth: Truth) -> list[Metric]:
     """
     away = _nearest(truth.scene, points)[0] * 1000
     share = float(np.mean(cKDTree(points).query(truth.places)[0] < truth.reach)) * 100
-    what = "ours" if key == "ours" else "the paper's way"
+    what = "ours" if key == "ours" else METHODS["gravity"]
     median, most = (float(np.percentile(away, level)) for level in (50, 95))
     return [
-        Metric(f"{key}_share", share, "%", "more", 2, label=f"visible surface with points, {what}"),
-        Metric(f"{key}_distance", median, "mm", "less", 0.1, label=f"median distance from the surface, {what}"),
-        Metric(f"{key}_distance_95", most, "mm", "less", 0.3, label=f"distance below which 95 % of them are, {what}"),
+        Metric(f"{key}_share", share, "%", "more", 2, label=f"{what}: share of the visible surface with points"),
+        Metric(
+            f"{key}_distance", median, "mm", "less", 0.1, label=f"{what}: distance of points from the surface, median"
+        ),
+        Metric(
+            f"{key}_distance_95",
+            most,
+            "mm",
+            "less",
+            0.3,
+            label=f"{what}: distance of points from the surface, 95th percentile",
+        ),
     ]
 
 
@@ -134,8 +145,8 @@ def judge_colours(cloud: jaxscan.PointCloud, truth: Truth) -> list[Metric]:
     error = np.abs(np.asarray(cloud.rgb, np.float64)[valid] - picture * truth.config.light.white_dn)
     median, most = (float(np.percentile(error, level)) for level in (50, 95))
     return [
-        Metric("ours_colour", median, "DN", "less", 0.3, label="median colour error of points"),
-        Metric("ours_colour_95", most, "DN", "less", 1.5, label="colour error below which 95 % of points are"),
+        Metric("ours_colour", median, "DN", "less", 0.3, label="ours: colour error of points, median"),
+        Metric("ours_colour_95", most, "DN", "less", 1.5, label="ours: colour error of points, 95th percentile"),
     ]
 
 
@@ -158,8 +169,7 @@ def draw_objects(path: Path, title: str, cloud: jaxscan.PointCloud) -> None:
             axis.set_title(f"{'with' if coloured else 'without'} colour, {name}", fontsize=11)
             axis.set_axis_off()
     figure.suptitle(title, fontsize=13)
-    figure.savefig(path)
-    plt.close(figure)
+    save(figure, path, 110)
 
 
 def _spread(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

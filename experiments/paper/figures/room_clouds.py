@@ -1,4 +1,4 @@
-"""Clouds of the room by our calibrations and by the paper's way, and its dimensions in them."""
+"""Clouds of the room by our calibrations and by the paper's method, and its dimensions in them."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from jaxscan.reconstruction import make_plan, smooth_stripes
 
 
 PROFILES, ROWS = 360, 200
-"""Of a thinned cloud, about: planes through so many points are as good, and thirty clouds take no time."""
+"""Of a thinned cloud, about: enough points for planes, and thirty clouds take little time."""
 _UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """From the camera's frame (right, down, ahead) to one whose z is up."""
 _SIGMA_M, _SIGMA_AT_M = 1e-3, 1.3
@@ -118,17 +118,17 @@ def recalibrated(stage: Stage, room: Room, path: str) -> jaxscan.Recalibration:
 
 
 def paper_points(way: PaperWay, plain: PlainStripes, angles: np.ndarray) -> Points:
-    """The room by a calibration of the paper's way, thinned.
+    """The room by a calibration of the paper's method, thinned.
 
     The paper gives no uncertainty of a point; the fit of planes takes one that grows with the square of the distance.
     """
     records, rows = (max(1, count // wanted) for count, wanted in zip(plain.u.shape, (PROFILES, ROWS), strict=True))
-    # Rows are left out by their mark: their number is their place in the image.
+    # Rows are masked, not cut out: their number is their place in the image.
     some = np.zeros(plain.u.shape[1], bool)
     some[::rows] = True
     xyz = cloud(way, plain.u[::records], plain.valid[::records] & some, angles[::records])[:, some] @ _UPRIGHT.T
     far = np.linalg.norm(xyz, axis=-1)
-    # A plain finder takes reflections too; nobody believes points that are farther away than the house is long.
+    # A plain finder takes reflections too: points farther than any wall are left out.
     valid = np.isfinite(far) & (far < 10.0)
     sigma = np.where(valid, _SIGMA_M * (far / _SIGMA_AT_M) ** 2, 0.0)
     lasers = np.zeros(len(xyz), np.uint8)

@@ -1,15 +1,12 @@
-"""Picture of the errors of the room's dimensions, and of the paper's way by the angle of its pair."""
+"""Picture of the errors of the room's dimensions, and of those by the turn between the views of Tr."""
 
 from pathlib import Path
 
 import matplotlib as mpl
-
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
+from experiments.paper.drawing import plt, save
 from experiments.paper.figures.pair_angles import PairAngle
 from experiments.paper.figures.room_clouds import Size
 
@@ -25,8 +22,8 @@ def draw_errors(path: Path, groups: dict[str, list[Size]], pairs: list[PairAngle
 
     Args:
         path: Of the picture.
-        groups: Rooms as measured, by the words for how; NaN where walls were not found.
-        pairs: Of each angle.
+        groups: Measured rooms by method; NaN where walls were not found.
+        pairs: Rooms by the paper's method, for each turn between the views of Tr.
         truth: The room.
         title: Of the picture.
     """
@@ -34,8 +31,7 @@ def draw_errors(path: Path, groups: dict[str, list[Size]], pairs: list[PairAngle
     figure.suptitle(title, fontsize=15)
     _dots(left, groups, truth)
     _against_angle(right, pairs, truth)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save(figure, path, 110)
 
 
 def _dots(axis: Axes, groups: dict[str, list[Size]], truth: Size) -> None:
@@ -58,8 +54,8 @@ def _dots(axis: Axes, groups: dict[str, list[Size]], truth: Size) -> None:
     axis.set_xscale("symlog", linthresh=1.0, linscale=0.8)
     axis.xaxis.set_major_formatter(mpl.ticker.FormatStrFormatter("%g"))
     axis.set_yticks([-place for place in range(len(groups))], list(groups))
-    axis.set_xlabel("measured minus true [mm] (linear between -1 and 1); dashed: what the paper reports")
-    axis.set_title("Errors of the room's dimensions; bars: middle half of the draws")
+    axis.set_xlabel("measured minus true [mm] (linear between -1 and 1); dashed: the paper's errors")
+    axis.set_title("Errors of the room's dimensions; bars: quartiles of the draws")
     axis.grid(axis="x", alpha=0.3)
     axis.legend(loc="lower right")
 
@@ -69,7 +65,13 @@ def _against_angle(axis: Axes, pairs: list[PairAngle], truth: Size) -> None:
     rms, scatter = np.array([[pair.rms(truth), pair.scatter(truth)] for pair in pairs]).transpose(1, 0, 2)
     for side, (colour, name) in enumerate(zip(COLOURS, SIDES, strict=True)):
         axis.plot(angle, rms[:, side], "o-", color=colour, label=f"{name}: rms error")
-        axis.plot(angle, scatter[:, side], "s:", color=colour, label=f"{name}: scatter by the pair's noise alone")
+        axis.plot(
+            angle,
+            scatter[:, side],
+            "s:",
+            color=colour,
+            label=f"{name}: standard deviation by the noise of these two views",
+        )
         axis.axhline(-PAPER_ERRORS[side], color=colour, ls="--", lw=1)
     axis.set_xscale("log")
     axis.set_yscale("log")
@@ -79,6 +81,6 @@ def _against_angle(axis: Axes, pairs: list[PairAngle], truth: Size) -> None:
     axis.set_xticks(angle, [f"{each:g}" for each in angle])
     axis.set_xlabel("turn between the two views that give Tr [°]")
     axis.set_ylabel("error of the room [mm]")
-    axis.set_title("The paper's way by the angle of its pair; dashed: the paper's errors")
+    axis.set_title("The paper's method by the turn between the views of Tr; dashed: the paper's errors")
     axis.grid(alpha=0.3, which="both")
     axis.legend()

@@ -1,23 +1,20 @@
-"""Pictures of the room: plans and elevations as a surveyor draws them, with dimensions as they were measured."""
+"""Pictures of the room: plans and elevations with the measured dimensions."""
 
 from pathlib import Path
 from typing import NamedTuple
 
 import matplotlib as mpl
-
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from scipy.ndimage import distance_transform_edt  # type: ignore[import-untyped]
 
 import jaxscan
+from experiments.paper.drawing import plt, save
 from jaxscan.measurement.room import RoomBox
 
 
 PLAN_M, FRONT_M = 0.01, 0.005
-"""Pixels of plans, whose lines are to be seen, and of elevations [m]."""
+"""Pixels of plans and of elevations [m]."""
 FAR_M = 3.5
 """Distance at which neighbouring profiles of an elevation still touch [m]."""
 MARGIN_M = 0.15
@@ -40,7 +37,13 @@ class Survey(NamedTuple):
 
 
 def survey_of(xyz: np.ndarray, rgb: np.ndarray | None, box: RoomBox) -> Survey:
-    """Turn points [n, 3] of the scanner's frame so that the walls that were measured run along the axes."""
+    """Turn points so that the measured walls run along the axes.
+
+    Args:
+        xyz: [n, 3], m, scanner frame.
+        rgb: Their colours, uint8 [n, 3]; without them all are grey.
+        box: The measured room.
+    """
     width, length = box.width, box.length
     assert width is not None and length is not None
     across = width.direction[:2] / np.linalg.norm(width.direction[:2])
@@ -55,7 +58,15 @@ def survey_of(xyz: np.ndarray, rgb: np.ndarray | None, box: RoomBox) -> Survey:
 
 
 def draw_plans(path: Path, ours: Survey, paper: Survey | None, paper_azimuth: np.ndarray, title: str) -> None:
-    """Top views: ours without colour and with it, and one by the paper's way beside them."""
+    """Draw top views: ours without and with colour, and that of the paper's method.
+
+    Args:
+        path: Of the picture.
+        ours: Our points.
+        paper: Those of the paper's method; None if it found no walls.
+        paper_azimuth: The table's angle of each of them [deg].
+        title: Of the picture.
+    """
     figure, axes = plt.subplots(1, 3, figsize=(17, 9.2), constrained_layout=True)
     figure.suptitle(title, fontsize=15)
     half = ours.width_m / 2 + MARGIN_M, ours.length_m / 2 + MARGIN_M
@@ -70,13 +81,13 @@ def draw_plans(path: Path, ours: Survey, paper: Survey | None, paper_azimuth: np
         _dimensions(axis, ours)
     if paper is None:
         axes[2].axis("off")
-        return _save(figure, path)
+        return save(figure, path, 110)
     wide = max(half[0], paper.width_m / 2 + 0.3), max(half[1], paper.length_m / 2 + 0.3)
     shown = _plan(axes[2], paper, wide, paper_azimuth, "twilight", (0, 360))
-    axes[2].set_title("The paper's way, the draw of median error: by table angle")
+    axes[2].set_title("The paper's method, the draw of median error: by table angle")
     figure.colorbar(shown, ax=axes[2], shrink=0.4, label="angle of the table [°]")
     _dimensions(axes[2], paper)
-    _save(figure, path)
+    save(figure, path, 110)
 
 
 def draw_elevations(path: Path, ours: Survey, steps: int, title: str) -> None:
@@ -106,7 +117,7 @@ def draw_elevations(path: Path, ours: Survey, steps: int, title: str) -> None:
     axes[0, 1].set_title("With colour")
     for axis in axes[-1]:
         axis.set_xlabel("along the wall [m]")
-    _save(figure, path)
+    save(figure, path, 110)
 
 
 def draw_view(path: Path, cloud: jaxscan.PointCloud, rgb: np.ndarray, every: int) -> None:
@@ -123,12 +134,7 @@ def draw_view(path: Path, cloud: jaxscan.PointCloud, rgb: np.ndarray, every: int
         axis.imshow(picture)
         axis.set_title(f"The cloud of the room, {name}")
         axis.axis("off")
-    _save(figure, path)
-
-
-def _save(figure: plt.Figure, path: Path) -> None:
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save(figure, path, 110)
 
 
 def _raster(

@@ -1,7 +1,7 @@
 """Centres of dark round marks in a coloured cloud of a flat wall, from the colours on the cloud's grid.
 
-A person sees a mark's outline and takes its middle. So does this: where each profile crosses the outline is told from
-colour alone; a circle through these points of the cloud, in the plane of the wall, has the mark's centre.
+Each profile's crossings of a mark's outline are found from colour alone. The circle of least squares through these
+points of the cloud, in the plane of the wall, gives the mark's centre.
 """
 
 from typing import NamedTuple
@@ -99,7 +99,13 @@ def find_edges(grey: np.ndarray, valid: np.ndarray) -> Edges:
 
 
 def fit_wall(xyz: np.ndarray, valid: np.ndarray, up: np.ndarray) -> Wall:
-    """The plane through most of a cloud; the origin of `xyz` [..., 3] is on the scanner's side."""
+    """The plane through most of a cloud.
+
+    Args:
+        xyz: [..., 3], m; the origin is on the scanner's side of the wall.
+        valid: Which points exist.
+        up: Roughly upwards [3].
+    """
     points = xyz[valid]
     points = points[:: max(1, len(points) // 50_000)]
     kept = np.ones(len(points), bool)
@@ -114,9 +120,7 @@ def fit_wall(xyz: np.ndarray, valid: np.ndarray, up: np.ndarray) -> Wall:
     return Wall(middle, np.stack([right, np.cross(normal, right), normal]))
 
 
-def find_centres(
-    xyz: np.ndarray, valid: np.ndarray, edges: Edges, wall: Wall, noise: "tuple[np.ndarray, float, float] | None" = None
-) -> Centres:
+def find_centres(xyz: np.ndarray, valid: np.ndarray, edges: Edges, wall: Wall, noise: Noise | None = None) -> Centres:
     """Circles through the outlines.
 
     Args:
@@ -187,7 +191,7 @@ def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float, np.ndarray] | Non
 
 
 def picked_points(xyz: np.ndarray, valid: np.ndarray, wall: Wall, centres: Centres) -> np.ndarray:
-    """The point of the cloud nearest to each centre, as one gets who clicks on a point [marks, 3], wall's axes."""
+    """The point of the cloud nearest to each centre, as by a click [marks, 3], m, axes of the wall; NaN without one."""
     at = (xyz[valid] - wall.middle) @ wall.axes.T
     at = at[np.abs(at[:, 2]) < 0.1]
     order = np.argsort(at[:, 0])
@@ -202,10 +206,15 @@ def picked_points(xyz: np.ndarray, valid: np.ndarray, wall: Wall, centres: Centr
 
 
 def pairs(place: np.ndarray, length: float, room: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of places [n, 3] beside and above each other, about `length` apart.
+    """Horizontal and vertical pairs of places, about `length` apart.
+
+    Args:
+        place: [n, 3], m, axes of the wall.
+        length: Nominal distance [m].
+        room: Largest departure from it, along and across [m].
 
     Returns:
-        Numbers of both [pairs, 2], and whether they lie beside each other [pairs].
+        Numbers of both [pairs, 2], and whether they are horizontal, bool [pairs].
     """
     apart = place[None, :, :2] - place[:, None, :2]
     beside = (np.abs(apart[..., 0] - length) < room) & (np.abs(apart[..., 1]) < room)

@@ -1,4 +1,4 @@
-"""Distances between marks, in our cloud and in that of the paper's way."""
+"""Distances between marks, in our cloud and in that of the paper's method."""
 
 from typing import NamedTuple
 
@@ -15,10 +15,12 @@ LENGTH_MM = 300.0
 
 
 class Plain(NamedTuple):
-    """A sweep as a plain extractor sees it."""
+    """The stripe of a sweep by a plain finder."""
 
     u: np.ndarray
+    """Column [records, rows], px."""
     valid: np.ndarray
+    """bool [records, rows]."""
     grey: np.ndarray
     """The laser-off image at the centres [records, rows], DN."""
 
@@ -30,7 +32,7 @@ class Measured(NamedTuple):
     distances: np.ndarray
     """[pairs], mm."""
     beside: np.ndarray
-    """Which pairs lie beside each other, not above."""
+    """Horizontal pairs, bool [pairs]; the others are vertical."""
     numbers: np.ndarray
     """Both centres of each pair [pairs, 2]."""
     picked: np.ndarray
@@ -50,8 +52,8 @@ def measure_ours(cloud: jaxscan.PointCloud, scanner: jaxscan.Scanner, noise: Noi
     poses = np.asarray(jax.vmap(scanner.pose)(np.asarray(cloud.angle)), np.float64)
     ray, sigma = xyz - poses[:, None, :3, 3], np.asarray(cloud.sigma_random, np.float64)
     far = np.maximum(np.linalg.norm(ray, axis=-1), 1e-9)
-    # The colour of a point that uses its neighbours is that at the centre of its own row, some way along the row: a
-    # change of range is d / (n_x range) as wide there.
+    # A smoothed point has the colour at the centre of its own row, which lies aside of it along the row. A change of
+    # range moves the centre by d / (n_x range) times as much.
     own = sigma if cloud.sigma_row is None else np.asarray(cloud.sigma_row, np.float64)
     sheet = np.asarray(scanner.lasers.distance).ravel()[0] / abs(np.asarray(scanner.lasers.normal).reshape(-1, 3)[0, 0])
     wide = np.sqrt(np.maximum(own**2 - sigma**2, 0)) * sheet / far

@@ -1,17 +1,13 @@
-"""The picture of the marks: the wall as the coloured cloud has it, the centres, and histograms of the distances."""
+"""Picture of the marks: the wall in the coloured cloud, the centres, and histograms of the distances."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
 
 import jaxscan
+from experiments.paper.drawing import plt, save
 from experiments.paper.figures.marks import finder
-
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 
 
 PAPER_MM = (299.84, 0.87)
@@ -70,8 +66,7 @@ def draw_marks(path: Path, title: str, wall: WallPicture, measured: dict[str, li
     for column, (name, clouds) in enumerate(measured.items()):
         _histogram(figure.add_subplot(grid[1, column]), name, clouds)
     figure.suptitle(title, fontsize=13)
-    figure.savefig(path)
-    plt.close(figure)
+    save(figure, path, 110)
 
 
 def _histogram(axes: Any, name: str, clouds: list[Any]) -> None:

@@ -10,9 +10,9 @@ from jaxscan.simulation.scene.textures import Blend
 DISTANCE_M = 2.5
 """From the camera to the wall, when it looks straight at it: the paper's "about 2.5 m"."""
 PITCH_M = 0.15
-"""Of the grid: the second neighbours are the pairs 300 mm apart."""
+"""Pitch of the grid: second neighbours are 300 mm apart."""
 RADIUS_M = 0.025
-"""Of a mark, a dark disc."""
+"""Radius of a mark, a dark disc."""
 EDGE_M = 0.001
 """Width of a print's edge. The renderer looks at the middle of a pixel, about 0.9 mm wide here: a wider edge is not
 cut into steps."""
@@ -28,7 +28,7 @@ def hall(config: SimulationConfig) -> SimulationConfig:
 
 
 def wall_distance(config: SimulationConfig) -> float:
-    """Of the wall from the table's axis [m]."""
+    """Distance of the wall from the table's axis [m]."""
     camera: Motion = make_rig(hall(config)).pose(0.0)
     return DISTANCE_M + float(camera.translation[0])
 
