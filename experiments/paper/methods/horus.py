@@ -1,13 +1,13 @@
-"""The method of the best-known desk scanner, Horus: step after step, each with a fixed recipe.
+"""The sequential method of the best-known desk scanner, Horus.
 
-Written anew from facts about it, nothing is copied. Intrinsics by OpenCV from 15 views at most, rounded to three
-decimals; the stripe's centroid on boards, straightened by a line; the sheet by RANSAC and the smallest singular
-vector; the axis from one corner of one board traced over the turn: a plane, then a circle. Where facts leave a choice,
-it falls in favour of the method: the sheet sees the stripes of all lit views of our protocol, not of one sweep of a
-near board; RANSAC counts the offset of its hypotheses, which the original forgets, and its tolerance of 0.1 mm at desk
-distance grows with the square of the distance, as errors of stripes do; the axis comes from the placement with the
-longest arc. The original does not correct stripe points for the lens; a second sheet, and `lens=True` of `cloud`, are
-with them corrected, as a descendant of it does.
+Written from facts about it; nothing is copied. Intrinsics by OpenCV from 15 views at most, rounded to three decimals;
+the stripe's centroids on boards, moved to a straight line; the sheet by RANSAC and the smallest singular vector; the
+axis from one corner of one board over the turn, by a plane and a circle. Choices that these facts leave open favour the
+method. The sheet is fitted to the stripes of all lit views of our protocol, not to one sweep of a near board. RANSAC
+includes the offset of its hypotheses, which the original omits, and its tolerance of 0.1 mm at desk distance grows with
+the square of the distance, as errors of stripes do. The axis comes from the placement with the longest arc. The
+original does not correct stripe points for the lens. A descendant of it does; so do the second sheet and `lens=True` of
+`cloud`.
 """
 
 from collections.abc import Sequence

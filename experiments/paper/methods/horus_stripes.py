@@ -1,4 +1,4 @@
-"""The stripe finder of the best-known desk scanner, Horus, described anew from facts about it."""
+"""The stripe finder of the best-known desk scanner, Horus, written from facts about it; nothing is copied."""
 
 import cv2
 import numpy as np
@@ -67,5 +67,14 @@ def scan(on: np.ndarray, off: np.ndarray, threshold: int = SCAN) -> tuple[np.nda
 
 
 def tuned(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`scan` with a threshold that a person turns down until the far walls are there."""
+    """`scan` with a threshold low enough for far walls.
+
+    Args:
+        on: Laser-on frames, uint8 [rows, columns] or [records, rows, columns].
+        off: Laser-off frames of the same shape.
+
+    Returns:
+        u: Column, float64 [(records,) rows]; zero where not valid.
+        valid: bool of the same shape.
+    """
     return scan(on, off, TUNED)

@@ -1,8 +1,8 @@
 """Colours of the room's points.
 
-The rig's camera is grey, as pairs of frames in colour would take thrice the time. A camera with the same pixels in
-colour takes laser-off frames every few degrees, and each point has the colour at which the nearest of them shows it:
-the camera is then at most 1 cm from where it was when the stripe lit the point. Colours serve pictures only.
+The rig's camera is grey: pairs of frames in colour would take three times as long. A camera with the same pixels in
+colour takes laser-off frames every few degrees. Each point takes its colour from the nearest of them: between both
+records the camera moves by 1 cm at most. Colours serve pictures only.
 """
 
 import jax
@@ -43,7 +43,7 @@ def room_colours(stage: Stage, seen: Room, xyz: np.ndarray, scanner: jaxscan.Sca
 def _look(stage: Stage, seen: Room, xyz: np.ndarray, scanner: jaxscan.Scanner) -> np.ndarray:
     step = np.deg2rad(QUICK_DEG if stage.quick else STEP_DEG)
     sensor = stage.config.sensor.model_copy(update={"pixel_format": "rgb8"})
-    # The stripe's own columns, and those that it wanders to until the next frame.
+    # The stripe's own columns, and those in which its points are seen until the next frame.
     wider = int(0.65 * step * stage.config.camera.fx)
     first, stop = max(seen.window[0] - wider, 0), min(seen.window[1] + wider, stage.config.camera.width)
     config = windowed(stage.config.model_copy(update={"sensor": sensor}), first, stop)

@@ -1,4 +1,4 @@
-"""Boards at the paper's working distance that no calibration has seen, in several draws of noise."""
+"""Boards that no calibration has seen, at the paper's working distance, in several draws of noise."""
 
 import shutil
 from functools import lru_cache
@@ -17,7 +17,7 @@ from jaxscan.simulation.rays import project
 
 
 WORKING_M = 1.3
-"""Where the paper's stripe crosses the middle of the image; see `figure_6`."""
+"""Depth at which the paper's stripe crosses the middle of the image; see `figure_6`."""
 _SEED = 2000
 """First seed of the noise; the calibrations have others."""
 _STREAM = 31
@@ -34,7 +34,7 @@ class HeldOut(NamedTuple):
 
 
 def held_out(stage: Stage) -> HeldOut:
-    """Six boards and three draws of noise, fewer of a quick stage; made once."""
+    """Six boards in three draws of noise, three in one for a quick stage; made once."""
     boards, count = (3, 1) if stage.quick else (6, 3)
     truth = stage.product("held_out/truth.npz")
     captures = [stage.product(f"held_out/capture_{number}") for number in range(count)]
@@ -55,8 +55,12 @@ def held_out(stage: Stage) -> HeldOut:
 def held_out_plan(stage: Stage, boards: int) -> BoardPlan:
     """Boards that stand upright in the middle of the image, tilted by 20 to 35 degrees to all sides.
 
-    The stripe then runs along the board's longer side, over about a sixth of the distance to both sides of the optical
-    axis, as the ratio of X and Y to Z in the paper's Fig. 6 says of its own.
+    The stripe then runs along the board's longer side, over about a sixth of the depth to both sides of the optical
+    axis, in agreement with the ratios of X and Y to Z in the paper's Fig. 6.
+
+    Args:
+        stage: The world.
+        boards: How many.
 
     Raises:
         ConfigError: If the camera does not see one whole.
@@ -83,7 +87,7 @@ def held_out_plan(stage: Stage, boards: int) -> BoardPlan:
 
 @lru_cache(maxsize=4)
 def observe_held_out(calibration: Path, capture: Path) -> Observations:
-    """Corners and stripes of a capture as a calibration of the given rig finds them; the rig stays as it is.
+    """Corners and stripes of a capture by `jaxscan.calibrate` with a known rig, which is held.
 
     Args:
         calibration: File of the rig.

@@ -20,9 +20,9 @@ from jaxscan.simulation import sweep_angles
 
 
 NEAR_M, FAR_M = 1.2, 4.0
-"""Depths between which everything of the room stands: a person who set the rig up knows them [m]."""
+"""Depths between which the room and its furniture lie, as a user knows [m]."""
 MARGIN_PX = 40
-"""Columns beside the stripe's that are read too, at full size [px]."""
+"""Columns read on either side of the stripe's, at full size [px]."""
 PLAIN = {"gravity": plain_stripes.gravity, "highest": plain_stripes.highest} | {
     "horus": horus_stripes.scan,
     "horus_tuned": horus_stripes.tuned,
@@ -45,7 +45,7 @@ class Room(NamedTuple):
     """The stripes of a sweep of the room; all columns are those of the whole image."""
 
     stripes: jaxscan.Stripes
-    """By our extractor, which looked where our first calibration expects them; with colours."""
+    """By our extractor, within the gate of our first calibration; with colours."""
     plain: dict[str, PlainStripes]
     """By the names of `PLAIN`."""
     angles: np.ndarray
@@ -80,7 +80,7 @@ def _is_complete(path: Path) -> bool:
 
 
 def room_sweep(stage: Stage, angles: np.ndarray) -> RenderedSweep:
-    """The sweep of the whole camera, for `jaxscan.reconstruct`: with stripes that have colours it reads no frame."""
+    """The sweep of the whole camera for `jaxscan.reconstruct`, which reads no frame if the stripes have colours."""
     return RenderedSweep(stage.config, angles, seed=stage.config.seed)
 
 
@@ -110,7 +110,7 @@ def _sweep(stage: Stage) -> Room:
     scanner = jaxscan.load_scanner(our_calibrations(stage, 1)[0])
     every = config.plan.steps // _QUICK_STEPS if stage.quick else STRIDE[stage.world]
     angles = sweep_angles(config, every=every)
-    # The margin keeps its angle where quick images are small.
+    # The margin has the same angle in quick images.
     margin = MARGIN_PX * config.camera.fx / 2894.462
     first, stop = stripe_window(scanner, NEAR_M, FAR_M, margin)
     shape = len(angles), config.camera.height

@@ -1,4 +1,4 @@
-"""Captures of boards: the paper's protocol and ours. Rendered once, then drawn with fresh noise as often as wanted."""
+"""Captures of boards by the paper's protocol and by ours: rendered once, then with many draws of noise."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
@@ -55,10 +55,10 @@ class BoardPlan(NamedTuple):
 def paper_plan(stage: Stage) -> BoardPlan:
     """23 views: 19 without a laser, then 4 with the stripe, of which the last two show one board, 1.98 degrees apart.
 
-    The paper says how many views there were and what they were for, and no more. Assumed are: a board of 11 x 8
-    corners, 40 mm apart, tilted by 20 to 45 degrees; distances of 0.9 to 2 m for the camera, and of 1 to 1.6 m with the
-    stripe, round a working distance of 1.3 m. The latter is where a stripe of Table II's plane crosses the middle of
-    the image, which fits the ratio of X and Y to Z in the paper's Fig. 6.
+    The paper reports the numbers of views and their purposes alone. Assumed are: a board of 11 x 8 corners, 40 mm
+    apart, tilted by 20 to 45 degrees; distances of 0.9 to 2 m for the camera, and of 1 to 1.6 m with the stripe, around
+    a working distance of 1.3 m. There a stripe of Table II's plane crosses the middle of the image, in agreement with
+    the ratios of X and Y to Z in the paper's Fig. 6.
 
     Raises:
         ConfigError: If no board stays in the image while the table turns by 1.98 degrees.
@@ -75,19 +75,19 @@ def paper_plan(stage: Stage) -> BoardPlan:
 
 
 def our_plan(stage: Stage) -> BoardPlan:
-    """The protocol of jaxscan's own guide, as the configuration has it: every view with the stripe."""
+    """The protocol of jaxscan's own guide, as in the configuration: every view with the stripe."""
     few = {"free_views": 9, "placements": 2, "angles": 4} if stage.quick else {}
     placements = _planned(stage, 100, **few)
     return BoardPlan(placements, [True] * sum(len(each.angles) for each in placements))
 
 
 def expect(stage: Stage, plan: BoardPlan) -> list[ExpectedRecord]:
-    """All frames of a plan without noise: in full size 13 MB a view, and as much for the laser's light if it is lit."""
+    """All frames of a plan without noise: in full size 13 MB a view, and 13 MB more for the laser's light."""
     return list(expect_each(stage, plan))
 
 
 def expect_each(stage: Stage, plan: BoardPlan) -> Iterator[ExpectedRecord]:
-    """The same one by one. Records that are not lit have no laser's light."""
+    """All frames of a plan without noise, one view at a time. Records that are not lit have an empty `laser`."""
     config = stage.config
     rig, dark, scene = make_rig(config), make_rig(_plain(config)), make_scene(config)
     picture = make_print(config.boards, board_texture(config.boards.board(), TEXTURE_PX))
@@ -117,7 +117,17 @@ def write_capture(stage: Stage, records: Sequence[ExpectedRecord], plan: BoardPl
 def write_captures(
     stage: Stage, records: Iterator[ExpectedRecord], plan: BoardPlan, folders: dict[int, Path]
 ) -> list[Path]:
-    """Several draws at once, by their seeds; records are taken one by one and not kept."""
+    """Several draws at once; records are taken one by one and not kept.
+
+    Args:
+        stage: The world.
+        records: Of `expect_each`.
+        plan: Theirs.
+        folders: Of the draws, by their seeds; must not exist.
+
+    Returns:
+        The folders.
+    """
     config = stage.config
     header = _header(config, len(plan.lit))
     with ExitStack() as stack:
@@ -140,7 +150,7 @@ def write_captures(
 
 
 def _planned(stage: Stage, number: int, **changes: object) -> list[Placement]:
-    """Poses as a careful person would choose them, with changes of the configuration's protocol."""
+    """Poses of the boards, with changes of the configuration's protocol."""
     config = stage.config.model_copy(update={"boards": stage.config.boards.model_copy(update=changes)})
     return plan_boards(make_rig(config), make_scene(config), stage.generator(_PLAN, number))
 

@@ -36,8 +36,8 @@ class RenderedSweep:
             config: The rig; `worlds.windowed` reads fewer columns.
             angles: Commanded angles of the table [rad].
             seed: Of the noise.
-            scene: What it sees, instead of the configuration's room alone.
-            watch: Sees all frames as they are read; more than once where they are read more than once.
+            scene: The surroundings, in place of the configuration's room.
+            watch: Called with all frames as they are read, at every reading.
         """
         self.config, self.seed, self.scene, self.watch = config, seed, scene, watch
         self.angles = np.asarray(angles, np.float64)
@@ -60,7 +60,7 @@ class RenderedSweep:
 
     @property
     def carries(self) -> str:
-        """What the table carries."""
+        """The table's load: "scanner" or "object"."""
         return self.config.turntable.carries
 
     def __len__(self) -> int:

@@ -10,8 +10,9 @@ BACKGROUND = 247.0
 _JOINED_M = 0.012
 """Neighbours on the grid that are farther apart lie on different surfaces."""
 _FINE_M = 0.0008
-"""Points are added between neighbours until they are as near as this, if ever so many do not become too many."""
+"""Points are added between neighbours until they are as near as this [m]."""
 _MOST = 6
+"""Most points for each old one, along either axis of the grid."""
 
 
 class Eye(NamedTuple):
@@ -54,7 +55,12 @@ def dense(xyz: np.ndarray, valid: np.ndarray, normals: np.ndarray, rgb: np.ndarr
 
 
 def picture(surface: Surface, eye: Eye, *, coloured: bool) -> np.ndarray:
-    """Draw a surface; grey and shaded by its normals, or in its colours.
+    """Draw a surface.
+
+    Args:
+        surface: Dense points.
+        eye: The camera.
+        coloured: In its colours; otherwise grey, shaded by its normals.
 
     Returns:
         uint8 [height, width, 3].

@@ -23,7 +23,7 @@ _STAND = 0.12
 """Height of the globe's stand."""
 _VASE_HEIGHT = 0.43
 PEAK_DN = 50.0
-"""Of the stripe on a white wall at 2.5 m: on near objects the laser is turned down until nothing is saturated."""
+"""Peak of the stripe on a white wall at 2.5 m: low enough that near objects do not saturate [DN]."""
 
 
 def studio(config: SimulationConfig) -> SimulationConfig:
@@ -82,7 +82,7 @@ def _ornament(u: np.ndarray, v: np.ndarray) -> Blend:
 
 
 def _continents(u: np.ndarray, v: np.ndarray, *, radius: float) -> Blend:
-    """A made-up world in degrees of longitude and latitude: seas, land, deserts, ice, and a net of lines."""
+    """A globe: seas, land, deserts, ice, and lines of longitude and latitude."""
     up = np.clip(v / np.float32(radius), -1, 1)
     latitude = np.arcsin(up)
     longitude = np.arcsin(np.clip(u / np.maximum(np.float32(radius) * np.cos(latitude), 1e-6), -1, 1))
