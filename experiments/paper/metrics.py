@@ -51,6 +51,11 @@ class Metric(NamedTuple):
         return bool(worse > self.tolerance)
 
 
+def shown(value: float) -> str:
+    """A value for people: four digits, or two decimals of 1000 and more, so that a room keeps its tenths of a mm."""
+    return f"{value:.4g}" if abs(value) < 1000 else f"{value:.2f}"
+
+
 def rms(values: np.ndarray) -> float:
     """Root mean square of all values, in their unit; NaN if there is none."""
     values = np.asarray(values)
@@ -63,7 +68,7 @@ def line(metric: Metric) -> str:
     notes = [words[metric.direction], f"within {metric.tolerance:.2g}" if metric.tolerance else ""]
     notes += [f"paper {metric.paper:g}" if metric.paper is not None else "", metric.wanted()]
     notes += ["" if metric.met() else "MISSED"]
-    return f"{metric.key:>44} {metric.value:12.4f} {metric.unit:<10} " + ", ".join(note for note in notes if note)
+    return f"{metric.key:>44} {shown(metric.value):>12} {metric.unit:<10} " + ", ".join(note for note in notes if note)
 
 
 def load_baseline(part: str) -> dict[str, float]:

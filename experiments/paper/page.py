@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from experiments.paper.contents import EXPERIMENTS, results_path
-from experiments.paper.metrics import Metric
+from experiments.paper.metrics import Metric, shown
 from experiments.paper.worlds import WORLDS
 
 
@@ -36,7 +36,7 @@ class Row(NamedTuple):
     def cells(self) -> list[str]:
         """Of the table: figure, unit, paper, each world, wanted."""
         one = next(iter(self.metrics.values()))
-        paper = "" if one.paper is None else f"{one.paper:g}"
+        paper = "" if one.paper is None else f"{one.paper:.7g}"
         values = [value(self.metrics.get(name)) for name in WORLDS]
         return [one.label or one.key, one.unit, paper, *values, one.wanted()]
 
@@ -45,7 +45,7 @@ def value(metric: Metric | None) -> str:
     """A figure as the table shows it."""
     if metric is None:
         return ""
-    text = f"{metric.value:.4g}"
+    text = shown(metric.value)
     return text if metric.met() else f"**{text}**"
 
 
