@@ -23,7 +23,7 @@ from typing import Any
 import jax
 
 from experiments.paper.contents import EXPERIMENTS, part_of, results_path
-from experiments.paper.metrics import Metric, line, load_baseline, save_baseline
+from experiments.paper.metrics import Metric, line, load_baseline, save_baseline, shown
 from experiments.paper.stage import Stage
 from experiments.paper.worlds import WORLDS, world
 
@@ -38,7 +38,7 @@ def run_one(stage: Stage, name: str) -> dict[str, Any]:
     worse = []
     for metric in metrics:
         known = baseline.get(f"{name}.{metric.key}")
-        was = "" if known is None else f", baseline {known:.4f}"
+        was = "" if known is None else f", baseline {shown(known)}"
         if known is not None and metric.worse_than(known):
             worse.append(metric.key)
             was += " WORSE"
