@@ -65,6 +65,7 @@ def run_world(name: str, chosen: list[str], options: argparse.Namespace) -> int:
     done = json.loads(path.read_text()) if path.exists() else {}
     failed = False
     for each in chosen:
+        done.pop(each, None)
         try:
             done[each] = run_one(stage, each)
         except Exception:
@@ -74,9 +75,16 @@ def run_world(name: str, chosen: list[str], options: argparse.Namespace) -> int:
             continue
         path.write_text(json.dumps(done, indent=1) + "\n")
         if options.save_baseline:
-            values = {f"{each}.{one['key']}": one["value"] for one in done[each]["metrics"]}
-            save_baseline(part_of(name, options.quick), values)
+            save_baseline(part_of(name, options.quick), each, metrics_of(done[each]))
+    missed = [f"{each}.{one.key}" for each in chosen for one in metrics_of(done.get(each)) if not one.met()]
+    if missed:
+        print(f"\n{name} world, limits that are missed: {', '.join(missed)}")
     return int(failed or any(done[each]["worse"] for each in chosen))
+
+
+def metrics_of(results: dict[str, Any] | None) -> list[Metric]:
+    """The figures of an experiment, from its part of the file of results."""
+    return [] if results is None else [Metric(**fields) for fields in results["metrics"]]
 
 
 def main() -> int:

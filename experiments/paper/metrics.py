@@ -9,7 +9,8 @@ import numpy as np
 
 Direction = Literal["less", "more", "near", "none"]
 """Better are smaller ("less") or larger ("more") values; "near": no change is wanted; "none": it only describes."""
-BASELINE = Path(__file__).with_name("baseline.json")
+BASELINE = Path(__file__).with_name("baseline")
+"""Folder of the committed baseline: a file for each world, and for each quick one."""
 
 
 class Metric(NamedTuple):
@@ -42,13 +43,15 @@ class Metric(NamedTuple):
             return f"{self.low:g} ... {self.high:g}"
         return f"≤ {self.high:g}" if self.high is not None else f"≥ {self.low:g}" if self.low is not None else ""
 
-    def worse_than(self, baseline: float) -> bool:
-        """Whether it is worse than the baseline by more than its tolerance."""
+    def worse_than(self, baseline: float, tolerance: float) -> bool:
+        """Whether it is worse than the baseline by more than the baseline's tolerance."""
+        if self.direction == "none":
+            return False
         change = self.value - baseline
         if not np.isfinite(change):
             return True
-        worse = {"less": change, "more": -change, "near": abs(change), "none": -np.inf}[self.direction]
-        return bool(worse > self.tolerance)
+        worse = {"less": change, "more": -change, "near": abs(change)}[self.direction]
+        return bool(worse > tolerance)
 
 
 def shown(value: float) -> str:
@@ -71,13 +74,26 @@ def line(metric: Metric) -> str:
     return f"{metric.key:>44} {shown(metric.value):>12} {metric.unit:<10} " + ", ".join(note for note in notes if note)
 
 
-def load_baseline(part: str) -> dict[str, float]:
-    """Committed values by "experiment.key", of one `part`: a world, or "quick kind"."""
-    return json.loads(BASELINE.read_text()).get(part, {}) if BASELINE.exists() else {}
+def load_baseline(part: str) -> dict[str, tuple[float, float]]:
+    """Committed values and tolerances by "experiment.key", of one `part`: a world, or "quick kind"."""
+    path = _baseline_path(part)
+    return (
+        {key: (value, tolerance) for key, (value, tolerance) in json.loads(path.read_text()).items()}
+        if path.exists()
+        else {}
+    )
 
 
-def save_baseline(part: str, values: dict[str, float]) -> None:
-    """Replace values of one part; others stay."""
-    every = json.loads(BASELINE.read_text()) if BASELINE.exists() else {}
-    every[part] = dict(sorted({**every.get(part, {}), **values}.items()))
-    BASELINE.write_text(json.dumps(dict(sorted(every.items())), indent=1) + "\n")
+def save_baseline(part: str, experiment: str, metrics: list[Metric]) -> None:
+    """Replace the figures of one experiment; others stay. A figure of which less is better may at most double."""
+    kept = {key: value for key, value in load_baseline(part).items() if not key.startswith(f"{experiment}.")}
+    for one in metrics:
+        tolerance = min(one.tolerance, abs(one.value)) if one.direction == "less" else one.tolerance
+        kept[f"{experiment}.{one.key}"] = one.value, tolerance
+    BASELINE.mkdir(exist_ok=True)
+    lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in sorted(kept.items())]
+    _baseline_path(part).write_text("{\n" + ",\n".join(lines) + "\n}\n")
+
+
+def _baseline_path(part: str) -> Path:
+    return BASELINE / f"{part.replace(' ', '_')}.json"

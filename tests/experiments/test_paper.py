@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from experiments.paper import contents, metrics, page
+from experiments.paper.figures.pair_angles import smallest_angle
 from experiments.paper.metrics import Metric
 from experiments.paper.rendering.sweeps import RenderedSweep
 from experiments.paper.worlds import smaller, windowed, windowed_scanner, world
@@ -40,11 +41,11 @@ def tiny(request):
         ("near", 1.2, False),
         ("none", 99.0, False),
         ("less", np.nan, True),
-        ("none", np.nan, True),
+        ("none", np.nan, False),
     ],
 )
 def test_a_figure_is_worse_in_its_own_direction(direction, value, worse):
-    assert Metric("rms", value, "mm", direction, 0.3).worse_than(1.0) is worse
+    assert Metric("rms", value, "mm", direction).worse_than(1.0, 0.3) is worse
 
 
 def test_limits_are_kept_and_said():
@@ -64,13 +65,15 @@ def test_a_room_keeps_its_tenths_of_a_millimetre():
     ]
 
 
-def test_the_baseline_keeps_other_figures(tmp_path, monkeypatch):
-    monkeypatch.setattr(metrics, "BASELINE", tmp_path / "baseline.json")
+def test_the_baseline_keeps_other_experiments(tmp_path, monkeypatch):
+    monkeypatch.setattr(metrics, "BASELINE", tmp_path / "baseline")
     assert metrics.load_baseline("kind") == {}
-    metrics.save_baseline("kind", {"a.x": 1.0})
-    metrics.save_baseline("kind", {"b.y": 2.0})
-    metrics.save_baseline("unkind", {"a.x": 3.0})
-    assert metrics.load_baseline("kind") == {"a.x": 1.0, "b.y": 2.0}
+    metrics.save_baseline("kind", "a", [Metric("x", 1.0, "mm", "near", 0.5), Metric("gone", 1.0, "mm")])
+    metrics.save_baseline("kind", "b", [Metric("y", 2.0, "mm", "less", 9.0)])
+    metrics.save_baseline("kind", "a", [Metric("x", 1.1, "mm", "near", 0.5)])
+    metrics.save_baseline("quick kind", "a", [Metric("x", 3.0, "mm")])
+    # A figure of which less is better may double at most, whatever its tolerance says.
+    assert metrics.load_baseline("kind") == {"a.x": (1.1, 0.5), "b.y": (2.0, 2.0)}
 
 
 def test_the_page_shows_both_worlds_and_marks_what_is_missed():
@@ -78,6 +81,15 @@ def test_the_page_shows_both_worlds_and_marks_what_is_missed():
     worlds = {name: {"figure_6": {"seconds": 1.0, "metrics": [one]}} for name, one in (("kind", good), ("unkind", bad))}
     assert "| Z | mm | 1.13 | 0.2 | **0.7** | ≤ 0.6 |" in page.page(worlds)
     assert "| Z | mm | 1.13 | 0.2 | **0.7** | ≤ 0.6 |" in page.headline(worlds)
+
+
+def test_the_smallest_angle_is_that_of_a_power_law():
+    turns = np.array([1.0, 2.0, 4.0, 8.0])
+    values = 12.0 / turns
+    assert smallest_angle(turns, values, 2.0) == pytest.approx(6.0)
+    assert smallest_angle(turns, np.where(turns == 2, np.nan, values), 1.0) == pytest.approx(12.0)
+    assert smallest_angle(turns, turns, 2.0) == np.inf
+    assert smallest_angle(turns, np.full(4, np.nan), 2.0) == np.inf
 
 
 def test_a_smaller_camera_sees_the_same():

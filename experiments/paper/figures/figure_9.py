@@ -44,11 +44,6 @@ OURS = {
     "same_views": "ours, the paper's views",
 }
 """Our calibrations in words, by the keys of their metrics."""
-FINDERS = METHODS | {
-    "horus": "paper's calibration by highest pixels, stripes of the room by Horus",
-    "horus_tuned": "paper's calibration by highest pixels, stripes of the room by Horus, tuned",
-}
-"""The paper's method in words, by the stripe finders of the sweep."""
 _CALIBRATIONS = 3
 
 
@@ -70,7 +65,7 @@ def run(stage: Stage) -> list[Metric]:
     """Figures and pictures of the room."""
     seen, known, truth = room(stage), draws(stage), true_size(stage)
     paths = our_calibrations(stage, _CALIBRATIONS)
-    paper = {name: [_papers(seen, draw, name) for draw in known] for name in seen.plain}
+    paper = {name: [_papers(seen, draw, name) for draw in known] for name in METHODS}
     stage.say("room by the paper's method")
     few = thinned(seen)
     boards, again = [], []
@@ -90,7 +85,7 @@ def run(stage: Stage) -> list[Metric]:
         OURS["boards"]: boards,
         OURS["recalibrated"]: again,
         OURS["same_views"]: same,
-        **{METHODS[name]: sizes for name, sizes in paper.items() if name in METHODS},
+        **{METHODS[name]: sizes for name, sizes in paper.items()},
     }
     title = f"The room of {truth.width:.0f} x {truth.length:.0f} mm, {stage.world} world: errors of its dimensions"
     draw_errors(stage.picture("figure_9_errors"), groups, pairs, truth, title)
@@ -102,8 +97,7 @@ def _ours(stage: Stage, seen: Room, scanner: jaxscan.Scanner) -> Size:
 
 
 def _papers(seen: Room, draw: Draw, name: str) -> Size:
-    way = draw.by(name if name in METHODS else "highest")
-    return size_of(box_of(paper_points(way, seen.plain[name], seen.angles)))
+    return size_of(box_of(paper_points(draw.by(name), seen.plain[name], seen.angles)))
 
 
 def _middle(sizes: list[Size], truth: Size) -> int:
@@ -187,11 +181,11 @@ def _paper_metrics(found: Measured, truth: Size) -> list[Metric]:
         errors, _ = _table(sizes, truth)
         lost = int(np.count_nonzero(~np.isfinite(errors[:, 0])))
         out.append(
-            Metric(f"paper_way_{name}_not_measured", lost, "draws", label=f"{FINDERS[name]}: rooms without walls")
+            Metric(f"paper_way_{name}_not_measured", lost, "draws", label=f"{METHODS[name]}: rooms without walls")
         )
         for side, letters in enumerate(SIDES):
             some = errors[np.isfinite(errors[:, side]), side]
-            room_side, key = f"{FINDERS[name]}: {letters} of the room", f"paper_way_{name}_{letters}"
+            room_side, key = f"{METHODS[name]}: {letters} of the room", f"paper_way_{name}_{letters}"
             parts = np.percentile(some, [25, 50, 75]) if len(some) else np.full(3, np.nan)
             for word, part in zip(("lower_quartile", "median", "upper_quartile"), parts, strict=True):
                 value, label = float(part + truth[side]), f"{room_side}, {word.replace('_', ' ')} of {len(some)} draws"
@@ -214,10 +208,13 @@ def _pair_metrics(pairs: list[PairAngle], truth: Size) -> list[Metric]:
             by_noise = f"{label}, standard deviation by the noise of these two views"
             out.append(Metric(f"{key}_scatter", float(alone), "mm", label=by_noise))
         wanted = abs(PAPER_MM[side] - truth[side])
-        angle = smallest_angle(pairs, scatter[:, side], wanted)
-        limit = f"standard deviation of the room's {letters} falls to {wanted:g} mm"
-        label = f"{METHODS['gravity']}: smallest turn between the two views of Tr at which the {limit}"
-        out.append(Metric(f"pair_angle_for_{letters}", angle, "°", label=label))
+        turns = np.array([pair.angle_deg for pair in pairs])
+        for key, values, word in (("", scatter, "standard deviation"), ("_rms", whole, "rms error")):
+            angle = smallest_angle(turns, values[:, side], wanted)
+            if np.isfinite(angle):
+                limit = f"{word} of the room's {letters} falls to {wanted:g} mm, by a power law"
+                label = f"{METHODS['gravity']}: smallest turn between the two views of Tr at which the {limit}"
+                out.append(Metric(f"pair_angle_for_{letters}{key}", angle, "°", label=label))
     return out
 
 

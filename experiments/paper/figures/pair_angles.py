@@ -16,7 +16,7 @@ from jaxscan.simulation import Motion, Placement, SimulationConfig, make_rig, ro
 from jaxscan.simulation.rays import project
 
 
-ANGLES_DEG = (PAIR_DEG, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0)
+ANGLES_DEG = (0.5, 1.0, PAIR_DEG, 4.0, 8.0, 16.0, 24.0)
 QUICK_DEG = (PAIR_DEG, 16.0)
 CALIBRATIONS, QUICK_CALIBRATIONS = 4, 1
 """Number of calibrations by the paper's method that take their Tr from another pair."""
@@ -122,22 +122,24 @@ def place_pair(config: SimulationConfig, angle: float) -> tuple[Placement, float
     return None
 
 
-def smallest_angle(pairs: list[PairAngle], values: np.ndarray, wanted: float) -> float:
-    """The angle at which a value falls to another, between those that were tried; infinite if it never does.
+def smallest_angle(angles: np.ndarray, values: np.ndarray, wanted: float) -> float:
+    """The angle at which a value falls to another, by the power law through all angles that were tried.
+
+    Few draws at each angle scatter by a quarter: a first crossing would be too early.
 
     Args:
-        pairs: In the order of their angles.
-        values: Of each [mm].
-        wanted: The other [mm].
+        angles: Of the pairs [deg].
+        values: Of each [mm]; those that are not finite are left out.
+        wanted: The value to reach [mm].
+
+    Returns:
+        The angle [deg], perhaps beyond those that were tried; infinite if values do not fall.
     """
-    good = np.flatnonzero(values <= wanted)
-    if len(good) == 0:
+    known = np.isfinite(values) & (values > 0)
+    if known.sum() < 2:
         return np.inf
-    at, angle = good[0], [pair.angle_deg for pair in pairs]
-    if at == 0:
-        return angle[0]
-    share = np.log(values[at - 1] / wanted) / np.log(values[at - 1] / values[at])
-    return float(angle[at - 1] * (angle[at] / angle[at - 1]) ** share)
+    slope, start = np.polyfit(np.log(angles[known]), np.log(values[known]), 1)
+    return float(np.exp((np.log(wanted) - start) / slope)) if slope < 0 else np.inf
 
 
 def _corners(config: SimulationConfig, light: np.ndarray, random: np.random.Generator) -> BoardCorners | None:

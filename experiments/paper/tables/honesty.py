@@ -10,6 +10,12 @@ from jaxscan.geometry.motions import ANGLE_PARAMETERS
 from jaxscan.simulation import SimulationConfig
 
 
+AGREE = 0.8, 1.2
+"""Observed over predicted errors must lie between these."""
+ENOUGH = 10
+"""Fewest draws for that limit: with fewer, the standard error of a spread is over 20 %."""
+
+
 class Honesty(NamedTuple):
     """Errors over their predicted standard deviations."""
 

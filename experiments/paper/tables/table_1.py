@@ -15,7 +15,7 @@ from experiments.paper.methods.plain_stripes import METHODS
 from experiments.paper.metrics import Metric
 from experiments.paper.products.draws import draws, our_calibrations
 from experiments.paper.stage import Stage
-from experiments.paper.tables.honesty import Honesty, compare
+from experiments.paper.tables.honesty import AGREE, ENOUGH, Honesty, compare
 from experiments.paper.tables.pictures import Series, strips
 from experiments.paper.tables.quantities import (
     QUANTITIES,
@@ -29,8 +29,6 @@ from jaxscan.calibration.verdict import Length, length_sigma
 from jaxscan.geometry import Scanner
 
 
-_ENOUGH = 10
-"""Fewest draws for a limit: with fewer, the standard error of a spread is over 20 %."""
 NAMES = {
     "paper_way": METHODS["gravity"],
     "ours": "ours, the paper's views",
@@ -63,10 +61,13 @@ def run(stage: Stage) -> list[Metric]:
     return [
         *(metric for way in ("paper_way", "ours") for metric in _spreads(way, found[way], true, full=not stage.quick)),
         *_predicted("ours", scanners, lengths),
+        *_lengths_over_predicted(scanners, found["ours"] - true, lengths),
         *_predicted("our_protocol", protocol, lengths),
         *_protocol_errors(found["our_protocol"], true),
         *_honesty(honesty, len(drawn)),
-    ]
+        Metric("draws_failed", stage.draws - len(drawn), "", "less", 0.0, high=0.0,
+               label=f"draws that one of both methods cannot calibrate, of {stage.draws}"),
+    ]  # fmt: skip
 
 
 def _spreads(way: str, found: np.ndarray, true: np.ndarray, *, full: bool) -> list[Metric]:
@@ -98,11 +99,33 @@ def _predicted(key: str, scanners: list[Scanner], lengths: list[Length]) -> list
     ]  # fmt: skip
 
 
+def _lengths_over_predicted(scanners: list[Scanner], errors: np.ndarray, lengths: list[Length]) -> list[Metric]:
+    """Root mean square errors of the lengths over their predicted standard deviations; a bias counts.
+
+    Args:
+        scanners: One for each draw.
+        errors: Of all quantities, in their units [draws, quantities].
+        lengths: Those of `across_half_a_turn`.
+    """
+    sigma = 1000 * np.array([length_sigma(scanner, lengths) for scanner in scanners])
+    limits = AGREE if len(scanners) >= ENOUGH else (None, None)
+    metrics = []
+    for index, one in enumerate(_lengths()):
+        squares = (errors[:, QUANTITIES.index(one)] / sigma[:, index]) ** 2
+        ratio = float(np.sqrt(squares.mean()))
+        error = float(squares.std(ddof=1) / np.sqrt(len(squares)) / (2 * ratio))
+        label = f"{NAMES['ours']}: {one.title}, rms error over predicted standard deviation, ± {error:.2g}"
+        metrics.append(
+            Metric(f"ours_{one.key}_error_over_predicted", ratio, "1", "near", 3 * error, None, *limits, label)
+        )
+    return metrics
+
+
 def _protocol_errors(found: np.ndarray, true: np.ndarray) -> list[Metric]:
     """Root mean square errors of the few calibrations by our own protocol."""
     rms = np.sqrt(np.mean((found - true) ** 2, axis=0))
     return [
-        Metric(f"our_protocol_{one.key}_rms", float(value), one.unit, "less", 2 * float(value),
+        Metric(f"our_protocol_{one.key}_rms", float(value), one.unit, "less", 0.5 * float(value),
                label=f"{NAMES['our_protocol']}: {one.title}, rms error, {len(found)} calibrations")
         for one, value in zip(QUANTITIES, rms, strict=True)
     ]  # fmt: skip
@@ -114,7 +137,7 @@ def _honesty(honesty: Honesty, count: int) -> list[Metric]:
     The covariance includes unknowns that only their priors determine; they are the same in all draws. So the ratio of
     the spread alone may be below 1.
     """
-    limits = (0.8, 1.2) if count >= _ENOUGH else (None, None)
+    limits = AGREE if count >= ENOUGH else (None, None)
     name, of = NAMES["ours"], f"{len(honesty.names)} parameters, {count} draws"
     return [
         Metric("ours_error_over_predicted", honesty.pooled, "1", "near", 3 * honesty.pooled_error, None, *limits,
