@@ -1,4 +1,4 @@
-"""Where a scan of the targets looks: the table's angles and the image's columns at which the stripe meets them."""
+"""Table angles and image columns at which the stripe meets the targets: only these are scanned."""
 
 from typing import NamedTuple
 

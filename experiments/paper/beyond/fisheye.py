@@ -48,8 +48,8 @@ _LASER = (
 _PRINT = ("warp_mm", "ink", "paper", "uneven", "print_blur_mm", "gloss", "gloss_deg")
 """Fields of a board that its world sets."""
 _NEAR_M = 0.05
-"""A place is seen if a point of the cloud is nearer than this [m]; at 2.5 m, steps of 1 degree are 4 cm apart, and those
-of the unkind world 7 cm."""
+"""A place is seen if a point of the cloud is nearer than this [m]; profiles are 4 cm apart at 2.5 m in the
+kind world, and 7 cm in the unkind one."""
 _PLACES = 20_000
 
 

@@ -1,4 +1,4 @@
-"""How far each source of error moves the dimensions of the room: each source alone, and all together.
+"""Errors of the dimensions of the room by each source of error alone, and by all together.
 
 Not from rendered images. Pixels come from the independent equations of `ideal_room`: boards in poses of our own
 protocol, a joint calibration, a sweep of the empty room, and the distances of its walls. Each source acts alone, all
@@ -8,7 +8,7 @@ standard deviation. The same sizes hold in both worlds, whose rigs differ by the
 Sizes: corners 0.1 px and stripe centres 0.05 px, white; speckle as measured, from rendered rows of the unkind world
 with and without it; board pitch 0.1 mm over 300 mm, a standard deviation; angle: gain and harmonics of the unkind
 table, their signs and phases drawn, and a jitter evenly spread over one microstep of 28 800 a turn, as positions are
-rounded; sheet bow as in the unkind world, its sign drawn. Gain and harmonics are estimated; jitter is nobody's
+rounded; sheet bow as in the unkind world, its sign drawn. Gain and harmonics are estimated; jitter is not a
 parameter. The bow is free, and the predicted standard deviation has that of the pitch added to it; "bow not
 modelled" shows the price of a flat sheet. The rendered rows of the world at hand check the 0.05 px.
 """
@@ -38,7 +38,7 @@ PITCH = 0.1 / 300
 MICROSTEP_RAD = 2 * np.pi / 28800
 """A stepper of 200 x 16 microsteps behind a gear of 9 : 1."""
 SIDES = ("width", "length")
-_TOGETHER = {"all": "all together", "modelled": "all together but jitter"}
+_TOGETHER = {"all": "all sources", "modelled": "all sources but jitter"}
 
 
 class Source(NamedTuple):
@@ -91,12 +91,12 @@ def sources(every: Faults) -> list[Source]:
     """Each source alone."""
     bow = Faults(bow=every.bow)
     return [
-        Source("corner", f"corners, {every.corner_px:g} px", Faults(corner_px=every.corner_px)),
-        Source("stripe", f"stripe, {every.stripe_px:g} px", Faults(stripe_px=every.stripe_px)),
+        Source("corner", f"corner noise, {every.corner_px:g} px", Faults(corner_px=every.corner_px)),
+        Source("stripe", f"stripe noise, {every.stripe_px:g} px", Faults(stripe_px=every.stripe_px)),
         Source("speckle", f"speckle, {every.speckle_px:.2f} px", Faults(speckle_px=every.speckle_px)),
         Source("pitch", "board pitch, 0.1 mm in 300 mm", Faults(pitch=every.pitch)),
-        Source("angle", "angle: gain, harmonics", Faults(gain=every.gain, harmonics=every.harmonics)),
-        Source("jitter", "angle: jitter of a microstep", Faults(jitter_rad=every.jitter_rad)),
+        Source("angle", "table angle: gain, harmonics", Faults(gain=every.gain, harmonics=every.harmonics)),
+        Source("jitter", "table angle: jitter of a microstep", Faults(jitter_rad=every.jitter_rad)),
         Source("bow", "sheet bow, estimated", bow),
         Source("bow_not_modelled", "sheet bow, not modelled", bow),
     ]
@@ -118,7 +118,14 @@ def row_error(stage: Stage, config: SimulationConfig) -> float:
 
 
 def draw_chart(stage: Stage, errors: dict[str, np.ndarray], sigma: np.ndarray, labels: dict[str, str]) -> None:
-    """Bars of the root mean square error, whiskers of its standard error, dots of the draws."""
+    """Bars: rms errors; whiskers: their standard errors; dots: draws.
+
+    Args:
+        stage: The world.
+        errors: Of width and length, by source [draws, 2], mm.
+        sigma: Predicted, of the draws without jitter [draws, 2], mm.
+        labels: Of the sources.
+    """
     names = list(errors)
     figure, axes = plt.subplots(1, 2, figsize=(12, 5.2), sharey=True, constrained_layout=True)
     places = np.arange(len(names))[::-1]
@@ -134,7 +141,7 @@ def draw_chart(stage: Stage, errors: dict[str, np.ndarray], sigma: np.ndarray, l
             axis.text(0, place + 0.4, f"{size:.3f} mm", fontsize=8, va="center")
         predicted = _rms(sigma[:, side])
         axis.plot([predicted] * 2, [-0.35, 0.35], color="tab:red", lw=2.5, label=f"predicted: {predicted:.2f} mm")
-        axis.set(title=f"Room {title}", xlabel="RMS error [mm]; dots: size of the error of each draw")
+        axis.set(title=f"Room {title}", xlabel="rms error [mm]; dots: absolute error of each draw")
         axis.set_yticks(places, [labels[name] for name in names])
         axis.set_ylim(-0.6, len(names) - 0.2)
         axis.legend(loc="lower right", fontsize=9)
@@ -174,19 +181,34 @@ def _metrics(errors: dict[str, np.ndarray], sigma: np.ndarray, labels: dict[str,
             size = _rms(found[:, side])
             # Another set of draws has another root mean square: three standard errors of it.
             tolerance = 3 * size / np.sqrt(2 * len(found))
-            label = f"{title} of the room, {labels[name]}: RMS error"
+            alone = "" if name in _TOGETHER else " alone"
+            label = f"room's {title}, {labels[name]}{alone}: rms error"
             out.append(Metric(f"{name}_{title}", size, "mm", "less", tolerance, label=label))
     for side, title in enumerate(SIDES):
         predicted, ratio = _rms(sigma[:, side]), _rms(errors["modelled"][:, side] / sigma[:, side])
-        out.append(Metric(f"predicted_{title}", predicted, "mm", "near", 0.1 * predicted, label=f"{title}, predicted"))
+        label = f"room's {title}, {_TOGETHER['modelled']}: predicted standard deviation"
+        out.append(Metric(f"predicted_{title}", predicted, "mm", "near", 0.1 * predicted, label=label))
         tolerance = 3 * ratio / np.sqrt(2 * len(sigma))
-        label = f"{title}, all but jitter: error by predicted standard deviation"
+        label = f"room's {title}, {_TOGETHER['modelled']}: rms of error over predicted standard deviation"
         out.append(Metric(f"ratio_{title}", ratio, "1", "near", tolerance, label=label))
     return out
 
 
 def _row_metrics(speckle: float, own: float) -> list[Metric]:
     return [
-        Metric("speckle_row", speckle, "px", "none", label="row error by speckle, rendered, unkind world"),
-        Metric("rendered_row", own, "px", "near", 0.01, label="row error without speckle, rendered, this world"),
+        Metric(
+            "speckle_row",
+            speckle,
+            "px",
+            "none",
+            label="rms error of a row's stripe centre by speckle alone, rendered, rig of the unkind world",
+        ),
+        Metric(
+            "rendered_row",
+            own,
+            "px",
+            "near",
+            0.01,
+            label="rms error of a row's stripe centre without speckle, rendered",
+        ),
     ]
