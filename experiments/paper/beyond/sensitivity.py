@@ -24,6 +24,7 @@ from experiments.paper.beyond.ideal_room import Faults, Study, measured_room, pl
 from experiments.paper.metrics import Metric
 from experiments.paper.stage import Stage
 from experiments.paper.worlds import windowed, world
+from experiments.recalibration.limits import rms
 from jaxscan.simulation import SimulationConfig, make_rig, render_sweep
 from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.scene import make_scene
@@ -132,14 +133,14 @@ def draw_chart(stage: Stage, errors: dict[str, np.ndarray], sigma: np.ndarray, l
     for side, (axis, title) in enumerate(zip(axes, ("width 3820 mm", "length 6150 mm"), strict=True)):
         for place, name in zip(places, names, strict=True):
             error = errors[name][:, side]
-            size = _rms(error)
+            size = rms(error)
             colour = "tab:gray" if name in _TOGETHER else "tab:blue"
             axis.barh(
                 place, size, xerr=size / np.sqrt(2 * len(error)), color=colour, alpha=0.75, capsize=3, height=0.55
             )
             axis.plot(np.abs(error), np.full(len(error), place), "k.", ms=4, alpha=0.6)
             axis.text(0, place + 0.4, f"{size:.3f} mm", fontsize=8, va="center")
-        predicted = _rms(sigma[:, side])
+        predicted = rms(sigma[:, side])
         axis.plot([predicted] * 2, [-0.35, 0.35], color="tab:red", lw=2.5, label=f"predicted: {predicted:.2f} mm")
         axis.set(title=f"Room {title}", xlabel="rms error [mm]; dots: absolute error of each draw")
         axis.set_yticks(places, [labels[name] for name in names])
@@ -170,22 +171,18 @@ def _without_speckle(config: SimulationConfig) -> SimulationConfig:
     return config.model_copy(update={"laser": (laser, *config.laser[1:])})
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
 def _metrics(errors: dict[str, np.ndarray], sigma: np.ndarray, labels: dict[str, str]) -> list[Metric]:
     out = []
     for name, found in errors.items():
         for side, title in enumerate(SIDES):
-            size = _rms(found[:, side])
+            size = rms(found[:, side])
             # Another set of draws has another root mean square: three standard errors of it.
             tolerance = 3 * size / np.sqrt(2 * len(found))
             alone = "" if name in _TOGETHER else " alone"
             label = f"room's {title}, {labels[name]}{alone}: rms error"
             out.append(Metric(f"{name}_{title}", size, "mm", "less", tolerance, label=label))
     for side, title in enumerate(SIDES):
-        predicted, ratio = _rms(sigma[:, side]), _rms(errors["modelled"][:, side] / sigma[:, side])
+        predicted, ratio = rms(sigma[:, side]), rms(errors["modelled"][:, side] / sigma[:, side])
         label = f"room's {title}, {_TOGETHER['modelled']}: predicted standard deviation"
         out.append(Metric(f"predicted_{title}", predicted, "mm", "near", 0.1 * predicted, label=label))
         tolerance = 3 * ratio / np.sqrt(2 * len(sigma))
@@ -195,20 +192,9 @@ def _metrics(errors: dict[str, np.ndarray], sigma: np.ndarray, labels: dict[str,
 
 
 def _row_metrics(speckle: float, own: float) -> list[Metric]:
+    words = "rms error of a row's stripe centre"
+    with_speckle = f"{words} by speckle alone, rendered, rig of the unkind world"
     return [
-        Metric(
-            "speckle_row",
-            speckle,
-            "px",
-            "none",
-            label="rms error of a row's stripe centre by speckle alone, rendered, rig of the unkind world",
-        ),
-        Metric(
-            "rendered_row",
-            own,
-            "px",
-            "near",
-            0.01,
-            label="rms error of a row's stripe centre without speckle, rendered",
-        ),
+        Metric("speckle_row", speckle, "px", "none", label=with_speckle),
+        Metric("rendered_row", own, "px", "near", 0.01, label=f"{words} without speckle, rendered"),
     ]
