@@ -21,13 +21,13 @@ TILE = 8
 _BATCH = 256
 """Tiles evaluated at a time: their numbers stay in the processor's cache."""
 _BEHIND = 1.001
-"""Edges that lie deeper than this many times the corners of a tile are hidden."""
+"""Edges deeper than this factor times the deepest corner of a tile are hidden."""
 _REACH = 0.4 * TILE
-"""Half the largest distance between points of an edge [px], and half a pixel round each."""
+"""Reach of a point of an edge [px]: half the distance to the next one, half a pixel, and a margin."""
 
 
 class View(NamedTuple):
-    """What every pixel sees, without a board."""
+    """Depth, triangle and light of every pixel, without a board."""
 
     depth: np.ndarray
     """Along the ray of its centre, float32 [height, width]; inf where nothing is."""
@@ -101,7 +101,7 @@ def observe(rig: TrueRig, scene: Scene, pose: Motion, channels: np.ndarray, furt
 
     Args:
         rig: The camera.
-        scene: What it sees.
+        scene: The scene.
         pose: T_scanner_cam.
         channels: Weights [3, channels] of R, G, B for the picture.
         further: Weights [3, further] of R, G, B for `View.albedo`.
@@ -167,7 +167,9 @@ def _plain(rig: TrueRig, tiles: Tiles, scene: Scene, pose: Motion) -> np.ndarray
     one = facet[:-1, :-1]
     alike = (one == facet[1:, :-1]) & (one == facet[:-1, 1:]) & (one == facet[1:, 1:])
     deepest = np.maximum(np.maximum(far[:-1, :-1], far[1:, :-1]), np.maximum(far[:-1, 1:], far[1:, 1:]))
-    alike &= _nearest_edges(rig, tiles, scene, pose) > np.float32(_BEHIND) * deepest
+    nearest = _nearest_edges(rig, tiles, scene, pose)
+    # A tile that sees nothing, and no edge, is plain too.
+    alike &= (nearest > np.float32(_BEHIND) * deepest) | (np.isinf(nearest) & np.isinf(deepest))
     return np.where(alike, triangle[:-1, :-1], -1).ravel()
 
 
@@ -184,7 +186,7 @@ def _nearest_edges(rig: TrueRig, tiles: Tiles, scene: Scene, pose: Motion) -> np
     nearest = np.full((rows + 2, columns + 2), np.inf, np.float32)
     for dv in (-_REACH, _REACH):
         for du in (-_REACH, _REACH):
-            # Of all that lies outside the picture, the rim round it keeps the count.
+            # The rim takes the points outside the picture.
             row = np.clip(np.floor((v + dv) / TILE) + 1, 0, rows + 1).astype(np.intp)
             column = np.clip(np.floor((u + du) / TILE) + 1, 0, columns + 1).astype(np.intp)
             np.minimum.at(nearest, (row, column), depth)

@@ -1,4 +1,4 @@
-"""Where a scan of the targets looks: the table's angles and the image's columns at which the stripe meets them."""
+"""Table angles and image columns at which the stripe meets the targets: only these are scanned."""
 
 from typing import NamedTuple
 
@@ -7,6 +7,10 @@ import numpy as np
 
 from experiments.paper.beyond.targets import Hall
 from jaxscan import Scanner
+
+
+_NEAR_M = 1.9
+"""Spheres nearer than this are a part of their own: there the stripe lies in other columns."""
 
 
 class Part(NamedTuple):
@@ -29,10 +33,13 @@ def aim(hall: Hall, scanner: Scanner, step_deg: float, plate_every: int | None) 
         scanner: The calibration.
         step_deg: Step of the table where spheres are.
         plate_every: Where plates are, only every so many steps are taken; None: all is one part in equal steps.
+
+    Returns:
+        The parts, angles ascending. Their columns hold the stripe on the targets, with a margin.
     """
     balls = [(np.array(ball.centre), ball.diameter / 2) for ball in hall.balls.values()]
     spheres = np.array([_on_sphere(*ball) for ball in balls])
-    near = np.array([np.linalg.norm(centre) < 1.9 for centre, _ in balls])
+    near = np.array([np.linalg.norm(centre) < _NEAR_M for centre, _ in balls])
     plates = np.concatenate([_on_plate(plate.centre, plate.edges) for plate in hall.plates])
     clouds = [(spheres[near].reshape(-1, 3), 1), (spheres[~near].reshape(-1, 3), 1), (plates, plate_every or 1)]
     if plate_every is None:
@@ -60,7 +67,7 @@ def _met(
     # Between two steps the sheet moves by this much.
     reach = 0.6 * (angles[1] - angles[0]) * np.linalg.norm(points, axis=1)
     lit = (np.abs(beside) < np.maximum(reach, 0.004)) & (local[..., 2] > 0.3)
-    # The margin is for what the lens bends, and for the sheet's bow.
+    # The margin is for the lens's distortion and the sheet's bow.
     u, margin = camera.fx * local[lit][:, 0] / local[lit][:, 2] + camera.cx, 0.012 * camera.fx
     return angles[lit.any(1)], float(u.min() - margin), float(u.max() + margin)
 

@@ -21,7 +21,7 @@ from jaxscan.simulation.planning import Placement
 
 @dataclass(frozen=True)
 class Faults:
-    """All that errs; with the defaults, nothing does."""
+    """Sources of error; by default there are none."""
 
     corner_px: float = 0.0
     """Noise of each coordinate of a corner, a standard deviation [px]."""
@@ -43,7 +43,7 @@ class Faults:
 
 @dataclass(frozen=True)
 class Study:
-    """What all draws share."""
+    """The setting that all draws share."""
 
     config: SimulationConfig
     """A rig without faults in an empty room."""
@@ -82,10 +82,14 @@ def measured_room(
 
     Args:
         study: The rig, its protocol and its sweep.
-        faults: What errs.
-        random: Of all that is drawn.
+        faults: The sources of error.
+        random: Source of all draws.
         as_user: Noise is estimated from residuals, as a user's calibration does it. Otherwise corners and stripes have
-            the weights of `study.stated` even where they are exact, so that a source alone does what it does among all.
+            the weights of `study.stated` even where they are exact, so that a source alone has the same effect as
+            among all sources.
+
+    Raises:
+        MeasurementError: If the cloud has no walls that can be measured.
     """
     config = study.config
     boards = config.boards.model_copy(
@@ -97,7 +101,7 @@ def measured_room(
     how = Sweeping(
         steps=study.steps,
         line_stride=study.stride,
-        # Of that width the standard deviation.
+        # The standard deviation of an even spread over that width.
         wander_deg=float(np.rad2deg(faults.jitter_rad)) / np.sqrt(12),
         noise=Noise(px=noise, shared_lines=1),
     )
@@ -107,12 +111,22 @@ def measured_room(
     assert room.length is not None and room.width is not None
     sides = (room.width, room.length)
     value, sigma = (np.array([getattr(side, name) for side in sides]) for name in ("value_m", "sigma_m"))
-    # No image shows the size of the squares: every length is as uncertain as they are.
+    # No image shows the size of the squares: every length has their relative uncertainty too.
     return value, np.hypot(sigma, study.stated.pitch * value)
 
 
 def cloud_of(stripes: SweepStripes, scanner: jaxscan.Scanner, stride: int, sigma_px: float) -> jaxscan.PointCloud:
-    """Points of every n-th row of known stripes, whose centres all have the same standard deviation [px]."""
+    """Points of every n-th row of known stripes.
+
+    Args:
+        stripes: The stripes of a sweep by one laser.
+        scanner: The calibration.
+        stride: n.
+        sigma_px: Standard deviation of all centres [px].
+
+    Returns:
+        The cloud [profiles, rows], without colour and normals.
+    """
     rows = np.arange(0, stripes.valid.shape[1], stride)
     valid, u = stripes.valid[:, rows], stripes.centre[:, rows]
     q = np.stack([u, np.broadcast_to(rows, u.shape)], -1).reshape(-1, 2).astype(float)

@@ -14,13 +14,13 @@ from jaxscan.report.picture import View, draw_cloud
 
 
 def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tuple[float, float]) -> None:
-    """From above, from the side, from within, and the directions that are seen.
+    """The room from above, from the side and from within.
 
     Args:
         stage: The world.
-        cloud: Of one turn.
-        box: Its dimensions.
-        shares: Of the sphere of directions, in the cloud and within the paper's camera's field [1].
+        cloud: The cloud of one turn.
+        box: The dimensions measured in it.
+        shares: Of all directions, those that the cloud covers and those in the field of the paper's camera [1].
     """
     xyz, valid = np.asarray(cloud.xyz), np.asarray(cloud.valid)
     xyz, rgb = np.where(valid[..., None], xyz, 0.0), np.asarray(cloud.rgb)
@@ -40,17 +40,17 @@ def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tup
     below = z < 0.6
     order = np.flatnonzero(below)[np.argsort(z[below])]
     axes["top"].scatter(x[order], y[order], c=colour[order], s=1.2, lw=0)
-    axes["top"].set(title="From above, without what is higher than 0.6 m over the scanner", ylabel="across [m]")
+    axes["top"].set(title="From above, without points higher than 0.6 m over the scanner", ylabel="across [m]")
     beyond = y > -0.3
     order = np.flatnonzero(beyond)[np.argsort(-y[beyond])]
     axes["side"].scatter(x[order], z[order], c=colour[order], s=1.2, lw=0)
-    axes["side"].set(title="From the side, cut 0.3 m before the scanner", ylabel="up [m]")
+    axes["side"].set(title="From the side, cut 0.3 m in front of the scanner", ylabel="up [m]")
     for one in (axes["top"], axes["side"]):
         one.plot(0, 0, "r^", ms=8)
         one.set(xlabel="along the room [m]", aspect="equal")
         one.set_facecolor("0.95")
     sides = [f"{name} {1e3 * side.value_m:.1f} ± {1e3 * side.sigma_m:.1f} mm" for name, side in _sides(box)]
-    seen = f"seen {100 * shares[0]:.0f} % of all directions; the paper's camera: {100 * shares[1]:.0f} % at most"
+    seen = f"{100 * shares[0]:.0f} % of all directions are seen; by the paper's camera {100 * shares[1]:.0f} % at most"
     figure.suptitle(f"The room in one turn of a fisheye, {stage.world} world\n{', '.join(sides)}\n{seen}")
     figure.savefig(stage.picture("fisheye"), dpi=100)
     plt.close(figure)

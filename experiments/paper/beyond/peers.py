@@ -1,9 +1,13 @@
-"""Ours beside the method of the best-known desk scanner, re-implemented, on the same images.
+"""jaxscan beside the method of the best-known desk scanner, Horus, re-implemented, on the same images.
 
-The same boards (our protocol), the same sweep of the room. Three of the other kind: `horus` as that program is
-shipped; `tuned` as a person could make it fit a room, with a lower threshold, and stripe points corrected for the
-lens as a descendant does it; `whole` the same with whole pixels, as another desk scanner rounds its centroids. The
-truth of rows is from the independent equations of `experiments.recalibration.world`, for some records and rows;
+Both take the same boards (our protocol) and the same sweep of the room. Horus' method comes in three versions:
+
+- `horus`: as the program is shipped.
+- `tuned`: as a person could adapt it to a room, with a lower threshold, and with stripe points corrected for the lens
+  as in a descendant of the program.
+- `whole`: as `tuned`, with centres rounded to whole pixels, as another desk scanner rounds them.
+
+True stripe centres are from the independent equations of `experiments.recalibration.world`, for some records and rows;
 everything else is from images.
 """
 
@@ -39,45 +43,47 @@ from jaxscan.simulation import true_scanner
 
 WAYS = {
     "ours": "jaxscan",
-    "horus": "Horus",
-    "tuned": "Horus, tuned for a room",
-    "whole": "the same in whole pixels",
+    "horus": "Horus' method as shipped",
+    "tuned": "Horus' method, tuned",
+    "whole": "Horus' method, tuned, whole pixels",
 }
+"""Methods, and their names in tables and pictures."""
 UNITS = {
     "rows": ("%", "lit rows with a point"),
-    "stripe": ("px", "RMS error of rows"),
-    "strays": ("%", "rows that err by 3 px or more"),
-    "depth_1.3m": ("mm", "depth error at 1.3 m"),
-    "depth_2.5m": ("mm", "depth error at 2.5 m"),
-    "axis_direction": ("deg", "direction of the axis"),
-    "axis_place": ("mm", "place of the axis"),
+    "stripe": ("px", "rms error of stripe centres"),
+    "strays": ("%", "stripe centres that err by 3 px or more"),
+    "depth_1.3m": ("mm", "rms depth error at 1.3 m"),
+    "depth_2.5m": ("mm", "rms depth error at 2.5 m"),
+    "axis_direction": ("deg", "mean error of the axis' direction"),
+    "axis_place": ("mm", "mean error of the axis' position"),
     "measured": ("%", "calibrations with which the room can be measured"),
-    "width": ("mm", "error of the room's width"),
-    "length": ("mm", "error of the room's length"),
-    "flatness": ("mm", "RMS flatness of walls that all see"),
+    "width": ("mm", "mean absolute error of the room's width"),
+    "length": ("mm", "mean absolute error of the room's length"),
+    "flatness": ("mm", "rms flatness of parts of walls that all methods see"),
 }
+"""Figures of each method: unit and name."""
 _FINDER = {"horus": "horus", "tuned": "horus_tuned", "whole": "horus_tuned"}
 DEPTHS_M = (1.3, 2.5)
 RECORDS = 120
-"""Of which the true stripes are known."""
+"""So many records have true stripes."""
 ROW_STEP = 4
 STRAY_PX = 3.0
-"""A centre that is farther from the truth is another thing, and counts by itself."""
+"""A centre that is farther from the truth is a stray; strays are counted and do not enter the rms error."""
 FARTHEST_M = 10.0
-"""Nobody believes points farther away than a house is long."""
+"""Points farther away than this are left out: no room is so long."""
 PATCH_M = 0.4
 """Flatness is judged within this distance of the middle of a wall's part that is seen."""
 _UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 class Seen(NamedTuple):
-    """The centres of one way, and its cloud, at the records and rows of the truth."""
+    """The centres of one method, and its cloud, at the records and rows of the truth."""
 
     u: np.ndarray
     """Column [records, rows]; px."""
     valid: np.ndarray
     xyz: np.ndarray
-    """[records, rows, 3], m; origin on the way's own axis, z up; NaN where there is no point."""
+    """[records, rows, 3], m; origin on the method's own axis, z up; NaN where there is no point."""
 
 
 class Rig(NamedTuple):
@@ -88,7 +94,7 @@ class Rig(NamedTuple):
 
 
 def run(stage: Stage) -> list[Metric]:
-    """Stripes, planes, axes and rooms of all ways against the truth."""
+    """Stripes, planes, axes and rooms of all methods against the truth."""
     paths, seen = our_calibrations(stage), room(stage)
     rigs = [Rig(jaxscan.load_scanner(path), horus.load(horus_path(stage, k))) for k, path in enumerate(paths)]
     stage.say("peers: true stripes")
@@ -119,7 +125,7 @@ def run(stage: Stage) -> list[Metric]:
 
 
 def _truth(stage: Stage, records: int) -> tuple[TrueSweep, int]:
-    """True stripes of some records, and every how many of the sweep's they are."""
+    """True stripes of every n-th record of the sweep, and n."""
     count = RECORDS if records % RECORDS == 0 else records
     _, truth = true_sweep(stage.config, 0, Sweeping(steps=count, line_stride=ROW_STEP))
     some = np.s_[:, ::ROW_STEP]
@@ -127,7 +133,7 @@ def _truth(stage: Stage, records: int) -> tuple[TrueSweep, int]:
 
 
 def _seen(stage: Stage, seen: Room, rig: Rig, name: str, step: int) -> Seen:
-    """Centres and points of some records, by one way."""
+    """Centres and points of every n-th record by one method; n is `step`."""
     if name != "ours":
         plain = seen.plain[_FINDER[name]]
         some = np.s_[::step, ::ROW_STEP]
@@ -144,7 +150,7 @@ def _columns(plain: PlainStripes, name: str) -> np.ndarray:
 
 
 def _their_points(seen: Room, rig: Rig, name: str, step: int) -> np.ndarray:
-    """Points of some records [records, rows, 3] with the origin on the axis and z up."""
+    """Points of every n-th record [records, rows, 3], m, with the origin on the axis and z up; n is `step`."""
     plain, theirs = seen.plain[_FINDER[name]], rig.theirs
     u, valid = _columns(plain, name)[::step], plain.valid[::step]
     xyz = horus.cloud(theirs, u, valid, seen.angles[::step], lens=name != "horus")
@@ -171,7 +177,7 @@ def _size(stage: Stage, seen: Room, rig: Rig, name: str) -> Size:
 
 
 def _rows(seen: Seen, truth: TrueSweep) -> dict[str, float]:
-    """Share of lit rows with a centre, root mean square of their errors, and share of strays."""
+    """Share of lit rows with a centre [%], rms error of the centres [px], and share of strays [%]."""
     lit = truth.surface >= 0
     there = lit & seen.valid
     error = (seen.u - truth.centre)[there]
@@ -184,7 +190,7 @@ def _rows(seen: Seen, truth: TrueSweep) -> dict[str, float]:
 
 
 def _patches(found: dict[str, Seen], truth: TrueSweep) -> list[np.ndarray]:
-    """Parts of walls [records, rows] that all ways saw: no way is judged by near walls alone."""
+    """Parts of walls [records, rows] that all methods saw: no method is judged by near walls alone."""
     out = []
     for wall in range(4):
         on_wall = truth.surface == wall
@@ -247,7 +253,7 @@ def _axis_errors(stage: Stage, rigs: list[Rig], name: str) -> dict[str, float]:
 
 def _metric(name: str, what: str, value: float) -> Metric:
     unit, label = UNITS[what]
-    # Three standard errors of what three calibrations give, and of another seed's noise.
+    # Three standard errors of a figure of three calibrations, and the noise of another seed.
     tolerance = (
         0.02 * abs(value) + 0.5
         if what in ("rows", "strays", "measured")

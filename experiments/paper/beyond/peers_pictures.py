@@ -1,5 +1,6 @@
 """Pictures of the comparison: errors as bars, clouds from above."""
 
+import textwrap
 from pathlib import Path
 
 import matplotlib as mpl
@@ -22,7 +23,15 @@ def draw_bars(
     units: dict[str, tuple[str, str]],
     world: str,
 ) -> None:
-    """One panel for each figure, one bar for each way."""
+    """One panel for each figure, one bar for each method.
+
+    Args:
+        path: Of the picture.
+        figures: By method, then by figure.
+        ways: Names of the methods.
+        units: Unit and name of each figure.
+        world: The world's name.
+    """
     figure, axes = plt.subplots(2, 5, figsize=(16, 7.4), constrained_layout=True)
     # A room that cannot be measured shows in the panels of its dimensions.
     panels = {what: text for what, text in units.items() if what != "measured"}
@@ -31,17 +40,24 @@ def draw_bars(
         values = np.array([figures[name][what] for name in shown])
         bars = axis.bar(range(len(shown)), np.nan_to_num(values), color=[COLOURS[name] for name in shown])
         axis.bar_label(bars, [f"{value:.3g}" if np.isfinite(value) else "failed" for value in values], fontsize=10)
-        axis.set(title=f"{label} [{unit}]", xticks=[])
+        axis.set(title=textwrap.fill(f"{label} [{unit}]", 32), xticks=[])
         axis.margins(y=0.15)
     handles = [mpl.patches.Patch(color=COLOURS[name], label=label) for name, label in ways.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(ways), fontsize=11)
-    figure.suptitle(f"The same images by our method and by those of desk scanners, {world} world", fontsize=14)
+    figure.suptitle(f"The same images by jaxscan and by Horus' method, {world} world", fontsize=14)
     figure.savefig(path, dpi=90)
     plt.close(figure)
 
 
 def draw_plans(path: Path, clouds: dict[str, np.ndarray], room: RoomSpec, world: str) -> None:
-    """Clouds [records, rows, 3] from above, each turned as the room stands, over the true walls."""
+    """Clouds from above over the true walls, with the room's own axes.
+
+    Args:
+        path: Of the picture.
+        clouds: By the name of the method [records, rows, 3], m.
+        room: The true room.
+        world: The world's name.
+    """
     figure, axes = plt.subplots(1, len(clouds), figsize=(5.2 * len(clouds), 8.2), constrained_layout=True, sharey=True)
     yaw = np.deg2rad(room.yaw_deg)
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])

@@ -1,4 +1,4 @@
-"""Pictures of what goes beyond the paper."""
+"""The picture of the acceptance tests."""
 
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,10 @@ _COLOURS = plt.get_cmap("coolwarm")
 
 
 def draw_hall(stage: Stage, hall: Hall, tests: "list[Tested]") -> None:
-    """The hall from above with its lengths by their errors; errors with their sigmas; form against distance."""
+    """The hall from above, lengths coloured by their errors; errors of lengths with sigmas; form against distance.
+
+    The first and the last panel are of the first calibration.
+    """
     figure, axes = plt.subplot_mosaic(
         [["top", "errors"], ["top", "form"]], figsize=(16, 9.5), width_ratios=(1.2, 1), layout="constrained"
     )

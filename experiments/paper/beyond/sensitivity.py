@@ -1,16 +1,17 @@
-"""How far each source of error moves the dimensions of the room: each source alone, and all together.
+"""Errors of the dimensions of the room by each source of error alone, and by all together.
 
 Not from rendered images. Pixels come from the independent equations of `ideal_room`: boards in poses of our own
 protocol, a joint calibration, a sweep of the empty room, and the distances of its walls. Each source acts alone, all
-others are zero. "All together" has them all; all but jitter, which no covariance knows, are held against the predicted
-standard deviation. The same sizes hold in both worlds, whose rigs differ by their lens alone; poses and draws differ.
+others are zero. "All together" has them all. The predicted standard deviation is compared with the errors of all but
+two: jitter, which no covariance knows, and the pitch, whose share is its size times the length. The same sizes hold in
+both worlds, whose rigs differ by their lens alone; poses and draws differ.
 
 Sizes: corners 0.1 px and stripe centres 0.05 px, white; speckle as measured, from rendered rows of the unkind world
 with and without it; board pitch 0.1 mm over 300 mm, a standard deviation; angle: gain and harmonics of the unkind
 table, their signs and phases drawn, and a jitter evenly spread over one microstep of 28 800 a turn, as positions are
-rounded; sheet bow as in the unkind world, its sign drawn. Gain and harmonics are estimated; jitter is nobody's
-parameter. The bow is free, and the predicted standard deviation has that of the pitch added to it; "bow not
-modelled" shows the price of a flat sheet. The rendered rows of the world at hand check the 0.05 px.
+rounded; sheet bow as in the unkind world, its sign drawn. Gain and harmonics are estimated; jitter is not a
+parameter. The bow is free; "bow not modelled" shows the price of a flat sheet. The rendered rows of the world at hand
+check the 0.05 px.
 """
 
 from dataclasses import replace
@@ -24,6 +25,7 @@ from experiments.paper.beyond.ideal_room import Faults, Study, measured_room, pl
 from experiments.paper.metrics import Metric
 from experiments.paper.stage import Stage
 from experiments.paper.worlds import windowed, world
+from experiments.recalibration.limits import rms
 from jaxscan.simulation import SimulationConfig, make_rig, render_sweep
 from jaxscan.simulation.planning import plan_boards
 from jaxscan.simulation.scene import make_scene
@@ -38,7 +40,7 @@ PITCH = 0.1 / 300
 MICROSTEP_RAD = 2 * np.pi / 28800
 """A stepper of 200 x 16 microsteps behind a gear of 9 : 1."""
 SIDES = ("width", "length")
-_TOGETHER = {"all": "all together", "modelled": "all together but jitter"}
+_TOGETHER = {"all": "all sources", "modelled": "all sources but jitter and pitch"}
 
 
 class Source(NamedTuple):
@@ -78,8 +80,10 @@ def run(stage: Stage) -> list[Metric]:
     count, modelled = (2, 2) if stage.quick else (8, 16)
     runs = [measured_room(study, every, _random(stage, 98, draw), as_user=True)[0] for draw in range(count)]
     errors["all"] = 1e3 * (np.array(runs) - truth)
-    still = replace(every, jitter_rad=0.0)
-    pairs = [measured_room(study, still, _random(stage, 99, draw), as_user=True) for draw in range(modelled)]
+    # Jitter is not modelled; the share of the pitch is known without an experiment: pitch times length.
+    still = replace(every, jitter_rad=0.0, pitch=0.0)
+    exact = replace(study, stated=replace(every, pitch=0.0))
+    pairs = [measured_room(exact, still, _random(stage, 99, draw), as_user=True) for draw in range(modelled)]
     values, sigma = (1e3 * np.array(part) for part in zip(*pairs, strict=True))
     errors["modelled"] = values - 1e3 * truth
     labels = {source.name: source.label for source in sources(every)} | _TOGETHER
@@ -91,12 +95,12 @@ def sources(every: Faults) -> list[Source]:
     """Each source alone."""
     bow = Faults(bow=every.bow)
     return [
-        Source("corner", f"corners, {every.corner_px:g} px", Faults(corner_px=every.corner_px)),
-        Source("stripe", f"stripe, {every.stripe_px:g} px", Faults(stripe_px=every.stripe_px)),
+        Source("corner", f"corner noise, {every.corner_px:g} px", Faults(corner_px=every.corner_px)),
+        Source("stripe", f"stripe noise, {every.stripe_px:g} px", Faults(stripe_px=every.stripe_px)),
         Source("speckle", f"speckle, {every.speckle_px:.2f} px", Faults(speckle_px=every.speckle_px)),
         Source("pitch", "board pitch, 0.1 mm in 300 mm", Faults(pitch=every.pitch)),
-        Source("angle", "angle: gain, harmonics", Faults(gain=every.gain, harmonics=every.harmonics)),
-        Source("jitter", "angle: jitter of a microstep", Faults(jitter_rad=every.jitter_rad)),
+        Source("angle", "table angle: gain, harmonics", Faults(gain=every.gain, harmonics=every.harmonics)),
+        Source("jitter", "table angle: jitter of a microstep", Faults(jitter_rad=every.jitter_rad)),
         Source("bow", "sheet bow, estimated", bow),
         Source("bow_not_modelled", "sheet bow, not modelled", bow),
     ]
@@ -118,23 +122,30 @@ def row_error(stage: Stage, config: SimulationConfig) -> float:
 
 
 def draw_chart(stage: Stage, errors: dict[str, np.ndarray], sigma: np.ndarray, labels: dict[str, str]) -> None:
-    """Bars of the root mean square error, whiskers of its standard error, dots of the draws."""
+    """Bars: rms errors; whiskers: their standard errors; dots: draws.
+
+    Args:
+        stage: The world.
+        errors: Of width and length, by source [draws, 2], mm.
+        sigma: Predicted, of the draws without jitter and pitch [draws, 2], mm.
+        labels: Of the sources.
+    """
     names = list(errors)
     figure, axes = plt.subplots(1, 2, figsize=(12, 5.2), sharey=True, constrained_layout=True)
     places = np.arange(len(names))[::-1]
     for side, (axis, title) in enumerate(zip(axes, ("width 3820 mm", "length 6150 mm"), strict=True)):
         for place, name in zip(places, names, strict=True):
             error = errors[name][:, side]
-            size = _rms(error)
+            size = rms(error)
             colour = "tab:gray" if name in _TOGETHER else "tab:blue"
             axis.barh(
                 place, size, xerr=size / np.sqrt(2 * len(error)), color=colour, alpha=0.75, capsize=3, height=0.55
             )
             axis.plot(np.abs(error), np.full(len(error), place), "k.", ms=4, alpha=0.6)
             axis.text(0, place + 0.4, f"{size:.3f} mm", fontsize=8, va="center")
-        predicted = _rms(sigma[:, side])
+        predicted = rms(sigma[:, side])
         axis.plot([predicted] * 2, [-0.35, 0.35], color="tab:red", lw=2.5, label=f"predicted: {predicted:.2f} mm")
-        axis.set(title=f"Room {title}", xlabel="RMS error [mm]; dots: size of the error of each draw")
+        axis.set(title=f"Room {title}", xlabel="rms error [mm]; dots: absolute error of each draw")
         axis.set_yticks(places, [labels[name] for name in names])
         axis.set_ylim(-0.6, len(names) - 0.2)
         axis.legend(loc="lower right", fontsize=9)
@@ -163,30 +174,30 @@ def _without_speckle(config: SimulationConfig) -> SimulationConfig:
     return config.model_copy(update={"laser": (laser, *config.laser[1:])})
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
 def _metrics(errors: dict[str, np.ndarray], sigma: np.ndarray, labels: dict[str, str]) -> list[Metric]:
     out = []
     for name, found in errors.items():
         for side, title in enumerate(SIDES):
-            size = _rms(found[:, side])
+            size = rms(found[:, side])
             # Another set of draws has another root mean square: three standard errors of it.
             tolerance = 3 * size / np.sqrt(2 * len(found))
-            label = f"{title} of the room, {labels[name]}: RMS error"
+            alone = "" if name in _TOGETHER else " alone"
+            label = f"room's {title}, {labels[name]}{alone}: rms error"
             out.append(Metric(f"{name}_{title}", size, "mm", "less", tolerance, label=label))
     for side, title in enumerate(SIDES):
-        predicted, ratio = _rms(sigma[:, side]), _rms(errors["modelled"][:, side] / sigma[:, side])
-        out.append(Metric(f"predicted_{title}", predicted, "mm", "near", 0.1 * predicted, label=f"{title}, predicted"))
+        predicted, ratio = rms(sigma[:, side]), rms(errors["modelled"][:, side] / sigma[:, side])
+        label = f"room's {title}, {_TOGETHER['modelled']}: predicted standard deviation"
+        out.append(Metric(f"predicted_{title}", predicted, "mm", "near", 0.1 * predicted, label=label))
         tolerance = 3 * ratio / np.sqrt(2 * len(sigma))
-        label = f"{title}, all but jitter: error by predicted standard deviation"
+        label = f"room's {title}, {_TOGETHER['modelled']}: rms of error over predicted standard deviation"
         out.append(Metric(f"ratio_{title}", ratio, "1", "near", tolerance, label=label))
     return out
 
 
 def _row_metrics(speckle: float, own: float) -> list[Metric]:
+    words = "rms error of a row's stripe centre"
+    with_speckle = f"{words} by speckle alone, rendered, rig of the unkind world"
     return [
-        Metric("speckle_row", speckle, "px", "none", label="row error by speckle, rendered, unkind world"),
-        Metric("rendered_row", own, "px", "near", 0.01, label="row error without speckle, rendered, this world"),
+        Metric("speckle_row", speckle, "px", "none", label=with_speckle),
+        Metric("rendered_row", own, "px", "near", 0.01, label=f"{words} without speckle, rendered"),
     ]

@@ -8,11 +8,12 @@ import numpy as np
 
 from jaxscan import Scanner
 from jaxscan.geometry import Array
-from jaxscan.measurement.samples import Samples, spread_out
+from jaxscan.measurement.samples import SIGMA_FLOOR_M, Samples, spread_out
 
 
 CAP = np.cos(np.deg2rad(60.0))
-"""Points whose normal is farther from the view than this are not used: at grazing incidence the stripe is no line."""
+"""Cosine of the largest angle between normal and view at which points are used: at grazing incidence the stripe is no
+line."""
 KEPT = 3.5
 """Residuals beyond this many robust standard deviations are left out of a fit."""
 _REACH = 0.09
@@ -33,7 +34,7 @@ class Fit(NamedTuple):
     effect: np.ndarray
     """Derivative of the centre by the minimal coordinates of the calibration [3, parameters]."""
     residual: np.ndarray
-    """Distance of all points of the cap from the surface [n], m; none is left out."""
+    """Distances from the surface of all points of the cap within a fifth of the diameter of it [n], m."""
 
 
 class Measured(NamedTuple):
@@ -48,8 +49,8 @@ class Measured(NamedTuple):
 def fit_sphere(samples: Samples, click: np.ndarray, diameter: float, scanner: Scanner, *, free: bool) -> Fit:
     """The sphere next to a place.
 
-    Weighted least squares of the distances to the surface: a point's noise lies along its ray, so that its weight is
-    that of its component along the normal.
+    Weighted least squares of the distances to the surface, without outliers: the noise of a point lies along its ray,
+    and its component along the normal sets the weight.
 
     Args:
         samples: Points of the cloud.
@@ -58,8 +59,11 @@ def fit_sphere(samples: Samples, click: np.ndarray, diameter: float, scanner: Sc
         scanner: The scanner that the cloud was made with.
         free: Whether the diameter is found too.
 
+    Returns:
+        The fit; centre in the frame of the samples.
+
     Raises:
-        ValueError: If there are too few points.
+        ValueError: If there are too few points, or none that lie on such a sphere.
     """
     near = samples.take(np.linalg.norm(samples.p - click, axis=1) < diameter / 2 + _REACH)
     if len(near.p) < 30:
@@ -87,7 +91,13 @@ def fit_sphere(samples: Samples, click: np.ndarray, diameter: float, scanner: Sc
 
 
 def distance(first: Fit, second: Fit, scanner: Scanner) -> Measured:
-    """Between the centres, with its uncertainty by stripes and calibration."""
+    """Distance between the centres, with its uncertainty by stripes and calibration.
+
+    Args:
+        first: One sphere.
+        second: The other.
+        scanner: The scanner that both were measured with; without covariance it adds nothing.
+    """
     apart = second.centre - first.centre
     value = float(np.linalg.norm(apart))
     along = apart / value
@@ -99,7 +109,16 @@ def distance(first: Fit, second: Fit, scanner: Scanner) -> Measured:
 
 
 def together(fits: dict[str, Fit], pairs: list[tuple[str, str]], scanner: Scanner) -> np.ndarray:
-    """Predicted covariance of distances between spheres [pairs, pairs], m^2: they share spheres and calibration."""
+    """Predicted covariance of distances between spheres: they share spheres and calibration.
+
+    Args:
+        fits: Spheres by name.
+        pairs: Names of the two spheres of each distance.
+        scanner: The scanner that all were measured with.
+
+    Returns:
+        [pairs, pairs], m^2.
+    """
     number = {name: 3 * index for index, name in enumerate(fits)}
     rows = np.zeros((len(pairs), 3 * len(fits)))
     for row, (first, second) in zip(rows, pairs, strict=True):
@@ -112,7 +131,7 @@ def together(fits: dict[str, Fit], pairs: list[tuple[str, str]], scanner: Scanne
 
 
 def band95(residual: np.ndarray) -> float:
-    """Width of the narrowest band that holds 95 % of the residuals."""
+    """Width of the narrowest band that holds 95 % of the residuals [n], in their unit. Source: ISO 10360-13."""
     ordered = np.sort(residual)
     count = int(np.ceil(0.95 * len(ordered)))
     return float(np.min(ordered[count - 1 :] - ordered[: len(ordered) - count + 1]))
@@ -153,7 +172,7 @@ def _rays(samples: Samples) -> np.ndarray:
 
 def _sigma_across(samples: Samples, normal: np.ndarray) -> np.ndarray:
     """Standard deviation along the normals of a point by its own row alone [n], m; at least 0.1 mm."""
-    return np.hypot(samples.sigma_row * np.abs(np.sum(_rays(samples) * normal, -1)), 1e-4)
+    return np.hypot(samples.sigma_row * np.abs(np.sum(_rays(samples) * normal, -1)), SIGMA_FLOOR_M)
 
 
 def _factors(samples: Samples, normal: np.ndarray, free: bool) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The hall of the acceptance tests: calibrated spheres, dumb-bells and plates round the scanner.
 
 Coordinates are those of the scanner frame: the table's axis is z, and the camera looks along x at angle 0. The hall is
-placed so that its walls are parallel to x and y. Targets hang free; stands would only hide a part of them.
+placed so that its walls are parallel to x and y. Targets hang without stands, which would hide a part of them.
 """
 
 from typing import NamedTuple
@@ -66,7 +66,12 @@ class Hall(NamedTuple):
         return float(np.linalg.norm(ends[1] - ends[0]))
 
     def around(self, azimuth: float, reach: float) -> "Hall":
-        """The targets whose middle lies within `reach` of an azimuth [deg]: of a fine mesh all of it costs time."""
+        """The targets whose middle lies within an angle of an azimuth: fewer fine meshes are rendered sooner.
+
+        Args:
+            azimuth: In the scanner frame [deg].
+            reach: The angle [deg].
+        """
 
         def inside(point: np.ndarray | tuple[float, ...]) -> bool:
             turn = np.rad2deg(np.arctan2(point[1], point[0])) - azimuth
@@ -77,7 +82,7 @@ class Hall(NamedTuple):
         return Hall(balls, [plate for plate in self.plates if inside(plate.centre)], lengths)
 
     def build(self, mesh: Mesh) -> None:
-        """Adds the targets to the hall's mesh, in its own coordinates."""
+        """Add the targets to the mesh of the hall, in the coordinates of the room."""
         shift = np.array(HALL.rig_m)
         for ball in self.balls.values():
             _sphere(mesh, shift + ball.centre, ball.diameter / 2)
@@ -89,13 +94,13 @@ class Hall(NamedTuple):
 
 
 def hall_config(config: SimulationConfig) -> SimulationConfig:
-    """The same rig in the empty hall, with lamps enough for its size."""
+    """The same rig in the empty hall, whose lamp throws no shadows."""
     light = LightSpec(**{**config.light.model_dump(), "shadows": False})
     return config.model_copy(update={"room": HALL, "light": light})
 
 
 def make_hall(*, quick: bool) -> Hall:
-    """The targets; some of each kind only, if `quick`."""
+    """The targets; if `quick`, only some of each kind."""
     balls, lengths = _stacks(quick)
     for number, (azimuth, distance, along) in enumerate(_BARS[:2] if quick else _BARS, 1):
         middle = _place(azimuth, distance, 0.0)

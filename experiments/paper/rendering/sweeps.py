@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from jaxscan.reconstruction import FrameChunk
-from jaxscan.simulation import SimulationConfig, render_sweep
+from jaxscan.simulation import RenderedRecord, SimulationConfig, render_sweep
 from jaxscan.simulation.scene import Scene
 from jaxscan.stripes import LaserLine, PixelFormat, Response
 
@@ -68,7 +68,7 @@ class RenderedSweep:
 
     def chunks(self, size: int) -> Iterator[FrameChunk]:
         """All frames in order, `size` records at a time."""
-        records = render_sweep(self.config, seed=self.seed, angles=self.angles, scene=self.scene)
+        records = self._records()
         first = 0
         while part := list(itertools.islice(records, size)):
             on, off = (np.stack([getattr(record, side) for record in part]) for side in ("on", "off"))
@@ -76,3 +76,6 @@ class RenderedSweep:
                 self.watch(first, on, off)
             first += len(part)
             yield FrameChunk(on, off)
+
+    def _records(self) -> Iterator[RenderedRecord]:
+        return render_sweep(self.config, seed=self.seed, angles=self.angles, scene=self.scene)

@@ -30,7 +30,11 @@ class FanView:
         step = np.where(np.abs(step) < 1e-12, 1e-12, step)
         shares = np.sort((np.array([-thick, thick]) - out[:, :1]) / step[:, None], 1).clip(0, 1)
         ends = legs[:, None, 0] + shares[..., None] * (legs[:, None, 1] - legs[:, None, 0])
-        low, high = np.sort(self._cell(sheet.angle(ends)), 1).T
+        angle = sheet.angle(ends)
+        low, high = np.sort(self._cell(angle), 1).T
+        # A part of an edge that passes behind the laser lies outside both ends, not between them.
+        behind = np.abs(angle[:, 1] - angle[:, 0]) > np.pi
+        low, high = np.where(behind, 0, low), np.where(behind, _CELLS - 1, high)
         # No point of an edge is nearer than its nearer end by more than its length.
         distance = np.linalg.norm(ends, axis=-1).min(1) - np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
         low, high = np.maximum(low - 1, 0), np.minimum(high + 1, _CELLS - 1)
