@@ -19,6 +19,24 @@ from experiments.paper.worlds import WORLDS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, README = ROOT / "results" / "paper.md", ROOT / "README.md"
+HEADLINES = (
+    *(f"table_1.{way}_{key}_mean" for way in ("paper_way", "ours") for key in ("fx", "fy", "cx", "cy")),
+    *(
+        f"table_1.{way}_length_{size}_{part}"
+        for way in ("paper_way", "ours")
+        for size in (3820, 6150)
+        for part in ("bias", "spread")
+    ),
+    *(f"table_1.our_protocol_length_{size}_rms" for size in (3820, 6150)),
+    *(f"table_2.{way}_{key}_mean" for way in ("paper_way_linear", "paper_way_total", "ours") for key in "abc"),
+    *(f"figure_7.{way}_picked_std" for way in ("paper_way_gravity", "paper_way_highest", "ours")),
+    *(f"figure_9.{way}_{side}" for way in ("ours_boards", "ours_recalibrated") for side in ("width", "length")),
+    *(f"figure_9.paper_way_gravity_{side}_{part}" for side in ("width", "length") for part in ("median", "rms")),
+    *(f"figure_9.pair_angle_for_{side}{kind}" for side in ("width", "length") for kind in ("", "_rms")),
+    *(f"fisheye.{side}_error" for side in ("length", "width", "height")),
+    *(f"peers.{way}_{side}" for way in ("ours", "horus", "tuned") for side in ("width", "length", "rows")),
+)
+"""Figures without a limit that the table in the README shows too."""
 BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
 HEAD = """# The paper's tables and figures
 
@@ -49,19 +67,19 @@ def value(metric: Metric | None) -> str:
     return text if metric.met() else f"**{text}**"
 
 
-def rows_of(worlds: dict[str, dict[str, Any]], name: str) -> list[Row]:
-    """Figures of an experiment, in the order of the first world that has them."""
+def rows_of(worlds: dict[str, dict[str, Any]], name: str) -> dict[str, Row]:
+    """Figures of an experiment by their keys, in the order of the first world that has them."""
     found: dict[str, dict[str, Metric]] = {}
     for each, results in worlds.items():
         for fields in results.get(name, {}).get("metrics", ()):
             found.setdefault(fields["key"], {})[each] = Metric(**fields)
-    return [Row(metrics) for metrics in found.values()]
+    return {key: Row(metrics) for key, metrics in found.items()}
 
 
-def table(rows: list[Row]) -> list[str]:
-    """Lines of a table."""
-    head = ["figure", "unit", "paper", *(f"{name} world" for name in WORLDS), "must reach"]
-    return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *(row.cells() for row in rows))]
+def table(rows: list[list[str]], *before: str) -> list[str]:
+    """Lines of a table; `before` are the titles of columns before those of a `Row`."""
+    head = [*before, "figure", "unit", "paper", *(f"{name} world" for name in WORLDS), "limit"]
+    return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]
 
 
 def page(worlds: dict[str, dict[str, Any]]) -> str:
@@ -71,14 +89,26 @@ def page(worlds: dict[str, dict[str, Any]]) -> str:
         if not (rows := rows_of(worlds, name)):
             continue
         seconds = [f"{world} {results[name]['seconds']:.0f} s" for world, results in worlds.items() if name in results]
-        lines += [f"## {name}", f"`python -m experiments.paper {name}` ({', '.join(seconds)})", "", *table(rows), ""]
+        lines += [
+            f"## {name}",
+            f"`python -m experiments.paper {name}` ({', '.join(seconds)})",
+            "",
+            *table(list(rows.values())),
+            "",
+        ]
     return "\n".join(lines)
 
 
 def headline(worlds: dict[str, dict[str, Any]]) -> list[str]:
-    """Figures that the paper reports, or that have a limit."""
-    rows = [row for name in EXPERIMENTS for row in rows_of(worlds, name)]
-    return table([row for row in rows if any(one.paper is not None or one.wanted() for one in row.metrics.values())])
+    """Figures that have a limit, and a few that are worth reading beside them."""
+    limited = lambda row: any(one.wanted() for one in row.metrics.values())
+    rows = [
+        [name, *row.cells()]
+        for name in EXPERIMENTS
+        for key, row in rows_of(worlds, name).items()
+        if f"{name}.{key}" in HEADLINES or limited(row)
+    ]
+    return table(rows, "experiment")
 
 
 def main() -> int:
