@@ -93,7 +93,7 @@ def page(worlds: dict[str, dict[str, Any]]) -> str:
             f"## {name}",
             f"`python -m experiments.paper {name}` ({', '.join(seconds)})",
             "",
-            *table(list(rows.values())),
+            *table([row.cells() for row in rows.values()]),
             "",
         ]
     return "\n".join(lines)
