@@ -47,13 +47,21 @@ def draw_room(stage: Stage, cloud: jaxscan.PointCloud, box: RoomBox, shares: tup
     axes["side"].set(title="From the side, cut 0.3 m in front of the scanner", ylabel="up [m]")
     for one in (axes["top"], axes["side"]):
         one.plot(0, 0, "r^", ms=8)
-        one.set(xlabel="along the room [m]", aspect="equal")
+        one.set(xlabel="along the room [m]", aspect="equal", xlim=_most(x))
         one.set_facecolor("0.95")
+    axes["top"].set_ylim(_most(y))
+    axes["side"].set_ylim(_most(z))
     sides = [f"{name} {1e3 * side.value_m:.1f} ± {1e3 * side.sigma_m:.1f} mm" for name, side in _sides(box)]
     seen = f"{100 * shares[0]:.0f} % of all directions are seen; by the paper's camera {100 * shares[1]:.0f} % at most"
     figure.suptitle(f"The room in one turn of a fisheye, {stage.world} world\n{', '.join(sides)}\n{seen}")
     figure.savefig(stage.picture("fisheye"), dpi=100)
     plt.close(figure)
+
+
+def _most(values: np.ndarray) -> tuple[float, float]:
+    """Limits of an axis that leave out a few strays."""
+    low, high = np.percentile(values, [0.1, 99.9])
+    return float(low) - 0.2, float(high) + 0.2
 
 
 def _sides(box: RoomBox) -> list[tuple[str, Dimension]]:
