@@ -27,7 +27,7 @@ test-all: $(INSTALLED)
 	$(BIN)/python -m pytest -q $(SHARED) -m "slow or not slow"
 
 # The tables and figures of the paper, in both worlds, to paper-figures/: an hour on two cores.
-# `make experiments QUICK=--quick` shows in two minutes that all of it works.
+# `make experiments QUICK=--quick` shows in some minutes that all of it works.
 experiments: $(INSTALLED) libraries
 	$(BIN)/python -m experiments.paper $(QUICK) --out paper-figures
 	$(BIN)/python -m experiments.paper.page $(QUICK) paper-figures
