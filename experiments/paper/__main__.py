@@ -38,8 +38,8 @@ def run_one(stage: Stage, name: str) -> dict[str, Any]:
     worse = []
     for metric in metrics:
         known = baseline.get(f"{name}.{metric.key}")
-        was = "" if known is None else f", baseline {shown(known)}"
-        if known is not None and metric.worse_than(known):
+        was = "" if known is None else f", baseline {shown(known[0])} ± {known[1]:.2g}"
+        if known is not None and metric.worse_than(*known):
             worse.append(metric.key)
             was += " WORSE"
         print(line(metric) + was, flush=True)
