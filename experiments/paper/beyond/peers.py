@@ -18,12 +18,14 @@ import numpy as np
 import jaxscan
 from experiments.paper.beyond.peers_pictures import draw_bars, draw_plans
 from experiments.paper.figures.room_clouds import (
+    FARTHEST_M,
     NOT_MEASURED,
     PROFILES,
-    Points,
+    UPRIGHT,
     Size,
     box_of,
     our_cloud,
+    points_of,
     records_of,
     size_of,
     thinned,
@@ -69,11 +71,8 @@ RECORDS = 120
 ROW_STEP = 4
 STRAY_PX = 3.0
 """A centre that is farther from the truth is a stray; strays are counted and do not enter the rms error."""
-FARTHEST_M = 10.0
-"""Points farther away than this are left out: no room is so long."""
 PATCH_M = 0.4
 """Flatness is judged within this distance of the middle of a wall's part that is seen."""
-_UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 class Seen(NamedTuple):
@@ -156,7 +155,7 @@ def _their_points(seen: Room, rig: Rig, name: str, step: int) -> np.ndarray:
     xyz = horus.cloud(theirs, u, valid, seen.angles[::step], lens=name != "horus")
     # The axis' point at the height of the camera.
     foot = theirs.point - (theirs.point @ theirs.direction) * theirs.direction
-    xyz = (xyz - foot) @ _UPRIGHT.T
+    xyz = (xyz - foot) @ UPRIGHT.T
     far = np.linalg.norm(xyz, axis=-1, keepdims=True)
     return np.where(far < FARTHEST_M, xyz, np.nan)
 
@@ -167,13 +166,9 @@ def _size(stage: Stage, seen: Room, rig: Rig, name: str) -> Size:
         return size_of(box_of(our_cloud(stage, thinned(seen), rig.ours), rig.ours))
     step = max(1, len(seen.angles) // PROFILES)
     xyz = _their_points(seen, rig, name, step)[:, ::ROW_STEP]
-    valid = np.isfinite(xyz).all(-1)
-    if not valid.any():
+    if not np.isfinite(xyz).any():
         return NOT_MEASURED
-    # The method states no noise of a point; it grows with the square of the distance.
-    sigma = np.where(valid, 1e-3 * (np.linalg.norm(np.nan_to_num(xyz), axis=-1) / DEPTHS_M[0]) ** 2, 0.0)
-    laser = np.zeros(len(xyz), np.uint8)
-    return size_of(box_of(Points(np.nan_to_num(xyz), sigma, valid, laser, seen.angles[::step])))
+    return size_of(box_of(points_of(xyz, seen.angles[::step])))
 
 
 def _rows(seen: Seen, truth: TrueSweep) -> dict[str, float]:

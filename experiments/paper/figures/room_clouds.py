@@ -15,9 +15,11 @@ from jaxscan.reconstruction import make_plan, smooth_stripes
 
 PROFILES, ROWS = 360, 200
 """Of a thinned cloud, about: enough points for planes, and thirty clouds take little time."""
-_UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """From the camera's frame (right, down, ahead) to one whose z is up."""
 _SIGMA_M, _SIGMA_AT_M = 1e-3, 1.3
+FARTHEST_M = 10.0
+"""Points farther away than this are left out: no room is so long, and plain finders take reflections too."""
 
 
 class Points(NamedTuple):
@@ -118,18 +120,24 @@ def recalibrated(stage: Stage, room: Room, path: str) -> jaxscan.Recalibration:
 
 
 def paper_points(way: PaperWay, plain: PlainStripes, angles: np.ndarray) -> Points:
-    """The room by a calibration of the paper's method, thinned.
-
-    The paper gives no uncertainty of a point; the fit of planes takes one that grows with the square of the distance.
-    """
+    """The room by a calibration of the paper's method, thinned."""
     records, rows = (max(1, count // wanted) for count, wanted in zip(plain.u.shape, (PROFILES, ROWS), strict=True))
     # Rows are masked, not cut out: their number is their place in the image.
     some = np.zeros(plain.u.shape[1], bool)
     some[::rows] = True
-    xyz = cloud(way, plain.u[::records], plain.valid[::records] & some, angles[::records])[:, some] @ _UPRIGHT.T
+    xyz = cloud(way, plain.u[::records], plain.valid[::records] & some, angles[::records])[:, some]
+    return points_of(xyz @ UPRIGHT.T, angles[::records])
+
+
+def points_of(xyz: np.ndarray, angles: np.ndarray) -> Points:
+    """A cloud by a method that states no uncertainty of a point: one that grows with the square of the distance.
+
+    Args:
+        xyz: [records, rows, 3], m; z up, NaN where there is no point.
+        angles: Of the table [records], rad.
+    """
     far = np.linalg.norm(xyz, axis=-1)
-    # A plain finder takes reflections too: points farther than any wall are left out.
-    valid = np.isfinite(far) & (far < 10.0)
+    valid = np.isfinite(far) & (far < FARTHEST_M)
     sigma = np.where(valid, _SIGMA_M * (far / _SIGMA_AT_M) ** 2, 0.0)
     lasers = np.zeros(len(xyz), np.uint8)
-    return Points(np.where(valid[..., None], xyz, 0.0), sigma, valid, lasers, np.asarray(angles[::records]))
+    return Points(np.where(valid[..., None], xyz, 0.0), sigma, valid, lasers, np.asarray(angles))

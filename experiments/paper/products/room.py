@@ -1,7 +1,7 @@
 """The room of the configuration in one sweep: stripes by our extractor and by the plain ones, of the same frames.
 
 In the kind world the table takes all 3600 steps, as in the paper. In the unkind one it takes every tenth: a frame there
-costs twice as much, and all experiments together have an hour. A quick sweep has 90 steps.
+takes three times as long to render, and all experiments together have an hour. A quick sweep has 90 steps.
 """
 
 from pathlib import Path
@@ -21,12 +21,9 @@ from jaxscan.simulation import sweep_angles
 
 NEAR_M, FAR_M = 1.2, 4.0
 """Depths between which the room and its furniture lie, as a user knows [m]."""
-MARGIN_PX = 40
-"""Columns read on either side of the stripe's, at full size [px]."""
-PLAIN = {"gravity": plain_stripes.gravity, "highest": plain_stripes.highest} | {
-    "horus": horus_stripes.scan,
-    "horus_tuned": horus_stripes.tuned,
-}
+MARGIN = 40 / 2048
+"""Columns read on either side of the stripe's, as a share of the image's width."""
+PLAIN = plain_stripes.EXTRACTORS | {"horus": horus_stripes.scan, "horus_tuned": horus_stripes.tuned}
 STRIDE = {"kind": 1, "unkind": 10}
 """Every n-th of the plan's steps is taken."""
 _QUICK_STEPS = 90
@@ -110,9 +107,7 @@ def _sweep(stage: Stage) -> Room:
     scanner = jaxscan.load_scanner(our_calibrations(stage, 1)[0])
     every = config.plan.steps // _QUICK_STEPS if stage.quick else STRIDE[stage.world]
     angles = sweep_angles(config, every=every)
-    # The margin has the same angle in quick images.
-    margin = MARGIN_PX * config.camera.fx / 2894.462
-    first, stop = stripe_window(scanner, NEAR_M, FAR_M, margin)
+    first, stop = stripe_window(scanner, NEAR_M, FAR_M, MARGIN * config.camera.width)
     shape = len(angles), config.camera.height
     plain = {name: PlainStripes(np.zeros(shape, np.float32), np.zeros(shape, bool)) for name in PLAIN}
 

@@ -1,8 +1,8 @@
 """Boards that were captured with the rig as it is now: their information on the scanner's unknowns.
 
-Poses and shape of the boards are solved with the scanner held, and eliminated. What is left is linear in a step of the
-scanner: as many equations as it has unknowns. With a better scanner they are formed again, so that the whole is one
-joint least squares, by Gauss' and Newton's method.
+Poses and shape of the boards are solved with the scanner held, and eliminated. The equations that remain are linear in
+a step of the scanner: as many equations as it has unknowns. With a better scanner they are formed again, so that the
+whole is one joint least squares, by Gauss' and Newton's method.
 """
 
 from dataclasses import replace

@@ -46,7 +46,7 @@ class Shape(NamedTuple):
 def flat(adjusted: Adjusted) -> Bool[np.ndarray, " surfaces"]:
     """Which surfaces are flat within noise and the unevenness that most walls of the room have.
 
-    A plane is fitted to the distances of each surface's points. What is left is compared with a bow, with a step, and
+    A plane is fitted to the distances of each surface's points. The residuals are compared with a bow, with a step, and
     with means over blocks; noise is widened by the errors that neighbours share. Spheres always pass.
     """
     surfaces, points = adjusted.surfaces, adjusted.observations.points

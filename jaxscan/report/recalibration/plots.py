@@ -131,7 +131,7 @@ def gain_figure(gains: Sequence[Gain], most: int = 16) -> "Figure":
 
 
 def closure_figure(closure: Closure) -> "Figure":
-    """What is left open after a full turn, before and after."""
+    """The gap that is left after a full turn, before and after."""
     figure = new_figure(5.4, 1.5)
     axes = new_axes(figure, xlabel="gap after a full turn at 2.5 m, mm")
     # A gap that nothing shows is 0 by the best estimate.

@@ -119,7 +119,7 @@ def hold_out_lines(result: Recalibration) -> list[str]:
 
 
 def closure_lines(result: Recalibration) -> list[str]:
-    """What is left open after a full turn."""
+    """The gap that is left after a full turn."""
     closure = result.closure
     if closure is None:
         return []
