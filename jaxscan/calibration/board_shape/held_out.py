@@ -109,41 +109,47 @@ def _find_poses(residual: np.ndarray, rows: np.ndarray, owner: np.ndarray) -> No
 
 def _normal(result: Adjustment, extra: BoardModes) -> _Normal:
     problem, linear = result.problem, result.linearised
-    camera, shared = len(problem.camera.parameter_names()), len(problem.scales)
-    chain = lambda values: np.moveaxis(np.asarray(values), 0, -1)
+    camera, shared, modes = len(problem.camera.parameter_names()), len(problem.scales), extra.corner.shape[-1]
     slopes = np.asarray(linear.corner_slopes)
     # A mode moves a corner of the board as a shift of the whole board would.
     moved = slopes[..., camera : camera + 3].reshape(len(slopes), -1, 2, 3) @ extra.corner[None]
-    corner, corner_pose = _split(slopes @ chain(linear.corner_chain), shared, moved.reshape(*slopes.shape[:2], -1))
+    moved = moved.reshape(*slopes.shape[:2], -1)
     residual = np.asarray(linear.corner_error) * np.repeat(problem.corner_weight, 2, axis=1)
     stripe_slopes = np.asarray(linear.stripe_slopes)
     lifted = _lifted(stripe_slopes[..., camera : camera + 6], extra, np.asarray(problem.frame))
-    stripe, stripe_pose = _split(stripe_slopes @ chain(linear.stripe_chain), shared, lifted)
     offset = np.asarray(linear.offset) * np.asarray(problem.stripe_weight)
     owner, stripe_owner = np.asarray(problem.placement), np.asarray(problem.stripe_placement())
-    count, unknowns = len(problem.poses), corner.shape[-1] + 6
+    count, unknowns = len(problem.poses), shared + modes + 6
     information, gradient = np.zeros((count, unknowns, unknowns)), np.zeros((count, unknowns))
-    for rows, poses, values, number in (
-        (corner, corner_pose, residual, owner),
-        (stripe, stripe_pose, offset, stripe_owner),
+    for parts, chain, values, number in (
+        ((slopes, moved), linear.corner_chain, residual, owner),
+        ((stripe_slopes, lifted), linear.stripe_chain, offset, stripe_owner),
     ):
-        every = np.concatenate([rows, poses], axis=-1)
-        np.add.at(information, number, np.swapaxes(every, 1, 2) @ every)
-        np.add.at(gradient, number, np.einsum("vru,vr->vu", every, values))
+        # Thousands of rows share the few departures of their view: these are summed, then led to the unknowns.
+        rows = np.concatenate(parts, axis=-1)
+        upright, follow = np.swapaxes(rows, 1, 2), _follow(np.asarray(chain), modes)
+        np.add.at(information, number, np.swapaxes(follow, 1, 2) @ (upright @ rows) @ follow)
+        np.add.at(gradient, number, ((upright @ values[..., None])[..., 0][:, None, :] @ follow)[:, 0])
     cross = information[:, :-6, -6:]
     coupling = cross @ np.linalg.inv(_regular(information[:, -6:, -6:]))
+    every = np.concatenate((slopes, moved), axis=-1) @ _follow(np.asarray(linear.corner_chain), modes)
     return _Normal(
         information[:, :-6, :-6] - coupling @ np.swapaxes(cross, 1, 2),
         gradient[:, :-6] - np.einsum("pud,pd->pu", coupling, gradient[:, -6:]),
-        corner,
-        corner_pose,
+        every[..., :-6],
+        every[..., -6:],
         residual,
     )
 
 
-def _split(rows: np.ndarray, shared: int, extra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives by the shared unknowns with extra ones, and by the pose."""
-    return np.concatenate([rows[..., :shared], extra], axis=-1), rows[..., shared:]
+def _follow(chain: np.ndarray, modes: int) -> Float[np.ndarray, "owners departures unknowns"]:
+    """Derivatives of departures and extra modes by the shared unknowns, the extra modes, and the pose."""
+    unknowns, owners, numbers = chain.shape
+    follow = np.zeros((owners, numbers + modes, unknowns + modes))
+    follow[:, :numbers, : unknowns - 6] = np.moveaxis(chain[:-6], 0, -1)
+    follow[:, :numbers, -6:] = np.moveaxis(chain[-6:], 0, -1)
+    follow[:, numbers:, unknowns - 6 : unknowns - 6 + modes] = np.eye(modes)
+    return follow
 
 
 def _lifted(twist: np.ndarray, extra: BoardModes, frame: np.ndarray) -> Float[np.ndarray, "stripes points modes"]:

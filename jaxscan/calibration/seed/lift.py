@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.solve.prepare import Prepared
+from jaxscan.compiling import compile_quickly
 from jaxscan.geometry import AbstractCamera, Array
 
 
@@ -51,7 +52,7 @@ def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray, bloc
     return Lifted(points, slopes, data.stripe_valid & ahead)
 
 
-@jax.jit
+@compile_quickly
 def rays_of(camera: AbstractCamera, q: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
     """Unit rays of pixels."""
     return jax.vmap(camera.unproject)(jnp.asarray(q))

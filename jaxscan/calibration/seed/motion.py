@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from jaxscan.calibration.rigs import MIN_TRAVEL_M, MIN_TURN_RAD
 from jaxscan.calibration.solve.prepare import Prepared
+from jaxscan.compiling import compile_quickly
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractMotion, Array, Carries, LinearStage, Turntable, fit_axis, point_up
 from jaxscan.geometry.scanner import Up
@@ -119,7 +120,7 @@ def average_placements(poses: np.ndarray, data: Prepared, motion: AbstractMotion
     return result
 
 
-@jax.jit
+@compile_quickly
 def _motions(motion: AbstractMotion, angle: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
     return jax.vmap(motion.motion)(jnp.asarray(angle))
 

@@ -18,6 +18,7 @@ from jaxscan.calibration.solve.noise import (
 )
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem
+from jaxscan.compiling import compile_quickly
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 from jaxscan.observation import CONTRAST_CLASSES
@@ -210,12 +211,12 @@ def _solved(
     )
 
 
-@eqx.filter_jit
+@compile_quickly
 def _solve(problem: Problem, damping: Array, tolerance: Array, max_steps: int) -> Solution:
     return solve(problem, damping, tolerance, max_steps)
 
 
-@eqx.filter_jit
+@compile_quickly
 def linearise_compiled(problem: Problem) -> Linearised:
     """`linearise`, compiled; call in 64 bit."""
     return linearise(problem)

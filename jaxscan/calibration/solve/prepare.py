@@ -8,9 +8,9 @@ from jaxscan.geometry import Array, fixes_plane
 from jaxscan.observation import Observations
 
 
-# Shapes are rounded up to these, so that captures of about the same size share a compilation;
-# the first are where the time of a solve begins to be more than overhead.
-_VIEWS = (24, 48, 72, 96, 144, 192, 288, 384, 576, 768, 1152, 1536, 2304)
+# Shapes are rounded up to these, few, so that captures of unlike sizes share a compilation, which costs
+# more than many solves; the first are where the time of a solve begins to be more than overhead.
+_VIEWS = (24, 72, 216, 648, 1944, 5832)
 _POINTS = (64, 128, 256, 512, 1024, 2048, 4096)
 _CORNERS = (96, 192, 384, 768, 1536)
 

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,7 @@ from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.verdict import limits
 from jaxscan.calibration.verdict.lengths import point_error, working_depth
 from jaxscan.calibration.verdict.quality import GoodTo, ModelTest
+from jaxscan.compiling import compile_quickly
 from jaxscan.geometry import AbstractCamera, Array, Scanner
 
 
@@ -113,7 +113,7 @@ def _at_work(
     return worst, worst_depth
 
 
-@eqx.filter_jit
+@compile_quickly
 def _slopes(camera: AbstractCamera, q: Float[Array, "n 2"]) -> tuple[Array, Array, Array]:
     """The pixels of the rays of pixels, and their derivatives by the camera's parameters and by a turn of the ray."""
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxscan.compiling import compile_quickly
 from jaxscan.geometry import Array, Scanner
 
 
@@ -103,7 +104,7 @@ def _stripe(scanner: Scanner, laser: int, depth: np.ndarray, along: np.ndarray) 
     return q, seen
 
 
-@jax.jit
+@compile_quickly
 def _seen(
     scanner: Scanner, laser: Int[Array, ""], depth: Float[Array, " n"], along: Float[Array, " n"]
 ) -> tuple[Float[Array, "n 2"], Bool[Array, " n"]]:

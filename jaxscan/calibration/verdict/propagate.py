@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.calibration.verdict.lit import bare
+from jaxscan.compiling import compile_quickly
 from jaxscan.geometry import Array, Scanner
 from jaxscan.geometry.rigid import transform
 
@@ -80,7 +81,7 @@ def scan_points(
         return np.concatenate([np.asarray(part) for part in parts], axis=1)[:, : len(q)]
 
 
-@jax.jit
+@compile_quickly
 def _scan(
     scanner: Scanner,
     steps: Float[Array, "steps params"],

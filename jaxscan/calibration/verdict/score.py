@@ -10,7 +10,6 @@ Source: Rao's score test.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,6 +26,7 @@ from jaxscan.calibration.verdict.extra_terms import (
     radial_terms,
     sheet_terms,
 )
+from jaxscan.compiling import compile_quickly
 from jaxscan.geometry import Array
 
 
@@ -221,7 +221,7 @@ def _mean_residual(problem: Problem, system: _System) -> Float[np.ndarray, "view
     return np.asarray(_bend(problem, steps))
 
 
-@eqx.filter_jit
+@compile_quickly
 def _bend(problem: Problem, steps: Step) -> Array:
     """Half the sum of second differences of the corner residuals along steps."""
     errors = lambda step: corner_rows(move(step, problem)).value
