@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,8 +12,8 @@ import pytest
 from jaxscan.calibration import CalibrationSettings
 from jaxscan.calibration.parameters import BLOCKS, board_blocks
 from jaxscan.calibration.solve.assemble import parameter_scales, prior_weights
+from jaxscan.calibration.solve.blocks import schur_step
 from jaxscan.calibration.solve.covariance import linearise
-from jaxscan.calibration.solve.levenberg_marquardt import form_blocks, jacobian_columns, schur_step
 from jaxscan.calibration.solve.noise import noise_by_class
 from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.calibration.solve.problem import BoardModes, Problem, Step, camera_from_board, move, zero_step
@@ -84,12 +85,9 @@ def dense(problem):
 
 
 @jax.jit
-def linearised(problem):
-    """Residuals and the blocks of the normal equations."""
-    start = zero_step(problem)
-    residual, product = jax.linearize(lambda step: residuals(step, problem), start)
-    owner = problem.placement[problem.stripe_view]
-    return form_blocks(jacobian_columns(product, start), residual, problem.placement, owner, 4)
+def normal_equations(problem):
+    """The blocks of the normal equations."""
+    return linearise(problem).blocks
 
 
 def test_derivatives_are_those_of_finite_differences(dense):
@@ -110,7 +108,7 @@ def test_derivatives_are_those_of_finite_differences(dense):
 
 def test_the_step_is_that_of_dense_least_squares(problem, dense):
     vector, jacobian, flat = dense
-    blocks = linearised(jax.tree.map(jnp.asarray, problem))
+    blocks = normal_equations(jax.tree.map(jnp.asarray, problem))
     for damping in (0.0, 1e-3, 1.0):
         shared, local = schur_step(blocks, jnp.asarray(damping))
         ours = np.concatenate([np.asarray(shared), np.asarray(local).ravel()])
@@ -176,7 +174,7 @@ def test_stripe_rows_are_the_distance_of_the_lifted_point_from_the_sheet(problem
 
 def test_held_parameters_do_not_move(problem):
     held = eqx.tree_at(lambda p: p.scales, problem, parameter_scales(LAYOUT, ("focal", "laser")))
-    blocks = linearised(jax.tree.map(jnp.asarray, held))
+    blocks = normal_equations(jax.tree.map(jnp.asarray, held))
     shared, _ = schur_step(blocks, jnp.asarray(1e-3))
     moved = {name for name, value in zip(LAYOUT.names, np.asarray(shared), strict=True) if value != 0}
     assert moved == {"fx", "fy", "laser.0.n1", "laser.0.n2", "laser.0.d"}

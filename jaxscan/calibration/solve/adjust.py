@@ -8,8 +8,8 @@ import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment, Errors
-from jaxscan.calibration.solve.covariance import Linearised, linearise, undetermined_shares
-from jaxscan.calibration.solve.levenberg_marquardt import Solution, solve
+from jaxscan.calibration.solve.covariance import Linearised, undetermined_shares
+from jaxscan.calibration.solve.levenberg_marquardt import Solution, linearised_at, solve
 from jaxscan.calibration.solve.noise import (
     correlation_along,
     huber_weights,
@@ -18,7 +18,6 @@ from jaxscan.calibration.solve.noise import (
 )
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem
-from jaxscan.compiling import compile_quickly
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 from jaxscan.observation import CONTRAST_CLASSES
@@ -141,9 +140,9 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
     return state
 
 
-def solve_compiled(problem: Problem, settings: CalibrationSettings) -> Solution:
-    """Solve again from near the minimum, by the function that `adjust` has compiled; call in 64 bit."""
-    return _solve(problem, np.asarray(_NEAR_DAMPING), np.asarray(_FINE), settings.max_steps)
+def solve_again(problem: Problem, settings: CalibrationSettings) -> Solution:
+    """Solve again from near the minimum; call in 64 bit."""
+    return solve(problem, _NEAR_DAMPING, _FINE, settings.max_steps)
 
 
 def not_converged(settings: CalibrationSettings) -> str:
@@ -198,31 +197,23 @@ def _solved(
     stripe = state.stripe_kept * damp[1] / (state.stripe_sigma * state.errors.slope)
     stripe = stripe / np.sqrt(state.stripe_correlation)
     weighted = eqx.tree_at(lambda p: (p.corner_weight, p.stripe_weight), state.problem, (corner, stripe))
-    damping = np.asarray(_SEED_DAMPING if state.steps == 0 else _NEAR_DAMPING)
-    solution = _solve(weighted, damping, np.asarray(tolerance), settings.max_steps)
-    linearised, errors = _at(solution.problem, data)
+    damping = _SEED_DAMPING if state.steps == 0 else _NEAR_DAMPING
+    solution = solve(weighted, damping, tolerance, settings.max_steps)
     return replace(
         state,
         problem=solution.problem,
-        linearised=linearised,
-        errors=errors,
-        steps=state.steps + int(solution.steps),
-        converged=bool(solution.converged),
+        linearised=solution.linearised,
+        errors=_errors(solution.linearised, data),
+        steps=state.steps + solution.steps,
+        converged=solution.converged,
     )
-
-
-@compile_quickly
-def _solve(problem: Problem, damping: Array, tolerance: Array, max_steps: int) -> Solution:
-    return solve(problem, damping, tolerance, max_steps)
-
-
-@compile_quickly
-def linearise_compiled(problem: Problem) -> Linearised:
-    """`linearise`, compiled; call in 64 bit."""
-    return linearise(problem)
 
 
 def _at(problem: Problem, data: Prepared) -> tuple[Linearised, Errors]:
     """The problem to first order at the point that it holds, on the host."""
-    linearised = jax.tree.map(np.asarray, linearise_compiled(problem))
-    return linearised, _whitened(linearised.corner_error, linearised.offset, linearised.slope, data)
+    linearised = linearised_at(problem)
+    return linearised, _errors(linearised, data)
+
+
+def _errors(linearised: Linearised, data: Prepared) -> Errors:
+    return _whitened(linearised.corner_error, linearised.offset, linearised.slope, data)

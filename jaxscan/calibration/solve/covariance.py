@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxscan.calibration.parameters import is_mode
-from jaxscan.calibration.solve.levenberg_marquardt import Blocks, reduce_blocks
+from jaxscan.calibration.solve.blocks import Blocks, reduce_blocks
 from jaxscan.calibration.solve.problem import Problem, Step, camera_from_board, move, zero_step
 from jaxscan.calibration.solve.residuals import priors
 from jaxscan.calibration.solve.rows import Departures, corner_rows, departures, stripe_rows
@@ -51,6 +51,10 @@ class Linearised(NamedTuple):
     corner_chain: Float[Array, "unknowns views departures"]
     """Derivatives of the departures by the shared unknowns and the pose of the view."""
     stripe_chain: Float[Array, "unknowns stripes departures"]
+    blocks: Blocks
+    """The normal equations."""
+    cost: Float[Array, ""]
+    """Half the sum of squares of all whitened residuals, priors included [1]."""
 
 
 def linearise(problem: Problem) -> Linearised:
@@ -60,10 +64,19 @@ def linearise(problem: Problem) -> Linearised:
     corner_slopes = corners.slopes * corner_weight[..., None]
     stripe_slopes = stripes.slopes * stripe_weight[..., None]
     chain = chains(problem)
-    prior_residual, prior = prior_information(problem)
+    prior_residual, prior_slopes = prior_rows(problem)
+    prior = prior_slopes.T @ prior_slopes
     view_owner, stripe_owner = problem.placement, problem.stripe_placement()
-    grams = (gram(corner_slopes, chain.corner), gram(stripe_slopes, chain.stripe))
-    blocks = sum_blocks(*grams, prior, view_owner, stripe_owner, len(problem.poses))
+    corner, stripe = corners.value * corner_weight, stripes.value * stripe_weight
+    own = tuple(
+        Normal(gram(slopes, chain), gradient(slopes, chain, values))
+        for slopes, chain, values in (
+            (corner_slopes, chain.corner, corner),
+            (stripe_slopes, chain.stripe, stripe),
+        )
+    )
+    priors_own = Normal(prior, prior_slopes.T @ prior_residual)
+    blocks = sum_blocks(own, priors_own, (view_owner, stripe_owner), len(problem.poses))
     information = inverse_blocks(blocks)
 
     def leverage(slopes: Array, chain: Array, owner: Array) -> Array:
@@ -88,6 +101,8 @@ def linearise(problem: Problem) -> Linearised:
         stripe_slopes,
         chain.corner,
         chain.stripe,
+        blocks,
+        0.5 * (jnp.sum(corner**2) + jnp.sum(stripe**2) + jnp.sum(prior_residual**2)),
     )
 
 
@@ -108,12 +123,20 @@ def gram(slopes: Float[Array, "owners rows departures"], chain: Float[Array, "un
     return jnp.einsum("kvd,vde,jve->vkj", chain, small, chain)
 
 
-def prior_information(problem: Problem) -> tuple[Float[Array, " shared"], Float[Array, "shared shared"]]:
-    """Residuals of the priors, and their part of the information of the scaled shared unknowns."""
+def gradient(
+    slopes: Float[Array, "owners rows departures"],
+    chain: Float[Array, "unknowns owners departures"],
+    values: Float[Array, "owners rows"],
+) -> Array:
+    """J'r of every view or stripe, by the shared unknowns and its pose [owners, unknowns]."""
+    return jnp.einsum("kvd,vd->vk", chain, jnp.einsum("vrd,vr->vd", slopes, values))
+
+
+def prior_rows(problem: Problem) -> tuple[Float[Array, " shared"], Float[Array, "shared shared"]]:
+    """Residuals of the priors, and their derivatives by the scaled shared unknowns."""
     start = zero_step(problem)
     move_priors = lambda shared: priors(move(Step(shared, start.local), problem))
-    slopes = jax.jacfwd(move_priors)(start.shared)
-    return priors(problem), slopes.T @ slopes
+    return priors(problem), jax.jacfwd(move_priors)(start.shared)
 
 
 class Inverse(NamedTuple):
@@ -147,21 +170,31 @@ def inverse_blocks(blocks: Blocks) -> Inverse:
     return Inverse(reduced, shared, cross, jnp.linalg.inv(filled) - jnp.einsum("vdk,vke->vde", coupling, cross))
 
 
-def sum_blocks(
-    corner: Array, stripe: Array, prior: Array, view_owner: Array, stripe_owner: Array, placements: int
-) -> Blocks:
-    """J'J from that of every view and stripe and of the priors."""
-    count = len(prior)
-    own = (
-        jnp.zeros((placements, *corner.shape[1:]), prior.dtype).at[view_owner].add(corner).at[stripe_owner].add(stripe)
-    )
-    zero = jnp.zeros(count, prior.dtype)
+class Normal(NamedTuple):
+    """Normal equations of every view or stripe, or of the priors."""
+
+    information: Float[Array, "... unknowns unknowns"]
+    gradient: Float[Array, "... unknowns"]
+
+
+def sum_blocks(every: tuple[Normal, ...], prior: Normal, owners: tuple[Array, ...], placements: int) -> Blocks:
+    """J'J and J'r from those of every view and stripe, with their placements, and of the priors."""
+    count = len(prior.gradient)
+
+    def total(field: str) -> Array:
+        parts = [getattr(normal, field) for normal in every]
+        result = jnp.zeros((placements, *parts[0].shape[1:]), parts[0].dtype)
+        for part, owner in zip(parts, owners, strict=True):
+            result = result.at[owner].add(part)
+        return result
+
+    own, gradient = total("information"), total("gradient")
     return Blocks(
-        own[:, :count, :count].sum(0) + prior,
+        own[:, :count, :count].sum(0) + prior.information,
         own[:, :count, count:],
         own[:, count:, count:],
-        zero,
-        jnp.zeros((placements, 6), prior.dtype),
+        gradient[:, :count].sum(0) + prior.gradient,
+        gradient[:, count:],
     )
 
 

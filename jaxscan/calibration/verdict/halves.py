@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
-from jaxscan.calibration.solve.adjust import linearise_compiled, solve_compiled
+from jaxscan.calibration.solve.adjust import solve_again
 from jaxscan.calibration.solve.adjustment import Adjustment
 
 
@@ -73,12 +73,12 @@ def compare_halves(
                 result.problem.stripe_weight * stripes[:, None] * promise[1],
             ),
         )
-        solution = solve_compiled(problem, settings)
-        known = linearise_compiled(solution.problem)
+        solution = solve_again(problem, settings)
+        known = solution.linearised
         reduced, prior = (np.asarray(part)[np.ix_(free, free)] for part in (known.reduced, known.prior))
         # Rounding may leave a little less than 0 for unknowns that half of the records do not show.
         size = np.sqrt(np.maximum(np.diag(reduced), 0.0))
-        if not np.all(size > 0) or not bool(solution.converged):
+        if not np.all(size > 0) or not solution.converged:
             return None
         correlation = reduced / np.outer(size, size)
         if np.linalg.eigvalsh(correlation)[0] < len(size) * np.finfo(float).eps:
@@ -87,7 +87,7 @@ def compare_halves(
         # Priors are the same in both halves, so they scatter nothing.
         sampling.append(covariance @ (reduced - prior) @ covariance)
         total.append(covariance)
-        steps.append(np.asarray(solution.step.shared)[free])
+        steps.append(solution.shared[free])
     root = np.linalg.cholesky(total[0] + total[1])
     scatter = np.linalg.solve(root, np.linalg.solve(root, sampling[0] + sampling[1]).T)
     return Halves(steps[0] - steps[1], free, root, *np.linalg.eigh(0.5 * (scatter + scatter.T)))

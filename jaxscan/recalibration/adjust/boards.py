@@ -16,8 +16,8 @@ from jaxscan.calibration import CalibrationSettings
 from jaxscan.calibration.seed import average_placements, seed_poses
 from jaxscan.calibration.solve import Adjustment, Prepared, make_problem, prepare
 from jaxscan.calibration.solve import adjust as solve_boards
-from jaxscan.calibration.solve.adjust import linearise_compiled
 from jaxscan.calibration.solve.covariance import Linearised
+from jaxscan.calibration.solve.levenberg_marquardt import linearise_compiled
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.geometry.motions import ANGLE_PARAMETERS

@@ -10,7 +10,6 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.calibration.solve import BlockArrowLM
 from jaxscan.geometry import Array, Scanner
 from jaxscan.recalibration.adjust.blocks import (
     Blocks,
@@ -27,6 +26,39 @@ from jaxscan.recalibration.adjust.rows import PointRows, Rows, observe, residual
 
 # Dense unknowns from which the time of an inverse counts.
 _MANY = 500
+# Relative rounding error of a sum of some ten thousand squares.
+_ROUNDING = 1e-13
+
+
+class PatientTrustRegion(optx.AbstractSearch):
+    """optimistix' trust region, which takes a cost that changed by rounding alone for no worse.
+
+    Beside the minimum the last steps change the cost by less than its last digit; judged by that
+    digit every other one would be refused, thirty times in a row.
+    """
+
+    inner: optx.ClassicalTrustRegion = optx.ClassicalTrustRegion()
+
+    def init(self, y: Any, f_info_struct: Any) -> Any:
+        return self.inner.init(y, f_info_struct)
+
+    def step(self, first_step: Any, y: Any, y_eval: Any, f_info: Any, f_eval_info: Any, state: Any) -> Any:
+        size, accept, result, new_state = self.inner.step(first_step, y, y_eval, f_info, f_eval_info, state)
+        cost, new_cost = f_info.as_min(), f_eval_info.as_min()
+        same = jnp.abs(new_cost - cost) <= _ROUNDING * cost
+        size = jnp.where(same, jnp.maximum(size, state.step_size), size)
+        return size, accept | same, result, eqx.tree_at(lambda s: s.step_size, new_state, size)
+
+
+class BlockArrowLM(optx.AbstractGaussNewton):
+    """optimistix' Gauss-Newton loop and trust region round the descent of a problem."""
+
+    rtol: Any
+    atol: Any
+    descent: Any  # type: ignore[misc]
+    norm: Any = optx.rms_norm
+    search: Any = PatientTrustRegion()
+    verbose: Any = eqx.field(default=lambda **_: None, static=True)
 
 
 class Solution(NamedTuple):
