@@ -21,13 +21,14 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
+from jax.flatten_util import ravel_pytree
 from measuring.speed_calibration import camera_contest
 from measuring.speed_times import take_turns
 from worlds import calibration_trials as trials
 from worlds.ideal_boards import PosePlan, add_noise, draw_poses, ideal_boards
 
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
-from jaxscan.calibration.seed.closed_form import average_placements
+from jaxscan.calibration.seed import average_placements
 from jaxscan.calibration.solve.assemble import make_problem
 from jaxscan.calibration.solve.levenberg_marquardt import solve
 from jaxscan.calibration.solve.prepare import prepare
@@ -69,6 +70,7 @@ def joint_problem() -> Problem:
     for name, shape in shapes.items():
         cut = getattr(problem, name)[tuple(slice(0, n) for n in shape)]
         problem = eqx.tree_at(lambda p, name=name: getattr(p, name), problem, cut)
+    problem = eqx.tree_at(lambda p: p.modes.corner, problem, problem.modes.corner[: observed.corners.q.shape[1]])
     corner = observed.corners.valid / trials.CORNER_PX
     # About the width of one pixel across the stripe [m]; the weights need only be the same for all.
     stripe = observed.stripes.valid / (trials.STRIPE_PX * 1.5e-3)
@@ -83,14 +85,26 @@ def by_optimistix(problem: Problem, linear: lx.AbstractLinearSolver) -> tuple[Pr
     """Levenberg-Marquardt as optimistix has it."""
     solver = optx.LevenbergMarquardt(rtol=TOLERANCE, atol=TOLERANCE, norm=optx.rms_norm, linear_solver=linear)
     found = optx.least_squares(residuals, solver, zero_step(problem), args=problem, max_steps=MAX_STEPS, throw=False)
-    return found.value, found.stats["num_steps"], found.result == optx.RESULTS.successful
+    return move(found.value, problem), found.stats["num_steps"], found.result == optx.RESULTS.successful
 
 
-@eqx.filter_jit
 def by_block_arrow(problem: Problem) -> tuple[Problem, Any, Any]:
-    """Ours."""
-    found = solve(problem, jnp.asarray(DAMPING), jnp.asarray(TOLERANCE), MAX_STEPS)
-    return found.step, found.steps, found.converged
+    """Ours, a loop on the host."""
+    found = solve(problem, DAMPING, TOLERANCE, MAX_STEPS)
+    return found.problem, found.steps, found.converged
+
+
+def step_to(end: Problem, problem: Problem) -> Step:
+    """The one step from the start to an end that many steps may have led to; directions do not simply add."""
+    flat, shaped = ravel_pytree(zero_step(problem))
+    parts = lambda p: ravel_pytree((p.camera, p.lasers, p.turntable, p.poses, p.shape))[0]
+    left = jax.jit(lambda step: parts(move(shaped(step), problem)) - parts(end))
+    slopes = jax.jit(jax.jacfwd(left))
+    for _ in range(6):
+        matrix = np.asarray(slopes(flat))
+        size = np.maximum(np.linalg.norm(matrix, axis=0), np.finfo(float).tiny)
+        flat = flat - np.linalg.lstsq(matrix / size, np.asarray(left(flat)))[0] / size
+    return shaped(flat)
 
 
 def peak_gb() -> float:
@@ -115,8 +129,9 @@ def joint(solver: str, file: str, repeats: int) -> dict[str, Any]:
         first, times = time.perf_counter() - started, []
         for _ in range(repeats):
             started = time.perf_counter()
-            step, steps, converged = jax.block_until_ready(run(problem))
+            end, steps, converged = jax.block_until_ready(run(problem))
             times.append(time.perf_counter() - started)
+        step = step_to(end, problem)
         left = residuals(step, problem)
         start = residuals(zero_step(problem), problem)
         error = np.asarray(start.corner) / trials.CORNER_PX**-1
