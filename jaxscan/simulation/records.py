@@ -1,6 +1,6 @@
 """One pair of frames: the light that arrives, and the codes that the sensor makes of it."""
 
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -130,10 +130,9 @@ def expect_record(
     config, sensor, sheet = rig.config, rig.config.sensor, rig.sheets[laser]
     pose, sees = rig.pose(phi), rig.rays.sees
     shot = LitScene(rig, sheet, scene, pose, None)
-    room = _look(shot)
+    room, behind, ambient = _surroundings(rig, scene, phi, laser if config.light.bounce > 0 else None)
     white = config.light.white_dn if board is None else config.boards.white_dn
-    lens = behind = lens_blur(config, room.depth)
-    off = _ambient(rig, scene, pose, room, behind) * np.float32(white)
+    lens, off = behind, ambient * np.float32(white)
     scale, depth, front = 1.0, room.depth, None
     if board is not None:
         in_front = _in_view(rig, board.hit(rig.rays.x, rig.rays.y, rig.rays.z)[0])
@@ -167,12 +166,19 @@ def expect_record(
     return ExpectedRecord(phi, placement, *frames, truth, laser, tuple(kept))
 
 
-def _look(shot: LitScene) -> View:
-    """The part of the scene that every pixel sees, without a board; where light comes back, with albedos for it."""
-    sensor = shot.rig.config.sensor
-    further = laser_channel(shot) if shot.rig.config.light.bounce > 0 else None
-    room = observe(shot.rig, shot.scene, shot.pose, channels(sensor), further)
-    return room._replace(depth=_in_view(shot.rig, room.depth))
+@lru_cache(maxsize=2)
+def _surroundings(rig: TrueRig, scene: Scene, phi: float, laser: int | None) -> tuple[View, Blur, np.ndarray]:
+    """What every pixel sees without a board, the lens's blur there, and the picture of `_ambient`.
+
+    The last two are kept: many boards are shown at one angle, and every laser at each. With a `laser`, whose light
+    comes back from the surroundings, the albedos for it are there too.
+    """
+    pose = rig.pose(phi)
+    further = None if laser is None else laser_channel(rig.sheets[laser])
+    room = observe(rig, scene, pose, channels(rig.config.sensor), further)
+    room = room._replace(depth=_in_view(rig, room.depth))
+    lens = lens_blur(rig.config, room.depth)
+    return room, lens, _ambient(rig, scene, pose, room, lens)
 
 
 def _in_view(rig: TrueRig, depth: np.ndarray) -> np.ndarray:

@@ -50,7 +50,7 @@ def light_on(shot: LitScene, plane: Plane, rays: Rays, fan: FanView) -> np.ndarr
     inside, some, depth = inside[open_], some.at(open_), depth[open_]
     beside, r, thickness, power = beside[inside], r[inside], thickness[inside], power[inside]
     energy = f(sheet.power / math.sqrt(2 * math.pi) * height) / (r * r * thickness)
-    (albedo,) = plane.albedo(some, depth, laser_channel(shot))
+    (albedo,) = plane.albedo(some, depth, laser_channel(shot.sheet))
     light.ravel()[at[open_]] = energy * power * across(sheet, beside / thickness) * albedo
     return light
 

@@ -54,9 +54,9 @@ def stacked(x: np.ndarray, y: np.ndarray, z: Numbers) -> np.ndarray:
     return np.stack([x, y, np.broadcast_to(np.asarray(z, x.dtype), x.shape)])
 
 
-def laser_channel(shot: LitScene) -> np.ndarray:
+def laser_channel(sheet: Sheet) -> np.ndarray:
     """Weights [3, 1] of R, G, B for surfaces in the laser's light."""
-    return np.eye(3, dtype=np.float32)[:, [COLOURS.index(shot.sheet.spec.colour)]]
+    return np.eye(3, dtype=np.float32)[:, [COLOURS.index(sheet.spec.colour)]]
 
 
 def illuminate(shot: LitScene, rays: np.ndarray) -> np.ndarray:
@@ -132,7 +132,7 @@ def _shaded(shot: LitScene, points: np.ndarray, on_board: np.ndarray) -> np.ndar
 
 def albedo_at(shot: LitScene, hits: Hits, lit: np.ndarray) -> np.ndarray:
     """Albedo of the `lit` points for the laser's light, float32 [lit]."""
-    (albedo,), _ = shot.scene.look(hits.triangle[lit], shot.pose.apply(hits.points[lit]), laser_channel(shot))
+    (albedo,), _ = shot.scene.look(hits.triangle[lit], shot.pose.apply(hits.points[lit]), laser_channel(shot.sheet))
     if shot.board is not None:
         on_board = hits.on_board[lit]
         albedo[on_board] = shot.board.albedo(*hits.place[:, lit[on_board]])
