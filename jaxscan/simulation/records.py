@@ -19,6 +19,7 @@ from jaxscan.simulation.camera import (
     vignette,
 )
 from jaxscan.simulation.light import (
+    ON_BOARD,
     LitSamples,
     LitScene,
     RowTruth,
@@ -133,10 +134,10 @@ def expect_record(
     room, behind, ambient = _surroundings(rig, scene, phi, laser if config.light.bounce > 0 else None)
     white = config.light.white_dn if board is None else config.boards.white_dn
     lens, off = behind, ambient * np.float32(white)
-    scale, depth, front = 1.0, room.depth, None
+    scale, depth, front, facet_at = 1.0, room.depth, None, room.facet_at
     if board is not None:
         in_front = _in_view(rig, board.hit(rig.rays.x, rig.rays.y, rig.rays.z)[0])
-        depth = np.minimum(depth, in_front)
+        depth, facet_at = np.minimum(depth, in_front), partial(_facet_at, room, *_alone(room.depth, in_front))
         lens = lens_blur(config, depth)
         front = cover(rig, board, in_front, lens)
         where, fills, albedo, board = front
@@ -144,7 +145,7 @@ def expect_record(
         off[:, *where] = off[:, *where] * (1 - fills) + albedo * light + fills * shine
         scale = _board_power(rig, sheet, in_front)
     shot = shot._replace(board=board)
-    samples = lit_samples(shot, depth, lens, room.facet_at)
+    samples = lit_samples(shot, depth, lens, facet_at)
     glow: np.ndarray = laser_image(samples) * np.float32(scale)
     truth_glow, shade = glow, vignette(config)
     mirrored = mirrored_samples(shot, scene.mirror[room.triangle] > 0, depth, lens)
@@ -179,6 +180,36 @@ def _surroundings(rig: TrueRig, scene: Scene, phi: float, laser: int | None) -> 
     room = room._replace(depth=_in_view(rig, room.depth))
     lens = lens_blur(rig.config, room.depth)
     return room, lens, _ambient(rig, scene, pose, room, lens)
+
+
+def _alone(depth: np.ndarray, board: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels that show the scene alone, and those that show a board alone, also round their centres; bool.
+
+    Args:
+        depth: Of the scene in every pixel [height, width].
+        board: Of the board.
+    """
+    return _around(np.isinf(board)), _around(board * np.float32(1.01) < depth)
+
+
+def _around(true: np.ndarray) -> np.ndarray:
+    """Where something is true of a pixel and of all its neighbours, bool [height, width]."""
+    rows = true.copy()
+    rows[1:] &= true[:-1]
+    rows[:-1] &= true[1:]
+    out = rows.copy()
+    out[:, 1:] &= rows[:, :-1]
+    out[:, :-1] &= rows[:, 1:]
+    return out
+
+
+def _facet_at(
+    room: View, scene_alone: np.ndarray, board_alone: np.ndarray, rows: np.ndarray, columns: np.ndarray
+) -> np.ndarray:
+    """As `View.facet_at`, with a board in front."""
+    facet = room.facet_at(rows, columns)
+    on_board = np.where(board_alone[rows, columns] & (facet >= 0), ON_BOARD, -1)
+    return np.where(scene_alone[rows, columns], facet, on_board)
 
 
 def _in_view(rig: TrueRig, depth: np.ndarray) -> np.ndarray:

@@ -59,9 +59,9 @@ def laser_channel(sheet: Sheet) -> np.ndarray:
     return np.eye(3, dtype=np.float32)[:, [COLOURS.index(sheet.spec.colour)]]
 
 
-def illuminate(shot: LitScene, rays: np.ndarray) -> np.ndarray:
-    """Light of the laser seen along rays [3, n], float32 [n], DN on a pixel filled with it."""
-    hits = cast(shot, rays)
+def illuminate(shot: LitScene, rays: np.ndarray, *, only_board: bool = False) -> np.ndarray:
+    """Light of the laser seen along rays [3, n], float32 [n], DN on a pixel filled with it; as for `cast`."""
+    hits = cast(shot, rays, only_board=only_board)
     beside = hits.depth * shot.sheet.slope_at(*rays).astype(np.float32) - np.float32(shot.sheet.distance)
     return light_at(shot, hits, beside)
 
@@ -103,12 +103,16 @@ def _thickness(sheet: Sheet, legs: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return sheet.thickness(r).astype(np.float32) * widened(sheet, angle)
 
 
-def cast(shot: LitScene, rays: np.ndarray) -> Hits:
-    """First surface on each of the camera's rays [3, n]."""
+def cast(shot: LitScene, rays: np.ndarray, *, only_board: bool = False) -> Hits:
+    """First surface on each of the camera's rays [3, n]; with `only_board`, they meet nothing before the board."""
     scene, pose, board = shot.scene, shot.pose, shot.board
     directions = np.ascontiguousarray(rays.T)
-    depth, triangle = scene.cast(pose.translation, pose.turn(directions))
-    normal = pose.inverse().turn(scene.normal)[triangle]
+    if only_board:
+        depth = np.full(len(directions), np.inf, np.float32)
+        triangle = np.full(len(directions), len(scene.normal) - 1)
+    else:
+        depth, triangle = scene.cast(pose.translation, pose.turn(directions))
+    normal = pose.inverse().turn(scene.normal.take(triangle, 0))
     on_board, place = np.zeros(len(depth), bool), np.zeros((2, len(depth)))
     if board is not None:
         nearer, bx, by = board.hit(*rays)
