@@ -36,6 +36,17 @@ class LitScene(NamedTuple):
     """A board in front of the scene."""
 
 
+class Met(NamedTuple):
+    """What each of n rays meets first."""
+
+    depth: np.ndarray
+    """inf where nothing is."""
+    triangle: np.ndarray
+    on_board: np.ndarray
+    place: np.ndarray
+    """As in `Hits`."""
+
+
 class Hits(NamedTuple):
     """First surface on each of n rays, camera frame."""
 
@@ -61,9 +72,23 @@ def laser_channel(sheet: Sheet) -> np.ndarray:
 
 def illuminate(shot: LitScene, rays: np.ndarray, *, only_board: bool = False) -> np.ndarray:
     """Light of the laser seen along rays [3, n], float32 [n], DN on a pixel filled with it; as for `cast`."""
-    hits = cast(shot, rays, only_board=only_board)
-    beside = hits.depth * shot.sheet.slope_at(*rays).astype(np.float32) - np.float32(shot.sheet.distance)
-    return light_at(shot, hits, beside)
+    met = _meet(shot, rays, only_board)
+    depth = np.where(np.isfinite(met.depth), met.depth, np.float32(0))
+    beside = depth * shot.sheet.slope_at(*rays).astype(np.float32) - np.float32(shot.sheet.distance)
+    light = np.zeros(len(beside), np.float32)
+    # Most rays meet something far beside the sheet.
+    near = np.flatnonzero((np.abs(beside) < _widest_band(shot.sheet, rays, depth)) & (depth > 0))
+    some = Met(met.depth[near], met.triangle[near], met.on_board[near], met.place[:, near])
+    light[near] = light_at(shot, _hits(shot, rays[:, near], some), beside[near])
+    return light
+
+
+def _widest_band(sheet: Sheet, rays: np.ndarray, depth: np.ndarray) -> np.float32:
+    """Half the width that the lit band has at the most at some depths along rays [3, n], m."""
+    reach = np.sqrt(np.einsum("in,in->n", rays, rays)) * depth
+    far = float(reach.max(initial=0)) + float(np.linalg.norm(sheet.origin))
+    thickest = float(sheet.thickness(np.array([0.0, far])).max())
+    return np.float32(1.01 * band(sheet) * (1 + sheet.spec.widening) * thickest)
 
 
 def light_at(shot: LitScene, hits: Hits, beside: np.ndarray) -> np.ndarray:
@@ -105,20 +130,31 @@ def _thickness(sheet: Sheet, legs: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 def cast(shot: LitScene, rays: np.ndarray, *, only_board: bool = False) -> Hits:
     """First surface on each of the camera's rays [3, n]; with `only_board`, they meet nothing before the board."""
+    return _hits(shot, rays, _meet(shot, rays, only_board))
+
+
+def _meet(shot: LitScene, rays: np.ndarray, only_board: bool) -> Met:
+    """What rays [3, n] meet first; as for `cast`."""
     scene, pose, board = shot.scene, shot.pose, shot.board
-    directions = np.ascontiguousarray(rays.T)
     if only_board:
-        depth = np.full(len(directions), np.inf, np.float32)
-        triangle = np.full(len(directions), len(scene.normal) - 1)
+        depth = np.full(rays.shape[1], np.inf, np.float32)
+        triangle = np.full(rays.shape[1], len(scene.normal) - 1)
     else:
-        depth, triangle = scene.cast(pose.translation, pose.turn(directions))
-    normal = pose.inverse().turn(scene.normal.take(triangle, 0))
-    on_board, place = np.zeros(len(depth), bool), np.zeros((2, len(depth)))
-    if board is not None:
-        nearer, bx, by = board.hit(*rays)
-        on_board, place = nearer < depth, np.stack([bx, by])
-        depth = np.where(on_board, nearer, depth)
-        normal = np.where(on_board[:, None], board.normal().astype(np.float32), normal)
+        depth, triangle = scene.cast(pose.translation, pose.turn(np.ascontiguousarray(rays.T)))
+    if board is None:
+        return Met(depth, triangle, np.zeros(len(depth), bool), np.zeros((2, len(depth))))
+    nearer, bx, by = board.hit(*rays)
+    on_board = nearer < depth
+    return Met(np.where(on_board, nearer, depth), triangle, on_board, np.stack([bx, by]))
+
+
+def _hits(shot: LitScene, rays: np.ndarray, met: Met) -> Hits:
+    """The points that rays [3, n] meet, and their normals."""
+    directions = np.ascontiguousarray(rays.T)
+    depth, triangle, on_board, place = met
+    normal = shot.pose.inverse().turn(shot.scene.normal.take(triangle, 0))
+    if shot.board is not None:
+        normal = np.where(on_board[:, None], shot.board.normal().astype(np.float32), normal)
     safe = np.where(np.isfinite(depth), depth, 0).astype(directions.dtype)
     points = directions * safe[:, None]
     away = np.einsum("ij,ij->i", normal, points) > 0
