@@ -131,7 +131,10 @@ class Scene:
         return light * self._shadow(points, np.ones(light.shape, bool)) if self.shadows else light
 
     def _shadow(self, points: np.ndarray, facing: np.ndarray) -> np.ndarray:
-        """Share of the lamp's light at points [rows, columns, 3]: looked up at every other one, where any faces the lamp."""
+        """Share of the lamp's light at points [rows, columns, 3], looked up at every other one.
+
+        It stays 1 where none of four points is `facing` the lamp, bool [rows, columns].
+        """
         rows, columns = facing.shape
         asked = facing[::2, ::2].copy()
         asked[: rows // 2] |= facing[1::2, ::2]
