@@ -50,6 +50,7 @@ HOME_OF = {
     "laspy": {"files"},
     "serial": set(),
     "numba": {
+        "simulation/native_loops.py",
         "stripes/search/native_loops.py",
         "stripes/dark/native_loops.py",
         "stripes/smoothing/native_loops.py",
