@@ -23,9 +23,10 @@ from scanrig.errors import (
     RigTimeout,
     SessionError,
 )
+from scanrig.session.grab import FrameNumbers, Station, Step, TakenPair, plain_frame
 from scanrig.session.job import Devices
 from scanrig.session.plan import controller_settings, longest_s, nearest
-from scanrig.session.step import FrameNumbers, ProvenPair, Station, Step, next_frame, take_pair
+from scanrig.session.step import Doubt, ProvenPair, grab_whole, reject, take_pair
 
 
 Note = Callable[..., None]
@@ -56,6 +57,8 @@ class RecoveringRig:
         self.homings = 0
         self.rejected = 0
         """Takes that were rejected."""
+        self.at = self.came_from = 0
+        """Where the last step was taken, and where the table stood before it went there [microsteps]."""
         self.tolerance = config.checks.lost_steps_tolerance
         """Microsteps by which home may be missed."""
         self._clock, self._note = devices.clock, note
@@ -103,6 +106,7 @@ class RecoveringRig:
         was = controller.home(nearest(self.config.turntable.home_within_deg, n), longest_s(self.config))
         self.position_known, self._homing = True, False
         self.homings += 1
+        self.at = self.came_from = 0
         missed = (was + n // 2) % n - n // 2 if known and was is not None else None
         good = {} if missed is None else {"missed": missed, "good": abs(missed) <= self.tolerance}
         self._note("home", why=why, was=was, **good)
@@ -154,32 +158,46 @@ class RecoveringRig:
         if attempt > 0 and attempt % 2 == 0:
             # Here, where a fault during the reopening is recovered too.
             self._open_anew("a look")
-        camera, settings = self.camera, self.config.camera
-        self._numbers.next = None
-        camera.drop()
-        exposing = self.controller if camera.trigger_mode == "hardware" else None
-        if exposing is not None:
-            exposing.trigger()
-        elif camera.trigger_mode == "software":
-            camera.trigger()
-        frame = next_frame(camera, exposing, settings.exposure_ms / 1000 + self.config.checks.late_s, self._clock)
-        if not frame.complete:
-            raise CameraTimeout(f"{camera.identity}: frame {frame.number} is not complete")
-        return frame.image
+        return plain_frame(self._station("a look")).image
 
-    def take(self, to: int, number: int) -> ProvenPair:
-        """Take one record, with the laser of its number; recover from a lost link, a reset, a lost camera and
-        temporary faults.
+    def take(self, to: int, number: int, before: Doubt | None = None) -> ProvenPair:
+        """Take one record, with the laser of its number, until it is proven; `before`: earlier takes, rejected.
+
+        Recovers from a lost link, a reset, a lost camera and temporary faults.
 
         Raises:
             FrameError: If the step could not be proven.
             RigFault: After an e-stop, or another fault that needs a person.
             RigError: If the rig did not recover.
         """
+        return self._step(take_pair, to, number, before)
+
+    def grab(self, to: int, number: int) -> tuple[TakenPair, Doubt]:
+        """Take the frames of one record, not proven yet, and recover as `take` does.
+
+        Returns:
+            The frames, and the takes of the step that were rejected.
+        """
+        return self._step(grab_whole, to, number, None)
+
+    def approach(self, to: int) -> None:
+        """Go to a position, so that the next motion comes from there."""
+        self.doing(lambda: self.controller.move(to, longest_s(self.config)), "going back")
+
+    def reject(self, number: int, reason: str) -> None:
+        """Note a take that was rejected after its step, and discard what is left of it."""
+        reject(self._station(f"step {number}"), partial(self._rejected, number), reason)
+
+    def _step(self, take: Callable[..., T], to: int, number: int, before: Doubt | None) -> T:
         action, step = f"step {number}", Step(to, number, self.config.laser_of(number))
+        result = self.doing(lambda: take(self._station(action), step, partial(self._rejected, number), before), action)
+        if to != self.at:
+            self.came_from, self.at = self.at, to
+        return result
+
+    def _station(self, action: str) -> Station:
         reopen = partial(self._open_anew, action)
-        station = Station(self.config, self.controller, self.camera, self._clock, self._numbers, reopen)
-        return self.doing(lambda: take_pair(station, step, partial(self._rejected, number)), action)
+        return Station(self.config, self.controller, self.camera, self._clock, self._numbers, reopen)
 
     def doing(self, work: Callable[[], T], action: str) -> T:
         """Do some repeatable work, and repeat it after each recovery; `action` names it."""

@@ -1,29 +1,14 @@
-"""One step: the table at its position, a laser-on and a laser-off frame, and the proof of the pair."""
+"""One step: its two frames and their proof; a take that is not believed or not proven is taken again."""
 
-import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, NoReturn
 
-from jaxscan.stripes import frame_rank
-from scanrig.cameras import Camera, Frame
+from scanrig.cameras import Frame
 from scanrig.checks import PairProof, prove_pair
-from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
-from scanrig.controllers import Controller, Status
-from scanrig.errors import CameraError, CameraTimeout, FrameError
-from scanrig.session.plan import longest_s, shot_s
-
-
-log = logging.getLogger(__name__)
-
-LOOK_S = 0.1
-"""Longest wait for a frame between two polls of the controller: its watchdog allows 500 ms."""
-QUIET_S = 0.2
-"""After this much silence no late frame is expected."""
-_COUNT = 65536
-"""The controller counts exposures modulo this number."""
-_MOST_LATE = 64
+from scanrig.errors import FrameError
+from scanrig.session.grab import NoFrame, Station, Step, TakenPair, Unbelievable, grab, let_late_frames_come
 
 
 @dataclass(frozen=True)
@@ -41,65 +26,32 @@ class ProvenPair:
     """Its laser, counted from 0."""
 
 
-@dataclass
-class FrameNumbers:
-    """The number of the camera's next frame, if known."""
-
-    next: int | None = None
+Rejected = Callable[[str], None]
+"""Called with the reason for each rejected take."""
 
 
-class _Take(NamedTuple):
-    on: Frame
-    off: Frame
-    position: int
+class Doubt(NamedTuple):
+    """The rejected takes of a step."""
+
+    reasons: tuple[str, ...] = ()
+    verdict: str = ""
+    """Of the last one, if it was the proof that rejected it."""
+
+    def also(self, reason: str, verdict: str = "") -> "Doubt":
+        """With one more."""
+        return Doubt((*self.reasons, reason), verdict)
 
 
-class _Unbelievable(Exception):
-    """The take is rejected; the message says why."""
-
-
-class _NoFrame(_Unbelievable):
-    """No frame came at all."""
-
-
-@dataclass(frozen=True)
-class Station:
-    """The devices and settings with which steps are taken."""
-
-    config: RigConfig
-    controller: Controller
-    """Configured, enabled, homed and armed."""
-    camera: Camera
-    """Started."""
-    clock: Clock = field(default_factory=SystemClock)
-    numbers: FrameNumbers = field(default_factory=FrameNumbers)
-    """Kept from step to step, so that a gap between two pairs is noticed too."""
-    reopen: Callable[[], None] = lambda: None
-    """Called when no frame came in two takes in a row: opens the camera again."""
-
-
-class Step(NamedTuple):
-    """The pair to take."""
-
-    to: int
-    """Position [microsteps from home]."""
-    number: int
-    """Number of the shot."""
-    laser: int = 0
-    """Which laser, counted from 0."""
-
-
-def take_pair(station: Station, step: Step, rejected: Callable[[str], None] | None = None) -> ProvenPair:
+def take_pair(
+    station: Station, step: Step, rejected: Rejected | None = None, before: Doubt | None = None
+) -> ProvenPair:
     """Take one step, and retake it at the same position until it is proven.
-
-    With a camera that is triggered by a wire the controller runs the whole shot: exactly two complete frames with
-    consecutive numbers must come from its two exposures. Otherwise the host switches the laser and renews its lease
-    while it waits for the frame.
 
     Args:
         station: The devices.
         step: The pair to take.
         rejected: Called with the reason for each rejected take.
+        before: Earlier takes of this step that were rejected; they count.
 
     Raises:
         FrameError: If none of `1 + config.checks.retakes` takes was proven; if the laser stays on, the
@@ -107,177 +59,63 @@ def take_pair(station: Station, step: Step, rejected: Callable[[str], None] | No
         CameraError: If frames have the wrong size.
         CameraLost, LinkLost, RigFault, RigError: From camera and controller.
     """
-    camera, number = station.camera, step.number
-    take = _by_wire if camera.trigger_mode == "hardware" else _by_hand
-    reasons: list[str] = []
-    verdict, silent = "", 0
-    for left in reversed(range(1 + station.config.checks.retakes)):
-        try:
-            taken = take(station, step)
-            proof = _prove(taken, station.config, step.laser)
-            if proof.ok:
-                return ProvenPair(taken.on, taken.off, proof, taken.position, tuple(reasons), step.laser)
-            verdict, silent = proof.verdict, 0
-            reasons.append(proof.reason)
-        except _Unbelievable as problem:
-            verdict, silent = "", silent + 1 if isinstance(problem, _NoFrame) else 0
-            reasons.append(str(problem))
-        station.numbers.next = None
-        if rejected is not None:
-            rejected(reasons[-1])
-        _let_late_frames_come(camera)
-        if silent >= 2 and left:
+    doubt = before or Doubt()
+    while True:
+        taken, doubt = grab_whole(station, step, rejected, doubt)
+        proof = prove(taken, station.config, step.laser)
+        if proof.ok:
+            return ProvenPair(taken.on, taken.off, proof, taken.position, doubt.reasons, step.laser)
+        doubt = doubt.also(proof.reason, proof.verdict)
+        reject(station, rejected, proof.reason)
+
+
+def grab_whole(
+    station: Station, step: Step, rejected: Rejected | None = None, before: Doubt | None = None
+) -> tuple[TakenPair, Doubt]:
+    """Take the frames of one step, and retake them until they are believed; they are not proven yet.
+
+    Args and errors are those of `take_pair`.
+
+    Returns:
+        The frames, and all rejected takes of the step so far.
+    """
+    doubt, silent = before or Doubt(), 0
+    while True:
+        left = station.config.checks.retakes - len(doubt.reasons)
+        if left < 0:
+            _give_up(station, step, doubt)
+        if silent >= 2:
             silent = 0
             station.reopen()
-    if verdict == "stays on":
+        try:
+            return grab(station, step), doubt
+        except Unbelievable as problem:
+            silent = silent + 1 if isinstance(problem, NoFrame) else 0
+            doubt = doubt.also(str(problem))
+        reject(station, rejected, doubt.reasons[-1])
+
+
+def reject(station: Station, rejected: Rejected | None, reason: str) -> None:
+    """Report a rejected take, and discard what is left of it."""
+    station.numbers.next = None
+    if rejected is not None:
+        rejected(reason)
+    let_late_frames_come(station.camera)
+
+
+def _give_up(station: Station, step: Step, doubt: Doubt) -> NoReturn:
+    number, last = step.number, doubt.reasons[-1]
+    if doubt.verdict == "stays on":
         station.controller.arm(False)
         raise FrameError(
-            f"step {number}: {reasons[-1]}. The contactor has been opened; do not look into the beam, "
+            f"step {number}: {last}. The contactor has been opened; do not look into the beam, "
             "and cut the laser's supply before working on it."
         )
-    raise FrameError(f"step {number}: not proven in {len(reasons)} takes; reason of the last: {reasons[-1]}.")
+    raise FrameError(f"step {number}: not proven in {len(doubt.reasons)} takes; reason of the last: {last}.")
 
 
-def _by_wire(station: Station, step: Step) -> _Take:
-    """Take a pair by a shot of the controller; frames are matched by their count."""
-    controller, camera, config = station.controller, station.camera, station.config
-    clock, numbers = station.clock, station.numbers
-    waiting = camera.drop()
-    if numbers.next is not None:
-        numbers.next += waiting
-    before = _armed(controller).exposures
-    controller.shot(step.to, step.number, number=1 + step.laser)
-    give_up = clock.now() + longest_s(config) + shot_s(config)
-    frames: list[Frame] = []
-    running = True
-    while len(frames) < 2 and clock.now() < give_up:
-        try:
-            frames.append(_look(camera, config))
-        except CameraTimeout:
-            if running and controller.poll().state != "shot":
-                running, give_up = False, clock.now() + config.checks.late_s
-    done = controller.wait_shot(step.number, longest_s(config) + shot_s(config))
-    exposures = (done.exposures - before) % _COUNT
-    if exposures != 2:
-        raise _Unbelievable(f"the controller counted {exposures} exposures, expected 2")
-    if done.position != step.to:
-        raise _Unbelievable(f"the table stopped at {done.position}, expected {step.to}")
-    if len(frames) < 2:
-        raise (_Unbelievable if frames else _NoFrame)(f"{len(frames)} of 2 frames came")
-    if more := camera.drop():
-        raise _Unbelievable(f"{2 + more} frames came, expected 2")
-    on, off = frames
-    _require_whole(on, off)
-    if on.number >= 0 and off.number >= 0:
-        expected = on.number if numbers.next is None else numbers.next
-        if (on.number, off.number) != (expected, expected + 1):
-            raise _Unbelievable(
-                f"found the frames {on.number} and {off.number}, expected {expected} and {expected + 1}"
-            )
-        numbers.next = off.number + 1
-    return _Take(on, off, done.position)
-
-
-def _by_hand(station: Station, step: Step) -> _Take:
-    """Take a pair by switching the laser from the host, for cameras without a trigger wire."""
-    controller, clock, laser = station.controller, station.clock, station.config.laser[step.laser]
-    lit = 1 + step.laser
-    controller.laser(False)
-    _armed(controller)
-    position = controller.move(step.to, longest_s(station.config))
-    if position != step.to:
-        raise _Unbelievable(f"the table stopped at {position}, expected {step.to}")
-    rest(station.config.turntable.settle_ms / 1000, controller, clock)
-    controller.laser(True, number=lit)
-    try:
-        rest(laser.on_ms / 1000, controller, clock, lit=lit)
-        on = _fresh_frame(station, lit=lit)
-    except (_Unbelievable, CameraError):
-        # After any other error the controller is gone or is about to be aborted.
-        controller.laser(False)
-        raise
-    controller.laser(False)
-    rest(laser.off_ms / 1000, controller, clock)
-    off = _fresh_frame(station)
-    _require_whole(on, off)
-    return _Take(on, off, position)
-
-
-def _armed(controller: Controller) -> Status:
-    """The state, with the contactor closed; after a long silence the controller opens it without a fault."""
-    status = controller.stat()
-    if not status.armed and status.fault is None:
-        log.info("%s: the contactor was open, as it is after a long silence; it is closed again", controller.name)
-        controller.arm(True)
-    return status
-
-
-def _fresh_frame(station: Station, *, lit: int | None = None) -> Frame:
-    """A frame exposed after this call began; `lit`: the number of the laser that is on."""
-    controller, camera, config, clock = station.controller, station.camera, station.config, station.clock
-    camera.drop()
-    if camera.trigger_mode == "software":
-        camera.trigger()
-    frames = 2 + config.camera.flush_frames
-    give_up = clock.now() + frames * config.camera.exposure_ms / 1000 + config.checks.late_s
-    while True:
-        try:
-            return _look(camera, config)
-        except CameraTimeout:
-            _keep_alive(controller, lit=lit)
-            if clock.now() >= give_up:
-                raise _NoFrame(f"no {'laser-on' if lit else 'laser-off'} frame came") from None
-
-
-def next_frame(camera: Camera, controller: Controller | None, timeout_s: float, clock: Clock) -> Frame:
-    """Wait for the next frame and poll the controller meanwhile, since its watchdog runs during exposures too.
-
-    Raises:
-        CameraTimeout: If none came within `timeout_s`.
-        CameraLost, LinkLost, RigFault: From camera and controller.
-    """
-    give_up = clock.now() + timeout_s
-    while True:
-        try:
-            return camera.next(min(LOOK_S, timeout_s))
-        except CameraTimeout:
-            if clock.now() >= give_up:
-                raise
-        if controller is not None:
-            controller.poll()
-
-
-def rest(seconds: float, controller: Controller, clock: Clock, *, lit: int | None = None) -> None:
-    """Wait and poll the controller meanwhile; renew the lease of the laser that is on, `lit` (from 1)."""
-    end = clock.now() + seconds
-    while (left := end - clock.now()) > 0:
-        clock.sleep(min(left, LOOK_S))
-        _keep_alive(controller, lit=lit)
-
-
-def _keep_alive(controller: Controller, *, lit: int | None) -> None:
-    """Poll the controller; renew the lease of the laser that is on."""
-    controller.poll()
-    if lit is not None:
-        controller.laser(True, number=lit)
-
-
-def _look(camera: Camera, config: RigConfig) -> Frame:
-    frame = camera.next(LOOK_S)
-    size = config.camera
-    expected = (size.height, size.width, 3)[: frame_rank(size.pixel_format)]
-    if frame.image.shape != expected:
-        raise CameraError(f"found a frame of the shape {frame.image.shape}, expected {expected}; see [camera].")
-    return frame
-
-
-def _require_whole(*frames: Frame) -> None:
-    for frame in frames:
-        if not frame.complete:
-            raise _Unbelievable(f"frame {frame.number} is not complete" + (f": {frame.note}" if frame.note else ""))
-
-
-def _prove(taken: _Take, config: RigConfig, laser: int) -> PairProof:
+def prove(taken: TakenPair, config: RigConfig, laser: int) -> PairProof:
+    """The proof of two frames, by the limits of the configuration."""
     return prove_pair(
         taken.on.image,
         taken.off.image,
@@ -286,14 +124,3 @@ def _prove(taken: _Take, config: RigConfig, laser: int) -> PairProof:
         line=config.laser[laser].line,
         limits=config.checks.proof,
     )
-
-
-def _let_late_frames_come(camera: Camera) -> None:
-    """Discard frames that were on their way when a take was rejected, so that the next take does not get them."""
-    if camera.trigger_mode != "free":
-        for _ in range(_MOST_LATE):
-            try:
-                camera.next(QUIET_S)
-            except CameraTimeout:
-                break
-    camera.drop()

@@ -1,0 +1,261 @@
+"""Two frames of one place: the table at its position, a laser-on and a laser-off frame; nothing is proven here."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from jaxscan.stripes import frame_rank
+from scanrig.cameras import Camera, Frame
+from scanrig.clock import Clock, SystemClock
+from scanrig.config import RigConfig
+from scanrig.controllers import Controller, Status
+from scanrig.errors import CameraError, CameraTimeout
+from scanrig.session.plan import longest_s, shot_s
+
+
+log = logging.getLogger(__name__)
+
+LOOK_S = 0.1
+"""Longest wait for a frame between two polls of the controller: its watchdog allows 500 ms."""
+QUIET_S = 0.2
+"""After this much silence no late frame is expected."""
+_COUNT = 65536
+"""The controller counts exposures modulo this number."""
+_MOST_LATE = 64
+
+
+@dataclass
+class FrameNumbers:
+    """The number of the camera's next frame, if known."""
+
+    next: int | None = None
+
+
+class TakenPair(NamedTuple):
+    """Two whole frames of one place, not proven yet."""
+
+    on: Frame
+    off: Frame
+    position: int
+    """Position reported by the controller [microsteps from home]."""
+
+
+class Unbelievable(Exception):
+    """The take is rejected; the message says why."""
+
+
+class NoFrame(Unbelievable):
+    """No frame came at all."""
+
+
+@dataclass(frozen=True)
+class Station:
+    """The devices and settings with which steps are taken."""
+
+    config: RigConfig
+    controller: Controller
+    """Configured, enabled, homed and armed."""
+    camera: Camera
+    """Started."""
+    clock: Clock = field(default_factory=SystemClock)
+    numbers: FrameNumbers = field(default_factory=FrameNumbers)
+    """Kept from step to step, so that a gap between two pairs is noticed too."""
+    reopen: Callable[[], None] = lambda: None
+    """Called when no frame came in two takes in a row: opens the camera again."""
+
+
+class Step(NamedTuple):
+    """The pair to take."""
+
+    to: int
+    """Position [microsteps from home]."""
+    number: int
+    """Number of the shot."""
+    laser: int = 0
+    """Which laser, counted from 0."""
+
+
+def grab(station: Station, step: Step) -> TakenPair:
+    """Take two whole frames at a position.
+
+    With a camera that is triggered by a wire the controller runs the whole shot: exactly two complete frames with
+    consecutive numbers must come from its two exposures. Otherwise the host switches the laser and renews its lease
+    while it waits for the frame.
+
+    Raises:
+        Unbelievable: If they are not the two frames of this step; its subclass NoFrame: if none came.
+        CameraError: If frames have the wrong size.
+        CameraLost, LinkLost, RigFault, RigError: From camera and controller.
+    """
+    return (_by_wire if station.camera.trigger_mode == "hardware" else _by_hand)(station, step)
+
+
+def _by_wire(station: Station, step: Step) -> TakenPair:
+    """Take a pair by a shot of the controller; frames are matched by their count."""
+    controller, camera, config = station.controller, station.camera, station.config
+    clock, numbers = station.clock, station.numbers
+    waiting = camera.drop()
+    if numbers.next is not None:
+        numbers.next += waiting
+    before = _armed(controller).exposures
+    controller.shot(step.to, step.number, number=1 + step.laser)
+    give_up = clock.now() + longest_s(config) + shot_s(config)
+    frames: list[Frame] = []
+    running = True
+    while len(frames) < 2 and clock.now() < give_up:
+        try:
+            frames.append(_look(camera, config))
+        except CameraTimeout:
+            if running and controller.poll().state != "shot":
+                running, give_up = False, clock.now() + config.checks.late_s
+    done = controller.wait_shot(step.number, longest_s(config) + shot_s(config))
+    exposures = (done.exposures - before) % _COUNT
+    if exposures != 2:
+        raise Unbelievable(f"the controller counted {exposures} exposures, expected 2")
+    if done.position != step.to:
+        raise Unbelievable(f"the table stopped at {done.position}, expected {step.to}")
+    if len(frames) < 2:
+        raise (Unbelievable if frames else NoFrame)(f"{len(frames)} of 2 frames came")
+    if more := camera.drop():
+        raise Unbelievable(f"{2 + more} frames came, expected 2")
+    on, off = frames
+    _require_whole(on, off)
+    if on.number >= 0 and off.number >= 0:
+        expected = on.number if numbers.next is None else numbers.next
+        if (on.number, off.number) != (expected, expected + 1):
+            raise Unbelievable(f"found the frames {on.number} and {off.number}, expected {expected} and {expected + 1}")
+        numbers.next = off.number + 1
+    return TakenPair(on, off, done.position)
+
+
+def _by_hand(station: Station, step: Step) -> TakenPair:
+    """Take a pair by switching the laser from the host, for cameras without a trigger wire."""
+    controller, clock, laser = station.controller, station.clock, station.config.laser[step.laser]
+    lit = 1 + step.laser
+    controller.laser(False)
+    _armed(controller)
+    position = controller.move(step.to, longest_s(station.config))
+    if position != step.to:
+        raise Unbelievable(f"the table stopped at {position}, expected {step.to}")
+    rest(station.config.turntable.settle_ms / 1000, controller, clock)
+    controller.laser(True, number=lit)
+    try:
+        rest(laser.on_ms / 1000, controller, clock, lit=lit)
+        on = _fresh_frame(station, lit=lit)
+    except (Unbelievable, CameraError):
+        # After any other error the controller is gone or is about to be aborted.
+        controller.laser(False)
+        raise
+    controller.laser(False)
+    rest(laser.off_ms / 1000, controller, clock)
+    off = _fresh_frame(station)
+    _require_whole(on, off)
+    return TakenPair(on, off, position)
+
+
+def _armed(controller: Controller) -> Status:
+    """The state, with the contactor closed; after a long silence the controller opens it without a fault."""
+    status = controller.stat()
+    if not status.armed and status.fault is None:
+        log.info("%s: the contactor was open, as it is after a long silence; it is closed again", controller.name)
+        controller.arm(True)
+    return status
+
+
+def _fresh_frame(station: Station, *, lit: int | None = None) -> Frame:
+    """A frame exposed after this call began; `lit`: the number of the laser that is on."""
+    controller, camera, config, clock = station.controller, station.camera, station.config, station.clock
+    camera.drop()
+    if camera.trigger_mode == "software":
+        camera.trigger()
+    frames = 2 + config.camera.flush_frames
+    give_up = clock.now() + frames * config.camera.exposure_ms / 1000 + config.checks.late_s
+    while True:
+        try:
+            return _look(camera, config)
+        except CameraTimeout:
+            _keep_alive(controller, lit=lit)
+            if clock.now() >= give_up:
+                raise NoFrame(f"no {'laser-on' if lit else 'laser-off'} frame came") from None
+
+
+def plain_frame(station: Station) -> Frame:
+    """A frame without laser.
+
+    Raises:
+        CameraTimeout: If none came, or none that is whole.
+        CameraLost, LinkLost, RigFault: From camera and controller.
+    """
+    camera, config = station.camera, station.config
+    station.numbers.next = None
+    camera.drop()
+    exposing = station.controller if camera.trigger_mode == "hardware" else None
+    if exposing is not None:
+        exposing.trigger()
+    elif camera.trigger_mode == "software":
+        camera.trigger()
+    patience = config.camera.exposure_ms / 1000 + config.checks.late_s
+    frame = next_frame(camera, exposing, patience, station.clock)
+    if not frame.complete:
+        raise CameraTimeout(f"{camera.identity}: frame {frame.number} is not complete")
+    return frame
+
+
+def next_frame(camera: Camera, controller: Controller | None, timeout_s: float, clock: Clock) -> Frame:
+    """Wait for the next frame and poll the controller meanwhile, since its watchdog runs during exposures too.
+
+    Raises:
+        CameraTimeout: If none came within `timeout_s`.
+        CameraLost, LinkLost, RigFault: From camera and controller.
+    """
+    give_up = clock.now() + timeout_s
+    while True:
+        try:
+            return camera.next(min(LOOK_S, timeout_s))
+        except CameraTimeout:
+            if clock.now() >= give_up:
+                raise
+        if controller is not None:
+            controller.poll()
+
+
+def rest(seconds: float, controller: Controller, clock: Clock, *, lit: int | None = None) -> None:
+    """Wait and poll the controller meanwhile; renew the lease of the laser that is on, `lit` (from 1)."""
+    end = clock.now() + seconds
+    while (left := end - clock.now()) > 0:
+        clock.sleep(min(left, LOOK_S))
+        _keep_alive(controller, lit=lit)
+
+
+def _keep_alive(controller: Controller, *, lit: int | None) -> None:
+    """Poll the controller; renew the lease of the laser that is on."""
+    controller.poll()
+    if lit is not None:
+        controller.laser(True, number=lit)
+
+
+def _look(camera: Camera, config: RigConfig) -> Frame:
+    frame = camera.next(LOOK_S)
+    size = config.camera
+    expected = (size.height, size.width, 3)[: frame_rank(size.pixel_format)]
+    if frame.image.shape != expected:
+        raise CameraError(f"found a frame of the shape {frame.image.shape}, expected {expected}; see [camera].")
+    return frame
+
+
+def _require_whole(*frames: Frame) -> None:
+    for frame in frames:
+        if not frame.complete:
+            raise Unbelievable(f"frame {frame.number} is not complete" + (f": {frame.note}" if frame.note else ""))
+
+
+def let_late_frames_come(camera: Camera) -> None:
+    """Discard frames that were on their way when a take was rejected, so that the next take does not get them."""
+    if camera.trigger_mode != "free":
+        for _ in range(_MOST_LATE):
+            try:
+                camera.next(QUIET_S)
+            except CameraTimeout:
+                break
+    camera.drop()
