@@ -250,8 +250,10 @@ def _require_whole(*frames: Frame) -> None:
             raise Unbelievable(f"frame {frame.number} is not complete" + (f": {frame.note}" if frame.note else ""))
 
 
-def let_late_frames_come(camera: Camera) -> None:
+def discard_rest(station: Station) -> None:
     """Discard frames that were on their way when a take was rejected, so that the next take does not get them."""
+    camera = station.camera
+    station.numbers.next = None
     if camera.trigger_mode != "free":
         for _ in range(_MOST_LATE):
             try:

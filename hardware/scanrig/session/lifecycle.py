@@ -57,11 +57,14 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
     try:
         session.begin()
         finished = work(session)
+        session.settle()
         status = ("suspect" if session.suspect else "complete") if finished else "interrupted"
         ending = Ending(status, "")
     except BaseException as problem:
         ending = ended_by(problem, job.devices.controller)
     unsafe = leave_safe(job.devices.controller)
+    # Only now: it may wait for the disk.
+    session.end(drop=ending.status == "aborted")
     unsealed = session.ledger.end(
         ending.status,
         records=len(session.done),

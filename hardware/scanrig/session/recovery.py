@@ -26,7 +26,7 @@ from scanrig.errors import (
 from scanrig.session.grab import FrameNumbers, Station, Step, TakenPair, plain_frame
 from scanrig.session.job import Devices
 from scanrig.session.plan import controller_settings, longest_s, nearest
-from scanrig.session.step import Doubt, ProvenPair, grab_whole, reject, take_pair
+from scanrig.session.step import Doubt, ProvenPair, grab_whole, take_pair
 
 
 Note = Callable[..., None]
@@ -183,14 +183,16 @@ class RecoveringRig:
     def approach(self, to: int) -> None:
         """Go to a position, so that the next motion comes from there."""
         self.doing(lambda: self.controller.move(to, longest_s(self.config)), "going back")
+        self.at = to
 
     def reject(self, number: int, reason: str) -> None:
-        """Note a take that was rejected after its step, and discard what is left of it."""
-        reject(self._station(f"step {number}"), partial(self._rejected, number), reason)
+        """Count and note a take that was rejected."""
+        self.rejected += 1
+        self._note("retake", step=number, reason=reason)
 
     def _step(self, take: Callable[..., T], to: int, number: int, before: Doubt | None) -> T:
         action, step = f"step {number}", Step(to, number, self.config.laser_of(number))
-        result = self.doing(lambda: take(self._station(action), step, partial(self._rejected, number), before), action)
+        result = self.doing(lambda: take(self._station(action), step, partial(self.reject, number), before), action)
         if to != self.at:
             self.came_from, self.at = self.at, to
         return result
@@ -207,10 +209,6 @@ class RecoveringRig:
             except (LinkLost, RigFault, CameraLost, Refused, RigTimeout) as problem:
                 self._recover(problem, action)
         return work()
-
-    def _rejected(self, number: int, reason: str) -> None:
-        self.rejected += 1
-        self._note("retake", step=number, reason=reason)
 
     def _open_anew(self, action: str) -> None:
         self._recover(CameraLost(f"{self.camera.identity}: no frame came, twice in a row"), action)

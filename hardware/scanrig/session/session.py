@@ -1,26 +1,52 @@
 """A running session: takes records, and tracks which are on the disk and which are suspect."""
 
 import math
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import asdict
+from concurrent.futures import Future
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
-from scanrig.checks import PLACES, LeakWatch, Likeness, compare_pairs
+from scanrig.checks import PLACES, LeakWatch, LightWatch, Likeness, PairProof, compare_pairs
 from scanrig.controllers import shortcomings
 from scanrig.errors import FrameError, SessionError
-from scanrig.recording import KEPT_PAIRS, Ledger, require_space
+from scanrig.recording import AHEAD, KEPT_PAIRS, Background, Ledger, require_space
 from scanrig.session.ending import Ending
+from scanrig.session.grab import TakenPair
 from scanrig.session.job import Job, SessionResult
-from scanrig.session.plan import RESERVE, Target, frame_bytes
-from scanrig.session.records import capture_header, record_fields
+from scanrig.session.plan import RESERVE, Target, angle_deg, frame_bytes
+from scanrig.session.records import Moment, capture_header, record_fields
 from scanrig.session.recovery import RecoveringRig
 from scanrig.session.resume import Found, ranges, read_pair, require_same_camera
 from scanrig.session.sentences import say_end, say_event
-from scanrig.session.step import ProvenPair
+from scanrig.session.step import Doubt, ProvenPair, prove
+
+
+@dataclass(frozen=True, eq=False)
+class _Flight:
+    """A pair that was taken, and that is proven and written in the background."""
+
+    record: int
+    to: int
+    """Its position [microsteps]."""
+    came_from: int
+    """Where the table stood before it went there [microsteps]."""
+    placement: int | None
+    taken: TakenPair
+    doubt: Doubt
+    """Its takes that were rejected."""
+    proof: Future[PairProof]
+    stored: Future[bool]
+    """Whether it was proven; then it is on the disk."""
 
 
 class Session:
-    """A running session: takes records, and tracks which are done and which are suspect."""
+    """A running session: takes records, and tracks which are done and which are suspect.
+
+    While the table turns to a step, the one before is proven and written in the background; everything else happens
+    in the caller's thread.
+    """
 
     def __init__(self, job: Job, found: Found | None) -> None:
         """Nothing moves yet; `found` is the capture that an earlier session left."""
@@ -41,7 +67,14 @@ class Session:
         self._last_placement: int | None = None
         self._positions = {} if found is None else {i: int(r["microsteps"]) for i, r in found.records.items()}
         self._placements = 0 if found is None else found.placements
-        self._ambient: float | None = None
+        self._background = Background()
+        self._flying: deque[_Flight] = deque()
+        """Pairs that may not be on the disk yet."""
+        self._unjudged_pair: _Flight | None = None
+        """The last one, whose verdict was not read yet."""
+        self._doubtful: list[_Flight] = []
+        """Steps that were not proven, to which the table must return."""
+        self._light = LightWatch()
         self._leaks = tuple(LeakWatch() for _ in self.config.laser)
 
     def should_stop(self) -> bool:
@@ -90,30 +123,42 @@ class Session:
         self._believe()
 
     def take(self, record: int, to: int, *, placement: int | None = None) -> None:
-        """Take one record and write it to the disk."""
-        job = self.job
-        room = math.ceil(KEPT_PAIRS * 2 * frame_bytes(self.config) * RESERVE)
-        require_space(job.folder, room, purpose="the next pair")
+        """Take one record. It is proven and written while the table goes on.
+
+        The verdict on the record before is read here: if that one was not proven, the table goes back and takes it
+        again until it is. Call `settle` after the last record.
+        """
+        self._collect(AHEAD)
+        pairs = KEPT_PAIRS + len(self._flying)
+        require_space(
+            self.job.folder, math.ceil(pairs * 2 * frame_bytes(self.config) * RESERVE), purpose="the next pair"
+        )
         homings = self.rig.homings
-        pair = self.rig.take(to, record)
+        taken, doubt = self.rig.grab(to, record)
         # Another placement of the board looks different whatever the table does.
         if self.rig.homings > homings and placement == self._last_placement:
             self._compare_last()
-        fields = record_fields(pair, self.config, self.rig.features, job.devices.clock)
-        if placement is not None:
-            fields["placement"] = placement
-        self.ledger.add(record, pair.on.image, pair.off.image, fields)
-        self.taken += 1
-        self.done.add(record)
-        self.suspect.discard(record)
-        self.since_home.append(record)
-        self._last, self._last_placement, self._positions[record] = record, placement, pair.position
-        self._watch_light(record, pair)
-        self._watch_laser(record, pair, None if placement is not None else fields["angle_deg"])
-        if job.hooks.on_pair is not None:
-            job.hooks.on_pair(record, math.radians(fields["angle_deg"]), pair.on.image, pair.off.image)
-        if job.hooks.progress is not None:
-            job.hooks.progress(len(self.done), job.planned)
+        self._judge_pair()
+        laser = self.config.laser_of(record)
+        proof = self._background.prove(partial(prove, taken, self.config, laser))
+        self._unjudged_pair = self._write(record, placement, taken, doubt, proof)
+        if self._doubtful:
+            self._return_to_doubtful()
+
+    def settle(self) -> None:
+        """Return to the steps that were not proven, and wait until all records are on the disk."""
+        self._await_written()
+        while self._doubtful:
+            self._return_to_doubtful()
+            self._await_written()
+
+    def end(self, *, drop: bool) -> None:
+        """End the work in the background, in any case; with `drop` only what was begun is finished."""
+        self._background.end(drop=drop)
+        for flight in self._flying:
+            if not flight.stored.cancelled() and flight.stored.exception() is None and flight.stored.result():
+                self._count(flight)
+        self._flying.clear()
 
     def unclosed(self, turn: Sequence[Target]) -> bool:
         """Whether records of a pass were taken since home was last found well."""
@@ -121,6 +166,7 @@ class Session:
 
     def close_turn(self, turn: Sequence[Target]) -> None:
         """Take the first step of a pass again, compare it, and search for home."""
+        self.settle()
         first = turn[0].record
         if first in self.done:
             likeness = self._again(first, "closing")
@@ -164,8 +210,101 @@ class Session:
             laser_off=not unsafe,
         )
 
+    def _write(
+        self, record: int, placement: int | None, taken: TakenPair, doubt: Doubt, proof: Future[PairProof]
+    ) -> _Flight:
+        """Write a pair in the background when it is proven, after all before it."""
+        clock, laser, features = self.job.devices.clock, self.config.laser_of(record), self.rig.features
+        moment = Moment(clock.utc(), clock.now())
+
+        def store() -> bool:
+            found = proof.result()
+            if found.ok:
+                pair = ProvenPair(taken.on, taken.off, found, taken.position, doubt.reasons, laser)
+                fields = record_fields(pair, self.config, features, moment)
+                if placement is not None:
+                    fields["placement"] = placement
+                self.ledger.add(record, taken.on.image, taken.off.image, fields)
+            return found.ok
+
+        to, came_from = self.rig.at, self.rig.came_from
+        flight = _Flight(record, to, came_from, placement, taken, doubt, proof, self._background.write(store))
+        self._flying.append(flight)
+        return flight
+
+    def _judge_pair(self) -> None:
+        """Read the verdict on the last pair."""
+        flight, self._unjudged_pair = self._unjudged_pair, None
+        if flight is None:
+            return
+        proof = flight.proof.result()
+        if proof.ok:
+            self._watch(flight, proof)
+        else:
+            self.rig.reject(flight.record, proof.reason)
+            self._doubtful.append(replace(flight, doubt=flight.doubt.also(proof.reason, proof.verdict)))
+
+    def _return_to_doubtful(self) -> None:
+        """Take the steps again that were not proven, each until it is, in their order."""
+        self._judge_pair()
+        while self._doubtful:
+            step = self._doubtful.pop(0)
+            if step.came_from != step.to:
+                # From the same side as the first time: gears have backlash.
+                self.rig.approach(step.came_from)
+            homings = self.rig.homings
+            pair = self.rig.take(step.to, step.record, step.doubt)
+            if self.rig.homings > homings and step.placement == self._last_placement:
+                self._compare_last()
+            proof: Future[PairProof] = Future()
+            proof.set_result(pair.proof)
+            taken = TakenPair(pair.on, pair.off, pair.position)
+            flight = self._write(step.record, step.placement, taken, Doubt(pair.rejected), proof)
+            self._watch(flight, pair.proof)
+
+    def _await_written(self) -> None:
+        """Read the verdict on the last pair, and wait until all that are proven are on the disk."""
+        self._judge_pair()
+        self._collect(0)
+
+    def _collect(self, most: int) -> None:
+        """Count the records that are on the disk by now, and wait until at most so many are not."""
+        while self._flying and (len(self._flying) > most or self._flying[0].stored.done()):
+            stored = self._flying[0].stored.result()
+            flight = self._flying.popleft()
+            if stored:
+                self._count(flight)
+                self._tell(flight)
+
+    def _count(self, flight: _Flight) -> None:
+        record = flight.record
+        self.taken += 1
+        self.done.add(record)
+        self.suspect.discard(record)
+        self.since_home.append(record)
+        self._last, self._last_placement = record, flight.placement
+        self._positions[record] = flight.taken.position
+
+    def _tell(self, flight: _Flight) -> None:
+        hooks, taken = self.job.hooks, flight.taken
+        if hooks.on_pair is not None:
+            angle = math.radians(self._angle_deg(flight))
+            hooks.on_pair(flight.record, angle, taken.on.image, taken.off.image)
+        if hooks.progress is not None:
+            hooks.progress(len(self.done), self.job.planned)
+
+    def _angle_deg(self, flight: _Flight) -> float:
+        return angle_deg(flight.taken.position, self.config.microsteps_per_turn)
+
     def _note(self, name: str, **fields: Any) -> None:
-        self.ledger.note(name, **fields)
+        if name == "home":
+            # In the journal, too, a homing judges the records that were taken before it.
+            self._await_written()
+        event = self.ledger.event(name, **fields)
+        if self.ledger.begun:
+            self._background.write(partial(self.ledger.write, event))
+        else:
+            self.ledger.write(event)
         if name == "home":
             # Judged at once: a homing that is repeated for another reason always finds home well.
             self._judge_home(fields.get("missed"))
@@ -213,6 +352,7 @@ class Session:
 
     def _again(self, record: int, event: str) -> Likeness:
         """Take a record again only to compare it."""
+        self._await_written()
         pair = self.rig.take(self._positions[record], record)
         likeness = self._compare(record, pair)
         shift = {} if likeness.shift_px is None else {"shift_px": round(likeness.shift_px, 3)}
@@ -226,6 +366,7 @@ class Session:
         return likeness
 
     def _compare(self, record: int, pair: ProvenPair) -> Likeness:
+        self._background.wait()
         first = read_pair(self.job.folder, record)
         camera = self.config.camera
         return compare_pairs(
@@ -239,9 +380,14 @@ class Session:
     def _is_like(self, likeness: Likeness) -> bool:
         return likeness.within(self.config.checks.shift_px, self.config.checks.correlation)
 
-    def _watch_laser(self, record: int, pair: ProvenPair, angle_deg: float | None) -> None:
-        """Stop if the laser shines in the laser-off frames of many places."""
-        leak, allowed = self._leaks[pair.laser].add(angle_deg, pair.proof.leak), self.config.checks.proof.leak
+    def _watch(self, flight: _Flight, proof: PairProof) -> None:
+        """Report a change of the room's light; stop if the laser shines in the laser-off frames of many places."""
+        record, ambient = flight.record, proof.ambient_dn
+        if (was := self._light.add(ambient)) is not None:
+            self._note("light", record=record, was_dn=round(was, 2), is_dn=round(ambient, 2))
+            self.job.hooks.notify(f"record {record}: the light changed from {was:.0f} to {ambient:.0f} DN.")
+        angle = None if flight.placement is not None else self._angle_deg(flight)
+        leak, allowed = self._leaks[self.config.laser_of(record)].add(angle, proof.leak), self.config.checks.proof.leak
         if leak is None or leak <= allowed:
             return
         self.job.devices.controller.arm(False)
@@ -250,13 +396,3 @@ class Session:
             f"the last {PLACES} places too, expected at most {100 * allowed:.0f} %; give it more time to go out "
             "([[laser]] off_ms), and check relay and wiring. The contactor has been opened."
         )
-
-    def _watch_light(self, record: int, pair: ProvenPair) -> None:
-        """Report a change of the room's light by a factor of two."""
-        ambient = pair.proof.ambient_dn
-        if self._ambient is None:
-            self._ambient = ambient
-        elif not 0.5 < (ambient + 2) / (self._ambient + 2) < 2:
-            self._note("light", record=record, was_dn=round(self._ambient, 2), is_dn=round(ambient, 2))
-            self.job.hooks.notify(f"record {record}: the light changed from {self._ambient:.0f} to {ambient:.0f} DN.")
-            self._ambient = ambient

@@ -8,7 +8,7 @@ from scanrig.cameras import Frame
 from scanrig.checks import PairProof, prove_pair
 from scanrig.config import RigConfig
 from scanrig.errors import FrameError
-from scanrig.session.grab import NoFrame, Station, Step, TakenPair, Unbelievable, grab, let_late_frames_come
+from scanrig.session.grab import NoFrame, Station, Step, TakenPair, Unbelievable, discard_rest, grab
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,15 @@ def take_pair(
         CameraLost, LinkLost, RigFault, RigError: From camera and controller.
     """
     doubt = before or Doubt()
+    if doubt.reasons:
+        discard_rest(station)
     while True:
         taken, doubt = grab_whole(station, step, rejected, doubt)
         proof = prove(taken, station.config, step.laser)
         if proof.ok:
             return ProvenPair(taken.on, taken.off, proof, taken.position, doubt.reasons, step.laser)
         doubt = doubt.also(proof.reason, proof.verdict)
-        reject(station, rejected, proof.reason)
+        _reject(station, rejected, proof.reason)
 
 
 def grab_whole(
@@ -92,15 +94,13 @@ def grab_whole(
         except Unbelievable as problem:
             silent = silent + 1 if isinstance(problem, NoFrame) else 0
             doubt = doubt.also(str(problem))
-        reject(station, rejected, doubt.reasons[-1])
+        _reject(station, rejected, doubt.reasons[-1])
 
 
-def reject(station: Station, rejected: Rejected | None, reason: str) -> None:
-    """Report a rejected take, and discard what is left of it."""
-    station.numbers.next = None
+def _reject(station: Station, rejected: Rejected | None, reason: str) -> None:
     if rejected is not None:
         rejected(reason)
-    let_late_frames_come(station.camera)
+    discard_rest(station)
 
 
 def _give_up(station: Station, step: Step, doubt: Doubt) -> NoReturn:
