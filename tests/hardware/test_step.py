@@ -9,8 +9,7 @@ from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.controllers.jxs.connect import connect
 from scanrig.errors import Fault, FrameError, Refused, RigFault
 from scanrig.session import Devices, Hooks, run_sweep
-from scanrig.session.grab import FrameNumbers, Station, Step
-from scanrig.session.step import take_pair
+from scanrig.session.steps import FrameNumbers, Station, Step, take_pair
 
 from .desk import HEIGHT, WIDTH, Desk, rig_config
 from .nursery import Wire

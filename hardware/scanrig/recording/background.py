@@ -46,10 +46,10 @@ class Background:
         """
         self.write(lambda: None).result()
 
-    def end(self, *, drop: bool) -> None:
-        """Wait for what was given, and end the threads; with `drop` only for what was begun already."""
-        self._prover.shutdown(wait=True, cancel_futures=drop)
-        self._writer.shutdown(wait=True, cancel_futures=drop)
+    def end(self) -> None:
+        """Wait for what was given, and end the threads; raises nothing of theirs."""
+        self._prover.shutdown()
+        self._writer.shutdown()
 
     def _unless_failed(self, work: Callable[[], T]) -> T:
         if self._failed is not None:

@@ -16,7 +16,7 @@ from scanrig.clock import Clock
 
 
 class Ledger:
-    """Appends pairs and events, from one thread at a time; events before `create` or `resume` are held back until then."""
+    """Appends pairs and events, from one thread at a time; events before `create` or `resume` are held back."""
 
     def __init__(self, folder: Path, clock: Clock) -> None:
         self.folder = folder

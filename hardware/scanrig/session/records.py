@@ -10,7 +10,7 @@ from scanrig.config import RigConfig
 from scanrig.controllers import Firmware
 from scanrig.session.job import Job
 from scanrig.session.plan import angle_deg
-from scanrig.session.step import ProvenPair
+from scanrig.session.steps import ProvenPair
 
 
 def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureHeader:

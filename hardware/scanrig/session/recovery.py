@@ -7,12 +7,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from scanrig.cameras import Features
-from scanrig.cameras.features import differences
+from scanrig.cameras import Features, reopen_camera
 from scanrig.config import RigConfig
 from scanrig.controllers import Firmware, Status
 from scanrig.errors import (
-    CameraError,
     CameraLost,
     CameraTimeout,
     Fault,
@@ -23,10 +21,19 @@ from scanrig.errors import (
     RigTimeout,
     SessionError,
 )
-from scanrig.session.grab import FrameNumbers, Station, Step, TakenPair, plain_frame
 from scanrig.session.job import Devices
 from scanrig.session.plan import controller_settings, longest_s, nearest
-from scanrig.session.step import Doubt, ProvenPair, grab_whole, take_pair
+from scanrig.session.steps import (
+    Doubt,
+    FrameNumbers,
+    ProvenPair,
+    Station,
+    Step,
+    TakenPair,
+    grab_whole,
+    plain_frame,
+    take_pair,
+)
 
 
 Note = Callable[..., None]
@@ -40,7 +47,6 @@ _ABOVE_HOME_DEG = 3.0
 _STILL_S = 10.0
 _RECOVERIES = 5
 """Recoveries of one step before the session ends."""
-_LONGEST_PAUSE_S = 5.0
 
 T = TypeVar("T")
 
@@ -257,33 +263,9 @@ class RecoveringRig:
 
     def _reopen(self, problem: Exception) -> None:
         """Open the camera again, and check that its settings are unchanged."""
-        last: Exception = problem
-        for attempt in range(self.config.checks.camera_reopens):
-            self._clock.sleep(min(0.25 * 2**attempt, _LONGEST_PAUSE_S) if attempt else 0.0)
-            try:
-                self.camera.reopen()
-                self.camera.start()
-                self.require_features(self.features)
-            except CameraLost as again:
-                last = again
-                continue
-            self._note("camera", reopened=attempt + 1)
-            return
-        raise CameraError(
-            f"{self.camera.identity} did not come back in {self.config.checks.camera_reopens} tries: {last}"
-        ) from problem
-
-    def require_features(self, expected: Features) -> None:
-        """Check that the camera's settings are those of the beginning.
-
-        Raises:
-            CameraError: With all differences.
-        """
-        if wrong := differences(self.camera.features(), expected):
-            raise CameraError(
-                f"{self.camera.identity}: is not set as it was when the capture began: {'; '.join(wrong)}. "
-                "Restore these settings, or begin a new capture."
-            )
+        tries = self.config.checks.camera_reopens
+        attempts = reopen_camera(self.camera, self.features, problem, self._clock, tries=tries)
+        self._note("camera", reopened=attempts)
 
     def _make_ready(self) -> None:
         """Clear a fault, enable the motor, home if necessary, arm."""

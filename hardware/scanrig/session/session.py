@@ -1,44 +1,23 @@
 """A running session: takes records, and tracks which are on the disk and which are suspect."""
 
 import math
-from collections import deque
-from collections.abc import Sequence
-from concurrent.futures import Future
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Any
 
-from scanrig.checks import PLACES, LeakWatch, LightWatch, Likeness, PairProof, compare_pairs
+from scanrig.cameras import require_same
+from scanrig.checks import Likeness, PairProof
 from scanrig.controllers import shortcomings
 from scanrig.errors import FrameError, SessionError
-from scanrig.recording import AHEAD, KEPT_PAIRS, Background, Ledger, require_space
-from scanrig.session.ending import Ending
-from scanrig.session.grab import TakenPair
-from scanrig.session.job import Job, SessionResult
+from scanrig.recording import AHEAD, KEPT_PAIRS, Ledger, require_space
+from scanrig.session.job import Job
 from scanrig.session.plan import RESERVE, Target, angle_deg, frame_bytes
 from scanrig.session.records import Moment, capture_header, record_fields
 from scanrig.session.recovery import RecoveringRig
-from scanrig.session.resume import Found, ranges, read_pair, require_same_camera
-from scanrig.session.sentences import say_end, say_event
-from scanrig.session.step import Doubt, ProvenPair, prove
-
-
-@dataclass(frozen=True, eq=False)
-class _Flight:
-    """A pair that was taken, and that is proven and written in the background."""
-
-    record: int
-    to: int
-    """Its position [microsteps]."""
-    came_from: int
-    """Where the table stood before it went there [microsteps]."""
-    placement: int | None
-    taken: TakenPair
-    doubt: Doubt
-    """Its takes that were rejected."""
-    proof: Future[PairProof]
-    stored: Future[bool]
-    """Whether it was proven; then it is on the disk."""
+from scanrig.session.resume import Found, ranges, require_same_camera
+from scanrig.session.sentences import say_event
+from scanrig.session.steps import Flight, Flights, Place, ProvenPair, Step
+from scanrig.session.watch import PairWatch, compare_with_record
 
 
 class Session:
@@ -67,15 +46,10 @@ class Session:
         self._last_placement: int | None = None
         self._positions = {} if found is None else {i: int(r["microsteps"]) for i, r in found.records.items()}
         self._placements = 0 if found is None else found.placements
-        self._background = Background()
-        self._flying: deque[_Flight] = deque()
-        """Pairs that may not be on the disk yet."""
-        self._unjudged_pair: _Flight | None = None
-        """The last one, whose verdict was not read yet."""
-        self._doubtful: list[_Flight] = []
+        self._flights = Flights(self.ledger, self.config)
+        self._doubtful: list[Flight] = []
         """Steps that were not proven, to which the table must return."""
-        self._light = LightWatch()
-        self._leaks = tuple(LeakWatch() for _ in self.config.laser)
+        self._watch = PairWatch(self.config, job.devices.controller, self._note)
 
     def should_stop(self) -> bool:
         """Whether the operator asked to stop."""
@@ -96,7 +70,7 @@ class Session:
             self.ledger.create(capture_header(job, firmware, rig.features))
         else:
             require_same_camera(self._found, asdict(identity), folder=job.folder)
-            rig.require_features(self._found.header.acquisition.get("features", {}))
+            require_same(job.devices.camera, self._found.header.acquisition.get("features", {}))
             self.ledger.resume()
             for problem in self._found.damaged:
                 self._note("damaged", record=problem.record, problem=problem.message)
@@ -128,37 +102,33 @@ class Session:
         The verdict on the record before is read here: if that one was not proven, the table goes back and takes it
         again until it is. Call `settle` after the last record.
         """
-        self._collect(AHEAD)
-        pairs = KEPT_PAIRS + len(self._flying)
-        require_space(
-            self.job.folder, math.ceil(pairs * 2 * frame_bytes(self.config) * RESERVE), purpose="the next pair"
-        )
+        self._collect()
+        room = math.ceil((KEPT_PAIRS + len(self._flights)) * 2 * frame_bytes(self.config) * RESERVE)
+        require_space(self.job.folder, room, purpose="the next pair")
         homings = self.rig.homings
-        taken, doubt = self.rig.grab(to, record)
-        # Another placement of the board looks different whatever the table does.
-        if self.rig.homings > homings and placement == self._last_placement:
-            self._compare_last()
-        self._judge_pair()
-        laser = self.config.laser_of(record)
-        proof = self._background.prove(partial(prove, taken, self.config, laser))
-        self._unjudged_pair = self._write(record, placement, taken, doubt, proof)
+        try:
+            taken, doubt = self.rig.grab(to, record)
+        except FrameError:
+            # If the step before fails too, it is the first to say so.
+            self._return_to_doubtful()
+            raise
+        place = Place(Step(to, record, self.config.laser_of(record)), self.rig.came_from, placement)
+        fields = self._fields(placement)
+        self._check_homing(homings, placement)
+        self._judge()
+        self._flights.begin(place, taken, doubt, fields)
         if self._doubtful:
             self._return_to_doubtful()
 
     def settle(self) -> None:
         """Return to the steps that were not proven, and wait until all records are on the disk."""
-        self._await_written()
-        while self._doubtful:
-            self._return_to_doubtful()
-            self._await_written()
+        self._return_to_doubtful()
+        self._collect(0)
 
-    def end(self, *, drop: bool) -> None:
-        """End the work in the background, in any case; with `drop` only what was begun is finished."""
-        self._background.end(drop=drop)
-        for flight in self._flying:
-            if not flight.stored.cancelled() and flight.stored.exception() is None and flight.stored.result():
-                self._count(flight)
-        self._flying.clear()
+    def end(self) -> None:
+        """Finish what is done in the background, also after an error."""
+        for flight in self._flights.end():
+            self._count(flight)
 
     def unclosed(self, turn: Sequence[Target]) -> bool:
         """Whether records of a pass were taken since home was last found well."""
@@ -193,118 +163,82 @@ class Session:
         self._note("placed", placement=number)
         return number
 
-    def result(self, ending: Ending, unsafe: str) -> SessionResult:
-        """The result of the session."""
-        job, count = self.job, len(self.done)
-        suspect = tuple(ranges(tuple(self.suspect)))
-        says = say_end(ending, job.folder, count=count, planned=job.planned, suspect=suspect)
-        return SessionResult(
-            status=ending.status,  # type: ignore[arg-type]
-            message=" ".join(part for part in (says, unsafe) if part),
-            records=count + len(self.suspect - self.done),
-            planned=job.planned,
-            taken=self.taken,
-            retakes=self.rig.rejected,
-            suspect=suspect,
-            events=tuple(self.ledger.events),
-            laser_off=not unsafe,
-        )
-
-    def _write(
-        self, record: int, placement: int | None, taken: TakenPair, doubt: Doubt, proof: Future[PairProof]
-    ) -> _Flight:
-        """Write a pair in the background when it is proven, after all before it."""
-        clock, laser, features = self.job.devices.clock, self.config.laser_of(record), self.rig.features
+    def _fields(self, placement: int | None) -> Callable[[ProvenPair], dict[str, Any]]:
+        """Makes the fields of a record that was taken now."""
+        config, clock, features = self.config, self.job.devices.clock, self.rig.features
         moment = Moment(clock.utc(), clock.now())
+        place = {} if placement is None else {"placement": placement}
+        return lambda pair: record_fields(pair, config, features, moment) | place
 
-        def store() -> bool:
-            found = proof.result()
-            if found.ok:
-                pair = ProvenPair(taken.on, taken.off, found, taken.position, doubt.reasons, laser)
-                fields = record_fields(pair, self.config, features, moment)
-                if placement is not None:
-                    fields["placement"] = placement
-                self.ledger.add(record, taken.on.image, taken.off.image, fields)
-            return found.ok
-
-        to, came_from = self.rig.at, self.rig.came_from
-        flight = _Flight(record, to, came_from, placement, taken, doubt, proof, self._background.write(store))
-        self._flying.append(flight)
-        return flight
-
-    def _judge_pair(self) -> None:
+    def _judge(self) -> None:
         """Read the verdict on the last pair."""
-        flight, self._unjudged_pair = self._unjudged_pair, None
-        if flight is None:
+        if (judged := self._flights.verdict()) is None:
             return
-        proof = flight.proof.result()
+        flight, proof = judged
         if proof.ok:
-            self._watch(flight, proof)
+            self._add_to_watch(flight, proof)
         else:
             self.rig.reject(flight.record, proof.reason)
-            self._doubtful.append(replace(flight, doubt=flight.doubt.also(proof.reason, proof.verdict)))
+            self._doubtful.append(flight)
 
     def _return_to_doubtful(self) -> None:
         """Take the steps again that were not proven, each until it is, in their order."""
-        self._judge_pair()
+        self._judge()
         while self._doubtful:
-            step = self._doubtful.pop(0)
-            if step.came_from != step.to:
+            flight = self._doubtful.pop(0)
+            place = flight.place
+            if place.came_from != place.step.to:
                 # From the same side as the first time: gears have backlash.
-                self.rig.approach(step.came_from)
+                self.rig.approach(place.came_from)
             homings = self.rig.homings
-            pair = self.rig.take(step.to, step.record, step.doubt)
-            if self.rig.homings > homings and step.placement == self._last_placement:
-                self._compare_last()
-            proof: Future[PairProof] = Future()
-            proof.set_result(pair.proof)
-            taken = TakenPair(pair.on, pair.off, pair.position)
-            flight = self._write(step.record, step.placement, taken, Doubt(pair.rejected), proof)
-            self._watch(flight, pair.proof)
+            pair = self.rig.take(place.step.to, flight.record, flight.doubt)
+            self._check_homing(homings, place.placement)
+            written = self._flights.begin_proven(place, pair, self._fields(place.placement))
+            self._add_to_watch(written, pair.proof)
+
+    def _check_homing(self, homings: int, placement: int | None) -> None:
+        """Judge the table's position if it was homed again since there were so many homings."""
+        # Another placement of the board looks different whatever the table does.
+        if self.rig.homings > homings and placement == self._last_placement:
+            self._compare_last()
 
     def _await_written(self) -> None:
-        """Read the verdict on the last pair, and wait until all that are proven are on the disk."""
-        self._judge_pair()
+        """Wait until all pairs that are proven are on the disk."""
+        self._judge()
         self._collect(0)
 
-    def _collect(self, most: int) -> None:
-        """Count the records that are on the disk by now, and wait until at most so many are not."""
-        while self._flying and (len(self._flying) > most or self._flying[0].stored.done()):
-            stored = self._flying[0].stored.result()
-            flight = self._flying.popleft()
-            if stored:
-                self._count(flight)
-                self._tell(flight)
+    def _collect(self, most: int = AHEAD) -> None:
+        """Count and hand out the records that are on the disk by now; wait until at most so many are not."""
+        hooks = self.job.hooks
+        for flight in self._flights.landed(most):
+            self._count(flight)
+            if hooks.on_pair is not None:
+                angle = math.radians(self._angle_deg(flight))
+                hooks.on_pair(flight.record, angle, flight.taken.on.image, flight.taken.off.image)
+            if hooks.progress is not None:
+                hooks.progress(len(self.done), self.job.planned)
 
-    def _count(self, flight: _Flight) -> None:
+    def _count(self, flight: Flight) -> None:
         record = flight.record
         self.taken += 1
         self.done.add(record)
         self.suspect.discard(record)
         self.since_home.append(record)
-        self._last, self._last_placement = record, flight.placement
+        self._last, self._last_placement = record, flight.place.placement
         self._positions[record] = flight.taken.position
 
-    def _tell(self, flight: _Flight) -> None:
-        hooks, taken = self.job.hooks, flight.taken
-        if hooks.on_pair is not None:
-            angle = math.radians(self._angle_deg(flight))
-            hooks.on_pair(flight.record, angle, taken.on.image, taken.off.image)
-        if hooks.progress is not None:
-            hooks.progress(len(self.done), self.job.planned)
+    def _add_to_watch(self, flight: Flight, proof: PairProof) -> None:
+        angle = None if flight.place.placement is not None else self._angle_deg(flight)
+        self._watch.add(flight.record, flight.place.step.laser, angle, proof)
 
-    def _angle_deg(self, flight: _Flight) -> float:
+    def _angle_deg(self, flight: Flight) -> float:
         return angle_deg(flight.taken.position, self.config.microsteps_per_turn)
 
     def _note(self, name: str, **fields: Any) -> None:
         if name == "home":
             # In the journal, too, a homing judges the records that were taken before it.
             self._await_written()
-        event = self.ledger.event(name, **fields)
-        if self.ledger.begun:
-            self._background.write(partial(self.ledger.write, event))
-        else:
-            self.ledger.write(event)
+        self._flights.write(self.ledger.event(name, **fields))
         if name == "home":
             # Judged at once: a homing that is repeated for another reason always finds home well.
             self._judge_home(fields.get("missed"))
@@ -354,7 +288,8 @@ class Session:
         """Take a record again only to compare it."""
         self._await_written()
         pair = self.rig.take(self._positions[record], record)
-        likeness = self._compare(record, pair)
+        self._flights.wait()
+        likeness = compare_with_record(self.job.folder, record, pair, self.config)
         shift = {} if likeness.shift_px is None else {"shift_px": round(likeness.shift_px, 3)}
         seen = {} if likeness.correlation is None else {"correlation": round(likeness.correlation, 4)}
         self._note(event, record=record, **shift, **seen, good=self._is_like(likeness))
@@ -365,34 +300,5 @@ class Session:
             )
         return likeness
 
-    def _compare(self, record: int, pair: ProvenPair) -> Likeness:
-        self._background.wait()
-        first = read_pair(self.job.folder, record)
-        camera = self.config.camera
-        return compare_pairs(
-            first,
-            (pair.on.image, pair.off.image),
-            pixel_format=camera.pixel_format,
-            response=camera.response,
-            line=self.config.laser[pair.laser].line,
-        )
-
     def _is_like(self, likeness: Likeness) -> bool:
         return likeness.within(self.config.checks.shift_px, self.config.checks.correlation)
-
-    def _watch(self, flight: _Flight, proof: PairProof) -> None:
-        """Report a change of the room's light; stop if the laser shines in the laser-off frames of many places."""
-        record, ambient = flight.record, proof.ambient_dn
-        if (was := self._light.add(ambient)) is not None:
-            self._note("light", record=record, was_dn=round(was, 2), is_dn=round(ambient, 2))
-            self.job.hooks.notify(f"record {record}: the light changed from {was:.0f} to {ambient:.0f} DN.")
-        angle = None if flight.placement is not None else self._angle_deg(flight)
-        leak, allowed = self._leaks[self.config.laser_of(record)].add(angle, proof.leak), self.config.checks.proof.leak
-        if leak is None or leak <= allowed:
-            return
-        self.job.devices.controller.arm(False)
-        raise FrameError(
-            f"step {record}: the laser stays on: {100 * leak:.0f} % of its line is in the laser-off frames of "
-            f"the last {PLACES} places too, expected at most {100 * allowed:.0f} %; give it more time to go out "
-            "([[laser]] off_ms), and check relay and wiring. The contactor has been opened."
-        )

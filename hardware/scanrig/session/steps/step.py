@@ -8,7 +8,7 @@ from scanrig.cameras import Frame
 from scanrig.checks import PairProof, prove_pair
 from scanrig.config import RigConfig
 from scanrig.errors import FrameError
-from scanrig.session.grab import NoFrame, Station, Step, TakenPair, Unbelievable, discard_rest, grab
+from scanrig.session.steps.grab import NoFrame, Station, Step, TakenPair, Unbelievable, discard_rest, grab
 
 
 @dataclass(frozen=True)
