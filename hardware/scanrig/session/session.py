@@ -187,7 +187,7 @@ class Session:
         while self._doubtful:
             flight = self._doubtful.pop(0)
             place = flight.place
-            if place.came_from != place.step.to:
+            if self.rig.at != place.step.to != place.came_from:
                 # From the same side as the first time: gears have backlash.
                 self.rig.approach(place.came_from)
             homings = self.rig.homings
@@ -293,11 +293,6 @@ class Session:
         shift = {} if likeness.shift_px is None else {"shift_px": round(likeness.shift_px, 3)}
         seen = {} if likeness.correlation is None else {"correlation": round(likeness.correlation, 4)}
         self._note(event, record=record, **shift, **seen, good=self._is_like(likeness))
-        if likeness.correlation is None:
-            self.job.hooks.notify(
-                f"record {record}, taken again, was compared by the laser's line alone: the laser-off frames have too "
-                "little contrast. With more light in the room, lost steps are found more surely."
-            )
         return likeness
 
     def _is_like(self, likeness: Likeness) -> bool:
