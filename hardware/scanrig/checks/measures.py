@@ -1,7 +1,7 @@
 """Measures on a pair: how much of a ridge contrast explains, differences beside the laser, leak, clipping."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from scanrig.checks.frame_pair import CLIPPED, STACK, FramePair
 from scanrig.checks.ridges import Relief, Ridges
@@ -36,7 +36,7 @@ def solid_part(ridges: Ridges, field: np.ndarray, frame: np.ndarray, explains: f
     at = ridges.at[rows]
     beside = np.clip(at[:, None] + np.arange(-_BESIDE, _BESIDE + 1), 0, field.shape[1] - 1)
     contrast = np.ptp(_smooth(frame[rows[:, None], beside]), 1)
-    solid = float((peak_heights(field[rows], at) > explains * contrast).mean())
+    solid = float((peak_heights(field, rows, at) > explains * contrast).mean())
     return solid * len(rows) / len(ridges.at) if solid > _MOSTLY else 0.0
 
 
@@ -95,11 +95,13 @@ def unrest_of(difference: Float[np.ndarray, "lines samples"], off: Float[np.ndar
     return float(np.sqrt(square[darker].mean())) if darker.sum() > 50 else 0.0
 
 
-def peak_heights(difference: Float[np.ndarray, "n samples"], at: np.ndarray) -> Float[np.ndarray, " n"]:
-    """Highest sample near a ridge minus the median beside it [DN]."""
-    rows, last = np.arange(len(at))[:, None], difference.shape[1] - 1
-    near = difference[rows, np.clip(at[:, None] + np.arange(-4, 5), 0, last)]
-    beside = difference[rows, np.clip(at[:, None] + np.array([-32, -28, -24, -20, 20, 24, 28, 32]), 0, last)]
+def peak_heights(
+    difference: Float[np.ndarray, "lines samples"], rows: Int[np.ndarray, " n"], at: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Highest sample near a ridge of some lines minus the median beside it [DN]."""
+    lines, last = rows[:, None], difference.shape[1] - 1
+    near = difference[lines, np.clip(at[:, None] + np.arange(-4, 5), 0, last)]
+    beside = difference[lines, np.clip(at[:, None] + np.array([-32, -28, -24, -20, 20, 24, 28, 32]), 0, last)]
     return near.max(1) - np.median(beside, 1)
 
 

@@ -91,14 +91,15 @@ def _coarse(field: Float[np.ndarray, "lines samples"]) -> Float[np.ndarray, "lin
     return total
 
 
-def heights(field: Float[np.ndarray, "lines samples"], at: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Height of the core above the mean of both flanks at one place of each line, per sample of the core."""
-    half, x = FLANK // 2, np.arange(field.shape[1], dtype=np.int64)
-    rows = np.arange(len(at))[:, None]
+def heights(
+    field: Float[np.ndarray, "lines samples"], rows: Int[np.ndarray, " n"], at: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Height of the core above the mean of both flanks at one place of some lines, per sample of the core."""
+    half, last, lines = FLANK // 2, field.shape[1] - 1, rows[:, None]
 
     def mean(middle: Int[np.ndarray, " n"], reach: int) -> Float[np.ndarray, " n"]:
         offsets = np.arange(-reach, reach + 1)
-        return field[rows, np.clip(middle[:, None] + offsets, 0, x[-1])].mean(1)
+        return field[lines, np.clip(middle[:, None] + offsets, 0, last)].mean(1)
 
     return mean(at, CORE // 2) - 0.5 * (mean(at - GAP - half, half) + mean(at + GAP + half, half))
 

@@ -134,7 +134,7 @@ class RecoveringRig:
         self.controller.arm(on)
         if not on:
             # With the contactor open, frames are taken without a shot, so the next frame number is not known.
-            self._numbers.next = None
+            self._numbers.forget()
 
     def dark(self) -> None:
         """Open the contactor, and keep it open until `light`."""
@@ -221,7 +221,7 @@ class RecoveringRig:
 
     def _recover(self, problem: Exception, action: str) -> None:
         """Recover the rig, or raise the error that needs a person."""
-        self._numbers.next = None
+        self._numbers.forget()
         self._note("fault", at=action, problem=str(problem))
         if isinstance(problem, RigFault) and problem.fault not in _TEMPORARY:
             raise problem

@@ -23,13 +23,22 @@ QUIET_S = 0.2
 _COUNT = 65536
 """The controller counts exposures modulo this number."""
 _MOST_LATE = 64
+_FRESH_S = 0.2
+"""So long after a shot the contactor is still closed: the controller opens it after 10 s of silence."""
 
 
 @dataclass
 class FrameNumbers:
-    """The number of the camera's next frame, if known."""
+    """What is known from the step before."""
 
     next: int | None = None
+    """The number of the camera's next frame."""
+    counted: tuple[float, int] | None = None
+    """When the controller last told its count of exposures, and the count."""
+
+    def forget(self) -> None:
+        """Something else was exposed since, or may have been."""
+        self.next = self.counted = None
 
 
 class TakenPair(NamedTuple):
@@ -98,7 +107,7 @@ def _by_wire(station: Station, step: Step) -> TakenPair:
     waiting = camera.drop()
     if numbers.next is not None:
         numbers.next += waiting
-    before = _armed(controller).exposures
+    before = _exposures(station)
     controller.shot(step.to, step.number, number=1 + step.laser)
     give_up = clock.now() + longest_s(config) + shot_s(config)
     frames: list[Frame] = []
@@ -126,6 +135,7 @@ def _by_wire(station: Station, step: Step) -> TakenPair:
         if (on.number, off.number) != (expected, expected + 1):
             raise Unbelievable(f"found the frames {on.number} and {off.number}, expected {expected} and {expected + 1}")
         numbers.next = off.number + 1
+    numbers.counted = clock.now(), done.exposures
     return TakenPair(on, off, done.position)
 
 
@@ -152,6 +162,14 @@ def _by_hand(station: Station, step: Step) -> TakenPair:
     off = _fresh_frame(station)
     _require_whole(on, off)
     return TakenPair(on, off, position)
+
+
+def _exposures(station: Station) -> int:
+    """The controller's count of exposures. It is not asked again right after a shot: a question takes milliseconds."""
+    counted, station.numbers.counted = station.numbers.counted, None
+    if counted is not None and station.clock.now() - counted[0] < _FRESH_S:
+        return counted[1]
+    return _armed(station.controller).exposures
 
 
 def _armed(controller: Controller) -> Status:
@@ -188,7 +206,7 @@ def plain_frame(station: Station) -> Frame:
         CameraLost, LinkLost, RigFault: From camera and controller.
     """
     camera, config = station.camera, station.config
-    station.numbers.next = None
+    station.numbers.forget()
     camera.drop()
     exposing = station.controller if camera.trigger_mode == "hardware" else None
     if exposing is not None:
@@ -253,7 +271,7 @@ def _require_whole(*frames: Frame) -> None:
 def discard_rest(station: Station) -> None:
     """Discard frames that were on their way when a take was rejected, so that the next take does not get them."""
     camera = station.camera
-    station.numbers.next = None
+    station.numbers.forget()
     if camera.trigger_mode != "free":
         for _ in range(_MOST_LATE):
             try:
