@@ -68,6 +68,6 @@ class ScanDisplay:
 
     def say(self, sentence: str) -> None:
         """Print a sentence on an event."""
-        if sentence.startswith("retake:"):
+        if " is taken again: " in sentence:
             self.retakes += 1
         self._console.print(sentence)
