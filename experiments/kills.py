@@ -7,8 +7,8 @@ within a fraction of a second, before its heartbeat has ended.
 
     python experiments/kills.py [--kills 50] [--seed 1] [--steps 40] [--load 0] [--json FILE]
 
-Verified after each kill: what the journal held is there, byte for byte, and no shot is lost but those in flight: the one
-that is taken, and those that wait for proof or disk.
+Verified after each kill: what the journal held is there, byte for byte, and no shot is lost but those in flight: the
+one that is taken, and those that wait for proof or disk.
 Verified at the end: the capture is complete and `jaxscan doctor --capture` finds nothing; each image is, pixel for
 pixel, the picture that the simulated room gives at the record's angle, with or without laser.
 

@@ -3,8 +3,8 @@
     python experiments/measuring/scan_steps.py [--steps 120] [--settle-ms 20] [--json FILE]
 
 The simulated rig runs as fast as the clock, so the host's work costs what it costs. A camera of 60 frames a second
-delivers each frame 1/60 s after its trigger. The time between the laser-on exposures of two steps is read from the log of
-the firmware's pins, and compared with the time that motion, laser and camera need: what is left is the host.
+delivers each frame 1/60 s after its trigger. The time between the laser-on exposures of two steps is read from the log
+of the firmware's pins, and compared with the time that motion, laser and camera need: what is left is the host.
 
 Needs `make bench-deps`.
 """
