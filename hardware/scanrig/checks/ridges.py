@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from scanrig.checks.frame_pair import median_of
+
 
 CORE = 3
 """Samples over which a ridge is summed: the middle of a stripe."""
@@ -200,7 +202,7 @@ def _per_deviation(
 
 def _variance(size: Float[np.ndarray, " n"]) -> float:
     """Robust variance of heights, from their absolute values; a median alone would be a whole number of counts."""
-    variance = (float(np.median(size)) / _NORMAL) ** 2 + _ROUNDING
+    variance = (median_of(size) / _NORMAL) ** 2 + _ROUNDING
     square = size * size
     for _ in range(2):
         # Values within 3 standard deviations have 0.973 of the variance.
