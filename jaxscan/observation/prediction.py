@@ -26,8 +26,9 @@ from jaxscan.geometry import (
 
 # Points along the stripe on a board; between them it is straight to much less than its noise.
 _SAMPLES = 128
-# Pixels that are lifted to a board at a time.
+# Pixels that are lifted to a board at a time, and views whose corners are predicted at a time.
 _LIFTED = 4096
+_VIEWS = 32
 # Largest angle [rad] between a point and the ray of its pixel; beyond it the lens folds or the point is behind.
 _SAME_RAY = 1e-3
 
@@ -121,8 +122,11 @@ def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
         corners = rig.board.corners()[:, :2]
         offset = rig.offset if len(rig.offset) else np.zeros((len(corners), 3))
         camera, corners, offset = jax.tree.map(jnp.asarray, (rig.camera, corners, offset))
-        found = _corners(camera, jnp.asarray(poses), (corners, offset), rig.surface())
-        q, by_x, by_y, same = (np.asarray(part) for part in found)
+        surface, parts = rig.surface(), max(-(-len(poses) // _VIEWS), 1)
+        # Always as many at a time, so that all captures share one compilation.
+        padded = np.resize(np.asarray(poses, np.float64), (parts, _VIEWS, 4, 4))
+        found = [_corners(camera, jnp.asarray(some), (corners, offset), surface) for some in padded]
+        q, by_x, by_y, same = (np.concatenate(part)[: len(poses)] for part in zip(*found, strict=True))
     length = np.stack([np.linalg.norm(by, axis=-1) for by in (by_x, by_y)], -1)
     edges = np.stack([by_x, by_y], -2) / np.maximum(length, 1e-12)[..., None]
     limit = np.array([rig.camera.width, rig.camera.height]) - 1.0
