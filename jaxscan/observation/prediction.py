@@ -104,8 +104,7 @@ def turn_boards(motion: AbstractMotion, poses: np.ndarray, at: np.ndarray, to: n
     """
     with jax.enable_x64(True):
         motion = jax.tree.map(jnp.asarray, motion)
-        turn = jax.vmap(lambda pose, at, to: invert(motion.motion(to)) @ motion.motion(at) @ pose)
-        return np.asarray(turn(jnp.asarray(poses), jnp.asarray(at), jnp.asarray(to)))
+        return np.asarray(_turned(motion, jnp.asarray(poses), jnp.asarray(at), jnp.asarray(to)))
 
 
 def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
@@ -180,6 +179,14 @@ def _seen(camera: AbstractCamera, p: Float[Array, "3"]) -> tuple[Float[Array, "2
     """Pixel of a point, and whether the ray of that pixel leads to the point."""
     q = camera.project(p)
     return q, jnp.linalg.norm(camera.unproject(q) - p / jnp.linalg.norm(p)) < _SAME_RAY
+
+
+@jax.jit
+def _turned(
+    motion: AbstractMotion, poses: Float[Array, "n 4 4"], at: Float[Array, " n"], to: Float[Array, " n"]
+) -> Float[Array, "n 4 4"]:
+    turn = jax.vmap(lambda pose, at, to: invert(motion.motion(to)) @ motion.motion(at) @ pose)
+    return turn(poses, at, to)
 
 
 @jax.jit

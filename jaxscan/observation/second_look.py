@@ -75,6 +75,8 @@ def rehearse_second_look(rig: SolvedRig, stripe_axis: StripeAxis) -> None:
     lift_to_board(rig, rig.poses[0], np.zeros((1, 2)))
     if rig.scanner is not None:
         predict_stripe(rig, rig.poses[0], 0, stripe_axis)
+        if rig.scanner.turntable.blocks:
+            turn_boards(rig.scanner.turntable, rig.poses[:1], np.zeros(1), np.zeros(1))
 
 
 def _poses(views: Sequence[SeenRecord], rig: SolvedRig) -> list[np.ndarray | None]:

@@ -9,6 +9,11 @@ import warnings
 from pathlib import Path
 
 
+_WORTH_KEEPING_S = 0.05
+"""Code that takes longer to compile is kept: reading it back takes a hundredth of a second. A calibration has some
+thirty small functions of a tenth of a second, which a higher threshold leaves to every run."""
+
+
 def open_standard_files() -> None:
     """Open the standard files that the caller has closed, and let them print every character in some way."""
     for number in (0, 1, 2):
@@ -60,7 +65,7 @@ def keep_compiled_code() -> None:
     import jax
 
     jax.config.update("jax_compilation_cache_dir", str(compiled))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
     # Code that cannot be read back is compiled again, and nothing else follows from that.
     warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
 
