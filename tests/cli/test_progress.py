@@ -1,129 +1,100 @@
-"""The display of progress, and the jobs that another thread does ahead."""
+"""Progress moves while nothing is done, and says what is being done."""
 
 import io
 import threading
-import time
 
+import jax
+import jax.numpy as jnp
 import pytest
 from rich.console import Console
 
-from jaxscan.api.ahead import Ahead, tell
 from jaxscan.cli import progress
-from jaxscan.cli.progress import progress_bar
-from jaxscan.errors import CalibrationError
+
+
+PATIENCE_S = 60
 
 
 class Screen(io.StringIO):
-    """A terminal, and the times at which it was drawn on."""
+    """A terminal that tells when some words were printed."""
 
     def __init__(self):
         super().__init__()
-        self.changed = threading.Semaphore(0)
+        self.printed = threading.Condition()
 
     def write(self, text):
-        self.changed.release()
-        return super().write(text)
+        with self.printed:
+            self.printed.notify_all()
+            return super().write(text)
 
-    def isatty(self):
-        return True
+    def wait_for(self, *words):
+        with self.printed:
+            return self.printed.wait_for(lambda: all(word in self.getvalue() for word in words), PATIENCE_S)
 
 
 @pytest.fixture
 def screen(monkeypatch):
-    shown = Screen()
+    screen = Screen()
 
-    class Shown:
+    class Fake:
+        is_terminal = True
+        console = Console(file=screen, force_terminal=True, width=100, color_system=None)
+
         def __init__(self, *, stderr):
-            self.console = Console(file=shown, force_terminal=True, width=120)
-            self.is_terminal = True
+            assert stderr
 
-    monkeypatch.setattr(progress, "Terminal", Shown)
-    return shown
-
-
-class Told:
-    def __init__(self):
-        self.words = []
-
-    def __call__(self, done, total):
-        pass
-
-    def doing(self, words):
-        self.words.append(words)
+    monkeypatch.setattr(progress, "Terminal", Fake)
+    return screen
 
 
-def test_the_display_moves_while_one_step_takes_long(screen):
-    drawn = []
-
-    def compile_slowly():
-        # Ends when the screen was drawn on ten more times, however slow the machine is; never without a drawing thread.
-        while screen.changed.acquire(blocking=False):
-            pass
-        for _ in range(10):
-            drawn.append(screen.changed.acquire(timeout=60))
-
-    with progress_bar("Calibrating") as bar, Ahead([("solver", compile_slowly), ("verdict", lambda: None)]) as ahead:
-        bar(0, 100)
-        ahead.wait("verdict", bar)
-    assert drawn == [True] * 10
-    assert "Calibrating: compiling 1 of 2: solver" in screen.getvalue()
-    assert "0/100" in screen.getvalue()
+def test_the_wheel_turns_and_the_seconds_count_during_one_slow_step(screen):
+    with progress.progress_bar("Looking"):
+        assert screen.wait_for("- Looking", "| Looking", "0:00:00", "0:00:01")
+    assert "/?" not in screen.getvalue()
 
 
-def test_nothing_is_counted_before_the_number_is_known(screen):
-    with progress_bar("Rendering") as bar:
-        bar.doing("reading [red]the room[/red]")
-        while "reading" not in screen.getvalue():
-            screen.changed.acquire(timeout=60)
-    shown = screen.getvalue()
-    assert "?" not in shown.replace("\x1b[?25", "") and "0/" not in shown
-    assert "[red]the room" in shown
+def test_says_what_is_being_done_and_how_much_is_done(screen):
+    with progress.progress_bar("Looking") as shown:
+        shown.doing("fitting")
+        shown(3, 50)
+        assert screen.wait_for("Looking: fitting", "3/50")
 
 
-def test_an_error_ahead_is_a_warning_and_the_others_go_on():
-    def broken():
-        raise ValueError("no such shape")
-
-    done = []
-    with (
-        pytest.warns(RuntimeWarning, match=r"compiling ahead \(first\) failed.*ValueError: no such shape") as heard,
-        Ahead([("first", broken), ("second", lambda: done.append(1))]) as ahead,
-    ):
-        ahead.wait("second")
-        ahead.wait("unknown")
-    assert done == [1] and len(heard) == 1
+def test_says_that_it_compiles_from_the_start_to_the_end_of_compiling(screen):
+    with progress.progress_bar("Looking") as shown:
+        jax.monitoring.record_event_duration_secs(progress._LOWERED, 0.1)
+        assert screen.wait_for("Looking: compiling")
+        shown.doing("fitting")
+        assert screen.wait_for("Looking: fitting, compiling")
+        jax.monitoring.record_event_duration_secs(progress._COMPILED, 0.1)
+        shown(1, 2)
+        assert screen.wait_for("Looking: fitting ")
 
 
-def test_a_rehearsal_that_refuses_its_input_is_no_error():
-    def refused():
-        raise CalibrationError("No board.")
+def test_jax_reports_the_start_and_the_end_of_compiling():
+    heard = []
 
-    with Ahead([("solver", refused)]) as ahead:
-        ahead.wait("solver")
+    def listen(event, duration, **_):
+        heard.append(event)
 
-
-def test_leaving_by_an_error_waits_for_nothing():
-    held, begun, others = threading.Event(), threading.Event(), []
-
-    def slow():
-        begun.set()
-        held.wait(60)
-
+    jax.monitoring.register_event_duration_secs_listener(listen)
     try:
-        with pytest.raises(KeyboardInterrupt), Ahead([("slow", slow), ("other", lambda: others.append(1))]):
-            begun.wait(60)
-            raise KeyboardInterrupt
-        # Here although the job has not ended.
-        assert not held.is_set()
+        jax.jit(lambda x: jnp.cos(x) * 1.2345)(jnp.ones(7)).block_until_ready()
     finally:
-        held.set()
-    time.sleep(0.01)
-    assert others == []
+        jax.monitoring.unregister_event_duration_listener(listen)
+    ours = [event for event in heard if event in (progress._LOWERED, progress._COMPILED)]
+    assert ours
+    assert ours == [progress._LOWERED, progress._COMPILED] * (len(ours) // 2)
 
 
-def test_words_reach_only_those_who_listen():
-    told = Told()
-    tell(told, "solving")
-    tell(None, "solving")
-    tell(lambda done, total: None, "solving")
-    assert told.words == ["solving"]
+def test_nothing_listens_afterwards_and_an_error_goes_through(screen):
+    with pytest.raises(KeyError), progress.progress_bar("Looking") as shown:
+        raise KeyError
+    with pytest.raises(AssertionError):
+        jax.monitoring.unregister_event_duration_listener(shown.heard)
+
+
+def test_without_a_terminal_nothing_is_printed(capsys):
+    with progress.progress_bar("Looking") as shown:
+        shown.doing("fitting")
+        shown(1, 2)
+    assert capsys.readouterr() == ("", "")

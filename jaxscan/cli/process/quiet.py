@@ -9,11 +9,6 @@ import warnings
 from pathlib import Path
 
 
-_WORTH_KEEPING_S = 0.05
-"""Code that takes longer to compile is kept: reading it back takes a hundredth of a second. A calibration has some
-thirty small functions of a tenth of a second, which a higher threshold leaves to every run."""
-
-
 def open_standard_files() -> None:
     """Open the standard files that the caller has closed, and let them print every character in some way."""
     for number in (0, 1, 2):
@@ -65,7 +60,8 @@ def keep_compiled_code() -> None:
     import jax
 
     jax.config.update("jax_compilation_cache_dir", str(compiled))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
+    # Small functions too: reading one back takes a third of the time of compiling it, and a few kilobytes.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     # Code that cannot be read back is compiled again, and nothing else follows from that.
     warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
 
