@@ -177,5 +177,6 @@ def _stripe(
     lines = lines[np.linspace(0, len(lines) - 1, min(len(lines), _POINTS)).round().astype(int)] if len(lines) else lines
     at = np.interp(lines, v[order], u[order]) + _NOISE_PX * random.standard_normal(len(lines))
     q[: len(lines)] = np.stack([at, lines] if rows else [lines, at], -1)
-    valid[: len(lines)] = ((q >= 0) & (q <= np.array([width, height]) - 1.0)).all(-1)[: len(lines)]
+    inside = (q >= 0) & (q <= np.array([width, height]) - 1.0)
+    valid[: len(lines)] = inside[: len(lines)].all(-1)
     return q, valid
