@@ -60,7 +60,8 @@ def keep_compiled_code() -> None:
     import jax
 
     jax.config.update("jax_compilation_cache_dir", str(compiled))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    # Small functions too: reading one back takes a third of the time of compiling it, and a few kilobytes.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     # Code that cannot be read back is compiled again, and nothing else follows from that.
     warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
 
