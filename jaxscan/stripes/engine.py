@@ -56,6 +56,8 @@ class Continuation(eqx.Module):
     """Arrays with a leading axis over records."""
     needs_frames: bool = eqx.field(static=True, default=False)
     """Whether `function` looks at the laser-off frames."""
+    records: int = eqx.field(static=True, default=0)
+    """Records that it is compiled for: fewer are filled up with black ones; as many as there are if 0."""
 
 
 NOTHING_MORE = Continuation(lambda *_: None)
@@ -107,8 +109,7 @@ class StripeEngine(eqx.Module):
     def learn(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> "StripeEngine":
         """The engine that knows width and speckle of the stripes in the first frames, where the settings ask for it.
 
-        Arguments as of `extract`, so that nothing else is compiled. Frames from which nothing is learned are left
-        black, which costs little.
+        Arguments as of `extract`, so that nothing else is compiled.
         """
         if self.channels:
             engines = [one.learn(on, off) for one in (self.own_channel(), *self.channels)]
@@ -117,7 +118,7 @@ class StripeEngine(eqx.Module):
             return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses, doubts)
         if not self.learns:
             return self
-        on, off = _first(on), None if off is None else _first(off)
+        on, off = on[:LEARNED_FRAMES], None if off is None else off[:LEARNED_FRAMES]
         plain = self.extract(on, off, then)
         first = chosen_of(plain.stripes, plain.chosen)
         search = learn_search(self.search, first, self.setup)
@@ -142,12 +143,25 @@ class StripeEngine(eqx.Module):
         Returns:
             NumPy arrays in memory of their own.
         """
+        native, count = self._is_native(off), len(on)
+        if then.records and (self.channels or not native):
+            on, off = padded(on, then.records), None if off is None else padded(off, then.records)
         if self.channels:
-            return self._of_channels(on, off, then)
+            return _cut(self._of_channels(on, off, then), count, then.records)
         if len(self.setup.exposures) > 1:
             on, off = on.reshape(-1, *on.shape[2:]), None if off is None else off.reshape(-1, *off.shape[2:])
         with jax.enable_x64(False):
-            return jax.tree.map(np.asarray, self._compute(on, off, then))
+            if native and off is not None:
+                planes = host_planes(on, off, self.search, self.setup)
+                found = compute_natively(self, planes, off, then)
+            else:
+                found = self._compute(on, off, then)
+            return _cut(jax.tree.map(np.asarray, found), count, then.records)
+
+    def _is_native(self, off: Array | None) -> bool:
+        """Whether stripes are found natively: on a CPU alone, in pairs, by an estimator that can."""
+        alone = jax.default_backend() == "cpu" and len(jax.local_devices()) == 1
+        return alone and off is not None and self.estimator.find_natively is not None
 
     def _of_channels(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
         """Of every line the channel in which its stripe is known best."""
@@ -165,18 +179,14 @@ class StripeEngine(eqx.Module):
             split = NamedSharding(mesh, PartitionSpec("frames"))
             on, off = jax.device_put(on, split), None if off is None else jax.device_put(off, split)
             return _on_devices(mesh, self, on, off, then)
-        if off is not None and jax.default_backend() == "cpu" and self.estimator.locate_natively is not None:
-            return compute_natively(self, host_planes(on, off, self.search, self.setup), off, then)
         return _at_once(self, on, off, then)
 
 
-def _first(frames: Array) -> Array:
-    """As many frames, of which those to learn from are kept and the others are black."""
-    if len(frames) <= LEARNED_FRAMES:
-        return frames
-    few = np.zeros(frames.shape, np.uint8)
-    few[:LEARNED_FRAMES] = frames[:LEARNED_FRAMES]
-    return few
+def _cut(found: ChunkStripes, count: int, records: int) -> ChunkStripes:
+    """Of results of so many records those of the first ones."""
+    if records <= count:
+        return found
+    return jax.tree.map(lambda field: field[: len(field) // records * count], found)
 
 
 def prepare_engines(
@@ -241,19 +251,44 @@ def compute_at_once(engine: StripeEngine, on: Array, off: Array | None, then: Co
 
 
 def compute_natively(engine: StripeEngine, planes: Planes, off: Array | None, then: Continuation) -> ChunkStripes:
-    """The search natively, the rest by XLA."""
-    locate = engine.estimator.locate_natively or engine.estimator.locate
-    located = locate(planes, engine.search, engine.setup)
-    return _from_located(engine, (located, planes.lamp_ratio), off if then.needs_frames else None, then)
+    """The stripes natively, exposures and the continuation by XLA."""
+    find, setup = engine.estimator.find_natively, engine.setup
+    assert find is not None
+    stripes, chosen = find(planes, engine.search, setup)
+    if then is NOTHING_MORE and len(setup.exposures) == 1:
+        return ChunkStripes(stripes, chosen, None)
+    each = len(stripes.u) // max(len(planes.on), 1)
+    records = then.records or len(planes.on) // len(setup.exposures)
+    frames = records * len(setup.exposures)
+    stripes = FrameStripes(*(padded(field, frames * each) for field in stripes))
+    chosen = None if chosen is None else padded(chosen, frames)
+    off = padded(off, frames) if then.needs_frames and off is not None else None
+    return _from_stripes(stripes, chosen, off, then, setup)
+
+
+def padded(array: Array, size: int) -> Array:
+    """The array, filled up with zeros to `size` entries."""
+    if len(array) >= size:
+        return array
+    array = np.asarray(array)
+    whole = np.zeros((size, *array.shape[1:]), array.dtype)
+    whole[: len(array)] = array
+    return whole
 
 
 def _finish(engine: StripeEngine, located: tuple, off: Array | None, then: Continuation) -> ChunkStripes:
     """Measure, choose, merge exposures, continue."""
     setup, search = engine.setup, engine.search
     measured = engine.estimator.measure(located[0], located[1], search, setup)
-    stripes, chosen = choose_stripes(measured, search, setup)
+    return continue_stripes(*choose_stripes(measured, search, setup), off, then, setup)
+
+
+def continue_stripes(
+    stripes: FrameStripes, chosen: Array | None, off: Array | None, then: Continuation, setup: ExtractionSetup
+) -> ChunkStripes:
+    """Merge exposures, continue; pure and traceable."""
     if len(setup.exposures) > 1:
-        each = measured.slots.shape[2] if setup.several else 1
+        each = estimator_of(setup.settings).candidates if setup.several else 1
         stripes, chosen = merge_brackets(stripes, chosen, setup.exposures, each)
         # The longest exposure shows the dark parts best.
         off = None if off is None else off[len(setup.exposures) - 1 :: len(setup.exposures)]
@@ -283,7 +318,8 @@ def merge_channels(
     return ChunkStripes(merged, chosen, then.function(merged, off, then.shared, then.per_record, setup))
 
 
-_at_once, _from_located = jax.jit(compute_at_once), jax.jit(_finish)
+_at_once = jax.jit(compute_at_once)
+_from_stripes = jax.jit(continue_stripes, static_argnums=4)
 _merge_channels = jax.jit(merge_channels, static_argnums=(3, 4))
 
 
