@@ -31,7 +31,7 @@ class NativeFitter(threading.local):
             windows = [np.zeros((samples, LANES), np.float32) for _ in range(2)]
             self._memory = FitMemory(np.zeros(ROWS * LANES, np.float32), *windows)
             types: dict[str, type] = {"saturated": np.uint8, "valid": np.bool_}
-            memory = (np.zeros(sum(sizes), types.get(name, np.float32)) for name in FrameStripes._fields)
+            memory: list[np.ndarray] = [np.zeros(sum(sizes), types.get(name, np.float32)) for name in FrameStripes._fields]
             self._found = FrameStripes(*memory)
         levels, slopes = decode_table(setup.frames.response)
         even = np.linspace(0.0, 255.0, _STEPS + 1)

@@ -146,6 +146,8 @@ def _spread(values: Float[np.ndarray, " n"]) -> float:
     # A fifth of a half normal distribution lies below 0.2533 sigma; cut at 3 sigma it has 0.9866 of its sigma.
     found = float(np.quantile(values, 0.2)) / 0.2533 if len(values) else 0.0
     for _ in range(10):
-        near = values[values <= 3.0 * found]
+        near, before = values[values <= 3.0 * found], found
         found = float(np.sqrt(np.mean(near**2))) / 0.9866 if len(near) else 0.0
+        if found == before:
+            break
     return found
