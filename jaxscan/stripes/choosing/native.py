@@ -6,7 +6,7 @@ from jaxscan.stripes.choosing import path
 from jaxscan.stripes.choosing.native_loops import PathMemory, PathNumbers, choose_lines
 from jaxscan.stripes.search import Search
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import FrameStripes, MeasuredLines
+from jaxscan.stripes.stripes import FrameStripes, MeasuredLines, stripes_of_zeros
 
 
 _RULES = ("path", "brightest", "nearest", "farthest", "all")
@@ -26,8 +26,7 @@ class ChosenLines:
         settings, sites = setup.settings, setup.sites
         self._each = candidates if setup.several else 1
         grid = (frames * self._each, setup.image_lines)
-        types: dict[str, type] = {"saturated": np.uint8, "valid": np.bool_}
-        self.stripes = FrameStripes(*(np.zeros(grid, types.get(name, np.float32)) for name in FrameStripes._fields))
+        self.stripes = stripes_of_zeros(grid)
         self._number = np.full((frames, setup.image_lines), -1, np.int8)
         self.number = self._number if setup.several and settings.choice != "all" else None
         lines = setup.plane_size[0]

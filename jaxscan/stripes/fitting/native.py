@@ -9,7 +9,7 @@ from jaxscan.stripes.fitting.native_loops import LANES, ROWS, FitMemory, FitNumb
 from jaxscan.stripes.frames import decode_table
 from jaxscan.stripes.search import Located, Search
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import FrameStripes, MeasuredLines
+from jaxscan.stripes.stripes import FrameStripes, MeasuredLines, stripes_of_zeros
 
 
 _STEPS = 1020
@@ -30,9 +30,7 @@ class NativeFitter(threading.local):
             samples = max(found.on.shape[1] for found in located.lists)
             windows = [np.zeros((samples, LANES), np.float32) for _ in range(2)]
             self._memory = FitMemory(np.zeros(ROWS * LANES, np.float32), *windows)
-            types: dict[str, type] = {"saturated": np.uint8, "valid": np.bool_}
-            memory: list[np.ndarray] = [np.zeros(sum(sizes), types.get(name, np.float32)) for name in FrameStripes._fields]
-            self._found = FrameStripes(*memory)
+            self._found = stripes_of_zeros((sum(sizes),))
         levels, slopes = decode_table(setup.frames.response)
         even = np.linspace(0.0, 255.0, _STEPS + 1)
         table = np.interp(even, levels, slopes**2 / 12).astype(np.float32)

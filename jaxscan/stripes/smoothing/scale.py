@@ -90,7 +90,7 @@ def _by_amplitude(scattered: np.ndarray, level: np.ndarray, amplitude: np.ndarra
     classes = int(np.clip(len(level) // _LEAST, 0, _CLASSES))
     if classes == 0:
         return np.ones_like(amplitude)
-    ranks = np.array_split(np.argsort(level, kind="stable"), classes)
+    ranks = np.array_split(np.argsort(level), classes)
     middle = np.array([np.median(level[rank]) for rank in ranks])
     return _interpolated(amplitude, middle, np.array([_spread(scattered[rank]) for rank in ranks]))
 
@@ -110,7 +110,7 @@ def _common(rows: ProfileRows, some: ProfileRows, line_step: int) -> np.ndarray:
     classes = int(np.clip(len(level) // _LEAST, 0, _CLASSES))
     if classes == 0:
         return out
-    ranks = np.array_split(np.argsort(level, kind="stable"), classes)
+    ranks = np.array_split(np.argsort(level), classes)
     middle, usual = (np.array([float(np.median(field[rank])) for rank in ranks]) for field in (level, sigma))
 
     def doubt(these: ProfileRows) -> np.ndarray:
