@@ -1,21 +1,26 @@
 """The stripe engine: learn from the first frames, then frames of one laser to stripes, natively or by XLA."""
 
 import functools
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Int8, UInt8
+from jaxtyping import UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.channels import doubted, doubts_of, other_channels
 from jaxscan.stripes.choosing import choose_stripes, chosen_of
+from jaxscan.stripes.continuation import (
+    NOTHING_MORE,
+    ChunkStripes,
+    Continuation,
+    continue_stripes,
+    merge_channels,
+    padded,
+)
 from jaxscan.stripes.estimators import Estimator, estimator_of
-from jaxscan.stripes.exposures import merge_brackets
 from jaxscan.stripes.frames import LaserLine, check_black, learn_noise, with_colour
 from jaxscan.stripes.search import (
     LEARNED_FRAMES,
@@ -33,34 +38,6 @@ from jaxscan.stripes.search import (
 )
 from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.stripes import FrameStripes, NoiseModel
-
-
-class ChunkStripes(NamedTuple):
-    """Stripes of a chunk of records."""
-
-    stripes: FrameStripes
-    chosen: Int8[Array, "records lines"] | None
-    """Of several candidates of every line the number of the stripe, -1 for none; None where one is given."""
-    more: Any
-    """The result of the continuation."""
-
-
-class Continuation(eqx.Module):
-    """Work that is compiled together with the extraction."""
-
-    function: Callable[[FrameStripes, Array | None, Any, Any, ExtractionSetup], Any] = eqx.field(static=True)
-    """Takes the stripes, the laser-off frames, both operands and the setup; pure and traceable."""
-    shared: Any = None
-    """Arrays that all records share."""
-    per_record: Any = None
-    """Arrays with a leading axis over records."""
-    needs_frames: bool = eqx.field(static=True, default=False)
-    """Whether `function` looks at the laser-off frames."""
-    records: int = eqx.field(static=True, default=0)
-    """Records that it is compiled for: fewer are filled up with black ones; as many as there are if 0."""
-
-
-NOTHING_MORE = Continuation(lambda *_: None)
 
 
 class StripeEngine(eqx.Module):
@@ -266,56 +243,11 @@ def compute_natively(engine: StripeEngine, planes: Planes, off: Array | None, th
     return _from_stripes(stripes, chosen, off, then, setup)
 
 
-def padded(array: Array, size: int) -> Array:
-    """The array, filled up with zeros to `size` entries."""
-    if len(array) >= size:
-        return array
-    array = np.asarray(array)
-    whole = np.zeros((size, *array.shape[1:]), array.dtype)
-    whole[: len(array)] = array
-    return whole
-
-
 def _finish(engine: StripeEngine, located: tuple, off: Array | None, then: Continuation) -> ChunkStripes:
     """Measure, choose, merge exposures, continue."""
     setup, search = engine.setup, engine.search
     measured = engine.estimator.measure(located[0], located[1], search, setup)
     return continue_stripes(*choose_stripes(measured, search, setup), off, then, setup)
-
-
-def continue_stripes(
-    stripes: FrameStripes, chosen: Array | None, off: Array | None, then: Continuation, setup: ExtractionSetup
-) -> ChunkStripes:
-    """Merge exposures, continue; pure and traceable."""
-    if len(setup.exposures) > 1:
-        each = estimator_of(setup.settings).candidates if setup.several else 1
-        stripes, chosen = merge_brackets(stripes, chosen, setup.exposures, each)
-        # The longest exposure shows the dark parts best.
-        off = None if off is None else off[len(setup.exposures) - 1 :: len(setup.exposures)]
-    return ChunkStripes(stripes, chosen, then.function(stripes, off, then.shared, then.per_record, setup))
-
-
-def merge_channels(
-    parts: list[tuple[FrameStripes, Array | None]],
-    off: Array | None,
-    then: Continuation,
-    setup: ExtractionSetup,
-    responses: tuple[float, ...],
-) -> ChunkStripes:
-    """Channels chosen like exposures, amplitudes as the first one sees them, and the continuation."""
-    each = estimator_of(setup.settings).candidates if setup.several else 1
-
-    def together(fields, each):
-        # [channels][records * each, lines] to [records * channels * each, lines].
-        lines = fields[0].shape[1]
-        return jnp.stack([field.reshape(-1, each, lines) for field in fields], 1).reshape(-1, lines)
-
-    stripes = jax.tree.map(lambda *fields: together(fields, each), *(one for one, _ in parts))
-    numbers = [number for _, number in parts if number is not None]
-    merged, chosen = merge_brackets(stripes, together(numbers, 1) if numbers else None, responses, each)
-    if off is not None and len(setup.exposures) > 1:
-        off = off[:, -1]
-    return ChunkStripes(merged, chosen, then.function(merged, off, then.shared, then.per_record, setup))
 
 
 _at_once = jax.jit(compute_at_once)
@@ -327,6 +259,11 @@ _merge_channels = jax.jit(merge_channels, static_argnums=(3, 4))
 def _on_devices(mesh: Mesh, engine: StripeEngine, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
     """All local devices take the same number of frames each; no frame needs another one."""
     frames, everywhere = PartitionSpec("frames"), PartitionSpec()
-    specs = (everywhere, frames, frames, Continuation(then.function, everywhere, frames, then.needs_frames))
+    specs = (
+        everywhere,
+        frames,
+        frames,
+        Continuation(then.function, everywhere, frames, then.needs_frames, then.records),
+    )
     call = jax.shard_map(compute_at_once, mesh=mesh, in_specs=specs, out_specs=frames, check_vma=False)
     return call(engine, on, off, then)

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 
 from jaxscan.stripes.fitting import albedo, fit_blocks, gaussian_fit, window
-from jaxscan.stripes.fitting.native_loops import LANES, ROWS, FitMemory, FitNumbers, fit_lists
+from jaxscan.stripes.fitting.loops import LANES, ROWS, FitMemory, FitNumbers, fit_lists
 from jaxscan.stripes.frames import decode_table
 from jaxscan.stripes.search import Located, Search
 from jaxscan.stripes.setup import ExtractionSetup
