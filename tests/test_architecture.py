@@ -50,6 +50,8 @@ HOME_OF = {
     "laspy": {"files"},
     "serial": set(),
     "numba": {
+        "stripes/choosing/native_loops.py",
+        "stripes/fitting/loops/rows.py",
         "stripes/search/native_loops.py",
         "stripes/dark/native_loops.py",
         "stripes/smoothing/native_loops.py",

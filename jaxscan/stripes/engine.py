@@ -230,7 +230,8 @@ def compute_at_once(engine: StripeEngine, on: Array, off: Array | None, then: Co
 def compute_natively(engine: StripeEngine, planes: Planes, off: Array | None, then: Continuation) -> ChunkStripes:
     """The stripes natively, exposures and the continuation by XLA."""
     find, setup = engine.estimator.find_natively, engine.setup
-    assert find is not None
+    if find is None:
+        raise ValueError(f"The estimator {setup.settings.estimator!r} has no native code.")
     stripes, chosen = find(planes, engine.search, setup)
     if then is NOTHING_MORE and len(setup.exposures) == 1:
         return ChunkStripes(stripes, chosen, None)
