@@ -3,7 +3,7 @@
 A block of candidates is fitted at a time, the candidates as the lanes of vectors. The loops are written for the
 vectoriser: every loop over lanes goes through one flat array of rows, whose distances are known at compile time;
 numbers are of single precision and indices unsigned; and functions are polynomials. Constants of other folders come
-as arguments: the compiled code is kept on disk, and only a change of `whole.py` would renew it.
+as arguments: the compiled code is kept on disk, and only a change of this folder would renew it.
 """
 
 from typing import NamedTuple, no_type_check

@@ -1,5 +1,7 @@
 """The fit of all candidates, block by block: the one function that is kept on disk."""
 
+import zlib
+from pathlib import Path
 from typing import no_type_check
 
 from jaxscan.stripes.fitting.loops.judge import accept, add_dark, judge_edges, prepare_edges
@@ -83,11 +85,21 @@ def _fit_list(candidates, ratio, numbers, table, memory, into):
         accept(w, found, middle[block], (behind + block * LANES, real), numbers, HALF * f32(samples))
 
 
-@whole
-@no_type_check
-def fit_lists(lists, ratio, numbers, table, memory, found):
-    """Fit and judge the candidates of all lists of a `Located` in blocks of `LANES`, into flat `FrameStripes`."""
-    behind = 0
-    for number in range(len(lists)):
-        _fit_list(lists[number], ratio, numbers, table, memory, (found, behind))
-        behind += lists[number].start.size
+def _made(sources):
+    """`fit_lists`, compiled anew where any file of this folder changes: numba looks at this one alone."""
+
+    @whole
+    @no_type_check
+    def fit_lists(lists, ratio, numbers, table, memory, found):
+        """Fit and judge the candidates of all lists of a `Located` in blocks of `LANES`, into flat `FrameStripes`."""
+        # Of the closure, and so of the key under which the compiled code is kept.
+        _ = sources
+        behind = 0
+        for number in range(len(lists)):
+            _fit_list(lists[number], ratio, numbers, table, memory, (found, behind))
+            behind += lists[number].start.size
+
+    return fit_lists
+
+
+fit_lists = _made(zlib.crc32(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))))
