@@ -1,9 +1,11 @@
 """The fit of all candidates, block by block: the one function that is kept on disk."""
 
 import zlib
-from pathlib import Path
 from typing import no_type_check
 
+import numpy as np
+
+from jaxscan.stripes.fitting.loops import judge, prepare, rows, steps
 from jaxscan.stripes.fitting.loops.judge import accept, add_dark, judge_edges, prepare_edges
 from jaxscan.stripes.fitting.loops.prepare import begin, grow, levels
 from jaxscan.stripes.fitting.loops.rows import (
@@ -86,7 +88,7 @@ def _fit_list(candidates, ratio, numbers, table, memory, into):
 
 
 def _made(sources):
-    """`fit_lists`, compiled anew where any file of this folder changes: numba looks at this one alone."""
+    """`fit_lists`, compiled anew where any function of this folder changes: numba looks at this file alone."""
 
     @whole
     @no_type_check
@@ -102,4 +104,17 @@ def _made(sources):
     return fit_lists
 
 
-fit_lists = _made(zlib.crc32(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))))
+def _content() -> int:
+    """A number that changes with the code and the constants of all files of the loops."""
+    parts = [*sorted(rows.FAST)]
+    for module in (rows, prepare, steps, judge):
+        for name, value in sorted(vars(module).items()):
+            if hasattr(value, "py_func"):
+                code = value.py_func.__code__
+                parts.append(f"{name} {code.co_code.hex()} {code.co_consts} {code.co_names} {code.co_varnames}")
+            elif isinstance(value, np.generic | int):
+                parts.append(f"{name} {value!r}")
+    return zlib.crc32("\n".join(parts).encode())
+
+
+fit_lists = _made(_content())
