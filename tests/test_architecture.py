@@ -51,6 +51,8 @@ HOME_OF = {
     "serial": set(),
     "numba": {
         "simulation/native_loops.py",
+        "stripes/choosing/native_loops.py",
+        "stripes/fitting/loops/rows.py",
         "stripes/search/native_loops.py",
         "stripes/dark/native_loops.py",
         "stripes/smoothing/native_loops.py",

@@ -1,5 +1,6 @@
 """The plan of a reconstruction, which all its chunks share: made once, it learns and computes each thing once."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
@@ -131,6 +132,13 @@ class Plan:
                 lasers in one record could be mistaken for each other.
         """
         sweep, settings = self.sweep, self.settings
+        with ThreadPoolExecutor(1) as pool:
+            gates_to_come = pool.submit(lambda: self.gates)
+            # A fixed number of records, so that the result does not depend on the size of the chunks.
+            ((on, off),) = islice(sweep.chunks(min(NOISE_RECORDS, len(sweep))), 1)
+            if noise is None:
+                noise = self._learn_noise(on, off)
+            gates_to_come.result()
         gated = settings.gate or self.lit_together
         if self.lit_together:
             _check_apart(list(self.gates.values()))
@@ -146,10 +154,6 @@ class Plan:
             )
             setups.append(setup)
             gates.append(gate if gated else whole_lines(setup, gate.near_side))
-        # A fixed number of records, so that the result does not depend on the size of the chunks.
-        ((on, off),) = islice(sweep.chunks(min(NOISE_RECORDS, len(sweep))), 1)
-        if noise is None:
-            noise = self._learn_noise(on, off)
         try:
             engines = prepare_engines(on, off, setups, noise=noise, gates=gates)
         except BlackLevelError as problem:
@@ -163,7 +167,7 @@ class Plan:
         if len(self.sweep.exposures) > 1:
             on, off = on[:, 0], None if off is None else off[:, 0]
         compressed = self.sweep.compression is not None
-        first = self.lasers[next(iter(self.gates))]
+        first = self.lasers[int(self.sweep.laser.min())]
         self.learned = learn_noise(on, off, frames=self.frames, line=first, compressed=compressed)
         self.notes.extend(self.learned.doubts)
         return self.learned.noise

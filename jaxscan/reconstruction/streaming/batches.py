@@ -20,7 +20,7 @@ _BYTES = 100e6
 
 
 class Batch(NamedTuple):
-    """Frames of one laser; frames beyond those of the profiles are padding."""
+    """Frames of one laser."""
 
     profiles: np.ndarray
     """Which profiles of the sweep, int [n]."""
@@ -44,7 +44,7 @@ def chunk_records(sweep: SweepSource, settings: ReconstructSettings) -> int:
 
 
 def batches(sweep: SweepSource, size: int) -> Iterator[Batch]:
-    """The sweep in batches of exactly `size` frames each."""
+    """The sweep in batches of at most `size` frames each."""
     record, laser = sweep.record, sweep.laser
     lasers = np.unique(laser)
     start = 0
@@ -56,21 +56,12 @@ def batches(sweep: SweepSource, size: int) -> Iterator[Batch]:
             for first in range(0, len(profiles), size):
                 some = profiles[first : first + size]
                 rows = record[some] - start
-                off = None if chunk.off is None else _frames(chunk.off, rows, size)
-                yield Batch(some, int(index), _frames(chunk.on, rows, size), off)
+                off = None if chunk.off is None else _frames(chunk.off, rows)
+                yield Batch(some, int(index), _frames(chunk.on, rows), off)
         start += count
 
 
-def padded(array: np.ndarray, size: int) -> np.ndarray:
-    """The array, filled up with zeros to `size` entries."""
-    if len(array) == size:
-        return array
-    whole = np.zeros((size, *array.shape[1:]), array.dtype)
-    whole[: len(array)] = array
-    return whole
-
-
-def _frames(frames: Array, rows: np.ndarray, size: int) -> Array:
-    if len(rows) == len(frames) == size and bool(np.all(np.diff(rows) == 1)):
+def _frames(frames: Array, rows: np.ndarray) -> Array:
+    if len(rows) == len(frames) and bool(np.all(np.diff(rows) == 1)):
         return frames
-    return padded(np.asarray(frames)[rows], size)
+    return np.asarray(frames)[rows]
