@@ -44,7 +44,7 @@ def refused(folder, *patterns):
 def test_the_mean_is_rounded_to_the_nearest_and_halves_to_even(levels):
     target = np.empty((2, 3), np.uint8)
     images = [ImageRef(str(level), exposure_s=0.1) for level in levels]
-    average(images, target, lambda one: np.full((2, 3), int(one.path), np.uint8))
+    average(images, target, lambda one, out: np.full((2, 3), int(one.path), np.uint8))
     # Python's own rounding of exact fractions.
     assert (target == round(Fraction(sum(levels), len(levels)))).all()
 
