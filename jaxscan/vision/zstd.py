@@ -21,6 +21,8 @@ _START = len(MAGIC) + _FIELDS.size
 _STEPS = (0, 1, 2)
 _SAMPLE = 32
 """Rows from which the step is chosen."""
+_CLEARLY = 0.05
+"""How much less another step must need, bits of a pixel."""
 _LEVEL = 1
 _LOCAL = threading.local()
 
@@ -124,8 +126,10 @@ def _best_step(rows: np.ndarray) -> int:
     if len(rows) < 3:
         return len(rows) - 1
     some = np.unique(np.linspace(2, len(rows) - 1, _SAMPLE).astype(int))
-    differences = [rows[some], rows[some] - rows[some - 1], rows[some] - rows[some - 2]]
-    return int(np.argmin([_entropy(one) for one in differences]))
+    least = _entropy(rows[some] - rows[some - 1])
+    others = {2: _entropy(rows[some] - rows[some - 2]), 0: _entropy(rows[some])}
+    best = min(others, key=lambda step: others[step])
+    return best if others[best] < least - _CLEARLY else 1
 
 
 def _entropy(values: np.ndarray) -> float:
