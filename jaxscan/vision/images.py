@@ -75,7 +75,7 @@ def through_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
 def decode_image(
     data: bytes, *, name: str, rank: int | None, size: tuple[int, int] | None, out: np.ndarray | None = None
 ) -> np.ndarray:
-    """One frame from the bytes of a PNG, packed (`encode_zstd`), TIFF, JPEG or BMP file; a damaged file gives no picture.
+    """One frame from the bytes of a PNG, packed (`encode_zstd`), TIFF, JPEG or BMP file; none of a damaged file.
 
     Damage is not noticed where nothing in the file could tell: other pixels in a BMP or in a TIFF that is not packed
     by deflate, if the lengths still fit, and other codes in a JPEG that mean something.

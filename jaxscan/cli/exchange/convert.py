@@ -34,7 +34,7 @@ def convert(
 ) -> None:
     """Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.
 
-    Also `jaxscan convert calibration.json camera.yaml` and `jaxscan convert captures/room captures/pictures --storage png`.
+    Also `jaxscan convert calibration.json camera.yaml` and `jaxscan convert captures/room pictures --storage png`.
 
     Args:
         source: Cloud (.ply or .npz), calibration (.json) or capture (a folder) to read.
