@@ -24,7 +24,7 @@ from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_ke
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud, extract_sweep, reconstruct
 from jaxscan.stripes import Stripes
-from jaxscan.vision import decode_image, encode_png
+from jaxscan.vision import decode_image, encode_png, encode_zstd
 
 
 HEADER = f"""format = "jaxscan-capture/1"
@@ -42,12 +42,21 @@ CHUNK = 64
 
 def write_png_capture(folder: Path, frames: Frames, records: int) -> None:
     """A capture whose records name the same pairs of files in turn."""
+    _write_files(folder, frames, records, (".png", encode_png))
+
+
+def write_packed_capture(folder: Path, frames: Frames, records: int) -> None:
+    """The same in the storage of new captures."""
+    _write_files(folder, frames, records, (".zst", encode_zstd))
+
+
+def _write_files(folder: Path, frames: Frames, records: int, form: tuple[str, Callable[[np.ndarray], bytes]]) -> None:
     folder.mkdir()
-    pairs = len(frames.on)
+    pairs, (suffix, encode) = len(frames.on), form
     for kind, stack in (("on", frames.on), ("off", frames.off)):
         for number, frame in enumerate(stack):
-            (folder / f"{kind}{number}.png").write_bytes(encode_png(frame))
-    _write_text(folder, records, lambda i: {kind: f"{kind}{i % pairs}.png" for kind in ("on", "off")})
+            (folder / f"{kind}{number}{suffix}").write_bytes(encode(frame))
+    _write_text(folder, records, lambda i: {kind: f"{kind}{i % pairs}{suffix}" for kind in ("on", "off")})
 
 
 def write_shard_capture(folder: Path, frames: Frames, records: int) -> None:
