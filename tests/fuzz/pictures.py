@@ -1,4 +1,4 @@
-"""Changes of image files: parts of PNG and of packed frames, other formats and sizes, pixels not those of the record."""
+"""Changes of image files: parts of PNG and of packed frames, other formats and sizes, pixels of others."""
 
 import random
 import struct
