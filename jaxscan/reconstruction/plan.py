@@ -3,7 +3,6 @@
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import islice
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from jaxscan.reconstruction.colours import NOISE_RECORDS, with_learned_colour
 from jaxscan.reconstruction.points import Aim, Limits, Rig, line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.streaming import chunk_records
-from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
 from jaxscan.reconstruction.without_off import PredictedPairs, with_off
 from jaxscan.stripes import (
     BlackLevelError,
@@ -121,11 +120,17 @@ class Plan:
         """Where the points of a profile, and of others of the same laser, go."""
         return Aim(self.rig, np.asarray(self.sheet[profile], np.int32), Limits.of(self.settings))
 
-    def engines(self, noise: NoiseModel | None = None) -> dict[int, StripeEngine]:
+    @property
+    def learned_from(self) -> int:
+        """Records from which the engines learn."""
+        return min(NOISE_RECORDS, len(self.sweep))
+
+    def engines(self, noise: NoiseModel | None = None, first: FrameChunk | None = None) -> dict[int, StripeEngine]:
         """The engine of each laser of the sweep.
 
         Args:
             noise: Noise of a frame; learned from the start of the sweep where not given.
+            first: The first `learned_from` records, where they are read already.
 
         Raises:
             CaptureError: If a colour cannot be learned, the black level is above the picture, or stripes of two
@@ -135,7 +140,7 @@ class Plan:
         with ThreadPoolExecutor(1) as pool:
             gates_to_come = pool.submit(lambda: self.gates)
             # A fixed number of records, so that the result does not depend on the size of the chunks.
-            ((on, off),) = islice(sweep.chunks(min(NOISE_RECORDS, len(sweep))), 1)
+            on, off = next(iter(sweep.chunks(self.learned_from))) if first is None else first
             if noise is None:
                 noise = self._learn_noise(on, off)
             gates_to_come.result()

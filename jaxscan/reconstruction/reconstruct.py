@@ -16,7 +16,7 @@ from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness
 from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan
 from jaxscan.reconstruction.points import Centres, Points, coloured, line_step, points_alone, sample_colours
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.streaming import Batch, GrowingCloud, GrowingStripes, batches
+from jaxscan.reconstruction.streaming import Batch, GrowingCloud, GrowingStripes, ReadOnce, batches
 from jaxscan.reconstruction.sweep import SweepSource
 from jaxscan.stripes import (
     ChunkStripes,
@@ -176,7 +176,8 @@ def _extracted(
         Profiles of a record; the chunks; and the decoys' verdict, to be asked for after the last one.
     """
     sweep, size = plan.sweep, plan.size
-    engines, angles = plan.engines(noise), sweep.angles.astype(np.float32)
+    frames, angles = ReadOnce(sweep, size), sweep.angles.astype(np.float32)
+    engines = plan.engines(noise, frames.first(plan.learned_from))
     each = next(iter(engines.values())).profiles_per_record
 
     def then(batch: Batch) -> Continuation:
@@ -212,7 +213,8 @@ def _extracted(
 
     def chunks() -> Iterator[tuple[np.ndarray, ChunkStripes]]:
         compiled = next(iter(engines.values())).learns
-        for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers(), compiled=compiled):
+        waiting = ready(batches(sweep, size, frames.chunks()))
+        for profiles, result in map_ahead(compute, waiting, workers(), compiled=compiled):
             yield _rows(profiles, each), result
             if progress is not None:
                 progress(int(sweep.record[profiles[-1]]) + 1, len(sweep))

@@ -1,7 +1,7 @@
 """A sweep in batches of frames that one compiled function takes."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import jax
@@ -10,7 +10,7 @@ import numpy as np
 from jaxscan.geometry import Array
 from jaxscan.reconstruction.ahead import workers
 from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
 
 
 _RECORDS = 32
@@ -43,12 +43,12 @@ def chunk_records(sweep: SweepSource, settings: ReconstructSettings) -> int:
     return -(-size // devices) * devices
 
 
-def batches(sweep: SweepSource, size: int) -> Iterator[Batch]:
+def batches(sweep: SweepSource, size: int, chunks: Iterable[FrameChunk] | None = None) -> Iterator[Batch]:
     """The sweep in batches of at most `size` frames each."""
     record, laser = sweep.record, sweep.laser
     lasers = np.unique(laser)
     start = 0
-    for chunk in sweep.chunks(size):
+    for chunk in sweep.chunks(size) if chunks is None else chunks:
         count = len(chunk.on)
         here = (record >= start) & (record < start + count)
         for index in lasers:
