@@ -51,7 +51,7 @@ class Shown:
         self._doing = words
         self._describe()
 
-    def heard(self, event: str, duration: float, **_: Any) -> None:
+    def heard(self, event: str, duration_secs: float, **_: Any) -> None:
         """Say while some thread compiles; a listener of `jax.monitoring`."""
         if event not in (LOWERED, COMPILED):
             return
