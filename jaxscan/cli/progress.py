@@ -25,8 +25,8 @@ from jaxscan.printable import printable
 
 _WITHOUT_BAR = b"\r\x1b[2K\x1b[?25h"
 """Clears the line of the bar, and shows the cursor that rich hides."""
-_LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
-_COMPILED = "/jax/core/compile/backend_compile_duration"
+LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
+COMPILED = "/jax/core/compile/backend_compile_duration"
 """JAX reports these at the start and at the end of compiling a function, in the thread that compiles it."""
 
 
@@ -51,12 +51,12 @@ class Shown:
         self._doing = words
         self._describe()
 
-    def heard(self, event: str, duration: float, **_: Any) -> None:
+    def heard(self, event: str, duration_secs: float, **_: Any) -> None:
         """Say while some thread compiles; a listener of `jax.monitoring`."""
-        if event not in (_LOWERED, _COMPILED):
+        if event not in (LOWERED, COMPILED):
             return
         with self._lock:
-            if event == _LOWERED:
+            if event == LOWERED:
                 self._compiling.add(threading.get_ident())
             else:
                 self._compiling.discard(threading.get_ident())

@@ -1,6 +1,5 @@
 """The first look at captures of a board: corners and stripes in every record."""
 
-import itertools
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -159,7 +158,7 @@ def go_through(
         try:
             # One batch ahead: boards are looked for while the stripes of the batch before are, or their code compiles.
             coming = [pool.submit(look, *one) for one in batches[0]] if batches else []
-            for batch, following in itertools.zip_longest(batches, batches[1:], fillvalue=()):
+            for batch, following in zip(batches, [*batches[1:], []], strict=False):
                 seen = [one.result() for one in coming]
                 coming = [pool.submit(look, *one) for one in following]
                 number = batch[0][0]

@@ -61,11 +61,11 @@ def test_says_what_is_being_done_and_how_much_is_done(screen):
 
 def test_says_that_it_compiles_from_the_start_to_the_end_of_compiling(screen):
     with progress.progress_bar("Looking") as shown:
-        jax.monitoring.record_event_duration_secs(progress._LOWERED, 0.1)
+        jax.monitoring.record_event_duration_secs(progress.LOWERED, 0.1)
         assert screen.wait_for("Looking: compiling")
         shown.doing("fitting")
         assert screen.wait_for("Looking: fitting, compiling")
-        jax.monitoring.record_event_duration_secs(progress._COMPILED, 0.1)
+        jax.monitoring.record_event_duration_secs(progress.COMPILED, 0.1)
         shown(1, 2)
         assert screen.wait_for("Looking: fitting ")
 
@@ -81,9 +81,9 @@ def test_jax_reports_the_start_and_the_end_of_compiling():
         jax.jit(lambda x: jnp.cos(x) * 1.2345)(jnp.ones(7)).block_until_ready()
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
-    ours = [event for event in heard if event in (progress._LOWERED, progress._COMPILED)]
+    ours = [event for event in heard if event in (progress.LOWERED, progress.COMPILED)]
     assert ours
-    assert ours == [progress._LOWERED, progress._COMPILED] * (len(ours) // 2)
+    assert ours == [progress.LOWERED, progress.COMPILED] * (len(ours) // 2)
 
 
 def test_nothing_listens_afterwards_and_an_error_goes_through(screen):

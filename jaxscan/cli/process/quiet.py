@@ -40,6 +40,15 @@ def choose_caches() -> None:
         os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
 
 
+def one_thread_per_product() -> None:
+    """Before it is loaded: NumPy multiplies small matrices in the calling thread.
+
+    Views are shared out among the cores already; threads of its own then only wait for each other, and take seven times
+    the processor's time.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 def keep_compiled_code() -> None:
     """Let JAX keep compiled code on the disk: it compiles once per machine, not once per run."""
     cache = cache_folder()
