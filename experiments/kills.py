@@ -7,7 +7,8 @@ within a fraction of a second, before its heartbeat has ended.
 
     python experiments/kills.py [--kills 50] [--seed 1] [--steps 40] [--load 0] [--json FILE]
 
-Verified after each kill: what the journal held is there, byte for byte, and no shot is lost but the one in flight.
+Verified after each kill: what the journal held is there, byte for byte, and no shot is lost but those in flight: the
+one that is taken, and those that wait for proof or disk.
 Verified at the end: the capture is complete and `jaxscan doctor --capture` finds nothing; each image is, pixel for
 pixel, the picture that the simulated room gives at the record's angle, with or without laser.
 
@@ -32,6 +33,7 @@ import numpy as np
 from bench.camera.world import View, World, load_world
 from bench.desk import Desk, set_up
 from bench.places import WORLD
+from scanrig.recording import AHEAD
 
 from jaxscan.cli.main import main as jaxscan_main
 from jaxscan.files.capture import open_capture, verify_capture
@@ -59,7 +61,7 @@ class Tally:
     adrift: int = 0
     """Shots without a record: those in flight at a kill."""
     lost: int = 0
-    """How many more these were at any time than the kills before."""
+    """How many more these were at any time than the kills before allow."""
     captures: list[Path] = field(default_factory=list)
 
 
@@ -167,7 +169,7 @@ def kill_scans(desk: Desk, config: Path, folder: Path, arguments: argparse.Names
             tally.after_home += status is None and taken == 0 and b'"home"' in new
             # The firmware may finish the shot in flight only after the kill, when the next session has begun.
             tally.adrift += adrift
-            tally.lost = max(tally.lost, tally.adrift - tally.kills)
+            tally.lost = max(tally.lost, tally.adrift - (1 + AHEAD) * tally.kills)
             complete = status == 0
             said = " ".join(log.read_text(errors="replace").split())[-200:] if log.exists() else ""
             print(

@@ -1,11 +1,14 @@
 """Who may import whom, and what `import jaxscan` may load: the rules of the house, by `ast`."""
 
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.every_file import for_every, tree_of
 
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -50,6 +53,9 @@ HOME_OF = {
     "laspy": {"files"},
     "serial": set(),
     "numba": {
+        "simulation/native_loops.py",
+        "stripes/choosing/native_loops.py",
+        "stripes/fitting/loops/rows.py",
         "stripes/search/native_loops.py",
         "stripes/dark/native_loops.py",
         "stripes/smoothing/native_loops.py",
@@ -73,18 +79,20 @@ BENCH_MAY_IMPORT = {"files", "simulation", "vision"} | FOR_ALL
 RIG_HOME_OF = {"cv2": ("cameras/",), "serial": ("wire/",), "ctypes": ("cameras/aravis",)}
 """Libraries that belong to one place of the acquisition layer."""
 
-IDS = [str(path.relative_to(PACKAGE)) for path in FILES]
-RIG_IDS = [str(path.relative_to(RIG)) for path in RIG_FILES]
-
 
 def folder_of(path):
     first = path.relative_to(PACKAGE).parts[0]
     return first.removesuffix(".py")
 
 
+@functools.cache
 def imports(path):
     """(module, line) of every import in a file, also those inside functions."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    return tuple(_imports(path))
+
+
+def _imports(path):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -95,7 +103,7 @@ def imports(path):
                 yield node.module, node.lineno
 
 
-@pytest.mark.parametrize("path", FILES, ids=IDS)
+@for_every(FILES)
 def test_import_direction(path):
     here = folder_of(path)
     for module, line in imports(path):
@@ -109,14 +117,14 @@ def test_import_direction(path):
 OUTSIDE_OF_FILES = [path for path in (*FILES, *RIG_FILES, *BENCH_FILES) if PACKAGE / "files" not in path.parents]
 
 
-@pytest.mark.parametrize("path", OUTSIDE_OF_FILES, ids=lambda path: str(path.relative_to(ROOT)))
+@for_every(OUTSIDE_OF_FILES, lambda path: str(path.relative_to(ROOT)))
 def test_files_are_reached_through_the_facades_of_their_rooms(path):
     for module, line in imports(path):
         inside = module.split(".")[:2] == ["jaxscan", "files"]
         assert not inside or len(module.split(".")) <= 3, f"line {line}: {module}"
 
 
-@pytest.mark.parametrize("path", [path for path in FILES if folder_of(path) == "files"], ids=str)
+@for_every([path for path in FILES if folder_of(path) == "files"])
 def test_a_room_of_files_reaches_others_through_their_facades(path):
     for module, line in imports(path):
         parts = module.split(".")
@@ -124,7 +132,7 @@ def test_a_room_of_files_reaches_others_through_their_facades(path):
             assert len(parts) == 3, f"line {line}: {module}"
 
 
-@pytest.mark.parametrize("path", [*FILES, *RIG_FILES, *BENCH_FILES], ids=str)
+@for_every([*FILES, *RIG_FILES, *BENCH_FILES])
 def test_stripes_are_reached_through_their_facade(path):
     if path.is_relative_to(PACKAGE / "stripes"):
         return
@@ -132,7 +140,7 @@ def test_stripes_are_reached_through_their_facade(path):
         assert not module.startswith("jaxscan.stripes."), f"line {line}: {module}, expected jaxscan.stripes"
 
 
-@pytest.mark.parametrize("path", FILES, ids=IDS)
+@for_every(FILES)
 def test_libraries_stay_in_their_place(path):
     where = str(path.relative_to(PACKAGE))
     for module, line in imports(path):
@@ -141,7 +149,7 @@ def test_libraries_stay_in_their_place(path):
             assert any(where == home or where.startswith(home + "/") for home in homes), f"line {line}: {module}"
 
 
-@pytest.mark.parametrize("path", RIG_FILES, ids=RIG_IDS)
+@for_every(RIG_FILES)
 def test_the_acquisition_layer_imports_what_writes_captures(path):
     where = str(path.relative_to(RIG))
     for module, line in imports(path):
@@ -166,7 +174,7 @@ def _modules():
 
 def _imported_modules(path, known):
     """The modules among `known` that a file imports, also where only a type checker or a function does."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in known)
         elif isinstance(node, ast.ImportFrom) and node.module in known:
@@ -218,7 +226,7 @@ def test_no_room_of_the_acquisition_layer_imports_itself_by_way_of_others():
     assert circle is None, " imports ".join(circle)
 
 
-@pytest.mark.parametrize("path", BENCH_FILES, ids=lambda path: path.name)
+@for_every(BENCH_FILES)
 def test_the_bench_knows_no_estimator(path):
     for module, line in imports(path):
         first, *rest = module.split(".")
@@ -227,7 +235,7 @@ def test_the_bench_knows_no_estimator(path):
             assert rest and rest[0] in BENCH_MAY_IMPORT, f"line {line}: {module}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=IDS)
+@for_every(FILES)
 def test_only_the_command_line_knows_the_acquisition_layer(path):
     found = [line for module, line in imports(path) if module.split(".")[0] in {"scanrig", "bench"}]
     assert not found or folder_of(path) == "cli", f"line {found[0]}"
@@ -278,22 +286,22 @@ def test_openings_are_found():
     assert [line for _, line in found] == list(range(1, 9))
 
 
-@pytest.mark.parametrize("path", FILES, ids=IDS)
+@for_every(FILES)
 def test_files_are_opened_through_one_door(path):
     """`open_regular` waits for no pipe, reads no device, and bounds what it reads."""
     allowed = MAY_OPEN.get(str(path.relative_to(PACKAGE)), set())
-    found = [(how, line) for how, line in openings(ast.parse(path.read_text())) if how not in allowed]
+    found = [(how, line) for how, line in openings(tree_of(path)) if how not in allowed]
     assert not found, f"line {found[0][1]}: {found[0][0]}, expected open_regular or read_bounded of jaxscan.files"
 
 
-@pytest.mark.parametrize("path", [p for p in FILES if folder_of(p) == "files"], ids=str)
+@for_every([p for p in FILES if folder_of(p) == "files"])
 def test_a_name_that_is_too_long_is_no_surprise(path):
     """`Path.exists` and its like raise for such names; `os.path.exists` says no, and the opening says why."""
     # Entries of a folder have names that exist.
     allowed = {"files/recording/folder.py", "files/capture/references.py", "files/importing/listing.py"}
     if str(path.relative_to(PACKAGE)) in allowed:
         return
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
             safe = isinstance(node.func.value, ast.Attribute) and node.func.value.attr == "path"
             names = {"exists", "is_file", "is_dir", "is_symlink"}
@@ -302,22 +310,22 @@ def test_a_name_that_is_too_long_is_no_surprise(path):
 
 def test_the_acquisition_layer_asserts_nothing():
     for path in RIG_FILES:
-        found = [node.lineno for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Assert)]
+        found = [node.lineno for node in ast.walk(tree_of(path)) if isinstance(node, ast.Assert)]
         assert not found, f"{path.name}: line {found[0]}"
 
 
-@pytest.mark.parametrize("path", [p for p in FILES if folder_of(p) in CORE], ids=str)
+@for_every([p for p in FILES if folder_of(p) in CORE])
 def test_the_core_does_no_io(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             assert node.func.id not in {"print", "open", "input"}, f"line {node.lineno}: {node.func.id}"
     for module, line in imports(path):
         assert module.split(".")[0] not in {"pathlib", "shutil", "io", "sys"}, f"line {line}: {module}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=IDS)
+@for_every(FILES)
 def test_no_library_code_asserts_or_configures_jax(path):
-    tree = ast.parse(path.read_text())
+    tree = tree_of(path)
     assert not [n.lineno for n in ast.walk(tree) if isinstance(n, ast.Assert)]
     if folder_of(path) != "cli":
         assert "jax.config.update" not in path.read_text()

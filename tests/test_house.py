@@ -4,7 +4,7 @@ import ast
 import subprocess
 from pathlib import Path
 
-import pytest
+from tests.every_file import for_every, tree_of
 
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -45,21 +45,21 @@ def verbs(tree):
     }
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=name_of)
+@for_every(FOLDERS, name_of)
 def test_no_folder_is_crowded(folder):
     files = [path.name for path in FILES if path.parent == folder]
     assert len(files) <= MOST_FILES, f"{len(files)} files"
 
 
-@pytest.mark.parametrize("path", PYTHON, ids=name_of)
+@for_every(PYTHON, name_of)
 def test_no_file_is_long(path):
     lines = len(path.read_text().splitlines())
     assert lines <= MOST_LINES, f"{lines} lines"
 
 
-@pytest.mark.parametrize("path", PYTHON, ids=name_of)
+@for_every(PYTHON, name_of)
 def test_no_signature_is_long(path):
-    tree = ast.parse(path.read_text())
+    tree = tree_of(path)
     options = verbs(tree) if "cli" in path.parts else set()
     for node in ast.walk(tree):
         if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) or node.name in options:
@@ -70,9 +70,9 @@ def test_no_signature_is_long(path):
         assert len(names) <= MOST_PARAMETERS, f"line {node.lineno}: {node.name} has {len(names)} parameters"
 
 
-@pytest.mark.parametrize("folder", [f for f in FOLDERS if f.parts[-1] != "data" and "jaxscan" in f.parts], ids=name_of)
+@for_every([f for f in FOLDERS if f.parts[-1] != "data" and "jaxscan" in f.parts], name_of)
 def test_every_room_has_a_facade(folder):
     """A room's `__init__.py` re-exports what others may use of it."""
-    tree = ast.parse((folder / "__init__.py").read_text())
+    tree = tree_of(folder / "__init__.py")
     assert ast.get_docstring(tree), "no docstring"
     assert len(tree.body) > 1 or folder.name == "cli" or folder.parent.name == "cli", "exports nothing"

@@ -1,7 +1,7 @@
-"""Sweeps from files, for `speed.py`: PNG as the project writes them, and shards in the page cache.
+"""Sweeps from files, for `speed.py`: PNG, packed frames as the project writes them, and shards, in the page cache.
 
-PNG captures name a few distinct files many times; shards hold every frame. Shards are measured in
-a separate process, so that its memory can be watched.
+PNG captures name a few distinct files many times; the others hold every frame. `measure_shards` measures a capture of
+any storage in a separate process, so that its memory can be watched.
 """
 
 import argparse
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from measuring.speed_codecs import measure_codecs as measure_codecs
 from measuring.speed_peers import THREADS, read
 from measuring.speed_times import Watch, summary, take_turns
 from worlds.speed_scene import HEIGHT, WIDTH, Frames, make_scanner
@@ -24,7 +25,7 @@ from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_ke
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import PointCloud, extract_sweep, reconstruct
 from jaxscan.stripes import Stripes
-from jaxscan.vision import decode_image, encode_png
+from jaxscan.vision import decode_image, encode_png, encode_zstd
 
 
 HEADER = f"""format = "jaxscan-capture/1"
@@ -48,6 +49,16 @@ def write_png_capture(folder: Path, frames: Frames, records: int) -> None:
         for number, frame in enumerate(stack):
             (folder / f"{kind}{number}.png").write_bytes(encode_png(frame))
     _write_text(folder, records, lambda i: {kind: f"{kind}{i % pairs}.png" for kind in ("on", "off")})
+
+
+def write_packed_capture(folder: Path, frames: Frames, records: int) -> None:
+    """In the storage of new captures, with files of their own for every record."""
+    folder.mkdir()
+    for kind, stack in (("on", frames.on), ("off", frames.off)):
+        packed = [encode_zstd(frame) for frame in stack[:records]]
+        for number in range(records):
+            (folder / f"{kind}{number}.zst").write_bytes(packed[number % len(packed)])
+    _write_text(folder, records, lambda i: {kind: f"{kind}{i}.zst" for kind in ("on", "off")})
 
 
 def write_shard_capture(folder: Path, frames: Frames, records: int) -> None:

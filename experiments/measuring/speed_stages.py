@@ -17,9 +17,9 @@ from jaxscan.reconstruction import ReconstructSettings, Sweep, extract_sweep, re
 from jaxscan.reconstruction.plan import NOISE_RECORDS, make_plan
 from jaxscan.reconstruction.points.locate import Centres, points_alone
 from jaxscan.stripes import NoiseModel, estimate_noise
-from jaxscan.stripes.choosing import choose_stripes
-from jaxscan.stripes.choosing.rules import choose
-from jaxscan.stripes.fitting.fit_blocks import fit_candidates
+from jaxscan.stripes.choosing.native import ChosenLines
+from jaxscan.stripes.fitting.native import NativeFitter
+from jaxscan.stripes.search.native import NativeLocator
 from jaxscan.stripes.search.planes import host_planes
 
 
@@ -64,7 +64,7 @@ def stages(frames: Frames, scanner: Scanner, repeats: int) -> list[Stage]:
         "locate (native, one thread)": (2.0 * FRAME + windows, "integer arithmetic and branches per candidate"),
         "fit (one thread)": (windows + 40 * candidates, "exponentials and sums of the fit"),
         "path over the rows (one thread)": (3 * 16.0 * HEIGHT, "one small step after the other, a loop over the rows"),
-        "fit, path and choice (one thread)": (windows + 100.0 * HEIGHT, "the fit"),
+        "all three (one thread)": (2.0 * FRAME + 100.0 * HEIGHT, "the search"),
         "triangulate (one thread)": (40.0 * HEIGHT, "Newton's steps of the lens"),
         "points, whole sweep": (80.0 * HEIGHT, "Newton's steps of the lens"),
         "points and normals, whole sweep": (140.0 * HEIGHT, "arithmetic of the slopes"),
@@ -81,25 +81,23 @@ def chunk_stages(frames: Frames, sweep: Sweep, scanner: Scanner, noise: NoiseMod
     setup, search, estimator = engine.setup, engine.search, engine.estimator
     on, off = frames.on[:CHUNK], frames.off[:CHUNK]
 
-    def locate_natively():
+    locator, fitter = NativeLocator(), NativeFitter()
+
+    def locate():
         planes = host_planes(on, off, search, setup)
-        return estimator.locate_natively(planes, search, setup), planes.lamp_ratio
+        return locator.locate(planes, search, pitch=setup.sites.pitch, saturation=setup.settings.saturation)
 
-    located, ratio = jax.tree.map(np.copy, locate_natively())
-    fit = jax.jit(functools.partial(fit_candidates, setup=setup))
-    fits = fit(located.lists, ratio, search)
+    def choose():
+        chosen = ChosenLines(CHUNK, estimator.candidates, search, setup)
+        chosen.put(0, fits)
+        return chosen.stripes
 
-    @jax.jit
-    def path(fits: FrameStripes, slots: np.ndarray):
-        index = jax.numpy.maximum(slots, 0)
-        candidates = jax.tree.map(lambda field: field[index], fits)
-        candidates = candidates._replace(valid=candidates.valid & (slots >= 0))
-        return choose(candidates, search.near_side, setup.settings)
+    def every_step():
+        return estimator.find_natively(host_planes(on, off, search, setup), search, setup).stripes
 
-    stripes = jax.jit(
-        lambda located, ratio: choose_stripes(estimator.measure(located, ratio, search, setup), search, setup)[0]
-    )
-    found = stripes(located, ratio)
+    ratio = np.asarray(host_planes(on, off, search, setup).lamp_ratio)
+    located, found = locate(), every_step()
+    fits = fitter.fit(located, ratio, search, setup)
     centres = Centres(found.u, found.sigma, found.valid)
     points = functools.partial(points_alone, stripe_axis=setup.line.stripe_axis)
 
@@ -111,10 +109,10 @@ def chunk_stages(frames: Frames, sweep: Sweep, scanner: Scanner, noise: NoiseMod
         return run
 
     runs = {
-        "locate (native, one thread)": single(locate_natively),
-        "fit (one thread)": single(fit, located.lists, ratio, search),
-        "path over the rows (one thread)": single(path, fits, located.slots),
-        "fit, path and choice (one thread)": single(stripes, located, ratio),
+        "locate (native, one thread)": single(locate),
+        "fit (one thread)": single(fitter.fit, located, ratio, search, setup),
+        "path over the rows (one thread)": single(choose),
+        "all three (one thread)": single(every_step),
         "triangulate (one thread)": single(points, plan.aim(0), centres, np.zeros(CHUNK, np.float32)),
     }
     return runs, sum(int(one.total) for one in located.lists) / CHUNK

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib import metadata
 
+from jaxscan.api.ahead import Ahead, tell
+from jaxscan.api.rehearsal import JUDGE, LOOK, SOLVE, rehearsal
 from jaxscan.calibration import (
     NOTHING_KNOWN,
     Calibration,
@@ -87,7 +89,8 @@ def calibrate(
         only_camera: Calibrate the camera alone, as with `only="camera"` in the settings.
         redetect: Look for corners and stripes again at the places that the first solve predicts,
             and solve again; `quality.redetected` holds the gain.
-        progress: Called with (records done, records in all), of both looks together.
+        progress: Called with (records done, records in all), of both looks together. If it has a method `doing`,
+            that is told in words what is being done.
 
     Returns:
         The calibration, with its covariance, quality and observations.
@@ -101,21 +104,30 @@ def calibrate(
     settings = replace(settings, only="camera") if only_camera else settings
     stripes = bool(plan_calibration(captures, settings=settings, known=known).lasers)
     board, eyes, looks = common_board(captures, single_lasers=stripes), _eyes(), 2 if redetect else 1
-    seen = look_at_boards(captures, board, eyes, with_stripes=stripes, progress=_part(progress, 0, looks))
-    # The first of two solves only predicts places; the verdict is for the last one.
-    first = replace(settings, judge=settings.judge and not redetect)
-    result = calibrate_observations(to_observations(captures, seen), settings=first, known=known)
-    # A solve that did not converge predicts nothing.
-    if redetect and result.quality.converged:
-        progress = _part(progress, 1, looks)
-        again = look_again(captures, seen, solved_rig(result), eyes, progress=progress)
-        second = calibrate_observations(to_observations(captures, again), settings=settings, known=known)
-        result, gains = choose(result, second)
-        if gains.kept:
-            seen = again
-        else:
-            result = calibrate_observations(to_observations(captures, seen), settings=settings, known=known)
-        result = replace(result, quality=replace(result.quality, redetected=gains))
+    _part(progress, 0, looks)(0, sum(len(capture) for capture in captures))
+    jobs = rehearsal(captures, board, settings, stripes=stripes, again=redetect) if known == NOTHING_KNOWN else []
+    with Ahead(jobs) as ahead:
+        tell(progress, "finding corners and stripes" if stripes else "finding corners")
+        seen = look_at_boards(captures, board, eyes, with_stripes=stripes, progress=_part(progress, 0, looks))
+        # The first of two solves only predicts places; the verdict is for the last one.
+        first = replace(settings, judge=settings.judge and not redetect)
+        ahead.wait(SOLVE, progress)
+        tell(progress, "solving")
+        result = calibrate_observations(to_observations(captures, seen), settings=first, known=known)
+        # A solve that did not converge predicts nothing.
+        if redetect and result.quality.converged:
+            ahead.wait(LOOK, progress)
+            tell(progress, "looking again at predicted places")
+            again = look_again(captures, seen, solved_rig(result), eyes, progress=_part(progress, 1, looks))
+            ahead.wait(JUDGE, progress)
+            tell(progress, "solving again, with a verdict")
+            second = calibrate_observations(to_observations(captures, again), settings=settings, known=known)
+            result, gains = choose(result, second)
+            if gains.kept:
+                seen = again
+            else:
+                result = calibrate_observations(to_observations(captures, seen), settings=settings, known=known)
+            result = replace(result, quality=replace(result.quality, redetected=gains))
     result = advise_lens(result, settings)
     missed = tuple(Missed(*record) for record in seen.missed())
     warnings = (*result.quality.warnings, *seen.doubts(captures))
@@ -134,9 +146,11 @@ def versions() -> dict[str, str]:
     return {name: metadata.version(name) for name in ("jaxscan", "jax", "optimistix", "numpy")}
 
 
-def _part(progress: Progress | None, look: int, looks: int) -> Progress | None:
+def _part(progress: Progress | None, look: int, looks: int) -> Progress:
     """Progress of one of several looks, as a part of all of them."""
-    return None if progress is None else lambda done, total: progress(look * total + done, looks * total)
+    if progress is None:
+        return lambda done, total: None
+    return lambda done, total: progress(look * total + done, looks * total)
 
 
 def _eyes() -> Eyes:

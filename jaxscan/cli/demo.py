@@ -61,6 +61,8 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
 
     lap = time.perf_counter()
     with progress_bar("Reconstructing") as progress:
+        progress(0, len(sweep))
+        progress.doing("finding stripes, compiling first where needed")
         cloud = api.reconstruct(sweep, scanner, progress=progress)
     seconds["reconstruct"] = time.perf_counter() - lap
     points = int(np.asarray(cloud.valid).sum())

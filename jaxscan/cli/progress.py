@@ -1,9 +1,22 @@
-"""Progress bars on a terminal; elsewhere nothing is printed."""
+"""Progress on a terminal, which moves and says what is being done; elsewhere nothing is printed."""
 
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any, final
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+import jax.monitoring
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.text import Text
 
 from jaxscan.cli.process.signals import leave_behind
 from jaxscan.cli.process.terminal import Terminal
@@ -12,20 +25,80 @@ from jaxscan.printable import printable
 
 _WITHOUT_BAR = b"\r\x1b[2K\x1b[?25h"
 """Clears the line of the bar, and shows the cursor that rich hides."""
+LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
+COMPILED = "/jax/core/compile/backend_compile_duration"
+"""JAX reports these at the start and at the end of compiling a function, in the thread that compiles it."""
+
+
+@final
+class Shown:
+    """The callback of a progress bar."""
+
+    def __init__(self, task: str, bars: Progress | None) -> None:
+        """Show a task on some bars; None shows nothing."""
+        self._bars, self._task, self._doing = bars, task, ""
+        self._compiling: set[int] = set()
+        self._lock = threading.Lock()
+        self._number = TaskID(0) if bars is None else bars.add_task(printable(task), total=None)
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show that `done` of `total` are done."""
+        if self._bars is not None:
+            self._bars.update(self._number, completed=done, total=total)
+
+    def doing(self, words: str) -> None:
+        """Say what is being done."""
+        self._doing = words
+        self._describe()
+
+    def heard(self, event: str, duration_secs: float, **_: Any) -> None:
+        """Say while some thread compiles; a listener of `jax.monitoring`."""
+        if event not in (LOWERED, COMPILED):
+            return
+        with self._lock:
+            if event == LOWERED:
+                self._compiling.add(threading.get_ident())
+            else:
+                self._compiling.discard(threading.get_ident())
+        self._describe()
+
+    def _describe(self) -> None:
+        if self._bars is None:
+            return
+        said = [words for words in (self._doing, "compiling" if self._compiling else "") if words]
+        told = f"{self._task}: {', '.join(said)}" if said else self._task
+        self._bars.update(self._number, description=printable(told))
+
+
+@final
+class _Count(ProgressColumn):
+    """How many of how many; empty as long as that is not known."""
+
+    def render(self, task: Task) -> Text:
+        return Text("" if task.total is None else f"{int(task.completed)}/{int(task.total)}")
 
 
 @contextmanager
-def progress_bar(task: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar on standard error, as a callback `(done, total)`; without a terminal the callback does nothing."""
+def progress_bar(task: str) -> Iterator[Shown]:
+    """A bar on standard error, as a callback `(done, total)`; without a terminal the callback does nothing.
+
+    A wheel turns and the seconds count while nothing is done, and "compiling" is said while a function is compiled;
+    the callback's `doing` says what else is being done.
+    """
     terminal = Terminal(stderr=True)
     if not terminal.is_terminal:
-        yield lambda done, total: None
+        yield Shown(task, None)
         return
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    text = TextColumn("{task.description}", markup=False)
+    columns = (SpinnerColumn("line"), text, BarColumn(), _Count(), TimeElapsedColumn())
     leave_behind(_WITHOUT_BAR)
     try:
         with Progress(*columns, console=terminal.console, transient=True) as bars:
-            number = bars.add_task(printable(task), total=None)
-            yield lambda done, total: bars.update(number, completed=done, total=total)
+            shown = Shown(task, bars)
+            jax.monitoring.register_event_duration_secs_listener(shown.heard)
+            try:
+                yield shown
+            finally:
+                jax.monitoring.unregister_event_duration_listener(shown.heard)
     finally:
         leave_behind(b"")

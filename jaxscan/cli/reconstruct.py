@@ -82,6 +82,8 @@ def reconstruct(
         out.print(f"note: {note}")
     start = time.perf_counter()
     with progress_bar("Reconstructing") as progress:
+        progress(0, len(sweep))
+        progress.doing("finding stripes, compiling first where needed")
         done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=progress, cache=cache)
     seconds = time.perf_counter() - start
     cloud = done.cloud

@@ -149,16 +149,26 @@ def go_through(
     """
     total = sum(len(capture.records) for capture in captures)
     views: list[SeenRecord] = []
+    batches = [
+        [(number, index) for index in range(start, min(start + BATCH_RECORDS, len(capture.records)))]
+        for number, capture in enumerate(captures)
+        for start in range(0, len(capture.records), BATCH_RECORDS)
+    ]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for number, capture in enumerate(captures):
-            count = len(capture.records)
-            for start in range(0, count, BATCH_RECORDS):
-                batch = range(start, min(start + BATCH_RECORDS, count))
-                seen = list(pool.map(look, [number] * len(batch), batch))
+        try:
+            # One batch ahead: boards are looked for while the stripes of the batch before are, or their code compiles.
+            coming = [pool.submit(look, *one) for one in batches[0]] if batches else []
+            for batch, following in zip(batches, [*batches[1:], []], strict=False):
+                seen = [one.result() for one in coming]
+                coming = [pool.submit(look, *one) for one in following]
+                number = batch[0][0]
                 if like.lines is not None:
-                    seen = find_stripes(seen, capture, like.lines[number], like.board, rig)
+                    seen = find_stripes(seen, captures[number], like.lines[number], like.board, rig)
                 # Frames are dropped at once: a capture may be larger than the memory.
                 views += [view._replace(on=None, off=None, grey=None) for view in seen]
                 if progress is not None:
                     progress(len(views), total)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
     return like._replace(records=views)

@@ -26,8 +26,9 @@ from jaxscan.geometry import (
 
 # Points along the stripe on a board; between them it is straight to much less than its noise.
 _SAMPLES = 128
-# Pixels that are lifted to a board at a time.
+# Pixels that are lifted to a board at a time, and views whose corners are predicted at a time.
 _LIFTED = 4096
+_VIEWS = 32
 # Largest angle [rad] between a point and the ray of its pixel; beyond it the lens folds or the point is behind.
 _SAME_RAY = 1e-3
 
@@ -103,8 +104,7 @@ def turn_boards(motion: AbstractMotion, poses: np.ndarray, at: np.ndarray, to: n
     """
     with jax.enable_x64(True):
         motion = jax.tree.map(jnp.asarray, motion)
-        turn = jax.vmap(lambda pose, at, to: invert(motion.motion(to)) @ motion.motion(at) @ pose)
-        return np.asarray(turn(jnp.asarray(poses), jnp.asarray(at), jnp.asarray(to)))
+        return np.asarray(_turned(motion, jnp.asarray(poses), jnp.asarray(at), jnp.asarray(to)))
 
 
 def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
@@ -121,8 +121,11 @@ def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
         corners = rig.board.corners()[:, :2]
         offset = rig.offset if len(rig.offset) else np.zeros((len(corners), 3))
         camera, corners, offset = jax.tree.map(jnp.asarray, (rig.camera, corners, offset))
-        found = _corners(camera, jnp.asarray(poses), (corners, offset), rig.surface())
-        q, by_x, by_y, same = (np.asarray(part) for part in found)
+        surface, parts = rig.surface(), max(-(-len(poses) // _VIEWS), 1)
+        # Always as many at a time, so that all captures share one compilation.
+        padded = np.resize(np.asarray(poses, np.float64), (parts, _VIEWS, 4, 4))
+        found = [_corners(camera, jnp.asarray(some), (corners, offset), surface) for some in padded]
+        q, by_x, by_y, same = (np.concatenate(part)[: len(poses)] for part in zip(*found, strict=True))
     length = np.stack([np.linalg.norm(by, axis=-1) for by in (by_x, by_y)], -1)
     edges = np.stack([by_x, by_y], -2) / np.maximum(length, 1e-12)[..., None]
     limit = np.array([rig.camera.width, rig.camera.height]) - 1.0
@@ -176,6 +179,14 @@ def _seen(camera: AbstractCamera, p: Float[Array, "3"]) -> tuple[Float[Array, "2
     """Pixel of a point, and whether the ray of that pixel leads to the point."""
     q = camera.project(p)
     return q, jnp.linalg.norm(camera.unproject(q) - p / jnp.linalg.norm(p)) < _SAME_RAY
+
+
+@jax.jit
+def _turned(
+    motion: AbstractMotion, poses: Float[Array, "n 4 4"], at: Float[Array, " n"], to: Float[Array, " n"]
+) -> Float[Array, "n 4 4"]:
+    turn = jax.vmap(lambda pose, at, to: invert(motion.motion(to)) @ motion.motion(at) @ pose)
+    return turn(poses, at, to)
 
 
 @jax.jit

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.errors import CaptureError
-from jaxscan.reconstruction.streaming import Batch, padded
+from jaxscan.reconstruction.streaming import Batch
 from jaxscan.stripes import ChunkStripes, FrameStripes, chosen_of
 
 
@@ -101,7 +101,7 @@ class DecoyWatch:
             )
             for start in range(0, len(profiles), size):
                 part = slice(start, start + size)
-                turned = Batch(profiles[part], laser, padded(off[part], size), padded(on[part], size))
+                turned = Batch(profiles[part], laser, off[part], on[part])
                 result = search(turned)
                 stripes.append(found[part])
                 decoys.append(clearness(chosen_of(result.stripes, result.chosen))[: len(profiles[part])])

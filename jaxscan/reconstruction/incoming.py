@@ -16,9 +16,18 @@ from jaxscan.reconstruction.colours import NOISE_RECORDS
 from jaxscan.reconstruction.plan import make_plan
 from jaxscan.reconstruction.points import Centres, coloured, points_alone
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.streaming import GrowingStripes, chunk_records, padded
+from jaxscan.reconstruction.streaming import GrowingStripes, chunk_records
 from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
-from jaxscan.stripes import LEARNED_FRAMES, LaserLine, PixelFormat, Response, StripeEngine, Stripes
+from jaxscan.stripes import (
+    LEARNED_FRAMES,
+    Continuation,
+    LaserLine,
+    PixelFormat,
+    Response,
+    StripeEngine,
+    Stripes,
+    padded,
+)
 
 
 class RecordedPair(NamedTuple):
@@ -116,7 +125,7 @@ class IncomingStripes:
         """
         self._sweep.first = FrameChunk(np.stack([pair.on for pair in pairs]), np.stack([pair.off for pair in pairs]))
         (engine,) = self._plan.engines().values()
-        self._engine = engine.learn(*self._frames(pairs[: self.size]), coloured(self._plan.frames))
+        self._engine = engine.learn(*_frames(pairs[: self.size]), self._then())
         self._plan.tell_noise(0, self._engine)
         self._sweep.first = None
 
@@ -132,10 +141,10 @@ class IncomingStripes:
         ordered = sorted(pairs, key=lambda pair: pair.number)
         for start in range(0, len(ordered), self.size):
             some = ordered[start : start + self.size]
-            numbers, (on, off) = np.array([pair.number for pair in some]), self._frames(some)
+            numbers, (on, off) = np.array([pair.number for pair in some]), _frames(some)
             phi = padded(np.array([pair.angle for pair in some], np.float32), self.size)
-            found, _, (rgb, _) = self._engine.extract(on, off, coloured(plan.frames))
-            centres = Centres(found.u, found.sigma, found.valid)
+            found, _, (rgb, _) = self._engine.extract(on, off, self._then())
+            centres = Centres(*(padded(field, self.size) for field in (found.u, found.sigma, found.valid)))
             # JAX keeps this setting per thread.
             with jax.enable_x64(False):
                 points = points_alone(plan.aim(0), centres, phi, stripe_axis=plan.stripe_axis)
@@ -163,6 +172,9 @@ class IncomingStripes:
         record, laser = np.arange(count, dtype=np.int32), np.zeros(count, np.int32)
         return Stripes(**fields, record=record, laser=laser)
 
-    def _frames(self, pairs: Sequence[RecordedPair]) -> tuple[np.ndarray, np.ndarray]:
-        on, off = (np.stack(frames) for frames in ([pair.on for pair in pairs], [pair.off for pair in pairs]))
-        return padded(on, self.size), padded(off, self.size)
+    def _then(self) -> Continuation:
+        return coloured(self._plan.frames, records=self.size)
+
+
+def _frames(pairs: Sequence[RecordedPair]) -> tuple[np.ndarray, np.ndarray]:
+    return np.stack([pair.on for pair in pairs]), np.stack([pair.off for pair in pairs])

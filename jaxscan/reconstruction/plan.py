@@ -1,8 +1,8 @@
 """The plan of a reconstruction, which all its chunks share: made once, it learns and computes each thing once."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import islice
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from jaxscan.reconstruction.colours import NOISE_RECORDS, with_learned_colour
 from jaxscan.reconstruction.points import Aim, Limits, Rig, line_gate
 from jaxscan.reconstruction.settings import ReconstructSettings
 from jaxscan.reconstruction.streaming import chunk_records
-from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
 from jaxscan.reconstruction.without_off import PredictedPairs, with_off
 from jaxscan.stripes import (
     BlackLevelError,
@@ -120,17 +120,30 @@ class Plan:
         """Where the points of a profile, and of others of the same laser, go."""
         return Aim(self.rig, np.asarray(self.sheet[profile], np.int32), Limits.of(self.settings))
 
-    def engines(self, noise: NoiseModel | None = None) -> dict[int, StripeEngine]:
+    @property
+    def learned_from(self) -> int:
+        """Records from which the engines learn."""
+        return min(NOISE_RECORDS, len(self.sweep))
+
+    def engines(self, noise: NoiseModel | None = None, first: FrameChunk | None = None) -> dict[int, StripeEngine]:
         """The engine of each laser of the sweep.
 
         Args:
             noise: Noise of a frame; learned from the start of the sweep where not given.
+            first: The first `learned_from` records, where they are read already.
 
         Raises:
             CaptureError: If a colour cannot be learned, the black level is above the picture, or stripes of two
                 lasers in one record could be mistaken for each other.
         """
         sweep, settings = self.sweep, self.settings
+        with ThreadPoolExecutor(1) as pool:
+            gates_to_come = pool.submit(lambda: self.gates)
+            # A fixed number of records, so that the result does not depend on the size of the chunks.
+            on, off = next(iter(sweep.chunks(self.learned_from))) if first is None else first
+            if noise is None:
+                noise = self._learn_noise(on, off)
+            gates_to_come.result()
         gated = settings.gate or self.lit_together
         if self.lit_together:
             _check_apart(list(self.gates.values()))
@@ -146,10 +159,6 @@ class Plan:
             )
             setups.append(setup)
             gates.append(gate if gated else whole_lines(setup, gate.near_side))
-        # A fixed number of records, so that the result does not depend on the size of the chunks.
-        ((on, off),) = islice(sweep.chunks(min(NOISE_RECORDS, len(sweep))), 1)
-        if noise is None:
-            noise = self._learn_noise(on, off)
         try:
             engines = prepare_engines(on, off, setups, noise=noise, gates=gates)
         except BlackLevelError as problem:
@@ -163,7 +172,7 @@ class Plan:
         if len(self.sweep.exposures) > 1:
             on, off = on[:, 0], None if off is None else off[:, 0]
         compressed = self.sweep.compression is not None
-        first = self.lasers[next(iter(self.gates))]
+        first = self.lasers[int(self.sweep.laser.min())]
         self.learned = learn_noise(on, off, frames=self.frames, line=first, compressed=compressed)
         self.notes.extend(self.learned.doubts)
         return self.learned.noise

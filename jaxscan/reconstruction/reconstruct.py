@@ -16,7 +16,7 @@ from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness
 from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan
 from jaxscan.reconstruction.points import Centres, Points, coloured, line_step, points_alone, sample_colours
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
-from jaxscan.reconstruction.streaming import Batch, GrowingCloud, GrowingStripes, batches, padded
+from jaxscan.reconstruction.streaming import Batch, GrowingCloud, GrowingStripes, ReadOnce, batches
 from jaxscan.reconstruction.sweep import SweepSource
 from jaxscan.stripes import (
     ChunkStripes,
@@ -25,6 +25,7 @@ from jaxscan.stripes import (
     PixelFormat,
     Stripes,
     laser_sites,
+    padded,
     pick_by_steps,
 )
 
@@ -175,14 +176,15 @@ def _extracted(
         Profiles of a record; the chunks; and the decoys' verdict, to be asked for after the last one.
     """
     sweep, size = plan.sweep, plan.size
-    engines, angles = plan.engines(noise), sweep.angles.astype(np.float32)
+    frames, angles = ReadOnce(sweep, size), sweep.angles.astype(np.float32)
+    engines = plan.engines(noise, frames.first(plan.learned_from))
     each = next(iter(engines.values())).profiles_per_record
 
     def then(batch: Batch) -> Continuation:
         if not with_points:
-            return coloured(plan.frames)
+            return coloured(plan.frames, records=size)
         phi = padded(angles[sweep.record[batch.profiles]], size)
-        return coloured(plan.frames, plan.aim(int(batch.profiles[0])), phi)
+        return coloured(plan.frames, plan.aim(int(batch.profiles[0])), phi, records=size)
 
     def search(batch: Batch) -> ChunkStripes:
         return engines[batch.laser].extract(batch.on, batch.off, then(batch))
@@ -211,7 +213,8 @@ def _extracted(
 
     def chunks() -> Iterator[tuple[np.ndarray, ChunkStripes]]:
         compiled = next(iter(engines.values())).learns
-        for profiles, result in map_ahead(compute, ready(batches(sweep, size)), workers(), compiled=compiled):
+        waiting = ready(batches(sweep, size, frames.chunks()))
+        for profiles, result in map_ahead(compute, waiting, workers(), compiled=compiled):
             yield _rows(profiles, each), result
             if progress is not None:
                 progress(int(sweep.record[profiles[-1]]) + 1, len(sweep))
@@ -249,7 +252,8 @@ def _from_stripes(
         items: Iterator[tuple[np.ndarray, Array | None]] = ((profiles, None) for profiles in _blocks(plan))
     else:
         one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, -1]
-        items = ((batch.profiles, None if batch.off is None else batch.off[one]) for batch in batches(sweep, size))
+        frames = ((batch.profiles, batch.off) for batch in batches(sweep, size))
+        items = ((profiles, None if off is None else padded(off[one], size)) for profiles, off in frames)
     for rows, points, rgb in map_ahead(compute, items, workers()):
         amplitude, valid = (np.asarray(field)[rows] for field in (stripes.amplitude, stripes.valid))
         beside = {} if along is None else along.beside(rows, np.asarray(points.sigma_random)[: len(rows)])

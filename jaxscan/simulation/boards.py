@@ -55,23 +55,16 @@ class SeenBoard:
 
     def albedo(self, bx: np.ndarray, by: np.ndarray) -> np.ndarray:
         """Albedo of the print by a quadratic spline over its cells, float32."""
+        # Here, because it loads numba.
+        from jaxscan.simulation.native_loops import between_cells
+
         p = self.picture
-        f = np.float32
-        rows, columns = p.albedo.shape
-        column = np.clip((bx - bx.dtype.type(p.origin[0])) * bx.dtype.type(1 / p.cell), 1, columns - 2).astype(f)
-        row = np.clip((by - by.dtype.type(p.origin[1])) * by.dtype.type(1 / p.cell), 1, rows - 2).astype(f)
-        j, i = (column + f(0.5)).astype(np.int32), (row + f(0.5)).astype(np.int32)
-        across, down = _spline(column - j), _spline(row - i)
-        flat = p.albedo.ravel()
-        centre = i * np.int32(columns) + j
-        total = np.zeros_like(column)
-        for m, weight in enumerate(down):
-            at = centre + np.int32((m - 1) * columns)
-            line = flat[at - 1] * across[0]
-            line += flat[at] * across[1]
-            line += flat[at + 1] * across[2]
-            line *= weight
-            total += line
+        row, column = (
+            ((place - place.dtype.type(start)) * place.dtype.type(1 / p.cell)).astype(np.float32, copy=False)
+            for place, start in ((by, p.origin[1]), (bx, p.origin[0]))
+        )
+        total = np.empty(bx.shape, np.float32)
+        between_cells(p.albedo, row.ravel(), column.ravel(), total.ravel())
         return total
 
     def normal(self) -> np.ndarray:
@@ -86,12 +79,6 @@ class SeenBoard:
         share = start[2] / np.where(crosses, start[2] - ends[:, 2], 1.0)
         place = start[:2] + share[:, None] * (ends[:, :2] - start[:2])
         return crosses & np.all((place >= self.picture.low) & (place <= self.picture.high), -1)
-
-
-def _spline(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weights of the cells before, at and after a place `t` (-1/2 ... 1/2) of the middle one."""
-    half = np.float32(0.5)
-    return half * (half - t) ** 2, np.float32(0.75) - t * t, half * (half + t) ** 2
 
 
 class Cover(NamedTuple):

@@ -3,6 +3,7 @@
 The person sees a preview, so this code may use the true rig.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from jaxscan.errors import ConfigError
 from jaxscan.simulation.rays import project
 from jaxscan.simulation.rig import Motion, Sheet, TrueRig, rodrigues
 from jaxscan.simulation.scene import Scene
-from jaxscan.simulation.settings import CameraSpec
+from jaxscan.simulation.settings import BoardsSpec, CameraSpec
 
 
 class Placement(NamedTuple):
@@ -94,7 +95,7 @@ def _draw(rig: TrueRig, rng: np.random.Generator, distance: float, *, crossed: b
     """A random pose with its middle at the given depth: beside a sheet, or anywhere in the image."""
     camera, spec = rig.config.camera, rig.config.boards
     sheet = rig.sheets[int(rng.integers(len(rig.sheets)))]
-    outline = spec.board().outline()
+    outline = _outline(spec)
     size = np.ptp(outline, axis=0)
     axis = rng.uniform(0, 2 * np.pi)
     tilt = np.deg2rad(rng.uniform(*spec.tilt_deg))
@@ -156,10 +157,20 @@ def _pixels(rig: TrueRig, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([u, v], -1), inside & (v < camera.height - 1 - _MARGIN_PX) & straight
 
 
+@lru_cache(maxsize=4)
+def _corners(spec: BoardsSpec) -> np.ndarray:
+    return spec.board().corners()
+
+
+@lru_cache(maxsize=4)
+def _outline(spec: BoardsSpec) -> np.ndarray:
+    return spec.board().outline()
+
+
 def _sees(rig: TrueRig, pose: Motion) -> bool:
     """Whether the corners that the board's kind needs are in the image."""
     spec = rig.config.boards
-    share = _pixels(rig, pose.apply(spec.board().corners()))[1].mean()
+    share = _pixels(rig, pose.apply(_corners(spec)))[1].mean()
     return bool(share == 1 if spec.type == "chessboard" else share >= 0.75)
 
 
@@ -170,7 +181,7 @@ def _faces(pose: Motion) -> bool:
 
 def _crossed(rig: TrueRig, pose: Motion) -> bool:
     """Whether a stripe runs over most of the board, in the image, and does not graze it."""
-    low, high = rig.config.boards.board().outline()[[0, 2]]
+    low, high = _outline(rig.config.boards)[[0, 2]]
     share = np.linspace(0.05, 0.95, 10)
     for sheet in rig.sheets:
         # The stripe is met by ten lines across the board, each between its ends.
@@ -212,7 +223,7 @@ def _turns(rig: TrueRig, pose: Motion, count: int) -> tuple[float, ...]:
 def _clear(rig: TrueRig, scene: Scene, pose: Motion, phi: float) -> bool:
     """Whether nothing stands before or in the board, for camera and laser, at angle `phi`."""
     spec = rig.config.boards
-    low, high = spec.board().outline()[[0, 2]] + np.array([[-1.0], [1.0]]) * spec.border_mm / 1000
+    low, high = _outline(spec)[[0, 2]] + np.array([[-1.0], [1.0]]) * spec.border_mm / 1000
     x, y = np.meshgrid(np.linspace(low[0], high[0], 5), np.linspace(low[1], high[1], 5))
     # Points behind the board by the clearance: an object that hides them would stick through it.
     grid = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, _CLEARANCE)])
@@ -225,7 +236,7 @@ def _clear(rig: TrueRig, scene: Scene, pose: Motion, phi: float) -> bool:
 def _cells(rig: TrueRig, pose: Motion) -> np.ndarray:
     """Which cells of a 6 x 8 grid over the image hold corners of the board."""
     camera = rig.config.camera
-    pixels, inside = _pixels(rig, pose.apply(rig.config.boards.board().corners()))
+    pixels, inside = _pixels(rig, pose.apply(_corners(rig.config.boards)))
     seen = np.zeros((6, 8))
     rows, columns = pixels[inside, 1] * 6 // camera.height, pixels[inside, 0] * 8 // camera.width
     seen[rows.astype(int), columns.astype(int)] = 1

@@ -1,6 +1,6 @@
 """One pair of frames: the light that arrives, and the codes that the sensor makes of it."""
 
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from jaxscan.simulation.camera import (
     vignette,
 )
 from jaxscan.simulation.light import (
+    ON_BOARD,
     LitSamples,
     LitScene,
     RowTruth,
@@ -130,14 +131,13 @@ def expect_record(
     config, sensor, sheet = rig.config, rig.config.sensor, rig.sheets[laser]
     pose, sees = rig.pose(phi), rig.rays.sees
     shot = LitScene(rig, sheet, scene, pose, None)
-    room = _look(shot)
+    room, behind, ambient = _surroundings(rig, scene, phi, laser if config.light.bounce > 0 else None)
     white = config.light.white_dn if board is None else config.boards.white_dn
-    lens = behind = lens_blur(config, room.depth)
-    off = _ambient(rig, scene, pose, room, behind) * np.float32(white)
-    scale, depth, front = 1.0, room.depth, None
+    lens, off = behind, ambient * np.float32(white)
+    scale, depth, front, facet_at = 1.0, room.depth, None, room.facet_at
     if board is not None:
         in_front = _in_view(rig, board.hit(rig.rays.x, rig.rays.y, rig.rays.z)[0])
-        depth = np.minimum(depth, in_front)
+        depth, facet_at = np.minimum(depth, in_front), partial(_facet_at, room, *_alone(room.depth, in_front))
         lens = lens_blur(config, depth)
         front = cover(rig, board, in_front, lens)
         where, fills, albedo, board = front
@@ -145,7 +145,7 @@ def expect_record(
         off[:, *where] = off[:, *where] * (1 - fills) + albedo * light + fills * shine
         scale = _board_power(rig, sheet, in_front)
     shot = shot._replace(board=board)
-    samples = lit_samples(shot, depth, lens, room.facet_at)
+    samples = lit_samples(shot, depth, lens, facet_at)
     glow: np.ndarray = laser_image(samples) * np.float32(scale)
     truth_glow, shade = glow, vignette(config)
     mirrored = mirrored_samples(shot, scene.mirror[room.triangle] > 0, depth, lens)
@@ -167,12 +167,49 @@ def expect_record(
     return ExpectedRecord(phi, placement, *frames, truth, laser, tuple(kept))
 
 
-def _look(shot: LitScene) -> View:
-    """The part of the scene that every pixel sees, without a board; where light comes back, with albedos for it."""
-    sensor = shot.rig.config.sensor
-    further = laser_channel(shot) if shot.rig.config.light.bounce > 0 else None
-    room = observe(shot.rig, shot.scene, shot.pose, channels(sensor), further)
-    return room._replace(depth=_in_view(shot.rig, room.depth))
+@lru_cache(maxsize=2)
+def _surroundings(rig: TrueRig, scene: Scene, phi: float, laser: int | None) -> tuple[View, Blur, np.ndarray]:
+    """What every pixel sees without a board, the lens's blur there, and the picture of `_ambient`.
+
+    The last two are kept: many boards are shown at one angle, and every laser at each. With a `laser`, whose light
+    comes back from the surroundings, the albedos for it are there too.
+    """
+    pose = rig.pose(phi)
+    further = None if laser is None else laser_channel(rig.sheets[laser])
+    room = observe(rig, scene, pose, channels(rig.config.sensor), further)
+    room = room._replace(depth=_in_view(rig, room.depth))
+    lens = lens_blur(rig.config, room.depth)
+    return room, lens, _ambient(rig, scene, pose, room, lens)
+
+
+def _alone(depth: np.ndarray, board: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels that show the scene alone, and those that show a board alone, also round their centres; bool.
+
+    Args:
+        depth: Of the scene in every pixel [height, width].
+        board: Of the board.
+    """
+    return _around(np.isinf(board)), _around(board * np.float32(1.01) < depth)
+
+
+def _around(true: np.ndarray) -> np.ndarray:
+    """Where something is true of a pixel and of all its neighbours, bool [height, width]."""
+    rows = true.copy()
+    rows[1:] &= true[:-1]
+    rows[:-1] &= true[1:]
+    out = rows.copy()
+    out[:, 1:] &= rows[:, :-1]
+    out[:, :-1] &= rows[:, 1:]
+    return out
+
+
+def _facet_at(
+    room: View, scene_alone: np.ndarray, board_alone: np.ndarray, rows: np.ndarray, columns: np.ndarray
+) -> np.ndarray:
+    """As `View.facet_at`, with a board in front."""
+    facet = room.facet_at(rows, columns)
+    on_board = np.where(board_alone[rows, columns] & (facet >= 0), ON_BOARD, -1)
+    return np.where(scene_alone[rows, columns], facet, on_board)
 
 
 def _in_view(rig: TrueRig, depth: np.ndarray) -> np.ndarray:

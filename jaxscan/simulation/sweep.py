@@ -59,16 +59,24 @@ def expect_boards(
         texture: Picture of the board's printed area, uint8 [rows, columns]; see `render_boards`.
         seed: Instead of the configuration's.
     """
+    return _boards(config, texture, config.seed if seed is None else seed, lambda _, record: record)
+
+
+def _boards(
+    config: SimulationConfig, texture: np.ndarray, seed: int, finish: Callable[[int, ExpectedRecord], Result]
+) -> Iterator[Result]:
+    """What is made of the records of a board capture and their numbers, in order."""
     rig, scene = make_rig(config), make_scene(config, boards=config.object is not None)
     picture = make_print(config.boards, texture)
-    placements = plan_boards(rig, scene, _generator(config.seed if seed is None else seed, _PLAN, 0))
+    placements = plan_boards(rig, scene, _generator(seed, _PLAN, 0))
+    jobs = [(one, phi, index) for one in placements for phi in one.angles for index in range(len(rig.sheets))]
 
-    def expect(job: tuple[Placement, float, int]) -> ExpectedRecord:
-        placement, phi, index = job
+    def make(job: tuple[int, tuple[Placement, float, int]]) -> Result:
+        number, (placement, phi, index) = job
         board = SeenBoard(picture, placement.scanner_from_board.inverse() @ rig.pose(phi))
-        return expect_record(rig, scene, phi, laser=index, board=board, placement=placement.number)
+        return finish(number, expect_record(rig, scene, phi, laser=index, board=board, placement=placement.number))
 
-    return _ahead(expect, [(one, phi, n) for one in placements for phi in one.angles for n in range(len(rig.sheets))])
+    return _ahead(make, enumerate(jobs))
 
 
 def render_sweep(
@@ -113,8 +121,9 @@ def render_boards(
         seed: Of poses and noise, instead of the configuration's.
     """
     seed = config.seed if seed is None else seed
-    for number, record in enumerate(expect_boards(config, texture, seed=seed)):
-        yield develop(record, config, _generator(seed, _BOARDS, number))
+    return _boards(
+        config, texture, seed, lambda number, record: develop(record, config, _generator(seed, _BOARDS, number))
+    )
 
 
 def true_cloud(records: Iterable[ExpectedRecord | RenderedRecord]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,8 +5,9 @@ all of it for frames in memory.
 """
 
 from jaxscan.stripes.choosing import chosen_of, pick_by_steps
+from jaxscan.stripes.continuation import ChunkStripes, Continuation, padded
 from jaxscan.stripes.dark import Channels, box_mean, predict_off, read_channels, warped
-from jaxscan.stripes.engine import ChunkStripes, Continuation, StripeEngine, prepare_engines, stripes_of_frames
+from jaxscan.stripes.engine import StripeEngine, prepare_engines, stripes_of_frames
 from jaxscan.stripes.estimators import ESTIMATORS, Estimator, estimator_of
 from jaxscan.stripes.extract import extract_stripes
 from jaxscan.stripes.frames import (

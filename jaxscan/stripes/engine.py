@@ -1,21 +1,26 @@
 """The stripe engine: learn from the first frames, then frames of one laser to stripes, natively or by XLA."""
 
 import functools
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Int8, UInt8
+from jaxtyping import UInt8
 
 from jaxscan.geometry import Array
 from jaxscan.stripes.channels import doubted, doubts_of, other_channels
 from jaxscan.stripes.choosing import choose_stripes, chosen_of
+from jaxscan.stripes.continuation import (
+    NOTHING_MORE,
+    ChunkStripes,
+    Continuation,
+    continue_stripes,
+    merge_channels,
+    padded,
+)
 from jaxscan.stripes.estimators import Estimator, estimator_of
-from jaxscan.stripes.exposures import merge_brackets
 from jaxscan.stripes.frames import LaserLine, check_black, learn_noise, with_colour
 from jaxscan.stripes.search import (
     LEARNED_FRAMES,
@@ -33,32 +38,6 @@ from jaxscan.stripes.search import (
 )
 from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.stripes import FrameStripes, NoiseModel
-
-
-class ChunkStripes(NamedTuple):
-    """Stripes of a chunk of records."""
-
-    stripes: FrameStripes
-    chosen: Int8[Array, "records lines"] | None
-    """Of several candidates of every line the number of the stripe, -1 for none; None where one is given."""
-    more: Any
-    """The result of the continuation."""
-
-
-class Continuation(eqx.Module):
-    """Work that is compiled together with the extraction."""
-
-    function: Callable[[FrameStripes, Array | None, Any, Any, ExtractionSetup], Any] = eqx.field(static=True)
-    """Takes the stripes, the laser-off frames, both operands and the setup; pure and traceable."""
-    shared: Any = None
-    """Arrays that all records share."""
-    per_record: Any = None
-    """Arrays with a leading axis over records."""
-    needs_frames: bool = eqx.field(static=True, default=False)
-    """Whether `function` looks at the laser-off frames."""
-
-
-NOTHING_MORE = Continuation(lambda *_: None)
 
 
 class StripeEngine(eqx.Module):
@@ -107,8 +86,7 @@ class StripeEngine(eqx.Module):
     def learn(self, on: Array, off: Array | None, then: Continuation = NOTHING_MORE) -> "StripeEngine":
         """The engine that knows width and speckle of the stripes in the first frames, where the settings ask for it.
 
-        Arguments as of `extract`, so that nothing else is compiled. Frames from which nothing is learned are left
-        black, which costs little.
+        Arguments as of `extract`, so that nothing else is compiled.
         """
         if self.channels:
             engines = [one.learn(on, off) for one in (self.own_channel(), *self.channels)]
@@ -117,7 +95,7 @@ class StripeEngine(eqx.Module):
             return StripeEngine(self.setup, engines[0].search, tuple(engines[1:]), self.responses, doubts)
         if not self.learns:
             return self
-        on, off = _first(on), None if off is None else _first(off)
+        on, off = on[:LEARNED_FRAMES], None if off is None else off[:LEARNED_FRAMES]
         plain = self.extract(on, off, then)
         first = chosen_of(plain.stripes, plain.chosen)
         search = learn_search(self.search, first, self.setup)
@@ -142,12 +120,25 @@ class StripeEngine(eqx.Module):
         Returns:
             NumPy arrays in memory of their own.
         """
+        native, count = self._is_native(off), len(on)
+        if then.records and (self.channels or not native):
+            on, off = padded(on, then.records), None if off is None else padded(off, then.records)
         if self.channels:
-            return self._of_channels(on, off, then)
+            return _cut(self._of_channels(on, off, then), count, then.records)
         if len(self.setup.exposures) > 1:
             on, off = on.reshape(-1, *on.shape[2:]), None if off is None else off.reshape(-1, *off.shape[2:])
         with jax.enable_x64(False):
-            return jax.tree.map(np.asarray, self._compute(on, off, then))
+            if native and off is not None:
+                planes = host_planes(on, off, self.search, self.setup)
+                found = compute_natively(self, planes, off, then)
+            else:
+                found = self._compute(on, off, then)
+            return _cut(jax.tree.map(np.asarray, found), count, then.records)
+
+    def _is_native(self, off: Array | None) -> bool:
+        """Whether stripes are found natively: on a CPU alone, in pairs, by an estimator that can."""
+        alone = jax.default_backend() == "cpu" and len(jax.local_devices()) == 1
+        return alone and off is not None and self.estimator.find_natively is not None
 
     def _of_channels(self, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
         """Of every line the channel in which its stripe is known best."""
@@ -165,18 +156,14 @@ class StripeEngine(eqx.Module):
             split = NamedSharding(mesh, PartitionSpec("frames"))
             on, off = jax.device_put(on, split), None if off is None else jax.device_put(off, split)
             return _on_devices(mesh, self, on, off, then)
-        if off is not None and jax.default_backend() == "cpu" and self.estimator.locate_natively is not None:
-            return compute_natively(self, host_planes(on, off, self.search, self.setup), off, then)
         return _at_once(self, on, off, then)
 
 
-def _first(frames: Array) -> Array:
-    """As many frames, of which those to learn from are kept and the others are black."""
-    if len(frames) <= LEARNED_FRAMES:
-        return frames
-    few = np.zeros(frames.shape, np.uint8)
-    few[:LEARNED_FRAMES] = frames[:LEARNED_FRAMES]
-    return few
+def _cut(found: ChunkStripes, count: int, records: int) -> ChunkStripes:
+    """Of results of so many records those of the first ones."""
+    if records <= count:
+        return found
+    return jax.tree.map(lambda field: field[: len(field) // records * count], found)
 
 
 def prepare_engines(
@@ -241,49 +228,31 @@ def compute_at_once(engine: StripeEngine, on: Array, off: Array | None, then: Co
 
 
 def compute_natively(engine: StripeEngine, planes: Planes, off: Array | None, then: Continuation) -> ChunkStripes:
-    """The search natively, the rest by XLA."""
-    locate = engine.estimator.locate_natively or engine.estimator.locate
-    located = locate(planes, engine.search, engine.setup)
-    return _from_located(engine, (located, planes.lamp_ratio), off if then.needs_frames else None, then)
+    """The stripes natively, exposures and the continuation by XLA."""
+    find, setup = engine.estimator.find_natively, engine.setup
+    if find is None:
+        raise ValueError(f"The estimator {setup.settings.estimator!r} has no native code.")
+    stripes, chosen = find(planes, engine.search, setup)
+    if then is NOTHING_MORE and len(setup.exposures) == 1:
+        return ChunkStripes(stripes, chosen, None)
+    each = len(stripes.u) // max(len(planes.on), 1)
+    records = then.records or len(planes.on) // len(setup.exposures)
+    frames = records * len(setup.exposures)
+    stripes = FrameStripes(*(padded(field, frames * each) for field in stripes))
+    chosen = None if chosen is None else padded(chosen, frames)
+    off = padded(off, frames) if then.needs_frames and off is not None else None
+    return _from_stripes(stripes, chosen, off, then, setup)
 
 
 def _finish(engine: StripeEngine, located: tuple, off: Array | None, then: Continuation) -> ChunkStripes:
     """Measure, choose, merge exposures, continue."""
     setup, search = engine.setup, engine.search
     measured = engine.estimator.measure(located[0], located[1], search, setup)
-    stripes, chosen = choose_stripes(measured, search, setup)
-    if len(setup.exposures) > 1:
-        each = measured.slots.shape[2] if setup.several else 1
-        stripes, chosen = merge_brackets(stripes, chosen, setup.exposures, each)
-        # The longest exposure shows the dark parts best.
-        off = None if off is None else off[len(setup.exposures) - 1 :: len(setup.exposures)]
-    return ChunkStripes(stripes, chosen, then.function(stripes, off, then.shared, then.per_record, setup))
+    return continue_stripes(*choose_stripes(measured, search, setup), off, then, setup)
 
 
-def merge_channels(
-    parts: list[tuple[FrameStripes, Array | None]],
-    off: Array | None,
-    then: Continuation,
-    setup: ExtractionSetup,
-    responses: tuple[float, ...],
-) -> ChunkStripes:
-    """Channels chosen like exposures, amplitudes as the first one sees them, and the continuation."""
-    each = estimator_of(setup.settings).candidates if setup.several else 1
-
-    def together(fields, each):
-        # [channels][records * each, lines] to [records * channels * each, lines].
-        lines = fields[0].shape[1]
-        return jnp.stack([field.reshape(-1, each, lines) for field in fields], 1).reshape(-1, lines)
-
-    stripes = jax.tree.map(lambda *fields: together(fields, each), *(one for one, _ in parts))
-    numbers = [number for _, number in parts if number is not None]
-    merged, chosen = merge_brackets(stripes, together(numbers, 1) if numbers else None, responses, each)
-    if off is not None and len(setup.exposures) > 1:
-        off = off[:, -1]
-    return ChunkStripes(merged, chosen, then.function(merged, off, then.shared, then.per_record, setup))
-
-
-_at_once, _from_located = jax.jit(compute_at_once), jax.jit(_finish)
+_at_once = jax.jit(compute_at_once)
+_from_stripes = jax.jit(continue_stripes, static_argnums=4)
 _merge_channels = jax.jit(merge_channels, static_argnums=(3, 4))
 
 
@@ -291,6 +260,11 @@ _merge_channels = jax.jit(merge_channels, static_argnums=(3, 4))
 def _on_devices(mesh: Mesh, engine: StripeEngine, on: Array, off: Array | None, then: Continuation) -> ChunkStripes:
     """All local devices take the same number of frames each; no frame needs another one."""
     frames, everywhere = PartitionSpec("frames"), PartitionSpec()
-    specs = (everywhere, frames, frames, Continuation(then.function, everywhere, frames, then.needs_frames))
+    specs = (
+        everywhere,
+        frames,
+        frames,
+        Continuation(then.function, everywhere, frames, then.needs_frames, then.records),
+    )
     call = jax.shard_map(compute_at_once, mesh=mesh, in_specs=specs, out_specs=frames, check_vma=False)
     return call(engine, on, off, then)

@@ -7,3 +7,4 @@ from jaxscan.vision.images import MAX_PIXELS, decode_image, encode_png, is_jpeg,
 from jaxscan.vision.other_boards import name_other_board
 from jaxscan.vision.prints import draw_print
 from jaxscan.vision.video import Video
+from jaxscan.vision.zstd import encode_zstd

@@ -1,4 +1,4 @@
-"""Image files in memory: uint8 arrays to PNG, and PNG, TIFF, JPEG or BMP to uint8 arrays.
+"""Image files in memory: uint8 arrays to PNG, and PNG, packed frames, TIFF, JPEG or BMP to uint8 arrays.
 
 OpenCV's BGR order of colours is used in this file only.
 """
@@ -13,6 +13,7 @@ from jaxscan.errors import CaptureError, DependencyError
 from jaxscan.geometry import MAX_PIXELS
 from jaxscan.vision.png import SIGNATURE, decode_png, png_size
 from jaxscan.vision.tiff import Tiff
+from jaxscan.vision.zstd import MAGIC, decode_zstd, zstd_size
 
 
 # Failures are errors of ours, in one line; OpenCV would also print them.
@@ -71,8 +72,10 @@ def through_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
     return np.asarray(cv2.cvtColor(back, cv2.COLOR_BGR2RGB) if image.ndim == 3 else back, np.uint8)
 
 
-def decode_image(data: bytes, *, name: str, rank: int | None, size: tuple[int, int] | None) -> np.ndarray:
-    """One frame from the bytes of a PNG, TIFF, JPEG or BMP file; a damaged file gives no picture.
+def decode_image(
+    data: bytes, *, name: str, rank: int | None, size: tuple[int, int] | None, out: np.ndarray | None = None
+) -> np.ndarray:
+    """One frame from the bytes of a PNG, packed (`encode_zstd`), TIFF, JPEG or BMP file; none of a damaged file.
 
     Damage is not noticed where nothing in the file could tell: other pixels in a BMP or in a TIFF that is not packed
     by deflate, if the lengths still fit, and other codes in a JPEG that mean something.
@@ -82,6 +85,7 @@ def decode_image(data: bytes, *, name: str, rank: int | None, size: tuple[int, i
         name: The file's name in messages.
         rank: 2 for grey or raw Bayer, 3 for colour, or None for any.
         size: Width and height that it must have [px], or None for any.
+        out: Memory for the image; used, filled and returned where it has its shape and the decoder can fill it.
 
     Returns:
         uint8 [rows, columns], or RGB [rows, columns, 3].
@@ -92,7 +96,7 @@ def decode_image(data: bytes, *, name: str, rank: int | None, size: tuple[int, i
     kind = _kind(data, name)
     try:
         _check_size(_SIZES[kind](data), name, size)
-        image = _DECODERS[kind](data)
+        image = _DECODERS[kind](data, out)
     except ValueError as problem:
         raise CaptureError(f"{name}: cannot be decoded; the file is damaged: {problem}.") from problem
     _check_size((image.shape[1], image.shape[0]), name, size)
@@ -105,7 +109,7 @@ def decode_image(data: bytes, *, name: str, rank: int | None, size: tuple[int, i
         raise CaptureError(f"{name}: found a colour image, expected a grey one (or set pixel_format to rgb8).")
     if rank == 3 and channels == 1:
         raise CaptureError(f"{name}: found a grey image, expected a colour one (rgb8).")
-    return image.reshape(image.shape[:2]) if channels == 1 else image
+    return image.reshape(image.shape[:2]) if channels == 1 and image.ndim == 3 else image
 
 
 def is_jpeg(data: bytes) -> bool:
@@ -153,7 +157,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
     raise ValueError("its size was not found")
 
 
-def _decode_jpeg(data: bytes) -> np.ndarray:
+def _decode_jpeg(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
     """Pixels of a JPEG; a mere warning of libjpeg, as of missing data, is an error."""
     try:
         import simplejpeg
@@ -168,17 +172,17 @@ def _decode_jpeg(data: bytes) -> np.ndarray:
     return np.asarray(simplejpeg.decode_jpeg(data, "GRAY" if space == "GRAY" else "RGB"))
 
 
-def _decode_png(data: bytes) -> np.ndarray:
-    found = decode_png(data)
+def _decode_png(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
+    found = decode_png(data, out)
     return _by_opencv(found) if isinstance(found, bytes) else found
 
 
-def _decode_tiff(data: bytes) -> np.ndarray:
+def _decode_tiff(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
     Tiff.of(data).check()
     return _by_opencv(data)
 
 
-def _by_opencv(data: bytes) -> np.ndarray:
+def _by_opencv(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
     """Pixels as stored; also a rotation in the EXIF data is ignored, so that pixels keep their places on the sensor."""
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -194,6 +198,7 @@ _BEGINNINGS: dict[str, bytes | tuple[bytes, ...]] = {
     "BMP": b"BM",
     "JPEG": b"\xff\xd8\xff",
     "TIFF": (b"II*\0", b"MM\0*"),
+    "packed": MAGIC,
 }
 # Each reads the size before a decoder takes memory for it.
 _SIZES: dict[str, Callable[[bytes], tuple[int, int]]] = {
@@ -201,10 +206,13 @@ _SIZES: dict[str, Callable[[bytes], tuple[int, int]]] = {
     "BMP": _bmp_size,
     "JPEG": _jpeg_size,
     "TIFF": lambda data: Tiff.of(data).size(),
+    "packed": zstd_size,
 }
-_DECODERS: dict[str, Callable[[bytes], np.ndarray]] = {
+# Some fill the memory that they are given, if it has the shape of the image.
+_DECODERS: dict[str, Callable[[bytes, np.ndarray | None], np.ndarray]] = {
     "PNG": _decode_png,
     "BMP": _by_opencv,
     "JPEG": _decode_jpeg,
     "TIFF": _decode_tiff,
+    "packed": decode_zstd,
 }

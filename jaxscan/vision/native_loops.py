@@ -1,4 +1,4 @@
-"""Loops over the bytes of image files, compiled: undoing PNG's filters, and the lengths of packed data."""
+"""Loops over the bytes of image files, compiled: undoing differences of rows, and the lengths of packed data."""
 
 from typing import no_type_check
 
@@ -68,6 +68,26 @@ def unfilter(rows: np.ndarray, pixel: int, out: np.ndarray) -> bool:
                 new[i] = row[i] + nearest
         last = new
     return True
+
+
+@_compiled
+@no_type_check
+def add_rows(differences: np.ndarray, step: int, out: np.ndarray) -> None:
+    """Undo differences to the row `step` above, modulo 256; zeros stand above.
+
+    Args:
+        differences: uint8 [rows, bytes].
+        step: 1 or more.
+        out: uint8 [rows, bytes], to be filled.
+    """
+    height, width = out.shape
+    for r in range(min(step, height)):
+        out[r] = differences[r]
+    # A loop of its own, without a branch: so it takes 16 bytes and more at a time.
+    for r in range(step, height):
+        row, above, new = differences[r], out[r - step], out[r]
+        for i in range(width):
+            new[i] = row[i] + above[i]
 
 
 @_compiled

@@ -29,11 +29,12 @@ def png_size(data: bytes) -> tuple[int, int]:
     return width, height
 
 
-def decode_png(data: bytes) -> np.ndarray | bytes:
+def decode_png(data: bytes, out: np.ndarray | None = None) -> np.ndarray | bytes:
     """The pixels of a PNG, after all of the file has been checked. A tRNS chunk is ignored.
 
     Args:
         data: The whole file. The caller has checked its size.
+        out: Filled and returned where it has the shape of the image, whose samples have 8 bits without a palette.
 
     Returns:
         uint8 [rows, columns], or RGB [rows, columns, 3], where samples have 8 bits and rows are whole. For other kinds
@@ -70,7 +71,10 @@ def decode_png(data: bytes) -> np.ndarray | bytes:
     from jaxscan.vision.native_loops import unfilter
 
     channels = _CHANNELS[colour]
-    pixels = np.empty((height, width * channels), np.uint8)
+    shape = (height, width, channels) if channels > 1 else (height, width)
+    if colour == 3 or out is None or out.shape != shape or not out.flags.c_contiguous:
+        out = np.empty(shape, np.uint8)
+    pixels = out.reshape(height, -1)
     if not unfilter(np.frombuffer(raw, np.uint8).reshape(height, -1), channels, pixels):
         raise ValueError("it has a row with an unknown filter")
     if colour == 3:
@@ -78,7 +82,7 @@ def decode_png(data: bytes) -> np.ndarray | bytes:
         if pixels.max() >= len(colours):
             raise ValueError("it has a pixel whose colour is not in its palette")
         return colours[pixels]
-    return pixels.reshape(height, width, channels) if channels > 1 else pixels
+    return out
 
 
 def _chunks(data: bytes) -> dict[bytes, bytes]:

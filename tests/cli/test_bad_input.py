@@ -55,7 +55,7 @@ def calibrate(tmp_path, refused):
 
 def planned(capture):
     """The parts that would be solved and the one sentence about the others; no image is read, since none can be."""
-    for image in capture.glob("*/*.png"):
+    for image in capture.glob("*/*.zst"):
         image.write_bytes(b"no picture")
     rig = api.plan_calibration([jaxscan.open_capture(capture)])
     (message,) = rig.missing
@@ -65,27 +65,27 @@ def planned(capture):
 
 class TestImages:
     def test_missing(self, sweep, reconstruct):
-        (sweep / "on" / "000007.png").unlink()
-        assert "on/000007.png: no such file" in reconstruct(sweep)
+        (sweep / "on" / "000007.zst").unlink()
+        assert "on/000007.zst: no such file" in reconstruct(sweep)
 
     def test_truncated(self, sweep, reconstruct):
-        image = sweep / "off" / "000011.png"
+        image = sweep / "off" / "000011.zst"
         image.write_bytes(image.read_bytes()[:-2000])
-        assert "off/000011.png" in reconstruct(sweep)
+        assert "off/000011.zst" in reconstruct(sweep)
 
     def test_empty(self, sweep, reconstruct):
-        (sweep / "on" / "000000.png").write_bytes(b"")
-        assert "on/000000.png" in reconstruct(sweep)
+        (sweep / "on" / "000000.zst").write_bytes(b"")
+        assert "on/000000.zst" in reconstruct(sweep)
 
     def test_wrong_size(self, sweep, reconstruct):
-        (sweep / "on" / "000003.png").write_bytes(encode_png(np.zeros((256, 318), np.uint8)))
+        (sweep / "on" / "000003.zst").write_bytes(encode_png(np.zeros((256, 318), np.uint8)))
         message = reconstruct(sweep)
-        assert "on/000003.png" in message and "318" in message and "320" in message
+        assert "on/000003.zst" in message and "318" in message and "320" in message
 
     def test_truncated_board(self, boards, calibrate):
-        image = boards / "off" / "000002.png"
+        image = boards / "off" / "000002.zst"
         image.write_bytes(image.read_bytes()[:3000])
-        assert "off/000002.png" in calibrate(boards)
+        assert "off/000002.zst" in calibrate(boards)
 
 
 class TestJournal:
@@ -113,7 +113,7 @@ class TestJournal:
         assert "line 5" in message and "inside the capture's folder" in message
 
     def test_a_link_that_leaves_the_folder(self, sweep, tmp_path, reconstruct):
-        image = sweep / "on" / "000004.png"
+        image = sweep / "on" / "000004.zst"
         shutil.move(image, tmp_path / "elsewhere.png")
         image.symlink_to(tmp_path / "elsewhere.png")
         assert "leads out of the capture's folder" in reconstruct(sweep)

@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 
@@ -33,13 +34,21 @@ def test_there_and_back(room, run, tmp_path):
         "records": 4,
     }
     assert (tmp_path / "fast/on/000000.npy").is_file()
-    assert run("convert", tmp_path / "fast", tmp_path / "back", "--storage", "png").code == 0
+    assert run("convert", tmp_path / "fast", tmp_path / "back", "--storage", "zstd").code == 0
     *lines, seal = (json.loads(line) for line in (tmp_path / "back/frames.jsonl").read_text().splitlines())
     bare = [{key: value for key, value in line.items() if key != "sha256"} for line in lines]
     assert bare == [json.loads(line) for line in (room / "frames.jsonl").read_text().splitlines()]
     assert seal["event"] == "seal" and seal["sealed_records"] == 4
     (chunk,) = open_capture(tmp_path / "back").chunks(4)
     assert np.array_equal(chunk.off, FRAMES[1::2])
+
+
+def test_every_frame_is_there_as_png_after_one_command(room, run, tmp_path):
+    """Read by OpenCV, as any other program would."""
+    assert run("convert", room, tmp_path / "pictures", "--storage", "png").code == 0
+    for k, side in enumerate(("on", "off") * 4):
+        found = cv2.imread(str(tmp_path / f"pictures/{side}/{k // 2:06d}.png"), cv2.IMREAD_UNCHANGED)
+        assert np.array_equal(found, FRAMES[k])
 
 
 def test_what_is_refused(room, refused, run, tmp_path):

@@ -71,7 +71,10 @@ def kept(camera):
 
 @pytest.fixture
 def paper(monkeypatch):
-    return Paper(monkeypatch)
+    """Ctrl-C is heard as in a shell, also where the tests were started with it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield Paper(monkeypatch)
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

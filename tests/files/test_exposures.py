@@ -44,12 +44,12 @@ def refused(folder, *patterns):
 def test_the_mean_is_rounded_to_the_nearest_and_halves_to_even(levels):
     target = np.empty((2, 3), np.uint8)
     images = [ImageRef(str(level), exposure_s=0.1) for level in levels]
-    average(images, target, lambda one: np.full((2, 3), int(one.path), np.uint8))
+    average(images, target, lambda one, out: np.full((2, 3), int(one.path), np.uint8))
     # Python's own rounding of exact fractions.
     assert (target == round(Fraction(sum(levels), len(levels)))).all()
 
 
-@pytest.mark.parametrize("storage", ["png", "npy"])
+@pytest.mark.parametrize("storage", ["zstd", "png", "npy"])
 def test_repetitions_are_averaged(tmp_path, storage):
     with create_capture(tmp_path / "room", header(), storage=storage) as capture:
         for k in range(5):
@@ -64,7 +64,7 @@ def test_repetitions_are_averaged(tmp_path, storage):
     assert np.array_equal(read.frames(4)[1], expected[4, 1])
 
 
-@pytest.mark.parametrize("storage", ["png", "npy"])
+@pytest.mark.parametrize("storage", ["zstd", "png", "npy"])
 def test_brackets_come_with_their_exposures_ascending(tmp_path, storage):
     with create_capture(tmp_path / "room", header(), storage=storage) as capture:
         for k in range(6):
@@ -78,7 +78,7 @@ def test_brackets_come_with_their_exposures_ascending(tmp_path, storage):
     (chunk,) = read.chunks(6)
     assert chunk.on.shape == (6, 3, 4, 6) and np.array_equal(chunk.on, on) and np.array_equal(chunk.off, off)
     # Only frames that already lie in the order in which they are given need no copy.
-    assert chunk.on.flags.writeable and chunk.off.flags.writeable == (storage == "png")
+    assert chunk.on.flags.writeable and chunk.off.flags.writeable == (storage != "npy")
     assert np.array_equal(np.concatenate([part.off for part in read.chunks(4)]), off)
     assert np.array_equal(read.frames(2)[0], on[2])
 
@@ -181,8 +181,8 @@ def test_the_writer_refuses_what_no_reader_takes(tmp_path):
         capture.append(angle_deg=1.0, on=shots(0, 0.1, 0.2), off=shots(2, 0.2, 0.1))
     lines = [json.loads(line) for line in (tmp_path / "room/frames.jsonl").read_text().splitlines()]
     assert lines[-1]["on"] == [
-        {"file": "on/000001_0.png", "exposure_s": 0.1},
-        {"file": "on/000001_1.png", "exposure_s": 0.2},
+        {"file": "on/000001_0.zst", "exposure_s": 0.1},
+        {"file": "on/000001_1.zst", "exposure_s": 0.2},
     ]
     assert len(open_capture(tmp_path / "room")) == 2
 

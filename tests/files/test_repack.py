@@ -62,7 +62,10 @@ def test_there_and_back(folder, tmp_path):
     same(folder.path, fast)
     (chunk,) = open_capture(fast).chunks(5)
     assert not chunk.on.flags.writeable
-    repack_capture(fast, tmp_path / "back", storage="png")
+    repack_capture(fast, tmp_path / "packed", storage="zstd")
+    assert [line["off"] for line in records_of(tmp_path / "packed")] == [f"off/{k:06d}.zst" for k in range(5)]
+    same(folder.path, tmp_path / "packed")
+    repack_capture(tmp_path / "packed", tmp_path / "back", storage="png")
     assert records_of(tmp_path / "back") == lines(folder.path)
     same(folder.path, tmp_path / "back")
 

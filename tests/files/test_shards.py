@@ -286,7 +286,7 @@ def test_more_shards_than_may_be_open(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("storage", ["npy", "png"])
+@pytest.mark.parametrize("storage", ["npy", "png", "zstd"])
 def test_a_killed_writer_leaves_a_capture_of_the_records_before(tmp_path, storage):
     """Frame k is filled with k: every frame that is read is complete, and resuming appends after it."""
     code = f"""

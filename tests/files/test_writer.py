@@ -50,8 +50,8 @@ def test_what_is_written_is_read(tmp_path, durable):
     assert journal(path)[2] == {
         "i": 2,
         "angle_deg": 0.2,
-        "on": "on/000002.png",
-        "off": "off/000002.png",
+        "on": "on/000002.zst",
+        "off": "off/000002.zst",
         "microsteps": 2,
     }
     assert sorted(os.listdir(path)) == ["capture.toml", "frames.jsonl", "off", "on"]
@@ -113,7 +113,7 @@ def test_lines_follow_images_in_order(tmp_path, monkeypatch):
     release, original = threading.Event(), store.write_atomically
 
     def slow(path, content, **keys):
-        if path.name == "000000.png":
+        if path.name == "000000.zst":
             assert release.wait(timeout=30)
         original(path, content, **keys)
 
@@ -132,7 +132,7 @@ def test_a_full_disk_is_one_clear_error_and_keeps_what_is_complete(tmp_path, mon
     original = store.write_atomically
 
     def full(path, content, **keys):
-        if path.name == "000002.png":
+        if path.name == "000002.zst":
 
             def content(_):
                 raise OSError(errno.ENOSPC, "No space left on device")
@@ -144,14 +144,14 @@ def test_a_full_disk_is_one_clear_error_and_keeps_what_is_complete(tmp_path, mon
     for k in range(2):
         capture.append(angle_deg=float(k), on=FRAMES[k])
     capture.append(angle_deg=2.0, on=FRAMES[2])
-    with pytest.raises(CaptureError, match=r"on/000002\.png: cannot be written: No space left on device"):
+    with pytest.raises(CaptureError, match=r"on/000002\.zst: cannot be written: No space left on device"):
         capture.flush()
     # The record after a lost one must not slip in, and closing is quiet: the error has been raised.
     with pytest.raises(CaptureError, match="No space left"):
         capture.append(angle_deg=3.0, on=FRAMES[3])
     capture.close()
     assert len(open_capture(tmp_path / "room")) == 2
-    assert sorted(os.listdir(tmp_path / "room" / "on")) == ["000000.png", "000001.png"]
+    assert sorted(os.listdir(tmp_path / "room" / "on")) == ["000000.zst", "000001.zst"]
 
 
 def test_an_interrupt_keeps_the_records_so_far(tmp_path):
@@ -201,7 +201,7 @@ def test_records_that_do_not_fit(tmp_path, keys, message):
             capture.append(**keys)
         # Nothing of it is left, and the next record is as good as ever.
         assert capture.append(angle_deg=0.0, on=FRAMES[0]) == 0
-    assert os.listdir(tmp_path / "room" / "on") == ["000000.png"]
+    assert os.listdir(tmp_path / "room" / "on") == ["000000.zst"]
     assert len(open_capture(tmp_path / "room")) == 1
 
 
@@ -246,7 +246,7 @@ def test_a_capture_is_not_begun_through_a_link(tmp_path):
     assert not list((tmp_path / "elsewhere").iterdir()) and not (tmp_path / "room" / "capture.toml").exists()
 
 
-@pytest.mark.parametrize("storage", ["png", "npy"])
+@pytest.mark.parametrize("storage", ["zstd", "png", "npy"])
 def test_resuming_writes_through_no_link(tmp_path, storage):
     """A capture of a stranger may hold links under all the names that the next records will have."""
     path = tmp_path / "room"
@@ -256,7 +256,10 @@ def test_resuming_writes_through_no_link(tmp_path, storage):
     (tmp_path / "victim").write_bytes(b"precious")
     names = [f"{k:06d}{retake}" for k in range(8) for retake in ("", "-1", "_0")]
     for side in ("on", "off"):
-        for name in (*[f"{name}.png" for name in names], *[f"{k:06d}.npy" for k in range(1, 6)]):
+        for name in (
+            *[name + end for name in names for end in (".zst", ".png")],
+            *[f"{k:06d}.npy" for k in range(1, 6)],
+        ):
             if not (path / side / name).exists():
                 leads_to = tmp_path / ("victim" if side == "on" else "made")
                 (path / side / name).symlink_to(leads_to)

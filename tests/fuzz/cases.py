@@ -116,7 +116,7 @@ def _reconstruct_with(draft: Draft) -> Case:
 def _repack(draft: Draft) -> Case:
     name = draft.rng.choice(("unsealed", "sealed", "shards"))
     capture = _changed_capture(draft, name)
-    words = ["convert", str(capture), draft.output("new"), "--storage", draft.rng.choice(("npy", "png"))]
+    words = ["convert", str(capture), draft.output("new"), "--storage", draft.rng.choice(("npy", "png", "zstd"))]
     return Case(f"convert {name}", words, {f"{OUT}/new"})
 
 

@@ -76,11 +76,14 @@ def make_corpus(tiny: Path, folder: Path, configs: Path) -> None:
     folder.mkdir(parents=True)
     for name in ("calibration.json", "calibration.npz"):
         shutil.copy(tiny / name, folder / name)
-    _thinned(tiny / "captures" / "sweep", folder / "unsealed", RECORDS, plain=True)
+    pictures = folder / "pictures"
+    assert main(["convert", str(tiny / "captures" / "sweep"), str(pictures), "--storage", "png"]) == 0
+    _thinned(pictures, folder / "unsealed", RECORDS, plain=True)
+    shutil.rmtree(pictures)
     _thinned(tiny / "captures" / "boards", folder / "boards", VIEWS, plain=True)
     # A capture is sealed when it is copied into another storage.
     assert main(["convert", str(folder / "unsealed"), str(folder / "shards"), "--storage", "npy"]) == 0
-    assert main(["convert", str(folder / "shards"), str(folder / "sealed"), "--storage", "png"]) == 0
+    assert main(["convert", str(folder / "shards"), str(folder / "sealed"), "--storage", "zstd"]) == 0
     reconstruct = ["reconstruct", str(folder / "unsealed"), "-c", str(folder / "calibration.json")]
     assert main([*reconstruct, "--no-cache", "-o", str(folder / "cloud.npz")]) == 0
     assert main([*reconstruct, "-o", str(folder / "cloud.ply"), "--json", str(folder / "reconstruct.json")]) == 0

@@ -1,4 +1,4 @@
-"""Changes of image files: chunks of PNG, other formats and sizes, pixels that are not those of the record."""
+"""Changes of image files: parts of PNG and of packed frames, other formats and sizes, pixels of others."""
 
 import random
 import struct
@@ -6,6 +6,10 @@ import zlib
 
 import cv2
 import numpy as np
+import zstandard
+
+from jaxscan.vision import decode_image
+from jaxscan.vision.zstd import MAGIC
 
 from .texts import change_bytes
 
@@ -16,7 +20,7 @@ def change_image(rng: random.Random, data: bytes) -> bytes:
         case 0:
             return change_bytes(rng, data)
         case 1:
-            return _chunks_changed(rng, data)
+            return _chunks_changed(rng, data) if data.startswith(b"\x89PNG") else _packed_changed(rng, data)
         case 2:
             return _other_kind(rng, _pixels(data))
         case 3:
@@ -26,7 +30,7 @@ def change_image(rng: random.Random, data: bytes) -> bytes:
 
 
 def _pixels(data: bytes) -> np.ndarray:
-    return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
+    return decode_image(data, name="image", rank=None, size=None)
 
 
 def _encoded(suffix: str, image: np.ndarray, options: tuple[int, ...] = ()) -> bytes:
@@ -73,6 +77,34 @@ def _other_pixels(rng: random.Random, image: np.ndarray) -> np.ndarray:
             return noise
         case _:
             return 255 - image
+
+
+def _packed_changed(rng: random.Random, data: bytes) -> bytes:
+    """A packed frame whose header says something else, with a checksum that fits or not, or with other data."""
+    start = len(MAGIC)
+    columns, rows, channels, step, length, _ = struct.unpack("<IIHHII", data[start : start + 20])
+    packed = data[start + 20 :]
+    match rng.randrange(7):
+        case 0:
+            columns, rows = rows, columns
+        case 1:
+            columns, rows = rng.choice(((60000, 60000), (2**32 - 1, 1), (0, 0), (1, 2**32 - 1)))
+        case 2:
+            channels = rng.choice((0, 2, 3, 4, 65535))
+        case 3:
+            step = rng.choice((0, 2, 3, 65535))
+        case 4:
+            # Data that the decoder must judge, because everything around them fits.
+            packed = change_bytes(rng, packed)
+            length = len(packed)
+        case 5:
+            # Small in the file, large in memory.
+            packed = zstandard.ZstdCompressor(write_checksum=True).compress(bytes(rng.choice((1, 10**8))))
+            length = len(packed)
+        case _:
+            length = rng.choice((0, 1, length - 1, length + 1, 2**32 - 1))
+    fields = struct.pack("<IIHHI", columns, rows, channels, step, length)
+    return MAGIC + fields + struct.pack("<I", zlib.crc32(fields) ^ (rng.random() < 0.2)) + packed
 
 
 def _chunks_changed(rng: random.Random, data: bytes) -> bytes:

@@ -62,7 +62,7 @@ def test_20_space_that_goes_while_the_sweep_runs(tmp_path, monkeypatch):
     assert sweep(Desk(), tmp_path / "room", resume=True).status == "complete"
 
 
-@pytest.mark.parametrize("name", ["on/000003.png", "off/000003.png"])
+@pytest.mark.parametrize("name", ["on/000003.zst", "off/000003.zst"])
 def test_20_a_write_that_fails_for_want_of_space(tmp_path, monkeypatch, name):
     original = store.write_atomically
 
@@ -90,7 +90,7 @@ def test_20_a_disk_that_fails_otherwise_is_an_error(tmp_path, monkeypatch, code)
     original = store.write_atomically
 
     def broken(path, content, **keys):
-        if path.name == "000003.png":
+        if path.name == "000003.zst":
 
             def content(part):
                 raise OSError(code, os.strerror(code))
@@ -353,7 +353,7 @@ def test_what_a_killed_session_left_is_removed_and_nothing_else(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         sweep(desk, tmp_path / "room")
     room = tmp_path / "room"
-    (room / "on" / ".part-0123456789ab.png").write_bytes(b"half")
+    (room / "on" / ".part-0123456789ab.zst").write_bytes(b"half")
     (room / ".part-x").mkdir()
     (room / "off" / ".part-precious").write_text("not the session's")
     assert sweep(Desk(), room, resume=True).status == "complete"

@@ -19,8 +19,8 @@ from .desk import Desk
 
 
 STEPS, DONE = 6, 3
-NAMES = "capture.toml", "frames.jsonl", ".scan.lock", "on", "off", "on/000001.png", "off/000002.png", "on/000004.png"
-PARTS = ".part-0123456789ab.png", "on/.part-0123456789ab.png", ".part-x"
+NAMES = "capture.toml", "frames.jsonl", ".scan.lock", "on", "off", "on/000001.zst", "off/000002.zst", "on/000004.zst"
+PARTS = ".part-0123456789ab.zst", "on/.part-0123456789ab.zst", ".part-x"
 EVENTS = ("home", "good"), ("suspect", "records"), ("placed", "placement"), ("end", "status"), ("compared", "good")
 
 VALUES = "null", "-1", "1e999", '"\\u001b[2J"', "[[0, 1e300]]", "[[1]]", "{}", "[]", "9" * 80, "true"

@@ -137,7 +137,7 @@ def require_resumed(room):
 
 
 def test_21_what_a_crash_left_half_written_is_removed(room):
-    (room / "on" / ".part-0123456789ab.png").write_bytes(b"half")
+    (room / "on" / ".part-0123456789ab.zst").write_bytes(b"half")
     (room / ".part-ba9876543210.toml").write_bytes(b"half")
     sweep(Desk(), room, resume=True)
     assert not list(room.rglob(".part-*"))
@@ -148,7 +148,7 @@ def test_21_what_a_crash_left_half_written_is_removed(room):
 
 @pytest.mark.parametrize("harm", ["flip", "delete", "truncate"])
 def test_22_a_damaged_frame_is_found_and_its_record_taken_again(room, harm):
-    path = room / "off" / "000002.png"
+    path = room / "off" / "000002.zst"
     data = bytearray(path.read_bytes())
     if harm == "delete":
         path.unlink()
@@ -166,7 +166,7 @@ def test_22_a_damaged_frame_is_found_and_its_record_taken_again(room, harm):
 
 def test_22_damage_in_a_complete_capture_is_repaired(tmp_path):
     sweep(Desk(), tmp_path / "room")
-    (tmp_path / "room" / "on" / "000007.png").unlink()
+    (tmp_path / "room" / "on" / "000007.zst").unlink()
     desk = Desk()
     result = sweep(desk, tmp_path / "room", resume=True)
     assert (result.status, result.taken) == ("complete", 1)
@@ -194,7 +194,7 @@ def test_22_a_journal_that_was_changed_is_refused_before_anything_moves(room):
 
 
 def test_22_the_damaged_record_was_the_last_one(room):
-    (room / "on" / "000005.png").unlink()
+    (room / "on" / "000005.zst").unlink()
     desk = Desk()
     assert sweep(desk, room, resume=True).taken == 5
     assert desk.controller.shots[0] == 288 * 4

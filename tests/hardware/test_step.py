@@ -1,6 +1,8 @@
 """One step: the commands sent, the renewed lease, and the frames accepted."""
 
 import threading
+import time
+from itertools import count
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from scanrig.cameras.synthetic import FrameShape, SyntheticScene, draw
 from scanrig.controllers.jxs.connect import connect
 from scanrig.errors import Fault, FrameError, Refused, RigFault
 from scanrig.session import Devices, Hooks, run_sweep
-from scanrig.session.step import FrameNumbers, Station, Step, take_pair
+from scanrig.session.steps import FrameNumbers, Station, Step, take_pair
 
 from .desk import HEIGHT, WIDTH, Desk, rig_config
 from .nursery import Wire
@@ -126,17 +128,21 @@ def test_a_session_that_was_silent_for_long_goes_on_with_real_firmware(rig, tmp_
         plant = simulated.plant()
         camera.expose(plant["pos"], bool(plant["light"]))
 
-    def pause(number, *_):
-        if number == 0:
+    steps = count()
+
+    def pause():
+        if next(steps) == 1:
             simulated.control("speed 0")
             simulated.run_for(12.0)
             simulated.control("speed 1")
             assert simulated.plant()["contactor"] == 0
+            time.sleep(0.25)  # The host's clock must tell of a pause, too; the simulated time went faster.
+        return False
 
     camera.trigger = expose
     wire = Wire(simulated.edges_path, camera) if trigger == "hardware" else None
     with connect(simulated.port) as controller:
-        result = run_sweep(config, tmp_path / "room", Devices(controller, camera), Hooks(pause))
+        result = run_sweep(config, tmp_path / "room", Devices(controller, camera), Hooks(should_stop=pause))
     if wire is not None:
         wire.close()
     assert (result.status, result.records) == ("complete", 2)

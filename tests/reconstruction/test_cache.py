@@ -132,7 +132,7 @@ def test_other_frames_are_searched_again(capture, scanner, frames):
     first = reconstruct_capture(capture, scanner, settings=SETTINGS)
     assert not reconstruct_capture(capture.every(2), scanner, settings=SETTINGS).from_cache
     assert not reconstruct_capture(capture, scanner, settings=SETTINGS).from_cache
-    (capture.path / "on" / "000003.png").write_bytes(encode_png(frames[1][3]))
+    (capture.path / "on" / "000003.zst").write_bytes(encode_png(frames[1][3]))
     done = reconstruct_capture(open_capture(capture.path), scanner, settings=SETTINGS)
     assert not done.from_cache
     assert first.cloud.valid[3].mean() > 0.99 and done.cloud.valid[3].mean() < 0.02
@@ -252,7 +252,7 @@ def test_only_copies_of_a_laser_off_image_are_doubted(frames, scanner, tmp_path,
     if named_once:
         text = journal.read_text()
         for i in range(1, RECORDS, 2):
-            text = text.replace(f"off/{i:06}.png", f"off/{i - 1:06}.png")
+            text = text.replace(f"off/{i:06}.zst", f"off/{i - 1:06}.zst")
         journal.write_text(text)
     capture = open_capture(tmp_path / "room")
     for from_cache in (False, True):

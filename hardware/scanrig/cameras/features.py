@@ -2,7 +2,7 @@
 
 import math
 
-from scanrig.cameras.frame import Features
+from scanrig.cameras.frame import Camera, Features
 from scanrig.cameras.settings import CameraSettings
 from scanrig.errors import CameraError
 
@@ -43,6 +43,19 @@ def require(found: Features, expected: Features, *, name: str) -> None:
     """
     if wrong := differences(found, expected):
         raise CameraError(f"{name}: did not take its settings: {'; '.join(wrong)}. Set supported values in [camera].")
+
+
+def require_same(camera: Camera, expected: Features) -> None:
+    """Check that a camera's settings are those of the beginning.
+
+    Raises:
+        CameraError: With all differences.
+    """
+    if wrong := differences(camera.features(), expected):
+        raise CameraError(
+            f"{camera.identity}: is not set as it was when the capture began: {'; '.join(wrong)}. "
+            "Restore these settings, or begin a new capture."
+        )
 
 
 def _same(name: str, found: float | int | str, expected: float | int | str) -> bool:

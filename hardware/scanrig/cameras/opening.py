@@ -2,8 +2,14 @@
 
 from collections.abc import Callable
 
-from scanrig.cameras.frame import Camera
+from scanrig.cameras.features import require_same
+from scanrig.cameras.frame import Camera, Features
 from scanrig.cameras.settings import CameraSettings
+from scanrig.clock import Clock
+from scanrig.errors import CameraError, CameraLost
+
+
+_LONGEST_PAUSE_S = 5.0
 
 
 def open_camera(settings: CameraSettings, say: Callable[[str], None] = lambda sentence: None) -> Camera:
@@ -43,3 +49,26 @@ def list_cameras() -> list[str]:
     from scanrig.cameras.opencv import found_by_opencv
 
     return [*found_by_aravis(), *found_by_opencv()]
+
+
+def reopen_camera(camera: Camera, expected: Features, problem: Exception, clock: Clock, *, tries: int) -> int:
+    """Open a lost camera again, ever more patiently, and check that its settings are the expected ones.
+
+    Returns:
+        The number of attempts.
+
+    Raises:
+        CameraError: If it did not come back, from `problem`; or if its settings differ.
+    """
+    last = problem
+    for attempt in range(tries):
+        clock.sleep(min(0.25 * 2**attempt, _LONGEST_PAUSE_S) if attempt else 0.0)
+        try:
+            camera.reopen()
+            camera.start()
+            require_same(camera, expected)
+        except CameraLost as again:
+            last = again
+            continue
+        return attempt + 1
+    raise CameraError(f"{camera.identity} did not come back in {tries} tries: {last}") from problem

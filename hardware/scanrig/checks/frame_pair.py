@@ -94,6 +94,14 @@ def difference_of(pair: FramePair, gain: float) -> Float[np.ndarray, "lines samp
     return difference
 
 
+def median_of(values: Float[np.ndarray, " n"]) -> float:
+    """The median of one or more numbers; without the search for NaN that NumPy's includes, in half of its time."""
+    half = values.size // 2
+    sorted_about = np.partition(values, half)
+    middle = float(sorted_about[half])
+    return middle if values.size % 2 else 0.5 * (middle + float(sorted_about[:half].max()))
+
+
 def gain_of(pair: FramePair) -> float:
     """Lamp ratio of the pair: the median ratio, refined by a robust fit."""
     few = (slice(None, None, max(1, len(pair.on) // 32)), slice(None, None, 3))
@@ -103,11 +111,11 @@ def gain_of(pair: FramePair) -> float:
     on, off = on[usable], off[usable]
     if len(on) < 200:
         return 1.0
-    gain = float(np.clip(np.median(on / np.maximum(off, 0.25)), 0.1, 10.0))
+    gain = float(np.clip(median_of(on / np.maximum(off, 0.25)), 0.1, 10.0))
     both = on + off
     for _ in range(2):
         residual = on - np.float32(gain) * off
-        scale = 1.4826 * float(np.median(np.abs(residual))) + 0.1
+        scale = 1.4826 * median_of(np.abs(residual)) + 0.1
         weight = np.maximum(1.0 - (residual / (3.0 * scale)) ** 2, 0.0) ** 2
         bottom = float(np.sum(weight * both * off))
         gain = float(np.sum(weight * both * on)) / bottom if bottom > 0 else gain

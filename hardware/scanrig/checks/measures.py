@@ -1,9 +1,9 @@
 """Measures on a pair: how much of a ridge contrast explains, differences beside the laser, leak, clipping."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from scanrig.checks.frame_pair import CLIPPED, STACK, FramePair
+from scanrig.checks.frame_pair import CLIPPED, STACK, FramePair, median_of
 from scanrig.checks.ridges import Relief, Ridges
 
 
@@ -36,7 +36,7 @@ def solid_part(ridges: Ridges, field: np.ndarray, frame: np.ndarray, explains: f
     at = ridges.at[rows]
     beside = np.clip(at[:, None] + np.arange(-_BESIDE, _BESIDE + 1), 0, field.shape[1] - 1)
     contrast = np.ptp(_smooth(frame[rows[:, None], beside]), 1)
-    solid = float((peak_heights(field[rows], at) > explains * contrast).mean())
+    solid = float((peak_heights(field, rows, at) > explains * contrast).mean())
     return solid * len(rows) / len(ridges.at) if solid > _MOSTLY else 0.0
 
 
@@ -48,7 +48,7 @@ def explained_part(difference: np.ndarray, off: np.ndarray, relief: Relief) -> f
     """
     few = slice(None, None, max(1, len(off) // 32))
     change, light = _smooth(difference[few]), _smooth(off[few])
-    noise = 1.4826 * float(np.median(np.abs(change))) + 0.1
+    noise = 1.4826 * median_of(np.abs(change).ravel()) + 0.1
     blocks = change.shape[1] // 16
     change, light = (a[:, : 16 * blocks].reshape(len(a), blocks, 16) for a in (change, light))
     contrast = np.ptp(light, 2)
@@ -85,21 +85,25 @@ def unrest_of(difference: Float[np.ndarray, "lines samples"], off: Float[np.ndar
     order = np.argsort(light)
     # The median of 12 correlated squares is below their mean.
     table = [
-        (np.median(light[part]), np.median(variance[part]) / 0.89) for part in np.array_split(order, 8) if len(part)
+        (median_of(light[part]), median_of(variance[part]) / 0.89) for part in np.array_split(order, 8) if len(part)
     ]
     floor = 2.0 / 12.0 / 4.0
-    noise = np.maximum(np.interp(level, *np.array(table).T), floor)
-    square = np.minimum(residual * residual / noise, _NOISE_CUT**2)
     # Noise of dark samples is cut off at zero.
     darker = (residual < 0) & (level > 2.0)
-    return float(np.sqrt(square[darker].mean())) if darker.sum() > 50 else 0.0
+    residual, level = residual[darker], level[darker]
+    if residual.size <= 50:
+        return 0.0
+    noise = np.maximum(np.interp(level, *np.array(table).T), floor)
+    return float(np.sqrt(np.minimum(residual * residual / noise, _NOISE_CUT**2).mean()))
 
 
-def peak_heights(difference: Float[np.ndarray, "n samples"], at: np.ndarray) -> Float[np.ndarray, " n"]:
-    """Highest sample near a ridge minus the median beside it [DN]."""
-    rows, last = np.arange(len(at))[:, None], difference.shape[1] - 1
-    near = difference[rows, np.clip(at[:, None] + np.arange(-4, 5), 0, last)]
-    beside = difference[rows, np.clip(at[:, None] + np.array([-32, -28, -24, -20, 20, 24, 28, 32]), 0, last)]
+def peak_heights(
+    difference: Float[np.ndarray, "lines samples"], rows: Int[np.ndarray, " n"], at: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Highest sample near a ridge of some lines minus the median beside it [DN]."""
+    lines, last = rows[:, None], difference.shape[1] - 1
+    near = difference[lines, np.clip(at[:, None] + np.arange(-4, 5), 0, last)]
+    beside = difference[lines, np.clip(at[:, None] + np.array([-32, -28, -24, -20, 20, 24, 28, 32]), 0, last)]
     return near.max(1) - np.median(beside, 1)
 
 
@@ -109,8 +113,8 @@ def leak_of(off: Float[np.ndarray, " n"], difference: Float[np.ndarray, " n"]) -
     if np.count_nonzero(good) < 3:
         return 0.0, 1.0
     ratio = off[good] / difference[good]
-    middle = float(np.median(ratio))
-    scatter = 1.4826 * float(np.median(np.abs(ratio - middle)))
+    middle = median_of(ratio)
+    scatter = 1.4826 * median_of(np.abs(ratio - middle))
     leak = middle / (1.0 + middle) if middle > 0 else middle
     return leak, 1.2533 * scatter / float(np.sqrt(len(ratio) / _ALIKE))
 

@@ -141,15 +141,15 @@ def _look(pair: FramePair, limits: ProofLimits) -> _Seen:
     ridges = relief.ridges
     rows = np.flatnonzero(ridges.seen)
     at = ridges.at[rows]
-    tall = heights(difference[rows], at) if len(rows) else np.zeros(0)
-    leak, leak_sigma = leak_of(heights(pair.off[rows], at), tall)
+    tall = heights(difference, rows, at)
+    leak, leak_sigma = leak_of(heights(pair.off, rows, at), tall)
     return _Seen(
         difference,
         relief,
         explains=explained_part(difference, pair.off, relief),
         few=max(limits.lit_lines, 3.0 / len(ridges.at)),
         unrest=unrest_of(difference, pair.off),
-        peak=float(np.median(peak_heights(difference[rows], at))) if len(rows) else 0.0,
+        peak=float(np.median(peak_heights(difference, rows, at))) if len(rows) else 0.0,
         saturated=saturated_part(pair, rows, at),
         leak=leak,
         leak_sigma=leak_sigma,

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from scanrig.checks.frame_pair import median_of
+
 
 CORE = 3
 """Samples over which a ridge is summed: the middle of a stripe."""
@@ -91,14 +93,15 @@ def _coarse(field: Float[np.ndarray, "lines samples"]) -> Float[np.ndarray, "lin
     return total
 
 
-def heights(field: Float[np.ndarray, "lines samples"], at: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Height of the core above the mean of both flanks at one place of each line, per sample of the core."""
-    half, x = FLANK // 2, np.arange(field.shape[1], dtype=np.int64)
-    rows = np.arange(len(at))[:, None]
+def heights(
+    field: Float[np.ndarray, "lines samples"], rows: Int[np.ndarray, " n"], at: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Height of the core above the mean of both flanks at one place of some lines, per sample of the core."""
+    half, last, lines = FLANK // 2, field.shape[1] - 1, rows[:, None]
 
     def mean(middle: Int[np.ndarray, " n"], reach: int) -> Float[np.ndarray, " n"]:
         offsets = np.arange(-reach, reach + 1)
-        return field[rows, np.clip(middle[:, None] + offsets, 0, x[-1])].mean(1)
+        return field[lines, np.clip(middle[:, None] + offsets, 0, last)].mean(1)
 
     return mean(at, CORE // 2) - 0.5 * (mean(at - GAP - half, half) + mean(at + GAP + half, half))
 
@@ -199,7 +202,7 @@ def _per_deviation(
 
 def _variance(size: Float[np.ndarray, " n"]) -> float:
     """Robust variance of heights, from their absolute values; a median alone would be a whole number of counts."""
-    variance = (float(np.median(size)) / _NORMAL) ** 2 + _ROUNDING
+    variance = (median_of(size) / _NORMAL) ** 2 + _ROUNDING
     square = size * size
     for _ in range(2):
         # Values within 3 standard deviations have 0.973 of the variance.

@@ -22,7 +22,7 @@ from scanrig.doctor.table import examine_table
 from scanrig.errors import RigError
 from scanrig.recording import free_bytes, readable
 from scanrig.session.plan import estimate, plan_sweep
-from scanrig.session.step import ProvenPair
+from scanrig.session.steps import ProvenPair
 
 
 _STORED_PAIRS = 6

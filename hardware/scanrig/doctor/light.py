@@ -12,7 +12,7 @@ from scanrig.controllers import Controller
 from scanrig.doctor.findings import Finding, Tell, looked_at
 from scanrig.errors import CameraTimeout, FrameError
 from scanrig.session.plan import controller_settings
-from scanrig.session.step import ProvenPair, Station, Step, next_frame, rest, take_pair
+from scanrig.session.steps import ProvenPair, Station, Step, next_frame, rest, take_pair
 
 
 PULSES = 6

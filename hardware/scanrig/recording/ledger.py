@@ -1,4 +1,4 @@
-"""Writes a session's capture: a pair and its journal line are on the disk before the next pair is taken."""
+"""Writes a session's capture: a pair counts when its images and then its journal line are on the disk."""
 
 import contextlib
 import json
@@ -16,7 +16,7 @@ from scanrig.clock import Clock
 
 
 class Ledger:
-    """Appends pairs and events; events before `create` or `resume` are held back until then."""
+    """Appends pairs and events, from one thread at a time; events before `create` or `resume` are held back."""
 
     def __init__(self, folder: Path, clock: Clock) -> None:
         self.folder = folder
@@ -56,8 +56,20 @@ class Ledger:
         Raises:
             CaptureError: If it cannot be written.
         """
+        self.write(self.event(name, **fields))
+
+    def event(self, name: str, **fields: Any) -> dict[str, Any]:
+        """An event of this moment, for `write`."""
         event = self._event(name, fields)
         self.events.append(event)
+        return event
+
+    def write(self, event: dict[str, Any]) -> None:
+        """Write an event; it is on the disk when this returns, if the capture has begun.
+
+        Raises:
+            CaptureError: If it cannot be written.
+        """
         if self._writer is None:
             self._waiting.append(event)
         else:

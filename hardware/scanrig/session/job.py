@@ -64,7 +64,7 @@ class Hooks:
     """Callbacks of a running session."""
 
     on_pair: OnPair | None = None
-    """Called when a pair is on the disk."""
+    """Called when a pair is on the disk, in the session's thread between two steps: a step or more after its own."""
     progress: Callable[[int, int], None] | None = None
     """Called with (records on the disk, records planned)."""
     notify: Callable[[str], None] = lambda sentence: None

@@ -12,7 +12,8 @@ from scanrig.errors import SessionError
 from scanrig.recording import FolderLock
 from scanrig.session.ending import Ending, counted, ended_by, leave_safe
 from scanrig.session.job import Job, SessionResult
-from scanrig.session.resume import Found, find_capture, is_capture, require_same_plan
+from scanrig.session.resume import Found, find_capture, is_capture, ranges, require_same_plan
+from scanrig.session.sentences import say_end
 from scanrig.session.session import Session
 
 
@@ -57,11 +58,14 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
     try:
         session.begin()
         finished = work(session)
+        session.settle()
         status = ("suspect" if session.suspect else "complete") if finished else "interrupted"
         ending = Ending(status, "")
     except BaseException as problem:
         ending = ended_by(problem, job.devices.controller)
     unsafe = leave_safe(job.devices.controller)
+    # Only now: it may wait for the disk.
+    session.end()
     unsealed = session.ledger.end(
         ending.status,
         records=len(session.done),
@@ -82,7 +86,24 @@ def _run(session: Session, work: Callable[[Session], bool]) -> SessionResult:
                 f"{job.folder}: {len(session.done)} of {job.planned} records are on the disk; go on with --resume."
             )
         raise ending.error
-    return session.result(ending, unsafe)
+    return _result(session, ending, unsafe)
+
+
+def _result(session: Session, ending: Ending, unsafe: str) -> SessionResult:
+    job, count = session.job, len(session.done)
+    suspect = tuple(ranges(tuple(session.suspect)))
+    says = say_end(ending, job.folder, count=count, planned=job.planned, suspect=suspect)
+    return SessionResult(
+        status=ending.status,  # type: ignore[arg-type]
+        message=" ".join(part for part in (says, unsafe) if part),
+        records=count + len(session.suspect - session.done),
+        planned=job.planned,
+        taken=session.taken,
+        retakes=session.rig.rejected,
+        suspect=suspect,
+        events=tuple(session.ledger.events),
+        laser_off=not unsafe,
+    )
 
 
 def _folder(folder: Path) -> bool:

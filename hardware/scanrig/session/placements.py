@@ -81,8 +81,11 @@ def _take_placement(session: Session, targets: Sequence[Target]) -> bool:
         session.done.discard(target.record)
     for target in targets:
         if session.should_stop():
+            session.settle()
             return False
         session.take(target.record, target.position, placement=label)
+    # Before the board is moved.
+    session.settle()
     if len({target.position for target in targets}) > 1:
         session.close_placement(in_place=True)
     return True

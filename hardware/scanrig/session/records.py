@@ -2,16 +2,15 @@
 
 from dataclasses import asdict
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxscan.files.capture import CameraTable, CaptureHeader, PlanTable, TurntableTable
 from scanrig.cameras import Features
-from scanrig.clock import Clock
 from scanrig.config import RigConfig
 from scanrig.controllers import Firmware
 from scanrig.session.job import Job
 from scanrig.session.plan import angle_deg
-from scanrig.session.step import ProvenPair
+from scanrig.session.steps import ProvenPair
 
 
 def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureHeader:
@@ -49,14 +48,23 @@ def capture_header(job: Job, firmware: Firmware, features: Features) -> CaptureH
     )
 
 
-def record_fields(pair: ProvenPair, config: RigConfig, features: Features, clock: Clock) -> dict[str, Any]:
+class Moment(NamedTuple):
+    """When a pair was taken."""
+
+    utc: str
+    """Time of day, RFC 3339."""
+    now_s: float
+    """Monotonic seconds."""
+
+
+def record_fields(pair: ProvenPair, config: RigConfig, features: Features, moment: Moment) -> dict[str, Any]:
     """The fields of a record, without its images and their digests."""
     n, proof = config.microsteps_per_turn, pair.proof
     exposure = features.get("exposure_s", config.camera.exposure_ms / 1000)
     fields: dict[str, Any] = {
         "angle_deg": angle_deg(pair.position, n),
-        "time": clock.utc(),
-        "time_s": round(clock.now(), 6),
+        "time": moment.utc,
+        "time_s": round(moment.now_s, 6),
         "microsteps": pair.position,
         "microsteps_per_turn": n,
         "exposure_s": exposure,

@@ -7,12 +7,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from scanrig.cameras import Features
-from scanrig.cameras.features import differences
+from scanrig.cameras import Features, reopen_camera
 from scanrig.config import RigConfig
 from scanrig.controllers import Firmware, Status
 from scanrig.errors import (
-    CameraError,
     CameraLost,
     CameraTimeout,
     Fault,
@@ -25,7 +23,17 @@ from scanrig.errors import (
 )
 from scanrig.session.job import Devices
 from scanrig.session.plan import controller_settings, longest_s, nearest
-from scanrig.session.step import FrameNumbers, ProvenPair, Station, Step, next_frame, take_pair
+from scanrig.session.steps import (
+    Doubt,
+    FrameNumbers,
+    ProvenPair,
+    Station,
+    Step,
+    TakenPair,
+    grab_whole,
+    plain_frame,
+    take_pair,
+)
 
 
 Note = Callable[..., None]
@@ -39,7 +47,6 @@ _ABOVE_HOME_DEG = 3.0
 _STILL_S = 10.0
 _RECOVERIES = 5
 """Recoveries of one step before the session ends."""
-_LONGEST_PAUSE_S = 5.0
 
 T = TypeVar("T")
 
@@ -56,6 +63,8 @@ class RecoveringRig:
         self.homings = 0
         self.rejected = 0
         """Takes that were rejected."""
+        self.at = self.came_from = 0
+        """Where the last step was taken, and where the table stood before it went there [microsteps]."""
         self.tolerance = config.checks.lost_steps_tolerance
         """Microsteps by which home may be missed."""
         self._clock, self._note = devices.clock, note
@@ -103,6 +112,7 @@ class RecoveringRig:
         was = controller.home(nearest(self.config.turntable.home_within_deg, n), longest_s(self.config))
         self.position_known, self._homing = True, False
         self.homings += 1
+        self.at = self.came_from = 0
         missed = (was + n // 2) % n - n // 2 if known and was is not None else None
         good = {} if missed is None else {"missed": missed, "good": abs(missed) <= self.tolerance}
         self._note("home", why=why, was=was, **good)
@@ -124,7 +134,7 @@ class RecoveringRig:
         self.controller.arm(on)
         if not on:
             # With the contactor open, frames are taken without a shot, so the next frame number is not known.
-            self._numbers.next = None
+            self._numbers.forget()
 
     def dark(self) -> None:
         """Open the contactor, and keep it open until `light`."""
@@ -154,32 +164,48 @@ class RecoveringRig:
         if attempt > 0 and attempt % 2 == 0:
             # Here, where a fault during the reopening is recovered too.
             self._open_anew("a look")
-        camera, settings = self.camera, self.config.camera
-        self._numbers.next = None
-        camera.drop()
-        exposing = self.controller if camera.trigger_mode == "hardware" else None
-        if exposing is not None:
-            exposing.trigger()
-        elif camera.trigger_mode == "software":
-            camera.trigger()
-        frame = next_frame(camera, exposing, settings.exposure_ms / 1000 + self.config.checks.late_s, self._clock)
-        if not frame.complete:
-            raise CameraTimeout(f"{camera.identity}: frame {frame.number} is not complete")
-        return frame.image
+        return plain_frame(self._station("a look")).image
 
-    def take(self, to: int, number: int) -> ProvenPair:
-        """Take one record, with the laser of its number; recover from a lost link, a reset, a lost camera and
-        temporary faults.
+    def take(self, to: int, number: int, before: Doubt | None = None) -> ProvenPair:
+        """Take one record, with the laser of its number, until it is proven; `before`: earlier takes, rejected.
+
+        Recovers from a lost link, a reset, a lost camera and temporary faults.
 
         Raises:
             FrameError: If the step could not be proven.
             RigFault: After an e-stop, or another fault that needs a person.
             RigError: If the rig did not recover.
         """
+        return self._step(take_pair, to, number, before)
+
+    def grab(self, to: int, number: int) -> tuple[TakenPair, Doubt]:
+        """Take the frames of one record, not proven yet, and recover as `take` does.
+
+        Returns:
+            The frames, and the takes of the step that were rejected.
+        """
+        return self._step(grab_whole, to, number, None)
+
+    def approach(self, to: int) -> None:
+        """Go to a position, so that the next motion comes from there."""
+        self.doing(lambda: self.controller.move(to, longest_s(self.config)), "going back")
+        self.at = to
+
+    def reject(self, number: int, reason: str) -> None:
+        """Count and note a take that was rejected."""
+        self.rejected += 1
+        self._note("retake", step=number, reason=reason)
+
+    def _step(self, take: Callable[..., T], to: int, number: int, before: Doubt | None) -> T:
         action, step = f"step {number}", Step(to, number, self.config.laser_of(number))
+        result = self.doing(lambda: take(self._station(action), step, partial(self.reject, number), before), action)
+        if to != self.at:
+            self.came_from, self.at = self.at, to
+        return result
+
+    def _station(self, action: str) -> Station:
         reopen = partial(self._open_anew, action)
-        station = Station(self.config, self.controller, self.camera, self._clock, self._numbers, reopen)
-        return self.doing(lambda: take_pair(station, step, partial(self._rejected, number)), action)
+        return Station(self.config, self.controller, self.camera, self._clock, self._numbers, reopen)
 
     def doing(self, work: Callable[[], T], action: str) -> T:
         """Do some repeatable work, and repeat it after each recovery; `action` names it."""
@@ -190,16 +216,12 @@ class RecoveringRig:
                 self._recover(problem, action)
         return work()
 
-    def _rejected(self, number: int, reason: str) -> None:
-        self.rejected += 1
-        self._note("retake", step=number, reason=reason)
-
     def _open_anew(self, action: str) -> None:
         self._recover(CameraLost(f"{self.camera.identity}: no frame came, twice in a row"), action)
 
     def _recover(self, problem: Exception, action: str) -> None:
         """Recover the rig, or raise the error that needs a person."""
-        self._numbers.next = None
+        self._numbers.forget()
         self._note("fault", at=action, problem=str(problem))
         if isinstance(problem, RigFault) and problem.fault not in _TEMPORARY:
             raise problem
@@ -241,33 +263,9 @@ class RecoveringRig:
 
     def _reopen(self, problem: Exception) -> None:
         """Open the camera again, and check that its settings are unchanged."""
-        last: Exception = problem
-        for attempt in range(self.config.checks.camera_reopens):
-            self._clock.sleep(min(0.25 * 2**attempt, _LONGEST_PAUSE_S) if attempt else 0.0)
-            try:
-                self.camera.reopen()
-                self.camera.start()
-                self.require_features(self.features)
-            except CameraLost as again:
-                last = again
-                continue
-            self._note("camera", reopened=attempt + 1)
-            return
-        raise CameraError(
-            f"{self.camera.identity} did not come back in {self.config.checks.camera_reopens} tries: {last}"
-        ) from problem
-
-    def require_features(self, expected: Features) -> None:
-        """Check that the camera's settings are those of the beginning.
-
-        Raises:
-            CameraError: With all differences.
-        """
-        if wrong := differences(self.camera.features(), expected):
-            raise CameraError(
-                f"{self.camera.identity}: is not set as it was when the capture began: {'; '.join(wrong)}. "
-                "Restore these settings, or begin a new capture."
-            )
+        tries = self.config.checks.camera_reopens
+        attempts = reopen_camera(self.camera, self.features, problem, self._clock, tries=tries)
+        self._note("camera", reopened=attempts)
 
     def _make_ready(self) -> None:
         """Clear a fault, enable the motor, home if necessary, arm."""

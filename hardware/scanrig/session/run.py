@@ -22,7 +22,7 @@ def run_sweep(
     resume: bool = False,
     calibration_digest: str | None = None,
 ) -> SessionResult:
-    """Capture a sweep, every pair proven and on the disk before the next is taken.
+    """Capture a sweep, each pair proven and written while the table turns to the next.
 
     Args:
         config: The rig.
@@ -63,6 +63,7 @@ def _take_turns(session: Session, targets: Sequence[Target]) -> bool:
             if session.should_stop():
                 return False
             session.take(target.record, target.position)
+        session.settle()
         if session.unclosed(turn):
             if session.should_stop():
                 return False

@@ -41,6 +41,15 @@ def say_event(name: str, fields: Mapping[str, Any]) -> str:
         case "reconnected":
             position = "kept its position" if fields["same_boot"] else "was reset"
             return f"the controller is connected again and {position}"
+        case "compared" | "closing" if "correlation" not in fields:
+            return (
+                f"record {fields['record']}, taken again, was compared by the laser's line alone: the laser-off frames "
+                "have too little contrast. With more light in the room, lost steps are found more surely."
+            )
+        case "light":
+            return (
+                f"record {fields['record']}: the light changed from {fields['was_dn']:.0f} to {fields['is_dn']:.0f} DN."
+            )
         case "camera":
             return f"the camera is open again, after {fields['reopened']} attempts"
         case "suspect":

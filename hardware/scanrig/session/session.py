@@ -1,26 +1,31 @@
 """A running session: takes records, and tracks which are on the disk and which are suspect."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from scanrig.checks import PLACES, LeakWatch, Likeness, compare_pairs
+from scanrig.cameras import require_same
+from scanrig.checks import Likeness, PairProof
 from scanrig.controllers import shortcomings
 from scanrig.errors import FrameError, SessionError
-from scanrig.recording import KEPT_PAIRS, Ledger, require_space
-from scanrig.session.ending import Ending
-from scanrig.session.job import Job, SessionResult
-from scanrig.session.plan import RESERVE, Target, frame_bytes
-from scanrig.session.records import capture_header, record_fields
+from scanrig.recording import AHEAD, KEPT_PAIRS, Ledger, require_space
+from scanrig.session.job import Job
+from scanrig.session.plan import RESERVE, Target, angle_deg, frame_bytes
+from scanrig.session.records import Moment, capture_header, record_fields
 from scanrig.session.recovery import RecoveringRig
-from scanrig.session.resume import Found, ranges, read_pair, require_same_camera
-from scanrig.session.sentences import say_end, say_event
-from scanrig.session.step import ProvenPair
+from scanrig.session.resume import Found, ranges, require_same_camera
+from scanrig.session.sentences import say_event
+from scanrig.session.steps import Flight, Flights, Place, ProvenPair, Step
+from scanrig.session.watch import PairWatch, compare_with_record
 
 
 class Session:
-    """A running session: takes records, and tracks which are done and which are suspect."""
+    """A running session: takes records, and tracks which are done and which are suspect.
+
+    While the table turns to a step, the one before is proven and written in the background; everything else happens
+    in the caller's thread.
+    """
 
     def __init__(self, job: Job, found: Found | None) -> None:
         """Nothing moves yet; `found` is the capture that an earlier session left."""
@@ -41,8 +46,10 @@ class Session:
         self._last_placement: int | None = None
         self._positions = {} if found is None else {i: int(r["microsteps"]) for i, r in found.records.items()}
         self._placements = 0 if found is None else found.placements
-        self._ambient: float | None = None
-        self._leaks = tuple(LeakWatch() for _ in self.config.laser)
+        self._flights = Flights(self.ledger, self.config)
+        self._doubtful: list[Flight] = []
+        """Steps that were not proven, to which the table must return."""
+        self._watch = PairWatch(self.config, job.devices.controller, self._note)
 
     def should_stop(self) -> bool:
         """Whether the operator asked to stop."""
@@ -63,7 +70,7 @@ class Session:
             self.ledger.create(capture_header(job, firmware, rig.features))
         else:
             require_same_camera(self._found, asdict(identity), folder=job.folder)
-            rig.require_features(self._found.header.acquisition.get("features", {}))
+            require_same(job.devices.camera, self._found.header.acquisition.get("features", {}))
             self.ledger.resume()
             for problem in self._found.damaged:
                 self._note("damaged", record=problem.record, problem=problem.message)
@@ -90,30 +97,38 @@ class Session:
         self._believe()
 
     def take(self, record: int, to: int, *, placement: int | None = None) -> None:
-        """Take one record and write it to the disk."""
-        job = self.job
-        room = math.ceil(KEPT_PAIRS * 2 * frame_bytes(self.config) * RESERVE)
-        require_space(job.folder, room, purpose="the next pair")
+        """Take one record. It is proven and written while the table goes on.
+
+        The verdict on the record before is read here: if that one was not proven, the table goes back and takes it
+        again until it is. Call `settle` after the last record.
+        """
+        self._collect()
+        room = math.ceil((KEPT_PAIRS + len(self._flights)) * 2 * frame_bytes(self.config) * RESERVE)
+        require_space(self.job.folder, room, purpose="the next pair")
         homings = self.rig.homings
-        pair = self.rig.take(to, record)
-        # Another placement of the board looks different whatever the table does.
-        if self.rig.homings > homings and placement == self._last_placement:
-            self._compare_last()
-        fields = record_fields(pair, self.config, self.rig.features, job.devices.clock)
-        if placement is not None:
-            fields["placement"] = placement
-        self.ledger.add(record, pair.on.image, pair.off.image, fields)
-        self.taken += 1
-        self.done.add(record)
-        self.suspect.discard(record)
-        self.since_home.append(record)
-        self._last, self._last_placement, self._positions[record] = record, placement, pair.position
-        self._watch_light(record, pair)
-        self._watch_laser(record, pair, None if placement is not None else fields["angle_deg"])
-        if job.hooks.on_pair is not None:
-            job.hooks.on_pair(record, math.radians(fields["angle_deg"]), pair.on.image, pair.off.image)
-        if job.hooks.progress is not None:
-            job.hooks.progress(len(self.done), job.planned)
+        try:
+            taken, doubt = self.rig.grab(to, record)
+        except FrameError:
+            # If the step before fails too, it is the first to say so.
+            self._return_to_doubtful()
+            raise
+        place = Place(Step(to, record, self.config.laser_of(record)), self.rig.came_from, placement)
+        fields = self._fields(placement)
+        self._check_homing(homings, placement)
+        self._judge()
+        self._flights.begin(place, taken, doubt, fields)
+        if self._doubtful:
+            self._return_to_doubtful()
+
+    def settle(self) -> None:
+        """Return to the steps that were not proven, and wait until all records are on the disk."""
+        self._return_to_doubtful()
+        self._collect(0)
+
+    def end(self) -> None:
+        """Finish what is done in the background, also after an error."""
+        for flight in self._flights.end():
+            self._count(flight)
 
     def unclosed(self, turn: Sequence[Target]) -> bool:
         """Whether records of a pass were taken since home was last found well."""
@@ -121,6 +136,7 @@ class Session:
 
     def close_turn(self, turn: Sequence[Target]) -> None:
         """Take the first step of a pass again, compare it, and search for home."""
+        self.settle()
         first = turn[0].record
         if first in self.done:
             likeness = self._again(first, "closing")
@@ -147,25 +163,82 @@ class Session:
         self._note("placed", placement=number)
         return number
 
-    def result(self, ending: Ending, unsafe: str) -> SessionResult:
-        """The result of the session."""
-        job, count = self.job, len(self.done)
-        suspect = tuple(ranges(tuple(self.suspect)))
-        says = say_end(ending, job.folder, count=count, planned=job.planned, suspect=suspect)
-        return SessionResult(
-            status=ending.status,  # type: ignore[arg-type]
-            message=" ".join(part for part in (says, unsafe) if part),
-            records=count + len(self.suspect - self.done),
-            planned=job.planned,
-            taken=self.taken,
-            retakes=self.rig.rejected,
-            suspect=suspect,
-            events=tuple(self.ledger.events),
-            laser_off=not unsafe,
-        )
+    def _fields(self, placement: int | None) -> Callable[[ProvenPair], dict[str, Any]]:
+        """Makes the fields of a record that was taken now."""
+        config, clock, features = self.config, self.job.devices.clock, self.rig.features
+        moment = Moment(clock.utc(), clock.now())
+        place = {} if placement is None else {"placement": placement}
+        return lambda pair: record_fields(pair, config, features, moment) | place
+
+    def _judge(self) -> None:
+        """Read the verdict on the last pair."""
+        if (judged := self._flights.verdict()) is None:
+            return
+        flight, proof = judged
+        if proof.ok:
+            self._add_to_watch(flight, proof)
+        else:
+            self.rig.reject(flight.record, proof.reason)
+            self._doubtful.append(flight)
+
+    def _return_to_doubtful(self) -> None:
+        """Take the steps again that were not proven, each until it is, in their order."""
+        self._judge()
+        while self._doubtful:
+            flight = self._doubtful.pop(0)
+            place = flight.place
+            if self.rig.at != place.step.to != place.came_from:
+                # From the same side as the first time: gears have backlash.
+                self.rig.approach(place.came_from)
+            homings = self.rig.homings
+            pair = self.rig.take(place.step.to, flight.record, flight.doubt)
+            self._check_homing(homings, place.placement)
+            written = self._flights.begin_proven(place, pair, self._fields(place.placement))
+            self._add_to_watch(written, pair.proof)
+
+    def _check_homing(self, homings: int, placement: int | None) -> None:
+        """Judge the table's position if it was homed again since there were so many homings."""
+        # Another placement of the board looks different whatever the table does.
+        if self.rig.homings > homings and placement == self._last_placement:
+            self._compare_last()
+
+    def _await_written(self) -> None:
+        """Wait until all pairs that are proven are on the disk."""
+        self._judge()
+        self._collect(0)
+
+    def _collect(self, most: int = AHEAD) -> None:
+        """Count and hand out the records that are on the disk by now; wait until at most so many are not."""
+        hooks = self.job.hooks
+        for flight in self._flights.landed(most):
+            self._count(flight)
+            if hooks.on_pair is not None:
+                angle = math.radians(self._angle_deg(flight))
+                hooks.on_pair(flight.record, angle, flight.taken.on.image, flight.taken.off.image)
+            if hooks.progress is not None:
+                hooks.progress(len(self.done), self.job.planned)
+
+    def _count(self, flight: Flight) -> None:
+        record = flight.record
+        self.taken += 1
+        self.done.add(record)
+        self.suspect.discard(record)
+        self.since_home.append(record)
+        self._last, self._last_placement = record, flight.place.placement
+        self._positions[record] = flight.taken.position
+
+    def _add_to_watch(self, flight: Flight, proof: PairProof) -> None:
+        angle = None if flight.place.placement is not None else self._angle_deg(flight)
+        self._watch.add(flight.record, flight.place.step.laser, angle, proof)
+
+    def _angle_deg(self, flight: Flight) -> float:
+        return angle_deg(flight.taken.position, self.config.microsteps_per_turn)
 
     def _note(self, name: str, **fields: Any) -> None:
-        self.ledger.note(name, **fields)
+        if name == "home":
+            # In the journal, too, a homing judges the records that were taken before it.
+            self._await_written()
+        self._flights.write(self.ledger.event(name, **fields))
         if name == "home":
             # Judged at once: a homing that is repeated for another reason always finds home well.
             self._judge_home(fields.get("missed"))
@@ -213,50 +286,14 @@ class Session:
 
     def _again(self, record: int, event: str) -> Likeness:
         """Take a record again only to compare it."""
+        self._await_written()
         pair = self.rig.take(self._positions[record], record)
-        likeness = self._compare(record, pair)
+        self._flights.wait()
+        likeness = compare_with_record(self.job.folder, record, pair, self.config)
         shift = {} if likeness.shift_px is None else {"shift_px": round(likeness.shift_px, 3)}
         seen = {} if likeness.correlation is None else {"correlation": round(likeness.correlation, 4)}
         self._note(event, record=record, **shift, **seen, good=self._is_like(likeness))
-        if likeness.correlation is None:
-            self.job.hooks.notify(
-                f"record {record}, taken again, was compared by the laser's line alone: the laser-off frames have too "
-                "little contrast. With more light in the room, lost steps are found more surely."
-            )
         return likeness
-
-    def _compare(self, record: int, pair: ProvenPair) -> Likeness:
-        first = read_pair(self.job.folder, record)
-        camera = self.config.camera
-        return compare_pairs(
-            first,
-            (pair.on.image, pair.off.image),
-            pixel_format=camera.pixel_format,
-            response=camera.response,
-            line=self.config.laser[pair.laser].line,
-        )
 
     def _is_like(self, likeness: Likeness) -> bool:
         return likeness.within(self.config.checks.shift_px, self.config.checks.correlation)
-
-    def _watch_laser(self, record: int, pair: ProvenPair, angle_deg: float | None) -> None:
-        """Stop if the laser shines in the laser-off frames of many places."""
-        leak, allowed = self._leaks[pair.laser].add(angle_deg, pair.proof.leak), self.config.checks.proof.leak
-        if leak is None or leak <= allowed:
-            return
-        self.job.devices.controller.arm(False)
-        raise FrameError(
-            f"step {record}: the laser stays on: {100 * leak:.0f} % of its line is in the laser-off frames of "
-            f"the last {PLACES} places too, expected at most {100 * allowed:.0f} %; give it more time to go out "
-            "([[laser]] off_ms), and check relay and wiring. The contactor has been opened."
-        )
-
-    def _watch_light(self, record: int, pair: ProvenPair) -> None:
-        """Report a change of the room's light by a factor of two."""
-        ambient = pair.proof.ambient_dn
-        if self._ambient is None:
-            self._ambient = ambient
-        elif not 0.5 < (ambient + 2) / (self._ambient + 2) < 2:
-            self._note("light", record=record, was_dn=round(self._ambient, 2), is_dn=round(ambient, 2))
-            self.job.hooks.notify(f"record {record}: the light changed from {self._ambient:.0f} to {ambient:.0f} DN.")
-            self._ambient = ambient

@@ -14,7 +14,7 @@ from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
 from jaxscan.files.calibration import CameraFormat, calibration_notes, check_camera_path, export_camera
 from jaxscan.files.clouds import check_cloud_path
-from jaxscan.files.recording import Storage, check_new_folder, repack_capture
+from jaxscan.files.recording import STORAGES, Storage, check_new_folder, repack_capture
 
 
 TARGET = (
@@ -34,13 +34,14 @@ def convert(
 ) -> None:
     """Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.
 
-    Also `jaxscan convert calibration.json camera.yaml` and `jaxscan convert captures/room captures/fast --storage npy`.
+    Also `jaxscan convert calibration.json camera.yaml` and `jaxscan convert captures/room pictures --storage png`.
 
     Args:
         source: Cloud (.ply or .npz), calibration (.json) or capture (a folder) to read.
         format: Format of a calibration, if the suffix does not choose it: `ros` writes a camera_info .yaml,
             `kalibr` a camchain .yaml.
-        storage: Storage of a capture: `npy` are raw frames, which are read faster and take more space; or `png`.
+        storage: Storage of a capture: `zstd`, as new captures have it; `png`, for other programs, which is read ten
+            times as slowly; or `npy`, raw frames of twice the size.
         json: Write the result as JSON too.
     """
     writes = [*file_at("OUTPUT", target), *file_at("--json", json)]
@@ -84,7 +85,7 @@ def _convert_capture(
     if camera_format is not None:
         raise OptionError(f"--format: is for calibrations (.json), and {source} is a folder.")
     if storage is None:
-        raise OptionError(f"--storage: is needed to convert the capture {source}: npy or png.")
+        raise OptionError(f"--storage: is needed to convert the capture {source}: {', '.join(STORAGES)}.")
     check_new_folder(target)
     check_json(json)
     with progress_bar("Converting") as progress:

@@ -61,7 +61,7 @@ def import_(
     Without patterns the roles of the images are recognised by the words in their names, or by the layout of
     FabScanPi or thot. A calibration: `jaxscan import FOLDER -o captures/boards --board "chessboard 11x6 13mm"`. With
     patterns: `jaxscan import FOLDER -o captures/room --on 'l_*.png' --off 'b_*.png' --step-deg 0.9`. Two lasers:
-    `--on 'left_*.png' 'right_*.png'`. A video: `--on laser.avi`. The images are copied as PNG files.
+    `--on 'left_*.png' 'right_*.png'`. A video: `--on laser.avi`. The images are copied, packed without loss.
 
     Args:
         folder: Folder of images or videos, with the folders in it; links are not followed.

@@ -40,6 +40,15 @@ def choose_caches() -> None:
         os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
 
 
+def one_thread_per_product() -> None:
+    """Before it is loaded: NumPy multiplies small matrices in the calling thread.
+
+    Views are shared out among the cores already; threads of its own then only wait for each other, and take seven times
+    the processor's time.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 def keep_compiled_code() -> None:
     """Let JAX keep compiled code on the disk: it compiles once per machine, not once per run."""
     cache = cache_folder()
@@ -60,7 +69,8 @@ def keep_compiled_code() -> None:
     import jax
 
     jax.config.update("jax_compilation_cache_dir", str(compiled))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    # Small functions too: reading one back takes a third of the time of compiling it, and a few kilobytes.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     # Code that cannot be read back is compiled again, and nothing else follows from that.
     warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
 

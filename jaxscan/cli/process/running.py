@@ -56,6 +56,7 @@ def run_process(words: Sequence[str]) -> int:
     quiet.open_standard_files()
     quiet.hush_libraries()
     quiet.choose_caches()
+    quiet.one_thread_per_product()
     if "--debug" not in words:
         _keep_to_lines()
     try:

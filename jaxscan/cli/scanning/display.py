@@ -1,6 +1,7 @@
 """Shows the progress of a scan: records, remaining time, brightness, and one line for each event."""
 
 import math
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,9 @@ from jaxscan.cli.process.terminal import Terminal
 
 if TYPE_CHECKING:
     from jaxscan.cli.scanning.live import LiveStatus
+
+
+_READABLE_S = 0.25
 
 
 class ScanDisplay:
@@ -28,6 +32,7 @@ class ScanDisplay:
         self._console = Terminal(stderr=True)
         self._fields: dict[str, Any] = {"angle": "   home", "peak": "", "retakes": "", "points": ""}
         self._problem = ""
+        self._read_s = -math.inf
         self._bars: Progress | None = None
         if total is not None and self._console.is_terminal:
             columns = (
@@ -49,10 +54,15 @@ class ScanDisplay:
         if self._bars is not None:
             self._bars.stop()
 
-    def pair(self, angle: float, peak_dn: float) -> None:
-        """Show a pair that was taken: the table's angle [rad] and the peak level of the laser's line [DN]."""
+    def pair(self, angle: float, peak_dn: Callable[[], float]) -> None:
+        """Show a pair that was taken: the table's angle [rad] and the peak level of the laser's line [DN].
+
+        The table waits meanwhile, so the peak is asked for only as often as people can read it.
+        """
         self._fields["angle"] = f"{math.degrees(angle):7.2f}°"
-        self._fields["peak"] = f"line {peak_dn:3.0f} DN"
+        if self._bars is not None and time.monotonic() - self._read_s >= _READABLE_S:
+            self._read_s = time.monotonic()
+            self._fields["peak"] = f"line {peak_dn():3.0f} DN"
         self._fields["retakes"] = f", {self.retakes} retaken" if self.retakes else ""
         if self._live is not None:
             status = self._live()
@@ -68,6 +78,6 @@ class ScanDisplay:
 
     def say(self, sentence: str) -> None:
         """Print a sentence on an event."""
-        if sentence.startswith("retake:"):
+        if " is taken again: " in sentence:
             self.retakes += 1
         self._console.print(sentence)

@@ -164,7 +164,7 @@ def _scan_sweep(
     with ScanDisplay(None if live is None else live.status, total=len(plan_sweep(rig)[0])) as display:
 
         def on_pair(number: int, angle: float, on: np.ndarray, off: np.ndarray) -> None:
-            display.pair(angle, stripe_level(on, off, rig, rig.laser_of(number))[0])
+            display.pair(angle, lambda: stripe_level(on, off, rig, rig.laser_of(number))[0])
             if live is not None:
                 live.add(number, angle, on, off)
 

@@ -9,6 +9,9 @@ from jaxscan.files.capture.journal import Record
 from jaxscan.files.capture.references import ImageRef
 
 
+Load = Callable[[ImageRef, np.ndarray | None], np.ndarray]
+
+
 def exposure_levels(images: Sequence[ImageRef]) -> tuple[float, ...]:
     """The different exposures of a frame [s], ascending; empty where the record names none."""
     return tuple(sorted({one.exposure_s for one in images if one.exposure_s is not None}))
@@ -34,34 +37,36 @@ def check_exposures(records: Sequence[Record], *, name: str) -> None:
                 )
 
 
-def load_levels(images: Sequence[ImageRef], target: np.ndarray, load: Callable[[ImageRef], np.ndarray]) -> None:
+def load_levels(images: Sequence[ImageRef], target: np.ndarray, load: Load) -> None:
     """Read a frame, exposures ascending, and average repetitions.
 
     Args:
         images: Images of the frame.
         target: uint8 [exposures, rows, columns(, 3)], filled.
-        load: Reads one image.
+        load: Reads one image, into the memory that it is given or elsewhere.
     """
     levels = exposure_levels(images)
     for row, level in zip(target, levels, strict=True) if levels else [(target[0], None)]:
         average([one for one in images if one.exposure_s == level], row, load)
 
 
-def average(images: Sequence[ImageRef], target: np.ndarray, load: Callable[[ImageRef], np.ndarray]) -> None:
+def average(images: Sequence[ImageRef], target: np.ndarray, load: Load) -> None:
     """The mean of images, rounded to whole DN, halves to even so that the rounding has no bias.
 
     Args:
         images: One or more.
         target: uint8 [rows, columns(, 3)], filled.
-        load: Reads one image.
+        load: Reads one image, into the memory that it is given or elsewhere.
     """
     if len(images) == 1:
-        target[...] = load(images[0])
+        found = load(images[0], target)
+        if found is not target:
+            target[...] = found
         return
     # The sum of 16 images of 255 DN fits; in float32 the mean is exact where it is a half.
     total = np.zeros(target.shape, np.uint16)
     for one in images:
-        total += load(one)
+        total += load(one, None)
     target[...] = np.rint(total / np.float32(len(images)))
 
 

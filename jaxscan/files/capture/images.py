@@ -49,8 +49,12 @@ class ImageReader:
             except CaptureError as problem:
                 raise CaptureError(f"{self._path}: record {record.i}: {problem}") from problem
 
-    def image(self, reference: ImageRef) -> np.ndarray:
+    def image(self, reference: ImageRef, out: np.ndarray | None = None) -> np.ndarray:
         """One image as it is stored, uint8 [rows, columns(, 3)]; a read-only view where it is in a shard.
+
+        Args:
+            reference: The image.
+            out: Memory of its shape for it, which is used, and returned, where the file has to be decoded.
 
         Raises:
             CaptureError: With the name of the file that is missing, damaged, of the wrong size, or no longer the one
@@ -73,7 +77,8 @@ class ImageReader:
         data = read_bounded(located, image_limit(self._header), error=CaptureError, links="refuse")
         if self.compared and reference.sha256 is not None:
             self._compare(reference, hashlib.sha256(data).hexdigest())
-        return decode_image(data, name=name, rank=frame_rank(camera.pixel_format), size=(camera.width, camera.height))
+        size = camera.width, camera.height
+        return decode_image(data, name=name, rank=frame_rank(camera.pixel_format), size=size, out=out)
 
     def _compare(self, reference: ImageRef, digest: str) -> None:
         found = difference(reference, digest)

@@ -103,7 +103,7 @@ def describe_images(plan: ImportPlan, settings: ImageSettings) -> ImportedHeader
 
 
 def write_import(plan: ImportPlan, found: ImportedHeader, target: Path, progress: Progress | None = None) -> Capture:
-    """Write the capture: images as PNG files, with digests and a seal.
+    """Write the capture: images packed without loss, with digests and a seal.
 
     Args:
         plan: The plan.

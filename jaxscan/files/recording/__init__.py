@@ -3,6 +3,6 @@
 from jaxscan.files.recording.folder import LOCK_NAME, make_folder, require_no_links
 from jaxscan.files.recording.repack import repack_capture
 from jaxscan.files.recording.resume import resume_capture
-from jaxscan.files.recording.store import Storage
+from jaxscan.files.recording.store import STORAGES, Storage
 from jaxscan.files.recording.whole import check_new_folder, whole_capture
 from jaxscan.files.recording.writer import CaptureWriter, create_capture

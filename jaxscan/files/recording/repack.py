@@ -1,4 +1,4 @@
-"""Copying a capture with its images stored in another way: as PNG files, or as raw frames in shards."""
+"""Copying a capture with its images stored in another way: packed, as PNG files, or as raw frames in shards."""
 
 import hashlib
 import itertools

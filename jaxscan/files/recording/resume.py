@@ -1,9 +1,10 @@
 """Resuming an interrupted capture."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture import JOURNAL_NAME, exposure_levels, read_texts
+from jaxscan.files.capture import JOURNAL_NAME, ImageRef, exposure_levels, read_texts
 from jaxscan.files.disk import reported, write_atomically
 from jaxscan.files.recording.folder import require_no_links
 from jaxscan.files.recording.store import Storage, WriteSettings
@@ -19,7 +20,7 @@ def resume_capture(
 
     Args:
         path: The folder.
-        storage: See `create_capture`; by default as in the last record, "png" without records.
+        storage: See `create_capture`; by default as in the last record, "zstd" without records.
         durable: See `create_capture`.
         digests: See `create_capture`.
 
@@ -41,8 +42,14 @@ def resume_capture(
             (path / folder).mkdir(exist_ok=True)
         levels = exposure_levels(texts.records[-1].on) if texts.records else None
         images = (*texts.records[-1].on, *texts.records[-1].off) if texts.records else ()
-        stored: Storage = "npy" if any(one.index is not None for one in images) else "png"
-        settings = WriteSettings(storage or stored, durable, digests)
+        settings = WriteSettings(storage or _stored(images), durable, digests)
         writer = CaptureWriter(path, texts.header, settings=settings, taken=texts.takes, levels=levels)
     writer.event("resume")
     return writer
+
+
+def _stored(images: Sequence[ImageRef]) -> Storage:
+    """The storage of a record's images."""
+    if any(one.index is not None for one in images):
+        return "npy"
+    return "zstd" if all(one.path.endswith(".zst") for one in images) else "png"

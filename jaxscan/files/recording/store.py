@@ -1,4 +1,4 @@
-"""Storage of images in a capture: a PNG file each, or raw frames in shards."""
+"""Storage of images in a capture: a file each, packed by zstd or as PNG, or raw frames in shards."""
 
 import hashlib
 import io
@@ -16,7 +16,7 @@ from jaxscan.errors import CaptureError
 from jaxscan.files.disk import reported, sync_to_disk, write_atomically
 
 
-Storage = Literal["png", "npy"]
+Storage = Literal["zstd", "png", "npy"]
 STORAGES: tuple[Storage, ...] = get_args(Storage)
 
 SHARD_BYTES = 64 << 20
@@ -29,33 +29,36 @@ _HEADER_BYTES = 128
 class WriteSettings:
     """How a capture is written; `create_capture` describes each."""
 
-    storage: Storage = "png"
+    storage: Storage = "zstd"
     durable: bool = True
     digests: bool = False
 
 
-class PngStore:
-    """One PNG file per image, named after the record.
+class FileStore:
+    """One file per image, named after the record.
 
     As in `ShardStore`, one thread calls `names` and `take`, and many call `write`.
     """
 
-    def __init__(self, path: Path, durable: bool, digests: bool) -> None:
-        self._path, self._durable, self._digests = path, durable, digests
+    def __init__(self, path: Path, settings: WriteSettings) -> None:
+        self._path, self._settings = path, settings
+        self._suffix = ".png" if settings.storage == "png" else ".zst"
 
     def names(self, side: str, stem: str, count: int) -> list[str]:
-        return [f"{side}/{stem}.png"] if count == 1 else [f"{side}/{stem}_{k}.png" for k in range(count)]
+        stems = [stem] if count == 1 else [f"{stem}_{k}" for k in range(count)]
+        return [f"{side}/{one}{self._suffix}" for one in stems]
 
     def take(self, side: str, count: int) -> None:
         pass
 
     def write(self, name: str, image: np.ndarray) -> str:
         # Here, so that reading a capture's header does not load OpenCV.
-        from jaxscan.vision import encode_png
+        from jaxscan.vision import encode_png, encode_zstd
 
-        data = encode_png(image)
-        write_atomically(self._path / name, data, durable=self._durable, error=CaptureError, links="replace")
-        return hashlib.sha256(data).hexdigest() if self._digests else ""
+        data = encode_png(image) if self._suffix == ".png" else encode_zstd(image)
+        durable = self._settings.durable
+        write_atomically(self._path / name, data, durable=durable, error=CaptureError, links="replace")
+        return hashlib.sha256(data).hexdigest() if self._settings.digests else ""
 
     def close(self) -> None:
         pass
@@ -160,7 +163,7 @@ class ShardStore:
                 file.truncate(_HEADER_BYTES + place.used * self._bytes)
 
 
-def image_store(path: Path, shape: tuple[int, ...], settings: WriteSettings) -> PngStore | ShardStore:
+def image_store(path: Path, shape: tuple[int, ...], settings: WriteSettings) -> FileStore | ShardStore:
     """The store for images of `shape` in the capture at `path`.
 
     With `digests`, `write` returns the sha256 of the file, or of the frame in a shard.
@@ -170,9 +173,9 @@ def image_store(path: Path, shape: tuple[int, ...], settings: WriteSettings) -> 
     """
     if settings.storage not in STORAGES:
         raise ValueError(f"Unknown storage {settings.storage!r}; known: {', '.join(STORAGES)}.")
-    if settings.storage == "png":
-        return PngStore(path, settings.durable, settings.digests)
-    return ShardStore(path, shape, settings.durable, settings.digests)
+    if settings.storage == "npy":
+        return ShardStore(path, shape, settings.durable, settings.digests)
+    return FileStore(path, settings)
 
 
 def _shard_name(side: str, number: int) -> str:

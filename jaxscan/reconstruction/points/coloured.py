@@ -18,15 +18,18 @@ class Coloured(NamedTuple):
     points: Points | None
 
 
-def coloured(frames: FrameFormat, aim: Aim | None = None, phi: Array | None = None) -> Continuation:
+def coloured(
+    frames: FrameFormat, aim: Aim | None = None, phi: Array | None = None, *, records: int = 0
+) -> Continuation:
     """The continuation that gives `Coloured`.
 
     Args:
         frames: How a frame is to be read.
         aim: Rig, laser and limits; None for colours alone.
         phi: The table's angle of each record [rad from home], float32.
+        records: As of `Continuation`.
     """
-    return Continuation(_coloured, aim, phi, needs_frames(frames))
+    return Continuation(_coloured, aim, phi, needs_frames(frames), records)
 
 
 def _coloured(

@@ -2,16 +2,20 @@
 
 import functools
 import math
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Scanner, StripeAxis, across_and_along, stripe_pixel
 from jaxscan.stripes import LineGate
 
 
+_AHEAD = 24
+"""Intervals that are looked at together: those of about three cells."""
 Cells = tuple[Int[np.ndarray, " _"], Float[np.ndarray, " _"]]
 _PITCH_PX = 8.0
 """Largest distance between the points at which rays meet the sheet [px]."""
@@ -106,30 +110,93 @@ def _error(incidence: Float[np.ndarray, "a b"]) -> Float[np.ndarray, "a b"]:
 def _gate(
     incidence: Float[np.ndarray, "a b"], places: tuple[Cells, Cells], limits: tuple[float, float], grown: int
 ) -> LineGate:
-    error, (least, most) = _error(incidence), limits
-    (row, down), (index, fraction) = places
+    (row, _), (index, _) = places
+    lattice = _Lattice.of(incidence, places, limits)
     lines, length = len(row), len(index) - 2
-    # Lines of the lattice at all pixels, then pairs of these for all lines in between.
-    wide = _between(incidence[:, index], incidence[:, index + 1], fraction[None, :])
-    loose = np.maximum(error[:, index], error[:, index + 1])
+    possible = lattice.possible()
+    some = np.asarray(possible.any(1))[row]
+    # Interval k lies between coordinates k - 1 and k. Those of the first and the last cells that may hold an accepted
+    # one are looked at, and of few lines all.
+    starts = np.searchsorted(index, np.arange(possible.shape[1]))
+    before = starts[possible.argmax(1)][row]
+    after = starts[possible.shape[1] - 1 - possible[:, ::-1].argmax(1)][row] + _AHEAD
+    first = _first(lattice, np.flatnonzero(some), before[some] - 2, 1)
+    last = _first(lattice, np.flatnonzero(some), np.minimum(after[some], length), -1)
     low, high = np.zeros(lines, np.int32), np.zeros(lines, np.int32)
-    rise = 0.0
-    for cell in np.unique(row):
-        members = np.flatnonzero(row == cell)
-        m = _between(wide[cell][None, :], wide[cell + 1][None, :], down[members][:, None])
-        slack = np.maximum(loose[cell], loose[cell + 1])
-        slack = np.maximum(slack[:-1], slack[1:])[None, :]
-        smaller, larger = np.minimum(m[:, :-1], m[:, 1:]), np.maximum(m[:, :-1], m[:, 1:])
-        # Written so that a NaN is not excluded; a ray must meet the sheet in front.
-        accepted = ~(larger + slack < least) & ~(smaller - slack > most) & ~(larger + slack <= 0.0)
-        some = accepted.any(1)
-        # Interval k lies between coordinates k - 1 and k.
-        first = accepted.argmax(1) - 1
-        last = length - accepted[:, ::-1].argmax(1)
-        low[members] = np.where(some, np.clip(first - grown, 0, length - 1), 0)
-        high[members] = np.where(some, np.clip(last + grown + 1, 1, length), 0)
-        rise += np.nansum(np.where(accepted, m[:, 1:] - m[:, :-1], 0.0))
+    exists = first >= 0
+    mine = np.flatnonzero(some)[exists]
+    low[mine] = np.clip(first[exists] - 1 - grown, 0, length - 1)
+    high[mine] = np.clip(last[exists] + grown + 1, 1, length)
+    rise = np.nansum(np.where(possible, np.diff(incidence[:-1] + incidence[1:], axis=1), 0.0))
     return LineGate(low, high, 1 if rise >= 0 else -1)
+
+
+class _Lattice(NamedTuple):
+    """The incidence on the lattice and along its lines, with the bounds of its error."""
+
+    incidence: Float[np.ndarray, "a b"]
+    error: Float[np.ndarray, "a b"]
+    wide: Float[np.ndarray, "a n"]
+    """The incidence at every coordinate along the lines of the lattice."""
+    loose: Float[np.ndarray, "a n"]
+    """Its error."""
+    places: tuple[Cells, Cells]
+    limits: tuple[float, float]
+
+    @staticmethod
+    def of(incidence: Float[np.ndarray, "a b"], places: tuple[Cells, Cells], limits: tuple[float, float]) -> "_Lattice":
+        error, (index, fraction) = _error(incidence), places[1]
+        wide = _between(incidence[:, index], incidence[:, index + 1], fraction[None, :])
+        return _Lattice(incidence, error, wide, np.maximum(error[:, index], error[:, index + 1]), places, limits)
+
+    def possible(self) -> Bool[np.ndarray, "rows cells"]:
+        """Cells in which, or beside which, an interval may be accepted."""
+
+        def around(values: np.ndarray, of: Callable) -> np.ndarray:
+            both = of(values[:-1], values[1:])
+            padded = np.pad(both, ((0, 0), (1, 1)), mode="edge")
+            four = [padded[:, k : k + both.shape[1] - 1] for k in range(4)]
+            return np.asarray(of(of(four[0], four[1]), of(four[2], four[3])))
+
+        slack = around(self.error, np.maximum)
+        return _accepted(around(self.incidence, np.minimum), around(self.incidence, np.maximum), slack, self.limits)
+
+    def accepted(self, lines: Int[np.ndarray, " m"], interval: Int[np.ndarray, "m w"]) -> Bool[np.ndarray, "m w"]:
+        """Whether intervals of lines are accepted."""
+        row, down = (place[lines, None] for place in self.places[0])
+
+        def at(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            m = _between(self.wide[row, place], self.wide[row + 1, place], down)
+            return m, np.maximum(self.loose[row, place], self.loose[row + 1, place])
+
+        (m, slack), (m_next, slack_next) = at(interval), at(interval + 1)
+        return _accepted(np.minimum(m, m_next), np.maximum(m, m_next), np.maximum(slack, slack_next), self.limits)
+
+
+def _accepted(smaller: np.ndarray, larger: np.ndarray, slack: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
+    """Written so that a NaN is not excluded; a ray must meet the sheet in front."""
+    least, most = limits
+    return np.asarray(~(larger + slack < least) & ~(smaller - slack > most) & ~(larger + slack <= 0.0))
+
+
+def _first(
+    lattice: _Lattice, lines: Int[np.ndarray, " m"], start: Int[np.ndarray, " m"], side: int
+) -> Int[np.ndarray, " m"]:
+    """The first accepted interval of each line from its start on, towards one side; -1 where there is none."""
+    length = lattice.wide.shape[1] - 2
+    found = np.full(len(lines), -1)
+    waiting = np.arange(len(lines))
+    steps = np.arange(_AHEAD)
+    for ahead in range(0, length + 2 * _AHEAD, _AHEAD):
+        at = start[waiting, None] + side * (ahead + steps)
+        inside = (at >= 0) & (at <= length)
+        accepted = lattice.accepted(lines[waiting], np.clip(at, 0, length)) & inside
+        some = accepted.any(1)
+        found[waiting[some]] = at[some, accepted[some].argmax(1)]
+        waiting = waiting[~some & inside.any(1)]
+        if len(waiting) == 0:
+            break
+    return found
 
 
 def _cells(x: Float[np.ndarray, " n"], nodes: Float[np.ndarray, " m"]) -> Cells:

@@ -1,7 +1,7 @@
 """A sweep in batches of frames that one compiled function takes."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import jax
@@ -10,7 +10,7 @@ import numpy as np
 from jaxscan.geometry import Array
 from jaxscan.reconstruction.ahead import workers
 from jaxscan.reconstruction.settings import ReconstructSettings
-from jaxscan.reconstruction.sweep import SweepSource
+from jaxscan.reconstruction.sweep import FrameChunk, SweepSource
 
 
 _RECORDS = 32
@@ -20,7 +20,7 @@ _BYTES = 100e6
 
 
 class Batch(NamedTuple):
-    """Frames of one laser; frames beyond those of the profiles are padding."""
+    """Frames of one laser."""
 
     profiles: np.ndarray
     """Which profiles of the sweep, int [n]."""
@@ -43,12 +43,12 @@ def chunk_records(sweep: SweepSource, settings: ReconstructSettings) -> int:
     return -(-size // devices) * devices
 
 
-def batches(sweep: SweepSource, size: int) -> Iterator[Batch]:
-    """The sweep in batches of exactly `size` frames each."""
+def batches(sweep: SweepSource, size: int, chunks: Iterable[FrameChunk] | None = None) -> Iterator[Batch]:
+    """The sweep in batches of at most `size` frames each."""
     record, laser = sweep.record, sweep.laser
     lasers = np.unique(laser)
     start = 0
-    for chunk in sweep.chunks(size):
+    for chunk in sweep.chunks(size) if chunks is None else chunks:
         count = len(chunk.on)
         here = (record >= start) & (record < start + count)
         for index in lasers:
@@ -56,21 +56,12 @@ def batches(sweep: SweepSource, size: int) -> Iterator[Batch]:
             for first in range(0, len(profiles), size):
                 some = profiles[first : first + size]
                 rows = record[some] - start
-                off = None if chunk.off is None else _frames(chunk.off, rows, size)
-                yield Batch(some, int(index), _frames(chunk.on, rows, size), off)
+                off = None if chunk.off is None else _frames(chunk.off, rows)
+                yield Batch(some, int(index), _frames(chunk.on, rows), off)
         start += count
 
 
-def padded(array: np.ndarray, size: int) -> np.ndarray:
-    """The array, filled up with zeros to `size` entries."""
-    if len(array) == size:
-        return array
-    whole = np.zeros((size, *array.shape[1:]), array.dtype)
-    whole[: len(array)] = array
-    return whole
-
-
-def _frames(frames: Array, rows: np.ndarray, size: int) -> Array:
-    if len(rows) == len(frames) == size and bool(np.all(np.diff(rows) == 1)):
+def _frames(frames: Array, rows: np.ndarray) -> Array:
+    if len(rows) == len(frames) and bool(np.all(np.diff(rows) == 1)):
         return frames
-    return padded(np.asarray(frames)[rows], size)
+    return np.asarray(frames)[rows]

@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from jaxscan.simulation.camera.noise import gaussian
 from jaxscan.simulation.settings import Colour, PixelFormat, SensorSpec
 
 
 COLOURS: tuple[Colour, ...] = ("red", "green", "blue")
 LUMINANCE = np.array([[0.30], [0.59], [0.11]], np.float32)
 """Levels of red, green and blue light in a mono camera."""
-_AT_ONCE = 1 << 16
+_AT_ONCE = 1 << 15
 """Pixels exposed at a time."""
 _SITES = {
     "bayer_rggb8": ((0, 1), (1, 2)),
@@ -66,7 +67,7 @@ def expose(expected: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -
         uint8 of the same shape.
     """
     codes = np.empty(expected.shape, np.uint8)
-    # Some rows at a time, which stay in the processor's cache; the noise is that of the whole drawn at once.
+    # Some rows at a time, which stay in the processor's cache.
     rows = max(1, _AT_ONCE // max(1, expected[0].size)) if expected.ndim > 1 else max(1, len(expected))
     for start in range(0, len(expected), rows):
         codes[start : start + rows] = _exposed(expected[start : start + rows], sensor, rng)
@@ -74,21 +75,21 @@ def expose(expected: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -
 
 
 def _exposed(expected: np.ndarray, sensor: SensorSpec, rng: np.random.Generator) -> np.ndarray:
-    variance = np.maximum(expected, np.float32(0))
-    variance *= np.float32(1 / sensor.electrons_per_dn)
-    variance += np.float32(sensor.read_dn**2)
-    noise = rng.standard_normal(expected.shape, np.float32)
-    noise *= np.sqrt(variance, out=variance)
-    noise += expected
-    noise += np.float32(sensor.black_dn)
+    level = np.maximum(expected, np.float32(0))
+    level *= np.float32(1 / sensor.electrons_per_dn)
+    level += np.float32(sensor.read_dn**2)
+    np.sqrt(level, out=level)
+    level *= gaussian(expected.shape, rng)
+    level += expected
+    level += np.float32(sensor.black_dn)
     if sensor.response == "srgb":
-        noise = encode_srgb(noise)
+        level = encode_srgb(level)
     elif sensor.response != "linear":
         exponent = np.float32(1 / float(sensor.response.split()[1]))
-        noise = np.float32(255) * np.clip(noise / np.float32(255), 0, 1) ** exponent
-    np.rint(noise, out=noise)
-    np.clip(noise, 0, 255, out=noise)
-    return noise.astype(np.uint8)
+        level = np.float32(255) * np.clip(level / np.float32(255), 0, 1) ** exponent
+    np.rint(level, out=level)
+    np.clip(level, 0, 255, out=level)
+    return level.astype(np.uint8)
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:

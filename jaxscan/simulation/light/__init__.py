@@ -5,4 +5,4 @@ from jaxscan.simulation.light.gloss import lobe
 from jaxscan.simulation.light.lit import LitScene, laser_channel
 from jaxscan.simulation.light.row_truth import RowTruth, row_truth
 from jaxscan.simulation.light.speckle import speckle_light
-from jaxscan.simulation.light.stripe import LitSamples, laser_image, lit_samples, mirrored_samples
+from jaxscan.simulation.light.stripe import ON_BOARD, LitSamples, laser_image, lit_samples, mirrored_samples

@@ -50,7 +50,8 @@ def line_pieces(shot: LitScene) -> Pieces:
     origin, directions = shot.pose.apply(sheet.origin), shot.pose.turn(ways)
     far, triangle = scene.cast(origin, directions)
     normal = scene.normal[triangle].astype(np.float64)
-    (albedo,), _ = scene.look(triangle, (origin + far[:, None] * directions).astype(np.float32), laser_channel(shot))
+    places = (origin + far[:, None] * directions).astype(np.float32)
+    (albedo,), _ = scene.look(triangle, places, laser_channel(shot.sheet))
     if shot.board is not None:
         start, way = shot.board.board_from_camera.apply(sheet.origin), shot.board.board_from_camera.turn(ways)
         nearer = -start[2] / np.where(np.abs(way[:, 2]) < 1e-9, 1e-9, way[:, 2])

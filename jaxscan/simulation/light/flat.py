@@ -11,7 +11,7 @@ from jaxscan.simulation.scene import Plane, Rays
 
 
 def light_on(shot: LitScene, plane: Plane, rays: Rays, fan: FanView) -> np.ndarray:
-    """Light of the laser seen along rays that meet a plane before anything else.
+    """Light of the laser seen along rays that meet a plane before anything else, behind a board or beside it.
 
     Args:
         shot: The scene and its laser.
@@ -47,10 +47,13 @@ def light_on(shot: LitScene, plane: Plane, rays: Rays, fan: FanView) -> np.ndarr
     inside = np.flatnonzero((np.abs(beside) < f(band(sheet)) * thickness) & (power > 0))
     at, some, depth = at[inside], some.at(inside), depth[inside]
     open_ = np.flatnonzero(_open(shot, plane, fan, at // rays.x.shape[-1], (some, depth, angle[inside], r[inside])))
+    if shot.board is not None:
+        points = np.stack([part * depth[open_] for part in np.broadcast_arrays(*some.at(open_).whole())], -1)
+        open_ = open_[~shot.board.blocks(sheet.origin, points)]
     inside, some, depth = inside[open_], some.at(open_), depth[open_]
     beside, r, thickness, power = beside[inside], r[inside], thickness[inside], power[inside]
     energy = f(sheet.power / math.sqrt(2 * math.pi) * height) / (r * r * thickness)
-    (albedo,) = plane.albedo(some, depth, laser_channel(shot))
+    (albedo,) = plane.albedo(some, depth, laser_channel(shot.sheet))
     light.ravel()[at[open_]] = energy * power * across(sheet, beside / thickness) * albedo
     return light
 

@@ -36,6 +36,17 @@ class LitScene(NamedTuple):
     """A board in front of the scene."""
 
 
+class Met(NamedTuple):
+    """What each of n rays meets first."""
+
+    depth: np.ndarray
+    """inf where nothing is."""
+    triangle: np.ndarray
+    on_board: np.ndarray
+    place: np.ndarray
+    """As in `Hits`."""
+
+
 class Hits(NamedTuple):
     """First surface on each of n rays, camera frame."""
 
@@ -54,16 +65,30 @@ def stacked(x: np.ndarray, y: np.ndarray, z: Numbers) -> np.ndarray:
     return np.stack([x, y, np.broadcast_to(np.asarray(z, x.dtype), x.shape)])
 
 
-def laser_channel(shot: LitScene) -> np.ndarray:
+def laser_channel(sheet: Sheet) -> np.ndarray:
     """Weights [3, 1] of R, G, B for surfaces in the laser's light."""
-    return np.eye(3, dtype=np.float32)[:, [COLOURS.index(shot.sheet.spec.colour)]]
+    return np.eye(3, dtype=np.float32)[:, [COLOURS.index(sheet.spec.colour)]]
 
 
-def illuminate(shot: LitScene, rays: np.ndarray) -> np.ndarray:
-    """Light of the laser seen along rays [3, n], float32 [n], DN on a pixel filled with it."""
-    hits = cast(shot, rays)
-    beside = hits.depth * shot.sheet.slope_at(*rays).astype(np.float32) - np.float32(shot.sheet.distance)
-    return light_at(shot, hits, beside)
+def illuminate(shot: LitScene, rays: np.ndarray, *, only_board: bool = False) -> np.ndarray:
+    """Light of the laser seen along rays [3, n], float32 [n], DN on a pixel filled with it; as for `cast`."""
+    met = _meet(shot, rays, only_board)
+    depth = np.where(np.isfinite(met.depth), met.depth, np.float32(0))
+    beside = depth * shot.sheet.slope_at(*rays).astype(np.float32) - np.float32(shot.sheet.distance)
+    light = np.zeros(len(beside), np.float32)
+    # Most rays meet something far beside the sheet.
+    near = np.flatnonzero((np.abs(beside) < _widest_band(shot.sheet, rays, depth)) & (depth > 0))
+    some = Met(met.depth[near], met.triangle[near], met.on_board[near], met.place[:, near])
+    light[near] = light_at(shot, _hits(shot, rays[:, near], some), beside[near])
+    return light
+
+
+def _widest_band(sheet: Sheet, rays: np.ndarray, depth: np.ndarray) -> np.float32:
+    """Half the width that the lit band has at the most at some depths along rays [3, n], m."""
+    reach = np.sqrt(np.einsum("in,in->n", rays, rays)) * depth
+    far = float(reach.max(initial=0)) + float(np.linalg.norm(sheet.origin))
+    thickest = float(sheet.thickness(np.array([0.0, far])).max())
+    return np.float32(1.01 * band(sheet) * (1 + sheet.spec.widening) * thickest)
 
 
 def light_at(shot: LitScene, hits: Hits, beside: np.ndarray) -> np.ndarray:
@@ -103,18 +128,33 @@ def _thickness(sheet: Sheet, legs: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return sheet.thickness(r).astype(np.float32) * widened(sheet, angle)
 
 
-def cast(shot: LitScene, rays: np.ndarray) -> Hits:
-    """First surface on each of the camera's rays [3, n]."""
+def cast(shot: LitScene, rays: np.ndarray, *, only_board: bool = False) -> Hits:
+    """First surface on each of the camera's rays [3, n]; with `only_board`, they meet nothing before the board."""
+    return _hits(shot, rays, _meet(shot, rays, only_board))
+
+
+def _meet(shot: LitScene, rays: np.ndarray, only_board: bool) -> Met:
+    """What rays [3, n] meet first; as for `cast`."""
     scene, pose, board = shot.scene, shot.pose, shot.board
+    if only_board:
+        depth = np.full(rays.shape[1], np.inf, np.float32)
+        triangle = np.full(rays.shape[1], len(scene.normal) - 1)
+    else:
+        depth, triangle = scene.cast(pose.translation, pose.turn(np.ascontiguousarray(rays.T)))
+    if board is None:
+        return Met(depth, triangle, np.zeros(len(depth), bool), np.zeros((2, len(depth))))
+    nearer, bx, by = board.hit(*rays)
+    on_board = nearer < depth
+    return Met(np.where(on_board, nearer, depth), triangle, on_board, np.stack([bx, by]))
+
+
+def _hits(shot: LitScene, rays: np.ndarray, met: Met) -> Hits:
+    """The points that rays [3, n] meet, and their normals."""
     directions = np.ascontiguousarray(rays.T)
-    depth, triangle = scene.cast(pose.translation, pose.turn(directions))
-    normal = pose.inverse().turn(scene.normal)[triangle]
-    on_board, place = np.zeros(len(depth), bool), np.zeros((2, len(depth)))
-    if board is not None:
-        nearer, bx, by = board.hit(*rays)
-        on_board, place = nearer < depth, np.stack([bx, by])
-        depth = np.where(on_board, nearer, depth)
-        normal = np.where(on_board[:, None], board.normal().astype(np.float32), normal)
+    depth, triangle, on_board, place = met
+    normal = shot.pose.inverse().turn(shot.scene.normal.take(triangle, 0))
+    if shot.board is not None:
+        normal = np.where(on_board[:, None], shot.board.normal().astype(np.float32), normal)
     safe = np.where(np.isfinite(depth), depth, 0).astype(directions.dtype)
     points = directions * safe[:, None]
     away = np.einsum("ij,ij->i", normal, points) > 0
@@ -132,7 +172,7 @@ def _shaded(shot: LitScene, points: np.ndarray, on_board: np.ndarray) -> np.ndar
 
 def albedo_at(shot: LitScene, hits: Hits, lit: np.ndarray) -> np.ndarray:
     """Albedo of the `lit` points for the laser's light, float32 [lit]."""
-    (albedo,), _ = shot.scene.look(hits.triangle[lit], shot.pose.apply(hits.points[lit]), laser_channel(shot))
+    (albedo,), _ = shot.scene.look(hits.triangle[lit], shot.pose.apply(hits.points[lit]), laser_channel(shot.sheet))
     if shot.board is not None:
         on_board = hits.on_board[lit]
         albedo[on_board] = shot.board.albedo(*hits.place[:, lit[on_board]])

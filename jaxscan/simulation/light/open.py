@@ -18,14 +18,15 @@ class FanView:
     def __init__(self, shot: LitScene) -> None:
         sheet = shot.sheet
         self._sheet, self._half = sheet, math.radians(sheet.spec.fan_deg) / 2
-        legs = shot.pose.inverse().apply(shot.scene.outline.edges) - sheet.origin
-        out = legs @ sheet.normal
+        edges, origin = shot.scene.outline.edges, shot.pose.apply(sheet.origin)
+        normal = shot.pose.turn(sheet.normal)
+        out = np.einsum("nij,j->ni", edges, normal) - normal @ origin
         # How thick the lit band can be at all, with its bow.
-        far = float(np.sqrt(np.max(np.sum(legs * legs, -1), initial=0)))
+        far = shot.scene.outline.farthest(origin)
         thick = float(max(sheet.thickness(np.array([0.0, far])))) * band(sheet) * (1 + sheet.spec.widening)
         thick += (far + float(np.linalg.norm(sheet.origin))) * sheet.bulge
         near = (out.min(1) <= thick) & (out.max(1) >= -thick)
-        legs, out = legs[near], out[near]
+        legs, out = shot.pose.inverse().turn(edges[near] - origin), out[near]
         step = out[:, 1] - out[:, 0]
         step = np.where(np.abs(step) < 1e-12, 1e-12, step)
         shares = np.sort((np.array([-thick, thick]) - out[:, :1]) / step[:, None], 1).clip(0, 1)

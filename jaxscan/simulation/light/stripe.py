@@ -26,6 +26,9 @@ SAMPLES_ALONG = 2
 _BATCH = 1024
 """Pixels evaluated at a time."""
 
+ON_BOARD = -2
+"""In place of a triangle: a pixel sees the board alone."""
+
 FacetAt = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -52,12 +55,10 @@ def lit_samples(shot: LitScene, depth: np.ndarray, blur: Blur, facet_at: FacetAt
         shot: The scene and its laser.
         depth: Depth along the ray of every pixel's centre, float32 [height, width]; inf where nothing is.
         blur: Of the lens, in all pixels.
-        facet_at: Triangle of the facet that the whole of pixels shows, by their rows and columns; -1 where it is
-            unknown. Without it, and with a board in front, a ray is cast for each sample.
+        facet_at: Triangle of the facet that the whole of pixels shows, by their rows and columns; `ON_BOARD` where
+            they show the board alone, -1 where it is unknown. There, and without it, a ray is cast for each sample.
     """
     near = _crossed(*_beside(shot.sheet, depth))
-    if facet_at is None or shot.board is not None:
-        return _sampled(shot, near, blur, lambda rays: illuminate(shot, rays))
     return _sampled(shot, near, blur, lambda rays: illuminate(shot, rays), facet_at)
 
 
@@ -100,7 +101,9 @@ def _sampled(
     fan = FanView(shot) if facet_at is not None else None
     for triangle, part in _alike(shown):
         x, y, z = rig.rays.at(rows[part], columns[part], None).moved(du, dv)
-        if triangle < 0:
+        if triangle == ON_BOARD:
+            light[part] = illuminate(shot, stacked(x, y, z).reshape(3, -1), only_board=True).reshape(len(part), -1)
+        elif triangle < 0:
             light[part] = light_of(stacked(x, y, z).reshape(3, -1)).reshape(len(part), -1)
         elif fan is not None and triangle < len(shot.scene.normal) - 1:
             rays = Rays(x, y, z if isinstance(z, np.ndarray) else None)

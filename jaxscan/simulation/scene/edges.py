@@ -38,6 +38,16 @@ class Outline:
         return np.append(facet.ravel(), -1)
 
     @cached_property
+    def _box(self) -> np.ndarray:
+        """The corners of the box round all triangles [8, 3]."""
+        low, high = self.corners.min((0, 1)), self.corners.max((0, 1))
+        return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 0, low, high)
+
+    def farthest(self, place: np.ndarray) -> float:
+        """Distance from a place [3] that no point of the mesh exceeds [m]."""
+        return float(np.linalg.norm(self._box - place, axis=-1).max())
+
+    @cached_property
     def edges(self) -> np.ndarray:
         """Ends of the edges between facets, [edges, 2, 3], m."""
         ends = np.stack([self.corners, np.roll(self.corners, -1, 1)], 2).reshape(-1, 2, 3)
@@ -74,6 +84,7 @@ def points_on(edges: np.ndarray, eye: np.ndarray, step: float, cone: Cone) -> np
     Returns:
         [points, 3], m.
     """
+    edges = edges[_within(edges, eye, step, cone)]
     legs = edges - eye
     far = np.maximum(np.sqrt(np.einsum("nij,nij->ni", legs, legs)), 1e-9)
     ways = legs / far[..., None]
@@ -95,3 +106,13 @@ def points_on(edges: np.ndarray, eye: np.ndarray, step: float, cone: Cone) -> np
     # The line through both ends: along the direction first w0 + second w1 it lies at 1 / (first / r0 + second / r1).
     length = 1 / (first / far[which, 0] + second / far[which, 1])
     return eye + length[:, None] * way
+
+
+def _within(edges: np.ndarray, eye: np.ndarray, step: float, cone: Cone) -> np.ndarray:
+    """Which edges may reach into a cone that is wider by two steps: found by the spheres round them, bool [n]."""
+    middle, leg = (edges[:, 0] + edges[:, 1]) / 2 - eye, edges[:, 1] - edges[:, 0]
+    far = np.maximum(np.sqrt(np.einsum("ni,ni->n", middle, middle)), 1e-9)
+    radius = np.sqrt(np.einsum("ni,ni->n", leg, leg)) / 2
+    aside = np.arccos(np.clip(np.einsum("ni,i->n", middle, cone.axis) / far, -1, 1))
+    # Seen from within its sphere, an edge may lie anywhere.
+    return (aside - np.arcsin(np.minimum(radius / far, 1)) < cone.half + 2 * step) | (far <= radius)

@@ -120,7 +120,7 @@ class Scene:
         cosine = np.maximum((lx * a + ly * b + lz * c - plane) * sense, 0) / np.sqrt(r2)
         direct = cosine * f(0.95 * self.reach**2) / (r2 + f(0.6 * self.reach**2))
         if self.shadows:
-            direct *= self._shadow(points)
+            direct *= self._shadow(points, direct > 0)
         # Light from all sides: a little more from above than from below.
         return f(0.66) + f(0.05) * c * sense + direct
 
@@ -128,12 +128,20 @@ class Scene:
         """Strength of the lamp's light on surfaces that face it, at points [rows, columns, 3]; as `light`."""
         r2 = np.sum(np.square(points - self.lamp.astype(np.float32)), -1)
         light = np.float32(0.95 * self.reach**2) / (r2 + np.float32(0.6 * self.reach**2))
-        return light * self._shadow(points) if self.shadows else light
+        return light * self._shadow(points, np.ones(light.shape, bool)) if self.shadows else light
 
-    def _shadow(self, points: np.ndarray) -> np.ndarray:
-        """Share of the lamp's light at points [rows, columns, 3]: looked up at every other one."""
-        rows, columns = points.shape[:2]
-        share = self.lit_share(list(np.moveaxis(points[::2, ::2] - self.lamp.astype(points.dtype), -1, 0)))
+    def _shadow(self, points: np.ndarray, facing: np.ndarray) -> np.ndarray:
+        """Share of the lamp's light at points [rows, columns, 3], looked up at every other one.
+
+        It stays 1 where none of four points is `facing` the lamp, bool [rows, columns].
+        """
+        rows, columns = facing.shape
+        asked = facing[::2, ::2].copy()
+        asked[: rows // 2] |= facing[1::2, ::2]
+        asked[:, : columns // 2] |= facing[::2, 1::2]
+        asked[: rows // 2, : columns // 2] |= facing[1::2, 1::2]
+        share = np.ones(asked.shape, np.float32)
+        share[asked] = self.lit_share(list((points[::2, ::2][asked] - self.lamp.astype(points.dtype)).T))
         return share.repeat(2, 0).repeat(2, 1)[:rows, :columns]
 
     def look(self, triangle: np.ndarray, points: np.ndarray, channels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -43,6 +43,8 @@ _WIDTH_COST = 0.5
 _NEVER = -1e6
 _BRIGHTER = 0.02
 """Score per natural logarithm of the amplitude."""
+COSTS = (_EVIDENCE, _CERTAIN_SNR, _JUMP, _PER_PX, _GAP_JUMP, _WIDTH_COST, _BRIGHTER, _NEVER)
+"""All of them, for native code."""
 
 
 def best_path(candidates: FrameStripes, *, alone_snr: float, continued_snr: float) -> Int8[Array, "frames lines"]:

@@ -55,7 +55,7 @@ class CentreOfGravity:
     """One candidate a line: the brightest."""
 
     candidates = 1
-    locate_natively = None
+    find_natively = None
     choices: tuple[Choice, ...] = ("path", "brightest")
     learns = False
 

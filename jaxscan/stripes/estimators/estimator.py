@@ -1,11 +1,21 @@
 """The protocol of an estimator: from the planes of the laser's colour to measured candidates on every line."""
 
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+from jaxtyping import Int8
+
+from jaxscan.geometry import Array
 from jaxscan.stripes.search import Planes, Search
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.stripes import Choice, MeasuredLines
+from jaxscan.stripes.stripes import Choice, FrameStripes, MeasuredLines
+
+
+class Found(NamedTuple):
+    """Stripes on the lines of the image, as of `choose_stripes`."""
+
+    stripes: FrameStripes
+    chosen: Int8[Array, "frames lines"] | None
 
 
 @runtime_checkable
@@ -23,11 +33,9 @@ class Estimator(Protocol):
     """Whether the stripes of the first frames tell it width and speckle."""
 
     @property
-    def locate_natively(self) -> Callable[[Planes, Search, ExtractionSetup], Any] | None:
-        """A faster `locate` for a CPU, of NumPy planes with laser-off frames; None where there is none.
-
-        A result is good until the next call in the same thread.
-        """
+    def find_natively(self) -> Callable[[Planes, Search, ExtractionSetup], Found] | None:
+        """`locate`, `measure` and the choice faster on a CPU, of NumPy planes with laser-off frames; None where there
+        is no such function."""
 
     def locate(self, planes: Planes, search: Search, setup: ExtractionSetup) -> Any:
         """Where stripes may be, as `measure` takes it; pure and traceable."""

@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float
 from jaxscan.geometry import Array
 
 
-_CERTAIN = 5.0
+CERTAIN = 5.0
 """Standard deviations by which a shift must stand out of the noise of the laser-off frame."""
-_FLOOR = 2.0
+FLOOR = 2.0
 """Standard deviations of the noise below which a level is not believed."""
 _PIXEL = 1.0 / 12.0
 """Addition of a pixel's aperture to the square of a stripe's width [px^2]."""
@@ -75,7 +75,7 @@ def albedo_shift(
     z = (x - u[None, :]) * (1.0 / seen)[None, :]
     light = jnp.where(used, jnp.exp(-0.5 * z * z), 0.0)
     variance = jnp.broadcast_to(jnp.asarray(dark.variance), z.shape)
-    level = jnp.maximum(dark.level - offset, _FLOOR * jnp.sqrt(variance))
+    level = jnp.maximum(dark.level - offset, FLOOR * jnp.sqrt(variance))
     per_level = 1.0 / level
     source = light * per_level
     # Of the centre by one sample's level: (z - mean) source / level / sum(source).
@@ -90,7 +90,7 @@ def albedo_shift(
     pitch = x[1] - x[0]
     sigma = pitch * jnp.sqrt(square) / total
     shift = pitch * (plain_first / jnp.where(some, plain, 1.0) - mean)
-    certain = some & (jnp.abs(shift) > _CERTAIN * sigma)
+    certain = some & (jnp.abs(shift) > CERTAIN * sigma)
     return AlbedoShift(jnp.where(certain, shift, 0.0), sigma)
 
 

@@ -10,12 +10,12 @@ from jaxscan.stripes.fitting.accept import accept
 from jaxscan.stripes.fitting.albedo import DarkWindow, albedo_shift
 from jaxscan.stripes.fitting.gaussian_fit import FitRules, fit_stripe, sample_places
 from jaxscan.stripes.fitting.window import prepare_window
-from jaxscan.stripes.search import BLOCK, Candidates, Search
+from jaxscan.stripes.search import Candidates, Search
 from jaxscan.stripes.setup import ExtractionSetup
 from jaxscan.stripes.stripes import FrameStripes
 
 
-_REST = 0.05
+REST = 0.05
 """Error in standard deviations with which a fit may end early; it adds 0.25 % to the variance."""
 
 
@@ -48,7 +48,7 @@ def fit_candidates(
         def put(number, fits):
             return jax.tree.map(lambda field, part: field.at[number].set(part), fits, fit(block(number), number))
 
-        filled = lax.fori_loop(0, -(-found.total // BLOCK), put, nothing)
+        filled = lax.fori_loop(0, -(-found.total // size), put, nothing)
         return jax.tree.map(jnp.ravel, filled)
 
     parts = [fit_list(found) for found in lists]
@@ -68,7 +68,7 @@ def _fit_block(
         prior=(search.log_width, search.width_information),
         speckle=search.speckle * lax.rsqrt(block.bins.astype(jnp.float32)),
         min_snr=settings.least_snr,
-        rest=_REST,
+        rest=REST,
     )
     iterations = jnp.where(block.saturated > 0, settings.clipped_iterations, settings.iterations)
     fit = fit_stripe(window, start, rules, iterations=iterations, active=real)

@@ -27,9 +27,9 @@ UNUSED_VARIANCE = 1e30
 """Variance of a sample that does not count [DN^2]."""
 MIN_WIDTH_PX = 0.3
 """Below this the width of a stripe cannot be told from its pixel's [px]."""
-_SMALL_STEP = 0.3
+SMALL_STEP = 0.3
 """Relative change of amplitude and width up to which a step is taken as it is [1]."""
-_SMALLEST = 0.25
+SMALLEST = 0.25
 """Smallest squared width of a fit, the pixel's own 1/12 and a little for the stripe [samples^2]."""
 
 
@@ -181,7 +181,7 @@ def fit_stripe(
         # Large steps in log amplitude and 1 / width^2, in which the logarithm of a Gaussian is linear:
         # where the top is clipped, steps in amplitude and width would overshoot again and again.
         by_a = jnp.clip(delta[-3] / amplitude, -1.2, 1.2)
-        small = jnp.abs(by_a) + jnp.abs(by_w) < _SMALL_STEP
+        small = jnp.abs(by_a) + jnp.abs(by_w) < SMALL_STEP
         taller = amplitude * jnp.where(small, 1.0 + by_a, jnp.exp(by_a))
         # By the new amplitude: the first one is the highest sample, which in noise is too high.
         information = taller * taller * pivot
@@ -202,7 +202,7 @@ def fit_stripe(
             moving & (number + 1 < iterations) & ((number < 1) | (left * left * information > rules.rest**2)) & hopeful,
             u + width * jnp.clip(by_u, -limit, limit),
             taller,
-            jnp.clip(wider, _SMALLEST, widest * widest + pixel),
+            jnp.clip(wider, SMALLEST, widest * widest + pixel),
             base + delta[0] if free else base,
             (information / squared, energy, chi2, skew, width * by_u),
         )
@@ -211,7 +211,7 @@ def fit_stripe(
 
     none = jnp.zeros_like(start.u)
     moving = jnp.ones(start.u.shape, jnp.bool_) if active is None else active
-    squared = jnp.clip((start.width / window.step) ** 2 + pixel, _SMALLEST, widest * widest + pixel)
+    squared = jnp.clip((start.width / window.step) ** 2 + pixel, SMALLEST, widest * widest + pixel)
     # Integration over a pixel keeps the area.
     lower = start.amplitude * start.width / window.step / jnp.sqrt(squared)
     first = (jnp.int32(0), moving, start.u / window.step, lower, squared, base, (none,) * 5)

@@ -12,7 +12,7 @@ from jaxscan.stripes.search import Candidates, Search, reach
 from jaxscan.stripes.setup import ExtractionSetup
 
 
-_FILTER_VARIANCE = {1: 3.1, 2: 2.8}
+FILTER_VARIANCE = {1: 3.1, 2: 2.8}
 """Addition of the fine filter, its lattice and the pixel to the square of the width between half-maximum
 points, by pitch, for widths of 0.7 to 3 px [px^2]."""
 
@@ -55,7 +55,7 @@ def prepare_window(
     # a Gaussian that is cut off. Where it is not, the filter widened it.
     saturated = block.saturated.astype(jnp.float32)
     flat = 0.5 * pitch * saturated
-    spread = jnp.where(saturated > 0, 1.0, _FILTER_VARIANCE[pitch])
+    spread = jnp.where(saturated > 0, 1.0, FILTER_VARIANCE[pitch])
     squared = (0.25 * block.extent**2 - flat**2) / (2.0 * math.log(2.0)) - spread
     width = jnp.clip(jnp.sqrt(jnp.maximum(squared, 0.36)), 0.6, setup.settings.max_width_px)
     amplitude = jnp.maximum(top, 1.0) * jnp.exp(jnp.minimum(0.5 * (flat / width) ** 2, 1.5))

@@ -107,7 +107,7 @@ def _coefficients(difference: np.ndarray, start: int) -> Float[np.ndarray, " n"]
     bands, blocks = lines // _BLOCK, (samples - start) // _BLOCK
     # A band is of neighbouring lines; the next band is not next to it. So blocks are moved along the samples only.
     part = difference[:, : bands * _BLOCK, start : start + blocks * _BLOCK].astype(np.float32)
-    part = part.reshape(frames, bands, _BLOCK, blocks, _BLOCK)
     place, wave = np.arange(_BLOCK), np.arange(1, _BLOCK)
     cosine = (0.5 * np.cos((2 * place + 1) * wave[:, None] * np.pi / 16)).astype(np.float32)
-    return np.einsum("ux,vy,flxsy->flsuv", cosine, cosine, part, optimize=True).ravel()
+    along = part.reshape(-1, _BLOCK) @ cosine.T
+    return np.matmul(cosine, along.reshape(frames * bands, _BLOCK, -1)).ravel()

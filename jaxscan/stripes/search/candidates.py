@@ -22,13 +22,12 @@ NARROW, WIDE = 16, 24
 """Samples of a fit's window: that of most stripes, and that of the others."""
 BIN_EXTENT_PX = 13.0
 """Extent from which two samples of a wide window are taken as one [px]."""
-BLOCK = 2032
-"""Candidates that are fitted at a time. Not a power of two, or all rows of a block would share
-the same few lines of a CPU's cache."""
 FINE_NORM, COARSE_NORM = np.sqrt(6.0), np.sqrt(22.0)
 """Root sums of squares of the two filters' weights on the lattice."""
 FINE_SHIFT = 3
 """2 - 1 / 8 brings the fine filter's response to the noise of the coarse one's, within 2 %."""
+LANES = 32
+"""Candidates of a block that native code fits: a few vectors."""
 NO_LEVEL = -1.0
 """Level of a sample that does not count: outside the image, too far away, or clipped [DN]."""
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from jaxscan.stripes.search.candidates import (
     BIN_EXTENT_PX,
-    BLOCK,
     CANDIDATES,
     FINE_SHIFT,
     HALF_SPAN,
+    LANES,
     NARROW,
     WIDE,
     ZONE_SPAN,
@@ -59,10 +59,10 @@ class NativeLocator(threading.local):
         return found
 
     def _list(self, name: str, room: int, samples: int) -> Candidates:
-        blocks = -(-room // BLOCK)
+        blocks = -(-room // LANES)
 
         def memory(field: str, dtype: type, *window: int) -> np.ndarray:
-            return self._memory((name, field), (blocks, *window, BLOCK), dtype)
+            return self._memory((name, field), (blocks, *window, LANES), dtype)
 
         whole = {field: memory(field, np.int32) for field in ("frame", "bins", "saturated")}
         real = {field: memory(field, np.float32) for field in ("start", "extent", "middle")}

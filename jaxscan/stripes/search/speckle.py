@@ -98,17 +98,21 @@ class Told(NamedTuple):
 def scatters(rows: Rows, electrons_per_dn: float, pitch: int) -> Scatters:
     """Variances of centre and width by propagation, with the weights of a fit that knows photons alone."""
     seen = np.sqrt(rows.width**2 + 1 / 12)[..., None]
-    z = pitch * np.arange(-_REACH, _REACH + 1) / seen
+    # Both halves of a profile are alike.
+    z = pitch * np.arange(_REACH + 1) / seen
     light = (rows.amplitude * rows.width)[..., None] / seen * np.exp(-0.5 * z * z)
     weight = 1.0 / (rows.dark[..., None] + light / electrons_per_dn)
     part = weight * light * light
-    zero, two, four = part.sum(-1), (part * z**2).sum(-1), (part * z**4).sum(-1)
+    twice = np.where(np.arange(_REACH + 1) > 0, 2.0, 1.0)
+    square, parts = z * z, part * part
+    zero, two, four = part @ twice, (part * square) @ twice, (part * square * square) @ twice
+    zeros, twos, fours = parts @ twice, (parts * square) @ twice, (parts * square * square) @ twice
     free = np.maximum(zero * four - two * two, 1e-12)
     seen = seen[..., 0]
     centre = seen**2 / np.maximum(two, 1e-12)
-    pull = part * z * seen[..., None] / np.maximum(two, 1e-12)[..., None]
-    stretch = part * (zero[..., None] * z * z - two[..., None]) / free[..., None]
-    return Scatters(zero / free / centre, (pull**2).sum(-1), (stretch**2).sum(-1))
+    pull = twos * (seen / np.maximum(two, 1e-12)) ** 2
+    stretch = (zero * zero * fours - 2.0 * zero * two * twos + two * two * zeros) / free**2
+    return Scatters(zero / free / centre, pull, np.maximum(stretch, 0.0))
 
 
 def learn_speckle(rows: Rows, electrons_per_dn: float, pitch: int) -> LearnedSpeckle:

@@ -90,7 +90,7 @@ def _by_amplitude(scattered: np.ndarray, level: np.ndarray, amplitude: np.ndarra
     classes = int(np.clip(len(level) // _LEAST, 0, _CLASSES))
     if classes == 0:
         return np.ones_like(amplitude)
-    ranks = np.array_split(np.argsort(level, kind="stable"), classes)
+    ranks = np.array_split(np.argsort(level), classes)
     middle = np.array([np.median(level[rank]) for rank in ranks])
     return _interpolated(amplitude, middle, np.array([_spread(scattered[rank]) for rank in ranks]))
 
@@ -110,7 +110,7 @@ def _common(rows: ProfileRows, some: ProfileRows, line_step: int) -> np.ndarray:
     classes = int(np.clip(len(level) // _LEAST, 0, _CLASSES))
     if classes == 0:
         return out
-    ranks = np.array_split(np.argsort(level, kind="stable"), classes)
+    ranks = np.array_split(np.argsort(level), classes)
     middle, usual = (np.array([float(np.median(field[rank])) for rank in ranks]) for field in (level, sigma))
 
     def doubt(these: ProfileRows) -> np.ndarray:
@@ -146,6 +146,8 @@ def _spread(values: Float[np.ndarray, " n"]) -> float:
     # A fifth of a half normal distribution lies below 0.2533 sigma; cut at 3 sigma it has 0.9866 of its sigma.
     found = float(np.quantile(values, 0.2)) / 0.2533 if len(values) else 0.0
     for _ in range(10):
-        near = values[values <= 3.0 * found]
+        near, before = values[values <= 3.0 * found], found
         found = float(np.sqrt(np.mean(near**2))) / 0.9866 if len(near) else 0.0
+        if found == before:
+            break
     return found

@@ -1,4 +1,4 @@
-"""One step: the table at its position, a laser-on and a laser-off frame, and the proof of the pair."""
+"""Two frames of one place: the table at its position, a laser-on and a laser-off frame; nothing is proven here."""
 
 import logging
 from collections.abc import Callable
@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 from jaxscan.stripes import frame_rank
 from scanrig.cameras import Camera, Frame
-from scanrig.checks import PairProof, prove_pair
 from scanrig.clock import Clock, SystemClock
 from scanrig.config import RigConfig
 from scanrig.controllers import Controller, Status
-from scanrig.errors import CameraError, CameraTimeout, FrameError
+from scanrig.errors import CameraError, CameraTimeout
 from scanrig.session.plan import longest_s, shot_s
 
 
@@ -24,41 +23,38 @@ QUIET_S = 0.2
 _COUNT = 65536
 """The controller counts exposures modulo this number."""
 _MOST_LATE = 64
-
-
-@dataclass(frozen=True)
-class ProvenPair:
-    """A proven pair."""
-
-    on: Frame
-    off: Frame
-    proof: PairProof
-    position: int
-    """Position reported by the controller [microsteps from home]."""
-    rejected: tuple[str, ...]
-    """Why earlier takes were rejected."""
-    laser: int = 0
-    """Its laser, counted from 0."""
+_FRESH_S = 0.2
+"""So long after a shot the contactor is still closed: the controller opens it after 10 s of silence."""
 
 
 @dataclass
 class FrameNumbers:
-    """The number of the camera's next frame, if known."""
+    """What is known from the step before."""
 
     next: int | None = None
+    """The number of the camera's next frame."""
+    counted: tuple[float, int] | None = None
+    """When the controller last told its count of exposures, and the count."""
+
+    def forget(self) -> None:
+        """Something else was exposed since, or may have been."""
+        self.next = self.counted = None
 
 
-class _Take(NamedTuple):
+class TakenPair(NamedTuple):
+    """Two whole frames of one place, not proven yet."""
+
     on: Frame
     off: Frame
     position: int
+    """Position reported by the controller [microsteps from home]."""
 
 
-class _Unbelievable(Exception):
+class Unbelievable(Exception):
     """The take is rejected; the message says why."""
 
 
-class _NoFrame(_Unbelievable):
+class NoFrame(Unbelievable):
     """No frame came at all."""
 
 
@@ -89,63 +85,29 @@ class Step(NamedTuple):
     """Which laser, counted from 0."""
 
 
-def take_pair(station: Station, step: Step, rejected: Callable[[str], None] | None = None) -> ProvenPair:
-    """Take one step, and retake it at the same position until it is proven.
+def grab(station: Station, step: Step) -> TakenPair:
+    """Take two whole frames at a position.
 
     With a camera that is triggered by a wire the controller runs the whole shot: exactly two complete frames with
     consecutive numbers must come from its two exposures. Otherwise the host switches the laser and renews its lease
     while it waits for the frame.
 
-    Args:
-        station: The devices.
-        step: The pair to take.
-        rejected: Called with the reason for each rejected take.
-
     Raises:
-        FrameError: If none of `1 + config.checks.retakes` takes was proven; if the laser stays on, the
-            contactor has been opened.
+        Unbelievable: If they are not the two frames of this step; its subclass NoFrame: if none came.
         CameraError: If frames have the wrong size.
         CameraLost, LinkLost, RigFault, RigError: From camera and controller.
     """
-    camera, number = station.camera, step.number
-    take = _by_wire if camera.trigger_mode == "hardware" else _by_hand
-    reasons: list[str] = []
-    verdict, silent = "", 0
-    for left in reversed(range(1 + station.config.checks.retakes)):
-        try:
-            taken = take(station, step)
-            proof = _prove(taken, station.config, step.laser)
-            if proof.ok:
-                return ProvenPair(taken.on, taken.off, proof, taken.position, tuple(reasons), step.laser)
-            verdict, silent = proof.verdict, 0
-            reasons.append(proof.reason)
-        except _Unbelievable as problem:
-            verdict, silent = "", silent + 1 if isinstance(problem, _NoFrame) else 0
-            reasons.append(str(problem))
-        station.numbers.next = None
-        if rejected is not None:
-            rejected(reasons[-1])
-        _let_late_frames_come(camera)
-        if silent >= 2 and left:
-            silent = 0
-            station.reopen()
-    if verdict == "stays on":
-        station.controller.arm(False)
-        raise FrameError(
-            f"step {number}: {reasons[-1]}. The contactor has been opened; do not look into the beam, "
-            "and cut the laser's supply before working on it."
-        )
-    raise FrameError(f"step {number}: not proven in {len(reasons)} takes; reason of the last: {reasons[-1]}.")
+    return (_by_wire if station.camera.trigger_mode == "hardware" else _by_hand)(station, step)
 
 
-def _by_wire(station: Station, step: Step) -> _Take:
+def _by_wire(station: Station, step: Step) -> TakenPair:
     """Take a pair by a shot of the controller; frames are matched by their count."""
     controller, camera, config = station.controller, station.camera, station.config
     clock, numbers = station.clock, station.numbers
     waiting = camera.drop()
     if numbers.next is not None:
         numbers.next += waiting
-    before = _armed(controller).exposures
+    before = _exposures(station)
     controller.shot(step.to, step.number, number=1 + step.laser)
     give_up = clock.now() + longest_s(config) + shot_s(config)
     frames: list[Frame] = []
@@ -159,26 +121,25 @@ def _by_wire(station: Station, step: Step) -> _Take:
     done = controller.wait_shot(step.number, longest_s(config) + shot_s(config))
     exposures = (done.exposures - before) % _COUNT
     if exposures != 2:
-        raise _Unbelievable(f"the controller counted {exposures} exposures, expected 2")
+        raise Unbelievable(f"the controller counted {exposures} exposures, expected 2")
     if done.position != step.to:
-        raise _Unbelievable(f"the table stopped at {done.position}, expected {step.to}")
+        raise Unbelievable(f"the table stopped at {done.position}, expected {step.to}")
     if len(frames) < 2:
-        raise (_Unbelievable if frames else _NoFrame)(f"{len(frames)} of 2 frames came")
+        raise (Unbelievable if frames else NoFrame)(f"{len(frames)} of 2 frames came")
     if more := camera.drop():
-        raise _Unbelievable(f"{2 + more} frames came, expected 2")
+        raise Unbelievable(f"{2 + more} frames came, expected 2")
     on, off = frames
     _require_whole(on, off)
     if on.number >= 0 and off.number >= 0:
         expected = on.number if numbers.next is None else numbers.next
         if (on.number, off.number) != (expected, expected + 1):
-            raise _Unbelievable(
-                f"found the frames {on.number} and {off.number}, expected {expected} and {expected + 1}"
-            )
+            raise Unbelievable(f"found the frames {on.number} and {off.number}, expected {expected} and {expected + 1}")
         numbers.next = off.number + 1
-    return _Take(on, off, done.position)
+    numbers.counted = clock.now(), done.exposures
+    return TakenPair(on, off, done.position)
 
 
-def _by_hand(station: Station, step: Step) -> _Take:
+def _by_hand(station: Station, step: Step) -> TakenPair:
     """Take a pair by switching the laser from the host, for cameras without a trigger wire."""
     controller, clock, laser = station.controller, station.clock, station.config.laser[step.laser]
     lit = 1 + step.laser
@@ -186,13 +147,13 @@ def _by_hand(station: Station, step: Step) -> _Take:
     _armed(controller)
     position = controller.move(step.to, longest_s(station.config))
     if position != step.to:
-        raise _Unbelievable(f"the table stopped at {position}, expected {step.to}")
+        raise Unbelievable(f"the table stopped at {position}, expected {step.to}")
     rest(station.config.turntable.settle_ms / 1000, controller, clock)
     controller.laser(True, number=lit)
     try:
         rest(laser.on_ms / 1000, controller, clock, lit=lit)
         on = _fresh_frame(station, lit=lit)
-    except (_Unbelievable, CameraError):
+    except (Unbelievable, CameraError):
         # After any other error the controller is gone or is about to be aborted.
         controller.laser(False)
         raise
@@ -200,7 +161,15 @@ def _by_hand(station: Station, step: Step) -> _Take:
     rest(laser.off_ms / 1000, controller, clock)
     off = _fresh_frame(station)
     _require_whole(on, off)
-    return _Take(on, off, position)
+    return TakenPair(on, off, position)
+
+
+def _exposures(station: Station) -> int:
+    """The controller's count of exposures. It is not asked again right after a shot: a question takes milliseconds."""
+    counted, station.numbers.counted = station.numbers.counted, None
+    if counted is not None and station.clock.now() - counted[0] < _FRESH_S:
+        return counted[1]
+    return _armed(station.controller).exposures
 
 
 def _armed(controller: Controller) -> Status:
@@ -226,7 +195,29 @@ def _fresh_frame(station: Station, *, lit: int | None = None) -> Frame:
         except CameraTimeout:
             _keep_alive(controller, lit=lit)
             if clock.now() >= give_up:
-                raise _NoFrame(f"no {'laser-on' if lit else 'laser-off'} frame came") from None
+                raise NoFrame(f"no {'laser-on' if lit else 'laser-off'} frame came") from None
+
+
+def plain_frame(station: Station) -> Frame:
+    """A frame without laser.
+
+    Raises:
+        CameraTimeout: If none came, or none that is whole.
+        CameraLost, LinkLost, RigFault: From camera and controller.
+    """
+    camera, config = station.camera, station.config
+    station.numbers.forget()
+    camera.drop()
+    exposing = station.controller if camera.trigger_mode == "hardware" else None
+    if exposing is not None:
+        exposing.trigger()
+    elif camera.trigger_mode == "software":
+        camera.trigger()
+    patience = config.camera.exposure_ms / 1000 + config.checks.late_s
+    frame = next_frame(camera, exposing, patience, station.clock)
+    if not frame.complete:
+        raise CameraTimeout(f"{camera.identity}: frame {frame.number} is not complete")
+    return frame
 
 
 def next_frame(camera: Camera, controller: Controller | None, timeout_s: float, clock: Clock) -> Frame:
@@ -274,22 +265,13 @@ def _look(camera: Camera, config: RigConfig) -> Frame:
 def _require_whole(*frames: Frame) -> None:
     for frame in frames:
         if not frame.complete:
-            raise _Unbelievable(f"frame {frame.number} is not complete" + (f": {frame.note}" if frame.note else ""))
+            raise Unbelievable(f"frame {frame.number} is not complete" + (f": {frame.note}" if frame.note else ""))
 
 
-def _prove(taken: _Take, config: RigConfig, laser: int) -> PairProof:
-    return prove_pair(
-        taken.on.image,
-        taken.off.image,
-        pixel_format=config.camera.pixel_format,
-        response=config.camera.response,
-        line=config.laser[laser].line,
-        limits=config.checks.proof,
-    )
-
-
-def _let_late_frames_come(camera: Camera) -> None:
+def discard_rest(station: Station) -> None:
     """Discard frames that were on their way when a take was rejected, so that the next take does not get them."""
+    camera = station.camera
+    station.numbers.forget()
     if camera.trigger_mode != "free":
         for _ in range(_MOST_LATE):
             try:
