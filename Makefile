@@ -19,9 +19,9 @@ demo: $(INSTALLED) libraries
 # Two processes: compiling, which is most of the time, keeps one core busy at a time. Whole files,
 # because the tests of a file share what is compiled, in the order of tests/conftest.py. Compiled
 # code that runs a few times need not be fast, and costs half as much to make; `make test-all`
-# compiles as the package does in use.
+# compiles as the package does in use. `make test TESTS=tests/stripes` runs those of a folder or a file.
 test: $(INSTALLED)
-	XLA_FLAGS="$(QUICKLY) $$XLA_FLAGS" $(BIN)/python -m pytest -q $(SHARED)
+	XLA_FLAGS="$(QUICKLY) $$XLA_FLAGS" $(BIN)/python -m pytest -q $(SHARED) $(TESTS)
 
 test-all: $(INSTALLED)
 	$(BIN)/python -m pytest -q $(SHARED) -m "slow or not slow"

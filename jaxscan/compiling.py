@@ -16,7 +16,8 @@ _QUICKLY: dict[str, Any] = {"xla_backend_optimization_level": 0, "xla_cpu_use_fu
 def compile_quickly(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """As `equinox.filter_jit`, but on a CPU compiled in a fraction of the time, to code that is somewhat slower.
 
-    For functions that run a few times in a process. Accelerators compile as ever.
+    For functions that run a few times in a process, and are called by the host: not inside of another compiled
+    function, where JAX takes no such options. Accelerators compile as ever.
     """
 
     @functools.cache

@@ -38,7 +38,7 @@ def cold_figures(scratch: Path) -> list[Figure]:
 
 
 def _run(cache: Path, *words: str) -> tuple[dict[str, Any], float, float]:
-    """What `jaxscan` says as JSON, its wall time and its processor time [s]."""
+    """The JSON that `jaxscan` prints, its wall time and its processor time [s]."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
     environment |= {"XDG_CACHE_HOME": str(cache), "NUMBA_CACHE_DIR": str(cache / "numba")}
     command = [sys.executable, "-m", "jaxscan.cli.main", *words, "--json", "-"]
