@@ -237,8 +237,8 @@ def test_simulating_twice_gives_the_same(tiny, tmp_path):
     assert not made.boards.exists()
     for index, step in enumerate((0, 30)):
         for kind in ("on", "off"):
-            again = made.sweep / kind / f"{index:06d}.png"
-            assert again.read_bytes() == (tiny.sweep / kind / f"{step:06d}.png").read_bytes()
+            again = made.sweep / kind / f"{index:06d}.zst"
+            assert again.read_bytes() == (tiny.sweep / kind / f"{step:06d}.zst").read_bytes()
     assert api.SimulatedCaptures.of(made.folder) == made
 
 

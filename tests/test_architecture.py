@@ -37,12 +37,13 @@ MAY_IMPORT = {
     "cli": ANY,
     "__init__": set(),
     "errors": set(),
+    "compiling": set(),
     "printable": set(),
     "data": set(),
 }
 """Folders of the package that a folder may import, beside itself and what all may import."""
 
-FOR_ALL = {"errors", "printable"}
+FOR_ALL = {"compiling", "errors", "printable"}
 """Files of the package that import nothing, and that all may import."""
 
 HOME_OF = {

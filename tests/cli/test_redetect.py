@@ -3,12 +3,12 @@
 import json
 import shutil
 
-import cv2
 import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan.vision import find_corners
+from jaxscan.vision import encode_zstd, find_corners
+from jaxscan.vision.zstd import decode_zstd
 
 from .conftest import unsealed
 
@@ -19,12 +19,12 @@ def spoilt(tiny, tmp_path_factory):
     boards = unsealed(shutil.copytree(tiny.boards, tmp_path_factory.mktemp("spoilt") / "boards"))
     record = json.loads((boards / "frames.jsonl").read_text().splitlines()[-1])
     capture = jaxscan.open_capture(boards)
-    off = cv2.imread(str(boards / record["off"]), cv2.IMREAD_GRAYSCALE)
+    off = decode_zstd((boards / record["off"]).read_bytes())
     middle = int(np.median(find_corners(off, capture.board).q[:, 0]))
     for kind in ("on", "off"):
-        image = cv2.imread(str(boards / record[kind]), cv2.IMREAD_UNCHANGED)
+        image = decode_zstd((boards / record[kind]).read_bytes()).copy()
         image[:, :middle] = 60
-        cv2.imwrite(str(boards / record[kind]), image)
+        (boards / record[kind]).write_bytes(encode_zstd(image))
     return jaxscan.open_capture(boards)
 
 

@@ -38,6 +38,7 @@ class Solution(NamedTuple):
     shared: Float[np.ndarray, " shared"]
     """The step of the shared unknowns to there, from the problem that was given [scaled units]."""
     steps: int
+    """Linearisations, the first one included."""
     converged: bool
     """False where it stopped after its last step."""
 
@@ -59,11 +60,11 @@ def solve(problem: Problem, damping: float, tolerance: float, max_steps: int) ->
         damping: Of the first step, relative to the diagonal of J'J [1].
         tolerance: Root mean square change of scaled unknowns and of whitened residuals at which
             to stop [1].
-        max_steps: Steps at most.
+        max_steps: Linearisations at most, the first one included.
     """
     here = linearised_at(problem)
     shared, size = np.zeros(len(here.prior_residual)), 1.0
-    for steps in range(1, max_steps + 1):
+    for steps in range(2, max_steps + 1):
         found = _advance(problem, here.blocks, np.asarray(damping / size))
         there = linearised_at(found.problem)
         # The last steps change the cost by less than its last digit: a change by rounding alone is no worse.
