@@ -132,7 +132,7 @@ def test_every_reading_of_a_sweep_renders_the_same_frames(tiny):
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_the_quick_set_runs_in_both_worlds(tmp_path):
-    """`make experiments QUICK=--quick`: every experiment ends, has finite figures, and is not worse than the baseline."""
+    """`make experiments QUICK=--quick`: every experiment ends, with finite figures no worse than the baseline."""
     environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(jax.config.jax_compilation_cache_dir)}
     command = [sys.executable, "-m", "experiments.paper", "--quick", "--out", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
