@@ -63,9 +63,9 @@ def joint_problem() -> Problem:
         "poses": (int(data.placement.max()) + 1,),
         "board": (observed.corners.q.shape[1],),
         **dict.fromkeys(("corner_q", "corner_weight"), observed.corners.q.shape[:2]),
-        **dict.fromkeys(("angle", "placement"), (VIEWS,)),
+        **dict.fromkeys(("angle", "placement", "seen"), (VIEWS,)),
         **dict.fromkeys(("stripe_q", "stripe_weight"), observed.stripes.q.shape[:2]),
-        **dict.fromkeys(("stripe_view", "stripe_laser"), observed.stripes.q.shape[:1]),
+        **dict.fromkeys(("stripe_view", "stripe_laser", "lit"), observed.stripes.q.shape[:1]),
     }
     for name, shape in shapes.items():
         cut = getattr(problem, name)[tuple(slice(0, n) for n in shape)]

@@ -5,11 +5,21 @@ import gc
 import json
 import os
 import shutil
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
-import pytest
+
+# Of processes that share the cores each has one thread for products of matrices: more would wait for each other, and
+# the tests of tables take twice the processor time. NumPy reads it when it is loaded, so it is for the processes that
+# `-n` starts; a plugin has loaded NumPy in this one.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# With checks in every function, compiling the package to bytecode takes seconds: for all processes, once.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+import jax  # noqa: E402
+import pytest  # noqa: E402
 
 
 # Compiling is most of the time that the tests take; the processes that share them share it too. The
@@ -17,7 +27,8 @@ import pytest
 CACHE = Path(__file__).resolve().parents[1] / ".pytest_cache" / "xdg"
 os.environ["XDG_CACHE_HOME"] = str(CACHE)
 jax.config.update("jax_compilation_cache_dir", str(CACHE / "jaxscan" / "compiled"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")

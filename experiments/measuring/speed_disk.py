@@ -1,6 +1,6 @@
 """Sweeps from files, for `speed.py`: PNG, packed frames as the project writes them, and shards, in the page cache.
 
-PNG captures name a few distinct files many times; the others hold every frame. `measure_shards` measures a capture of
+PNG captures name a few distinct files many times; the others hold every frame. `measure_stored` measures a capture of
 any storage in a separate process, so that its memory can be watched.
 """
 
@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from measuring.speed_codecs import measure_codecs as measure_codecs
 from measuring.speed_peers import THREADS, read
 from measuring.speed_times import Watch, summary, take_turns
 from worlds.speed_scene import HEIGHT, WIDTH, Frames, make_scanner
@@ -118,8 +117,8 @@ def measure_png(folder: Path, repeats: int) -> dict[str, Any]:
     return {"records": len(capture), "times": take_turns(functions, repeats)}
 
 
-def measure_shards(folder: Path, counts: list[int], repeats: int) -> dict[str, Any]:
-    """Measure everything on shards, in a separate process."""
+def measure_stored(folder: Path, counts: list[int], repeats: int) -> dict[str, Any]:
+    """Measure everything on a capture, in a separate process."""
     words = [sys.executable, "-m", "measuring.speed_disk", "--child", str(folder.resolve()), "--repeats", str(repeats)]
     words += ["--counts", ",".join(str(count) for count in counts)]
     experiments = Path(__file__).resolve().parents[1]

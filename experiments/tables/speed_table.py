@@ -2,21 +2,26 @@
 
 import json
 from pathlib import Path
+from typing import NamedTuple
 
+from measuring.speed_codecs import CodecRow
 from measuring.speed_stages import Stage
 from measuring.speed_times import Contestant, Figure
 from tables.speed_plot import draw
 
 
-def write_results(
-    folder: Path,
-    about: dict[str, str],
-    rows: list[Contestant],
-    steps: list[Stage],
-    figures: list[Figure],
-    pairs: int,
-) -> None:
+class Found(NamedTuple):
+    """All that was measured; empty lists where a section was left out."""
+
+    rows: list[Contestant]
+    steps: list[Stage]
+    codecs: list[CodecRow]
+    figures: list[Figure]
+
+
+def write_results(folder: Path, about: dict[str, str], found: Found, pairs: int) -> None:
     """`speed.md`, `speed.json` and `speed.png`."""
+    rows, steps, codecs, figures = found
     folder.mkdir(exist_ok=True)
     bandwidth = next((figure.value for figure in figures if figure.key == "bandwidth"), None)
     parts = [_head(about, pairs), _asked(figures)]
@@ -24,6 +29,8 @@ def write_results(
         parts.append(_contestants(rows))
     if steps:
         parts.append(_stages(steps, bandwidth))
+    if codecs:
+        parts.append(_codecs(codecs))
     parts.append(_rest(figures))
     (folder / "speed.md").write_text("\n".join(parts))
     document = {"format": "jaxscan-experiment-speed/1", **about, "metrics": [figure._asdict() for figure in figures]}
@@ -88,6 +95,20 @@ def _stages(steps: list[Stage], bandwidth: float | None) -> str:
         lines.append([step.name, *times, f"{step.pair_bytes / 1e6:.2f}", f"{rate:.1f}", share, step.bound])
     head = ["stage", "best, ms/pair", "median", "processor", "MB/pair", "GB/s", "of a plain read", "bound by"]
     return "## Ours, stage by stage\n\n" + _table(head, lines)
+
+
+def _codecs(codecs: list[CodecRow]) -> str:
+    lines = []
+    for row in codecs:
+        times = [f"{1e3 * t:.2f}" for t in (row.encode, row.decode, row.decode_all_cores)]
+        lines.append([row.codec, row.frames, f"{100 * row.size:.1f} %", *times])
+    head = ["codec", "frames", "size", "encode, ms on one core", "decode", "decode, ms on all cores"]
+    text = """## Lossless codecs
+
+Of a frame; what comes back is compared. Differences of frames are taken modulo 256.
+
+"""
+    return text + _table(head, lines)
 
 
 def _rest(figures: list[Figure]) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxscan.api.kept_code import is_kept, remember
 from jaxscan.calibration import Calibration, CalibrationSettings, calibrate_observations, solved_rig
 from jaxscan.files.capture import Capture
 from jaxscan.geometry import AbstractBoard, Turntable
@@ -34,7 +35,8 @@ _one_at_a_time = threading.Lock()
 def rehearsal(
     captures: Sequence[Capture], board: AbstractBoard, settings: CalibrationSettings, *, stripes: bool, again: bool
 ) -> list[tuple[str, Callable[[], Any]]]:
-    """The jobs that compile the code of a calibration; none for the second calibration of its kind in a process.
+    """The jobs that compile the code of a calibration; none where it is compiled: for the second calibration of its
+    kind in a process, or with a cache of compiled code on disk.
 
     Args:
         captures: Captures of a board by a still rig or one with a turntable; for others there are no jobs.
@@ -48,9 +50,9 @@ def rehearsal(
         return []
     # The code knows rounded numbers of views and corners, and no size of images.
     sizes = count.bit_length(), len(board.corners()).bit_length(), len(first.lasers), first.carries
-    key = (*sizes, settings.camera, settings.free, settings.only, settings.judge, stripes, again)
+    key = ("calibration", *sizes, settings.camera, settings.free, settings.only, settings.judge, stripes, again)
     with _one_at_a_time:
-        if key in _rehearsed:
+        if key in _rehearsed or is_kept(key):
             return []
         _rehearsed.add(key)
     made_up = functools.cache(lambda: _observations(captures, board, stripes=stripes))
@@ -66,7 +68,13 @@ def rehearsal(
     def judge() -> None:
         calibrate_observations(made_up(), settings=settings)
 
-    return [(SOLVE, solve), (LOOK, look), (JUDGE, judge)] if again else [(SOLVE, solve)]
+    *jobs, (name, last) = [(SOLVE, solve), (LOOK, look), (JUDGE, judge)] if again else [(SOLVE, solve)]
+
+    def end() -> None:
+        last()
+        remember(key)
+
+    return [*jobs, (name, end)]
 
 
 def _observations(captures: Sequence[Capture], board: AbstractBoard, *, stripes: bool) -> Observations:

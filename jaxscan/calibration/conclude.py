@@ -136,10 +136,10 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
     corner = lambda values: np.ascontiguousarray(values[:views, :corners])
     stripe = lambda values: np.ascontiguousarray(values[:stripes, :points])
     kx, ky, pitch = (float(value) for value in result.problem.shape[:3])
-    leverage = np.asarray(result.linearised.corner_leverage).reshape(result.corner_error.shape)
+    leverage = result.linearised.corner_leverage.reshape(result.corner_error.shape)
     bend, offset = bend_of(result.problem)
     return Fit(
-        pose=np.asarray(result.linearised.view_poses)[:views],
+        pose=result.linearised.view_poses[:views],
         warp=np.array([kx, ky]),
         pitch=pitch,
         corner_error=corner(result.corner_error),
@@ -148,7 +148,7 @@ def _fit(result: Adjustment, observations: Observations, covariance: np.ndarray)
         corner_kept=corner(result.corner_kept),
         stripe_error=stripe(result.stripe_error),
         stripe_sigma=stripe(result.stripe_sigma),
-        stripe_leverage=stripe(np.asarray(result.linearised.stripe_leverage)),
+        stripe_leverage=stripe(result.linearised.stripe_leverage),
         stripe_kept=stripe(result.stripe_kept),
         covariance=covariance,
         bend=bend,

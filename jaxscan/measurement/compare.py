@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxscan.compiling import compile_quickly
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Array, Scanner
 from jaxscan.measurement.samples import Cloud, places_of
@@ -113,7 +114,7 @@ def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudCompar
     )
 
 
-@jax.jit
+@compile_quickly
 def _camera_centres(scanner: Scanner, angle: Array) -> Array:
     """Camera centre [n, 3], m, scanner frame, at the table's angles [n], rad from home."""
     return jax.vmap(scanner.pose)(angle)[:, :3, 3]

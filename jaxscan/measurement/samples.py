@@ -110,7 +110,8 @@ class Samples(NamedTuple):
 
     def _cosine(self, normal: np.ndarray) -> np.ndarray:
         ray = self.p - self.origin
-        distance = np.linalg.norm(ray, axis=1)
+        # Five times as fast as the norm of rows, and asked for thousands of times in a room.
+        distance = np.sqrt(np.einsum("ij,ij->i", ray, ray))
         return np.abs(ray @ normal) / np.where(distance > 0, distance, 1.0)
 
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxscan.compiling import compile_quickly
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Array, Scanner
 from jaxscan.geometry.rigid import invert, transform
@@ -70,7 +71,7 @@ def _by_scanner(scanner: Scanner | None, samples: Samples, weights: np.ndarray) 
     return float(gradient @ covariance @ gradient)
 
 
-@jax.jit
+@compile_quickly
 def _gradient(scanner: Scanner, p: Array, weights: Array, laser: Array, angle: Array) -> jax.Array:
     def pixel(p, phi):
         return scanner.camera.project(transform(invert(scanner.pose(phi)), p))
@@ -82,4 +83,4 @@ def _gradient(scanner: Scanner, p: Array, weights: Array, laser: Array, angle: A
         points, _ = jax.vmap(moved.point)(q, laser, angle)
         return jnp.sum(points * weights)
 
-    return jax.jacfwd(weighted_sum)(jnp.zeros(len(scanner.parameter_names()), p.dtype))
+    return jax.grad(weighted_sum)(jnp.zeros(len(scanner.parameter_names()), p.dtype))

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.compiling import compile_quickly, compile_sooner
 from jaxscan.geometry import (
     AbstractBoard,
     AbstractCamera,
@@ -103,8 +104,7 @@ def turn_boards(motion: AbstractMotion, poses: np.ndarray, at: np.ndarray, to: n
         Poses [n, 4, 4].
     """
     with jax.enable_x64(True):
-        motion = jax.tree.map(jnp.asarray, motion)
-        return np.asarray(_turned(motion, jnp.asarray(poses), jnp.asarray(at), jnp.asarray(to)))
+        return np.asarray(_turned(motion, poses, at, to))
 
 
 def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
@@ -181,7 +181,7 @@ def _seen(camera: AbstractCamera, p: Float[Array, "3"]) -> tuple[Float[Array, "2
     return q, jnp.linalg.norm(camera.unproject(q) - p / jnp.linalg.norm(p)) < _SAME_RAY
 
 
-@jax.jit
+@compile_quickly
 def _turned(
     motion: AbstractMotion, poses: Float[Array, "n 4 4"], at: Float[Array, " n"], to: Float[Array, " n"]
 ) -> Float[Array, "n 4 4"]:
@@ -189,7 +189,7 @@ def _turned(
     return turn(poses, at, to)
 
 
-@jax.jit
+@compile_quickly
 def _corners(
     camera: AbstractCamera,
     poses: Float[Array, "views 4 4"],
@@ -207,7 +207,7 @@ def _corners(
     return jax.vmap(lambda pose: jax.vmap(lambda *corner: one(pose, *corner))(*corners))(poses)
 
 
-@jax.jit
+@compile_quickly
 def _curve(
     camera: AbstractCamera,
     sheet: LaserSheet,
@@ -235,7 +235,7 @@ def _curve(
     return jax.vmap(point)(jnp.linspace(-1.0, 1.0, _SAMPLES))
 
 
-@jax.jit
+@compile_sooner
 def _lift(camera: AbstractCamera, surface: BowedBoard, pose: Float[Array, "4 4"], q: Float[Array, "n 2"]) -> Array:
     points = jax.vmap(lambda pixel: surface.meet(pose, camera.unproject(pixel))[1])(q)
     return points[:, :2] / (1.0 + surface.shape[2])

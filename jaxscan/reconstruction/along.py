@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxscan.reconstruction.ahead import map_ahead, workers
-from jaxscan.stripes import ProfileRows, Sites, Smoothed, Stripes, row_scatter, smooth_profiles
+from jaxscan.stripes import ProfileRows, ScatterLaw, Sites, Stripes, scatter_law, smooth_profiles
 
 
 _PROFILES = 32
@@ -33,18 +33,51 @@ class SmoothedSweep(NamedTuple):
     shared_lines: Float[np.ndarray, "profiles lines"]
     """As of `Smoothed`."""
 
-    def beside(self, rows: np.ndarray, sigma_random: Float[np.ndarray, "some lines"]) -> dict[str, np.ndarray]:
-        """The fields that a cloud has beside its points, of some profiles.
+    def beside(self, sigma_random: Float[np.ndarray, "profiles lines"]) -> dict[str, np.ndarray]:
+        """The fields that a cloud has beside its points.
 
         Args:
-            rows: The profiles.
-            sigma_random: Of their points, along the ray [m]; 0 where there is none.
+            sigma_random: Of the points, along the ray [m]; 0 where there is none.
         """
         exists = sigma_random > 0
         # The same factor turns both sigmas from px into m.
-        ratio = self.sigma_row[rows] / np.where(exists, self.sigma[rows], 1)
-        shift, shared = (np.where(exists, field[rows], 0) for field in (self.shift, self.shared_lines))
+        ratio = self.sigma_row / np.where(exists, self.sigma, 1)
+        shift, shared = (np.where(exists, field, 0) for field in (self.shift, self.shared_lines))
         return {"sigma_row": sigma_random * ratio, "shift_px": shift, "shared_lines": shared}
+
+
+class SweepSmoother:
+    """Smooths profiles of a sweep, by what all its rows tell about their scatter; in threads and in any order."""
+
+    def __init__(self, stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES) -> None:
+        """
+        Args:
+            stripes: One centre of a line at most.
+            sites: Where the colour of each laser is seen; on all lines where not given.
+        """
+        self._rows = ProfileRows(
+            np.asarray(stripes.u, np.float32),
+            np.asarray(stripes.sigma, np.float32),
+            np.asarray(stripes.valid),
+            np.asarray(stripes.amplitude, np.float32),
+        )
+        laser = np.asarray(stripes.laser)
+        numbers = [int(number) for number in np.unique(laser)]
+        self._sites = {number: sites.get(number, Sites()) for number in numbers}
+        # Noise and colour are those of a laser.
+        self._laws = {
+            number: scatter_law(self._of(np.flatnonzero(laser == number)), self._sites[number].line_step)
+            for number in numbers
+        }
+
+    def smooth(self, laser: int, profiles: np.ndarray) -> SmoothedSweep:
+        """Some profiles of a laser."""
+        return _smooth(self._of(profiles), self._laws[laser], self._sites[laser])
+
+    def _of(self, profiles: np.ndarray) -> ProfileRows:
+        consecutive = len(profiles) > 0 and profiles[-1] - profiles[0] + 1 == len(profiles)
+        part = slice(profiles[0], profiles[-1] + 1) if consecutive else profiles
+        return ProfileRows(*(field[part] for field in self._rows))
 
 
 def smooth_sweep(stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES) -> SmoothedSweep:
@@ -57,31 +90,24 @@ def smooth_sweep(stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES) -> S
     Returns:
         Centres and sigmas, float32.
     """
-    u, sigma, valid = (np.asarray(field) for field in (stripes.u, stripes.sigma, stripes.valid))
-    u, sigma, laser = u.astype(np.float32), sigma.astype(np.float32), np.asarray(stripes.laser)
-    amplitude = np.asarray(stripes.amplitude, np.float32)
-    found = SmoothedSweep(*(np.zeros(u.shape, np.float32) for _ in SmoothedSweep._fields))
-    # Noise and colour are those of a laser.
+    smoother, laser = SweepSmoother(stripes, sites), np.asarray(stripes.laser)
+    found = SmoothedSweep(*(np.zeros(np.shape(stripes.u), np.float32) for _ in SmoothedSweep._fields))
+    blocks = []
     for number in np.unique(laser):
         own = np.flatnonzero(laser == number)
-        part = _smooth(ProfileRows(u[own], sigma[own], valid[own], amplitude[own]), sites.get(int(number), Sites()))
+        blocks += [(int(number), own[start : start + _PROFILES]) for start in range(0, len(own), _PROFILES)]
+    for (_, own), part in zip(blocks, map_ahead(lambda block: smoother.smooth(*block), blocks, workers()), strict=True):
         for to, field in zip(found, part, strict=True):
             to[own] = field
     return found
 
 
-def _smooth(rows: ProfileRows, sites: Sites) -> SmoothedSweep:
-    """The profiles of one laser."""
-    scatter = row_scatter(rows, sites.line_step)
+def _smooth(rows: ProfileRows, law: ScatterLaw, sites: Sites) -> SmoothedSweep:
+    """Profiles of one laser."""
+    scatter = law.of(rows)
     u, valid = rows.u, rows.valid
     sigma = rows.sigma * scatter.scale
-
-    def smooth(start: int) -> Smoothed:
-        part = slice(start, start + _PROFILES)
-        return smooth_profiles(u[part], sigma[part], valid[part], sites)
-
-    parts = map_ahead(smooth, range(0, len(u), _PROFILES), workers())
-    found = Smoothed(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+    found = smooth_profiles(u, sigma, valid, sites)
     # The mean of many rows whose next neighbours are alike: 1 + 2 r times the variance of independent ones.
     alike = np.float32(np.sqrt(1 + 2 * scatter.correlation))
     common = _spread_out(np.where(valid, scatter.common * sigma**2, 0), valid, _COMMON_LINES * sites.line_step)

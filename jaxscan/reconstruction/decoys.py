@@ -63,11 +63,20 @@ class DecoyWatch:
         looks = _LOOKS_WITHOUT_OFF if predicted else _LOOKS
         self._chosen = set(np.unique(np.linspace(0, profiles - 1, min(looks, profiles)).astype(int)).tolist())
         self._kept: list[tuple[Batch, np.ndarray]] = []
+        self._compared: list[tuple[np.ndarray, np.ndarray]] = []
         self._profiles, self._found = profiles, 0
         self._bytes, self._lock = 0, threading.Lock()
 
-    def look(self, batch: Batch, found: ChunkStripes) -> None:
-        """Keep the chosen ones of a batch; in threads and in any order."""
+    def look(
+        self, batch: Batch, found: ChunkStripes, search: Callable[[Batch], ChunkStripes | None] = lambda _: None
+    ) -> None:
+        """Search the chosen ones of a batch for decoys, or keep them; in threads and in any order.
+
+        Args:
+            batch: Frames.
+            found: Their stripes.
+            search: Finds the stripes of a few frames; None where that is done for many at the end.
+        """
         stripes = clearness(chosen_of(found.stripes, found.chosen))
         with self._lock:
             self._found += int(np.count_nonzero(stripes[: len(batch.profiles)]))
@@ -76,14 +85,20 @@ class DecoyWatch:
             return
         with self._lock:
             each = 2 * batch.on[0].nbytes
-            rows = rows[: max(int((_BYTES - self._bytes) // each), 0 if self._kept else 1)]
+            rows = rows[: max(int((_BYTES - self._bytes) // each), 0 if self._bytes else 1)]
             self._bytes += each * len(rows)
-            if rows:
-                on, off = (np.asarray(frames)[rows] for frames in (batch.on, batch.off))
+        if not rows:
+            return
+        on, off = (np.asarray(frames)[rows] for frames in (batch.on, batch.off))
+        result = search(Batch(batch.profiles[rows], batch.laser, off, on))
+        with self._lock:
+            if result is None:
                 self._kept.append((Batch(batch.profiles[rows], batch.laser, on, off), stripes[rows]))
+            else:
+                self._compared.append((stripes[rows], clearness(chosen_of(result.stripes, result.chosen))))
 
     def judge(self, search: Callable[[Batch], ChunkStripes], size: int) -> Chance:
-        """Search for decoys, and compare.
+        """Search what is kept for decoys, and compare.
 
         Args:
             search: Finds the stripes of a batch of `size` frames.
@@ -92,7 +107,6 @@ class DecoyWatch:
         Raises:
             CaptureError: If the stripes are not more, or not clearer, than those of chance.
         """
-        stripes, decoys = [], []
         for laser in sorted({batch.laser for batch, _ in self._kept}):
             own = [item for item in self._kept if item[0].laser == laser]
             profiles, on, off, found = (
@@ -103,11 +117,12 @@ class DecoyWatch:
                 part = slice(start, start + size)
                 turned = Batch(profiles[part], laser, off[part], on[part])
                 result = search(turned)
-                stripes.append(found[part])
-                decoys.append(clearness(chosen_of(result.stripes, result.chosen))[: len(profiles[part])])
-        if not stripes:
+                decoys = clearness(chosen_of(result.stripes, result.chosen))[: len(profiles[part])]
+                self._compared.append((found[part], decoys))
+        if not self._compared:
             return Chance()
-        return judge(np.concatenate(stripes), np.concatenate(decoys), per_profile=self._found / self._profiles)
+        stripes, decoys = (np.concatenate(parts) for parts in zip(*self._compared, strict=True))
+        return judge(stripes, decoys, per_profile=self._found / self._profiles)
 
 
 def _tolerated(stripes: np.ndarray | int) -> np.ndarray:

@@ -1,20 +1,18 @@
 """A whole sweep to one coloured cloud, streamed through one compiled function."""
 
-import functools
 from collections.abc import Callable, Iterator
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.geometry import Array, Scanner, StripeAxis
+from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction.ahead import map_ahead, workers
-from jaxscan.reconstruction.along import SmoothedSweep, smooth_sweep
+from jaxscan.reconstruction.along import SmoothedSweep, SweepSmoother, smooth_sweep
 from jaxscan.reconstruction.cloud import PointCloud
 from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness
 from jaxscan.reconstruction.plan import Plan, check_stripes, make_plan
-from jaxscan.reconstruction.points import Centres, Points, coloured, line_step, points_alone, sample_colours
+from jaxscan.reconstruction.points import Centres, Points, coloured, colours_alone, line_step, points_alone
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.streaming import Batch, GrowingCloud, GrowingStripes, ReadOnce, batches
 from jaxscan.reconstruction.sweep import SweepSource
@@ -22,7 +20,7 @@ from jaxscan.stripes import (
     ChunkStripes,
     Continuation,
     NoiseModel,
-    PixelFormat,
+    Sites,
     Stripes,
     laser_sites,
     padded,
@@ -46,7 +44,7 @@ def reconstruct(
 
     Frames are read and computed in chunks of one size, so memory does not grow with the sweep beyond its cloud, and
     the result does not depend on the size of the chunks. Where points use their neighbours (`smooth`), the stripes of
-    the whole sweep and the smoothed ones are in memory too: about 60 bytes for each line of a profile.
+    the whole sweep are in memory too: about 30 bytes for each line of a profile.
 
     Args:
         sweep: Frames at known angles, in memory or on disk.
@@ -159,8 +157,12 @@ def stripes_of_plan(plan: Plan, *, noise: NoiseModel | None = None, progress: Pr
 
 def smooth_stripes(plan: Plan, stripes: Stripes) -> SmoothedSweep:
     """`smooth_sweep` of the stripes of a plan, one centre of a line at most."""
-    lasers = np.unique(plan.sweep.laser)
-    return smooth_sweep(stripes, {int(k): laser_sites(plan.sweep.pixel_format, plan.lasers[k]) for k in lasers})
+    return smooth_sweep(stripes, _sites(plan))
+
+
+def _sites(plan: Plan) -> dict[int, Sites]:
+    """Where the colour of each laser is seen."""
+    return {int(k): laser_sites(plan.sweep.pixel_format, plan.lasers[k]) for k in np.unique(plan.sweep.laser)}
 
 
 def _rows(profiles: np.ndarray, each: int) -> np.ndarray:
@@ -189,11 +191,15 @@ def _extracted(
     def search(batch: Batch) -> ChunkStripes:
         return engines[batch.laser].extract(batch.on, batch.off, then(batch))
 
+    def search_alone(batch: Batch) -> ChunkStripes | None:
+        engine = engines[batch.laser]
+        return engine.extract(batch.on, batch.off) if engine.takes_any_number(batch.off) else None
+
     decoys = DecoyWatch(len(sweep.record), predicted=plan.predicts)
 
     def compute(batch: Batch) -> tuple[np.ndarray, ChunkStripes]:
         found = search(batch)
-        decoys.look(batch, found)
+        decoys.look(batch, found, search_alone)
         return batch.profiles, found
 
     def chance() -> Chance:
@@ -229,13 +235,15 @@ def _from_stripes(
     sweep, size, axis = plan.sweep, plan.size, plan.stripe_axis
     angles = sweep.angles.astype(np.float32)
     # Several candidates of a line are no neighbours of those of the next one.
-    along = smooth_stripes(plan, stripes) if plan.settings.smooths and each == 1 else None
-    centre = along or stripes
+    smoother = SweepSmoother(stripes, _sites(plan)) if plan.settings.smooths and each == 1 else None
 
-    def compute(item: tuple[np.ndarray, Array | None]) -> tuple[np.ndarray, Points, np.ndarray]:
+    def compute(item: tuple[np.ndarray, Array | None]) -> tuple[np.ndarray, Points, np.ndarray, dict[str, np.ndarray]]:
         profiles, off = item
         rows = _rows(profiles, each)
-        u, sigma, valid = (np.asarray(field)[rows] for field in (centre.u, centre.sigma, stripes.valid))
+        u, sigma, valid = (np.asarray(field)[rows] for field in (stripes.u, stripes.sigma, stripes.valid))
+        along = None if smoother is None else smoother.smooth(int(stripes.laser[rows[0]]), rows)
+        if along is not None:
+            u, sigma = along.u, along.sigma
         u, sigma = u.astype(np.float32), sigma.astype(np.float32)
         centres = Centres(*(padded(field, size * each) for field in (u, sigma, valid)))
         phi = padded(np.repeat(angles[sweep.record[profiles]], each), size * each)
@@ -243,10 +251,11 @@ def _from_stripes(
         with jax.enable_x64(False):
             points = points_alone(plan.aim(int(profiles[0])), centres, phi, stripe_axis=axis)
             if stripes.rgb is None:
-                rgb = _colours_alone(centres.u, centres.valid, off, pixel_format=sweep.pixel_format, stripe_axis=axis)
+                rgb = colours_alone(centres.u, centres.valid, off, pixel_format=sweep.pixel_format, stripe_axis=axis)
             else:
                 rgb = np.asarray(stripes.rgb)[rows]
-            return rows, jax.tree.map(np.asarray, points), np.asarray(rgb)
+            points = jax.tree.map(np.asarray, points)
+        return rows, points, np.asarray(rgb), {} if along is None else along.beside(points.sigma_random[: len(rows)])
 
     if stripes.rgb is not None:
         items: Iterator[tuple[np.ndarray, Array | None]] = ((profiles, None) for profiles in _blocks(plan))
@@ -254,9 +263,8 @@ def _from_stripes(
         one = slice(None) if len(sweep.exposures) == 1 else np.s_[:, -1]
         frames = ((batch.profiles, batch.off) for batch in batches(sweep, size))
         items = ((profiles, None if off is None else padded(off[one], size)) for profiles, off in frames)
-    for rows, points, rgb in map_ahead(compute, items, workers()):
+    for rows, points, rgb, beside in map_ahead(compute, items, workers()):
         amplitude, valid = (np.asarray(field)[rows] for field in (stripes.amplitude, stripes.valid))
-        beside = {} if along is None else along.beside(rows, np.asarray(points.sigma_random)[: len(rows)])
         yield rows, points, amplitude, rgb, valid, beside
         if progress is not None:
             progress(int(sweep.record[rows[-1] // each]) + 1, len(sweep))
@@ -267,17 +275,6 @@ def _blocks(plan: Plan) -> Iterator[np.ndarray]:
     for laser in np.unique(plan.sweep.laser):
         profiles = np.flatnonzero(plan.sweep.laser == laser)
         yield from (profiles[start : start + plan.size] for start in range(0, len(profiles), plan.size))
-
-
-@functools.partial(jax.jit, static_argnames=("pixel_format", "stripe_axis"))
-def _colours_alone(
-    u: Array, valid: Array, off: Array | None, *, pixel_format: PixelFormat, stripe_axis: StripeAxis
-) -> Array:
-    if off is None:
-        return jnp.zeros((*u.shape, 3), jnp.uint8)
-    u = jnp.where(valid, u, 0.0)
-    colour = sample_colours(u, off, pixel_format=pixel_format, stripe_axis=stripe_axis)
-    return jnp.where(valid[:, :, None], colour, 0).astype(jnp.uint8)
 
 
 def _check_result(cloud: GrowingCloud, settings: ReconstructSettings) -> None:

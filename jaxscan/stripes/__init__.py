@@ -38,5 +38,13 @@ from jaxscan.stripes.frames import (
 from jaxscan.stripes.pairs import judge_pairs
 from jaxscan.stripes.search import LEARNED_FRAMES, LineGate, host_planes, whole_lines
 from jaxscan.stripes.setup import ExtractionSetup
-from jaxscan.stripes.smoothing import ProfileRows, Scatter, Smoothed, row_scatter, smooth_profiles
+from jaxscan.stripes.smoothing import (
+    ProfileRows,
+    Scatter,
+    ScatterLaw,
+    Smoothed,
+    row_scatter,
+    scatter_law,
+    smooth_profiles,
+)
 from jaxscan.stripes.stripes import KEPT_FIELDS, Choice, FrameStripes, NoiseModel, Stripes, StripeSettings

@@ -96,6 +96,7 @@ class StripeEngine(eqx.Module):
         if not self.learns:
             return self
         on, off = on[:LEARNED_FRAMES], None if off is None else off[:LEARNED_FRAMES]
+        then = NOTHING_MORE if self.takes_any_number(off) else then
         plain = self.extract(on, off, then)
         first = chosen_of(plain.stripes, plain.chosen)
         search = learn_search(self.search, first, self.setup)
@@ -134,6 +135,10 @@ class StripeEngine(eqx.Module):
             else:
                 found = self._compute(on, off, then)
             return _cut(jax.tree.map(np.asarray, found), count, then.records)
+
+    def takes_any_number(self, off: Array | None) -> bool:
+        """Whether nothing is compiled for the number of frames."""
+        return self._is_native(off) and not self.channels and len(self.setup.exposures) == 1
 
     def _is_native(self, off: Array | None) -> bool:
         """Whether stripes are found natively: on a CPU alone, in pairs, by an estimator that can."""

@@ -35,7 +35,8 @@ def unfilter(rows: np.ndarray, pixel: int, out: np.ndarray) -> bool:
             # Zeros stand to the left.
             new[i] = row[i] + (last[i] if kind in (2, 4) else last[i] >> one if kind == 3 else zero)
         if kind == 0:
-            new[pixel:] = row[pixel:]
+            for i in range(pixel, width):
+                new[i] = row[i]
         elif kind == 1:
             for i in range(pixel, width):
                 new[i] = row[i] + new[i - pixel]
@@ -81,8 +82,10 @@ def add_rows(differences: np.ndarray, step: int, out: np.ndarray) -> None:
         out: uint8 [rows, bytes], to be filled.
     """
     height, width = out.shape
+    # Pixel by pixel: to assign a whole row takes numba's checks of shapes, which compile for seconds.
     for r in range(min(step, height)):
-        out[r] = differences[r]
+        for i in range(width):
+            out[r, i] = differences[r, i]
     # A loop of its own, without a branch: so it takes 16 bytes and more at a time.
     for r in range(step, height):
         row, above, new = differences[r], out[r - step], out[r]

@@ -1,5 +1,6 @@
 """The camera alone: against OpenCV's solver, and on real pictures."""
 
+import functools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -46,7 +47,9 @@ def observations(board, found, size):
     )
 
 
+@functools.cache
 def pictures(pattern, board, detector):
+    """Corners of real pictures, found once for all tests."""
     paths = sorted(DATA.glob(pattern))
     if not paths:
         pytest.skip(f"real data {pattern} are not here")

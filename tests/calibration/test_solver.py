@@ -13,7 +13,8 @@ from jaxscan.calibration import CalibrationSettings
 from jaxscan.calibration.parameters import BLOCKS, board_blocks
 from jaxscan.calibration.solve.assemble import parameter_scales, prior_weights
 from jaxscan.calibration.solve.blocks import schur_step
-from jaxscan.calibration.solve.covariance import linearise
+from jaxscan.calibration.solve.evaluate import moved
+from jaxscan.calibration.solve.linearised import linearise
 from jaxscan.calibration.solve.noise import noise_by_class
 from jaxscan.calibration.solve.prepare import prepare
 from jaxscan.calibration.solve.problem import BoardModes, Problem, Step, camera_from_board, move, zero_step
@@ -72,6 +73,8 @@ def problem(world):
         stripe_weight=np.where(data.stripe_valid[:4, :12], 2000.0, 0.0),
         stripe_view=data.stripe_view[:4],
         stripe_laser=data.stripe_laser[:4],
+        seen=np.ones(5, bool),
+        lit=np.ones(4, bool),
     )
 
 
@@ -82,12 +85,6 @@ def dense(problem):
     flat, unravel = jax.flatten_util.ravel_pytree(start)
     vector = jax.jit(lambda y: jax.flatten_util.ravel_pytree(residuals(unravel(y), problem))[0])
     return vector, np.asarray(jax.jit(jax.jacfwd(vector))(flat)), np.asarray(flat)
-
-
-@jax.jit
-def normal_equations(problem):
-    """The blocks of the normal equations."""
-    return linearise(problem).blocks
 
 
 def test_derivatives_are_those_of_finite_differences(dense):
@@ -108,10 +105,10 @@ def test_derivatives_are_those_of_finite_differences(dense):
 
 def test_the_step_is_that_of_dense_least_squares(problem, dense):
     vector, jacobian, flat = dense
-    blocks = normal_equations(jax.tree.map(jnp.asarray, problem))
+    blocks = linearise(problem).blocks
     for damping in (0.0, 1e-3, 1.0):
-        shared, local = schur_step(blocks, jnp.asarray(damping))
-        ours = np.concatenate([np.asarray(shared), np.asarray(local).ravel()])
+        shared, local = schur_step(blocks, damping)
+        ours = np.concatenate([shared, local.ravel()])
         damped = np.sqrt(damping) * np.diag(np.sqrt(np.sum(jacobian**2, axis=0)))
         system = np.concatenate([jacobian, damped])
         target = np.concatenate([np.asarray(vector(flat)), np.zeros(len(flat))])
@@ -125,12 +122,12 @@ def test_the_step_is_that_of_dense_least_squares(problem, dense):
 
 def test_information_and_leverages_are_those_of_the_dense_jacobian(problem, dense):
     _, jacobian, _ = dense
-    ours = jax.jit(linearise)(jax.tree.map(jnp.asarray, problem))
+    ours = linearise(problem)
     # Columns of one size, so that inverting loses no more digits than it must.
     size = np.linalg.norm(jacobian, axis=0)
     inverse = np.linalg.inv((jacobian / size).T @ (jacobian / size))
     leverage = np.einsum("ri,ij,rj->r", jacobian / size, inverse, jacobian / size)
-    corner, stripe = np.asarray(ours.corner_leverage), np.asarray(ours.stripe_leverage)
+    corner, stripe = ours.corner_leverage, ours.stripe_leverage
     count = corner.size + stripe.size
     # The condition of this small problem, far from its minimum, costs about eight digits.
     np.testing.assert_allclose(np.concatenate([corner.ravel(), stripe.ravel()]), leverage[:count], atol=1e-6)
@@ -174,10 +171,34 @@ def test_stripe_rows_are_the_distance_of_the_lifted_point_from_the_sheet(problem
 
 def test_held_parameters_do_not_move(problem):
     held = eqx.tree_at(lambda p: p.scales, problem, parameter_scales(LAYOUT, ("focal", "laser")))
-    blocks = normal_equations(jax.tree.map(jnp.asarray, held))
-    shared, _ = schur_step(blocks, jnp.asarray(1e-3))
-    moved = {name for name, value in zip(LAYOUT.names, np.asarray(shared), strict=True) if value != 0}
-    assert moved == {"fx", "fy", "laser.0.n1", "laser.0.n2", "laser.0.d"}
+    shared, _ = schur_step(linearise(held).blocks, 1e-3)
+    free = {name for name, value in zip(LAYOUT.names, shared, strict=True) if value != 0}
+    assert free == {"fx", "fy", "laser.0.n1", "laser.0.n2", "laser.0.d"}
+
+
+def test_padding_changes_no_sum_and_has_no_error(problem):
+    fields = ("corner_q", "corner_weight", "angle", "placement", "stripe_q", "stripe_weight", "stripe_view")
+    fields += ("stripe_laser", "seen", "lit")
+
+    def more(name):
+        values = getattr(problem, name)
+        return np.concatenate([values, np.zeros((9, *values.shape[1:]), values.dtype)])
+
+    padded, ours = linearise(replace(problem, **{name: more(name) for name in fields})), linearise(problem)
+    assert padded.cost == pytest.approx(ours.cost, rel=1e-12)
+    for one, other in zip(padded.blocks, ours.blocks, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12 * np.abs(other).max())
+    np.testing.assert_allclose(padded.stripe_leverage[:4], ours.stripe_leverage, rtol=1e-9, atol=1e-12)
+    assert not padded.corner_error[5:].any() and not padded.offset[4:].any()
+
+
+def test_poses_move_alike_in_parts_and_at_once(problem):
+    random = np.random.default_rng(0)
+    many = replace(problem, poses=np.tile(problem.poses, (20, 1, 1)))
+    step = Step(1e-3 * random.normal(size=len(LAYOUT.names)), 1e-2 * random.normal(size=(80, 6)))
+    apart, at_once = moved(step, many), jax.jit(move)(step, many)
+    np.testing.assert_allclose(apart.poses, at_once.poses, atol=1e-15)
+    np.testing.assert_allclose(apart.camera.distortion, at_once.camera.distortion, atol=1e-15)
 
 
 def test_a_step_moves_the_camera_as_it_says(problem):

@@ -4,6 +4,7 @@ import json
 import shutil
 from typing import NamedTuple
 
+import jax
 import pytest
 
 from jaxscan.cli.main import main
@@ -67,3 +68,13 @@ def sweep(tiny, tmp_path):
 def boards(tiny, tmp_path):
     """A copy of the board capture to damage."""
     return unsealed(shutil.copytree(tiny.boards, tmp_path / "boards"))
+
+
+@pytest.fixture
+def kept(tmp_path):
+    """A folder for compiled code of its own, empty."""
+    before, folder = jax.config.values["jax_compilation_cache_dir"], tmp_path / "compiled"
+    folder.mkdir()
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    yield folder
+    jax.config.update("jax_compilation_cache_dir", before)

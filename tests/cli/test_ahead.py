@@ -4,8 +4,11 @@ import threading
 
 import pytest
 
+from jaxscan.api import rehearsal as rehearsals
 from jaxscan.api.ahead import Ahead, tell
+from jaxscan.calibration import CalibrationSettings
 from jaxscan.errors import CalibrationError
+from jaxscan.files.capture import common_board, open_capture
 
 
 class Told:
@@ -86,3 +89,28 @@ def test_words_reach_only_those_who_listen():
     tell(None, "solving")
     tell(lambda done, total: None, "solving")
     assert told.words == ["solving"]
+
+
+def test_code_that_is_kept_on_disk_is_not_rehearsed_again(tiny, kept, monkeypatch):
+    captures = [open_capture(tiny.boards)]
+    board = common_board(captures, single_lasers=True)
+    monkeypatch.setattr(rehearsals, "calibrate_observations", lambda *_, **__: None)
+
+    def rehearse(*, in_another_process):
+        if in_another_process:
+            monkeypatch.setattr(rehearsals, "_rehearsed", set())
+        return rehearsals.rehearsal(captures, board, CalibrationSettings(), stripes=True, again=False)
+
+    ((_, job),) = rehearse(in_another_process=True)
+    assert rehearse(in_another_process=False) == []
+    # Another process does not wait for the first one's end.
+    assert rehearse(in_another_process=True) != []
+    job()
+    assert rehearse(in_another_process=True) == []
+    # A cache that was emptied, and one that cannot be written to.
+    (note,) = kept.iterdir()
+    note.unlink()
+    kept.rmdir()
+    ((_, job),) = rehearse(in_another_process=True)
+    job()
+    assert rehearse(in_another_process=True) != []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscan
-from jaxscan import api
+from jaxscan import api, recalibration
 from jaxscan.calibration import Calibration
 from jaxscan.cli.main import main
 from jaxscan.files.calibration import calibration_digest
@@ -308,11 +308,20 @@ def whole_way(tiny, tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     shutil.copytree(tiny.sweep, folder / "sweep")
     before = tiny.calibration.read_bytes()
+    solve, solved = recalibration.recalibrate, []
+
+    def watched(*inputs, progress):
+        solved.append((inputs, solve(*inputs, progress=progress)))
+        return solved[0][1]
+
     written = {"-o": "new.json", "--cloud": "new.ply", "--report": "new.html", "--json": "result.json"}
     options = [word for option, name in written.items() for word in (option, str(folder / name))]
-    code = main(["recalibrate", str(folder / "sweep"), "-c", str(tiny.calibration), *options])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recalibration, "recalibrate", watched)
+        code = main(["recalibrate", str(folder / "sweep"), "-c", str(tiny.calibration), *options])
     assert tiny.calibration.read_bytes() == before
-    return folder, code
+    (only,) = solved
+    return folder, code, only
 
 
 def test_a_refusal_is_reported_too(here, monkeypatch, refused):
@@ -328,9 +337,26 @@ def test_a_refusal_is_reported_too(here, monkeypatch, refused):
     assert not (here / "new.json").exists() and not (here / "new.ply").exists()
 
 
+def assert_same(one, other):
+    """Equal in every number, of dataclasses in tuples and dictionaries."""
+    assert type(one) is type(other)
+    if dataclasses.is_dataclass(one):
+        for field in dataclasses.fields(one):
+            assert_same(getattr(one, field.name), getattr(other, field.name))
+    elif isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key, value in one.items():
+            assert_same(value, other[key])
+    elif isinstance(one, tuple | list):
+        for pair in zip(one, other, strict=True):
+            assert_same(*pair)
+    else:
+        np.testing.assert_array_equal(one, other)
+
+
 class TestWholeWay:
     def test_a_rig_that_nobody_has_touched(self, whole_way):
-        folder, code = whole_way
+        folder, code, _ = whole_way
         assert code == 0
         result = json.loads((folder / "result.json").read_text())
         assert not result["drift"]["drifted"] and result["drift"]["p"] > 1e-3
@@ -340,7 +366,7 @@ class TestWholeWay:
         assert min(one["after_mm"] / one["before_mm"] for one in result["lengths"]) < 0.95
 
     def test_the_new_calibration_says_where_it_is_from(self, whole_way, tiny, refused):
-        folder, _ = whole_way
+        folder, *_ = whole_way
         new = jaxscan.load_calibration(folder / "new.json")
         told = new.provenance
         assert told["calibration"] == {"name": "calibration.json", "digest": calibration_digest(tiny.calibration)}
@@ -355,7 +381,7 @@ class TestWholeWay:
         assert new.quality.verdict.usable
 
     def test_the_cloud_is_that_of_the_new_calibration(self, whole_way, run):
-        folder, _ = whole_way
+        folder, *_ = whole_way
         words = f"reconstruct {folder / 'sweep'} -c {folder / 'new.json'} -o {folder / 'again.ply'}"
         assert "stripes from the cache" in run(*words.split()).out
         ours, again = (jaxscan.load_cloud(folder / name) for name in ("new.ply", "again.ply"))
@@ -363,8 +389,15 @@ class TestWholeWay:
         np.testing.assert_allclose(ours.xyz, again.xyz, atol=1e-6)
 
     def test_python_gives_the_same_and_reads_no_image_again(self, whole_way, tiny, monkeypatch):
-        folder, _ = whole_way
+        """The solve is given the same to the last digit; it is not run again."""
+        folder, _, (inputs, solution) = whole_way
+
+        def known(*again, progress):
+            assert_same(again, inputs)
+            return solution
+
         monkeypatch.setattr("jaxscan.api.stripes.stripes_of_plan", None)
+        monkeypatch.setattr(recalibration, "recalibrate", known)
         result = jaxscan.recalibrate(jaxscan.open_capture(folder / "sweep"), tiny.calibration)
         new = jaxscan.load_calibration(folder / "new.json")
         np.testing.assert_array_equal(result.calibration.covariance, new.covariance)

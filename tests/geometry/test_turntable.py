@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, point_up, stack_lasers, transform
+from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable, exponential, point_up, stack_lasers, transform
 
 
 def rodrigues(axis, angle):
@@ -24,6 +24,22 @@ def test_motion_turns_about_the_axis(phi):
     motion = TABLE.motion(jnp.array(phi))
     np.testing.assert_allclose(motion[:3, :3], rotation, atol=1e-13)
     np.testing.assert_allclose(motion[:3, 3], TABLE.point - rotation @ TABLE.point, atol=1e-13)
+
+
+@pytest.mark.parametrize("phi", [0.0, 1e-9, 0.3, -2.0, 7.0])
+def test_motion_is_the_exponential_of_its_twist(phi):
+    step = np.linspace(-0.02, 0.02, 9)
+    for difference in _apart(step, np.array(phi)):
+        np.testing.assert_allclose(difference, 0, atol=1e-13)
+
+
+@jax.jit
+def _apart(step, phi):
+    def apart(step):
+        table = TABLE.retract(step)
+        return table.motion(phi) - exponential(table.angle(phi) * table.twist())
+
+    return apart(step), jax.jacfwd(apart)(step)
 
 
 def test_foot_point_is_perpendicular():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxscan.calibration.chi_squared import chance_of
 from jaxscan.recalibration import Drift, HoldOut, RecalibrationSettings, Surfaces, Tracks
 from jaxscan.recalibration.judge import (
     closure_of,
@@ -12,7 +13,7 @@ from jaxscan.recalibration.judge import (
     refuse_result,
     unobserved,
 )
-from jaxscan.recalibration.judge.compared import chance_of, compare
+from jaxscan.recalibration.judge.compared import compare
 from jaxscan.recalibration.judge.gain import scales_of
 from jaxscan.recalibration.judge.scale import scale_slopes
 from jaxscan.recalibration.result import LengthGain

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -49,8 +50,6 @@ def clouds(kinds):
 
 def main(path, *kinds):
     """What the other process does."""
-    import jax
-
     fields = {f"{name} {kind}": getattr(cloud, name) for kind, cloud in clouds(kinds).items() for name in FIELDS}
     np.savez(path, devices=len(jax.local_devices()), **fields)
 
@@ -66,7 +65,8 @@ def test_two_devices_give_what_one_gives(tmp_path, kinds):
         f"from {folder.name}.test_devices import main; main({str(tmp_path / 'two.npz')!r}, *{kinds})"
     )
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"
-    environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
+    kept = str(jax.config.jax_compilation_cache_dir)
+    environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "JAX_COMPILATION_CACHE_DIR": kept}
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
     assert run.returncode == 0, run.stderr
     two = np.load(tmp_path / "two.npz")

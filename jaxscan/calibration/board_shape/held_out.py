@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.solve.adjustment import Adjustment
+from jaxscan.calibration.solve.linearised import used_length
 from jaxscan.calibration.solve.problem import BoardModes
 from jaxscan.geometry import bend_functions
 
@@ -54,7 +55,7 @@ def hold_out(result: Adjustment, candidates: Sequence[BoardModes] = ()) -> list[
     normal = _normal(result, BoardModes(widest.corner[..., extra], widest.height[heights]))
     information = normal.information.sum(0)
     prior = np.eye(len(information))
-    prior[:shared, :shared] = np.asarray(result.linearised.prior)
+    prior[:shared, :shared] = result.linearised.prior
     # At the minimum the gradient of the solve's own unknowns is 0, priors included.
     gradient = normal.gradient.sum(0)
     gradient[:shared] = 0.0
@@ -110,29 +111,31 @@ def _find_poses(residual: np.ndarray, rows: np.ndarray, owner: np.ndarray) -> No
 def _normal(result: Adjustment, extra: BoardModes) -> _Normal:
     problem, linear = result.problem, result.linearised
     camera, shared, modes = len(problem.camera.parameter_names()), len(problem.scales), extra.corner.shape[-1]
-    slopes = np.asarray(linear.corner_slopes)
+    slopes = linear.corner_slopes
     # A mode moves a corner of the board as a shift of the whole board would.
     moved = slopes[..., camera : camera + 3].reshape(len(slopes), -1, 2, 3) @ extra.corner[None]
     moved = moved.reshape(*slopes.shape[:2], -1)
-    residual = np.asarray(linear.corner_error) * np.repeat(problem.corner_weight, 2, axis=1)
-    stripe_slopes = np.asarray(linear.stripe_slopes)
+    residual = linear.corner_error * np.repeat(problem.corner_weight, 2, axis=1)
+    # Without the padding at the end: stripes have thousands of rows.
+    lit = slice(used_length(problem.lit))
+    stripe_slopes, stripe_chain = linear.stripe_slopes[lit], linear.stripe_chain[lit]
     lifted = _lifted(stripe_slopes[..., camera : camera + 6], extra, np.asarray(problem.frame))
-    offset = np.asarray(linear.offset) * np.asarray(problem.stripe_weight)
-    owner, stripe_owner = np.asarray(problem.placement), np.asarray(problem.stripe_placement())
+    offset = linear.offset[lit] * np.asarray(problem.stripe_weight)[lit]
+    owner, stripe_owner = np.asarray(problem.placement), np.asarray(problem.stripe_placement())[lit]
     count, unknowns = len(problem.poses), shared + modes + 6
     information, gradient = np.zeros((count, unknowns, unknowns)), np.zeros((count, unknowns))
     for parts, chain, values, number in (
         ((slopes, moved), linear.corner_chain, residual, owner),
-        ((stripe_slopes, lifted), linear.stripe_chain, offset, stripe_owner),
+        ((stripe_slopes, lifted), stripe_chain, offset, stripe_owner),
     ):
         # Thousands of rows share the few departures of their view: these are summed, then led to the unknowns.
         rows = np.concatenate(parts, axis=-1)
-        upright, follow = np.swapaxes(rows, 1, 2), _follow(np.asarray(chain), modes)
+        upright, follow = np.swapaxes(rows, 1, 2), _follow(chain, modes)
         np.add.at(information, number, np.swapaxes(follow, 1, 2) @ (upright @ rows) @ follow)
         np.add.at(gradient, number, ((upright @ values[..., None])[..., 0][:, None, :] @ follow)[:, 0])
     cross = information[:, :-6, -6:]
     coupling = cross @ np.linalg.inv(_regular(information[:, -6:, -6:]))
-    every = np.concatenate((slopes, moved), axis=-1) @ _follow(np.asarray(linear.corner_chain), modes)
+    every = np.concatenate((slopes, moved), axis=-1) @ _follow(linear.corner_chain, modes)
     return _Normal(
         information[:, :-6, :-6] - coupling @ np.swapaxes(cross, 1, 2),
         gradient[:, :-6] - np.einsum("pud,pd->pu", coupling, gradient[:, -6:]),
@@ -144,10 +147,10 @@ def _normal(result: Adjustment, extra: BoardModes) -> _Normal:
 
 def _follow(chain: np.ndarray, modes: int) -> Float[np.ndarray, "owners departures unknowns"]:
     """Derivatives of departures and extra modes by the shared unknowns, the extra modes, and the pose."""
-    unknowns, owners, numbers = chain.shape
+    owners, numbers, unknowns = chain.shape
     follow = np.zeros((owners, numbers + modes, unknowns + modes))
-    follow[:, :numbers, : unknowns - 6] = np.moveaxis(chain[:-6], 0, -1)
-    follow[:, :numbers, -6:] = np.moveaxis(chain[-6:], 0, -1)
+    follow[:, :numbers, : unknowns - 6] = chain[..., :-6]
+    follow[:, :numbers, -6:] = chain[..., -6:]
     follow[:, numbers:, unknowns - 6 : unknowns - 6 + modes] = np.eye(modes)
     return follow
 

@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 
-import equinox as eqx
-import jax
 import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment, Errors
-from jaxscan.calibration.solve.covariance import Linearised, undetermined_shares
-from jaxscan.calibration.solve.levenberg_marquardt import Solution, linearised_at, solve
+from jaxscan.calibration.solve.covariance import undetermined_shares
+from jaxscan.calibration.solve.levenberg_marquardt import Solution, solve
+from jaxscan.calibration.solve.linearised import Linearised, linearise
 from jaxscan.calibration.solve.noise import (
     correlation_along,
     huber_weights,
@@ -52,7 +51,7 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
         CalibrationError: If the solve breaks down.
     """
     kept = data.corner_valid, data.stripe_valid, data.usable
-    state = Adjustment(problem, *_at(problem, data), data, *kept)
+    state = Adjustment(*_at(problem, data), data, *kept)
     if settings.stripe_correlation is not None:
         state = replace(state, stripe_correlation=settings.stripe_correlation)
     for _ in range(_ROBUST_ROUNDS):
@@ -71,7 +70,7 @@ def adjust(problem: Problem, data: Prepared, settings: CalibrationSettings, *, r
             break
     if rejection and not undetermined_shares(state.linearised, np.asarray(problem.scales)).any():
         state = _reject(state, settings)
-    return replace(state, problem=jax.tree.map(np.asarray, state.problem))
+    return state
 
 
 def adjust_further(result: Adjustment, problem: Problem, settings: CalibrationSettings) -> Adjustment:
@@ -85,8 +84,8 @@ def adjust_further(result: Adjustment, problem: Problem, settings: CalibrationSe
     Raises:
         CalibrationError: If the solve breaks down.
     """
-    state = _reject(_solved(replace(result, problem=problem), settings, _ROUGH), settings)
-    return replace(state, problem=jax.tree.map(np.asarray, state.problem))
+    start = replace(result, linearised=linearise(problem))
+    return _reject(_solved(start, settings, _ROUGH), settings)
 
 
 def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
@@ -100,9 +99,9 @@ def _reject(state: Adjustment, settings: CalibrationSettings) -> Adjustment:
             robust = robust_noise(errors.corner[data.corner_valid]), state.robust_stripe_noise()
             kept = state.whitened_rms()[0], state.kept_stripe_noise()
             size = min(kept[0], _LONG_TAILS * robust[0]), np.minimum(kept[1], _LONG_TAILS * robust[1])
-        corner_room = _room(np.asarray(state.linearised.corner_leverage)).reshape(errors.corner.shape)
+        corner_room = _room(state.linearised.corner_leverage).reshape(errors.corner.shape)
         corner_size = (np.abs(errors.corner) / corner_room).max(-1) / size[0]
-        stripe_size = np.abs(errors.stripe) / _room(np.asarray(state.linearised.stripe_leverage))
+        stripe_size = np.abs(errors.stripe) / _room(state.linearised.stripe_leverage)
         stripe_size = stripe_size / size[1][data.stripe_contrast]
         corner_kept = keep_inliers(corner_size, data.corner_valid, state.corner_kept, **limits)
         stripe_kept = keep_inliers(stripe_size, data.stripe_valid, state.stripe_kept, **limits)
@@ -196,12 +195,11 @@ def _solved(
     corner = state.corner_kept * damp[0] / state.corner_sigma
     stripe = state.stripe_kept * damp[1] / (state.stripe_sigma * state.errors.slope)
     stripe = stripe / np.sqrt(state.stripe_correlation)
-    weighted = eqx.tree_at(lambda p: (p.corner_weight, p.stripe_weight), state.problem, (corner, stripe))
+    weighted = replace(state.problem, corner_weight=corner, stripe_weight=stripe)
     damping = _SEED_DAMPING if state.steps == 0 else _NEAR_DAMPING
-    solution = solve(weighted, damping, tolerance, settings.max_steps)
+    solution = solve(weighted, damping, tolerance, settings.max_steps, at=state.linearised.at)
     return replace(
         state,
-        problem=solution.problem,
         linearised=solution.linearised,
         errors=_errors(solution.linearised, data),
         steps=state.steps + solution.steps,
@@ -210,8 +208,8 @@ def _solved(
 
 
 def _at(problem: Problem, data: Prepared) -> tuple[Linearised, Errors]:
-    """The problem to first order at the point that it holds, on the host."""
-    linearised = linearised_at(problem)
+    """The problem to first order at the point that it holds."""
+    linearised = linearise(problem)
     return linearised, _errors(linearised, data)
 
 

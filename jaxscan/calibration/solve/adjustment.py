@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscan.calibration.solve.covariance import Linearised
+from jaxscan.calibration.solve.linearised import Linearised
 from jaxscan.calibration.solve.noise import noise_by_class, noise_component, robust_noise
 from jaxscan.calibration.solve.prepare import Prepared
 from jaxscan.calibration.solve.problem import Problem
@@ -24,9 +24,8 @@ class Errors(NamedTuple):
 class Adjustment:
     """A solve between its rounds, and at last the minimum; arrays padded as `Prepared` is."""
 
-    problem: Problem
-    """Seen from where the solve ended, with its last weights."""
     linearised: Linearised
+    """Where the solve ended, with its last weights."""
     errors: Errors
     """Of everything valid, rejected ones too."""
     data: Prepared
@@ -44,6 +43,11 @@ class Adjustment:
     """In all rounds."""
     converged: bool = False
     """Whether the last round ended at a minimum rather than after its last step."""
+
+    @property
+    def problem(self) -> Problem:
+        """Seen from where the solve ended, with its last weights; NumPy arrays."""
+        return self.linearised.problem
 
     @property
     def corner_error(self) -> np.ndarray:
@@ -79,13 +83,13 @@ class Adjustment:
     def whitened_rms(self) -> tuple[float, float]:
         """RMS of the kept corners and stripes in units of the given sigmas, per degree of freedom [1]."""
         corner_kept = np.repeat(self.corner_kept[..., None], 2, -1)
-        corner_leverage = np.asarray(self.linearised.corner_leverage).reshape(self.errors.corner.shape)
+        corner_leverage = self.linearised.corner_leverage.reshape(self.errors.corner.shape)
         corner = noise_component(self.errors.corner[corner_kept], corner_leverage[corner_kept])
         return corner, self.stripe_component(self.stripe_kept)
 
     def stripe_component(self, some: np.ndarray) -> float:
         """RMS of some stripe points [stripes, points] in units of the given sigmas, per degree of freedom [1]."""
-        leverage = np.asarray(self.linearised.stripe_leverage)[some]
+        leverage = self.linearised.stripe_leverage[some]
         return noise_component(self.errors.stripe[some], leverage, self.stripe_correlation)
 
     def robust_stripe_noise(self) -> np.ndarray:

@@ -48,10 +48,12 @@ def make_problem(
         corner_weight=np.zeros(data.corner_valid.shape),
         angle=data.angle,
         placement=data.placement,
+        seen=np.any(data.corner_valid, axis=1),
         stripe_q=data.stripe_q,
         stripe_weight=np.zeros(data.stripe_valid.shape),
         stripe_view=data.stripe_view,
         stripe_laser=data.stripe_laser,
+        lit=np.any(data.stripe_valid, axis=1),
     )
 
 

@@ -1,25 +1,19 @@
-"""Levenberg-Marquardt over one compiled linearisation, which covariance and leverages use too.
+"""Levenberg-Marquardt over the linearisation that covariance and leverages use too; a loop on the host.
 
-A step costs one call of `linearise_compiled`, and a small factorisation. The loop runs on the
-host: so the rows of all residuals, by far the largest part to compile, are compiled once. Rule and
-constants of the trust region are those of optimistix' `ClassicalTrustRegion`, and the minimum is
-that of optimistix' solvers (`experiments/solver_time.py`).
+Only errors and their derivatives are compiled (`evaluate`), by far the largest part of the work. Rule and constants
+of the trust region are those of optimistix' `ClassicalTrustRegion`, and the minimum is that of optimistix' solvers
+(`experiments/solver_time.py`).
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxscan.calibration.solve.blocks import Blocks, schur_step
-from jaxscan.calibration.solve.covariance import Linearised, linearise
-from jaxscan.calibration.solve.problem import Problem, Step, move
-from jaxscan.compiling import compile_quickly
-from jaxscan.geometry import Array
+from jaxscan.calibration.solve.evaluate import Evaluated, moved
+from jaxscan.calibration.solve.linearised import Linearised, linearise
+from jaxscan.calibration.solve.problem import Problem, Step
 
 
 # Relative rounding error of a sum of some ten thousand squares.
@@ -32,10 +26,8 @@ _GROW, _SHRINK = 3.5, 0.25
 class Solution(NamedTuple):
     """The end of a solve."""
 
-    problem: Problem
-    """The problem seen from the minimum."""
     linearised: Linearised
-    """To first order there; NumPy arrays."""
+    """The problem seen from the minimum, to first order."""
     shared: Float[np.ndarray, " shared"]
     """The step of the shared unknowns to there, from the problem that was given [scaled units]."""
     steps: int
@@ -43,17 +35,15 @@ class Solution(NamedTuple):
     converged: bool
     """False where it stopped after its last step."""
 
-
-class _Advance(NamedTuple):
-    """A step, and the problem seen from its end."""
-
-    problem: Problem
-    step: Step
-    promise: Float[Array, ""]
-    """Change of the cost if the problem were linear."""
+    @property
+    def problem(self) -> Problem:
+        """The problem seen from the minimum."""
+        return self.linearised.problem
 
 
-def solve(problem: Problem, damping: float, tolerance: float, max_steps: int) -> Solution:
+def solve(
+    problem: Problem, damping: float, tolerance: float, max_steps: int, *, at: Evaluated | None = None
+) -> Solution:
     """Minimise half the sum of squares of all whitened residuals; call in 64 bit.
 
     Args:
@@ -62,59 +52,48 @@ def solve(problem: Problem, damping: float, tolerance: float, max_steps: int) ->
         tolerance: Root mean square change of scaled unknowns and of whitened residuals at which
             to stop [1].
         max_steps: Linearisations at most, the first one included.
+        at: `evaluate` of the problem, where it is known.
     """
-    here = linearised_at(problem)
+    here = linearise(problem, at)
     shared, size = np.zeros(len(here.prior_residual)), 1.0
     for steps in range(2, max_steps + 1):
-        found = _advance(problem, here.blocks, np.asarray(damping / size))
-        there = linearised_at(found.problem)
+        try:
+            step = Step(*(-part for part in schur_step(here.blocks, damping / size)))
+        except np.linalg.LinAlgError:
+            # Rounding left a matrix that is not positive; more damping makes it so.
+            size *= _SHRINK
+            continue
+        there = linearise(moved(step, here.problem))
         # The last steps change the cost by less than its last digit: a change by rounding alone is no worse.
-        fall, promise = float(there.cost - here.cost), float(found.promise)
-        same = abs(fall) <= _ROUNDING * float(here.cost)
+        fall, promise = there.cost - here.cost, _promise(here.blocks, step)
+        same = abs(fall) <= _ROUNDING * here.cost
         acceptable = fall <= _ACCEPTABLE * promise
         if not same or acceptable:
             size *= (_GROW if fall <= _GOOD * promise else 1.0) if acceptable else _SHRINK
         if not (acceptable or same):
             continue
-        settled = _change(found.step, here, there, problem) < tolerance
-        shared += np.asarray(found.step.shared)
-        problem, here = found.problem, there
+        settled = _change(step, here, there) < tolerance
+        shared += step.shared
+        here = there
         if settled:
-            return Solution(problem, here, shared, steps, True)
-    return Solution(problem, here, shared, max_steps, False)
+            return Solution(here, shared, steps, True)
+    return Solution(here, shared, max_steps, False)
 
 
-def linearised_at(problem: Problem) -> Linearised:
-    """`linearise`, compiled, as NumPy arrays; call in 64 bit."""
-    return jax.tree.map(np.asarray, linearise_compiled(problem))
-
-
-def _compiled(function: Callable[[Problem], Linearised]) -> Callable[[Problem], Linearised]:
-    # This option halves the time to compile, and hardly costs time to run.
-    options: Any = {"compiler_options": {"xla_cpu_use_fusion_emitters": False}}
-    return eqx.filter_jit(function, **options)
-
-
-linearise_compiled = _compiled(linearise)
-"""`linearise`, compiled; call in 64 bit."""
-
-
-@compile_quickly
-def _advance(problem: Problem, blocks: Blocks, damping: Float[Array, ""]) -> _Advance:
-    shared, local = schur_step(blocks, damping)
-    step = Step(-shared, -local)
+def _promise(blocks: Blocks, step: Step) -> float:
+    """Change of the cost by a step if the problem were linear."""
+    shared, local = np.asarray(step.shared), np.asarray(step.local)
     # Half a step of Gauss-Newton's own falls short of the gradient by the damping.
-    along = jnp.vdot(blocks.shared_gradient, step.shared) + jnp.vdot(blocks.local_gradient, step.local)
-    curved = jnp.vdot(step.shared, blocks.shared @ step.shared)
-    curved += 2.0 * jnp.einsum("k,vkd,vd->", step.shared, blocks.cross, step.local)
-    curved += jnp.einsum("vd,vde,ve->", step.local, blocks.local, step.local)
-    return _Advance(move(step, problem), step, along + 0.5 * curved)
+    along = np.vdot(blocks.shared_gradient, shared) + np.vdot(blocks.local_gradient, local)
+    curved = shared @ blocks.shared @ shared + 2.0 * np.vdot(np.tensordot(shared, blocks.cross, (0, 1)), local)
+    curved += np.vdot(local, (blocks.local @ local[..., None])[..., 0])
+    return float(along + 0.5 * curved)
 
 
-def _change(step: Step, here: Linearised, there: Linearised, problem: Problem) -> float:
+def _change(step: Step, here: Linearised, there: Linearised) -> float:
     """Root mean square change of the unknowns, or of the whitened residuals, whichever is larger."""
-    rms = lambda *parts: float(np.sqrt(sum(np.sum(np.square(p)) for p in parts) / max(sum(p.size for p in parts), 1)))
-    corner = (there.corner_error - here.corner_error) * np.repeat(problem.corner_weight, 2, axis=1)
-    stripe = (there.offset - here.offset) * problem.stripe_weight
+    rms = lambda *parts: float(np.sqrt(sum(np.vdot(p, p) for p in parts) / max(sum(p.size for p in parts), 1)))
+    corner = (there.corner_error - here.corner_error) * here.corner_weight
+    stripe = (there.offset - here.offset) * np.asarray(here.problem.stripe_weight)
     residual = rms(corner, stripe, there.prior_residual - here.prior_residual)
     return max(rms(np.asarray(step.shared), np.asarray(step.local)), residual)

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxscan.calibration.parameters import board_blocks, move_pose
 from jaxscan.geometry import (
@@ -68,11 +68,15 @@ class Problem(eqx.Module):
     """1 / sigma [1 / px]."""
     angle: Float[Array, " views"]
     placement: Int[Array, " views"]
+    seen: Bool[Array, " views"]
+    """Views with corners; the others are padding, and nothing is evaluated for them."""
     stripe_q: Float[Array, "stripes points 2"]
     stripe_weight: Float[Array, "stripes points"]
     """1 / (|grad_q e| sigma) [1 / m]."""
     stripe_view: Int[Array, " stripes"]
     stripe_laser: Int[Array, " stripes"]
+    lit: Bool[Array, " stripes"]
+    """Stripes with points; the others are padding, and nothing is evaluated for them."""
 
     def stripe_placement(self) -> Int[Array, " stripes"]:
         """The placement whose board each stripe lies on."""

@@ -43,7 +43,7 @@ def advise(result: Adjustment, unobserved: Sequence[dict[str, float]]) -> tuple[
     empty = coverage.empty_parts(coverage.count_cells(seen, data.size))
     if empty:
         lines.append(coverage.ASK_FOR_PARTS.format(", ".join(empty)))
-    poses = np.asarray(result.linearised.view_poses)[result.view_kept & data.usable]
+    poses = result.linearised.view_poses[result.view_kept & data.usable]
     tilt = np.degrees(np.arccos(np.clip(np.abs(poses[:, 2, 2]), 0.0, 1.0)))
     if len(tilt) and np.quantile(tilt, 0.9) < coverage.MIN_TILT_DEG:
         lines.append(coverage.ASK_FOR_TILT.format(f"hardly one is tilted by more than {tilt.max():.0f} degrees"))
@@ -91,7 +91,7 @@ def cures(unobserved: Sequence[dict[str, float]]) -> list[str]:
 
 def _about_stripes(result: Adjustment) -> list[str]:
     data, lines = result.data, []
-    depth = np.asarray(result.linearised.view_poses)[:, 2, 3]
+    depth = result.linearised.view_poses[:, 2, 3]
     for laser in range(len(result.problem.lasers.distance)):
         lit = (data.stripe_laser == laser) & result.stripe_kept.any(1)
         depths = depth[data.stripe_view[lit]]

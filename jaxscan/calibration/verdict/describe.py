@@ -29,7 +29,7 @@ def describe_quality(
         observations: As they were given.
         names: Of the shared unknowns.
     """
-    data, prior = result.data, np.asarray(result.linearised.prior_residual)
+    data, prior = result.data, result.linearised.prior_residual
     # Modes of the board are held by their priors on purpose; that is no doubt of the rig's numbers.
     rig = np.array([not is_mode(name) for name in names])
     corner_rms, stripe_rms = result.whitened_rms()
@@ -120,7 +120,7 @@ def _per_view(result: Adjustment, observations: Observations, distance: np.ndarr
     # A stripe that agrees with no sheet keeps its row, without a point.
     without = ~np.any(np.asarray(observations.stripes.valid), axis=1)
     elsewhere = set(np.asarray(observations.stripes.view)[without].tolist())
-    depth = np.asarray(result.linearised.view_poses)[:, 2, 3]
+    depth = result.linearised.view_poses[:, 2, 3]
     views = []
     for view in np.flatnonzero(data.usable):
         seen = data.corner_valid[view]

@@ -1,8 +1,8 @@
 """Cross-validation: two halves of the records, solved apart, must give the same rig."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from jaxscan.calibration.settings import CalibrationSettings
@@ -65,17 +65,16 @@ def compare_halves(
     for side in (0, 1):
         views = half == side
         stripes = views[result.data.stripe_view]
-        problem = eqx.tree_at(
-            lambda p: (p.corner_weight, p.stripe_weight),
+        problem = replace(
             result.problem,
-            (
-                result.problem.corner_weight * views[:, None] * promise[0],
-                result.problem.stripe_weight * stripes[:, None] * promise[1],
-            ),
+            seen=result.problem.seen & views,
+            lit=result.problem.lit & stripes,
+            corner_weight=result.problem.corner_weight * views[:, None] * promise[0],
+            stripe_weight=result.problem.stripe_weight * stripes[:, None] * promise[1],
         )
         solution = solve_again(problem, settings)
         known = solution.linearised
-        reduced, prior = (np.asarray(part)[np.ix_(free, free)] for part in (known.reduced, known.prior))
+        reduced, prior = (part[np.ix_(free, free)] for part in (known.reduced, known.prior))
         # Rounding may leave a little less than 0 for unknowns that half of the records do not show.
         size = np.sqrt(np.maximum(np.diag(reduced), 0.0))
         if not np.all(size > 0) or not solution.converged:

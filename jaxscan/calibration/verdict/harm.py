@@ -106,7 +106,7 @@ def _of_lens(
     weight = np.repeat(np.asarray(problem.corner_weight), 2, axis=1)
     used = weight > 0
     count = layout.camera.stop
-    slopes = np.asarray(linearised.corner_slopes)[used] / weight[used][:, None]
+    slopes = linearised.corner_slopes[used] / weight[used][:, None]
     by_camera = slopes[:, :count]
     # The rays of the fitted camera are off by this much [px], rows u and v in turn.
     field = by_camera @ imitation[layout.camera] - shape[used]
@@ -126,7 +126,7 @@ def _of_lens(
 def _seen_corners(result: Adjustment) -> np.ndarray:
     """Where corners should have been seen [views, corners, 2], px."""
     observed = np.asarray(result.problem.corner_q)
-    return observed + np.asarray(result.linearised.corner_error).reshape(observed.shape)
+    return observed + result.linearised.corner_error.reshape(observed.shape)
 
 
 def _zone(place: np.ndarray, field: np.ndarray) -> str | None:
@@ -146,13 +146,13 @@ def _zone(place: np.ndarray, field: np.ndarray) -> str | None:
 def _of_sheets(result: Adjustment, layout: Layout, size: np.ndarray, imitation: np.ndarray) -> list[np.ndarray]:
     """Steps of sheets that lack terms; the imitation is changed to the part it can follow."""
     problem, linearised = result.problem, result.linearised
-    weight, slope = np.asarray(problem.stripe_weight), np.asarray(linearised.slope)
-    by_q, offset = np.asarray(linearised.by_q), np.asarray(linearised.offset)
+    weight, slope = np.asarray(problem.stripe_weight), linearised.slope
+    by_q, offset = linearised.by_q, linearised.offset
     square = np.where(slope > 0, slope, 1.0) ** 2
     q = np.asarray(problem.stripe_q) - by_q * (offset / square)[..., None]
     # How far the points of the sheet are from their plane [m] beside the imitation.
     bend = -slope * (sheet_terms(q, problem, extents_of(result.data)) @ size)
-    parts = np.asarray(linearised.stripe_slopes) / np.where(weight > 0, weight, 1.0)[..., None]
+    parts = linearised.stripe_slopes / np.where(weight > 0, weight, 1.0)[..., None]
     turns = []
     for laser in range(len(problem.lasers.distance)):
         lit = (weight > 0) & (np.asarray(problem.stripe_laser) == laser)[:, None]
@@ -196,7 +196,7 @@ def _shift_aside(result: Adjustment, size: np.ndarray, noise: np.ndarray) -> tup
     """
     problem = result.problem
     views = repeated_views(problem)
-    pose = np.asarray(result.linearised.view_poses)[views]
+    pose = result.linearised.view_poses[views]
     middle = np.append(np.asarray(problem.frame)[:2], 0.0)
     point = pose[:, :3, :3] @ middle + pose[:, :3, 3]
     x, y, z = middle

@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
+from jaxscan.calibration.chi_squared import chance_of
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.solve.adjustment import Adjustment
 from jaxscan.calibration.verdict.extra_terms import extents_of
@@ -119,7 +119,7 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> Judged:
         if max(abs(corner_noise - 1.0), abs(stripe_noise - 1.0)) > _REPEATED:
             # With weights of the noise that the detector promised.
             given = compare_halves(result, settings, (corner_noise, result.stripe_point_noise)) or halves
-        p, p_structure = _p_value(given.distance(), given.dof), _p_value(halves.distance(), halves.dof)
+        p, p_structure = chance_of(given.distance(), given.dof), chance_of(halves.distance(), halves.dof)
         tests.append(ModelTest("halves", given.distance(), given.dof, p, p_structure))
     failed = {test.name for test in tests if result_of_test(test.p, test.p_structure, len(tests)) == "structure"}
     suspects = [name for name in seen if ("lens" if name == "radial" else name) in failed]
@@ -128,13 +128,7 @@ def judge(result: Adjustment, settings: CalibrationSettings) -> Judged:
 
 def _tested(name: str, statistic: float, dof: int, noise: float) -> ModelTest:
     given = statistic * noise**2
-    return ModelTest(name, given, dof, _p_value(given, dof), _p_value(statistic, dof))
-
-
-def _p_value(statistic: float, dof: int) -> float:
-    if dof == 0:
-        return 1.0
-    return float(jax.scipy.special.gammaincc(0.5 * dof, 0.5 * max(statistic, 0.0)))
+    return ModelTest(name, given, dof, chance_of(given, dof), chance_of(statistic, dof))
 
 
 def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
@@ -168,7 +162,7 @@ def _explain(score: Score, suspects: Sequence[str], tests: int) -> dict[str, Mis
         looks = {name: _look(score, name, known) for name in left}
         name = max(left, key=lambda name: looks[name].surprise)
         root, parts = looks[name]
-        p = _p_value(looks[name].statistic, len(parts))
+        p = chance_of(looks[name].statistic, len(parts))
         if result_of_test(p, p, tests) != "structure":
             break
         left.remove(name)

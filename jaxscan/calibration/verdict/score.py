@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscan.calibration.solve.covariance import Linearised
+from jaxscan.calibration.solve.linearised import Linearised
 from jaxscan.calibration.solve.problem import Problem, Step, move, zero_step
 from jaxscan.calibration.solve.rows import corner_rows
 from jaxscan.calibration.verdict.extra_terms import (
@@ -68,13 +68,13 @@ def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> 
     """
     system = _system(problem, linearised)
     corner_weight, stripe_weight = np.repeat(problem.corner_weight, 2, axis=1), np.asarray(problem.stripe_weight)
-    corner_error, offset = np.asarray(linearised.corner_error), np.asarray(linearised.offset)
+    corner_error, offset = linearised.corner_error, linearised.offset
     corner_residual = corner_error * corner_weight
     # Terms are functions of where things should have been seen: at the noisy places themselves they
     # would be correlated with the noise.
     corner_q = np.asarray(problem.corner_q) + corner_error.reshape(problem.corner_q.shape)
     camera = len(problem.camera.parameter_names())
-    twist = np.asarray(linearised.corner_slopes)[..., camera : camera + 6]
+    twist = linearised.corner_slopes[..., camera : camera + 6]
     # Displacements of the image are weighted here, those of the board were when the rows were formed.
     lens, radial = (terms(corner_q, extents) * corner_weight[..., None] for terms in (lens_terms, radial_terms))
     board = board_terms(problem, twist[..., :3])
@@ -86,11 +86,11 @@ def score_models(problem: Problem, linearised: Linearised, extents: Extents) -> 
     # An axis that is held may have no views that show it.
     if problem.turntable.blocks and len(views := repeated_views(problem)):
         twist = twist[views]
-        turn = moving_twist(np.asarray(linearised.view_poses)[views], problem.turntable)
+        turn = moving_twist(linearised.view_poses[views], problem.turntable)
         groups["table"] = _by_view(system, np.einsum("vrd,vd->vr", twist, turn)[..., None], corner_residual, views)
         groups["axis"] = _by_view(system, twist, corner_residual, views)
     if len(problem.lasers.distance):
-        by_q = np.asarray(linearised.by_q)
+        by_q = linearised.by_q
         square = np.sum(by_q * by_q, axis=-1)
         stripe_q = np.asarray(problem.stripe_q) - by_q * (offset / np.where(square > 0, square, 1.0))[..., None]
         extra = sheet_terms(stripe_q, problem, extents) * (np.sqrt(square) * stripe_weight)[..., None]
@@ -156,14 +156,13 @@ def repeated_views(problem: Problem) -> np.ndarray:
 
 
 def _system(problem: Problem, linearised: Linearised) -> _System:
-    by_unknowns = lambda slopes, chain: np.asarray(slopes) @ np.moveaxis(np.asarray(chain), 0, -1)
-    corner = by_unknowns(linearised.corner_slopes, linearised.corner_chain)
-    stripe = by_unknowns(linearised.stripe_slopes, linearised.stripe_chain)
+    corner = linearised.corner_slopes @ linearised.corner_chain
+    stripe = linearised.stripe_slopes @ linearised.stripe_chain
     view_owner = np.asarray(problem.placement)
     stripe_owner = view_owner[np.asarray(problem.stripe_view)]
     shared, placements = len(problem.scales), len(problem.poses)
     whole = np.zeros((shared + 6 * placements,) * 2)
-    whole[:shared, :shared] = np.asarray(linearised.prior)
+    whole[:shared, :shared] = linearised.prior
     for values, owner in ((corner, view_owner), (stripe, stripe_owner)):
         for gram, number in zip(np.swapaxes(values, 1, 2) @ values, owner, strict=True):
             met = _unknowns(shared, number)

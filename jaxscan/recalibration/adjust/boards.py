@@ -16,8 +16,7 @@ from jaxscan.calibration import CalibrationSettings
 from jaxscan.calibration.seed import average_placements, seed_poses
 from jaxscan.calibration.solve import Adjustment, Prepared, make_problem, prepare
 from jaxscan.calibration.solve import adjust as solve_boards
-from jaxscan.calibration.solve.covariance import Linearised
-from jaxscan.calibration.solve.levenberg_marquardt import linearise_compiled
+from jaxscan.calibration.solve.linearised import linearise
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.geometry.motions import ANGLE_PARAMETERS
@@ -88,9 +87,10 @@ def board_equations(
     turned = -1.0 if scanner.turntable.carries == "object" else 1.0
     scales = np.array(result.problem.scales)
     scales[: len(names)] = [turned if name in ANGLE_PARAMETERS else 1.0 for name in names]
-    free = linearise_compiled(eqx.tree_at(lambda p: p.scales, result.problem, scales))
-    information, gradient = np.array(free.reduced), _gradient(result, free)
-    empty = np.asarray(free.known_poses) == 0
+    free = linearise(replace(result.problem, scales=scales))
+    # Poses are at their minimum.
+    information, gradient = np.array(free.reduced), free.blocks.shared_gradient
+    empty = free.known_poses == 0
     information[empty], information[:, empty] = 0.0, 0.0
     count = len(names)
     shape = np.flatnonzero(~empty[count:]) + count
@@ -98,19 +98,6 @@ def board_equations(
     taken = np.linalg.solve(information[np.ix_(shape, shape)], beside.T)
     rows, value = _square_root(information[:count, :count] - beside @ taken, gradient[:count] - gradient[shape] @ taken)
     return BoardEquations(rows, value, result)
-
-
-def _gradient(result: Adjustment, free: Linearised) -> Float[np.ndarray, " unknowns"]:
-    """J'r by the shared unknowns: poses are at their minimum."""
-    problem, total = result.problem, 0.0
-    for error, weight, slopes, chain in (
-        (free.corner_error, np.repeat(problem.corner_weight, 2, axis=1), free.corner_slopes, free.corner_chain),
-        (free.offset, problem.stripe_weight, free.stripe_slopes, free.stripe_chain),
-    ):
-        by_departure = np.einsum("vrd,vr->vd", np.asarray(slopes), np.asarray(error) * np.asarray(weight))
-        total = total + np.einsum("kvd,vd->k", np.asarray(chain), by_departure)
-    prior = np.asarray(problem.prior_weight) * np.asarray(problem.scales) * np.asarray(free.prior_residual)
-    return np.asarray(total)[: len(prior)] + prior
 
 
 def _square_root(

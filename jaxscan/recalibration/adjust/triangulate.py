@@ -12,7 +12,7 @@ from jaxscan.recalibration.adjust.rows import room_point
 from jaxscan.recalibration.adjust.solver import compiled
 
 
-_BLOCK = 16_384
+_BLOCK, _SMALL_BLOCK = 16_384, 1_024
 
 
 def triangulate_points(
@@ -62,17 +62,18 @@ def _stations(station: np.ndarray | None, count: int) -> np.ndarray:
 
 
 def _in_blocks(function, scanner: Scanner, arrays: tuple[np.ndarray, ...]) -> list[np.ndarray]:
-    """A function of many points, in blocks of one size, so that it is compiled once."""
+    """A function of points, in blocks of one size if they are many and of another if few: compiled once for each."""
     q, laser, phi, station = arrays
     full = (np.asarray(q, np.float64), np.asarray(laser, np.int32), np.asarray(phi, np.float64), station)
     names = tuple(map(str, range(len(scanner.laser_names))))
     bare = Scanner(scanner.camera, scanner.lasers, scanner.turntable, None, names, scanner.up)
     parts = []
+    block = _SMALL_BLOCK if len(q) <= _SMALL_BLOCK else _BLOCK
     with jax.enable_x64(True):
-        for begin in range(0, max(len(q), 1), _BLOCK):
-            some = [array[begin : begin + _BLOCK] for array in full]
+        for begin in range(0, max(len(q), 1), block):
+            some = [array[begin : begin + block] for array in full]
             count = len(some[0])
-            padded = [np.concatenate([a, np.zeros((_BLOCK - count, *a.shape[1:]), a.dtype)]) for a in some]
+            padded = [np.concatenate([a, np.zeros((block - count, *a.shape[1:]), a.dtype)]) for a in some]
             parts.append([np.asarray(leaf)[:count] for leaf in function(bare, *padded)])
     return [np.concatenate(leaves) for leaves in zip(*parts, strict=True)]
 
@@ -82,7 +83,8 @@ def _points(scanner: Scanner, q: Array, laser: Array, phi: Array, station: Array
     return jax.vmap(partial(room_point, scanner))(station, q, laser, phi)
 
 
-@compiled
+# Of every cell of a sweep: worth its optimisation where all else is compiled in haste.
+@partial(compiled, xla_backend_optimization_level=3)
 def _gradients(scanner: Scanner, q: Array, laser: Array, phi: Array, station: Array) -> tuple[Array, Array, Array]:
     zero = jnp.zeros(len(scanner.parameter_names()), q.dtype)
 

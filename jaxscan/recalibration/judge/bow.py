@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.calibration.chi_squared import chance_of
 from jaxscan.calibration.parameters import PRIORS
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.judge.compared import Compared, chance_of, compare
+from jaxscan.recalibration.judge.compared import Compared, compare
 
 
 class Bow(NamedTuple):

@@ -2,9 +2,7 @@
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
-from jax.scipy.special import gammaincc
 from jaxtyping import Float
 
 
@@ -86,11 +84,3 @@ def with_prior(
     inner = np.linalg.inv(np.eye(len(values)) + root.T @ (information[:, None] * root))
     posterior = loose.direction @ (root @ inner @ root.T) @ loose.direction.T
     return compare(prior, posterior), loose.direction @ (root @ (inner @ (root.T @ gradient)))
-
-
-def chance_of(chi2: float, freedom: int) -> float:
-    """Probability of a larger chi-squared [1]; 1 without any freedom."""
-    if freedom <= 0:
-        return 1.0
-    with jax.enable_x64(True):
-        return float(gammaincc(0.5 * freedom, 0.5 * chi2))

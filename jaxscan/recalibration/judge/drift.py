@@ -17,8 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.calibration.chi_squared import chance_of
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration.judge.compared import Compared, chance_of
+from jaxscan.recalibration.judge.compared import Compared
 from jaxscan.recalibration.judge.parts import Part, loosening, parts_of
 
 

@@ -60,8 +60,10 @@ def concentration(sample: Sample, theta: Float[np.ndarray, " records"]) -> float
     limit = CLOSE * size + 3.0 * step
     left, score = np.ones(len(x), bool), 0.0
     on = np.abs(normal @ x.T - distance[:, None]) < np.abs(normal @ along.T) * limit
+    # Counted as a product, which is exact below 2^24 points.
+    share = on.astype(np.float32)
     for _ in range(PLANES):
-        count = on[:, left].sum(axis=1)
+        count = share @ left.astype(np.float32)
         best = int(np.argmax(count))
         mine = left & on[best]
         if mine.mean() < LEAST_SHARE:

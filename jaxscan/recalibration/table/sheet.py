@@ -1,6 +1,7 @@
 """Stripe points as the turning sheet has them: where they would be at angle 0."""
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -11,11 +12,10 @@ from jaxtyping import Float, Int
 from jaxscan.geometry import Scanner, StripeAxis, stripe_pixel
 from jaxscan.geometry.arrays import Array
 from jaxscan.geometry.motions.turntable import ANGLE_PARAMETERS
+from jaxscan.recalibration.moved import moved_scanner
 
 
-CHUNK = 8_192
-DIFFERENCE = 1e-3
-"""Step of a difference, as a part of the coordinate's spread."""
+CHUNK = 6_144
 SPREAD = (
     {"fx": 20.0, "fy": 20.0, "cx": 20.0, "cy": 20.0, "k1": 0.05, "k2": 0.1, "k3": 0.3, "p1": 2e-3, "p2": 2e-3}
     | {"n1": 3e-3, "n2": 3e-3, "d": 2e-3, "b2": 3e-3, "b3": 3e-3}
@@ -50,45 +50,33 @@ def sheet_points(
         x: Points [m].
         slope: Their derivative by the centre [m/px].
     """
-    whole = np.zeros((1, len(scanner.parameter_names())))
-    x, slope = _in_chunks(scanner, stripes, whole)
-    return x[0], slope[0]
+    x, slope = _in_chunks(_points, scanner, stripes)
+    return x, slope
 
 
 def parameter_slopes(scanner: Scanner, stripes: Stripes) -> Float[np.ndarray, "points 3 params"]:
     """Derivatives of `sheet_points` by the coordinates of camera, sheets and axis [m per px, rad, m]."""
-    spread = parameter_spread(scanner)
-    steps = np.zeros((len(spread) + 1, len(scanner.parameter_names())))
-    steps[1:, : len(spread)] = np.diag(DIFFERENCE * spread)
-    x, _ = _in_chunks(scanner, stripes, steps)
-    return np.moveaxis(x[1:] - x[0], 0, -1) / (DIFFERENCE * spread)
+    (slopes,) = _in_chunks(_slopes, scanner, stripes)
+    return slopes
 
 
-def _in_chunks(
-    scanner: Scanner, stripes: Stripes, steps: Float[np.ndarray, "steps coordinates"]
-) -> tuple[Float[np.ndarray, "steps points 3"], Float[np.ndarray, "steps points 3"]]:
-    """Points and their derivatives for the scanner moved by each step."""
+def _in_chunks(function: Callable, scanner: Scanner, stripes: Stripes) -> tuple[np.ndarray, ...]:
+    """The results of a compiled function of the scanner and stripes, one after another."""
     columns = (stripes.centre.astype(np.float64), stripes.line.astype(np.int64), stripes.laser.astype(np.int64))
-    count = len(stripes.centre)
-    x, slope = np.empty((len(steps), count, 3)), np.empty((len(steps), count, 3))
+    count, parts = len(stripes.centre), []
     with jax.enable_x64(True):
-        bare = scanner.without_covariance().as_dtype(jnp.float64)
-        moves = [jnp.asarray(step) for step in steps]
-        for start in range(0, count, CHUNK):
+        bare = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), scanner.without_covariance())
+        for start in range(0, max(count, 1), CHUNK):
             part = slice(start, min(start + CHUNK, count))
             # Every chunk has one size, so that it is compiled once.
-            padded = [jnp.asarray(np.resize(column[part], CHUNK)) for column in columns]
-            for k, step in enumerate(moves):
-                found = _points(bare, step, *padded, stripes.axis)
-                x[k, part], slope[k, part] = (np.asarray(one)[: part.stop - start] for one in found)
-    return x, slope
+            padded = [np.resize(column[part], CHUNK) for column in columns]
+            parts.append([np.asarray(one)[: part.stop - start] for one in function(bare, *padded, stripes.axis)])
+    return tuple(np.concatenate(one) for one in zip(*parts, strict=True))
 
 
 def move(scanner: Scanner, step: Float[np.ndarray, " params"]) -> Scanner:
     """The scanner moved by `step` in the coordinates of camera, sheets and axis [px, rad, m]."""
-    with jax.enable_x64(True):
-        moved = scanner.retract(jnp.asarray(np.append(step, np.zeros(len(ANGLE_PARAMETERS)))))
-        return jax.tree.map(np.asarray, moved)
+    return moved_scanner(scanner, np.append(step, np.zeros(len(ANGLE_PARAMETERS))))
 
 
 def parameter_spread(scanner: Scanner) -> Float[np.ndarray, " params"]:
@@ -98,14 +86,31 @@ def parameter_spread(scanner: Scanner) -> Float[np.ndarray, " params"]:
 
 
 # This option halves the time to compile, and costs no time to run.
-@functools.partial(jax.jit, static_argnums=5, compiler_options={"xla_cpu_use_fusion_emitters": False})
-def _points(scanner, step, centre, line, laser, axis):
-    moved = scanner.retract(step)
+_compiled = functools.partial(jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": False})
 
+
+@functools.partial(_compiled, static_argnums=4)
+def _points(scanner, centre, line, laser, axis):
     def one(c: Array, row: Array, k: Array) -> tuple[Array, Array]:
-        def point(across: Array) -> Array:
-            return moved.point(stripe_pixel(across, row.astype(across.dtype), axis), k, jnp.zeros_like(across))[0]
-
-        return jax.jvp(point, (c,), (jnp.ones_like(c),))
+        return jax.jvp(lambda across: _point(scanner, across, row, k, axis), (c,), (jnp.ones_like(c),))
 
     return jax.vmap(one)(centre, line, laser)
+
+
+@functools.partial(_compiled, static_argnums=4)
+def _slopes(scanner, centre, line, laser, axis):
+    first = jnp.zeros(len(scanner.parameter_names()) - len(ANGLE_PARAMETERS))
+
+    def one(c: Array, row: Array, k: Array) -> Array:
+        def moved(step: Array) -> Array:
+            whole = jnp.append(step, jnp.zeros(len(ANGLE_PARAMETERS)))
+            return _point(scanner.retract(whole), c, row, k, axis)
+
+        return jax.jacfwd(moved)(first)
+
+    return (jax.vmap(one)(centre, line, laser),)
+
+
+def _point(scanner: Scanner, across: Array, row: Array, laser: Array, axis: StripeAxis) -> Array:
+    """The point at angle 0 of one stripe [m]."""
+    return scanner.point(stripe_pixel(across, row.astype(across.dtype), axis), laser, jnp.zeros_like(across))[0]

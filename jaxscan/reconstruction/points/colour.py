@@ -1,5 +1,7 @@
 """The colour of a point: the laser-off image, sampled at the stripe's centre."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float, UInt8
@@ -100,3 +102,15 @@ def sample_colours(
 def needs_frames(frames: FrameFormat) -> bool:
     """Whether a colour takes more than the level that the fit of a stripe knows already."""
     return frames != FrameFormat()
+
+
+@functools.partial(jax.jit, static_argnames=("pixel_format", "stripe_axis"))
+def colours_alone(
+    u: Array, valid: Array, off: Array | None, *, pixel_format: PixelFormat, stripe_axis: StripeAxis
+) -> Array:
+    """Colours at the centres `u` [profiles, lines] of known stripes; black where there are none, or no frames."""
+    if off is None:
+        return jnp.zeros((*u.shape, 3), jnp.uint8)
+    u = jnp.where(valid, u, 0.0)
+    colour = sample_colours(u, off, pixel_format=pixel_format, stripe_axis=stripe_axis)
+    return jnp.where(valid[:, :, None], colour, 0).astype(jnp.uint8)

@@ -1,6 +1,5 @@
 """Where on each line a stripe can lie at all: between the near and the far limit of the sheet."""
 
-import functools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -10,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.geometry import Scanner, StripeAxis, across_and_along, stripe_pixel
+from jaxscan.compiling import compile_quickly
+from jaxscan.geometry import AbstractCamera, Array, LaserSheet, Scanner, StripeAxis, across_and_along, stripe_pixel
 from jaxscan.stripes import LineGate
 
 
@@ -64,7 +64,8 @@ def line_gate(
     across, along = _nodes(-1.0, float(length)), _nodes(0.0, float(lines - 1))
     with jax.enable_x64(True):
         exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), (camera, sheet))
-        incidence = np.asarray(_incidence(*exact, jnp.asarray(along), jnp.asarray(across), stripe_axis))
+        u, line = jnp.meshgrid(jnp.asarray(across), jnp.asarray(along))
+        incidence = np.asarray(_incidence(*exact, stripe_pixel(u, line, stripe_axis)))
     distance = float(np.asarray(sheet.distance))
     least = distance / max_range_m
     most = distance / min_range_m if min_range_m > 0 else math.inf
@@ -77,14 +78,10 @@ def _nodes(first: float, last: float) -> Float[np.ndarray, " nodes"]:
     return np.linspace(first, last, max(2, 1 + math.ceil((last - first) / _PITCH_PX)))
 
 
-@functools.partial(jax.jit, static_argnames="stripe_axis")
-def _incidence(camera, sheet, along, across, stripe_axis):
-    """m of `LaserSheet.intersect` on the lattice [along, across]."""
-
-    def at(line, u):
-        return sheet.intersect(camera.unproject(stripe_pixel(u, line, stripe_axis)))[1]
-
-    return jax.vmap(jax.vmap(at, (None, 0)), (0, None))(along, across)
+@compile_quickly
+def _incidence(camera: AbstractCamera, sheet: LaserSheet, q: Float[Array, "a b 2"]) -> Float[Array, "a b"]:
+    """m of `LaserSheet.intersect` at pixels."""
+    return jax.vmap(jax.vmap(lambda pixel: sheet.intersect(camera.unproject(pixel))[1]))(q)
 
 
 def _error(incidence: Float[np.ndarray, "a b"]) -> Float[np.ndarray, "a b"]:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxscan.compiling import compile_quickly
 from jaxscan.geometry import Array, Scanner, StripeAxis, across_and_along, stripe_pixel
 
 
@@ -72,7 +73,7 @@ def _knots(count: int) -> np.ndarray:
     return np.linspace(0.0, count - 1.0, max(2, int(np.ceil((count - 1) / SPACING_PX)) + 1))
 
 
-@jax.jit
+@compile_quickly
 def _numerators(scanner: Scanner, covariance: Array, q: Array) -> Array:
     """[lasers, lattice rows, lattice columns] of std(m dd - d dm)."""
     zero = jnp.zeros(len(scanner.parameter_names()), covariance.dtype)

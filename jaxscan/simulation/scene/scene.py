@@ -49,7 +49,8 @@ class Scene:
             t: float32 [rays]: hit = origin + t direction; inf where nothing is hit.
             triangle: int64 [rays]; the last index of `normal` where nothing is hit.
         """
-        hits = self.caster.cast_rays(_pack(origin, directions))
+        # One thread: frames are rendered beside each other, and a caster of many would get in their way.
+        hits = self.caster.cast_rays(_pack(origin, directions), nthreads=1)
         triangle = hits["primitive_ids"].numpy()
         nothing = len(self.normal) - 1
         return hits["t_hit"].numpy(), np.minimum(triangle, np.uint32(nothing)).astype(np.int64)
@@ -249,7 +250,7 @@ def _occluded(caster: Any, origin: np.ndarray, legs: np.ndarray, skin: float) ->
     distance = np.sqrt(np.einsum("ij,ij->i", legs, legs))
     # The way is scaled so that its skin begins at 1, one far limit for all rays.
     ways = legs * np.maximum(1 - skin / np.maximum(distance, 1e-9), 0)[:, None]
-    return caster.test_occlusions(_pack(origin, ways), tnear=0.0, tfar=1.0).numpy()
+    return caster.test_occlusions(_pack(origin, ways), tnear=0.0, tfar=1.0, nthreads=1).numpy()
 
 
 def _pack(origin: np.ndarray, directions: np.ndarray) -> Any:

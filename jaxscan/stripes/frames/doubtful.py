@@ -109,5 +109,6 @@ def _coefficients(difference: np.ndarray, start: int) -> Float[np.ndarray, " n"]
     part = difference[:, : bands * _BLOCK, start : start + blocks * _BLOCK].astype(np.float32)
     place, wave = np.arange(_BLOCK), np.arange(1, _BLOCK)
     cosine = (0.5 * np.cos((2 * place + 1) * wave[:, None] * np.pi / 16)).astype(np.float32)
-    along = part.reshape(-1, _BLOCK) @ cosine.T
+    # Line by line: one large product would wake the threads of BLAS, for longer than it takes.
+    along = part.reshape(frames * bands * _BLOCK, blocks, _BLOCK) @ cosine.T
     return np.matmul(cosine, along.reshape(frames * bands, _BLOCK, -1)).ravel()

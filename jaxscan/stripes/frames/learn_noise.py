@@ -1,5 +1,6 @@
 """All that the first pairs tell about a frame's noise."""
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -77,13 +78,19 @@ def learn_noise(
         line: The laser, of which the colour is known.
         compressed: Whether it is known that the images were compressed with loss.
     """
-    level, variance, sigma = photon_points(on, off, **vars(frames), line=line)
-    doubts = falling_noise(level, variance, sigma, frames.response)
     chosen = np.unique(np.linspace(0, len(on) - 1, _FRAMES).astype(int))
     room = _bands(on if off is None else off, chosen, frames, line)
-    if off is not None and not compressed and not frames.pixel_format.startswith("bayer"):
+
+    def in_blocks() -> list[str]:
+        if off is None or compressed or frames.pixel_format.startswith("bayer"):
+            return []
         lit = _bands(on, chosen, frames, line)
-        doubts += noise_in_blocks(np.stack([_less(*pair) for pair in zip(lit, room, strict=True)]))
+        return noise_in_blocks(np.stack([_less(*pair) for pair in zip(lit, room, strict=True)]))
+
+    with ThreadPoolExecutor(1) as pool:
+        blocks = pool.submit(in_blocks)
+        level, variance, sigma = photon_points(on, off, **vars(frames), line=line)
+        doubts = falling_noise(level, variance, sigma, frames.response) + blocks.result()
     least, start = _line_of_noise(level, variance, sigma)
     black, most = _darkest(decode_table(frames.response)[0], room, start)
     least = min(least, most)

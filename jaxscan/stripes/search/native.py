@@ -20,7 +20,8 @@ from jaxscan.stripes.search.candidates import (
     Located,
     fixed_point,
 )
-from jaxscan.stripes.search.native_loops import EDGE, GROUP, Rules, Scratch, locate_lines
+from jaxscan.stripes.search.memory import Rules, Scratch
+from jaxscan.stripes.search.native_loops import EDGE, GROUP, locate_lines
 from jaxscan.stripes.search.planes import Planes
 from jaxscan.stripes.search.search import Search
 
@@ -55,7 +56,7 @@ class NativeLocator(threading.local):
             self._memory(("slots",), (frames, lines, CANDIDATES), np.int32),
         )
         ratio = np.asarray(fixed_point(planes.lamp_ratio)).astype(np.int64)
-        locate_lines(on, off, ratio, rules, found, self._scratch(samples))
+        locate_lines(on, off, ratio, rules, found, self._scratch(samples, room))
         return found
 
     def _list(self, name: str, room: int, samples: int) -> Candidates:
@@ -69,11 +70,15 @@ class NativeLocator(threading.local):
         windows = {field: memory(field, np.float32, samples) for field in ("on", "off")}
         return Candidates(total=np.zeros((), np.int32), **whole, **real, **windows)
 
-    def _scratch(self, samples: int) -> Scratch:
+    def _scratch(self, samples: int, room: int) -> Scratch:
         groups = samples // int(GROUP) + 1
         padded = samples + 2 * int(EDGE)
-        sizes = (padded, padded, groups * int(GROUP), groups)
-        return Scratch(*(self._memory((name,), (n,), np.int16) for name, n in zip(Scratch._fields, sizes, strict=True)))
+        sizes = {"lattice": padded, "fine": padded, "response": groups * int(GROUP), "highest": groups}
+        kinds = {"line": np.int32, "place": np.float32, "extent": np.float32, "bins": np.int32}
+        return Scratch(
+            **{name: self._memory((name,), (size,), np.int16) for name, size in sizes.items()},
+            **{name: self._memory((name,), (2, room), kind) for name, kind in kinds.items()},
+        )
 
     def _memory(self, key: tuple, shape: tuple[int, ...], dtype: type) -> np.ndarray:
         kept = self._kept.get(key)

@@ -15,6 +15,8 @@ from jaxscan.stripes.setup import ExtractionSetup
 
 _LOOKS = (32, 80)
 """Lines and samples of a frame from which the brightness of a pair is compared."""
+_FRAMES = 32
+"""Frames of which the brightness is compared at once."""
 
 
 class Planes(NamedTuple):
@@ -43,13 +45,18 @@ def host_planes(on: Array, off: Array, search: Search, setup: ExtractionSetup) -
         return np.ascontiguousarray(found) if setup.line.stripe_axis == "columns" else np.asarray(found)
 
     on, off = plane(on), plane(off)
-    return Planes(on, off, np.asarray(_compiled_ratios(sample_pair(on, off), search, len(on))))
+    # Chunks of all lengths share one compiled function.
+    room = -(-len(on) // _FRAMES) * _FRAMES
+    pair = tuple(np.pad(looks, ((0, room - len(on)), (0, 0))) for looks in _samples(on, off))
+    return Planes(on, off, np.asarray(_compiled_ratios(pair, search, room))[: len(on)])
 
 
 def sample_pair(on: Array, off: Array | None) -> tuple[Array, Array] | None:
     """A lattice of pixels of every frame's plane, uint8 [frames, n], for `lamp_ratio`."""
-    if off is None:
-        return None
+    return None if off is None else _samples(on, off)
+
+
+def _samples(on: Array, off: Array) -> tuple[Array, Array]:
     steps = [max(1, size // looks) for size, looks in zip(on.shape[1:], _LOOKS, strict=True)]
     first, second = (frames[:, :: steps[0], :: steps[1]] for frames in (on, off))
     return first.reshape(len(on), -1), second.reshape(len(on), -1)

@@ -1,6 +1,7 @@
 """How the centres of neighbouring rows scatter, compared with the promise of their sigmas."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +45,44 @@ class Scatter(NamedTuple):
     """Of the noise of neighbouring rows [1]: blur spreads the grains of speckle over both."""
 
 
+class ScatterLaw(NamedTuple):
+    """The scatter of the rows of one laser, by their amplitude and their sigma; of any of its profiles (`of`)."""
+
+    spreads: tuple[tuple[np.ndarray, np.ndarray], ...]
+    """Spread over the promised sigma by second and fourth differences: amplitudes, and values there."""
+    usual: tuple[np.ndarray, np.ndarray]
+    """Amplitudes, and usual sigmas there [px]."""
+    common: tuple[tuple[float, float, float], ...]
+    """Parts of the variance that neighbours share, from one to another sigma over the usual one."""
+    correlation: float
+    """As of `Scatter`."""
+
+    def of(self, rows: ProfileRows) -> Scatter:
+        """The scatter of some profiles."""
+        sigma, amplitude = np.asarray(rows.sigma), np.asarray(rows.amplitude, np.float32)
+        # The smaller of both counts, and less than 1 counts as 1.
+        if any(np.all(values <= 1) for _, values in self.spreads):
+            scale = np.ones_like(sigma)
+        else:
+            scale = np.minimum(*(_interpolated(amplitude, *spread) for spread in self.spreads))
+            scale = np.clip(scale, 1.0, _LARGEST).astype(sigma.dtype)
+        common = np.zeros_like(sigma)
+        doubt = _doubt(rows, self.usual) if self.common else sigma
+        for low, high, share in self.common:
+            common[(doubt >= low) & (doubt < high)] = share
+        return Scatter(scale, common, self.correlation)
+
+
+_ALIKE = (np.zeros(1), np.ones(1))
+_NOTHING = ScatterLaw((_ALIKE, _ALIKE), _ALIKE, (), 0.0)
+
+
 def row_scatter(rows: ProfileRows, line_step: int = 1) -> Scatter:
+    """The scatter of the rows of one laser: `scatter_law`, and what it says of these rows."""
+    return scatter_law(rows, line_step).of(rows)
+
+
+def scatter_law(rows: ProfileRows, line_step: int = 1) -> ScatterLaw:
     r"""The scatter of the rows of one laser, from differences along the stripe.
 
     $u_{i-2k} - 4 u_{i-k} + 6 u_i - 4 u_{i+k} + u_{i+2k}$ of a smooth and curved surface is noise alone. Its spread
@@ -61,18 +99,19 @@ def row_scatter(rows: ProfileRows, line_step: int = 1) -> Scatter:
         line_step: Distance of the lines on which the laser's colour is seen.
     """
     count, lines = rows.u.shape
-    sigma = np.asarray(rows.sigma)
     if count == 0 or lines == 0:
-        return Scatter(np.ones_like(sigma), np.zeros_like(sigma), 0.0)
+        return _NOTHING
     # Evenly spread: records of one kind may come in turn with others.
     chosen = np.unique(np.linspace(0, count - 1, min(-(-_MOST // lines), count)).round().astype(int))
     some = ProfileRows(*(np.asarray(field)[chosen] for field in rows))
-    amplitude = np.asarray(rows.amplitude, np.float32)
-    wide = [_differences(some, 2 * line_step, weights) for weights in (_SECOND, _FOURTH)]
-    scale = np.minimum(*(_by_amplitude(*one, amplitude) for one in wide))
-    scale = np.clip(scale, 1.0, _LARGEST).astype(sigma.dtype)
-    correlation = _correlation(_differences(some, line_step, _FOURTH)[0], [one for one, _ in wide])
-    return Scatter(scale, _common(rows, some, line_step).astype(sigma.dtype), correlation)
+    with ThreadPoolExecutor(1) as pool:
+        near = pool.submit(_differences, some, line_step, _FOURTH)
+        doubted = pool.submit(_doubted, some, line_step)
+        wide = [_differences(some, 2 * line_step, weights) for weights in (_SECOND, _FOURTH)]
+        spreads = tuple(_by_amplitude(*one) for one in wide)
+        correlation = _correlation(near.result()[0], [one for one, _ in wide])
+        usual, common = doubted.result()
+    return ScatterLaw(spreads, usual or _ALIKE, common, correlation)
 
 
 def _correlation(near: np.ndarray, wide: Sequence[np.ndarray]) -> float:
@@ -85,14 +124,14 @@ def _correlation(near: np.ndarray, wide: Sequence[np.ndarray]) -> float:
     return float(min(found, _MOST_ALIKE)) if found > 3.0 * 0.625 * np.sqrt(12.0 / len(near)) else 0.0
 
 
-def _by_amplitude(scattered: np.ndarray, level: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
-    """The spread of rows of these amplitudes; 1 where too few are known."""
+def _by_amplitude(scattered: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Amplitudes, and the spread of rows that have them; 1 where too few are known."""
     classes = int(np.clip(len(level) // _LEAST, 0, _CLASSES))
     if classes == 0:
-        return np.ones_like(amplitude)
+        return _ALIKE
     ranks = np.array_split(np.argsort(level), classes)
     middle = np.array([np.median(level[rank]) for rank in ranks])
-    return _interpolated(amplitude, middle, np.array([_spread(scattered[rank]) for rank in ranks]))
+    return middle, np.array([_spread(scattered[rank]) for rank in ranks])
 
 
 def _interpolated(x: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -103,30 +142,44 @@ def _interpolated(x: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.nd
     return out
 
 
-def _common(rows: ProfileRows, some: ProfileRows, line_step: int) -> np.ndarray:
-    """The part of the variance that neighbours share, of all rows as some of them tell."""
+def _usual(some: ProfileRows) -> tuple[np.ndarray, np.ndarray] | None:
+    """Amplitudes, and usual sigmas there; None where too few rows are known."""
     level, sigma = (field[some.valid] for field in (some.amplitude, some.sigma))
-    out = np.zeros(np.shape(rows.sigma), np.float32)
     classes = int(np.clip(len(level) // _LEAST, 0, _CLASSES))
     if classes == 0:
-        return out
+        return None
     ranks = np.array_split(np.argsort(level), classes)
     middle, usual = (np.array([float(np.median(field[rank])) for rank in ranks]) for field in (level, sigma))
+    return middle, np.maximum(usual, 1e-9)
 
-    def doubt(these: ProfileRows) -> np.ndarray:
-        return np.asarray(these.sigma) / _interpolated(these.amplitude, middle, np.maximum(usual, 1e-9))
 
+def _doubt(rows: ProfileRows, usual: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Sigmas over those of other rows as bright."""
+    return np.asarray(rows.sigma) / _interpolated(np.asarray(rows.amplitude, np.float32), *usual)
+
+
+def _doubted(
+    some: ProfileRows, line_step: int
+) -> tuple[tuple[np.ndarray, np.ndarray] | None, tuple[tuple[float, float, float], ...]]:
+    usual = _usual(some)
+    return usual, () if usual is None else _common(some, usual, line_step)
+
+
+def _common(
+    some: ProfileRows, usual: tuple[np.ndarray, np.ndarray], line_step: int
+) -> tuple[tuple[float, float, float], ...]:
+    """The part of the variance that neighbours share, in classes of doubt."""
     # All three rows in the middle of a difference.
-    own = doubt(some)
+    own = _doubt(some, usual)
     least = np.minimum(np.minimum(own, np.roll(own, line_step, 1)), np.roll(own, -line_step, 1))
     scattered, at = _differences(some._replace(amplitude=least), line_step, _FOURTH)
+    found = []
     for low, high in zip(_DOUBTFUL, (*_DOUBTFUL[1:], np.inf), strict=True):
         mine = scattered[(at >= low) & (at < high)]
         spread = _spread(mine) if len(mine) >= _FEWEST else 1.0
         if spread < _CALM:
-            every = doubt(rows)
-            out[(every >= low) & (every < high)] = 1.0 - spread**2
-    return out
+            found.append((low, high, 1.0 - spread**2))
+    return tuple(found)
 
 
 def _differences(rows: ProfileRows, apart: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -78,12 +78,13 @@ def smooth_profiles(
         sites: Where the laser's colour is seen: a mosaic has it on every second line only.
     """
     # Here, because it loads numba: whoever smooths nothing does not wait for that.
-    from jaxscan.stripes.smoothing.native_loops import smooth_block
+    from jaxscan.stripes.smoothing.loops import memory_of, smooth_block
 
     u, sigma, valid = np.asarray(u), np.asarray(sigma), np.asarray(valid)
     found = Smoothed(*(np.zeros(u.shape, np.float32) for _ in Smoothed._fields))
     lines = np.arange(sites.first_line, u.shape[1], sites.line_step)
-    smooth_block(u, np.maximum(sigma, np.float32(_LEAST_PX)), valid, lines, _RULES, tuple(found))
+    fields = u, np.maximum(sigma, np.float32(_LEAST_PX)), valid
+    smooth_block(fields, lines, _RULES, memory_of(len(lines)), tuple(found))
     if sites.line_step > 1:
         found.shared_lines[found.shared_lines > 1] *= sites.line_step
     return found

@@ -1,9 +1,6 @@
 """The fit of all candidates, block by block: the one function that is kept on disk."""
 
-import zlib
 from typing import no_type_check
-
-import numpy as np
 
 from jaxscan.stripes.fitting.loops import judge, prepare, rows, steps
 from jaxscan.stripes.fitting.loops.judge import accept, add_dark, judge_edges, prepare_edges
@@ -28,6 +25,7 @@ from jaxscan.stripes.fitting.loops.rows import (
     whole,
 )
 from jaxscan.stripes.fitting.loops.steps import add_sample, moving, prepare_sums, step
+from jaxscan.stripes.sources import fingerprint
 
 
 @inlined
@@ -104,17 +102,4 @@ def _made(sources):
     return fit_lists
 
 
-def _content() -> int:
-    """A number that changes with the code and the constants of all files of the loops."""
-    parts = [*sorted(rows.FAST)]
-    for module in (rows, prepare, steps, judge):
-        for name, value in sorted(vars(module).items()):
-            if hasattr(value, "py_func"):
-                code = value.py_func.__code__
-                parts.append(f"{name} {code.co_code.hex()} {code.co_consts} {code.co_names} {code.co_varnames}")
-            elif isinstance(value, np.generic | int):
-                parts.append(f"{name} {value!r}")
-    return zlib.crc32("\n".join(parts).encode())
-
-
-fit_lists = _made(_content())
+fit_lists = _made(fingerprint(rows, prepare, steps, judge))
