@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
-# What Open3D loads from the system; the same list is in jaxscan/simulation/scene/open3d.py.
+# What Open3D, with which tests compare, loads from the system; the same list is in experiments/open3d_loader.py.
 LIBRARIES := libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1 libudev1 libidn2-0
 # What firmware and bench are built and run with: hardware/bench/README.md.
 BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev libaravis-0.8-0 aravis-tools
@@ -13,7 +13,7 @@ QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=fals
 
 .PHONY: demo test test-all experiments lint format libraries firmware bench bench-deps clean
 
-demo: $(INSTALLED) libraries
+demo: $(INSTALLED)
 	$(BIN)/jaxscan demo -o demo
 
 # Two processes: compiling, which is most of the time, keeps one core busy at a time. Whole files,
@@ -43,7 +43,7 @@ format: $(INSTALLED)
 
 # Installs Open3D's system libraries where it may, and says what to type where it may not.
 libraries: $(INSTALLED)
-	@if ! $(BIN)/python -c "from jaxscan.simulation.scene.open3d import load_open3d; load_open3d()" 2>/dev/null; then \
+	@if ! $(BIN)/python -c "import sys; sys.path.append('experiments'); from open3d_loader import load_open3d; load_open3d()" 2>/dev/null; then \
 	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
 	    apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -qy --no-install-recommends $(LIBRARIES); \
 	  else \
@@ -55,7 +55,7 @@ firmware:
 	$(MAKE) -C hardware/firmware
 
 # The rig on a desk: the firmware in a simulated processor, a camera that sees a simulated room.
-bench: $(INSTALLED) libraries
+bench: $(INSTALLED)
 	@$(BIN)/python -m bench
 
 # Installs what the bench needs where it may, and says what to type where it may not. No other target does.
@@ -71,7 +71,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c "import ensurepip" 2>/dev/null || \
 	  { echo "Python's venv module is missing. Type: sudo apt-get install python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,export]"
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,export,simulate]"
 	@touch $@
 
 clean:

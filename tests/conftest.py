@@ -2,6 +2,7 @@
 
 import fcntl
 import gc
+import importlib.util
 import json
 import os
 import shutil
@@ -47,7 +48,8 @@ while the other does what needs none."""
 def pytest_collection_modifyitems(items):
     """An order that keeps two processes busy to the end; whole files, and the tests of a file, stay as they are.
 
-    Without Open3D the tests that render are skipped, by name; JAXSCAN_REQUIRE_OPEN3D=1 refuses that.
+    Without embreex, which ARM64 has not, the tests that render are skipped, by name;
+    JAXSCAN_REQUIRE_SIMULATOR=1 refuses that.
     """
 
     def turn(item):
@@ -55,19 +57,14 @@ def pytest_collection_modifyitems(items):
         return next((k for k, first in enumerate(FIRST) if first in (path.as_posix(), path.parts[0])), len(FIRST))
 
     items.sort(key=turn)
-    rendering = [item for item in items if "tiny" in item.fixturenames or "simulation" in item.path.parts]
-    if not rendering:
+    if importlib.util.find_spec("embreex"):
         return
-    from jaxscan.errors import DependencyError
-    from jaxscan.simulation.scene.open3d import load_open3d
-
-    try:
-        load_open3d()
-    except DependencyError as problem:
-        if os.environ.get("JAXSCAN_REQUIRE_OPEN3D"):
-            raise pytest.UsageError(str(problem)) from problem
-        for item in rendering:
-            item.add_marker(pytest.mark.skip(reason=str(problem)))
+    problem = "the simulator needs embreex"
+    if os.environ.get("JAXSCAN_REQUIRE_SIMULATOR"):
+        raise pytest.UsageError(problem)
+    for item in items:
+        if "tiny" in item.fixturenames or "simulation" in item.path.parts:
+            item.add_marker(pytest.mark.skip(reason=problem))
 
 
 @pytest.fixture(autouse=True)

@@ -48,8 +48,9 @@ FOR_ALL = {"compiling", "errors", "printable"}
 
 HOME_OF = {
     "cv2": {"vision"},
-    "open3d": {"simulation/scene/open3d.py"},
-    "libusb_package": {"simulation/scene/open3d.py"},
+    "embreex": {"simulation/scene/caster.py"},
+    "open3d": set(),
+    "libusb_package": set(),
     "pye57": {"files"},
     "laspy": {"files"},
     "serial": set(),
@@ -335,7 +336,7 @@ def test_no_library_code_asserts_or_configures_jax(path):
 @pytest.fixture(scope="module")
 def imported():
     """What a process of its own says that has imported the package: a line on modules, one on JAX."""
-    heavy = ("cv2", "open3d", "serial", "matplotlib", "pye57", "laspy", "scanrig")
+    heavy = ("cv2", "embreex", "serial", "matplotlib", "pye57", "laspy", "scanrig")
     code = (
         "import sys, jaxscan; print([m for m in ('jax', 'numpy', 'pydantic') if m in sys.modules])\n"
         f"from jaxscan import *; print([m for m in {heavy} if m in sys.modules])\n"

@@ -36,7 +36,7 @@ def simulate(
 
     Raises:
         CaptureError: If the folder exists and is not empty, or cannot be written.
-        DependencyError: If Open3D or a system library that it needs is missing.
+        DependencyError: If embreex is missing.
     """
     # Imported here, so that `import jaxscan` does not load OpenCV.
     from jaxscan.vision import board_texture

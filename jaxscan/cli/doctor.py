@@ -76,7 +76,7 @@ def _look_at_machine(out: Terminal, json: str | None) -> None:
         _try("OpenCV", True, lambda: _version("cv2", "opencv-python-headless")),
         _try("Numba", True, lambda: _version("numba", "numba")),
         _try("optimistix", True, lambda: _version("optimistix", "optimistix")),
-        _try("Open3D (simulator)", False, _open3d),
+        _try("Embree (simulator)", False, lambda: _version("embreex.rtcore_scene", "embreex")),
         _try("matplotlib (reports)", False, lambda: _version("matplotlib.figure", "matplotlib")),
         _try("pyserial (rig)", False, lambda: _version("serial", "pyserial")),
         _try("E57 export", False, lambda: _version("pye57", "pye57")),
@@ -184,9 +184,3 @@ def _jax() -> str:
 
     devices = ", ".join(f"{device.platform}:{device.id}" for device in jax.devices())
     return f"{jax.__version__} on {devices}"
-
-
-def _open3d() -> str:
-    from jaxscan.simulation.scene.open3d import load_open3d
-
-    return str(load_open3d().__version__)

@@ -143,7 +143,7 @@ def _generator(seed: int, stream: int, number: int) -> np.random.Generator:
 
 
 def _ahead(function: Callable[[Item], Result], items: Iterable[Item], *, workers: int = 2) -> Iterator[Result]:
-    """`map` in order, a few items ahead in threads: NumPy and Open3D release the interpreter's lock."""
+    """`map` in order, a few items ahead in threads: NumPy and Embree release the interpreter's lock."""
     waiting = iter(items)
     with ThreadPoolExecutor(workers) as pool:
         running = deque(pool.submit(function, item) for item in islice(waiting, workers + 1))

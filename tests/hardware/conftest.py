@@ -1,5 +1,6 @@
 """Fixtures of rigs without hardware; tests whose tools are missing are skipped, with the reason."""
 
+import importlib.util
 import os
 
 import pytest
@@ -30,15 +31,8 @@ def missing_for_the_loopback():
 
 
 def missing_for_the_camera():
-    """The missing library of the rendered camera, as one line; "" if it is there."""
-    from jaxscan.errors import DependencyError
-    from jaxscan.simulation.scene.open3d import load_open3d
-
-    try:
-        load_open3d()
-    except DependencyError as problem:
-        return str(problem)
-    return ""
+    """The missing package of the rendered camera, as one line; "" if it is there."""
+    return "" if importlib.util.find_spec("embreex") else "the rendered camera needs embreex"
 
 
 NEEDS = {

@@ -93,7 +93,7 @@ def test_a_room_that_shows_nothing_is_not_compared_by(scene):
 
 
 def test_a_rendered_room_is_known_again_and_told_from_its_neighbourhood():
-    pytest.importorskip("open3d")
+    pytest.importorskip("embreex")
     from bench.camera.world import View, load_world
 
     world = load_world()

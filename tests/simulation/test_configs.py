@@ -1,4 +1,4 @@
-"""The rigs that come with the package, and the error without Open3D."""
+"""The rigs that come with the package, and the error without embreex."""
 
 import pathlib
 import sys
@@ -11,7 +11,7 @@ import pytest
 from jaxscan.errors import DependencyError
 from jaxscan.simulation import SimulationConfig, make_rig, make_scene, true_scanner, truth
 from jaxscan.simulation.planning import plan_boards
-from jaxscan.simulation.scene import load_open3d
+from jaxscan.simulation.scene import Caster
 
 
 CONFIGS = pathlib.Path(__file__).parents[2] / "configs"
@@ -65,11 +65,12 @@ def test_the_paper_s_rig_is_the_paper_s():
     assert config.plan.steps == 3600 and config.boards.free_views == 30
 
 
-def test_without_open3d_the_message_says_what_to_install(monkeypatch):
-    load_open3d.cache_clear()
-    monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(DependencyError, match="apt-get install libusb"):
-        load_open3d()
+def test_without_embreex_the_message_says_what_to_install(monkeypatch):
+    triangle = np.eye(3)[None]
+    monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
+    with pytest.raises(DependencyError, match=r'pip install "jaxscan\[simulate\]"'):
+        Caster(triangle)
     monkeypatch.undo()
-    load_open3d.cache_clear()
-    assert load_open3d().__name__ == "open3d"
+    far, hit = Caster(triangle).nearest(np.zeros(3), np.array([[1.0, 1, 1], [-1, -1, -1]]))
+    np.testing.assert_allclose(far, [1 / 3, np.inf], rtol=1e-6)
+    assert hit.tolist() == [0, -1]

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from open3d_loader import load_open3d
 from scipy.spatial import cKDTree
 
 import jaxscan
@@ -21,7 +22,7 @@ from experiments.paper.stage import Stage
 from experiments.paper.worlds import windowed, windowed_scanner
 from jaxscan.simulation import SimulationConfig, make_rig
 from jaxscan.simulation.camera import channels
-from jaxscan.simulation.scene import Scene, load_open3d, make_scene
+from jaxscan.simulation.scene import Scene, make_scene
 
 
 STEP_DEG = {False: 0.1, True: 0.2}
@@ -185,8 +186,12 @@ def _spread(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 def _nearest(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Distance from the nearest surface [m], its place, and its triangle."""
-    tensor = load_open3d().core.Tensor.from_numpy(np.ascontiguousarray(points, np.float32))
-    found: Any = scene.caster.compute_closest_points(tensor)
+    open3d: Any = load_open3d()
+    tensor = open3d.core.Tensor.from_numpy
+    surface, corners = open3d.t.geometry.RaycastingScene(), np.concatenate(scene.mesh.triangles).astype(np.float32)
+    indices = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
+    surface.add_triangles(tensor(corners.reshape(-1, 3)), tensor(indices))
+    found = surface.compute_closest_points(tensor(np.ascontiguousarray(points, np.float32)))
     places = found["points"].numpy().astype(np.float64)
     return np.linalg.norm(points - places, axis=1), places, found["primitive_ids"].numpy().astype(np.int64)
 

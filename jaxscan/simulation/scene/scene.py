@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from jaxscan.simulation.rig import Motion, rodrigues
+from jaxscan.simulation.scene.caster import Caster
 from jaxscan.simulation.scene.edges import Outline
 from jaxscan.simulation.scene.meshes import Mesh
-from jaxscan.simulation.scene.open3d import load_open3d
 from jaxscan.simulation.scene.room import LAMP_HEIGHT_SHARE, furnish, set_table
 from jaxscan.simulation.scene.shadow import LampView
 from jaxscan.simulation.settings import SimulationConfig
@@ -20,8 +19,7 @@ from jaxscan.simulation.settings import SimulationConfig
 class Scene:
     """Triangles in the scanner frame."""
 
-    caster: Any
-    """Open3D's RaycastingScene."""
+    caster: Caster
     mesh: Mesh
     surface: np.ndarray
     """Surface of each triangle, int64 [triangles + 1]; the last entry is for rays that hit nothing."""
@@ -49,11 +47,8 @@ class Scene:
             t: float32 [rays]: hit = origin + t direction; inf where nothing is hit.
             triangle: int64 [rays]; the last index of `normal` where nothing is hit.
         """
-        # One thread: frames are rendered beside each other, and a caster of many would get in their way.
-        hits = self.caster.cast_rays(_pack(origin, directions), nthreads=1)
-        triangle = hits["primitive_ids"].numpy()
-        nothing = len(self.normal) - 1
-        return hits["t_hit"].numpy(), np.minimum(triangle, np.uint32(nothing)).astype(np.int64)
+        t, triangle = self.caster.nearest(origin, directions)
+        return t, np.where(triangle < 0, len(self.normal) - 1, triangle)
 
     def facing(self, eye: np.ndarray) -> np.ndarray:
         """Unit normal of each triangle on the side of a place [3], float32 [triangles + 1, 3]."""
@@ -206,18 +201,13 @@ def make_scene(
 
 def build_scene(mesh: Mesh, lamp: np.ndarray, reach: float, *, shadows: bool) -> Scene:
     """A scene of a mesh in the scanner frame."""
-    o3d = load_open3d()
     corners = np.concatenate(mesh.triangles)
-    caster = o3d.t.geometry.RaycastingScene()
-    vertices = np.ascontiguousarray(corners.reshape(-1, 3), np.float32)
-    indices = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
-    caster.add_triangles(*map(o3d.core.Tensor.from_numpy, (vertices, indices)))
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     surface = np.repeat(np.arange(len(mesh.triangles)), [len(part) for part in mesh.triangles])
     outline = Outline(mesh, normal)
-    scene = Scene(
-        caster,
+    return Scene(
+        Caster(corners),
         mesh,
         np.append(surface, len(mesh.triangles)),
         np.concatenate([normal, np.zeros((1, 3))]).astype(np.float32),
@@ -228,9 +218,6 @@ def build_scene(mesh: Mesh, lamp: np.ndarray, reach: float, *, shadows: bool) ->
         outline,
         LampView(outline, lamp),
     )
-    # The first cast builds the search tree; later ones may come from several threads.
-    scene.cast(np.zeros(3), np.array([[1.0, 0.0, 0.0]]))
-    return scene
 
 
 def _carry(mesh: Mesh, motion: Motion) -> Mesh:
@@ -245,17 +232,7 @@ def _carry(mesh: Mesh, motion: Motion) -> Mesh:
     return Mesh([motion.apply(part) for part in mesh.triangles], surfaces)
 
 
-def _occluded(caster: Any, origin: np.ndarray, legs: np.ndarray, skin: float) -> np.ndarray:
+def _occluded(caster: Caster, origin: np.ndarray, legs: np.ndarray, skin: float) -> np.ndarray:
     """Whether something stands on ways [n, 3] from `origin`, before their last `skin` metres, bool [n]."""
     distance = np.sqrt(np.einsum("ij,ij->i", legs, legs))
-    # The way is scaled so that its skin begins at 1, one far limit for all rays.
-    ways = legs * np.maximum(1 - skin / np.maximum(distance, 1e-9), 0)[:, None]
-    return caster.test_occlusions(_pack(origin, ways), tnear=0.0, tfar=1.0, nthreads=1).numpy()
-
-
-def _pack(origin: np.ndarray, directions: np.ndarray) -> Any:
-    """Rays as Open3D's tensor [n, 6], float32."""
-    rays = np.empty((len(directions), 6), np.float32)
-    rays[:, :3] = origin
-    rays[:, 3:] = directions
-    return load_open3d().core.Tensor.from_numpy(rays)
+    return caster.blocked(origin, legs * np.maximum(1 - skin / np.maximum(distance, 1e-9), 0)[:, None])

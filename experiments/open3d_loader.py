@@ -1,4 +1,4 @@
-"""Open3D, imported only when something is cast: the one place of the package that loads it."""
+"""Open3D, against which experiments and tests compare."""
 
 import ctypes
 import pathlib
@@ -31,7 +31,7 @@ def load_open3d() -> ModuleType:
         import open3d
     except (ImportError, OSError) as error:
         raise DependencyError(
-            f"The simulator needs Open3D, which does not load: {error}. Install the Python package open3d and, "
-            f"on Debian or Ubuntu: apt-get install {_PACKAGES}"
+            f"Open3D does not load: {error}. Install the Python package open3d and, on Debian or Ubuntu: apt-get "
+            f"install {_PACKAGES}"
         ) from error
     return open3d
