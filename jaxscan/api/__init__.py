@@ -2,8 +2,9 @@
 
 from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
 from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
-from jaxscan.api.simulation import load_simulation, simulate
+from jaxscan.api.simulation import load_simulation, simulate, simulate_boards, simulate_sweep
 from jaxscan.api.sweeps import Reconstruction, reconstruct_capture
+from jaxscan.calibration import Calibration
 from jaxscan.files import (
     load_calibration,
     load_cloud,
@@ -13,7 +14,7 @@ from jaxscan.files import (
     save_calibration,
     save_cloud,
 )
-from jaxscan.files.simulated import SimulatedCaptures, simulation_digest
+from jaxscan.files.simulated import SimulatedCaptures, new_simulation, simulation_digest
 from jaxscan.measurement import compare_clouds, measure_distance, measure_plane, measure_room
 from jaxscan.recalibration import Recalibration, RecalibrationSettings
 from jaxscan.reconstruction import PointCloud, ReconstructSettings, reconstruct

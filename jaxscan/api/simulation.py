@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from jaxscan.files import load_toml
-from jaxscan.files.simulated import SimulatedCaptures, write_simulation
+from jaxscan.files.simulated import SimulatedCaptures, new_simulation, write_boards, write_sweep
 from jaxscan.observation import Progress
-from jaxscan.simulation import SimulationConfig, render_boards, render_sweep
+from jaxscan.simulation import SimulationConfig, board_pairs, render_boards, render_sweep, sweep_angles
 
 
 TEXTURE_PX = 60
@@ -38,12 +38,38 @@ def simulate(
         CaptureError: If the folder exists and is not empty, or cannot be written.
         DependencyError: If embreex is missing.
     """
+    pairs = board_pairs(config) + len(sweep_angles(config, every=every)) * len(config.laser)
+
+    def after(before: int) -> Progress | None:
+        return None if progress is None else lambda done, _: progress(before + done, pairs)
+
+    with new_simulation(Path(folder)) as part:
+        boards = simulate_boards(config, part, seed=seed, progress=after(0))
+        sweep = simulate_sweep(config, part, every=every, seed=seed, progress=after(boards))
+    return SimulatedCaptures(Path(folder), boards, sweep)
+
+
+def simulate_boards(
+    config: SimulationConfig, folder: Path, *, seed: int | None = None, progress: Progress | None = None
+) -> int:
+    """The board capture of `simulate` alone, in a folder of `new_simulation`; returns the number of its pairs."""
     # Imported here, so that `import jaxscan` does not load OpenCV.
     from jaxscan.vision import board_texture
 
-    boards = render_boards(config, board_texture(config.boards.board(), TEXTURE_PX), seed=seed)
-    sweep = render_sweep(config, every=every, seed=seed)
-    return write_simulation(config, Path(folder), boards, sweep, every=every, progress=progress)
+    records = render_boards(config, board_texture(config.boards.board(), TEXTURE_PX), seed=seed)
+    return write_boards(config, folder, records, progress)
+
+
+def simulate_sweep(
+    config: SimulationConfig,
+    folder: Path,
+    *,
+    every: int = 1,
+    seed: int | None = None,
+    progress: Progress | None = None,
+) -> int:
+    """The sweep of `simulate` alone and the truth, in a folder of `new_simulation`; returns the number of its pairs."""
+    return write_sweep(config, folder, render_sweep(config, every=every, seed=seed), every=every, progress=progress)
 
 
 def load_simulation(path: str | Path) -> SimulationConfig:

@@ -1,7 +1,7 @@
 """A simulated rig's captures in one folder, with the truth beside them."""
 
+import contextlib
 import hashlib
-import itertools
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +20,11 @@ from jaxscan.simulation import RenderedRecord, SimulationConfig, board_pairs, sw
 from jaxscan.simulation import truth as simulation_truth
 
 
+Progress = Callable[[int, int], None]
+BOARDS, SWEEP, TRUTH, TRUE_CLOUD = "boards", "sweep", "truth.json", "truth.npz"
+"""Names in the folder of a simulation."""
+
+
 class SimulatedCaptures(NamedTuple):
     """The folder that `simulate` wrote."""
 
@@ -30,52 +35,39 @@ class SimulatedCaptures(NamedTuple):
     @staticmethod
     def of(folder: Path) -> "SimulatedCaptures":
         """The captures in a folder that `simulate` wrote."""
-        pairs = [
-            len(open_capture(folder / name)) if os.path.isdir(folder / name) else 0 for name in ("boards", "sweep")
-        ]
+        pairs = [len(open_capture(folder / name)) if os.path.isdir(folder / name) else 0 for name in (BOARDS, SWEEP)]
         return SimulatedCaptures(folder, *pairs)
 
     @property
     def boards(self) -> Path:
         """The calibration capture."""
-        return self.folder / "boards"
+        return self.folder / BOARDS
 
     @property
     def sweep(self) -> Path:
         """The captured sweep."""
-        return self.folder / "sweep"
+        return self.folder / SWEEP
 
     @property
     def truth(self) -> Path:
         """The truth of the rig and its room, as JSON."""
-        return self.folder / "truth.json"
+        return self.folder / TRUTH
 
     @property
     def true_cloud(self) -> Path:
         """The cloud that a perfect scanner would find."""
-        return self.folder / "truth.npz"
+        return self.folder / TRUE_CLOUD
 
 
-def write_simulation(
-    config: SimulationConfig,
-    folder: Path,
-    boards: Iterator[RenderedRecord],
-    sweep: Iterator[RenderedRecord],
-    *,
-    every: int = 1,
-    progress: Callable[[int, int], None] | None = None,
-) -> SimulatedCaptures:
-    """Write rendered records as captures, and the truth beside them.
-
-    The folder appears when all its files are complete.
+@contextlib.contextmanager
+def new_simulation(folder: Path) -> Iterator[Path]:
+    """A folder for the captures of a simulation and their truth, which appears when all its files are complete.
 
     Args:
-        config: The rig, its surroundings, its boards and its plan.
         folder: Must not exist, or be empty.
-        boards: The records of the boards, rendered as they are asked for.
-        sweep: The records of the sweep.
-        every: The sweep has only every n-th step.
-        progress: Called with (pairs done, pairs in all).
+
+    Yields:
+        The folder to write to. It gets its name at the end, and is removed after an error.
 
     Raises:
         CaptureError: If the folder exists and is not empty, or cannot be written.
@@ -86,29 +78,61 @@ def write_simulation(
     check_name(target, error=CaptureError)
     if os.path.lexists(target) and (not os.path.isdir(target) or os.listdir(target)):
         raise CaptureError(f"{folder}: exists and is not empty; choose another folder, a capture is never overwritten.")
-    pairs, steps = board_pairs(config), len(sweep_angles(config, every=every)) * len(config.laser)
-    done = itertools.count(1)
-
-    def count(records: Iterator[RenderedRecord]) -> Iterator[RenderedRecord]:
-        for record in records:
-            yield record
-            if progress is not None:
-                progress(next(done), pairs + steps)
-
     with reported(f"{folder}: cannot be written", error=CaptureError):
         target.parent.mkdir(parents=True, exist_ok=True)
         with partial_folder(target) as part:
-            made = SimulatedCaptures(part, pairs, steps)
-            if pairs:
-                _write_capture(config, "calibration", made.boards, count(boards), pairs)
-            truths = _write_capture(config, "sweep", made.sweep, count(sweep), steps)
-            true = {**simulation_truth(config), "configuration": simulation_digest(config)}
-            write_atomically(made.truth, json.dumps(true, indent=2).encode(), error=CaptureError)
-            save_cloud(_cloud_of_truth(truths), made.true_cloud)
+            yield part
             if os.path.isdir(target):
                 target.rmdir()
             os.rename(part, target)
-    return made._replace(folder=folder)
+
+
+def write_boards(
+    config: SimulationConfig, folder: Path, records: Iterator[RenderedRecord], progress: Progress | None = None
+) -> int:
+    """Write the rendered records of boards as a capture, where the configuration has any.
+
+    Args:
+        config: The rig, its surroundings and its boards.
+        folder: Of `new_simulation`.
+        records: The records, rendered as they are asked for.
+        progress: Called with (pairs done, pairs in all).
+
+    Returns:
+        The number of pairs.
+    """
+    pairs = board_pairs(config)
+    if pairs:
+        _write_capture(config, "calibration", folder / BOARDS, records, pairs, progress)
+    return pairs
+
+
+def write_sweep(
+    config: SimulationConfig,
+    folder: Path,
+    records: Iterator[RenderedRecord],
+    *,
+    every: int = 1,
+    progress: Progress | None = None,
+) -> int:
+    """Write the rendered records of a sweep as a capture, and the truth beside it.
+
+    Args:
+        config: The rig, its surroundings and its plan.
+        folder: Of `new_simulation`.
+        records: The records, rendered as they are asked for.
+        every: The sweep has only every n-th step.
+        progress: Called with (pairs done, pairs in all).
+
+    Returns:
+        The number of pairs.
+    """
+    steps = len(sweep_angles(config, every=every)) * len(config.laser)
+    truths = _write_capture(config, "sweep", folder / SWEEP, records, steps, progress)
+    true = {**simulation_truth(config), "configuration": simulation_digest(config)}
+    write_atomically(folder / TRUTH, json.dumps(true, indent=2).encode(), error=CaptureError)
+    save_cloud(_cloud_of_truth(truths), folder / TRUE_CLOUD)
+    return steps
 
 
 def simulation_digest(config: SimulationConfig) -> str:
@@ -122,6 +146,7 @@ def _write_capture(
     folder: Path,
     records: Iterator[RenderedRecord],
     planned: int,
+    progress: Progress | None,
 ) -> list[RenderedRecord]:
     """Write records as a capture; returns them without their frames."""
     sensor: dict[str, str] = {"pixel_format": config.sensor.pixel_format}
@@ -152,6 +177,8 @@ def _write_capture(
                 lasers=[config.laser[record.laser_index].name],
             )
             bare.append(record._replace(on=np.empty(0, np.uint8), off=np.empty(0, np.uint8)))
+            if progress is not None:
+                progress(len(bare), planned)
         writer.seal()
     return bare
 

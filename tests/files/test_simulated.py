@@ -11,7 +11,7 @@ import pytest
 
 from jaxscan.errors import CaptureError
 from jaxscan.files import load_toml
-from jaxscan.files.simulated import SimulatedCaptures, write_simulation
+from jaxscan.files.simulated import SimulatedCaptures, new_simulation, write_sweep
 from jaxscan.simulation import RenderedRecord, RowTruth, SimulationConfig
 
 
@@ -35,7 +35,9 @@ def records(count=3):
 
 
 def write(folder, sweep=None):
-    return write_simulation(config(), Path(folder), iter(()), records() if sweep is None else sweep, every=1000)
+    with new_simulation(Path(folder)) as part:
+        pairs = write_sweep(config(), part, records() if sweep is None else sweep, every=1000)
+    return SimulatedCaptures(Path(folder), 0, pairs)
 
 
 def test_the_folder_appears_whole(tmp_path):
