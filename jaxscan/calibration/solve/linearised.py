@@ -168,7 +168,9 @@ def linearise(problem: Problem, at: Evaluated | None = None) -> Linearised:
     return Linearised(problem, evaluate(problem) if at is None else at)
 
 
-def _weighed(slopes: Array, weight: Array, there: Bool[Array, " owners"]) -> Float[np.ndarray, "owners rows departures"]:
+def _weighed(
+    slopes: Array, weight: Array, there: Bool[Array, " owners"]
+) -> Float[np.ndarray, "owners rows departures"]:
     # The padding at the end is 0 as it is.
     used = slice(used_length(there))
     whole = np.zeros(slopes.shape)
