@@ -85,7 +85,7 @@ def test_stripes_beside_and_behind_the_camera_are_lifted(world):
         stripe_laser=np.zeros(1, np.int32),
     )
     assert (line[:, 2] < 0).any() and (line[:, 2] > 0).any()
-    lifted = lift_stripes(data, camera, pose[None], 64)
+    lifted = lift_stripes(data, camera, pose[None])
     np.testing.assert_allclose(lifted.points[0][lifted.valid[0]], line[valid], atol=1e-12)
 
 

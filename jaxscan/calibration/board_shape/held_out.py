@@ -130,7 +130,7 @@ def _normal(result: Adjustment, extra: BoardModes) -> _Normal:
     ):
         # Thousands of rows share the few departures of their view: these are summed, then led to the unknowns.
         rows = np.concatenate(parts, axis=-1)
-        upright, follow = np.swapaxes(rows, 1, 2), _follow(chain, modes)
+        upright, follow = np.swapaxes(rows, 1, 2), _follow(chain, modes)[:, : rows.shape[-1]]
         np.add.at(information, number, np.swapaxes(follow, 1, 2) @ (upright @ rows) @ follow)
         np.add.at(gradient, number, ((upright @ values[..., None])[..., 0][:, None, :] @ follow)[:, 0])
     cross = information[:, :-6, -6:]
@@ -155,17 +155,16 @@ def _follow(chain: np.ndarray, modes: int) -> Float[np.ndarray, "owners departur
     return follow
 
 
-def _lifted(twist: np.ndarray, extra: BoardModes, frame: np.ndarray) -> Float[np.ndarray, "stripes points modes"]:
-    """Derivatives of stripe rows by the extra modes that are heights."""
-    result = np.zeros((*twist.shape[:2], extra.corner.shape[-1]))
-    if len(extra.height) and twist.size:
-        # A turn about x lifts a point by its y, one about y lowers it by its x.
-        along = twist[..., 2]
-        safe = np.where(along == 0, 1.0, along)
-        place = np.stack([-twist[..., 4] / safe, twist[..., 3] / safe], axis=-1)
-        functions = np.stack(bend_functions((place - frame[:2]) / frame[2:]), axis=-1)
-        result[..., : len(extra.height)] = along[..., None] * (functions @ extra.height.T)
-    return result
+def _lifted(twist: np.ndarray, extra: BoardModes, frame: np.ndarray) -> Float[np.ndarray, "stripes points heights"]:
+    """Derivatives of stripe rows by the first extra modes, which are heights; the others move no stripe."""
+    if not len(extra.height):
+        return np.zeros((*twist.shape[:2], 0))
+    # A turn about x lifts a point by its y, one about y lowers it by its x.
+    along = twist[..., 2]
+    safe = np.where(along == 0, 1.0, along)
+    place = np.stack([-twist[..., 4] / safe, twist[..., 3] / safe], axis=-1)
+    functions = np.stack(bend_functions((place - frame[:2]) / frame[2:]), axis=-1)
+    return np.asarray(along[..., None] * (functions @ extra.height.T))
 
 
 def _regular(information: np.ndarray) -> np.ndarray:

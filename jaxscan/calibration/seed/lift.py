@@ -12,44 +12,62 @@ from jaxscan.compiling import compile_quickly
 from jaxscan.geometry import AbstractCamera, Array
 
 
+# Pixels that are turned into rays by one call.
+_BLOCK = 4096
+
+
 class Lifted(NamedTuple):
     """Stripe points in space, camera frame."""
 
     points: np.ndarray
-    """[stripes, points, 3], m."""
-    slopes: np.ndarray
-    """Derivatives of the points by the pixel, on their boards [stripes, points, 3, 2], m per px."""
+    """[stripes, points, 3], m; 0 on stripes without a point."""
     valid: np.ndarray
     """bool [stripes, points]: seen, and on a board before the camera."""
+    camera: AbstractCamera
+    pose: np.ndarray
+    """T_cam_board of every stripe [stripes, 4, 4]."""
+    q: np.ndarray
+    """[stripes, points, 2], px."""
+
+    def slopes(self, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Derivatives of some points by the pixel, on their boards [rows, places, 3, 2], m per px.
+
+        Args:
+            rows: Some stripes [rows].
+            places: Points of each [rows, places].
+        """
+        at, pose = (rows[:, None], places), self.pose[rows]
+        steps = [_meet(self.camera, pose, self.q[at] + np.array(step))[0] for step in ((1.0, 0.0), (0.0, 1.0))]
+        return np.stack([step - self.points[at] for step in steps], -1)
 
 
-def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray, block: int) -> Lifted:
+def lift_stripes(data: Prepared, camera: AbstractCamera, poses: np.ndarray) -> Lifted:
     """Stripe points where their rays meet the flat boards.
 
     Args:
         data: The stripes.
         camera: The camera.
         poses: T_cam_board of every view [views, 4, 4].
-        block: Number of pixels that are turned into rays at a time; each number is compiled once.
 
     Source: PAPER.md equations (5)-(7).
     """
-    pose = poses[data.stripe_view]
+    pose, lit = poses[data.stripe_view], np.any(data.stripe_valid, axis=1)
+    points, ahead = np.zeros((*data.stripe_valid.shape, 3)), np.zeros(data.stripe_valid.shape, bool)
+    points[lit], ahead[lit] = _meet(camera, pose[lit], data.stripe_q[lit])
+    return Lifted(points, data.stripe_valid & ahead, camera, pose, data.stripe_q)
+
+
+def _meet(camera: AbstractCamera, pose: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays of pixels [stripes, points, 2] meet boards [stripes, 4, 4], and whether they do."""
+    flat = np.pad(q.reshape(-1, 2), ((0, -(q.size // 2) % _BLOCK), (0, 0)), mode="edge" if q.size else "constant")
+    # All are begun before the first is awaited.
+    parts = [rays_of(camera, flat[start : start + _BLOCK]) for start in range(0, len(flat), _BLOCK)]
+    ray = np.concatenate([np.zeros((0, 3)), *map(np.asarray, parts)])[: q.size // 2].reshape(*q.shape[:2], 3)
     normal = pose[:, None, :3, 2]
     level = np.einsum("si,si->s", pose[:, :3, 2], pose[:, :3, 3])[:, None]
-
-    def meet(step: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-        q = (data.stripe_q + np.array(step)).reshape(-1, 2)
-        q = np.concatenate([q, np.broadcast_to(q[:1], (-len(q) % block, 2))])
-        rays = [np.asarray(rays_of(camera, part)) for part in np.split(q, len(q) // block)]
-        ray = np.concatenate(rays)[: data.stripe_valid.size].reshape(*data.stripe_valid.shape, 3)
-        along = np.sum(normal * ray, axis=-1)
-        range_m = level / np.where(along == 0, 1.0, along)
-        return range_m[..., None] * ray, (along != 0) & (range_m > 0)
-
-    points, ahead = meet((0.0, 0.0))
-    slopes = np.stack([meet(step)[0] - points for step in ((1.0, 0.0), (0.0, 1.0))], -1)
-    return Lifted(points, slopes, data.stripe_valid & ahead)
+    along = np.sum(normal * ray, axis=-1)
+    range_m = level / np.where(along == 0, 1.0, along)
+    return range_m[..., None] * ray, (along != 0) & (range_m > 0)
 
 
 @compile_quickly

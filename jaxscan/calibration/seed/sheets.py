@@ -59,8 +59,8 @@ class _Lines(NamedTuple):
         rows = rows[np.argsort(owner[rows], kind="stable")]
         seen = [np.flatnonzero(lifted.valid[row]) for row in rows]
         place = [points[np.linspace(0, len(points) - 1, _SAMPLES).round().astype(np.intp)] for points in seen]
-        at = rows[:, None], np.array(place, np.intp).reshape(-1, _SAMPLES)
-        return _Lines(rows, owner[rows], lifted.points[at], lifted.slopes[at])
+        places = np.array(place, np.intp).reshape(-1, _SAMPLES)
+        return _Lines(rows, owner[rows], lifted.points[rows[:, None], places], lifted.slopes(rows, places))
 
     def starts(self) -> np.ndarray:
         """The first line of every owner."""
@@ -101,10 +101,9 @@ def seed_sheets(
     the ACM 24, 1981.
     """
     every, owner = _every_line(observations)
-    block = data.stripe_valid.size
     if observations.other_lines is not None:
         data = prepare(replace(observations, stripes=every))
-    lifted = lift_stripes(data, camera, poses, block)
+    lifted = lift_stripes(data, camera, poses)
     count = len(np.asarray(observations.stripes.view))
     taken, sheets = np.full(count, -1), []
     for laser, name in enumerate(observations.laser_names):

@@ -22,8 +22,10 @@ from jaxscan.compiling import compile_quickly, compile_sooner
 from jaxscan.geometry import Array
 
 
-PART = 8
-"""Views or stripes that are evaluated by one call."""
+_STRIPES = 8
+"""Stripes that are evaluated by one call."""
+_VIEWS = 24
+"""Views that are: a corner costs less than the call."""
 _POSES = 64
 """Poses that are moved by one call."""
 
@@ -74,8 +76,8 @@ def evaluate(problem: Problem) -> Evaluated:
     """Errors and derivatives at the point that the problem holds; call in 64 bit."""
     shared = _without_views(problem)
     # All are begun before the first is awaited.
-    views = [(some, _corner_part(_of_views(problem, shared, some))) for some in _parts(problem.seen)]
-    lines = [(some, _stripe_part(_of_stripes(problem, shared, some))) for some in _parts(problem.lit)]
+    views = [(some, _corner_part(_of_views(problem, shared, some))) for some in _parts(problem.seen, _VIEWS)]
+    lines = [(some, _stripe_part(_of_stripes(problem, shared, some))) for some in _parts(problem.lit, _STRIPES)]
     priors_there = _prior_part(shared)
     corners, stripes = _no_corners(problem), _no_stripes(problem)
     _fill(corners, views)
@@ -97,10 +99,10 @@ def moved(step: Step, problem: Problem) -> Problem:
     return replace(problem, camera=end.camera, lasers=end.lasers, turntable=end.turntable, shape=end.shape, poses=poses)
 
 
-def _parts(there: Bool[Array, " owners"]) -> list[np.ndarray]:
-    """Numbers of the owners that are there, some at a time."""
+def _parts(there: Bool[Array, " owners"], size: int) -> list[np.ndarray]:
+    """Numbers of the owners that are there, so many at a time."""
     numbers = np.flatnonzero(np.asarray(there))
-    return [numbers[start : start + PART] for start in range(0, len(numbers), PART)]
+    return [numbers[start : start + size] for start in range(0, len(numbers), size)]
 
 
 def _fill(whole: Sequence[Array], parts: Sequence[tuple[np.ndarray, Sequence[Array]]]) -> None:
@@ -112,7 +114,7 @@ def _fill(whole: Sequence[Array], parts: Sequence[tuple[np.ndarray, Sequence[Arr
 
 def _of_views(problem: Problem, shared: Problem, some: np.ndarray) -> Problem:
     """Some views alone, each a placement of its own, without stripes; filled up to a part."""
-    some = np.concatenate([some, np.repeat(some[:1], PART - len(some))])
+    some = np.concatenate([some, np.repeat(some[:1], _VIEWS - len(some))])
     return replace(
         shared,
         **_placed(problem, some),
@@ -123,17 +125,17 @@ def _of_views(problem: Problem, shared: Problem, some: np.ndarray) -> Problem:
 
 def _of_stripes(problem: Problem, shared: Problem, some: np.ndarray) -> Problem:
     """Some stripes alone, each on a board of its own, with corners that nobody reads; filled up to a part."""
-    some = np.concatenate([some, np.repeat(some[:1], PART - len(some))])
+    some = np.concatenate([some, np.repeat(some[:1], _STRIPES - len(some))])
     return replace(
         shared,
         **_placed(problem, np.asarray(problem.stripe_view)[some]),
-        corner_q=np.zeros((PART, *problem.corner_q.shape[1:])),
-        corner_weight=np.zeros((PART, *problem.corner_weight.shape[1:])),
+        corner_q=np.zeros((_STRIPES, *problem.corner_q.shape[1:])),
+        corner_weight=np.zeros((_STRIPES, *problem.corner_weight.shape[1:])),
         stripe_q=np.asarray(problem.stripe_q)[some],
         stripe_weight=np.asarray(problem.stripe_weight)[some],
-        stripe_view=np.arange(PART, dtype=np.int32),
+        stripe_view=np.arange(_STRIPES, dtype=np.int32),
         stripe_laser=np.asarray(problem.stripe_laser)[some],
-        lit=np.ones(PART, bool),
+        lit=np.ones(_STRIPES, bool),
     )
 
 

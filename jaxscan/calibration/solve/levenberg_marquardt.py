@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from jaxscan.calibration.solve.blocks import Blocks, schur_step
 from jaxscan.calibration.solve.evaluate import Evaluated, moved
-from jaxscan.calibration.solve.linearised import Linearised, linearise
+from jaxscan.calibration.solve.linearised import Linearised, linearise, squares
 from jaxscan.calibration.solve.problem import Problem, Step
 
 
@@ -92,7 +92,7 @@ def _promise(blocks: Blocks, step: Step) -> float:
 
 def _change(step: Step, here: Linearised, there: Linearised) -> float:
     """Root mean square change of the unknowns, or of the whitened residuals, whichever is larger."""
-    rms = lambda *parts: float(np.sqrt(sum(np.vdot(p, p) for p in parts) / max(sum(p.size for p in parts), 1)))
+    rms = lambda *parts: float(np.sqrt(sum(map(squares, parts)) / max(sum(part.size for part in parts), 1)))
     corner = (there.corner_error - here.corner_error) * here.corner_weight
     stripe = (there.offset - here.offset) * np.asarray(here.problem.stripe_weight)
     residual = rms(corner, stripe, there.prior_residual - here.prior_residual)

@@ -68,18 +68,17 @@ class Linearised:
     @cached_property
     def corner_slopes(self) -> Float[np.ndarray, "views rows departures"]:
         """Derivatives of the whitened rows by the departures of their view."""
-        return np.asarray(self.at.corners.slopes) * self.corner_weight[..., None]
+        return _weighed(self.at.corners.slopes, self.corner_weight, self.problem.seen)
 
     @cached_property
     def stripe_slopes(self) -> Float[np.ndarray, "stripes points departures"]:
         """The same of stripes."""
-        return np.asarray(self.at.stripes.slopes) * np.asarray(self.problem.stripe_weight)[..., None]
+        return _weighed(self.at.stripes.slopes, self.problem.stripe_weight, self.problem.lit)
 
     @cached_property
     def cost(self) -> float:
         """Half the sum of squares of all whitened residuals, priors included [1]."""
-        corner, stripe = self._residuals
-        return 0.5 * float(sum(np.vdot(part, part) for part in (corner, stripe, self.prior_residual)))
+        return 0.5 * sum(map(squares, (*self._residuals, self.prior_residual)))
 
     @cached_property
     def prior(self) -> Float[np.ndarray, "shared shared"]:
@@ -153,6 +152,12 @@ def used_length(there: Bool[Array, " owners"]) -> int:
     return int(np.max(np.flatnonzero(there), initial=-1)) + 1
 
 
+def squares(values: Float[np.ndarray, "..."]) -> float:
+    """The sum of the squares."""
+    # The product of BLAS wakes its threads for so few numbers, which takes longer than the sum.
+    return float(np.sum(np.square(values)))
+
+
 def linearise(problem: Problem, at: Evaluated | None = None) -> Linearised:
     """The problem to first order at the point that it holds; call in 64 bit.
 
@@ -161,6 +166,16 @@ def linearise(problem: Problem, at: Evaluated | None = None) -> Linearised:
         at: `evaluate` of it, where that is known, perhaps with other weights.
     """
     return Linearised(problem, evaluate(problem) if at is None else at)
+
+
+def _weighed(
+    slopes: Array, weight: Array, there: Bool[Array, " owners"]
+) -> Float[np.ndarray, "owners rows departures"]:
+    # The padding at the end is 0 as it is.
+    used = slice(used_length(there))
+    whole = np.zeros(slopes.shape)
+    np.multiply(slopes[used], np.asarray(weight)[used, :, None], out=whole[used])
+    return whole
 
 
 def _leverage(slopes: np.ndarray, chain: np.ndarray, covariance: np.ndarray) -> Float[np.ndarray, "owners rows"]:
