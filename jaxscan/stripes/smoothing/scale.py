@@ -130,7 +130,7 @@ def _by_amplitude(scattered: np.ndarray, level: np.ndarray) -> tuple[np.ndarray,
     if classes == 0:
         return _ALIKE
     ranks = np.array_split(np.argsort(level), classes)
-    middle = np.array([np.median(level[rank]) for rank in ranks])
+    middle = np.array([_middle(level[rank]) for rank in ranks])
     return middle, np.array([_spread(scattered[rank]) for rank in ranks])
 
 
@@ -149,8 +149,15 @@ def _usual(some: ProfileRows) -> tuple[np.ndarray, np.ndarray] | None:
     if classes == 0:
         return None
     ranks = np.array_split(np.argsort(level), classes)
-    middle, usual = (np.array([float(np.median(field[rank])) for rank in ranks]) for field in (level, sigma))
+    middle = np.array([float(_middle(level[rank])) for rank in ranks])
+    usual = np.array([float(np.median(sigma[rank])) for rank in ranks])
     return middle, np.maximum(usual, 1e-9)
+
+
+def _middle(ordered: np.ndarray) -> np.floating:
+    """The median of sorted values, without the search for it."""
+    count = len(ordered)
+    return np.mean(ordered[(count - 1) // 2 : count // 2 + 1])
 
 
 def _doubt(rows: ProfileRows, usual: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -184,14 +191,17 @@ def _common(
 
 def _differences(rows: ProfileRows, apart: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Differences, absolute, over their promised standard deviation, and amplitudes, of rows so far apart."""
-    reach = (len(weights) - 1) * apart
-    parts = [np.s_[:, k * apart : max(rows.u.shape[1] - reach, 0) + k * apart] for k in range(len(weights))]
+    count, length = rows.u.shape[0], max(rows.u.shape[1] - (len(weights) - 1) * apart, 0)
+    parts = [np.s_[:, k * apart : k * apart + length] for k in range(len(weights))]
     whole = np.logical_and.reduce([rows.valid[part] for part in parts])
-    difference, variance = np.zeros(int(whole.sum())), np.zeros(int(whole.sum()))
+    # Of all rows: picking the whole ones out of every part takes longer than adding up the others too.
+    difference, variance = np.zeros((count, length)), np.zeros((count, length))
+    square = rows.sigma**2
     for weight, part in zip(weights, parts, strict=True):
-        difference += weight * rows.u[part][whole]
-        variance += weight**2 * rows.sigma[part][whole] ** 2
-    return np.abs(difference) / np.sqrt(np.maximum(variance, 1e-18)), rows.amplitude[parts[len(weights) // 2]][whole]
+        difference += weight * rows.u[part]
+        variance += weight**2 * square[part]
+    promised = np.sqrt(np.maximum(variance[whole], 1e-18))
+    return np.abs(difference[whole]) / promised, rows.amplitude[parts[len(weights) // 2]][whole]
 
 
 def _spread(values: Float[np.ndarray, " n"]) -> float:
