@@ -6,6 +6,7 @@ from jaxscan.api import load_simulation as load_simulation
 from jaxscan.api import observe_boards as observe_boards
 from jaxscan.api import recalibrate as recalibrate
 from jaxscan.api import reconstruct_capture as reconstruct_capture
+from jaxscan.api import save_board as save_board
 from jaxscan.api import simulate as simulate
 from jaxscan.calibration import Calibration as Calibration
 from jaxscan.calibration import CalibrationSettings as CalibrationSettings
@@ -24,6 +25,7 @@ from jaxscan.errors import OptionError as OptionError
 from jaxscan.files import Capture as Capture
 from jaxscan.files import CaptureHeader as CaptureHeader
 from jaxscan.files import create_capture as create_capture
+from jaxscan.files import load_board as load_board
 from jaxscan.files import load_calibration as load_calibration
 from jaxscan.files import load_cloud as load_cloud
 from jaxscan.files import load_scanner as load_scanner

@@ -13,6 +13,7 @@ from jaxscan.printable import printable
 DESCRIPTION = "A camera, a line laser and a turntable as a precise 3D scanner for rooms."
 VERBS = {
     "demo": "Calibrate, scan, reconstruct and measure a simulated room: `jaxscan demo`.",
+    "board": "Print a calibration board: `jaxscan board board.toml -o board.pdf --paper A3`.",
     "simulate": "Render a simulated rig: `jaxscan simulate configs/paper.toml -o captures/paper --every 10`.",
     "calibrate": "Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.",
     "recalibrate": "Recalibrate from sweeps of a room: `jaxscan recalibrate captures/room -c old.json -o new.json`.",
@@ -34,6 +35,7 @@ MEASURES = {
 """The same for the verbs below `jaxscan measure`."""
 
 _ROOMS = {
+    "board": "products.board",
     "scan": "scanning.scan",
     "convert": "exchange.convert",
     "import": "exchange.import_",
