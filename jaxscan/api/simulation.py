@@ -47,7 +47,7 @@ def simulate(
 
 
 def load_simulation(path: str | Path) -> SimulationConfig:
-    """A simulated rig from a TOML file; see configs/.
+    """A simulated rig from a TOML file.
 
     Args:
         path: The file.

@@ -80,6 +80,7 @@ MEASURES = (
         "reconstruct sweep -c cal.json -o new.ply --json sweep/off/000002.png",
         "reconstruct sweep -c cal.json -o new.ply --json picture.png",
         "reconstruct sweep -c sweep/stripes.npz -o new.ply",
+        "init scan.toml -o new.toml --json new.toml",
         "board rig.toml -o rig.toml",
         "board boards -o boards/capture.toml",
         "board rig.toml -o new.pdf --json new.pdf",
