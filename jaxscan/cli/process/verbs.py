@@ -7,6 +7,8 @@ from typing import Any
 
 import tyro
 
+import jaxscan
+from jaxscan.cli.process.terminal import Terminal
 from jaxscan.printable import printable
 
 
@@ -73,6 +75,8 @@ def parse(words: Sequence[str]) -> Callable[[], None]:
 
 def _parse(words: Sequence[str], *, answer: bool = True) -> Callable[[], None]:
     words = list(words)
+    if words == ["--version"]:
+        return lambda: Terminal().print(f"jaxscan {jaxscan.__version__}")
     prog, verbs = "jaxscan", VERBS
     if words[:1] == ["measure"]:
         prog, verbs, words = "jaxscan measure", MEASURES, words[1:]
