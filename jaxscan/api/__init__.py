@@ -2,6 +2,7 @@
 
 from jaxscan.api.boards import BoardSheets, draw_board, save_board, write_sheets
 from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
+from jaxscan.api.frames import align_cloud
 from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
 from jaxscan.api.simulation import load_simulation, simulate
 from jaxscan.api.sweeps import Reconstruction, reconstruct_capture

@@ -24,6 +24,7 @@ VERBS = {
     "scan": "Scan with a rig: `jaxscan scan scan.toml -o captures/room`.",
     "measure": "Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`).",
     "import": "Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.",
+    "align": "Put a cloud in a frame: `jaxscan align room.ply -o levelled.ply --room`, or `--targets targets.toml`.",
     "convert": "Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.",
     "report": "Draw a calibration's report: `jaxscan report calibration.json -o report.html`.",
     "doctor": "Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config scan.toml`.",
@@ -38,6 +39,7 @@ MEASURES = {
 """The same for the verbs below `jaxscan measure`."""
 
 _ROOMS = {
+    "align": "products.align",
     "board": "products.board",
     "init": "products.init",
     "scan": "scanning.scan",
