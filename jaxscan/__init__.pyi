@@ -1,11 +1,13 @@
 """The public names and their modules; `jaxscan/__init__.py` reads this list."""
 
 from jaxscan.api import Reconstruction as Reconstruction
+from jaxscan.api import align_cloud as align_cloud
 from jaxscan.api import calibrate as calibrate
 from jaxscan.api import load_simulation as load_simulation
 from jaxscan.api import observe_boards as observe_boards
 from jaxscan.api import recalibrate as recalibrate
 from jaxscan.api import reconstruct_capture as reconstruct_capture
+from jaxscan.api import save_board as save_board
 from jaxscan.api import simulate as simulate
 from jaxscan.calibration import Calibration as Calibration
 from jaxscan.calibration import CalibrationSettings as CalibrationSettings
@@ -24,6 +26,7 @@ from jaxscan.errors import OptionError as OptionError
 from jaxscan.files import Capture as Capture
 from jaxscan.files import CaptureHeader as CaptureHeader
 from jaxscan.files import create_capture as create_capture
+from jaxscan.files import load_board as load_board
 from jaxscan.files import load_calibration as load_calibration
 from jaxscan.files import load_cloud as load_cloud
 from jaxscan.files import load_scanner as load_scanner
@@ -43,6 +46,10 @@ from jaxscan.geometry import Turntable as Turntable
 from jaxscan.geometry import fit_axis as fit_axis
 from jaxscan.geometry import fit_plane as fit_plane
 from jaxscan.geometry import plane_sigma as plane_sigma
+from jaxscan.measurement import RoomFrame as RoomFrame
+from jaxscan.measurement import TargetFrame as TargetFrame
+from jaxscan.measurement import align_room as align_room
+from jaxscan.measurement import align_targets as align_targets
 from jaxscan.measurement import compare_clouds as compare_clouds
 from jaxscan.measurement import measure_distance as measure_distance
 from jaxscan.measurement import measure_plane as measure_plane

@@ -17,6 +17,7 @@ import pytest
 import jaxscan
 from jaxscan import api
 from jaxscan.errors import CaptureError
+from jaxscan.reconstruction.sweep import SweepSource
 
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -130,6 +131,22 @@ def test_the_example_of_the_readme(tiny, tmp_path, monkeypatch, capsys):
     assert len(lines) == 2
     assert all(re.fullmatch(r"\d\.\d{4} m, sigma \d+\.\d mm", line) for line in lines), lines
     assert (tmp_path / "room.ply").stat().st_size > 100_000
+
+
+def test_type_checkers_accept_the_example_of_the_readme(tmp_path):
+    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (tmp_path / "example.py").write_text(example)
+    command = [sys.executable, "-m", "mypy", "--config-file", ROOT / "pyproject.toml", tmp_path / "example.py"]
+    run = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_a_capture_and_a_sweep_are_sweeps_to_every_type_checker():
+    """mypy takes a cached property for a property, and others do not."""
+    for name, member in vars(SweepSource).items():
+        if isinstance(member, property):
+            assert isinstance(vars(jaxscan.Capture)[name], property), name
+            assert name in jaxscan.Sweep.__annotations__ or isinstance(vars(jaxscan.Sweep)[name], property), name
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,14 @@
 """The public verbs: they join the core with files, OpenCV and the simulation."""
 
+from jaxscan.api.boards import BoardSheets, draw_board, save_board, write_sheets
 from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
+from jaxscan.api.frames import align_cloud
 from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
 from jaxscan.api.simulation import load_simulation, simulate, simulate_boards, simulate_sweep
 from jaxscan.api.sweeps import Reconstruction, reconstruct_capture
 from jaxscan.calibration import Calibration
 from jaxscan.files import (
+    load_board,
     load_calibration,
     load_cloud,
     load_scanner,

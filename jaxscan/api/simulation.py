@@ -73,7 +73,7 @@ def simulate_sweep(
 
 
 def load_simulation(path: str | Path) -> SimulationConfig:
-    """A simulated rig from a TOML file; see configs/.
+    """A simulated rig from a TOML file.
 
     Args:
         path: The file.

@@ -44,7 +44,7 @@ def doctor(
     capture: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     json: JsonTarget = None,
 ) -> None:
-    """Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config configs/scan.toml`.
+    """Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config scan.toml`.
 
     With a rig the table turns and the laser shines. The exit code is 1 if something that is needed does not work.
 

@@ -19,13 +19,13 @@ def simulate(
     seed: int | None = None,
     json: JsonTarget = None,
 ) -> None:
-    """Render a simulated rig: `jaxscan simulate configs/paper.toml -o captures/paper --every 10`.
+    """Render a simulated rig: `jaxscan simulate paper.toml -o captures/paper --every 10`.
 
     Writes the captures `boards` and `sweep`, the true values `truth.json` and the true cloud `truth.npz`. Only
     comparisons read the truth.
 
     Args:
-        config: Configuration of the rig, its room and its boards (see configs/).
+        config: Configuration of the rig, its room and its boards (`jaxscan init paper.toml` writes one).
         output: Folder to create.
         every: Render every n-th step of the sweep only.
         seed: Seed of the noise and of the board poses, instead of the seed in the configuration.

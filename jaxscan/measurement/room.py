@@ -82,12 +82,11 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
     """
     samples = samples_of(cloud)
     rng = np.random.default_rng(seed)
-    planes = find_planes(samples, seed=seed)
-    pairs = [_pair(samples, planes, direction, rng) for direction in _directions(planes)]
+    pairs, planes = bounding_walls(samples, rng, seed=seed)
     found = [pair for pair in pairs if len(pair) == 2]
     if not found:
         raise MeasurementError(
-            f"No two opposite walls among {len(planes)} planes in {len(samples.p)} points; "
+            f"No two opposite walls among {planes} planes in {len(samples.p)} points; "
             "a room must be scanned from within, all around, in steps of a few degrees."
         )
     centre = _centre(found)
@@ -102,6 +101,16 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
         centre_m=centre,
         walls=tuple(wall for pair in pairs for wall in pair),
     )
+
+
+def bounding_walls(samples: Samples, rng: np.random.Generator, *, seed: int) -> tuple[list[list[Wall]], int]:
+    """The walls across each direction of the room, the vertical last, and the number of planes they are among."""
+    # Seen from a place of the scanner: in a cloud that was aligned the origin may be in a corner of the room.
+    inside = samples.origin[0]
+    seen = samples.moved(-inside)
+    planes = find_planes(seen, seed=seed)
+    pairs = [_pair(seen, planes, direction, rng) for direction in _directions(planes)]
+    return [[wall.moved(inside) for wall in pair] for pair in pairs], len(planes)
 
 
 def _directions(planes: list[tuple[Plane, np.ndarray]]) -> list[np.ndarray]:

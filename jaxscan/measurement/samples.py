@@ -72,6 +72,10 @@ class Samples(NamedTuple):
         """The points at `index` (numbers or a mask)."""
         return Samples(*(field[index] for field in self))
 
+    def moved(self, step: np.ndarray) -> "Samples":
+        """The points, and where they were seen from, after a shift [3], m."""
+        return self._replace(p=self.p + step, origin=self.origin + step)
+
     @staticmethod
     def joined(parts: "Sequence[Samples]") -> "Samples":
         """The points of several parts, one after the other."""

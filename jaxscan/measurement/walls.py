@@ -28,6 +28,13 @@ class Wall(NamedTuple):
     scale: float
     """Robust standard deviation of the residuals in units of the predicted one [1]."""
 
+    def moved(self, step: np.ndarray) -> "Wall":
+        """The wall after a shift [3], m."""
+        plane = self.plane
+        distance = float(plane.distance + plane.normal @ step)
+        plane = plane._replace(distance=distance, centre=plane.centre + step)
+        return self._replace(plane=plane, samples=self.samples.moved(step))
+
     @property
     def rms_m(self) -> float:
         """RMS distance of its points [m]."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import jaxscan
 from jaxscan.cli.main import main
 from jaxscan.cli.process.verbs import MEASURES, VERBS, load_verb
 from jaxscan.errors import CloudError
@@ -92,6 +93,20 @@ def test_usage_errors_are_code_2(words, capsys):
     code, said = answer(capsys, *words)
     assert code == 2
     assert said.out == "" and said.err
+
+
+def test_the_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"jaxscan {jaxscan.__version__}\n"
+
+
+def test_a_rig_without_its_extra_is_one_line(tmp_path):
+    (tmp_path / "rig.toml").write_text("[camera]\nkind = 'opencv'\nwidth = 64\nheight = 48\ntrigger = 'free'\n")
+    code = "import sys; sys.modules['serial'] = None; from jaxscan.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    for words in (["doctor", "--port", "auto"], ["scan", "rig.toml", "-o", "made"]):
+        run = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, cwd=tmp_path)
+        assert run.returncode == 1 and run.stderr.count("\n") == 1, run.stderr
+        assert 'pip install "jaxscan[rig]"' in run.stderr and not (tmp_path / "made").exists()
 
 
 def test_debug_shows_the_traceback(tmp_path, capsys):

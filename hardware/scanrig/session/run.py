@@ -88,7 +88,7 @@ def run_calibration(
     For the other arguments, the result and the errors see `run_sweep`.
     """
     if config.board is None:
-        raise ConfigError("[board]: missing, a calibration needs one; see configs/scan.toml.")
+        raise ConfigError("[board]: missing, a calibration needs one; see `jaxscan init scan.toml`.")
     positions = placement_positions(config)
     free, stands = placed_targets(config, positions)
     planned = sum(len(targets) for targets in (*free, *stands))

@@ -4,9 +4,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from serial.tools import list_ports
-
+from jaxscan.errors import DependencyError
 from scanrig.errors import PortError
+
+
+try:
+    from serial.tools import list_ports
+except ImportError as problem:
+    raise DependencyError('Serial ports need pyserial: pip install "jaxscan[rig]"') from problem
 
 
 BY_ID = Path("/dev/serial/by-id")

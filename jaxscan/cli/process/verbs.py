@@ -7,22 +7,27 @@ from typing import Any
 
 import tyro
 
+import jaxscan
+from jaxscan.cli.process.terminal import Terminal
 from jaxscan.printable import printable
 
 
 DESCRIPTION = "A camera, a line laser and a turntable as a precise 3D scanner for rooms."
 VERBS = {
     "demo": "Calibrate, scan, reconstruct and measure a simulated room: `jaxscan demo`.",
-    "simulate": "Render a simulated rig: `jaxscan simulate configs/paper.toml -o captures/paper --every 10`.",
+    "init": "Write a configuration to start from: `jaxscan init scan.toml`. All there are: `jaxscan init --list`.",
+    "board": "Print a calibration board: `jaxscan board board.toml -o board.pdf --paper A3`.",
+    "simulate": "Render a simulated rig: `jaxscan simulate paper.toml -o captures/paper --every 10`.",
     "calibrate": "Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.",
     "recalibrate": "Recalibrate from sweeps of a room: `jaxscan recalibrate captures/room -c old.json -o new.json`.",
     "reconstruct": "Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.",
-    "scan": "Scan with a rig: `jaxscan scan configs/scan.toml -o captures/room`.",
+    "scan": "Scan with a rig: `jaxscan scan scan.toml -o captures/room`.",
     "measure": "Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`).",
     "import": "Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.",
+    "align": "Put a cloud in a frame: `jaxscan align room.ply -o levelled.ply --room`, or `--targets targets.toml`.",
     "convert": "Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.",
     "report": "Draw a calibration's report: `jaxscan report calibration.json -o report.html`.",
-    "doctor": "Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config configs/scan.toml`.",
+    "doctor": "Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config scan.toml`.",
 }
 """The first line of each verb's docstring, for the list of verbs: it is shown without loading any verb."""
 MEASURES = {
@@ -34,6 +39,9 @@ MEASURES = {
 """The same for the verbs below `jaxscan measure`."""
 
 _ROOMS = {
+    "align": "products.align",
+    "board": "products.board",
+    "init": "products.init",
     "scan": "scanning.scan",
     "convert": "exchange.convert",
     "import": "exchange.import_",
@@ -69,6 +77,8 @@ def parse(words: Sequence[str]) -> Callable[[], None]:
 
 def _parse(words: Sequence[str], *, answer: bool = True) -> Callable[[], None]:
     words = list(words)
+    if words == ["--version"]:
+        return lambda: Terminal().print(f"jaxscan {jaxscan.__version__}")
     prog, verbs = "jaxscan", VERBS
     if words[:1] == ["measure"]:
         prog, verbs, words = "jaxscan measure", MEASURES, words[1:]

@@ -48,12 +48,12 @@ def scan(
     place_command: str | None = None,
     json: JsonTarget = None,
 ) -> None:
-    """Scan with a rig: `jaxscan scan configs/scan.toml -o captures/room`.
+    """Scan with a rig: `jaxscan scan scan.toml -o captures/room`.
 
     Ctrl-C ends the scan after the current step and switches the laser off. A second Ctrl-C does so at once.
 
     Args:
-        config: Configuration of the rig and of the scan (see configs/scan.toml).
+        config: Configuration of the rig and of the scan (`jaxscan init scan.toml` writes one).
         output: Folder of the capture.
         boards: Take a capture of the calibration board instead of a sweep; shows which poses are missing.
         resume: Continue a capture that was interrupted.

@@ -14,6 +14,7 @@ from jaxscan.files.capture.header import (
     TurntableTable,
     frame_shape,
     header_toml,
+    load_board,
     parse_header,
 )
 from jaxscan.files.capture.images import ImageReader

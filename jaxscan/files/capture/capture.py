@@ -86,13 +86,18 @@ class Capture:
         """The calibration board, where the header has one."""
         return None if self.header.board is None else self.header.board.board()
 
-    @functools.cached_property
+    @property
     def angles(self) -> np.ndarray:
         """The table's angle of each record, float64 [records], rad from home; of a linear stage, its position [m].
 
         Raises:
             CaptureError: If one is unknown, as it may be in a calibration capture.
         """
+        return self._angles
+
+    # Kept beside a property: for type checkers a cached property is none, and a capture would be no sweep.
+    @functools.cached_property
+    def _angles(self) -> np.ndarray:
         if self.carries == "nothing":
             return np.zeros(len(self.records))
         key = "position_m" if self.carries == "linear" else "angle_deg"
@@ -130,13 +135,17 @@ class Capture:
         columns = np.array(pairs, np.int32).reshape(-1, 2).T.copy()
         return columns[0], columns[1]
 
-    @functools.cached_property
+    @property
     def exposures(self) -> tuple[float, ...]:
         """The different exposures of a frame [s], ascending; `(1.0,)` where the records do not say.
 
         More than one is a bracket, the same in every record of a sweep. Repetitions of one
         exposure are averaged when they are read and do not count.
         """
+        return self._exposures
+
+    @functools.cached_property
+    def _exposures(self) -> tuple[float, ...]:
         images = [image for record in self.records for image in (*record.on, *record.off)]
         return exposure_levels(images) or (1.0,)
 

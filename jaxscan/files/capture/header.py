@@ -1,6 +1,8 @@
 """The header of a capture: `capture.toml`."""
 
 import math
+import os
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pydantic
@@ -8,8 +10,18 @@ import tomli_w
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.boards import BoardTable
-from jaxscan.files.disk import MEGABYTE, FileModel, ImageSize, Integer, check, is_deep, parse_toml, too_deep
-from jaxscan.geometry import Carries, StripeAxis
+from jaxscan.files.disk import (
+    MEGABYTE,
+    FileModel,
+    ImageSize,
+    Integer,
+    check,
+    is_deep,
+    load_toml,
+    parse_toml,
+    too_deep,
+)
+from jaxscan.geometry import AbstractBoard, Carries, StripeAxis
 from jaxscan.geometry.scanner import Up
 from jaxscan.stripes import PIXEL_FORMATS, LaserColour, LaserLine, PixelFormat, Response, frame_rank, known_response
 
@@ -202,3 +214,28 @@ def header_toml(header: CaptureHeader) -> bytes:
     if is_deep(tables):
         raise CaptureError(too_deep("acquisition"))
     return data
+
+
+class _WithBoard(FileModel):
+    """Any file that describes a board."""
+
+    model_config = pydantic.ConfigDict(extra="ignore")
+
+    board: BoardTable
+
+
+def load_board(path: str | Path) -> AbstractBoard:
+    """The board that a file describes in its table `[board]`.
+
+    Args:
+        path: A TOML file: the header of a capture, the configuration of a rig, or the table alone; or the folder of
+            a capture.
+
+    Returns:
+        The board.
+
+    Raises:
+        ConfigError: If the file cannot be read, or describes no board.
+    """
+    path = Path(path)
+    return load_toml(path / HEADER_NAME if os.path.isdir(path) else path, _WithBoard).board.board()

@@ -1,0 +1,1 @@
+"""What a scan is made from, and made into: one file per verb."""
