@@ -2,10 +2,14 @@
 
 from jaxscan.api import Reconstruction as Reconstruction
 from jaxscan.api import calibrate as calibrate
+from jaxscan.api import colour_cloud as colour_cloud
+from jaxscan.api import draw_panorama as draw_panorama
+from jaxscan.api import export_photographs as export_photographs
 from jaxscan.api import load_simulation as load_simulation
 from jaxscan.api import observe_boards as observe_boards
 from jaxscan.api import recalibrate as recalibrate
 from jaxscan.api import reconstruct_capture as reconstruct_capture
+from jaxscan.api import save_panorama as save_panorama
 from jaxscan.api import simulate as simulate
 from jaxscan.calibration import Calibration as Calibration
 from jaxscan.calibration import CalibrationSettings as CalibrationSettings
@@ -50,6 +54,12 @@ from jaxscan.measurement import measure_room as measure_room
 from jaxscan.observation import BoardViews as BoardViews
 from jaxscan.observation import Observations as Observations
 from jaxscan.observation import StripeViews as StripeViews
+from jaxscan.photographs import BlendSettings as BlendSettings
+from jaxscan.photographs import Panorama as Panorama
+from jaxscan.photographs import Photograph as Photograph
+from jaxscan.photographs import Photographs as Photographs
+from jaxscan.photographs import colour_points as colour_points
+from jaxscan.photographs import make_occluder as make_occluder
 from jaxscan.recalibration import Given as Given
 from jaxscan.recalibration import KnownSphere as KnownSphere
 from jaxscan.recalibration import MeasuredLength as MeasuredLength

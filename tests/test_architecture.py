@@ -19,7 +19,16 @@ RIG_FILES = sorted(RIG.rglob("*.py"))
 BENCH = ROOT / "hardware" / "bench"
 BENCH_FILES = sorted(BENCH.rglob("*.py"))
 
-CORE = {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement", "recalibration"}
+CORE = {
+    "geometry",
+    "stripes",
+    "reconstruction",
+    "observation",
+    "calibration",
+    "measurement",
+    "recalibration",
+    "photographs",
+}
 ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api"}
 MAY_IMPORT = {
     "geometry": set(),
@@ -29,6 +38,7 @@ MAY_IMPORT = {
     "calibration": {"geometry", "observation"},
     "measurement": {"geometry"},
     "recalibration": {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement"},
+    "photographs": {"geometry", "stripes", "reconstruction"},
     "simulation": {"geometry", "vision"},
     "vision": CORE,
     "files": CORE | {"vision", "simulation"},

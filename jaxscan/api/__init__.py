@@ -1,6 +1,16 @@
 """The public verbs: they join the core with files, OpenCV and the simulation."""
 
 from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
+from jaxscan.api.photographs import (
+    check_panorama_path,
+    colour_cloud,
+    draw_panorama,
+    export_photographs,
+    has_photographs,
+    open_photographs,
+    panorama_paths,
+    save_panorama,
+)
 from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
 from jaxscan.api.simulation import load_simulation, simulate
 from jaxscan.api.sweeps import Reconstruction, reconstruct_capture

@@ -98,7 +98,9 @@ def colour_points(
             view = View(lens, pose)
             shot = _prepared(image, view, occluder, settings)
             for block in blocks.seen_from(pose, float(lens.least_cosine)):
-                tallies[block], seen[block] = _look(tallies[block], seen[block], places[block], shot, _numbers(settings))
+                tallies[block], seen[block] = _look(
+                    tallies[block], seen[block], places[block], shot, _numbers(settings)
+                )
         rgb = conclude(Tally(*(np.concatenate(part) for part in zip(*tallies, strict=True))))
         return blocks.scatter(rgb), blocks.scatter(np.concatenate([np.asarray(part) for part in seen]))
 
@@ -140,9 +142,7 @@ def _gain(shot: _Shot, points: Float[Array, "n 3"], rgb: Float[Array, "n 3"]) ->
 
 
 @functools.partial(jax.jit, donate_argnums=(0, 1))
-def _look(
-    tally: Tally, seen: Array, places: _Places, shot: _Shot, numbers: tuple[Array, Array]
-) -> tuple[Tally, Array]:
+def _look(tally: Tally, seen: Array, places: _Places, shot: _Shot, numbers: tuple[Array, Array]) -> tuple[Tally, Array]:
     """One photograph for a block of points."""
     tolerance, bearing = numbers
     colour, weight = jax.vmap(_observe, (None, 0, 0, None))(shot, places.points, places.normals, bearing)

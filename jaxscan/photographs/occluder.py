@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 
 from jaxscan.geometry import Array, Scanner
 from jaxscan.photographs.blocks import Blocks
@@ -36,19 +36,27 @@ class Distances(NamedTuple):
 class Occluder:
     """The surface of a room as photographs of it need it; made once for a cloud by `make_occluder`."""
 
-    blocks: Blocks
+    blocks: Blocks | None
+    """None where nothing is known to stand anywhere."""
     parts: list[Array]
     """Samples of the surface, block by block [m]."""
     references: tuple[Float[np.ndarray, "references 3"], Float[np.ndarray, "references 3"]]
-    """Points all over the surface, and their colours on the stripes: by these, exposures are equalised."""
+    """Points all over the room, and their usual colours: by these, exposures are equalised."""
     cell: int
     shape: tuple[int, int]
+    """Rows and columns of cells, with a border of one."""
+
+    @staticmethod
+    def of_nothing(points: Float[np.ndarray, "references 3"], rgb: UInt8[np.ndarray, "references 3"]) -> "Occluder":
+        """No surface, only places whose usual colours are known."""
+        return Occluder(None, [], (points.astype(np.float32), rgb.astype(np.float32)), 1 << 16, (3, 3))
 
     def distances(self, view: View, pose: Float[np.ndarray, "4 4"]) -> Distances:
         """The surface in one view."""
         nearest = jnp.full(self.shape, jnp.inf, jnp.float32)
         cell = np.float32(self.cell)
-        for block in self.blocks.seen_from(pose, float(view.lens.least_cosine)):
+        blocks = [] if self.blocks is None else self.blocks.seen_from(pose, float(view.lens.least_cosine))
+        for block in blocks:
             nearest = _draw(nearest, view, self.parts[block], cell)
         return Distances(_spread(nearest), cell)
 
@@ -66,7 +74,6 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
     camera = scanner.camera
     cell = max(2, round(min(camera.width, camera.height) / CELLS))
     spacing = cell * float(Lens.of(camera).per_pixel)
-    # Where there are more samples, each view of them has many.
     found = [(samples.xyz, samples.rgb) for samples in surface_samples(cloud, scanner, spacing)]
     xyz, rgb = (np.concatenate(parts) for parts in zip(*found, strict=True))
     blocks = Blocks.of(xyz)
@@ -87,12 +94,12 @@ def hidden(
         view: The view.
         distances: The nearest surface in it.
     """
-    column, row = (jnp.clip(k, 0, n - 1) for k, n in zip(_cell(seen.q, distances), distances.nearest.shape[::-1]))
+    column, row = _cell(seen.q, distances)
     # A slanted surface is nearer beside the point: within two cells by so much.
     cosine = jnp.clip(facing(point, normal, view), 1 / STEEPEST_SEEN, 1.0)
     slope = jnp.sqrt(1.0 - cosine * cosine) / cosine
     skin = SKIN + 2.0 * distances.cell * view.lens.per_pixel * slope
-    return seen.range_m * (1.0 - skin) > distances.nearest[row, column]
+    return seen.range_m * (1.0 - skin) > distances.nearest.at[row, column].get(mode="clip")
 
 
 STEEPEST_SEEN = 6.0

@@ -92,5 +92,3 @@ def _demosaic(frame: UInt8[Array, "rows columns"], *, tile: str) -> UInt8[Array,
             plane = jnp.where(site == number, found, plane)
         planes.append(plane)
     return jnp.clip(jnp.round(jnp.stack(planes, -1)), 0, 255).astype(jnp.uint8)
-
-

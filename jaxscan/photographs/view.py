@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, UInt8, UInt32
 
-from jaxscan.geometry import AbstractCamera, Array, Scanner, transform
+from jaxscan.geometry import AbstractCamera, Array, Scanner
 
 
 MARGIN_PX = 1.5
@@ -93,9 +93,7 @@ def packed(image: UInt8[Array, "rows columns 3"]) -> UInt32[Array, "rows columns
     return red | (green << 8) | (blue << 16)
 
 
-def sample(
-    image: UInt32[Array, "rows columns"], q: Float[Array, "2"]
-) -> tuple[Float[Array, "3"], Bool[Array, ""]]:
+def sample(image: UInt32[Array, "rows columns"], q: Float[Array, "2"]) -> tuple[Float[Array, "3"], Bool[Array, ""]]:
     """Colour at a place of a packed image that is nowhere near its border, by cubic convolution.
 
     Returns:

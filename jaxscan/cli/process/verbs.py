@@ -18,6 +18,7 @@ VERBS = {
     "recalibrate": "Recalibrate from sweeps of a room: `jaxscan recalibrate captures/room -c old.json -o new.json`.",
     "reconstruct": "Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.",
     "scan": "Scan with a rig: `jaxscan scan configs/scan.toml -o captures/room`.",
+    "panorama": "Draw the room all around: `jaxscan panorama captures/room -c calibration.json -o room.jpg`.",
     "measure": "Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`).",
     "import": "Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.",
     "convert": "Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.",
@@ -38,6 +39,7 @@ _ROOMS = {
     "convert": "exchange.convert",
     "import": "exchange.import_",
     "recalibrate": "recalibration.recalibrate",
+    "panorama": "products.panorama",
 }
 """Modules of the verbs that are in rooms of their own."""
 

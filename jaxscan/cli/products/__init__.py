@@ -1,0 +1,1 @@
+"""What is made of a scan beside its cloud: one file per verb."""
