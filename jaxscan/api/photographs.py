@@ -28,7 +28,6 @@ from jaxscan.photographs import (
     undistort,
 )
 from jaxscan.reconstruction import PointCloud, Progress
-from jaxscan.vision import encode_jpeg, encode_picture_png
 
 
 ENOUGH = 4
@@ -174,6 +173,9 @@ def save_panorama(panorama: Panorama, path: str | Path) -> list[Path]:
     Raises:
         OutputError: If one cannot be written.
     """
+    # Here, so that reconstructing does not load OpenCV.
+    from jaxscan.vision import encode_jpeg, encode_picture_png
+
     path = Path(path)
     check_panorama_path(path, with_cloud=panorama.distance_m is not None)
     xmp = _gpano(panorama)
@@ -214,6 +216,8 @@ def export_photographs(
         CalibrationError: If the table carries the object, or the calibration is for images of another size.
         OutputError: If a file cannot be written.
     """
+    from jaxscan.vision import encode_picture_png
+
     photographs, folder = open_photographs(capture, scanner, progress=progress), Path(folder)
     camera, ideal = scanner.camera, ideal_camera(scanner.camera)
     undistorted = undistorted or not is_describable(camera)
@@ -226,7 +230,7 @@ def export_photographs(
     angles, names = [], []
     for number, (angle, image) in enumerate(photographs):
         name = f"images/{number:06d}.png"
-        picture = undistort(image, camera, ideal) if undistorted else image
+        picture = np.asarray(undistort(image, camera, ideal)) if undistorted else image
         write_atomically(folder / name, encode_picture_png(picture), error=OutputError, durable=False)
         angles.append(angle)
         names.append(name)
@@ -238,7 +242,7 @@ def export_photographs(
 def _gpano(panorama: Panorama) -> str:
     """XMP packet by which viewers know where on the sphere a picture lies."""
     frame = panorama.frame
-    fields = {"UsePanoramaViewer": "True", "ProjectionType": frame.projection}
+    fields: dict[str, object] = {"UsePanoramaViewer": "True", "ProjectionType": frame.projection}
     if frame.projection == "equirectangular":
         fields |= {
             "FullPanoWidthPixels": frame.width,

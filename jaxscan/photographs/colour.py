@@ -1,6 +1,8 @@
 """Colours of points from all photographs that see them sharply."""
 
 import functools
+import itertools
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -8,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, UInt8, UInt32
 
-from jaxscan.geometry import Array
+from jaxscan.geometry import Array, Scanner
 from jaxscan.photographs.blend import Tally, conclude, tally_all
 from jaxscan.photographs.blocks import Blocks
 from jaxscan.photographs.occluder import STEEPEST_SEEN, Distances, Occluder, facing, hidden
-from jaxscan.photographs.photograph import Photographs
+from jaxscan.photographs.photograph import Photograph, Photographs
 from jaxscan.photographs.view import Lens, View, packed, poses, sample, sight
+from jaxscan.reconstruction.ahead import map_ahead, workers
 
 
 class BlendSettings(NamedTuple):
@@ -81,43 +84,46 @@ def colour_points(
     """
     if not len(points):
         return np.zeros((0, 3), np.uint8), np.zeros(0, np.bool_)
-    scanner = photographs.scanner
     points = np.asarray(points, np.float32)
     lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
     unit = (np.asarray(normals) / np.maximum(lengths, 1e-12)).astype(np.float32)
     # Single precision throughout, so that the result does not depend on the caller's setting.
-    with jax.enable_x64(False):
-        lens, blocks = Lens.of(scanner.camera), Blocks.of(points)
+    with jax.enable_x64(False), ThreadPoolExecutor(workers()) as pool:
+        lens, blocks = Lens.of(photographs.scanner.camera), Blocks.of(points)
         places = [_Places(*both) for both in zip(blocks.gather(points), blocks.gather(unit), strict=True)]
         first = Tally.start(start, len(points))
-        tallies = [Tally(*both) for both in zip(*(blocks.gather(field) for field in first), strict=True)]
+        tallies = [Tally(*both) for both in zip(*(blocks.gather(np.asarray(part)) for part in first), strict=True)]
         seen = [jnp.zeros(blocks.size, jnp.bool_) for _ in places]
         del first
-        for angle, image in photographs:
-            pose = poses(scanner, np.array([angle]))[0]
-            view = View(lens, pose)
-            shot = _prepared(image, view, occluder, settings)
-            for block in blocks.seen_from(pose, float(lens.least_cosine)):
-                tallies[block], seen[block] = _look(
-                    tallies[block], seen[block], places[block], shot, _numbers(settings)
-                )
+        numbers = np.array([settings.tolerance_dn, settings.bearing], np.float32)
+
+        def prepare(photograph: Photograph) -> _Shot:
+            shot = _prepared(photograph, lens, photographs.scanner, occluder)
+            if occluder is None or not settings.exposure:
+                return shot
+            with jax.enable_x64(False):
+                return shot._replace(gain=_gain(shot, *occluder.references))
+
+        def look(block: int, shot: _Shot) -> None:
+            # JAX keeps this setting per thread.
+            with jax.enable_x64(False):
+                tallies[block], seen[block] = _look(tallies[block], seen[block], places[block], shot, numbers)
+
+        # While points are looked up in one photograph, the next one is prepared.
+        for shot in map_ahead(prepare, photographs, 1):
+            visible = blocks.seen_from(np.asarray(shot.view.T_scanner_cam), float(lens.least_cosine))
+            for _ in pool.map(look, visible.tolist(), itertools.repeat(shot)):
+                pass
         rgb = conclude(Tally(*(np.concatenate(part) for part in zip(*tallies, strict=True))))
         return blocks.scatter(rgb), blocks.scatter(np.concatenate([np.asarray(part) for part in seen]))
 
 
-def _numbers(settings: BlendSettings) -> tuple[np.float32, np.float32]:
-    return np.float32(settings.tolerance_dn), np.float32(settings.bearing)
-
-
-def _prepared(image: np.ndarray, view: View, occluder: Occluder | None, settings: BlendSettings) -> _Shot:
-    on_device = packed(image)
-    if occluder is None:
-        return _Shot(on_device, view, Distances(np.full((3, 3), np.inf, np.float32), np.float32(1e9)), np.ones(3, "f4"))
-    distances = occluder.distances(view, np.asarray(view.T_scanner_cam))
-    shot = _Shot(on_device, view, distances, np.ones(3, np.float32))
-    if not settings.exposure:
-        return shot
-    return shot._replace(gain=_gain(shot, *occluder.references))
+def _prepared(photograph: Photograph, lens: Lens, scanner: Scanner, occluder: Occluder | None) -> _Shot:
+    """A photograph with the surfaces in it, not yet equalised."""
+    with jax.enable_x64(False):
+        view = View(lens, poses(scanner, np.array([photograph.angle]))[0])
+        distances = Distances.of_nothing() if occluder is None else occluder.distances(view)
+        return _Shot(packed(photograph.image), view, distances, jnp.ones(3, jnp.float32))
 
 
 LEAST_COMMON = 50
@@ -144,7 +150,7 @@ def _gain(shot: _Shot, points: Float[Array, "n 3"], rgb: Float[Array, "n 3"]) ->
 @functools.partial(jax.jit, donate_argnums=(0, 1))
 def _look(tally: Tally, seen: Array, places: _Places, shot: _Shot, numbers: tuple[Array, Array]) -> tuple[Tally, Array]:
     """One photograph for a block of points."""
-    tolerance, bearing = numbers
+    tolerance, bearing = numbers[0], numbers[1]
     colour, weight = jax.vmap(_observe, (None, 0, 0, None))(shot, places.points, places.normals, bearing)
     return tally_all(tally, colour * shot.gain[None, :], weight, tolerance), seen | (weight > 0)
 

@@ -19,9 +19,9 @@ def fill_holes(
     if known.all() or not known.any():
         return np.where(known[..., None], picture, 0).astype(picture.dtype)
     weight = known.astype(np.float32)[..., None]
-    levels = [(picture.astype(np.float32) * weight, weight)]
+    levels: list[tuple[np.ndarray, np.ndarray]] = [(picture.astype(np.float32) * weight, weight)]
     while max(levels[-1][1].shape[:2]) > 1 and not np.all(levels[-1][1] > 0):
-        levels.append(tuple(_halved(part) for part in levels[-1]))
+        levels.append((_halved(levels[-1][0]), _halved(levels[-1][1])))
     total, weight = levels[-1]
     coarse = total / np.maximum(weight, 1e-12)
     for total, weight in levels[-2::-1]:

@@ -31,15 +31,18 @@ class Distances(NamedTuple):
     cell: Float[Array, ""]
     """Side of a cell [px]."""
 
+    @staticmethod
+    def of_nothing() -> "Distances":
+        """No surface anywhere."""
+        return Distances(np.full((3, 3), np.inf, np.float32), np.asarray(1 << 16, np.float32))
+
 
 @dataclass(frozen=True)
 class Occluder:
     """The surface of a room as photographs of it need it; made once for a cloud by `make_occluder`."""
 
-    blocks: Blocks | None
-    """None where nothing is known to stand anywhere."""
-    parts: list[Array]
-    """Samples of the surface, block by block [m]."""
+    surface: tuple[Blocks, list[Array]] | None
+    """Samples of the surface, block by block [m]; None where nothing is known to stand anywhere."""
     references: tuple[Float[np.ndarray, "references 3"], Float[np.ndarray, "references 3"]]
     """Points all over the room, and their usual colours: by these, exposures are equalised."""
     cell: int
@@ -49,15 +52,15 @@ class Occluder:
     @staticmethod
     def of_nothing(points: Float[np.ndarray, "references 3"], rgb: UInt8[np.ndarray, "references 3"]) -> "Occluder":
         """No surface, only places whose usual colours are known."""
-        return Occluder(None, [], (points.astype(np.float32), rgb.astype(np.float32)), 1 << 16, (3, 3))
+        return Occluder(None, (points.astype(np.float32), rgb.astype(np.float32)), 1 << 16, (3, 3))
 
-    def distances(self, view: View, pose: Float[np.ndarray, "4 4"]) -> Distances:
+    def distances(self, view: View) -> Distances:
         """The surface in one view."""
-        nearest = jnp.full(self.shape, jnp.inf, jnp.float32)
-        cell = np.float32(self.cell)
-        blocks = [] if self.blocks is None else self.blocks.seen_from(pose, float(view.lens.least_cosine))
-        for block in blocks:
-            nearest = _draw(nearest, view, self.parts[block], cell)
+        nearest, cell = jnp.full(self.shape, jnp.inf, jnp.float32), np.asarray(self.cell, np.float32)
+        if self.surface is not None:
+            blocks, parts = self.surface
+            for block in blocks.seen_from(np.asarray(view.T_scanner_cam), float(view.lens.least_cosine)):
+                nearest = _draw(nearest, view, parts[block], cell)
         return Distances(_spread(nearest), cell)
 
 
@@ -79,7 +82,7 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
     blocks = Blocks.of(xyz)
     chosen = np.linspace(0, len(xyz) - 1, REFERENCES).astype(int)
     shape = -(-camera.height // cell) + 2, -(-camera.width // cell) + 2
-    return Occluder(blocks, blocks.gather(xyz), (xyz[chosen], rgb[chosen]), cell, shape)
+    return Occluder((blocks, blocks.gather(xyz)), (xyz[chosen], rgb[chosen]), cell, shape)
 
 
 def hidden(
@@ -99,7 +102,7 @@ def hidden(
     cosine = jnp.clip(facing(point, normal, view), 1 / STEEPEST_SEEN, 1.0)
     slope = jnp.sqrt(1.0 - cosine * cosine) / cosine
     skin = SKIN + 2.0 * distances.cell * view.lens.per_pixel * slope
-    return seen.range_m * (1.0 - skin) > distances.nearest.at[row, column].get(mode="clip")
+    return seen.range_m * (1.0 - skin) > jnp.asarray(distances.nearest).at[row, column].get(mode="clip")
 
 
 STEEPEST_SEEN = 6.0
@@ -126,7 +129,7 @@ def _draw(nearest: Array, view: View, points: Float[Array, "block 3"], cell: Arr
     # Each sample covers the two cells beside it on each axis: see `_spread`.
     column, row = jnp.floor((seen.q + 0.5) / cell - 0.5).astype(jnp.int32).T + 1
     outside = jnp.asarray(nearest.shape[0], jnp.int32)
-    return nearest.at[jnp.where(seen.inside, row, outside), column].min(seen.range_m, mode="drop")
+    return jnp.asarray(nearest).at[jnp.where(seen.inside, row, outside), column].min(seen.range_m, mode="drop")
 
 
 @jax.jit

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
@@ -69,11 +69,12 @@ class Panorama:
     """A picture round the axis, as seen from the scanner's origin."""
 
     frame: Frame
-    rgb: UInt8[np.ndarray, "height width 3"]
-    distance_m: Float[np.ndarray, "height width"] | None = None
-    """Distance from the scanner's origin [m]; 0 where unknown. None without a cloud."""
-    normals: Float[np.ndarray, "height width 3"] | None = None
-    """Scanner frame; zero where unknown."""
+    rgb: np.ndarray
+    """uint8 [height, width, 3]."""
+    distance_m: np.ndarray | None = None
+    """Distance from the scanner's origin [m], [height, width]; 0 where unknown. None without a cloud."""
+    normals: np.ndarray | None = None
+    """[height, width, 3], scanner frame; zero where unknown."""
 
 
 def panorama_frame(scanner: Scanner, projection: Projection = "equirectangular", width: int | None = None) -> Frame:

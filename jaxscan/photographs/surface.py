@@ -78,10 +78,9 @@ def surface_samples(cloud: PointCloud, scanner: Scanner, spacing: float) -> Iter
 
         def profile(number: int, profiles=profiles, where=where, skip_lines=skip_lines) -> _Profile:
             row = profiles[number]
-            fields = (
-                np.asarray(field[row])[::skip_lines] for field in (cloud.xyz, cloud.normals, cloud.rgb, cloud.valid)
-            )
-            return _Profile(*fields, where[number])
+            fields = (cloud.xyz, cloud.normals, cloud.rgb, cloud.valid)
+            xyz, normals, rgb, valid = (np.asarray(field[row])[::skip_lines] for field in fields)
+            return _Profile(xyz, normals, rgb, valid, where[number])
 
         chosen = list(range(0, len(profiles), skip))
         if _closes(where, step * skip, chosen):

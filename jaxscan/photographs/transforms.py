@@ -75,7 +75,8 @@ def ideal_camera(camera: AbstractCamera) -> Pinhole:
     # Beyond this a wide lens would be stretched without limit.
     most = focal * float(np.tan(WIDEST_PINHOLE))
     width, height = (int(min(size, 2 * most)) for size in (camera.width, camera.height))
-    return Pinhole(focal, focal, (width - 1) / 2, (height - 1) / 2, np.zeros(5), width, height)
+    f, cx, cy = (np.asarray(value) for value in (focal, (width - 1) / 2, (height - 1) / 2))
+    return Pinhole(f, f, cx, cy, np.zeros(5), width, height)
 
 
 def undistort(

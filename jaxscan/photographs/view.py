@@ -29,7 +29,8 @@ class Lens(NamedTuple):
         cosines = border_rays(camera)[:, 2]
         single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), camera)
         focal = max(float(camera.fx), float(camera.fy))
-        return Lens(single, np.float32(cosines.min() - 1e-4), np.float32(1.0 / focal))
+        least, pixel = cosines.min() - 1e-4, 1.0 / focal
+        return Lens(single, np.asarray(least, np.float32), np.asarray(pixel, np.float32))
 
 
 class View(NamedTuple):
@@ -106,7 +107,7 @@ def sample(image: UInt32[Array, "rows columns"], q: Float[Array, "2"]) -> tuple[
     part = q - first.astype(q.dtype)
     steps = jnp.arange(-1, 3, dtype=jnp.int32)
     row, column = jnp.clip(first[1] + steps, 0, rows - 1), jnp.clip(first[0] + steps, 0, columns - 1)
-    taps = image.reshape(-1).at[(row[:, None] * columns + column[None, :]).reshape(16)].get(mode="clip")
+    taps = jnp.asarray(image).reshape(-1).at[(row[:, None] * columns + column[None, :]).reshape(16)].get(mode="clip")
     weights = (_cubic(part[1])[:, None] * _cubic(part[0])[None, :]).reshape(16)
     levels = [((taps >> shift) & 255).astype(jnp.float32) for shift in (0, 8, 16)]
     # No darker and no brighter than what it is made of: beside an edge the cubic would be.
