@@ -6,6 +6,7 @@ from jaxscan.api import colour_cloud as colour_cloud
 from jaxscan.api import draw_panorama as draw_panorama
 from jaxscan.api import export_photographs as export_photographs
 from jaxscan.api import load_simulation as load_simulation
+from jaxscan.api import mesh_cloud as mesh_cloud
 from jaxscan.api import observe_boards as observe_boards
 from jaxscan.api import recalibrate as recalibrate
 from jaxscan.api import reconstruct_capture as reconstruct_capture
@@ -34,6 +35,7 @@ from jaxscan.files import load_scanner as load_scanner
 from jaxscan.files import open_capture as open_capture
 from jaxscan.files import save_calibration as save_calibration
 from jaxscan.files import save_cloud as save_cloud
+from jaxscan.files.meshes import save_mesh as save_mesh
 from jaxscan.geometry import Charuco as Charuco
 from jaxscan.geometry import Chessboard as Chessboard
 from jaxscan.geometry import DoubleSphere as DoubleSphere
@@ -77,6 +79,9 @@ from jaxscan.stripes import NoiseModel as NoiseModel
 from jaxscan.stripes import Stripes as Stripes
 from jaxscan.stripes import StripeSettings as StripeSettings
 from jaxscan.stripes import extract_stripes as extract_stripes
+from jaxscan.surface import Mesh as Mesh
+from jaxscan.surface import MeshSettings as MeshSettings
+from jaxscan.surface import simplify_mesh as simplify_mesh
 
 __version__: str
 __all__: list[str]

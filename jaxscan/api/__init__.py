@@ -1,6 +1,7 @@
 """The public verbs: they join the core with files, OpenCV and the simulation."""
 
 from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
+from jaxscan.api.meshes import Texture, mesh_cloud, poisson_mesh, textured_mesh
 from jaxscan.api.photographs import (
     check_panorama_path,
     colour_cloud,
@@ -23,9 +24,11 @@ from jaxscan.files import (
     save_calibration,
     save_cloud,
 )
+from jaxscan.files.meshes import check_mesh_path, mesh_paths, save_mesh
 from jaxscan.files.simulated import SimulatedCaptures, simulation_digest
 from jaxscan.measurement import compare_clouds, measure_distance, measure_plane, measure_room
 from jaxscan.recalibration import Recalibration, RecalibrationSettings
 from jaxscan.reconstruction import PointCloud, ReconstructSettings, reconstruct
 from jaxscan.simulation import SimulationConfig
 from jaxscan.stripes import StripeSettings, extract_stripes
+from jaxscan.surface import Mesh, MeshSettings, simplify_mesh

@@ -19,6 +19,7 @@ VERBS = {
     "reconstruct": "Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.",
     "scan": "Scan with a rig: `jaxscan scan configs/scan.toml -o captures/room`.",
     "panorama": "Draw the room all around: `jaxscan panorama captures/room -c calibration.json -o room.jpg`.",
+    "mesh": "Make a mesh of a cloud: `jaxscan mesh room.ply -o room.glb`.",
     "measure": "Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`).",
     "import": "Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.",
     "convert": "Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.",
@@ -40,6 +41,7 @@ _ROOMS = {
     "import": "exchange.import_",
     "recalibrate": "recalibration.recalibrate",
     "panorama": "products.panorama",
+    "mesh": "products.mesh",
 }
 """Modules of the verbs that are in rooms of their own."""
 
