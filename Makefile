@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
-# What Open3D, with which tests compare, loads from the system; the same list is in experiments/open3d_loader.py.
+# What Open3D, with which tests compare, loads from the system; the same list is in jaxscan/surface/open3d_loader.py.
 LIBRARIES := libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1 libudev1 libidn2-0
 # What firmware and bench are built and run with: hardware/bench/README.md.
 BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev libaravis-0.8-0 aravis-tools
@@ -43,7 +43,7 @@ format: $(INSTALLED)
 
 # Installs Open3D's system libraries where it may, and says what to type where it may not.
 libraries: $(INSTALLED)
-	@if ! $(BIN)/python -c "import sys; sys.path.append('experiments'); from open3d_loader import load_open3d; load_open3d()" 2>/dev/null; then \
+	@if ! $(BIN)/python -c "from jaxscan.surface import load_open3d; load_open3d()" 2>/dev/null; then \
 	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
 	    apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -qy --no-install-recommends $(LIBRARIES); \
 	  else \

@@ -3,11 +3,16 @@
 from jaxscan.api import Reconstruction as Reconstruction
 from jaxscan.api import align_cloud as align_cloud
 from jaxscan.api import calibrate as calibrate
+from jaxscan.api import colour_cloud as colour_cloud
+from jaxscan.api import draw_panorama as draw_panorama
+from jaxscan.api import export_photographs as export_photographs
 from jaxscan.api import load_simulation as load_simulation
+from jaxscan.api import mesh_cloud as mesh_cloud
 from jaxscan.api import observe_boards as observe_boards
 from jaxscan.api import recalibrate as recalibrate
 from jaxscan.api import reconstruct_capture as reconstruct_capture
 from jaxscan.api import save_board as save_board
+from jaxscan.api import save_panorama as save_panorama
 from jaxscan.api import simulate as simulate
 from jaxscan.calibration import Calibration as Calibration
 from jaxscan.calibration import CalibrationSettings as CalibrationSettings
@@ -33,6 +38,7 @@ from jaxscan.files import load_scanner as load_scanner
 from jaxscan.files import open_capture as open_capture
 from jaxscan.files import save_calibration as save_calibration
 from jaxscan.files import save_cloud as save_cloud
+from jaxscan.files.meshes import save_mesh as save_mesh
 from jaxscan.geometry import Charuco as Charuco
 from jaxscan.geometry import Chessboard as Chessboard
 from jaxscan.geometry import DoubleSphere as DoubleSphere
@@ -57,6 +63,12 @@ from jaxscan.measurement import measure_room as measure_room
 from jaxscan.observation import BoardViews as BoardViews
 from jaxscan.observation import Observations as Observations
 from jaxscan.observation import StripeViews as StripeViews
+from jaxscan.photographs import BlendSettings as BlendSettings
+from jaxscan.photographs import Panorama as Panorama
+from jaxscan.photographs import Photograph as Photograph
+from jaxscan.photographs import Photographs as Photographs
+from jaxscan.photographs import colour_points as colour_points
+from jaxscan.photographs import make_occluder as make_occluder
 from jaxscan.recalibration import Given as Given
 from jaxscan.recalibration import KnownSphere as KnownSphere
 from jaxscan.recalibration import MeasuredLength as MeasuredLength
@@ -74,6 +86,9 @@ from jaxscan.stripes import NoiseModel as NoiseModel
 from jaxscan.stripes import Stripes as Stripes
 from jaxscan.stripes import StripeSettings as StripeSettings
 from jaxscan.stripes import extract_stripes as extract_stripes
+from jaxscan.surface import Mesh as Mesh
+from jaxscan.surface import MeshSettings as MeshSettings
+from jaxscan.surface import simplify_mesh as simplify_mesh
 
 __version__: str
 __all__: list[str]

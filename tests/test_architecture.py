@@ -19,7 +19,17 @@ RIG_FILES = sorted(RIG.rglob("*.py"))
 BENCH = ROOT / "hardware" / "bench"
 BENCH_FILES = sorted(BENCH.rglob("*.py"))
 
-CORE = {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement", "recalibration"}
+CORE = {
+    "geometry",
+    "stripes",
+    "reconstruction",
+    "observation",
+    "calibration",
+    "measurement",
+    "recalibration",
+    "photographs",
+    "surface",
+}
 ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api"}
 MAY_IMPORT = {
     "geometry": set(),
@@ -29,6 +39,8 @@ MAY_IMPORT = {
     "calibration": {"geometry", "observation"},
     "measurement": {"geometry"},
     "recalibration": {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement"},
+    "photographs": {"geometry", "stripes", "reconstruction"},
+    "surface": {"geometry", "reconstruction"},
     "simulation": {"geometry", "vision"},
     "vision": CORE,
     "files": CORE | {"vision", "simulation"},
@@ -49,8 +61,9 @@ FOR_ALL = {"compiling", "errors", "printable"}
 HOME_OF = {
     "cv2": {"vision"},
     "embreex": {"simulation/scene/caster.py"},
-    "open3d": set(),
-    "libusb_package": set(),
+    "open3d": {"surface/open3d_loader.py"},
+    "libusb_package": {"surface/open3d_loader.py"},
+    "fast_simplification": {"surface/decimate.py"},
     "pye57": {"files"},
     "laspy": {"files"},
     "serial": set(),
@@ -336,7 +349,7 @@ def test_no_library_code_asserts_or_configures_jax(path):
 @pytest.fixture(scope="module")
 def imported():
     """What a process of its own says that has imported the package: a line on modules, one on JAX."""
-    heavy = ("cv2", "embreex", "serial", "matplotlib", "pye57", "laspy", "scanrig")
+    heavy = ("cv2", "embreex", "serial", "matplotlib", "pye57", "laspy", "scanrig", "open3d", "fast_simplification")
     code = (
         "import sys, jaxscan; print([m for m in ('jax', 'numpy', 'pydantic') if m in sys.modules])\n"
         f"from jaxscan import *; print([m for m in {heavy} if m in sys.modules])\n"

@@ -82,7 +82,7 @@ def errors(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
 
 def icp(sweeps: list[SweepStripes], scanner: Scanner, first: np.ndarray) -> np.ndarray:
     """Open3D's point-to-plane ICP on the points of both stations, from a first pose."""
-    from open3d_loader import load_open3d
+    from jaxscan.surface import load_open3d
 
     o3d = load_open3d()
     clouds = []

@@ -3,6 +3,17 @@
 from jaxscan.api.boards import BoardSheets, draw_board, save_board, write_sheets
 from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
 from jaxscan.api.frames import align_cloud
+from jaxscan.api.meshes import Texture, mesh_cloud, poisson_mesh, textured_mesh
+from jaxscan.api.photographs import (
+    check_panorama_path,
+    colour_cloud,
+    draw_panorama,
+    export_photographs,
+    has_photographs,
+    open_photographs,
+    panorama_paths,
+    save_panorama,
+)
 from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
 from jaxscan.api.simulation import load_simulation, simulate, simulate_boards, simulate_sweep
 from jaxscan.api.sweeps import Reconstruction, reconstruct_capture
@@ -17,9 +28,11 @@ from jaxscan.files import (
     save_calibration,
     save_cloud,
 )
+from jaxscan.files.meshes import check_mesh_path, mesh_paths, save_mesh
 from jaxscan.files.simulated import SimulatedCaptures, new_simulation, simulation_digest
 from jaxscan.measurement import compare_clouds, measure_distance, measure_plane, measure_room
 from jaxscan.recalibration import Recalibration, RecalibrationSettings
 from jaxscan.reconstruction import PointCloud, ReconstructSettings, reconstruct
 from jaxscan.simulation import SimulationConfig
 from jaxscan.stripes import StripeSettings, extract_stripes
+from jaxscan.surface import Mesh, MeshSettings, simplify_mesh

@@ -1,6 +1,7 @@
 """`jaxscan reconstruct`: makes a coloured cloud from a captured sweep."""
 
 import time
+from typing import Literal
 
 import numpy as np
 
@@ -33,6 +34,7 @@ def reconstruct(
     max_range: float = _DEFAULTS.max_range_m,
     check_steps: bool = False,
     smooth: Smooth = _DEFAULTS.smooth,
+    colour: Literal["photographs", "stripe"] = "photographs",
     cache: bool = True,
     compare: bool = True,
     json: JsonTarget = None,
@@ -51,6 +53,8 @@ def reconstruct(
         check_steps: Compare every centre with the neighbouring steps; most reflections do not continue there.
         smooth: Whether a point uses its neighbours along the stripe: `edge` uses them where the surface is continuous
             and none across an edge; `off` takes every row by itself.
+        colour: Where the colour of a point is from: `photographs` blends all laser-off images that show it; `stripe`
+            takes that of its own record alone.
         cache: Keep the stripes beside the capture, and use them again next time.
         compare: Compare the images with the sha256 in the journal; without, raw frames are read faster.
         json: Write the result as JSON too.
@@ -85,8 +89,12 @@ def reconstruct(
         progress(0, len(sweep))
         progress.doing("finding stripes, compiling first where needed")
         done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=progress, cache=cache)
-    seconds = time.perf_counter() - start
     cloud = done.cloud
+    coloured = colour == "photographs" and api.has_photographs(sweep)
+    if coloured:
+        with progress_bar("Colouring from photographs") as progress:
+            cloud = api.colour_cloud(cloud, sweep, scanner, progress=progress)
+    seconds = time.perf_counter() - start
     for note in done.notes:
         out.print(f"note: {note}")
     if done.noise:
@@ -115,6 +123,7 @@ def reconstruct(
             "seconds_s": seconds,
             "median_sigma_random_m": random,
             "median_sigma_systematic_m": systematic,
+            "colour": "photographs" if coloured else "stripe",
             "stripes_from_cache": done.from_cache,
             "stripes_kept": done.kept,
             "notes": [*before, *done.notes],

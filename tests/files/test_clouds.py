@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from open3d_loader import load_open3d
 
 from jaxscan.errors import CloudError, DependencyError
 from jaxscan.files.clouds import READERS, WRITERS, load_cloud, save_cloud
 from jaxscan.files.clouds import clouds as clouds_module
 from jaxscan.reconstruction import SMOOTHED
+from jaxscan.surface import load_open3d
 
 from .clouds import LINES, PROFILES, make_cloud
 

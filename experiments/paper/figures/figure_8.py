@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from open3d_loader import load_open3d
 from scipy.spatial import cKDTree
 
 import jaxscan
@@ -23,6 +22,7 @@ from experiments.paper.worlds import windowed, windowed_scanner
 from jaxscan.simulation import SimulationConfig, make_rig
 from jaxscan.simulation.camera import channels
 from jaxscan.simulation.scene import Scene, make_scene
+from jaxscan.surface import load_open3d
 
 
 STEP_DEG = {False: 0.1, True: 0.2}

@@ -22,6 +22,8 @@ VERBS = {
     "recalibrate": "Recalibrate from sweeps of a room: `jaxscan recalibrate captures/room -c old.json -o new.json`.",
     "reconstruct": "Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.",
     "scan": "Scan with a rig: `jaxscan scan scan.toml -o captures/room`.",
+    "panorama": "Draw the room all around: `jaxscan panorama captures/room -c calibration.json -o room.jpg`.",
+    "mesh": "Make a mesh of a cloud: `jaxscan mesh room.ply -o room.glb`.",
     "measure": "Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`).",
     "import": "Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.",
     "align": "Put a cloud in a frame: `jaxscan align room.ply -o levelled.ply --room`, or `--targets targets.toml`.",
@@ -46,6 +48,8 @@ _ROOMS = {
     "convert": "exchange.convert",
     "import": "exchange.import_",
     "recalibrate": "recalibration.recalibrate",
+    "panorama": "products.panorama",
+    "mesh": "products.mesh",
 }
 """Modules of the verbs that are in rooms of their own."""
 

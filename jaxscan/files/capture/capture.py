@@ -187,6 +187,10 @@ class Capture:
                 )
         return self._reader.frame(record.on), self._reader.frame(record.off)
 
+    def off_frame(self, index: int) -> np.ndarray | None:
+        """The laser-off image of one record, where there is one, as in `frames`; no other image is read."""
+        return self._reader.frame(self.records[index].off)
+
     def image(self, reference: ImageRef) -> np.ndarray:
         """One image of a record as it is stored, uint8 [rows, columns(, 3)], perhaps read-only.
 

@@ -1,7 +1,8 @@
-"""Open3D, against which experiments and tests compare."""
+"""Open3D, by which surfaces are closed, and against which experiments and tests compare."""
 
 import ctypes
-import pathlib
+import glob
+import os
 from functools import cache
 from types import ModuleType
 
@@ -23,15 +24,15 @@ def load_open3d() -> ModuleType:
 
         # Open3D 0.20 is linked against libusb, which few systems have; the package brings one,
         # and it must be loaded first.
-        for library in sorted(pathlib.Path(libusb_package.__file__).parent.glob("libusb-1.0*")):
-            ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
+        for library in sorted(glob.glob(os.path.join(os.path.dirname(libusb_package.__file__), "libusb-1.0*"))):
+            ctypes.CDLL(library, mode=ctypes.RTLD_GLOBAL)
     except (ImportError, OSError):
         pass  # The system may have libusb; if not, the next import says so.
     try:
         import open3d
     except (ImportError, OSError) as error:
         raise DependencyError(
-            f"Open3D does not load: {error}. Install the Python package open3d and, on Debian or Ubuntu: apt-get "
+            f'Open3D does not load: {error}. Type pip install "jaxscan[poisson]" and, on Debian or Ubuntu, apt-get '
             f"install {_PACKAGES}"
         ) from error
     return open3d

@@ -1,0 +1,87 @@
+"""Meshes of clouds, coloured by their points or textured by photographs."""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from jaxscan.api.photographs import open_photographs
+from jaxscan.files.capture import Capture
+from jaxscan.geometry import Scanner
+from jaxscan.photographs import colour_points, make_occluder
+from jaxscan.reconstruction import PointCloud, Progress
+from jaxscan.surface import DEFAULT_MESH, Mesh, MeshSettings, coloured_mesh, mesh_grid
+from jaxscan.surface import poisson_mesh as close_points
+from jaxscan.surface import textured_mesh as draw_on_mesh
+
+
+def mesh_cloud(cloud: PointCloud, scanner: Scanner | None = None, *, settings: MeshSettings = DEFAULT_MESH) -> Mesh:
+    """A mesh of a cloud: neighbours of its grid are joined where they are on one surface.
+
+    Args:
+        cloud: Points on the grid [m].
+        scanner: The rig that took it, which tells where the camera was. Without, it counts as at the scanner's origin.
+        settings: What counts as one surface.
+
+    Raises:
+        CloudError: If the cloud has no grid, or no face.
+    """
+    host = jax.tree.map(np.asarray, cloud)
+    return coloured_mesh(mesh_grid(host, None if scanner is None else camera_places(host, scanner), settings))
+
+
+@dataclass(frozen=True)
+class Texture:
+    """What is drawn on a mesh."""
+
+    capture: Capture
+    """The sweep of the cloud, with laser-off images."""
+    texels: int = 2
+    """Texels on each side of a cell of the grid."""
+    progress: Progress = None
+    """Called with (images read, images in all); large textures are drawn in parts, each from all images."""
+
+
+def textured_mesh(
+    cloud: PointCloud, scanner: Scanner, texture: Texture, *, settings: MeshSettings = DEFAULT_MESH
+) -> Mesh:
+    """A mesh as by `mesh_cloud`, with a picture drawn from the laser-off images of the sweep.
+
+    Args:
+        cloud: Points on the grid [m], of one station.
+        scanner: The rig that took it.
+        texture: The images.
+        settings: What counts as one surface.
+
+    Raises:
+        CloudError: If the cloud has no grid or no face, or the picture is too large.
+        CaptureError: If the sweep has no laser-off images, or one cannot be read.
+        CalibrationError: If the calibration is for images of another size.
+    """
+    host = jax.tree.map(np.asarray, cloud)
+    grid = mesh_grid(host, camera_places(host, scanner), settings)
+    photographs = open_photographs(texture.capture, scanner, progress=texture.progress)
+    occluder = make_occluder(host, scanner)
+    return draw_on_mesh(
+        grid, lambda points, normals: colour_points(photographs, points, normals, occluder), texture.texels
+    )
+
+
+def poisson_mesh(cloud: PointCloud) -> Mesh:
+    """One surface through all points of a cloud, with or without a grid, whose holes are filled.
+
+    Raises:
+        CloudError: If it has too few points with normals.
+        DependencyError: If Open3D is not installed.
+    """
+    return close_points(jax.tree.map(np.asarray, cloud))
+
+
+def camera_places(cloud: PointCloud, scanner: Scanner) -> np.ndarray:
+    """Where the camera was at each profile [profiles, 3], m, in the frame of the cloud."""
+    with jax.enable_x64(True):
+        wide = scanner.without_covariance().as_dtype(np.float64)
+        poses = np.asarray(jax.vmap(wide.pose)(np.asarray(cloud.angle, np.float64)))
+    if cloud.stations is not None:
+        poses = np.asarray(cloud.stations.pose)[np.asarray(cloud.stations.number)] @ poses
+    return poses[:, :3, 3]

@@ -1,0 +1,263 @@
+"""Laser-off images of captures as photographs: colours of clouds, panoramas, posed images for other programs."""
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxscan.errors import CalibrationError, CaptureError, OutputError
+from jaxscan.files.capture import Capture
+from jaxscan.files.disk import check_writable, write_atomically
+from jaxscan.geometry import Scanner
+from jaxscan.photographs import (
+    Panorama,
+    Photograph,
+    Photographs,
+    Projection,
+    as_rgb,
+    colour_points,
+    describe_cameras,
+    ideal_camera,
+    is_describable,
+    make_occluder,
+    make_panorama,
+    panorama_frame,
+    undistort,
+)
+from jaxscan.reconstruction import PointCloud, Progress
+
+
+ENOUGH = 4
+"""Photographs by which a sweep is coloured, at the least."""
+MOST = 180
+"""Photographs that are looked at. More, evenly spread over a turn, change a colour by less than its rounding."""
+SUFFIXES = (".jpg", ".jpeg", ".png")
+DEPTH_UNIT = "Distance from the scanner's origin in millimetres, 16 bit; 0 where it is unknown."
+NORMAL_UNIT = "Normals in the scanner's frame: red, green and blue are 127.5 (1 + x, y, z); 128 128 128 where unknown."
+
+
+@dataclass(frozen=True)
+class CapturedPhotographs:
+    """The laser-off images of a capture, read when they are asked for, one after the other."""
+
+    capture: Capture
+    records: tuple[int, ...]
+    """Positions in the capture."""
+    progress: Progress = None
+
+    def __iter__(self) -> Iterator[Photograph]:
+        angles = self.capture.angles
+        for done, record in enumerate(self.records):
+            frame = self.capture.off_frame(record)
+            if frame is None:
+                raise CaptureError(
+                    f"{self.capture.path}: record {self.capture.records[record].i} has no laser-off image."
+                )
+            if len(self.capture.exposures) > 1:
+                frame = frame[-1]
+            yield Photograph(float(angles[record]), as_rgb(frame, self.capture.pixel_format))
+            if self.progress is not None:
+                self.progress(done + 1, len(self.records))
+
+
+def has_photographs(capture: Capture) -> bool:
+    """Whether a capture has laser-off images in usable number."""
+    return len(capture) >= ENOUGH and all(record.off for record in capture.records)
+
+
+def open_photographs(capture: Capture, scanner: Scanner, *, most: int = MOST, progress: Progress = None) -> Photographs:
+    """The laser-off images of a sweep, evenly spread over it.
+
+    Args:
+        capture: The sweep.
+        scanner: The calibrated rig.
+        most: So many at the most.
+        progress: Called with (images read, images in all).
+
+    Raises:
+        CaptureError: If it has none.
+        CalibrationError: If the calibration is for images of another size.
+    """
+    if not all(record.off for record in capture.records):
+        raise CaptureError(f"{capture.path}: has no laser-off images, and photographs of the room are such.")
+    size = scanner.camera.width, scanner.camera.height
+    if capture.image_size != size:
+        raise CalibrationError(
+            f"{capture.path}: has images of {capture.image_size[0]} x {capture.image_size[1]} px, but the calibration "
+            f"is for {size[0]} x {size[1]} px."
+        )
+    count = min(most, len(capture))
+    records = tuple(int(k) for k in np.arange(count) * len(capture) // count)
+    return Photographs(scanner, CapturedPhotographs(capture, records, progress))
+
+
+def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progress: Progress = None) -> PointCloud:
+    """A cloud whose points have their colours from all photographs of the sweep that show them.
+
+    Args:
+        cloud: Points with the colours of their stripes; those keep it that no photograph shows.
+        capture: The sweep that it is of.
+        scanner: The rig that took it.
+        progress: Called with (images read, images in all).
+
+    Raises:
+        CaptureError: If the sweep has no laser-off images, or one cannot be read.
+        CalibrationError: If the calibration is for images of another size.
+        CloudError: If the cloud has no grid.
+    """
+    photographs = open_photographs(capture, scanner, progress=progress)
+    occluder = make_occluder(cloud, scanner)
+    points = cloud.points()
+    found, _ = colour_points(photographs, points.xyz, points.normals, occluder, start=points.rgb)
+    rgb = np.zeros_like(np.asarray(cloud.rgb))
+    rgb[points.step, points.row] = found
+    return dataclasses.replace(cloud, rgb=rgb)
+
+
+def draw_panorama(
+    capture: Capture,
+    scanner: Scanner,
+    cloud: PointCloud | None = None,
+    *,
+    projection: Projection = "equirectangular",
+    width: int | None = None,
+    progress: Progress = None,
+) -> Panorama:
+    """All photographs of a sweep as one picture, as seen from the scanner's origin.
+
+    Args:
+        capture: The sweep.
+        scanner: The calibrated rig.
+        cloud: The sweep's cloud, by whose distances parallax is removed.
+        projection: "equirectangular" or "cylinder".
+        width: Of a whole turn [px]; the camera's own resolution where not given.
+        progress: Called with (images read, images in all).
+
+    Raises:
+        CaptureError: If the sweep has no laser-off images, or one cannot be read.
+        CalibrationError: If the camera does not turn, or the calibration is for images of another size.
+        CloudError: If the cloud has no grid.
+    """
+    frame = panorama_frame(scanner, projection, width)
+    return make_panorama(open_photographs(capture, scanner, progress=progress), frame, cloud)
+
+
+def panorama_paths(path: Path, *, with_cloud: bool) -> list[Path]:
+    """The files that `save_panorama` writes."""
+    return [path, *(path.with_name(f"{path.stem}.{name}.png") for name in ("depth", "normals") if with_cloud)]
+
+
+def check_panorama_path(path: Path, *, with_cloud: bool) -> None:
+    """Check that a panorama can be written under this name, before it is made.
+
+    Raises:
+        OutputError: If the suffix is unknown, or nothing can be written there.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise OutputError(f'{path}: cannot write "{path.suffix}", known are {", ".join(SUFFIXES)}.')
+    for one in panorama_paths(path, with_cloud=with_cloud):
+        check_writable(one, error=OutputError)
+
+
+def save_panorama(panorama: Panorama, path: str | Path) -> list[Path]:
+    """Write a panorama as JPEG or PNG with the metadata by which viewers show it round, and what was made with it.
+
+    With distances, `<stem>.depth.png` (16 bit, millimetres) and `<stem>.normals.png` in the same geometry.
+
+    Returns:
+        The files.
+
+    Raises:
+        OutputError: If one cannot be written.
+    """
+    # Here, so that reconstructing does not load OpenCV.
+    from jaxscan.vision import encode_jpeg, encode_picture_png
+
+    path = Path(path)
+    check_panorama_path(path, with_cloud=panorama.distance_m is not None)
+    xmp = _gpano(panorama)
+    as_jpeg = path.suffix.lower() != ".png"
+    try:
+        pictures = [encode_jpeg(panorama.rgb, xmp=xmp) if as_jpeg else encode_picture_png(panorama.rgb, xmp=xmp)]
+    except ValueError as problem:
+        raise OutputError(f"{path}: cannot be written: {problem}.") from problem
+    if panorama.distance_m is not None and panorama.normals is not None:
+        millimetres = np.clip(np.rint(1e3 * panorama.distance_m), 0, 65535).astype(np.uint16)
+        normals = np.rint(127.5 * (1 + np.clip(panorama.normals, -1, 1))).astype(np.uint8)
+        pictures.append(encode_picture_png(millimetres, xmp=xmp, about=DEPTH_UNIT))
+        pictures.append(encode_picture_png(normals, xmp=xmp, about=NORMAL_UNIT))
+    paths = panorama_paths(path, with_cloud=panorama.distance_m is not None)
+    for one, picture in zip(paths, pictures, strict=True):
+        write_atomically(one, picture, error=OutputError)
+    return paths
+
+
+def export_photographs(
+    capture: Capture, scanner: Scanner, folder: str | Path, *, undistorted: bool = False, progress: Progress = None
+) -> int:
+    """Write photographs as PNG in `<folder>/images`, and their poses as `<folder>/transforms.json`.
+
+    Args:
+        capture: The sweep.
+        scanner: The calibrated rig.
+        folder: Made where it is missing.
+        undistorted: Whether images are written as a camera without distortion would have taken them; always where the
+            file cannot describe the lens.
+        progress: Called with (images read, images in all).
+
+    Returns:
+        Number of images.
+
+    Raises:
+        CaptureError: If the sweep has no laser-off images, or one cannot be read.
+        CalibrationError: If the table carries the object, or the calibration is for images of another size.
+        OutputError: If a file cannot be written.
+    """
+    from jaxscan.vision import encode_picture_png
+
+    photographs, folder = open_photographs(capture, scanner, progress=progress), Path(folder)
+    camera, ideal = scanner.camera, ideal_camera(scanner.camera)
+    undistorted = undistorted or not is_describable(camera)
+    if undistorted:
+        scanner = dataclasses.replace(scanner, camera=ideal, covariance=None)
+    try:
+        (folder / "images").mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise OutputError(f"{folder}: cannot be made: {problem.strerror}.") from problem
+    angles, names = [], []
+    for number, (angle, image) in enumerate(photographs):
+        name = f"images/{number:06d}.png"
+        picture = np.asarray(undistort(image, camera, ideal)) if undistorted else image
+        write_atomically(folder / name, encode_picture_png(picture), error=OutputError, durable=False)
+        angles.append(angle)
+        names.append(name)
+    content = json.dumps(describe_cameras(scanner, angles, names), indent=2, allow_nan=False) + "\n"
+    write_atomically(folder / "transforms.json", content.encode(), error=OutputError)
+    return len(names)
+
+
+def _gpano(panorama: Panorama) -> str:
+    """XMP packet by which viewers know where on the sphere a picture lies."""
+    frame = panorama.frame
+    fields: dict[str, object] = {"UsePanoramaViewer": "True", "ProjectionType": frame.projection}
+    if frame.projection == "equirectangular":
+        fields |= {
+            "FullPanoWidthPixels": frame.width,
+            "FullPanoHeightPixels": frame.width // 2,
+            "CroppedAreaImageWidthPixels": frame.width,
+            "CroppedAreaImageHeightPixels": frame.height,
+            "CroppedAreaLeftPixels": 0,
+            "CroppedAreaTopPixels": frame.rows_above,
+        }
+    else:
+        fields["ProjectionType"] = "cylindrical"
+    described = "".join(f' GPano:{name}="{value}"' for name, value in fields.items())
+    return (
+        '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?><x:xmpmeta xmlns:x="adobe:ns:meta/">'
+        '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="" '
+        f'xmlns:GPano="http://ns.google.com/photos/1.0/panorama/"{described}/></rdf:RDF></x:xmpmeta>'
+        '<?xpacket end="r"?>'
+    )

@@ -1,0 +1,108 @@
+"""`jaxscan mesh`: makes a mesh of a cloud."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from jaxscan import api
+from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, at_least, positive
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
+from jaxscan.cli.progress import progress_bar
+from jaxscan.errors import OptionError
+from jaxscan.surface import DEFAULT_MESH, MeshSettings
+
+
+_TARGET = "Mesh to write; the suffix chooses the format (.glb .obj .ply .stl)."
+
+
+def mesh(
+    cloud: CloudPath,
+    /,
+    *,
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], help=_TARGET)],
+    calibration: OptionalCalibrationPath = None,
+    texture: Path | None = None,
+    texels: int = 2,
+    faces: int | None = None,
+    poisson: bool = False,
+    bridge: bool = False,
+    sigmas: float = DEFAULT_MESH.sigmas,
+    bend: float = DEFAULT_MESH.bend,
+    grazing_deg: float = DEFAULT_MESH.grazing_deg,
+    json: JsonTarget = None,
+) -> None:
+    """Make a mesh of a cloud: `jaxscan mesh room.ply -o room.glb`.
+
+    Neighbours of the grid are joined where the difference of their depths is one that their normals explain, up to
+    `--sigmas` of their noise and `--bend` of their distance. A full turn is closed; each laser is a sheet.
+
+    Args:
+        cloud: Cloud (.ply or .npz) that `jaxscan reconstruct` wrote.
+        calibration: Calibration file: it tells where the camera was, and where photographs show a point.
+        texture: Folder of the captured sweep, whose laser-off images are drawn on the mesh (.glb and .obj).
+        texels: Texels of the texture on each cell of the grid, along each side.
+        faces: Most faces: the mesh is simplified where it is flat.
+        poisson: One closed surface through all points, by Open3D: for several stations, and to fill holes.
+        bridge: Fill single missing points between neighbours on one surface.
+        sigmas: Combined standard deviations by which the depths of neighbours may differ beyond their slopes.
+        bend: Departure of a neighbour from the surface, as a share of the distance of their rays.
+        grazing_deg: Leave out faces seen from further beside their normal [degrees].
+        json: Write the result as JSON too.
+    """
+    at_least(1, "--texels", texels)
+    at_least(4, "--faces", faces)
+    positive("--sigmas", sigmas)
+    positive("--bend", bend)
+    if not 0 < grazing_deg < 90:
+        raise OptionError(f"--grazing-deg: found {grazing_deg:g}, expected an angle between 0 and 90.")
+    textured = texture is not None
+    if textured and calibration is None:
+        raise OptionError("--texture: needs the calibration of its camera; name it with -c.")
+    if textured and (faces is not None or poisson):
+        raise OptionError(
+            f"--texture: is for the mesh of the grid, and not with {'--poisson' if poisson else '--faces'}; the grid is "
+            "its chart."
+        )
+    written = api.mesh_paths(output, textured=textured)
+    check_paths(
+        reads=[
+            *file_at("CLOUD", cloud),
+            *calibration_at("--calibration", calibration),
+            *capture_at("--texture", texture),
+        ],
+        writes=[*(place for path in written for place in file_at("--output", path)), *file_at("--json", json)],
+    )
+    api.check_mesh_path(output, textured=textured)
+    check_json(json)
+    settings = MeshSettings(sigmas=sigmas, bend=bend, grazing_deg=grazing_deg, bridge=bridge)
+    points = api.load_cloud(cloud)
+    scanner = None if calibration is None else api.load_scanner(calibration)
+    out = console(json)
+    start = time.perf_counter()
+    if poisson:
+        made = api.poisson_mesh(points)
+    elif texture is not None and scanner is not None:
+        with progress_bar("Drawing the texture") as progress:
+            drawn = api.Texture(api.open_capture(texture), texels, progress)
+            made = api.textured_mesh(points, scanner, drawn, settings=settings)
+    else:
+        made = api.mesh_cloud(points, scanner, settings=settings)
+    if faces is not None:
+        made = api.simplify_mesh(made, faces)
+    seconds = time.perf_counter() - start
+    api.save_mesh(made, output)
+    out.print(f"{len(made.faces)} faces on {len(made.vertices)} vertices in {seconds:.1f} s")
+    if made.texture is not None:
+        out.print(f"texture of {made.texture.shape[1]} x {made.texture.shape[0]} px")
+    out.print(f"written: {', '.join(map(str, written))}")
+    result = {
+        "meshes": [str(path) for path in written],
+        "vertices": len(made.vertices),
+        "faces": len(made.faces),
+        "seconds_s": seconds,
+        "texture_px": None if made.texture is None else [made.texture.shape[1], made.texture.shape[0]],
+    }
+    emit_json(json, "mesh", result)

@@ -1,0 +1,88 @@
+"""`jaxscan panorama`: the laser-off images of a sweep as one picture, or as posed photographs."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from jaxscan import api
+from jaxscan.cli.options import CalibrationPath, CapturePath, at_least
+from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
+from jaxscan.cli.progress import progress_bar
+from jaxscan.errors import OptionError
+from jaxscan.files.calibration import calibration_notes
+
+
+SMALLEST, LARGEST = 16, 65_500
+
+
+def panorama(
+    capture: CapturePath,
+    /,
+    *,
+    calibration: CalibrationPath,
+    output: Annotated[
+        Path | None, tyro.conf.arg(aliases=["-o"], help="Picture to write; the suffix chooses: .jpg or .png.")
+    ] = None,
+    cloud: Path | None = None,
+    projection: Literal["equirectangular", "cylinder"] = "equirectangular",
+    width: int | None = None,
+    transforms: Path | None = None,
+    undistort: bool = False,
+    json: JsonTarget = None,
+) -> None:
+    """Draw the room all around: `jaxscan panorama captures/room -c calibration.json -o room.jpg`.
+
+    Args:
+        capture: Folder of the captured sweep.
+        calibration: Calibration file.
+        cloud: Cloud of this sweep (.ply or .npz): its distances remove the parallax, and `<stem>.depth.png` (16 bit,
+            millimetres) and `<stem>.normals.png` are written beside the picture.
+        projection: `equirectangular` for viewers of panoramas, `cylinder` for paper.
+        width: Width of the whole turn [px]; the camera's own resolution if not given.
+        transforms: Folder for the photographs with their poses in `transforms.json`, for programs such as nerfstudio.
+        undistort: Write those photographs without the distortion of the lens.
+        json: Write the result as JSON too.
+    """
+    if output is None and transforms is None:
+        raise OptionError("--output: is missing, and --transforms too; at least one of the two is needed.")
+    at_least(SMALLEST, "--width", width)
+    if width is not None and width > LARGEST:
+        raise OptionError(f"--width: found {width}, expected {LARGEST} or less.")
+    with_cloud = cloud is not None
+    pictures = [] if output is None else api.panorama_paths(output, with_cloud=with_cloud)
+    check_paths(
+        reads=[
+            *capture_at("CAPTURE", capture),
+            *calibration_at("--calibration", calibration),
+            *file_at("--cloud", cloud),
+        ],
+        writes=[
+            *(place for path in pictures for place in file_at("--output", path)),
+            *file_at("--transforms", transforms),
+            *file_at("--json", json),
+        ],
+    )
+    if output is not None:
+        api.check_panorama_path(output, with_cloud=with_cloud)
+    check_json(json)
+    sweep, scanner = api.open_capture(capture), api.load_scanner(calibration)
+    out = console(json)
+    notes = [*calibration_notes(calibration), *sweep.notes]
+    for note in notes:
+        out.print(f"note: {note}")
+    result: dict[str, Any] = {"notes": notes}
+    if output is not None:
+        surface = None if cloud is None else api.load_cloud(cloud)
+        with progress_bar("Blending photographs") as progress:
+            drawn = api.draw_panorama(sweep, scanner, surface, projection=projection, width=width, progress=progress)
+        written = [str(path) for path in api.save_panorama(drawn, output)]
+        out.print(f"written: {', '.join(written)} ({drawn.frame.width} x {drawn.frame.height} px)")
+        result |= {"pictures": written, "width_px": drawn.frame.width, "height_px": drawn.frame.height}
+    if transforms is not None:
+        with progress_bar("Writing photographs") as progress:
+            count = api.export_photographs(sweep, scanner, transforms, undistorted=undistort, progress=progress)
+        out.print(f"written: {transforms / 'transforms.json'} ({count} photographs)")
+        result |= {"transforms": str(transforms / "transforms.json"), "photographs": count}
+    emit_json(json, "panorama", result)

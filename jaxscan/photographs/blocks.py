@@ -1,0 +1,71 @@
+"""Points in blocks of one size, each as compact as can be, so that a view looks at few that it does not see."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxscan.geometry import Array
+
+
+LARGEST_BLOCK = 1 << 12
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """An order of points, by which consecutive runs lie close together."""
+
+    order: Int[np.ndarray, " padded"]
+    """Which point; the last one is repeated until the last block is full."""
+    size: int
+    count: int
+    """Points, without repetitions."""
+    centre: Float[np.ndarray, "blocks 3"]
+    """Middle of each block [m]."""
+    radius: Float[np.ndarray, " blocks"]
+    """Distance of its farthest point from there [m]."""
+
+    @staticmethod
+    def of(points: Float[np.ndarray, "n 3"], largest: int = LARGEST_BLOCK) -> "Blocks":
+        """Divide points [m] across their longest side until blocks are small."""
+        size = min(largest, 1 << max(len(points) - 1, 1).bit_length())
+        runs, waiting = [], [np.arange(len(points))]
+        while waiting:
+            part = waiting.pop()
+            if len(part) <= size:
+                runs.append(part)
+                continue
+            half = size * (-(-len(part) // size) // 2)
+            axis = int(np.argmax(np.ptp(points[part], axis=0)))
+            halves = part[np.argpartition(points[part, axis], half)]
+            # The full blocks first: only the last one may be short.
+            waiting += [halves[half:], halves[:half]]
+        order = np.concatenate(runs)
+        count = len(order)
+        order = np.concatenate([order, np.repeat(order[-1:], -count % size)])
+        grouped = points[order].reshape(-1, size, 3)
+        centre = (grouped.min(1) + grouped.max(1)) / 2
+        radius = np.linalg.norm(grouped - centre[:, None], axis=-1).max(1)
+        return Blocks(order, size, count, centre, radius)
+
+    def gather(self, field: np.ndarray) -> list[Array]:
+        """A field [n, ...] of the points, block by block."""
+        return [jnp.asarray(field[part]) for part in self.order.reshape(-1, self.size)]
+
+    def scatter(self, field: np.ndarray) -> np.ndarray:
+        """The way back of `gather`: a field [padded, ...] of all blocks, in the order of the points."""
+        flat = field[: self.count]
+        back = np.empty_like(flat)
+        back[self.order[: self.count]] = flat
+        return back
+
+    def seen_from(self, pose: Float[np.ndarray, "4 4"], least_cosine: float) -> Int[np.ndarray, " seen"]:
+        """Blocks that may reach into the cone of a view about the z axis of its pose."""
+        way = self.centre - pose[:3, 3]
+        distance = np.linalg.norm(way, axis=-1)
+        within: Bool[np.ndarray, " blocks"] = distance <= self.radius
+        ratio = self.radius / np.maximum(distance, 1e-9)
+        away = np.arccos(np.clip(way @ pose[:3, 2] / np.maximum(distance, 1e-9), -1, 1))
+        reach = np.arccos(np.clip(least_cosine, -1, 1)) + np.arcsin(np.clip(ratio, 0, 1))
+        return np.flatnonzero(within | (away <= reach))

@@ -1,0 +1,94 @@
+"""Photographs of the room: the laser-off frames of a sweep, as RGB images."""
+
+import functools
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import UInt8
+
+from jaxscan.geometry import Array, Scanner
+from jaxscan.stripes import PixelFormat
+
+
+class Photograph(NamedTuple):
+    """A laser-off image, and where the table stood."""
+
+    angle: float
+    """The table's angle [rad from home], or the position of a stage [m]."""
+    image: np.ndarray
+    """RGB, uint8 [rows, columns, 3]; in the camera's own response."""
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Photographs of a calibrated rig, one after the other; each is held only while it is looked at.
+
+    Args:
+        scanner: The calibrated rig.
+        shots: The photographs; iterated once by every function that looks at them.
+    """
+
+    scanner: Scanner
+    shots: Iterable[Photograph]
+
+    def __iter__(self) -> Iterator[Photograph]:
+        camera = self.scanner.camera
+        for shot in self.shots:
+            if shot.image.shape != (camera.height, camera.width, 3) or shot.image.dtype != np.uint8:
+                raise ValueError(
+                    f"A photograph must be uint8 [{camera.height}, {camera.width}, 3], got {shot.image.dtype} with "
+                    f"shape {shot.image.shape}."
+                )
+            yield shot
+
+
+def as_rgb(frame: UInt8[np.ndarray, "..."], pixel_format: PixelFormat) -> UInt8[np.ndarray, "rows columns 3"]:
+    """A frame as an RGB image; grey for a mono camera. Missing colours of a Bayer frame are interpolated."""
+    if pixel_format == "rgb8":
+        return frame
+    if pixel_format == "mono8":
+        return np.repeat(frame[:, :, None], 3, 2)
+    with jax.enable_x64(False):
+        return np.asarray(_demosaic(frame, tile=pixel_format.removeprefix("bayer_").removesuffix("8")))
+
+
+@functools.partial(jax.jit, static_argnames="tile")
+def _demosaic(frame: UInt8[Array, "rows columns"], *, tile: str) -> UInt8[Array, "rows columns 3"]:
+    """Each colour where it was not measured: the mean of those beside it, corrected by the colour that was.
+
+    Source: Malvar, He, Cutler, High-quality linear interpolation for demosaicing of Bayer-patterned color images, 2004.
+    """
+    raw = frame.astype(jnp.float32)
+    rows, columns = raw.shape
+    padded = jnp.pad(raw, 2, mode="reflect")
+    level = [[padded[2 + i : 2 + i + rows, 2 + j : 2 + j + columns] for j in range(-2, 3)] for i in range(-2, 3)]
+    beside, above = level[2][1] + level[2][3], level[1][2] + level[3][2]
+    beyond_beside, beyond_above = level[2][0] + level[2][4], level[0][2] + level[4][2]
+    diagonal = level[1][1] + level[1][3] + level[3][1] + level[3][3]
+    beyond = beyond_beside + beyond_above
+    cross = (4 * raw + 2 * (beside + above) - beyond) / 8
+    along_row = (5 * raw + 4 * beside - diagonal - beyond_beside + 0.5 * beyond_above) / 8
+    along_column = (5 * raw + 4 * above - diagonal - beyond_above + 0.5 * beyond_beside) / 8
+    opposite = (6 * raw + 2 * diagonal - 1.5 * beyond) / 8
+    odd_row, odd_column = (jnp.arange(n) % 2 == 1 for n in (rows, columns))
+    site = 2 * odd_row.astype(jnp.int32)[:, None] + odd_column.astype(jnp.int32)[None, :]
+    planes = []
+    for colour in "rgb":
+        plane = raw
+        for number, letter in enumerate(tile):
+            in_row = colour in tile[number // 2 * 2 : number // 2 * 2 + 2]
+            if letter == colour:
+                continue
+            if colour == "g":
+                found = cross
+            elif letter == "g":
+                found = along_row if in_row else along_column
+            else:
+                found = opposite
+            plane = jnp.where(site == number, found, plane)
+        planes.append(plane)
+    return jnp.clip(jnp.round(jnp.stack(planes, -1)), 0, 255).astype(jnp.uint8)

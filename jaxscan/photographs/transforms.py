@@ -1,0 +1,101 @@
+"""Poses of photographs as programs for neural scenes and structure from motion read them: `transforms.json`.
+
+Axes of the camera are OpenGL's there: x right, y up, z backward. The centre of the first pixel is (0.5, 0.5).
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import UInt8, UInt32
+
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import AbstractCamera, Array, Fisheye, Pinhole, Scanner
+from jaxscan.photographs.view import packed, poses, sample
+
+
+OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""From x right, y down, z forward; its own inverse."""
+WIDEST_PINHOLE = np.radians(70.0)
+"""Half of the widest field of view that an undistorted image has."""
+
+
+def describe_cameras(scanner: Scanner, angles: Sequence[float], names: Sequence[str]) -> dict[str, Any]:
+    """The content of `transforms.json`.
+
+    Args:
+        scanner: The rig; its camera is one that the file can describe (see `is_describable`).
+        angles: The table's angle [rad], or position [m], of each image.
+        names: Path of each image, from the folder of the file.
+
+    Raises:
+        CalibrationError: If the file cannot describe the camera.
+    """
+    camera = scanner.camera
+    if not is_describable(camera):
+        raise CalibrationError("transforms.json cannot describe the lens of this camera; write undistorted images.")
+    # Rounded, so that zeros look like zeros.
+    matrices = np.round(poses(scanner, np.asarray(angles)).astype(np.float64) @ OPENGL_FROM_OPENCV, 8) + 0.0
+    frames = [
+        {"file_path": name, "transform_matrix": matrix.tolist()} for name, matrix in zip(names, matrices, strict=True)
+    ]
+    return {**_intrinsics(camera), "frames": frames}
+
+
+def is_describable(camera: AbstractCamera) -> bool:
+    """Whether `transforms.json` has a model for a camera: a fisheye, or a pinhole without skew or rational terms."""
+    if isinstance(camera, Pinhole):
+        return float(camera.skew) == 0 and not np.any(np.asarray(camera.distortion)[5:])
+    return isinstance(camera, Fisheye)
+
+
+def _intrinsics(camera: AbstractCamera) -> dict[str, Any]:
+    values = [float(value) for value in np.asarray(camera.distortion)]
+    if isinstance(camera, Fisheye):
+        model, lens = "OPENCV_FISHEYE", dict(zip(("k1", "k2", "k3", "k4"), values, strict=True))
+    else:
+        model, lens = "OPENCV", dict(zip(("k1", "k2", "p1", "p2", "k3"), values[:5], strict=True))
+    return {
+        "camera_model": model,
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": float(camera.fx),
+        "fl_y": float(camera.fy),
+        "cx": float(camera.cx) + 0.5,
+        "cy": float(camera.cy) + 0.5,
+        **lens,
+    }
+
+
+def ideal_camera(camera: AbstractCamera) -> Pinhole:
+    """A camera without distortion, with square pixels, that shows what `camera` shows in the middle, as large."""
+    focal = float(min(camera.fx, camera.fy))
+    # Beyond this a wide lens would be stretched without limit.
+    most = focal * float(np.tan(WIDEST_PINHOLE))
+    width, height = (int(min(size, 2 * most)) for size in (camera.width, camera.height))
+    f, cx, cy = (np.asarray(value) for value in (focal, (width - 1) / 2, (height - 1) / 2))
+    return Pinhole(f, f, cx, cy, np.zeros(5), width, height)
+
+
+def undistort(
+    image: UInt8[np.ndarray, "rows columns 3"], camera: AbstractCamera, ideal: Pinhole
+) -> UInt8[Array, "..."]:
+    """A photograph as another camera at the same place would have taken it; black where it shows nothing."""
+    with jax.enable_x64(False):
+        single, other = (jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), one) for one in (camera, ideal))
+        return np.asarray(_undistorted(packed(image), single, other))
+
+
+@jax.jit
+def _undistorted(image: UInt32[Array, "rows columns"], camera: AbstractCamera, ideal: Pinhole) -> Array:
+    def look(v: Array, u: Array) -> Array:
+        q = camera.project(ideal.unproject(jnp.stack([u, v])))
+        colour, _ = sample(image, q)
+        inside = jnp.all((q >= -0.5) & (q <= jnp.asarray(image.shape[::-1], q.dtype) - 0.5))
+        return jnp.where(inside, jnp.round(colour), 0.0).astype(jnp.uint8)
+
+    columns = jnp.arange(ideal.width, dtype=jnp.float32)
+    row = jax.vmap(look, (None, 0))
+    return jax.lax.map(lambda v: row(v, columns), jnp.arange(ideal.height, dtype=jnp.float32))

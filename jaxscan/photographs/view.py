@@ -1,0 +1,127 @@
+"""One photograph as points are seen in it: where, how far away, and with which colour."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, UInt8, UInt32
+
+from jaxscan.geometry import AbstractCamera, Array, Scanner
+
+
+MARGIN_PX = 1.5
+"""Nearer to the border of an image no colour is taken: four pixels are needed on each side of a place."""
+
+
+class Lens(NamedTuple):
+    """A camera and the cone of its rays, single precision."""
+
+    camera: AbstractCamera
+    least_cosine: Float[Array, ""]
+    """Cosine of the widest angle between the optical axis and a pixel's ray. Beyond, a lens model may fold back."""
+    per_pixel: Float[Array, ""]
+    """Angle of a pixel in the middle of the image [rad]."""
+
+    @staticmethod
+    def of(camera: AbstractCamera) -> "Lens":
+        """The lens of a camera."""
+        cosines = border_rays(camera)[:, 2]
+        single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), camera)
+        focal = max(float(camera.fx), float(camera.fy))
+        least, pixel = cosines.min() - 1e-4, 1.0 / focal
+        return Lens(single, np.asarray(least, np.float32), np.asarray(pixel, np.float32))
+
+
+class View(NamedTuple):
+    """Where a photograph was taken from."""
+
+    lens: Lens
+    T_scanner_cam: Float[Array, "4 4"]
+
+
+class Sight(NamedTuple):
+    """A point as a photograph shows it."""
+
+    q: Float[Array, "2"]
+    """Pixel (u, v)."""
+    range_m: Float[Array, ""]
+    """Distance from the camera."""
+    inside: Bool[Array, ""]
+    """Whether it lies in the image."""
+
+
+def poses(scanner: Scanner, angles: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
+    """T_scanner_cam at each of the table's angles [rad], or positions of a stage [m]."""
+    with jax.enable_x64(False):
+        single = scanner.without_covariance().as_dtype(np.float32)
+        return np.asarray(_poses(single, np.asarray(angles, np.float32)))
+
+
+@jax.jit
+def _poses(scanner: Scanner, angles: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
+    return jax.vmap(scanner.pose)(angles)
+
+
+def border_rays(camera: AbstractCamera) -> Float[np.ndarray, "n 3"]:
+    """Unit rays [camera frame] of pixels round the border of the image."""
+    columns, rows = np.linspace(0, camera.width - 1, 33), np.linspace(0, camera.height - 1, 33)
+    sides = [(columns, rows[:1]), (columns, rows[-1:]), (columns[:1], rows), (columns[-1:], rows)]
+    q = np.concatenate([np.stack(np.broadcast_arrays(u, v), -1) for u, v in sides]).astype(np.float32)
+    with jax.enable_x64(False):
+        single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), camera)
+        return np.asarray(jax.jit(jax.vmap(single.unproject))(q))
+
+
+def sight(view: View, point: Float[Array, "3"]) -> Sight:
+    """A point [scanner frame, m] in a view."""
+    camera = view.lens.camera
+    rotation, centre = view.T_scanner_cam[:3, :3], view.T_scanner_cam[:3, 3]
+    p = rotation.T @ (point - centre)
+    range_m = jnp.sqrt(jnp.sum(p * p))
+    q = camera.project(p)
+    u, v = q
+    inside = (p[2] > view.lens.least_cosine * range_m) & (range_m > 0)
+    inside &= (u >= MARGIN_PX) & (u <= camera.width - 1 - MARGIN_PX)
+    inside &= (v >= MARGIN_PX) & (v <= camera.height - 1 - MARGIN_PX)
+    return Sight(q, range_m, inside)
+
+
+@jax.jit
+def packed(image: UInt8[Array, "rows columns 3"]) -> UInt32[Array, "rows columns"]:
+    """An image of which a pixel is one number: it is looked up at once."""
+    red, green, blue = jnp.moveaxis(image.astype(jnp.uint32), -1, 0)
+    return red | (green << 8) | (blue << 16)
+
+
+def sample(image: UInt32[Array, "rows columns"], q: Float[Array, "2"]) -> tuple[Float[Array, "3"], Bool[Array, ""]]:
+    """Colour at a place of a packed image that is nowhere near its border, by cubic convolution.
+
+    Returns:
+        The colour [DN], and whether it is one: no pixel that it is made of is saturated.
+
+    Source: Keys, Cubic convolution interpolation for digital image processing, 1981, with a = -1/2.
+    """
+    rows, columns = image.shape
+    first = jnp.floor(q).astype(jnp.int32)
+    part = q - first.astype(q.dtype)
+    steps = jnp.arange(-1, 3, dtype=jnp.int32)
+    row, column = jnp.clip(first[1] + steps, 0, rows - 1), jnp.clip(first[0] + steps, 0, columns - 1)
+    taps = jnp.asarray(image).reshape(-1).at[(row[:, None] * columns + column[None, :]).reshape(16)].get(mode="clip")
+    weights = (_cubic(part[1])[:, None] * _cubic(part[0])[None, :]).reshape(16)
+    levels = [((taps >> shift) & 255).astype(jnp.float32) for shift in (0, 8, 16)]
+    # No darker and no brighter than what it is made of: beside an edge the cubic would be.
+    colour = [jnp.clip(jnp.sum(weights * level), jnp.min(level), jnp.max(level)) for level in levels]
+    brightest = jnp.max(jnp.stack([jnp.max(level) for level in levels]))
+    return jnp.stack(colour), brightest < SATURATED
+
+
+SATURATED = 254
+"""From this code on a pixel says nothing about the colour."""
+
+
+def _cubic(t: Float[Array, ""]) -> Float[Array, "4"]:
+    t2, t3 = t * t, t * t * t
+    first, second = -0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3
+    third, fourth = 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3
+    return jnp.stack([first, second, third, fourth])

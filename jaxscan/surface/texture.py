@@ -1,0 +1,149 @@
+"""A picture on the mesh of a grid: the grid is its chart.
+
+Column and line of a point are its place in the picture, and every cell has the same number of texels.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from jaxscan.errors import CloudError
+from jaxscan.surface.grid_mesh import GridMesh, used_places, vertex_fields
+from jaxscan.surface.mesh import Mesh
+
+
+Colour = Callable[
+    [Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], tuple[UInt8[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]
+]
+"""From points [m] and unit normals to their colours, and whether they are known."""
+
+LARGEST_SIDE = 16_384
+"""Most texels on a side: what graphics cards hold."""
+AT_A_TIME = 4_000_000
+"""Texels that are coloured at a time."""
+
+
+class _Texels(NamedTuple):
+    """The texels of some columns that lie on a face."""
+
+    at: tuple[np.ndarray, np.ndarray]
+    """Row and column in the picture of each."""
+    points: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    rgb: UInt8[np.ndarray, "n 3"]
+    """Between the colours of the vertices."""
+
+
+def textured_mesh(grid: GridMesh, colour: Colour, texels: int = 2) -> Mesh:
+    """The mesh of all faces with a picture of the surface.
+
+    A closed sheet has the vertices of its first profile twice, at both ends of the picture.
+
+    Args:
+        grid: The faces of a cloud.
+        colour: Asked for each texel. Where it knows none, the colours of the vertices serve; where there is no
+            surface, that of the next texel.
+        texels: On each side of a cell.
+
+    Returns:
+        The mesh with `uv` and `texture`.
+
+    Raises:
+        CloudError: If the picture would have more than `LARGEST_SIDE` texels on a side.
+    """
+    gaps, cells = grid.codes.shape
+    if max(gaps, cells) * texels > LARGEST_SIDE:
+        raise CloudError(
+            f"a texture of {gaps * texels} x {cells * texels} px is too large; at most {LARGEST_SIDE} px on a side, so "
+            f"{max(1, LARGEST_SIDE // max(gaps, cells))} texels on each cell."
+        )
+    lines = cells + 1
+    places, faces = used_places(grid.faces(), len(grid.lattice.profile) * lines)
+    column, line = places // lines, places % lines
+    xyz, normals, rgb = vertex_fields(grid, grid.lattice.profile[column], line)
+    uv = np.stack([column / gaps, line / cells], 1).astype(np.float32)
+    return Mesh(xyz, normals, rgb, faces, uv, _picture(grid, colour, texels))
+
+
+def _picture(grid: GridMesh, colour: Colour, texels: int) -> UInt8[np.ndarray, "rows columns 3"]:
+    gaps, cells = grid.codes.shape
+    picture = np.zeros((cells * texels, gaps * texels, 3), np.uint8)
+    drawn = np.zeros(picture.shape[:2], np.bool_)
+    stride = max(1, AT_A_TIME // (cells * texels * texels))
+    for start in range(0, gaps, stride):
+        found = _texels(grid, start, min(start + stride, gaps), texels)
+        if len(found.points):
+            rgb, seen = colour(found.points, found.normals)
+            picture[found.at] = np.where(seen[:, None], rgb, found.rgb)
+            drawn[found.at] = True
+    return _spread(picture, drawn)
+
+
+def _texels(grid: GridMesh, start: int, stop: int, texels: int) -> _Texels:
+    """Texels on the faces of the cells between some columns."""
+    share = ((np.arange(texels) + 0.5) / texels).astype(np.float32)
+    # All texels of a cell one after the other.
+    along, down = (part.ravel() for part in np.meshgrid(share, share, indexing="ij"))
+    codes = grid.codes[start:stop]
+    column, line = np.nonzero(codes)
+    code = codes[column, line]
+    # The sense of a face does not matter here.
+    weights = _weights((code | (code >> 4)) & np.uint8(15), along, down)
+    profile = grid.lattice.profile
+    xyz, normals, rgb = (np.zeros((*weights.shape[:2], 3), np.float32) for _ in range(3))
+    centre = grid.eyes[profile[start]]
+    for corner, (ahead, below) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1))):
+        place = vertex_fields(grid, profile[column + start + ahead], line + below)
+        for total, values in zip((xyz, normals, rgb), (place[0] - centre, *place[1:]), strict=True):
+            total += weights[..., corner, None] * values[:, None].astype(np.float32)
+    steps = np.arange(texels)
+    x = (column + start)[:, None] * texels + np.repeat(steps, texels)
+    y = line[:, None] * texels + np.tile(steps, texels)
+    normals = normals.reshape(-1, 3)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
+    points = (xyz.reshape(-1, 3) + centre).astype(np.float32)
+    return _Texels((y.ravel(), x.ravel()), points, normals, np.clip(rgb.reshape(-1, 3) + 0.5, 0, 255).astype(np.uint8))
+
+
+def _weights(bits: np.ndarray, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "cells texels 4"]:
+    """Shares of the corners a, b, c and d in each texel, of the face that it is on, or of the other if there is one only."""
+    zero, weight = np.zeros_like(u), np.zeros((len(bits), len(u), 4), np.float32)
+    planes = (
+        (1, u >= v, (1 - u, u - v, v, zero)),
+        (2, u < v, (1 - v, zero, u, v - u)),
+        (4, u + v <= 1, (1 - u - v, u, zero, v)),
+        (8, u + v > 1, (zero, 1 - v, u + v - 1, 1 - u)),
+    )
+    for bit, inside, shares in planes:
+        other = {1: 2, 2: 1, 4: 8, 8: 4}[bit]
+        mine = ((bits & bit) != 0)[:, None] & (inside | ((bits & other) == 0)[:, None])
+        weight = np.where(mine[..., None], np.stack(shares, -1), weight)
+    return weight
+
+
+def _spread(picture: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+    """The picture with the colour of a drawn texel beside it where there is no surface, so that borders stay clean."""
+    for axis in (0, 1):
+        if drawn.all():
+            break
+        picture, drawn = np.swapaxes(picture, 0, axis), np.swapaxes(drawn, 0, axis)
+        size = len(picture)
+        for order in (slice(None), slice(None, None, -1)):
+            number = np.where(drawn[order], np.arange(size, dtype=np.int32)[:, None], np.int32(-1))
+            last = np.maximum.accumulate(number, 0)
+            near = (last >= 0) & ~drawn[order] & (np.arange(size, dtype=np.int32)[:, None] - last <= _MARGIN)
+            row, column = np.nonzero(near)
+            view = picture[order]
+            view[row, column] = view[last[row, column], column]
+            drawn[order] |= near
+        picture, drawn = np.swapaxes(picture, 0, axis), np.swapaxes(drawn, 0, axis)
+    # Far from all surfaces any colour serves; the mean makes the smallest file.
+    if not drawn.all():
+        picture[~drawn] = picture[drawn][:: max(1, int(drawn.sum()) >> 20)].mean(0).astype(np.uint8)
+    return picture
+
+
+_MARGIN = 16
+"""Texels round a surface that have its colour: two blocks of a JPEG, and four halvings of the picture."""
