@@ -1,3 +1,12 @@
 """Point clouds on disk."""
 
-from jaxscan.files.clouds.clouds import READERS, WRITERS, check_cloud_path, load_cloud, save_cloud, save_clouds
+from jaxscan.files.clouds.about import About, StoredCloud
+from jaxscan.files.clouds.clouds import (
+    READERS,
+    WRITERS,
+    check_cloud_path,
+    load_cloud,
+    read_cloud,
+    save_cloud,
+    save_clouds,
+)
