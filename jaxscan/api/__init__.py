@@ -13,6 +13,7 @@ from jaxscan.files import (
     save_calibration,
     save_cloud,
 )
+from jaxscan.files.clouds import read_cloud
 from jaxscan.files.simulated import SimulatedCaptures, simulation_digest
 from jaxscan.measurement import compare_clouds, measure_distance, measure_plane, measure_room
 from jaxscan.recalibration import Recalibration, RecalibrationSettings

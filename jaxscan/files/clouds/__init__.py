@@ -10,3 +10,4 @@ from jaxscan.files.clouds.clouds import (
     save_cloud,
     save_clouds,
 )
+from jaxscan.files.clouds.placing import Unit, Up, in_metres, shifted, with_z_up

@@ -20,8 +20,8 @@ from jaxscan.files.disk import open_regular
 MAX_EXPANSION = 64
 """Largest accepted ratio of the points to the size of a compressed file; a MiB more is always accepted."""
 _SMALL = 1 << 20
-_SINGLE_M = 1 << 22
-"""Steps of a coordinate up to which a single holds it four times finer than the file."""
+_SINGLE_STEPS = 1 << 20
+"""Steps of a coordinate up to which a single holds it sixteen times finer than the file."""
 _COMPRESSED = 0x80
 _DAMAGE = (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, EOFError, struct.error, OSError)
 
@@ -126,11 +126,10 @@ def _points_of(las: Any) -> np.ndarray:
         values["laser"] = np.asarray(las.user_data)
         if "amplitude" not in values:
             values["intensity"] = values["intensity"] / np.float32(257)
-    for axis, scale, offset in zip("xyz", las.header.scales, las.header.offsets, strict=True):
-        steps = np.asarray(las[axis.upper()])
-        coordinate = steps * scale + offset
-        single = max(abs(float(coordinate.min())), abs(float(coordinate.max()))) <= scale * _SINGLE_M
-        values[axis] = coordinate.astype(np.float32 if single else np.float64)
+    scales, offsets = np.array(las.header.scales), np.array(las.header.offsets)
+    xyz = np.stack([np.asarray(las[axis]) for axis in "XYZ"], -1) * scales + offsets
+    single = (np.abs(xyz).max(0) <= scales * _SINGLE_STEPS).all()
+    values |= dict(zip("xyz", (xyz.astype(np.float32) if single else xyz).T, strict=True))
     if {"red", "green", "blue"} <= names:
         colours = np.stack([np.asarray(las[name]) for name in ("red", "green", "blue")])
         # Some programs write 8 bits into the 16.
