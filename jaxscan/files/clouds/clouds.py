@@ -123,6 +123,8 @@ def read_cloud(path: str | Path) -> StoredCloud:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise CloudError(f'{path}: cannot read "{path.suffix}", known are {", ".join(READERS)}.')
-    stored = reader(path)
+    # Numbers that are too large for their column become infinite, and are refused below.
+    with np.errstate(over="ignore", invalid="ignore"):
+        stored = reader(path)
     check_cloud(stored.cloud, str(path))
     return stored

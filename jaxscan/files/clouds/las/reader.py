@@ -3,7 +3,7 @@
 import os
 import struct
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -11,29 +11,21 @@ from jaxscan.errors import CloudError
 from jaxscan.files.clouds.about import StoredCloud, about_of
 from jaxscan.files.clouds.crs import epsg_of, is_in_metres
 from jaxscan.files.clouds.grid import cloud_of
+from jaxscan.files.clouds.las.compressed import Sizes, check_compressed
 from jaxscan.files.clouds.las.library import load_laspy
 from jaxscan.files.clouds.las.writer import HEADER_RECORD
 from jaxscan.files.clouds.points import plain_names
 from jaxscan.files.disk import open_regular
 
 
-MAX_EXPANSION = 64
-"""Largest accepted ratio of the points to the size of a compressed file; a MiB more is always accepted."""
-_SMALL = 1 << 20
 _SINGLE_STEPS = 1 << 20
 """Steps of a coordinate up to which a single holds it sixteen times finer than the file."""
+_SINGLE_M = 1e6
 _COMPRESSED = 0x80
-_DAMAGE = (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, EOFError, struct.error, OSError)
-
-
-class _Sizes(NamedTuple):
-    """The numbers of a header that decide how much memory is taken."""
-
-    offset: int
-    records: int
-    kind: int
-    point_bytes: int
-    points: int
+_DAMAGE = (
+    *(ValueError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError, MemoryError, OSError),
+    *(RuntimeError, struct.error),
+)
 
 
 def read_las(path: Path) -> StoredCloud:
@@ -51,13 +43,17 @@ def read_las(path: Path) -> StoredCloud:
         _check(file, sizes, size, path)
         file.seek(0)
         try:
-            with laspy.LasReader(file, closefd=False, read_evlrs=False) as reader:
+            # In one thread: several would take memory for each part as its size is stated.
+            backend = laspy.LazBackend.Lazrs if compressed else None
+            with laspy.LasReader(file, closefd=False, laz_backend=backend, read_evlrs=False) as reader:
                 las = reader.read()
             if len(las.points) != sizes.points:
                 raise ValueError(f"found {len(las.points)} points of {sizes.points}")
             points, lines, wkt = _points_of(las), _lines_of(las), _wkt_of(las)
-        except (laspy.errors.LaspyException, RuntimeError, *_DAMAGE) as problem:
-            raise CloudError(f"{path}: not a readable LAS file: {str(problem).splitlines()[0]:.100}.") from problem
+        except (laspy.errors.LaspyException, *_DAMAGE) as problem:
+            raise CloudError(
+                f"{path}: not a readable LAS file: {(str(problem).splitlines() or [type(problem).__name__])[0]:.100}."
+            ) from problem
         except BaseException as problem:
             # The library that unpacks is written in Rust, whose panics are no `Exception`.
             if type(problem).__name__ != "PanicException":
@@ -70,47 +66,33 @@ def read_las(path: Path) -> StoredCloud:
     return StoredCloud(cloud_of(points, lines, str(path)), about)
 
 
-def _sizes_of(file: BinaryIO, path: Path) -> _Sizes:
+def _sizes_of(file: BinaryIO, path: Path) -> Sizes:
     head = file.read(375)
     if len(head) < 227 or head[:4] != b"LASF":
         raise CloudError(f"{path}: not a LAS file.")
-    offset, records = struct.unpack_from("<II", head, 96)
+    length, offset, records = struct.unpack_from("<HII", head, 94)
     kind, point_bytes, points = struct.unpack_from("<BHI", head, 104)
     if (head[24], head[25]) >= (1, 4) and len(head) == 375:
         points = struct.unpack_from("<Q", head, 247)[0]
     if points == 0:
         raise CloudError(f"{path}: holds no points.")
-    return _Sizes(offset, records, kind, point_bytes, points)
+    return Sizes(length, offset, records, kind, point_bytes, points)
 
 
-def _check(file: BinaryIO, sizes: _Sizes, size: int, path: Path) -> None:
+def _check(file: BinaryIO, sizes: Sizes, size: int, path: Path) -> None:
     """Compare what the header announces with the size of the file, before memory is taken."""
     # A record has a head of 54 bytes.
     if sizes.offset > size or sizes.records * 54 > sizes.offset:
         raise CloudError(f"{path}: the header is longer than the file; it is damaged or cut short.")
-    needed = sizes.points * sizes.point_bytes
-    if not sizes.kind & _COMPRESSED:
-        if needed > size - sizes.offset:
-            raise CloudError(
-                f"{path}: announces {sizes.points} points, but the file ends before; it is damaged or cut short."
-            )
-        return
-    if needed > MAX_EXPANSION * size + _SMALL:
+    if sizes.kind & _COMPRESSED:
+        try:
+            check_compressed(file, sizes, size)
+        except (ValueError, struct.error) as problem:
+            raise CloudError(f"{path}: {problem}; it is damaged or cut short.") from problem
+    elif sizes.points * sizes.point_bytes > size - sizes.offset:
         raise CloudError(
-            f"{path}: its points would take {needed} bytes of memory, expected at most {MAX_EXPANSION} times the file; "
-            "it is damaged, or convert it to .las."
+            f"{path}: announces {sizes.points} points, but the file ends before; it is damaged or cut short."
         )
-    file.seek(sizes.offset)
-    (table,) = struct.unpack("<q", file.read(8).ljust(8, b"\0"))
-    if table == -1 and size >= 8:
-        file.seek(size - 8)
-        (table,) = struct.unpack("<q", file.read(8))
-    if not sizes.offset <= table <= size - 8:
-        raise CloudError(f"{path}: the table of its compressed points is not in the file; it is damaged or cut short.")
-    file.seek(table + 4)
-    (chunks,) = struct.unpack("<I", file.read(4))
-    if chunks > sizes.points:
-        raise CloudError(f"{path}: announces {chunks} parts of {sizes.points} points; it is damaged.")
 
 
 def _points_of(las: Any) -> np.ndarray:
@@ -128,7 +110,7 @@ def _points_of(las: Any) -> np.ndarray:
             values["intensity"] = values["intensity"] / np.float32(257)
     scales, offsets = np.array(las.header.scales), np.array(las.header.offsets)
     xyz = np.stack([np.asarray(las[axis]) for axis in "XYZ"], -1) * scales + offsets
-    single = (np.abs(xyz).max(0) <= scales * _SINGLE_STEPS).all()
+    single = (np.abs(xyz).max(0) <= np.minimum(scales * _SINGLE_STEPS, _SINGLE_M)).all()
     values |= dict(zip("xyz", (xyz.astype(np.float32) if single else xyz).T, strict=True))
     if {"red", "green", "blue"} <= names:
         colours = np.stack([np.asarray(las[name]) for name in ("red", "green", "blue")])

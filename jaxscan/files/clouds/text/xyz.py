@@ -46,7 +46,8 @@ def read_xyz(path: Path) -> StoredCloud:
             at = file.tell()
             line = file.readline(LONGEST_LINE).decode("latin-1")
             words = _words(line)
-            if words and _is_number(words[0]):
+            # A number alone is that of the points, as CloudCompare writes it.
+            if len(words) > 1 and _is_number(words[0]):
                 file.seek(at)
                 break
             title = words if words and "x" in (word.lower() for word in words) else title
