@@ -74,6 +74,7 @@ def as_another_program(cloud, path, *, drop=(), change=()):
     for name in ("intensity", "sigma", "sigma_random", "sigma_systematic", "step", "row", "laser"):
         values[f"scalar_{name}"] = getattr(points, name)
     values["scalar_angle"] = cloud.angle[points.step]
+    values |= {f"scalar_{name}": getattr(points, name) for name in SMOOTHED if getattr(points, name) is not None}
     values = {name: value for name, value in values.items() if name not in drop} | dict(change)
     table = np.stack([np.asarray(value, np.float32) for value in values.values()], -1)
     head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
