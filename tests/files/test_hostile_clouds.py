@@ -30,7 +30,7 @@ def good(suffix, folder):
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-@settings(max_examples=150)
+@settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_any_damage_is_read_or_refused(tmp_path_factory, suffix, data):
     """Cut anywhere and flip anything: a cloud comes back, or a typed error of one line."""
