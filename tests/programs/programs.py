@@ -2,6 +2,8 @@
 
 import shutil
 import subprocess
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +18,7 @@ class Opened(NamedTuple):
     xyz: np.ndarray
     rgb: np.ndarray | None = None
     normals: np.ndarray | None = None
-    columns: dict[str, np.ndarray] = {}
+    columns: Mapping[str, np.ndarray] = MappingProxyType({})
     """Further numbers of points by the program's names."""
     poses: list[np.ndarray] | None = None
     """T_room_scanner of each scan; None where the program has none."""
@@ -77,7 +79,8 @@ def meshlab(path, folder):
     meshes.load_new_mesh(str(path))
     # A mesh for each scan.
     found = [mesh for mesh in meshes if mesh.vertex_number()]
-    normals = np.concatenate([mesh.vertex_normal_matrix() for mesh in found])
+    turns = [mesh.transform_matrix()[:3, :3] for mesh in found]
+    normals = np.concatenate([mesh.vertex_normal_matrix() @ R.T for mesh, R in zip(found, turns, strict=True)])
     columns = {}
     for name in ("sigma_random", "step", "row"):
         try:
