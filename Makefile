@@ -11,7 +11,7 @@ BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev li
 SHARED := -n 2 --dist loadfile --no-loadscope-reorder
 QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1
 
-.PHONY: demo test test-all experiments lint format libraries firmware bench bench-deps clean
+.PHONY: demo test test-all experiments lint format libraries firmware bench bench-deps programs clean
 
 demo: $(INSTALLED)
 	$(BIN)/jaxscan demo -o demo
@@ -65,6 +65,15 @@ bench-deps:
 	else \
 	  echo "Type: sudo apt-get install $(BENCH_PACKAGES)"; exit 1; \
 	fi
+
+# Installs the programs in which tests/programs opens clouds, where it may, and says what to type where it may not.
+programs: $(INSTALLED)
+	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -qy --no-install-recommends cloudcompare; \
+	else \
+	  echo "Type: sudo apt-get install cloudcompare"; exit 1; \
+	fi
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[programs]"
 
 $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit("jaxscan needs Python 3.11 or newer; try: make PYTHON=python3.12" if sys.version_info < (3, 11) else 0)'

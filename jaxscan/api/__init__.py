@@ -28,6 +28,7 @@ from jaxscan.files import (
     save_calibration,
     save_cloud,
 )
+from jaxscan.files.clouds import read_cloud
 from jaxscan.files.meshes import check_mesh_path, mesh_paths, save_mesh
 from jaxscan.files.simulated import SimulatedCaptures, new_simulation, simulation_digest
 from jaxscan.measurement import compare_clouds, measure_distance, measure_plane, measure_room

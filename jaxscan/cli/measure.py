@@ -2,21 +2,24 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 # Loads a name when it is first used, so that `--help` does not load JAX.
 import jaxscan
-from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, coordinates, positive
+from jaxscan.cli.options import CloudPath, CloudUnit, CloudUp, OptionalCalibrationPath, coordinates, positive
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, check_paths, file_at
 from jaxscan.cli.process.terminal import Terminal, table
+from jaxscan.errors import MeasurementError
 
 
 if TYPE_CHECKING:
+    from jaxscan.files.clouds import Unit, Up
     from jaxscan.geometry import Scanner
     from jaxscan.measurement import ErrorStatistics
+    from jaxscan.reconstruction import PointCloud
 
 
 Point = tuple[float, float, float]
@@ -26,7 +29,15 @@ def measure() -> None:
     """Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`)."""
 
 
-def room(cloud: CloudPath, /, *, calibration: OptionalCalibrationPath = None, json: JsonTarget = None) -> None:
+def room(
+    cloud: CloudPath,
+    /,
+    *,
+    calibration: OptionalCalibrationPath = None,
+    unit: CloudUnit = None,
+    up: CloudUp = None,
+    json: JsonTarget = None,
+) -> None:
     """Wall to wall: `jaxscan measure room room.ply -c calibration.json`.
 
     Args:
@@ -37,8 +48,11 @@ def room(cloud: CloudPath, /, *, calibration: OptionalCalibrationPath = None, js
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
     scanner, notes = _calibrated(calibration)
-    box = jaxscan.measure_room(jaxscan.load_cloud(cloud), scanner=scanner)
+    points, said = _upright(cloud, unit, up)
+    notes += said
+    box = jaxscan.measure_room(points, scanner=scanner)
     sides = {name: side for name in ("length", "width", "height") if (side := getattr(box, name)) is not None}
+    result = _finite({name: dataclasses.asdict(side) for name, side in sides.items()})
     columns = ("", "m", "sigma mm", "wall RMS mm", "points", "not parallel by")
     rows = [
         (name, f"{side.value_m:.4f}", f"{1e3 * side.sigma_m:.2f}", f"{1e3 * side.rms_m:.2f}", f"{side.points}")
@@ -49,7 +63,7 @@ def room(cloud: CloudPath, /, *, calibration: OptionalCalibrationPath = None, js
     out.print(table("Room", columns, rows))
     if scanner is None:
         out.print("sigma covers the noise of the points only; with --calibration it also covers the calibration.")
-    emit_json(json, "measure-room", {name: dataclasses.asdict(side) for name, side in sides.items()} | {"notes": notes})
+    emit_json(json, "measure-room", result | {"notes": notes})
 
 
 def distance(
@@ -60,6 +74,7 @@ def distance(
     b: Point,
     radius_mm: float = 20.0,
     calibration: OptionalCalibrationPath = None,
+    unit: CloudUnit = None,
     json: JsonTarget = None,
 ) -> None:
     """Between two picked points: `jaxscan measure distance room.ply --a 1 0.2 0.1 --b 1 -0.8 0.1`.
@@ -78,9 +93,10 @@ def distance(
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
     scanner, notes = _calibrated(calibration)
-    found = jaxscan.measure_distance(
-        jaxscan.load_cloud(cloud), np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner
-    )
+    points, said = _in_metres(cloud, unit)
+    notes += said
+    found = jaxscan.measure_distance(points, np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner)
+    result = _finite(dataclasses.asdict(found))
     out = _notes_first(notes, json)
     out.print(
         f"{found.value_m:.4f} m, sigma {1e3 * found.sigma_m:.2f} mm, "
@@ -89,10 +105,12 @@ def distance(
     if found.plane_to_plane_m is not None and found.plane_to_plane_sigma_m is not None:
         sigma_mm = 1e3 * found.plane_to_plane_sigma_m
         out.print(f"between their planes: {found.plane_to_plane_m:.4f} m, sigma {sigma_mm:.2f} mm")
-    emit_json(json, "measure-distance", dataclasses.asdict(found) | {"notes": notes})
+    emit_json(json, "measure-distance", result | {"notes": notes})
 
 
-def plane(cloud: CloudPath, /, *, at: Point, radius_mm: float = 200.0, json: JsonTarget = None) -> None:
+def plane(
+    cloud: CloudPath, /, *, at: Point, radius_mm: float = 200.0, unit: CloudUnit = None, json: JsonTarget = None
+) -> None:
     """Flatness around a point: `jaxscan measure plane room.ply --at 1.9 0.2 0.1`.
 
     Args:
@@ -105,16 +123,24 @@ def plane(cloud: CloudPath, /, *, at: Point, radius_mm: float = 200.0, json: Jso
     positive("--radius-mm", radius_mm)
     check_paths(file_at("CLOUD", cloud), file_at("--json", json))
     check_json(json)
-    found = jaxscan.measure_plane(jaxscan.load_cloud(cloud), np.array(at), radius_m=radius_mm / 1e3)
-    console(json).print(
+    points, notes = _in_metres(cloud, unit)
+    found = jaxscan.measure_plane(points, np.array(at), radius_m=radius_mm / 1e3)
+    result = _finite(dataclasses.asdict(found))
+    _notes_first(notes, json).print(
         f"RMS {1e3 * found.rms_m:.2f} mm, 95 % of {found.points} points within {1e3 * found.range95_m:.2f} mm, "
         f"normal {np.array2string(found.normal, precision=4)}"
     )
-    emit_json(json, "measure-plane", dataclasses.asdict(found))
+    emit_json(json, "measure-plane", result | {"notes": notes})
 
 
 def compare(
-    cloud: CloudPath, truth: CloudPath, /, *, calibration: OptionalCalibrationPath = None, json: JsonTarget = None
+    cloud: CloudPath,
+    truth: CloudPath,
+    /,
+    *,
+    calibration: OptionalCalibrationPath = None,
+    unit: CloudUnit = None,
+    json: JsonTarget = None,
 ) -> None:
     """Against a true or better cloud: `jaxscan measure compare room.ply truth.npz`.
 
@@ -130,7 +156,10 @@ def compare(
     )
     check_json(json)
     scanner, notes = _calibrated(calibration)
-    found = jaxscan.compare_clouds(jaxscan.load_cloud(cloud), jaxscan.load_cloud(truth), scanner=scanner)
+    (points, said), (true_points, said_of_truth) = _in_metres(cloud, unit), _in_metres(truth, unit)
+    notes += [*said, *said_of_truth]
+    found = jaxscan.compare_clouds(points, true_points, scanner=scanner)
+    result = _finite(dataclasses.asdict(found))
     rows = [_error_row("distance", found.error_m)]
     if found.along_ray_m is not None:
         rows.append(_error_row("along the ray", found.along_ray_m))
@@ -138,7 +167,7 @@ def compare(
     out.print(table("Error, mm", ("", "RMS", "mean", "median", "95 %", "largest"), rows))
     out.print(f"{found.points} points compared; {100 * found.completeness:.1f} % of the true ones have a point")
     out.print(f"{found.false_points} points where the truth has none")
-    emit_json(json, "measure-compare", dataclasses.asdict(found) | {"notes": notes})
+    emit_json(json, "measure-compare", result | {"notes": notes})
 
 
 def _calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
@@ -148,6 +177,41 @@ def _calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
     from jaxscan.files.calibration import calibration_notes
 
     return jaxscan.load_scanner(path), calibration_notes(path)
+
+
+def _in_metres(path: Path, unit: "Unit | None") -> tuple["PointCloud", list[str]]:
+    """A cloud in metres, and what was guessed."""
+    from jaxscan.files.clouds import in_metres, read_cloud
+
+    cloud, notes = in_metres(read_cloud(path), unit)
+    return cloud, [f"{path}: {note}" for note in notes]
+
+
+def _upright(path: Path, unit: "Unit | None", up: "Up | None") -> tuple["PointCloud", list[str]]:
+    """A cloud in metres with z up, and what was guessed."""
+    from jaxscan.files.clouds import in_metres, read_cloud, with_z_up
+
+    stored = read_cloud(path)
+    cloud, notes = in_metres(stored, unit)
+    cloud, more = with_z_up(stored, cloud, up)
+    return cloud, [f"{path}: {note}" for note in (*notes, *more)]
+
+
+def _finite(result: dict[str, Any]) -> dict[str, Any]:
+    """The result, if all its numbers are some.
+
+    Raises:
+        MeasurementError: With the name of the first that is none.
+    """
+    for name, value in result.items():
+        if isinstance(value, dict):
+            _finite(value)
+        elif isinstance(value, float | np.ndarray) and not np.isfinite(value).all():
+            raise MeasurementError(
+                f"{name} is not a finite number: the points of this cloud do not determine it; compare their unit and "
+                "range with those of the place, and remove points far away."
+            )
+    return result
 
 
 def _notes_first(notes: list[str], json: str | None) -> Terminal:

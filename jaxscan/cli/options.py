@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -13,6 +13,14 @@ CapturePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTU
 CloudPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CLOUD")]
 ConfigPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")]
 OutputPath = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+CloudUnit = Annotated[
+    Literal["m", "cm", "mm", "inch", "foot"] | None,
+    tyro.conf.arg(help="Unit of a cloud of another program; without, it is guessed where the file does not say it."),
+]
+CloudUp = Annotated[
+    Literal["x", "-x", "y", "-y", "z", "-z"] | None,
+    tyro.conf.arg(help="Direction of the cloud that is up: it becomes z. Ours have z up."),
+]
 CLOUD_SUFFIXES = ".ply .npz .e57 .las .laz .pcd .xyz .ptx"
 """Suffixes of `jaxscan.files.clouds.WRITERS`, written out so that `--help` does not load the readers and writers."""
 CloudOutputPath = Annotated[

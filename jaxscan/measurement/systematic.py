@@ -11,6 +11,9 @@ from jaxscan.geometry.rigid import invert, transform
 from jaxscan.measurement.samples import Places, Samples
 
 
+FARTHEST_OFF, LEAST_SEEN = 0.05, 0.9
+"""Distance from its place on the laser's sheet, in units of its range, up to which a point is one of the calibration;
+and the smallest share of such points. Calibrations of one rig differ by a hundredth of that."""
 BLOCK = 4096
 """Points are padded to a multiple of this, so that one compiled function serves all."""
 
@@ -33,7 +36,7 @@ def systematic_sigma(scanner: Scanner | None, places: Places, samples: Samples, 
         Standard deviation, in metres times the unit of the weights.
 
     Raises:
-        MeasurementError: If the scanner does not have the lasers of the points.
+        MeasurementError: If the scanner does not have the lasers of the points, or does not see them where they are.
     """
     pose = places.pose[samples.station]
     p = np.einsum("nji,nj->ni", pose[:, :3, :3], samples.p - samples.origin)
@@ -58,6 +61,7 @@ def _by_scanner(scanner: Scanner | None, samples: Samples, weights: np.ndarray) 
     if scanner.covariance is None:
         return 0.0
     gradient = np.zeros(len(scanner.parameter_names()))
+    found = np.empty_like(samples.p)
     with jax.enable_x64(True):
         exact = scanner.without_covariance().as_dtype(jnp.float64)
         for start in range(0, len(samples.p), BLOCK):
@@ -66,13 +70,31 @@ def _by_scanner(scanner: Scanner | None, samples: Samples, weights: np.ndarray) 
             index = np.resize(np.arange(len(samples.p))[part], BLOCK)
             counted = (np.arange(BLOCK) < len(samples.p[part]))[:, None]
             counted_weights, laser = np.where(counted, weights[index], 0.0), samples.laser[index].astype(np.int32)
-            gradient += np.asarray(_gradient(exact, samples.p[index], counted_weights, laser, samples.angle[index]))
+            change, points = _gradient(exact, samples.p[index], counted_weights, laser, samples.angle[index])
+            gradient += np.asarray(change)
+            found[part] = np.asarray(points)[: len(samples.p[part])]
+    _check_seen(samples.p, found)
     covariance = np.asarray(scanner.covariance, np.float64)
     return float(gradient @ covariance @ gradient)
 
 
+def _check_seen(p: np.ndarray, found: np.ndarray) -> None:
+    """Check that the scanner sees the points [n, 3] where they are, as it does those of its own sheet."""
+    off = np.linalg.norm(found - p, axis=1)
+    # What is not a number is not near either.
+    near = off <= FARTHEST_OFF * np.linalg.norm(p, axis=1)
+    if np.count_nonzero(near) < LEAST_SEEN * len(p):
+        raise MeasurementError(
+            f"{len(p) - np.count_nonzero(near)} of {len(p)} points are not where the calibration's laser lights them: "
+            "the cloud was made with another calibration, was moved, or has lost the angles of its profiles; measure "
+            "it without the calibration, or take the file that jaxscan wrote."
+        )
+
+
 @compile_quickly
-def _gradient(scanner: Scanner, p: Array, weights: Array, laser: Array, angle: Array) -> jax.Array:
+def _gradient(scanner: Scanner, p: Array, weights: Array, laser: Array, angle: Array) -> tuple[jax.Array, jax.Array]:
+    """Gradient of the weighted sum [parameters], and the points as the scanner has them [n, 3]."""
+
     def pixel(p, phi):
         return scanner.camera.project(transform(invert(scanner.pose(phi)), p))
 
@@ -81,6 +103,6 @@ def _gradient(scanner: Scanner, p: Array, weights: Array, laser: Array, angle: A
     def weighted_sum(step):
         moved = scanner.retract(step)
         points, _ = jax.vmap(moved.point)(q, laser, angle)
-        return jnp.sum(points * weights)
+        return jnp.sum(points * weights), points
 
-    return jax.grad(weighted_sum)(jnp.zeros(len(scanner.parameter_names()), p.dtype))
+    return jax.grad(weighted_sum, has_aux=True)(jnp.zeros(len(scanner.parameter_names()), p.dtype))

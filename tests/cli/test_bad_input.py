@@ -237,7 +237,7 @@ class TestOutput:
         def work(*words, **options):
             raise AssertionError("worked before it looked where to write")
 
-        for name in ("open_capture", "load_cloud", "load_simulation"):
+        for name in ("open_capture", "read_cloud", "load_simulation"):
             monkeypatch.setattr(f"jaxscan.api.{name}", work)
 
     def test_unknown_suffix(self, tiny, reconstruct, refused, tmp_path):

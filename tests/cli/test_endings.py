@@ -75,7 +75,7 @@ def failing(run, monkeypatch, tmp_path):
     """`jaxscan measure plane` on a cloud whose reader fails."""
 
     def call(problem, *words):
-        monkeypatch.setattr("jaxscan.load_cloud", Failing(problem), raising=False)
+        monkeypatch.setattr("jaxscan.files.clouds.read_cloud", Failing(problem))
         return run("measure", "plane", tmp_path / "a.ply", "--at", "0", "0", "0", *words)
 
     return call

@@ -7,13 +7,13 @@ import numpy as np
 import tyro
 
 from jaxscan import api
-from jaxscan.cli.options import CLOUD_SUFFIXES
+from jaxscan.cli.options import CLOUD_SUFFIXES, CloudUnit, CloudUp, coordinates
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
 from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
 from jaxscan.files.calibration import CameraFormat, calibration_notes, check_camera_path, export_camera
-from jaxscan.files.clouds import check_cloud_path
+from jaxscan.files.clouds import check_cloud_path, in_metres, shifted, with_z_up
 from jaxscan.files.recording import STORAGES, Storage, check_new_folder, repack_capture
 
 
@@ -30,6 +30,10 @@ def convert(
     *,
     format: CameraFormat | None = None,
     storage: Storage | None = None,
+    unit: CloudUnit = None,
+    up: CloudUp = None,
+    epsg: int | None = None,
+    offset: tuple[float, float, float] | None = None,
     json: JsonTarget = None,
 ) -> None:
     """Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.
@@ -37,15 +41,22 @@ def convert(
     Also `jaxscan convert calibration.json camera.yaml` and `jaxscan convert captures/room pictures --storage png`.
 
     Args:
-        source: Cloud (.ply or .npz), calibration (.json) or capture (a folder) to read.
+        source: Cloud, calibration (.json) or capture (a folder) to read.
         format: Format of a calibration, if the suffix does not choose it: `ros` writes a camera_info .yaml,
             `kalibr` a camchain .yaml.
         storage: Storage of a capture: `zstd`, as new captures have it; `png`, for other programs, which is read ten
             times as slowly; or `npy`, raw frames of twice the size.
+        epsg: EPSG code of the projected reference system that the cloud's coordinates are in, after `--offset`;
+            stored in LAS, LAZ, E57, PLY, PCD and NPZ.
+        offset: Metres x y z that are added to the cloud's coordinates, such as the place of the scanner on the map.
         json: Write the result as JSON too.
     """
     writes = [*file_at("OUTPUT", target), *file_at("--json", json)]
     check_paths(file_at("INPUT", source), writes)
+    given = {"--unit": unit, "--up": up, "--epsg": epsg, "--offset": offset}
+    if source.is_dir() or source.suffix.lower() == ".json":
+        for option in (option for option, value in given.items() if value is not None):
+            raise OptionError(f"{option}: is for clouds, and {source} is none.")
     if source.is_dir():
         check_paths(capture_at("INPUT", source), writes)
         _convert_capture(source, target, format, storage, json)
@@ -60,11 +71,22 @@ def convert(
         raise OptionError(f"--format: is for calibrations (.json), and {source} is none; a cloud's suffix decides.")
     check_cloud_path(target)
     check_json(json)
-    cloud = api.load_cloud(source)
-    api.save_cloud(cloud, target)
+    if offset is not None:
+        coordinates("--offset", offset)
+    stored = api.read_cloud(source)
+    cloud, notes = in_metres(stored, unit)
+    if up is not None:
+        cloud, _ = with_z_up(stored, cloud, up)
+    if offset is not None:
+        cloud = shifted(cloud, offset)
+    code = stored.about.epsg if epsg is None else epsg
+    api.save_cloud(cloud, target, calibration_digest=stored.about.calibration, epsg=code)
     points = int(np.asarray(cloud.valid).sum())
-    console(json).print(f"written: {target} ({points} points)")
-    emit_json(json, "convert", {"source": str(source), "cloud": str(target), "points": points})
+    out = console(json)
+    for note in notes:
+        out.print(f"note: {note}")
+    out.print(f"written: {target} ({points} points)")
+    emit_json(json, "convert", {"source": str(source), "cloud": str(target), "points": points, "notes": notes})
 
 
 def _convert_calibration(source: Path, target: Path, camera_format: CameraFormat | None, json: JsonTarget) -> None:

@@ -1,3 +1,13 @@
 """Point clouds on disk."""
 
-from jaxscan.files.clouds.clouds import READERS, WRITERS, check_cloud_path, load_cloud, save_cloud, save_clouds
+from jaxscan.files.clouds.about import About, StoredCloud
+from jaxscan.files.clouds.clouds import (
+    READERS,
+    WRITERS,
+    check_cloud_path,
+    load_cloud,
+    read_cloud,
+    save_cloud,
+    save_clouds,
+)
+from jaxscan.files.clouds.placing import Unit, Up, in_metres, shifted, with_z_up

@@ -7,21 +7,22 @@ import jax
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.e57 import write_e57
-from jaxscan.files.clouds.las import write_las
+from jaxscan.files.clouds.about import About, StoredCloud
+from jaxscan.files.clouds.e57 import read_e57, write_e57
+from jaxscan.files.clouds.las import read_las, write_las
 from jaxscan.files.clouds.npz import read_npz, write_npz
-from jaxscan.files.clouds.pcd import write_pcd
-from jaxscan.files.clouds.ply import write_ply
-from jaxscan.files.clouds.ply_reader import read_ply
+from jaxscan.files.clouds.pcd import read_pcd, write_pcd
+from jaxscan.files.clouds.ply import read_ply, write_ply
 from jaxscan.files.clouds.points import check_cloud
-from jaxscan.files.clouds.text import write_ptx, write_xyz
+from jaxscan.files.clouds.text import read_ptx, read_xyz, write_ptx, write_xyz
 from jaxscan.files.disk import check_writable, write_atomically
 from jaxscan.reconstruction import PointCloud, join_clouds
 
 
-Writer = Callable[[PointCloud, Path, str], None]
+Writer = Callable[[PointCloud, Path, About], None]
+Reader = Callable[[Path], StoredCloud]
 
-# To add a format: one function (cloud, path, calibration digest), one line here.
+# To add a format: a function (cloud, path, about) and one (path), a line in each table.
 WRITERS: dict[str, Writer] = {
     ".ply": write_ply,
     ".npz": write_npz,
@@ -32,7 +33,16 @@ WRITERS: dict[str, Writer] = {
     ".xyz": write_xyz,
     ".ptx": write_ptx,
 }
-READERS: dict[str, Callable[[Path], PointCloud]] = {".ply": read_ply, ".npz": read_npz}
+READERS: dict[str, Reader] = {
+    ".ply": read_ply,
+    ".npz": read_npz,
+    ".e57": read_e57,
+    ".las": read_las,
+    ".laz": read_las,
+    ".pcd": read_pcd,
+    ".xyz": read_xyz,
+    ".ptx": read_ptx,
+}
 
 
 def check_cloud_path(path: Path) -> None:
@@ -46,17 +56,18 @@ def check_cloud_path(path: Path) -> None:
     check_writable(path, error=CloudError)
 
 
-def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str = "") -> None:
-    """Write a cloud; PLY and NPZ can be loaded again.
+def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str = "", epsg: int | None = None) -> None:
+    """Write a cloud. `load_cloud` reads it again.
 
     Args:
         cloud: Points [m], scanner frame.
         path: Its suffix is one of `WRITERS`. An existing file is replaced when the new one is complete.
         calibration_digest: Digest of the calibration file, stored where the format has room for it.
+        epsg: Code of the coordinate reference system that the points are in, stored where the format has room for it.
 
     Raises:
-        CloudError: If the suffix is unknown, the cloud has no valid point, or the file cannot
-            be written. Then nothing has changed.
+        CloudError: If the suffix is unknown, the cloud has no valid point, the code is none in metres, or the file
+            cannot be written. Then nothing has changed.
         DependencyError: If the format needs a library that is not installed.
     """
     path = Path(path)
@@ -66,7 +77,8 @@ def save_cloud(cloud: PointCloud, path: str | Path, *, calibration_digest: str =
         raise ValueError(f"`calibration_digest` must be printable ASCII, got {calibration_digest!r}.")
     host = jax.tree.map(np.asarray, cloud)
     check_cloud(host, str(path))
-    write_atomically(path, lambda part: writer(host, part, calibration_digest), error=CloudError)
+    about = About(calibration=calibration_digest, epsg=epsg)
+    write_atomically(path, lambda part: writer(host, part, about), error=CloudError)
 
 
 def save_clouds(
@@ -89,22 +101,30 @@ def save_clouds(
 
 
 def load_cloud(path: str | Path) -> PointCloud:
-    """Read a cloud: PLY (also of other programs) or NPZ.
+    """Read a cloud, of this library or of another program.
 
     Args:
         path: Its suffix is one of `READERS`.
 
     Returns:
-        The cloud on its grid, NumPy arrays. A PLY of another program has one profile, in its own
-        unit and frame; values that it lacks are zero. Coordinates are float64 where the file holds doubles.
+        The cloud on its grid, NumPy arrays. A cloud of another program has one profile unless its format has a grid,
+        in its own unit and frame; values that it lacks are zero. Coordinates are float64 where the file holds doubles.
 
     Raises:
         CloudError: If the suffix is unknown, or the file is missing or damaged.
+        DependencyError: If the format needs a library that is not installed.
     """
+    return read_cloud(path).cloud
+
+
+def read_cloud(path: str | Path) -> StoredCloud:
+    """Read a cloud as `load_cloud` does, and what its file says beside the points."""
     path = Path(path)
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise CloudError(f'{path}: cannot read "{path.suffix}", known are {", ".join(READERS)}.')
-    cloud = reader(path)
-    check_cloud(cloud, str(path))
-    return cloud
+    # Numbers that are too large for their column become infinite, and are refused below.
+    with np.errstate(over="ignore", invalid="ignore"):
+        stored = reader(path)
+    check_cloud(stored.cloud, str(path))
+    return stored

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.ply import CLOUD_FORMAT, JOINED_FORMAT, format_of
-from jaxscan.files.clouds.points import frame_of
+from jaxscan.files.clouds.about import CLOUD_FORMAT, JOINED_FORMAT, About, StoredCloud, about_of, format_of, frame_of
 from jaxscan.files.disk import check_arrays, read_arrays, write_arrays
 from jaxscan.reconstruction import SMOOTHED, PointCloud, Stations
 
@@ -32,16 +31,17 @@ _STATIONS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
 _SMOOTHED = dict.fromkeys(SMOOTHED, _ARRAYS["intensity"])
 
 
-def write_npz(cloud: PointCloud, path: Path, digest: str) -> None:
+def write_npz(cloud: PointCloud, path: Path, about: About) -> None:
     """Write every field that there is as it is, and the entries of the PLY header."""
     names = [field.name for field in dataclasses.fields(cloud) if field.name != "stations"]
     values = {name: getattr(cloud, name) for name in names} | dict(zip(_STATIONS, cloud.stations or (), strict=False))
     fields = {name: np.asarray(value) for name, value in values.items() if value is not None}
-    header = {"format": format_of(cloud), "unit": "metre", "frame": frame_of(cloud), "calibration": digest}
+    header = {"format": format_of(cloud), "unit": "metre", "frame": frame_of(cloud), "calibration": about.calibration}
+    header |= {} if about.epsg is None else {"crs": f"EPSG:{about.epsg}"}
     write_arrays(path, {**{key: np.array(text) for key, text in header.items()}, **fields})
 
 
-def read_npz(path: Path) -> PointCloud:
+def read_npz(path: Path) -> StoredCloud:
     """A cloud as it was written.
 
     Raises:
@@ -55,4 +55,6 @@ def read_npz(path: Path) -> PointCloud:
     joined = _STATIONS if found == JOINED_FORMAT else {}
     check_arrays(arrays, expected | joined, {}, name=str(path), error=CloudError)
     stations = Stations(*(arrays[name] for name in joined)) if joined else None
-    return PointCloud(**{name: arrays[name] for name in expected}, stations=stations)
+    lines = [found, *(f"{key} {str(arrays[key])[:100]}" for key in ("unit", "calibration", "crs") if key in arrays)]
+    cloud = PointCloud(**{name: arrays[name] for name in expected}, stations=stations)
+    return StoredCloud(cloud, about_of(lines))

@@ -1,6 +1,6 @@
 """From the cloud on its grid to lists and tables of points, as file formats hold them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
@@ -22,39 +22,69 @@ _RANGES = {
     # Measurements compare every point with so many neighbours.
     "shared_lines": (0.0, 1e3),
 }
-_LONG_NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}
+POINT = np.dtype(
+    [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
+    + [(name, "u1") for name in ("red", "green", "blue")]
+    + [(name, "<f4") for name in ("intensity", "sigma", "sigma_random", "sigma_systematic")]
+    + [("step", "<i4"), ("row", "<i4"), ("laser", "u1"), ("angle", "<f8"), ("record", "<i4")]
+)
+"""Values of a point as files hold them: `step` is the profile, `row` the line; angle [rad from home] and record
+are those of the profile."""
+
+_PLAIN = {*(POINT.names or ()), *SMOOTHED, "station"}
+_LONG_NAMES = {"normal_x": "nx", "normal_y": "ny", "normal_z": "nz"}
+
+
+def profiles_at_a_time(cloud: PointCloud) -> Iterator[tuple[int, int]]:
+    """First profile and that after the last, of parts of the grid with about `BLOCK_POINTS` cells."""
+    profiles, lines = cloud.valid.shape
+    stride = max(1, BLOCK_POINTS // max(1, lines))
+    for start in range(0, profiles, stride):
+        yield start, min(start + stride, profiles)
 
 
 def blocks(cloud: PointCloud) -> Iterator[CloudPoints]:
     """The valid points, some profiles at a time; blocks without points are left out."""
-    profiles, lines = cloud.valid.shape
-    stride = max(1, BLOCK_POINTS // max(1, lines))
-    for start in range(0, profiles, stride):
-        points = cloud.points(start, start + stride)
+    for start, stop in profiles_at_a_time(cloud):
+        points = cloud.points(start, stop)
         if len(points.xyz):
             yield points
 
 
-def columns(points: CloudPoints) -> dict[str, np.ndarray]:
-    """The values of points, one array [n] per name in file formats."""
+def columns(points: CloudPoints, cloud: PointCloud) -> dict[str, np.ndarray]:
+    """The values of points of a cloud, one array [n] per name: those of `POINT`, of smoothed points, of stations."""
     scalars = ("intensity", "sigma", "sigma_random", "sigma_systematic", "step", "row", "laser")
     return {
         **dict(zip(("x", "y", "z"), points.xyz.T, strict=True)),
-        **dict(zip(("normal_x", "normal_y", "normal_z"), points.normals.T, strict=True)),
+        **dict(zip(("nx", "ny", "nz"), points.normals.T, strict=True)),
         **dict(zip(("red", "green", "blue"), points.rgb.T, strict=True)),
         **{name: getattr(points, name) for name in (*scalars, *smoothed_names(points))},
+        "angle": np.asarray(cloud.angle, np.float64)[points.step],
+        "record": np.asarray(cloud.record, np.int32)[points.step],
         **({} if points.station is None else {"station": points.station}),
     }
+
+
+def plain_names(names: Iterable[str]) -> list[str]:
+    """The names of a file's columns as `POINT` has them: other programs add a prefix, or write capital letters.
+
+    A column whose plain name another one has keeps its own.
+    """
+    given = list(names)
+    taken = {name for name in given if name in _PLAIN}
+    found = []
+    for name in given:
+        plain = name.lower().removeprefix("scalar_")
+        plain = _LONG_NAMES.get(plain, plain)
+        fits = name not in _PLAIN and plain in _PLAIN and plain not in taken
+        taken |= {plain} if fits else set()
+        found.append(plain if fits else name)
+    return found
 
 
 def smoothed_names(cloud: PointCloud | CloudPoints) -> tuple[str, ...]:
     """Names of the fields that a cloud has because its points use their neighbours; none where they do not."""
     return tuple(name for name in SMOOTHED if getattr(cloud, name) is not None)
-
-
-def frame_of(cloud: PointCloud) -> str:
-    """The frame of the points, in the words of file headers."""
-    return "scanner" if cloud.stations is None else "room"
 
 
 def record_of(dtype: np.dtype, cloud: PointCloud) -> np.dtype:
@@ -69,7 +99,7 @@ def record_of(dtype: np.dtype, cloud: PointCloud) -> np.dtype:
 
 
 def table(values: Mapping[str, np.ndarray], dtype: np.dtype) -> np.ndarray:
-    """Columns as an array of records with the fields of `dtype`; a normal is "nx" or "normal_x"."""
+    """Columns as an array of records with the fields of `dtype`; a normal is "nx" or "normal_x" there."""
     records = np.empty(len(values["step"]), dtype)
     for name in dtype.names or ():
         records[name] = values[_LONG_NAMES.get(name, name)]

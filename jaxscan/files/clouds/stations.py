@@ -11,16 +11,19 @@ from jaxscan.reconstruction import Stations
 
 
 _TRIANGLE = np.triu_indices(6)
-_ENTRIES = 12 + len(_TRIANGLE[0])
+_POSE, _COVARIANCE = 12, len(_TRIANGLE[0])
 
 
 def station_lines(stations: Stations) -> list[str]:
-    """A line for each station: "station", its number, T_room_scanner by rows without the last, its covariance."""
-    return [
-        f"station {number} {' '.join(f'{value:.17g}' for value in np.asarray(pose, np.float64)[:3].ravel())} "
-        f"{covariance_text(covariance)}"
-        for number, (pose, covariance) in enumerate(zip(stations.pose, stations.covariance, strict=True))
-    ]
+    """Two lines for each station: its number and T_room_scanner by rows without the last; its covariance.
+
+    MeshLab opens no file with a longer line than 509 bytes.
+    """
+    lines = []
+    for number, (pose, covariance) in enumerate(zip(stations.pose, stations.covariance, strict=True)):
+        lines.append(f"station {number} {' '.join(f'{x:.17g}' for x in np.asarray(pose, np.float64)[:3].ravel())}")
+        lines.append(f"station-covariance {number} {covariance_text(covariance)}")
+    return lines
 
 
 def read_stations(lines: Iterable[str], number: np.ndarray, name: str) -> Stations:
@@ -33,25 +36,47 @@ def read_stations(lines: Iterable[str], number: np.ndarray, name: str) -> Statio
     covariances: list[np.ndarray] = []
     for line in lines:
         words = line.split()
+        # Of an earlier version the line of a station holds its covariance too.
+        if words[:1] == ["station-covariance"] and words[1:2] == [str(len(poses) - 1)]:
+            covariances[-1] = _covariance(words[2:], f'{name}: the comment "station-covariance {len(poses) - 1}"')
         if not words or words[0] != "station":
             continue
         try:
             values = [float(word) for word in words[2:]]
         except ValueError:
             values = []
-        if len(poses) == MAX_STATIONS or words[1:2] != [str(len(poses))] or len(values) != _ENTRIES:
+        if (
+            len(poses) == MAX_STATIONS
+            or words[1:2] != [str(len(poses))]
+            or len(values) not in (_POSE, _POSE + _COVARIANCE)
+        ):
             raise CloudError(f'{name}: the comment "station {len(poses)}" is missing or wrong: found "{line[:60]}".')
         if not np.isfinite(values).all():
             raise CloudError(f'{name}: the comment "station {len(poses)}" holds a number that is not finite.')
-        pose, covariance = np.eye(4), np.zeros((6, 6))
-        pose[:3] = np.reshape(values[:12], (3, 4))
-        covariance[_TRIANGLE] = values[12:]
-        covariance.T[_TRIANGLE] = values[12:]
+        pose = np.eye(4)
+        pose[:3] = np.reshape(values[:_POSE], (3, 4))
         poses.append(pose)
-        covariances.append(covariance)
+        covariances.append(_symmetric(values[_POSE:] or [0.0] * _COVARIANCE))
     if not poses:
         raise CloudError(f'{name}: the comments "station" are missing, with the poses of a joined cloud.')
     return Stations(number, np.array(poses), np.array(covariances))
+
+
+def _covariance(words: list[str], name: str) -> np.ndarray:
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        values = []
+    if len(values) != _COVARIANCE or not np.isfinite(values).all():
+        raise CloudError(f"{name} is wrong: expected {_COVARIANCE} finite numbers.")
+    return _symmetric(values)
+
+
+def _symmetric(triangle: list[float]) -> np.ndarray:
+    covariance = np.zeros((6, 6))
+    covariance[_TRIANGLE] = triangle
+    covariance.T[_TRIANGLE] = triangle
+    return covariance
 
 
 def covariance_text(covariance: Array) -> str:

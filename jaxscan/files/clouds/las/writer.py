@@ -4,7 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxscan.errors import CloudError, DependencyError
+from jaxscan.errors import CloudError
+from jaxscan.files.clouds.about import About, frame_of, header_lines
+from jaxscan.files.clouds.crs import LOCAL_WKT, wkt_of
+from jaxscan.files.clouds.las.library import load_laspy
 from jaxscan.files.clouds.points import columns, smoothed_names
 from jaxscan.reconstruction import PointCloud
 
@@ -15,7 +18,10 @@ COARSEST_M = 1e-3
 """Largest step, for clouds of more than 429 km."""
 _STEPS = (1 << 31) - 1
 """Largest stored number of steps from the offset."""
+HEADER_RECORD = ("jaxscan", 1)
+"""User and number of the record that holds the lines of `header_lines`."""
 _EXTRA = {
+    "amplitude": "of the stripe [DN]",
     "sigma": "std. dev. along ray [m]",
     "sigma_random": "part by the noise [m]",
     "sigma_systematic": "shared part [m]",
@@ -24,9 +30,11 @@ _EXTRA = {
     "normal_z": "towards the camera",
     "step": "profile of the grid",
     "row": "line of the grid",
+    "angle": "of the profile [rad]",
+    "record": "of the capture",
 }
 _STATION_EXTRA = {"station": "place of the scanner"}
-_TYPES = {"step": np.int32, "row": np.int32, "station": np.uint8}
+_TYPES = {"step": np.int32, "row": np.int32, "record": np.int32, "angle": np.float64, "station": np.uint8}
 """Of extra bytes that are no float32."""
 _SMOOTHED_EXTRA = {
     "sigma_row": "noise, of the row alone [m]",
@@ -35,27 +43,30 @@ _SMOOTHED_EXTRA = {
 }
 
 
-def write_las(cloud: PointCloud, path: Path, digest: str) -> None:
-    """Write the valid points: point format 7, colours and intensity in 16 bit, extra bytes.
+def write_las(cloud: PointCloud, path: Path, about: About) -> None:
+    """Write the valid points: point format 7, colours and intensity in 16 bit, extra bytes, the frame as WKT.
 
-    The suffix `.laz` compresses. Intensity is the amplitude in 1/257 DN, so that 255 DN fill the range.
+    The suffix `.laz` compresses. Intensity is the amplitude in 1/257 DN, or coarser where the largest would not fit;
+    the extra bytes hold it in DN. A record of our own holds digest, grid and stations.
 
     Raises:
-        CloudError: If the points are too far apart for the format.
-        DependencyError: If laspy, or lazrs for `.laz`, is not installed.
+        CloudError: If the points are too far apart for the format, or the EPSG code is none in metres.
+        DependencyError: If laspy, or lazrs for `.laz`, or pyproj for a code, is not installed.
     """
-    missing = DependencyError('LAS and LAZ need laspy and lazrs: pip install "jaxscan[export]"')
-    try:
-        import laspy
-    except ImportError as problem:
-        raise missing from problem
-    if path.suffix.lower() == ".laz" and not laspy.LazBackend.detect_available():
-        raise missing
+    laspy = load_laspy(compressed=path.suffix.lower() == ".laz")
     points = cloud.points()
-    values = columns(points)
+    values = columns(points, cloud)
+    values |= {"amplitude": points.intensity}
+    values |= {f"normal_{axis}": values[f"n{axis}"] for axis in "xyz"}
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.offsets, header.scales = _placed(points.xyz)
     header.generating_software = "jaxscan"
+    # Point formats 6 to 10 have their frame as WKT.
+    header.global_encoding.wkt = True
+    wkt = LOCAL_WKT.format(frame=frame_of(cloud)) if about.epsg is None else wkt_of(about.epsg)
+    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    text = "\n".join(header_lines(cloud, about)).encode("ascii")
+    header.vlrs.append(laspy.VLR(*HEADER_RECORD, "header of the cloud", text))
     extra = _EXTRA | {name: _SMOOTHED_EXTRA[name] for name in smoothed_names(cloud)}
     extra |= {} if cloud.stations is None else _STATION_EXTRA
     header.add_extra_dims(
@@ -64,7 +75,9 @@ def write_las(cloud: PointCloud, path: Path, digest: str) -> None:
     las = laspy.LasData(header)
     las.xyz = points.xyz.astype(np.float64)
     las.red, las.green, las.blue = points.rgb.astype(np.uint16).T * np.uint16(257)
-    las.intensity = np.clip(np.round(points.intensity * 257), 0, 65535).astype(np.uint16)
+    brightest = float(points.intensity.max())
+    scale = 257.0 if brightest <= 255 else 65535 / brightest
+    las.intensity = np.clip(np.round(points.intensity.astype(np.float64) * scale), 0, 65535).astype(np.uint16)
     las.return_number = np.ones(len(points.step), np.uint8)
     las.number_of_returns = np.ones(len(points.step), np.uint8)
     las.user_data = points.laser

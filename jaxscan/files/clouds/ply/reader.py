@@ -7,10 +7,11 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.ply import CLOUD_FORMAT, JOINED_FORMAT, VERTEX
-from jaxscan.files.clouds.ply_cloud import organised, unorganised
+from jaxscan.files.clouds.about import StoredCloud, about_of
+from jaxscan.files.clouds.grid import cloud_of
+from jaxscan.files.clouds.points import plain_names
+from jaxscan.files.clouds.tables import numbers_of, text_lines
 from jaxscan.files.disk import open_regular
-from jaxscan.reconstruction import SMOOTHED, PointCloud
 
 
 MAX_HEADER_BYTES = 64 << 10
@@ -40,11 +41,12 @@ class _Header(NamedTuple):
     """Bytes before the data."""
 
 
-def read_ply(path: Path) -> PointCloud:
+def read_ply(path: Path) -> StoredCloud:
     """A cloud from a PLY file, ASCII or binary.
 
     A file of this library is read onto its grid, unless its points are too few for so large a one. Of other
-    files, `x y z` and, where present, colours, normals, intensity and sigmas are read, as a single profile.
+    files, `x y z` and, where present, colours, normals, intensity and sigmas are read, as a single profile, or on the
+    grid where they have kept step and row.
 
     Raises:
         CloudError: If it is damaged or has no points.
@@ -57,19 +59,9 @@ def read_ply(path: Path) -> PointCloud:
     except (OSError, EOFError) as problem:
         raise CloudError(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
     vertices = tables["vertex"]
-    versions = [comment for comment in header.comments if comment.startswith("jaxscan-cloud/")]
-    if versions and versions[0] not in (CLOUD_FORMAT, JOINED_FORMAT):
-        raise CloudError(
-            f"{path}: found {versions[0][:60]}, expected {CLOUD_FORMAT} or {JOINED_FORMAT}; a newer version of jaxscan "
-            "reads it."
-        )
-    joined = versions[:1] == [JOINED_FORMAT]
-    # Another program may have kept the comments but dropped the columns.
-    names = set(vertices.dtype.names or ())
-    wanted = {*(VERTEX.names or ()), *(["station"] if joined else [])}
-    if versions and names >= wanted and len(names & set(SMOOTHED)) in (0, len(SMOOTHED)):
-        return organised(vertices, tables.get("profile"), header.comments, path, joined=joined)
-    return unorganised(vertices, path, ours=bool(versions))
+    vertices.dtype.names = tuple(plain_names(vertices.dtype.names or ()))
+    cloud = cloud_of(vertices, header.comments, str(path), profiles=tables.get("profile"))
+    return StoredCloud(cloud, about_of(header.comments))
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:
@@ -126,8 +118,6 @@ def _read_tables(file: BinaryIO, header: _Header, size: int, path: Path) -> dict
     vertices = tables.get("vertex")
     if vertices is None:
         raise CloudError(f"{path}: has no vertices that can be read; lists in or before them are not supported.")
-    if not {"x", "y", "z"} <= set(vertices.dtype.names or ()):
-        raise CloudError(f"{path}: the vertices have no x, y and z.")
     if len(vertices) == 0:
         raise CloudError(f"{path}: holds no points.")
     return tables
@@ -155,17 +145,11 @@ def _read_table(file: BinaryIO, element: _Element, ascii_text: bool, size: int, 
     if not ascii_text:
         return np.fromfile(file, dtype, count)
     try:
-        lines = (line.decode("latin-1") for line in (file.readline(1 << 16) for _ in range(count)))
-        values = np.loadtxt(lines, np.float64, comments=None, ndmin=2)
+        table = numbers_of(text_lines(file, count), dtype)
     except ValueError as problem:
         raise CloudError(f"{path}: {element.name[:60]}: not a table of numbers: {str(problem)[:60]}.") from problem
-    if values.shape != (count, properties):
-        raise CloudError(f"{path}: {element.name[:60]}: found {values.shape}, expected {(count, properties)}.")
-    table = np.empty(count, dtype)
-    for name, column in zip(dtype.names or (), values.T, strict=True):
-        if dtype[name].kind in "iu":
-            limits = np.iinfo(dtype[name])
-            column = np.clip(np.nan_to_num(column), limits.min, limits.max)
-        with np.errstate(over="ignore"):
-            table[name] = column
+    if len(table) != count:
+        raise CloudError(
+            f"{path}: {element.name[:60]}: found {(len(table), properties)}, expected {(count, properties)}."
+        )
     return table

@@ -1,0 +1,86 @@
+"""What a cloud's file says beside its points, as lines of text in a header."""
+
+import re
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from jaxscan.errors import CloudError
+from jaxscan.files.clouds.stations import station_lines
+from jaxscan.reconstruction import PointCloud
+
+
+CLOUD_FORMAT, JOINED_FORMAT = "jaxscan-cloud/1", "jaxscan-cloud/2"
+"""Of the cloud of one station, and of a joined one: a reader of the first would take its frame for a scanner's."""
+
+_FORMAT_WORD = "jaxscan-cloud/"
+_CRS = re.compile(r"EPSG:(\d{1,6})\Z")
+
+
+class About(NamedTuple):
+    """What a cloud's file says beside its points."""
+
+    calibration: str = ""
+    """Digest of the calibration file that the cloud was made with; empty where it is not known."""
+    epsg: int | None = None
+    """Code of the coordinate reference system; None where the frame is that of a scanner or a room."""
+    in_metres: bool = False
+    """Whether the file, or its format, says that its unit is the metre."""
+    upright: bool = False
+    """Whether the file, or its format, says that z is up."""
+
+
+class StoredCloud(NamedTuple):
+    """A cloud as a file holds it."""
+
+    cloud: PointCloud
+    about: About
+
+
+def header_lines(cloud: PointCloud, about: About) -> list[str]:
+    """The lines with which our files begin: format, unit, frame, grid, and where known calibration, CRS, stations."""
+    profiles, lines = cloud.valid.shape
+    found = [format_of(cloud), "unit metre", f"frame {frame_of(cloud)}", f"grid {profiles} {lines}"]
+    found += [f"calibration {about.calibration}"] if about.calibration else []
+    found += [f"crs EPSG:{about.epsg}"] if about.epsg is not None else []
+    return found + ([] if cloud.stations is None else station_lines(cloud.stations))
+
+
+def format_of(cloud: PointCloud) -> str:
+    """The format's number: a joined cloud has its own."""
+    return CLOUD_FORMAT if cloud.stations is None else JOINED_FORMAT
+
+
+def frame_of(cloud: PointCloud) -> str:
+    """The frame of the points, in the words of file headers."""
+    return "scanner" if cloud.stations is None else "room"
+
+
+def version_of(lines: Iterable[str], name: str) -> str:
+    """The format that the lines of a file name; empty where it is not one of ours.
+
+    Raises:
+        CloudError: If it is newer than this code.
+    """
+    found = next((line for line in lines if line.startswith(_FORMAT_WORD)), "")
+    if found not in ("", CLOUD_FORMAT, JOINED_FORMAT):
+        raise CloudError(
+            f"{name}: found {found[:60]}, expected {CLOUD_FORMAT} or {JOINED_FORMAT}; a newer version of jaxscan "
+            "reads it."
+        )
+    return found
+
+
+def about_of(lines: Iterable[str]) -> About:
+    """What the lines of a file say; nothing where they are not ours."""
+    words = {line.partition(" ")[0]: line.partition(" ")[2] for line in lines}
+    ours = any(word.startswith(_FORMAT_WORD) for word in words)
+    if not ours:
+        return About()
+    crs = _CRS.match(words.get("crs", ""))
+    digest = words.get("calibration", "")
+    return About(
+        calibration=digest if digest.isascii() and digest.isprintable() else "",
+        epsg=int(crs[1]) if crs else None,
+        in_metres=words.get("unit") == "metre",
+        upright=True,
+    )

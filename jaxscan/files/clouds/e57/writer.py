@@ -1,0 +1,179 @@
+"""Writing E57 through pye57's binding of libE57."""
+
+import contextlib
+import time
+import uuid
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxscan.files.clouds.about import About, header_lines
+from jaxscan.files.clouds.crs import wkt_of
+from jaxscan.files.clouds.e57.library import COLUMNS, NORMALS_URI, OWN, OWN_URI, load_libe57
+from jaxscan.files.clouds.points import columns, smoothed_names
+from jaxscan.files.clouds.stations import covariance_text, quaternion
+from jaxscan.reconstruction import PointCloud, of_station
+
+
+_OURS = ("sigma", "sigma_random", "sigma_systematic", "laser", "angle", "record")
+"""Columns that only an extension has a place for."""
+_COLOURS = ("colorRed", "colorGreen", "colorBlue")
+_ENDS = ((0, "Minimum"), (1, "Maximum"))
+_GPS_EPOCH_S, _LEAP_S = 315964800, 18
+"""GPS time counts from 1980-01-06 without leap seconds."""
+
+
+def write_e57(cloud: PointCloud, path: Path, about: About) -> None:
+    """Write one scan for each station: metres, pose, row and column index, colour, intensity [DN], normals.
+
+    The column is the profile of the station, the row the line. Points are in the station's own frame; the pose of the
+    scan carries them into that of the room, and its description holds digest and covariance. Coordinates are float32,
+    or float64 where the cloud holds it; intensity is float32. Sigmas, laser, angle and record are an extension.
+
+    Raises:
+        CloudError: If the EPSG code is none in metres.
+        DependencyError: If pye57, or pyproj for a code, is not installed.
+        OSError: If the file cannot be written.
+    """
+    e57 = load_libe57()
+    frame = "" if about.epsg is None else wkt_of(about.epsg)
+    try:
+        with contextlib.closing(e57.ImageFile(str(path), "w")) as image:
+            scans = _begin(e57, image, frame)
+            for scan in _scans(cloud, about):
+                _write_scan(e57, image, scans, scan)
+    except e57.E57Exception as problem:
+        raise OSError(str(problem).splitlines()[0]) from problem
+
+
+class _Scan(NamedTuple):
+    name: str
+    description: str
+    header: str
+    rotation: tuple[float, float, float, float]
+    """Unit quaternion (w, x, y, z)."""
+    translation: tuple[float, float, float]
+    fields: dict[str, np.ndarray]
+    double: bool
+
+
+def _begin(e57: Any, image: Any, frame: str) -> Any:
+    """The head of the file; returns the list of scans."""
+    for prefix, uri in (("", e57.E57_V1_0_URI), ("nor", NORMALS_URI), (OWN.rstrip(":"), OWN_URI)):
+        image.extensionsAdd(prefix, uri)
+    root, created = image.root(), e57.StructureNode(image)
+    created.set("dateTimeValue", e57.FloatNode(image, time.time() - _GPS_EPOCH_S + _LEAP_S))
+    created.set("isAtomicClockReferenced", e57.IntegerNode(image, 0))
+    scans = e57.VectorNode(image, True)
+    for key, node in {
+        "formatName": e57.StringNode(image, "ASTM E57 3D Imaging Data File"),
+        "guid": e57.StringNode(image, f"{{{uuid.uuid4()}}}"),
+        "versionMajor": e57.IntegerNode(image, e57.E57_FORMAT_MAJOR),
+        "versionMinor": e57.IntegerNode(image, e57.E57_FORMAT_MINOR),
+        "e57LibraryVersion": e57.StringNode(image, e57.E57_LIBRARY_ID),
+        "coordinateMetadata": e57.StringNode(image, frame),
+        "creationDateTime": created,
+        "data3D": scans,
+        "images2D": e57.VectorNode(image, True),
+    }.items():
+        root.set(key, node)
+    return scans
+
+
+def _scans(cloud: PointCloud, about: About) -> Iterator[_Scan]:
+    """The stations that saw something, one at a time."""
+    poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
+    made = f"calibration {about.calibration}" if about.calibration else ""
+    header = "\n".join(header_lines(cloud, about))
+    for number, pose in enumerate(poses):
+        name, described = ", ".join(filter(None, ("jaxscan", made))), "; ".join(filter(None, ("jaxscan", made)))
+        if cloud.stations is not None:
+            name = f"{name}, station {number}"
+            described = (
+                f"{described}; covariance of the pose, of a step (translation x y z [m], rotation x y z [rad]) in the "
+                f"scan's own frame, upper triangle by rows: {covariance_text(cloud.stations.covariance[number])}"
+            )
+        mine = of_station(cloud, number)
+        points = mine.points()
+        if len(points.xyz) == 0:
+            continue
+        values = columns(points, mine)
+        if cloud.stations is not None:
+            # The column counts the profiles of the scan.
+            profile = np.flatnonzero(np.asarray(cloud.stations.number) == number)
+            values |= {"profile": profile[points.step], "station": np.full(len(points.step), number)}
+        rotation, translation = quaternion(pose[:3, :3]), tuple(pose[:3, 3].tolist())
+        double = points.xyz.dtype == np.float64
+        yield _Scan(name, described, header, rotation, translation, _fields(values, smoothed_names(mine)), double)
+
+
+def _fields(values: Mapping[str, np.ndarray], smoothed: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Columns by the names of the format, in types that the binding takes."""
+    own = (*_OURS, *smoothed, *(name for name in ("profile", "station") if name in values))
+    named = COLUMNS | {f"{OWN}{name}": name for name in own}
+    fields: dict[str, np.ndarray] = {
+        key: np.ascontiguousarray(values[name], _type_of(key, values[name])) for key, name in named.items()
+    }
+    # Takes no room in the file; some readers ask for it.
+    return fields | {"cartesianInvalidState": np.zeros(len(values["x"]), np.longlong)}
+
+
+def _type_of(key: str, values: np.ndarray) -> type:
+    """Bounds are checked in double. The binding takes NumPy's int64 for 32 bits, not longlong."""
+    if key in _COLOURS:
+        return np.uint8
+    return np.float64 if values.dtype.kind == "f" else np.longlong
+
+
+def _write_scan(e57: Any, image: Any, scans: Any, written: _Scan) -> None:
+    """Append a scan."""
+    fields = written.fields
+
+    def number(value: Any) -> Any:
+        return e57.IntegerNode(image, value) if isinstance(value, int) else e57.FloatNode(image, value)
+
+    def structure(entries: dict[str, int | float]) -> Any:
+        node = e57.StructureNode(image)
+        for key, value in entries.items():
+            node.set(key, number(value))
+        return node
+
+    def bounds(limits: dict[str, str]) -> Any:
+        return structure(
+            {
+                f"{key}{end}": limit(fields[field]).item()
+                for key, field in limits.items()
+                for end, limit in (("Minimum", np.min), ("Maximum", np.max))
+            }
+        )
+
+    scan, pose = e57.StructureNode(image), e57.StructureNode(image)
+    scan.set("guid", e57.StringNode(image, f"{{{uuid.uuid4()}}}"))
+    scan.set("name", e57.StringNode(image, written.name))
+    scan.set("description", e57.StringNode(image, written.description))
+    scan.set(f"{OWN}header", e57.StringNode(image, written.header))
+    scan.set("indexBounds", bounds({"row": "rowIndex", "column": "columnIndex"}))
+    scan.set("intensityLimits", bounds({"intensity": "intensity"}))
+    scan.set("colorLimits", structure({f"{key}{end}": k * 255 for key in _COLOURS for k, end in _ENDS}))
+    scan.set("cartesianBounds", bounds({axis: f"cartesian{axis.upper()}" for axis in "xyz"}))
+    scan.set("pose", pose)
+    pose.set("rotation", structure(dict(zip("wxyz", written.rotation, strict=True))))
+    pose.set("translation", structure(dict(zip("xyz", written.translation, strict=True))))
+    prototype, buffers = e57.StructureNode(image), e57.VectorSourceDestBuffer()
+    for key, values in fields.items():
+        least, most = values.min().item(), values.max().item()
+        if values.dtype == np.float64:
+            double = key == f"{OWN}angle" or (written.double and key.startswith("cartesian"))
+            node = e57.FloatNode(image, least, e57.E57_DOUBLE if double else e57.E57_SINGLE, least, most)
+        else:
+            limits = (0, 255) if key in _COLOURS else (least, most)
+            node = e57.IntegerNode(image, limits[0], *limits)
+        prototype.set(key, node)
+        buffers.append(e57.SourceDestBuffer(image, key, values, len(values), True, True))
+    points = e57.CompressedVectorNode(image, prototype, e57.VectorNode(image, True))
+    scan.set("points", points)
+    scans.append(scan)
+    with contextlib.closing(points.writer(buffers)) as writer:
+        writer.write(len(fields["rowIndex"]))

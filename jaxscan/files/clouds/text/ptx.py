@@ -1,0 +1,67 @@
+"""PTX: text that keeps the grid, with the pose of every station."""
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxscan.files.clouds.about import About
+from jaxscan.reconstruction import PointCloud, of_station
+
+
+# A micrometre is far below any scanner's noise, and near the resolution of float32.
+_LINE = "%.6f %.6f %.6f %.6f %d %d %d\n"
+_HOLE = "0 0 0 0.500000 0 0 0\n"
+_SAMPLES = 200_000
+
+
+def write_ptx(cloud: PointCloud, path: Path, about: About) -> None:
+    """Write the whole grid, a block per station and laser: `x y z intensity r g b`, holes as zeros.
+
+    Columns are profiles. As in files of other scanners a column runs upwards, and columns follow one another to the
+    right as seen from the scanner: programs take the side of a surface from that. Points are in the scanner frame of
+    the station, whose pose heads the block.
+    """
+    poses = np.eye(4)[None] if cloud.stations is None else np.asarray(cloud.stations.pose, np.float64)
+    # The format's intensity is between 0 and 1; an amplitude may exceed the range of a pixel.
+    brightest = max(255.0, float(np.max(cloud.intensity, where=np.asarray(cloud.valid), initial=0)))
+    with open(path, "w", encoding="ascii", newline="\n") as file:
+        for number, pose in enumerate(poses):
+            station = of_station(cloud, number)
+            for laser in np.unique(np.asarray(station.laser)):
+                profiles = np.flatnonzero(np.asarray(station.laser) == laser)
+                file.write(f"{len(profiles)}\n{station.valid.shape[1]}\n" + _pose_text(pose))
+                down, left = _directions(station, profiles)
+                for profile in profiles[::-1] if left else profiles:
+                    file.writelines(_column(station, int(profile), brightest)[:: -1 if down else 1])
+
+
+def _pose_text(pose: np.ndarray) -> str:
+    """Place and axes of the scanner, and the motion for rows of coordinates: the transpose of T_room_scanner."""
+    rows = (pose[:3, 3], *pose[:3, :3].T, *pose.T)
+    return "".join(" ".join(f"{value:.17g}" for value in row) + "\n" for row in rows)
+
+
+def _directions(cloud: PointCloud, profiles: np.ndarray) -> tuple[bool, bool]:
+    """Whether lines run downwards along most of the profiles, and most profiles follow one another to the left."""
+    stride = max(1, cloud.valid[:1].size * len(profiles) // _SAMPLES)
+    chosen = profiles[: -1 if len(profiles) > 1 else None : stride]
+    following = profiles[1:][::stride] if len(profiles) > 1 else chosen
+    p, seen = (np.asarray(field)[chosen] for field in (cloud.xyz, cloud.valid))
+    q, seen_next = (np.asarray(field)[following] for field in (cloud.xyz, cloud.valid))
+    p, q = p.astype(np.float64), q.astype(np.float64)
+    along = p[:, 1:] - p[:, :-1]
+    rises = np.sign(along[..., 2][seen[:, 1:] & seen[:, :-1]]).sum()
+    # As in most images, lines run downwards where the points do not tell.
+    down = bool(rises <= 0)
+    triple = seen[:, 1:] & seen[:, :-1] & seen_next[:, :-1]
+    across, up, to_point = (q - p)[:, :-1][triple], along[triple] * (-1 if down else 1), p[:, :-1][triple]
+    # To the right, then up, is a right-handed turn about the way back to the scanner.
+    right = np.sign(-np.einsum("ij,ij->i", np.cross(across, up), to_point)).sum()
+    return down, bool(right < 0)
+
+
+def _column(cloud: PointCloud, profile: int, brightest: float) -> list[str]:
+    """The lines of a profile, from the first to the last."""
+    fields = (cloud.valid[profile], cloud.xyz[profile], cloud.intensity[profile] / brightest, cloud.rgb[profile])
+    rows = zip(*(np.asarray(field).tolist() for field in fields), strict=True)
+    return [_LINE % (*xyz, min(max(level, 0.0), 1.0), *rgb) if seen else _HOLE for seen, xyz, level, rgb in rows]
