@@ -6,6 +6,7 @@ from jaxscan.api import load_simulation as load_simulation
 from jaxscan.api import observe_boards as observe_boards
 from jaxscan.api import recalibrate as recalibrate
 from jaxscan.api import reconstruct_capture as reconstruct_capture
+from jaxscan.api import save_drawing as save_drawing
 from jaxscan.api import simulate as simulate
 from jaxscan.calibration import Calibration as Calibration
 from jaxscan.calibration import CalibrationSettings as CalibrationSettings
@@ -13,6 +14,12 @@ from jaxscan.calibration import KnownParts as KnownParts
 from jaxscan.calibration import Quality as Quality
 from jaxscan.calibration import Verdict as Verdict
 from jaxscan.calibration import calibrate_observations as calibrate_observations
+from jaxscan.drawing import Drawing as Drawing
+from jaxscan.drawing import Survey as Survey
+from jaxscan.drawing import draw_orthophotos as draw_orthophotos
+from jaxscan.drawing import draw_plan as draw_plan
+from jaxscan.drawing import draw_section as draw_section
+from jaxscan.drawing import survey_room as survey_room
 from jaxscan.errors import CalibrationError as CalibrationError
 from jaxscan.errors import CaptureError as CaptureError
 from jaxscan.errors import CloudError as CloudError
@@ -43,8 +50,11 @@ from jaxscan.geometry import Turntable as Turntable
 from jaxscan.geometry import fit_axis as fit_axis
 from jaxscan.geometry import fit_plane as fit_plane
 from jaxscan.geometry import plane_sigma as plane_sigma
+from jaxscan.measurement import Estimate as Estimate
+from jaxscan.measurement import RoomOutline as RoomOutline
 from jaxscan.measurement import compare_clouds as compare_clouds
 from jaxscan.measurement import measure_distance as measure_distance
+from jaxscan.measurement import measure_outline as measure_outline
 from jaxscan.measurement import measure_plane as measure_plane
 from jaxscan.measurement import measure_room as measure_room
 from jaxscan.observation import BoardViews as BoardViews

@@ -19,7 +19,7 @@ RIG_FILES = sorted(RIG.rglob("*.py"))
 BENCH = ROOT / "hardware" / "bench"
 BENCH_FILES = sorted(BENCH.rglob("*.py"))
 
-CORE = {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement", "recalibration"}
+CORE = {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement", "recalibration", "drawing"}
 ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api"}
 MAY_IMPORT = {
     "geometry": set(),
@@ -28,6 +28,7 @@ MAY_IMPORT = {
     "observation": {"geometry", "stripes"},
     "calibration": {"geometry", "observation"},
     "measurement": {"geometry"},
+    "drawing": {"geometry", "measurement"},
     "recalibration": {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement"},
     "simulation": {"geometry", "vision"},
     "vision": CORE,
@@ -52,6 +53,7 @@ HOME_OF = {
     "open3d": set(),
     "libusb_package": set(),
     "pye57": {"files"},
+    "ezdxf": {"files/drawings"},
     "laspy": {"files"},
     "serial": set(),
     "numba": {

@@ -1,6 +1,7 @@
 """The public verbs: they join the core with files, OpenCV and the simulation."""
 
 from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
+from jaxscan.api.drawings import save_drawing
 from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
 from jaxscan.api.simulation import load_simulation, simulate
 from jaxscan.api.sweeps import Reconstruction, reconstruct_capture

@@ -36,7 +36,7 @@ def room(cloud: CloudPath, /, *, calibration: OptionalCalibrationPath = None, js
     """
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
-    scanner, notes = _calibrated(calibration)
+    scanner, notes = calibrated(calibration)
     box = jaxscan.measure_room(jaxscan.load_cloud(cloud), scanner=scanner)
     sides = {name: side for name in ("length", "width", "height") if (side := getattr(box, name)) is not None}
     columns = ("", "m", "sigma mm", "wall RMS mm", "points", "not parallel by")
@@ -45,7 +45,7 @@ def room(cloud: CloudPath, /, *, calibration: OptionalCalibrationPath = None, js
         + (f"{side.angle_deg:.3f}°",)
         for name, side in sides.items()
     ]
-    out = _notes_first(notes, json)
+    out = notes_first(notes, json)
     out.print(table("Room", columns, rows))
     if scanner is None:
         out.print("sigma covers the noise of the points only; with --calibration it also covers the calibration.")
@@ -77,11 +77,11 @@ def distance(
     positive("--radius-mm", radius_mm)
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
-    scanner, notes = _calibrated(calibration)
+    scanner, notes = calibrated(calibration)
     found = jaxscan.measure_distance(
         jaxscan.load_cloud(cloud), np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner
     )
-    out = _notes_first(notes, json)
+    out = notes_first(notes, json)
     out.print(
         f"{found.value_m:.4f} m, sigma {1e3 * found.sigma_m:.2f} mm, "
         f"from {found.points[0]} and {found.points[1]} points"
@@ -129,19 +129,19 @@ def compare(
         file_at("--json", json),
     )
     check_json(json)
-    scanner, notes = _calibrated(calibration)
+    scanner, notes = calibrated(calibration)
     found = jaxscan.compare_clouds(jaxscan.load_cloud(cloud), jaxscan.load_cloud(truth), scanner=scanner)
     rows = [_error_row("distance", found.error_m)]
     if found.along_ray_m is not None:
         rows.append(_error_row("along the ray", found.along_ray_m))
-    out = _notes_first(notes, json)
+    out = notes_first(notes, json)
     out.print(table("Error, mm", ("", "RMS", "mean", "median", "95 %", "largest"), rows))
     out.print(f"{found.points} points compared; {100 * found.completeness:.1f} % of the true ones have a point")
     out.print(f"{found.false_points} points where the truth has none")
     emit_json(json, "measure-compare", dataclasses.asdict(found) | {"notes": notes})
 
 
-def _calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
+def calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
     """The scanner of a calibration, and notes for its users."""
     if path is None:
         return None, []
@@ -150,7 +150,7 @@ def _calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
     return jaxscan.load_scanner(path), calibration_notes(path)
 
 
-def _notes_first(notes: list[str], json: str | None) -> Terminal:
+def notes_first(notes: list[str], json: str | None) -> Terminal:
     out = console(json)
     for note in notes:
         out.print(f"note: {note}")

@@ -2,5 +2,13 @@
 
 from jaxscan.measurement.compare import CloudComparison, ErrorStatistics, compare_clouds
 from jaxscan.measurement.distances import DistanceMeasurement, measure_distance
+from jaxscan.measurement.outline import (
+    Estimate,
+    Opening,
+    RoomOutline,
+    Side,
+    find_openings,
+    measure_outline,
+)
 from jaxscan.measurement.planes import PlaneMeasurement, measure_plane
 from jaxscan.measurement.room import Dimension, RoomBox, measure_room

@@ -19,6 +19,7 @@ VERBS = {
     "reconstruct": "Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.",
     "scan": "Scan with a rig: `jaxscan scan configs/scan.toml -o captures/room`.",
     "measure": "Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`).",
+    "plan": "Draw a room: `jaxscan plan room.ply -c calibration.json -o plan.dxf`.",
     "import": "Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.",
     "convert": "Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.",
     "report": "Draw a calibration's report: `jaxscan report calibration.json -o report.html`.",
@@ -35,6 +36,7 @@ MEASURES = {
 
 _ROOMS = {
     "scan": "scanning.scan",
+    "plan": "products.plan",
     "convert": "exchange.convert",
     "import": "exchange.import_",
     "recalibrate": "recalibration.recalibrate",

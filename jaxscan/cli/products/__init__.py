@@ -1,0 +1,1 @@
+"""What is made of clouds: one file per verb."""
