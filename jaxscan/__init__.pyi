@@ -53,10 +53,13 @@ from jaxscan.geometry import plane_sigma as plane_sigma
 from jaxscan.measurement import Estimate as Estimate
 from jaxscan.measurement import RoomOutline as RoomOutline
 from jaxscan.measurement import compare_clouds as compare_clouds
+from jaxscan.measurement import measure_deviations as measure_deviations
 from jaxscan.measurement import measure_distance as measure_distance
 from jaxscan.measurement import measure_outline as measure_outline
 from jaxscan.measurement import measure_plane as measure_plane
+from jaxscan.measurement import measure_points as measure_points
 from jaxscan.measurement import measure_room as measure_room
+from jaxscan.measurement import measure_sphere as measure_sphere
 from jaxscan.observation import BoardViews as BoardViews
 from jaxscan.observation import Observations as Observations
 from jaxscan.observation import StripeViews as StripeViews

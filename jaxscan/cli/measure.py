@@ -23,7 +23,7 @@ Point = tuple[float, float, float]
 
 
 def measure() -> None:
-    """Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`)."""
+    """Measure a cloud: room, distance, plane, sphere and others (`jaxscan measure --help`)."""
 
 
 def room(cloud: CloudPath, /, *, calibration: OptionalCalibrationPath = None, json: JsonTarget = None) -> None:

@@ -135,8 +135,8 @@ def strokes(drawing: Drawing) -> tuple[list[Line], list[Text]]:
             if abs(one.offset_m) > 0.05:
                 lines.append(Line(one.layer, np.stack([at + side * 0.04 * across, end + side * 0.04 * across])))
         angle = float(np.arctan2(along[1], along[0]))
-        # Texts are read from below or from the right.
-        turned = angle > np.pi / 2 + 1e-6 or angle <= -np.pi / 2 + 1e-6
+        # Texts are read from below or from the right; walls are never quite upright in the drawing.
+        turned = angle > np.pi / 2 + 0.1 or angle < -np.pi / 2 + 0.1
         above = -across if turned else across
         middle = 0.5 * (ends[0] + ends[1]) + 0.8 * TEXT_M * above
         texts.append(Text(one.layer, middle, one.words, TEXT_M, angle + np.pi * turned))
@@ -145,7 +145,7 @@ def strokes(drawing: Drawing) -> tuple[list[Line], list[Text]]:
 
 def with_sigma(found: Estimate) -> str:
     """A length in words: metres, and one standard deviation in millimetres."""
-    return f"{found.value:.3f} ±{digits(1e3 * found.sigma)} mm"
+    return f"{found.value:.3f} m ±{digits(1e3 * found.sigma)} mm"
 
 
 def digits(sigma: float) -> str:

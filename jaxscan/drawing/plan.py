@@ -63,7 +63,7 @@ def draw_plan(survey: Survey, heights_m: Sequence[float] = (1.0,)) -> Drawing:
         lines += [Line(layer, points) for points in _furniture(survey, height)]
     words = f"Plan, cut {' and '.join(f'{height:.2f}' for height in heights_m)} m above the floor"
     drawing = Drawing(words, tuple(lines), tuple(texts), tuple(dimensions))
-    notes = [f"{words}. Metres; ± one standard deviation.", *room_words(survey)]
+    notes = [f"{words}. ± one standard deviation.", *room_words(survey)]
     return with_notes(drawing, notes)
 
 

@@ -67,7 +67,7 @@ def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float])
     lines += [Line("A-FURN", points) for points in _furniture(survey, plane, first, along)]
     words = f"Section through {_text(first)} and {_text(second)} of the plan"
     drawing = Drawing(words, tuple(lines), (), tuple(dimensions))
-    return with_notes(drawing, [f"{words}. Metres; ± one standard deviation.", *room_words(survey)])
+    return with_notes(drawing, [f"{words}. ± one standard deviation.", *room_words(survey)])
 
 
 def _text(point: np.ndarray) -> str:

@@ -93,32 +93,32 @@ def rasterise(quads: Quads, places: np.ndarray, shape: tuple[int, int], depth: n
     """
     corners = places[quads.corners]
     low, high = corners.min(1), corners.max(1)
-    shown = (high > -0.5).all(1) & (low < np.array([shape[1], shape[0]]) - 0.5).all(1)
-    chosen = np.flatnonzero(shown)
-    sides = np.maximum(
-        np.abs(corners[:, [1, 3]] - corners[:, [0, 2]]).max((1, 2)),
-        np.abs(corners[:, [2, 3]] - corners[:, [0, 1]]).max((1, 2)),
-    )[chosen]
-    # Twice as fine as the pixels, so that none is missed; in powers of two, so that quads go together.
-    finer = np.minimum(2 ** np.ceil(np.log2(np.maximum(2.0 * sides, 1.0))), _FINEST).astype(int)
+    chosen = np.flatnonzero((high > -0.5).all(1) & (low < np.array([shape[1], shape[0]]) - 0.5).all(1))
+    # Finer than the pixels, so that none is missed; in powers of two, so that quads go together.
+    finer = np.stack([_places(corners[chosen], ((0, 2), (1, 3))), _places(corners[chosen], ((0, 1), (2, 3)))], 1)
     best = np.full(shape[0] * shape[1], np.inf)
     quad, across, along = np.full(best.shape, -1), np.zeros(best.shape), np.zeros(best.shape)
-    for count in np.unique(finer):
-        share = (np.arange(count) + 0.5) / count
-        a, b = (grid.ravel() for grid in np.meshgrid(share, share, indexing="ij"))
+    for counts in np.unique(finer, axis=0):
+        a, b = (grid.ravel() for grid in np.meshgrid(*((np.arange(n) + 0.5) / n for n in counts), indexing="ij"))
         mix = np.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b])
-        mine = chosen[finer == count]
+        mine = chosen[(finer == counts).all(1)]
         for part in np.array_split(mine, max(1, len(mine) * len(a) // _MOST_AT_ONCE)):
-            at = np.round(np.einsum("nci,cs->nsi", corners[part], mix)).astype(np.int64)
-            far = np.zeros(at.shape[:2]) if depth is None else depth[quads.corners[part]] @ mix
-            inside = ((at >= 0) & (at < [shape[1], shape[0]])).all(-1)
+            at = np.round(np.moveaxis(corners[part], 1, 2) @ mix).astype(np.int64)
+            inside = (at[:, 0] >= 0) & (at[:, 0] < shape[1]) & (at[:, 1] >= 0) & (at[:, 1] < shape[0])
             which, sample = np.nonzero(inside)
-            pixel, near = at[inside] @ [1, shape[1]], far[inside]
-            order = np.lexsort((-near, pixel))
-            # The last of equal pixels is the nearest.
-            last = order[np.append(pixel[order][1:] != pixel[order][:-1], True)] if len(order) else order
-            wins = last[near[last] < best[pixel[last]]]
+            pixel = at[which, 0, sample] + shape[1] * at[which, 1, sample]
+            near = np.zeros(len(pixel)) if depth is None else (depth[quads.corners[part]] @ mix)[which, sample]
+            wins = np.flatnonzero(near < best[pixel])
+            if depth is not None:
+                # Of several values for one pixel NumPy keeps the last: the nearest.
+                wins = wins[np.argsort(-near[wins], kind="stable")]
             target = pixel[wins]
             best[target], quad[target] = near[wins], part[which[wins]]
             across[target], along[target] = a[sample[wins]], b[sample[wins]]
     return Raster(quad.reshape(shape), across.reshape(shape), along.reshape(shape))
+
+
+def _places(corners: np.ndarray, sides: tuple[tuple[int, int], tuple[int, int]]) -> np.ndarray:
+    """At how many places along two of its sides each quad [n, 4, 2], px, is sampled [n]."""
+    longest = np.max([np.abs(corners[:, j] - corners[:, i]).max(1) for i, j in sides], axis=0)
+    return np.minimum(2 ** np.ceil(np.log2(np.maximum(1.5 * longest, 1.0))), _FINEST).astype(int)

@@ -12,7 +12,7 @@ MOST = 2
 
 
 def clear_distances(room: RoomOutline, height: float) -> list[tuple[np.ndarray, np.ndarray, Estimate]]:
-    """The distances of the longest opposite walls, across the first in the middle of what they share, at a height [m].
+    """The distances of the longest opposite walls, where a third of what they share is on one side, at a height [m].
 
     Returns:
         Of each direction its two ends [3], m, and the distance, with its standard deviation.
@@ -34,8 +34,8 @@ def clear_distances(room: RoomOutline, height: float) -> list[tuple[np.ndarray, 
             low, high = max(shared[0][0], shared[1][0]), min(shared[0][1], shared[1][1])
             if -first.plane.normal @ second.plane.normal < OPPOSITE or high - low < 0.1:
                 continue
-            # A little beside the middle, so that two directions and what stands there are told apart.
-            across = Surface.exact(along, float(along @ start) + low + 0.4 * (high - low))
+            # A third of the way, so that in drawings one distance does not cross the words of the other.
+            across = Surface.exact(along, float(along @ start) + low + (high - low) / 3.0)
             ends = [corner_of(surface, across, level) for surface in (first, second)]
             way = ends[1].at - ends[0].at
             if way @ first.plane.normal < 0 and not _blocked(ends[0].at, ends[1].at, sides):
