@@ -19,7 +19,16 @@ RIG_FILES = sorted(RIG.rglob("*.py"))
 BENCH = ROOT / "hardware" / "bench"
 BENCH_FILES = sorted(BENCH.rglob("*.py"))
 
-CORE = {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement", "recalibration", "drawing"}
+CORE = {
+    "geometry",
+    "stripes",
+    "reconstruction",
+    "observation",
+    "calibration",
+    "measurement",
+    "recalibration",
+    "drawing",
+}
 ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api"}
 MAY_IMPORT = {
     "geometry": set(),

@@ -52,9 +52,7 @@ def cut(quads: Quads, p: np.ndarray, height: np.ndarray) -> list[np.ndarray]:
     for quad in mixed:
         corners = quads.corners[quad]
         sides = [(corners[i], corners[j]) for i, j in ((0, 1), (1, 3), (3, 2), (2, 0))]
-        crossed = [
-            (int(min(side)), int(max(side))) for side in sides if (height[side[0]] > 0) != (height[side[1]] > 0)
-        ]
+        crossed = [(int(min(side)), int(max(side))) for side in sides if (height[side[0]] > 0) != (height[side[1]] > 0)]
         segments += [(crossed[k], crossed[k + 1]) for k in range(0, len(crossed), 2)]
     return [_points(chain, p, height) for chain in _chains(segments)]
 

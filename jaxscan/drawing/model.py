@@ -92,7 +92,8 @@ class Drawing:
     @property
     def layers(self) -> list[str]:
         """Names of the layers that are used, in the order of `LAYERS`."""
-        used = {each.layer for each in (*self.lines, *self.texts, *self.dimensions)}
+        used = {line.layer for line in self.lines} | {text.layer for text in self.texts}
+        used |= {one.layer for one in self.dimensions}
         return sorted(used, key=lambda name: (list(LAYERS).index(_group(name)), name))
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:

@@ -56,8 +56,8 @@ def draw_orthophotos(survey: Survey, rgb: np.ndarray, pixel_m: float = 0.005) ->
             columns, rows = (int(np.ceil(each / pixel_m)) for each in size)
             if columns * rows > MOST_PIXELS:
                 raise MeasurementError(
-                    f"The picture of {side.name} would have {columns} x {rows} pixels of {1e3 * pixel_m:g} mm, expected "
-                    f"at most {MOST_PIXELS:g} in all: choose larger pixels."
+                    f"The picture of {side.name} would have {columns} x {rows} pixels of {1e3 * pixel_m:g} mm, "
+                    f"expected at most {MOST_PIXELS:g} in all: choose larger pixels."
                 )
             along = (end - start) / np.linalg.norm(end - start)
             depth = survey.p @ side.surface.plane.normal - side.surface.plane.distance

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxscan.drawing.contours import cut, joined_quads, kept_parts, simplified
-from jaxscan.drawing.model import TEXT_M, DimensionLine, Drawing, Line, Text, digits, with_sigma
+from jaxscan.drawing.model import TEXT_M, DimensionLine, Drawing, Line, Text, with_sigma
 from jaxscan.drawing.survey import Survey
 from jaxscan.errors import MeasurementError
 from jaxscan.measurement.outline import Estimate, Opening, Side

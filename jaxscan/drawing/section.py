@@ -115,9 +115,7 @@ def _stretch(
             lines += _upright(end, flat(below.at), flat(above.at))
         ends = [corner_of(upright, plane, surface) for surface in (room.floor, room.ceiling)]
         height = length_between(ends[0], ends[1], room.errors)
-        dimensions.append(
-            DimensionLine("A-ANNO-DIMS", flat(ends[0].at), flat(ends[1].at), 0.0, with_sigma(height))
-        )
+        dimensions.append(DimensionLine("A-ANNO-DIMS", flat(ends[0].at), flat(ends[1].at), 0.0, with_sigma(height)))
         top = height.value
     else:
         top = float(survey.p[:, 2].max())
@@ -125,9 +123,7 @@ def _stretch(
             lines += _upright(end, flat(below.at), flat(below.at) + [0.0, top])
     if left.seen and right.seen:
         width = length_between(low[0], low[1], room.errors)
-        dimensions.append(
-            DimensionLine("A-ANNO-DIMS", flat(low[0].at), flat(low[1].at), -OUTSIDE_M, with_sigma(width))
-        )
+        dimensions.append(DimensionLine("A-ANNO-DIMS", flat(low[0].at), flat(low[1].at), -OUTSIDE_M, with_sigma(width)))
     return lines, dimensions
 
 

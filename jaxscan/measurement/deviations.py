@@ -83,7 +83,7 @@ def measure_deviations(
     foot = middle - (normal @ middle - inward.distance) * normal
     half = max(1, int(np.ceil(radius_m / cell_m)))
     place = np.floor(np.stack([(patch.p - foot) @ up, (patch.p - foot) @ across]) / cell_m + half).astype(int)
-    inside = ((place >= 0) & (place < 2 * half)).all(0)
+    inside = np.asarray(((place >= 0) & (place < 2 * half)).all(0))
     patch, place = patch.take(inside), place[:, inside]
     shape = (2 * half, 2 * half)
     cell = place[0] * shape[1] + place[1]

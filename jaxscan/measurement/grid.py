@@ -54,7 +54,7 @@ def _is_turn(angle: np.ndarray) -> bool:
     if len(angle) < 8:
         return False
     step = float(np.median(np.diff(angle)))
-    return abs(angle[0] + 2.0 * np.pi - angle[-1]) < 2.0 * step
+    return bool(abs(angle[0] + 2.0 * np.pi - angle[-1]) < 2.0 * step)
 
 
 class Raster(NamedTuple):
@@ -68,7 +68,7 @@ class Raster(NamedTuple):
     """Between its lines, 0 to 1 [rows, columns]."""
 
     def of(self, quads: Quads, values: np.ndarray) -> np.ndarray:
-        """Values of the cells, flat [cells, k], between the four corners [rows, columns, k]; of quad 0 where none is."""
+        """Values of the cells, flat [cells, k], between the corners [rows, columns, k]; any where there is no quad."""
         corners = quads.corners[np.maximum(self.quad, 0)]
         a, b = self.across[..., None], self.along[..., None]
         first = (1 - b) * values[corners[..., 0]] + b * values[corners[..., 1]]

@@ -113,7 +113,7 @@ def _directions(planes: list[tuple[Plane, np.ndarray]]) -> list[np.ndarray]:
 
 def is_upright(plane: Plane) -> bool:
     """Whether a plane stands as a wall does."""
-    return abs(float(plane.normal[2])) < UPRIGHT
+    return bool(abs(plane.normal[2]) < UPRIGHT)
 
 
 def main_direction(planes: list[tuple[Plane, np.ndarray]]) -> np.ndarray:
@@ -196,4 +196,3 @@ def _dimension(
         angle_deg=float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))),
         direction=normal,
     )
-

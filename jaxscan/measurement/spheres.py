@@ -81,10 +81,7 @@ def measure_sphere(
     fit = fit_sphere(samples_of(cloud), place, radius_m, free=not held)
     factors = sphere_factors(fit.members, fit.normal, free=not held)
     systematic = np.array(
-        [
-            systematic_sigma(scanner, places_of(cloud), fit.members, row[:, None] * fit.normal)
-            for row in factors
-        ]
+        [systematic_sigma(scanner, places_of(cloud), fit.members, row[:, None] * fit.normal) for row in factors]
     )
     random = np.sqrt(np.diag(fit.covariance))
     both = np.hypot(random, systematic)

@@ -86,9 +86,7 @@ def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> 
     return Wall(facing(fitted_plane(members, normal), normal), members, scale)
 
 
-def wall_weights(
-    wall: Wall, row: np.ndarray, rng: np.random.Generator | None = None
-) -> tuple[Samples, np.ndarray]:
+def wall_weights(wall: Wall, row: np.ndarray, rng: np.random.Generator | None = None) -> tuple[Samples, np.ndarray]:
     """What a number that depends on a wall's plane weighs the wall's points with.
 
     Args:

@@ -30,7 +30,8 @@ def pdf_of(drawing: Drawing) -> bytes:
         axes.plot(*line.points.T, color=look.rgb, linewidth=look.width_mm * 72 / 25.4, linestyle=style)
     for text in texts:
         axes.text(
-            *text.at,
+            float(text.at[0]),
+            float(text.at[1]),
             text.words,
             color=layer_of(text.layer).rgb,
             fontsize=1.2 * text.height_m * INCH_PER_M * 72,

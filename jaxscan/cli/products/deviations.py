@@ -67,10 +67,7 @@ def deviations(
 
         write_atomically(output, deviation_picture(found), error=OutputError)
         out.print(f"written: {output}")
-    cells = {
-        name: np.where(found.seen, getattr(found, name), None)
-        for name in ("deviation_m", "sigma_m")
-    }
+    cells = {name: np.where(found.seen, getattr(found, name), None) for name in ("deviation_m", "sigma_m")}
     places = {name: getattr(found, name) for name in ("points", "cell_m", "origin_m", "across", "up", "normal")}
     numbers = {name: getattr(found, name) for name in ("rms_m", "least_m", "most_m")}
     emit_json(json, "measure-deviations", numbers | {"share_beyond_3_sigma": significant} | places | cells)

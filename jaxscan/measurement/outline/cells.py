@@ -1,8 +1,8 @@
 """The inside of a room among the lines of its walls.
 
-The lines divide the plan into cells. What rays crossed on their way to a point is free; where points stand one above the
-other there is a wall. The inside is the set of cells with the least free area outside, unseen area inside, and border
-without a wall: a minimal cut.
+The lines divide the plan into cells. What rays crossed on their way to a point is free; where points stand one above
+the other there is a wall. The inside is the set of cells with the least free area outside, unseen area inside, and
+border without a wall: a minimal cut.
 """
 
 from typing import NamedTuple
@@ -16,6 +16,8 @@ GRID_M = 0.05
 """Size of the squares in which free space is counted [m]."""
 RAYS = 20_000
 """Most rays that are followed."""
+MOST_BETWEEN = 6
+"""Most squares that are filled from one profile halfway to the next."""
 MARGIN_M = 0.5
 """How far the plan reaches beyond the walls [m]."""
 UNSEEN = 0.3
@@ -130,7 +132,10 @@ def _codes(p: np.ndarray, lines: list[Line]) -> np.ndarray:
 
 
 def _free(samples: Samples, low: np.ndarray, squares: tuple[int, int]) -> np.ndarray:
-    """Which squares a ray crossed [columns, rows]."""
+    """Which squares a ray crossed [columns, rows], or lie between two that neighbouring rays crossed."""
+    # Imported here, so that `import jaxscan` does not load SciPy.
+    from scipy.ndimage import binary_closing  # type: ignore[import-untyped]
+
     some = spread_out(len(samples.p), RAYS, np.random.default_rng(0))
     start, end = samples.origin[some, :2], samples.p[some, :2]
     reach = np.linalg.norm(end - start, axis=1)
@@ -142,9 +147,12 @@ def _free(samples: Samples, low: np.ndarray, squares: tuple[int, int]) -> np.nda
         square = np.floor((at - low) / GRID_M).astype(int)
         square = square[((square >= 0) & (square < squares)).all(1)]
         free[square[:, 0], square[:, 1]] = True
-        if not len(square):
-            break
-    return free
+    # Between two profiles of a full turn lies so much of the circle.
+    profiles = len(np.unique(samples.profile)) / len(np.unique(samples.station))
+    apart = float(np.percentile(reach, 95)) * 2.0 * np.pi / profiles
+    between = min(MOST_BETWEEN, int(np.ceil(0.5 * apart / GRID_M)))
+    closed: np.ndarray = binary_closing(np.pad(free, between), iterations=between)
+    return closed[between:-between, between:-between]
 
 
 def _borders(cells: np.ndarray, boxed: list[Line], walls: int) -> tuple[list[_Border], int]:
@@ -204,9 +212,7 @@ def wall_share(samples: Samples, line: Line, ends: tuple[float, float], heights:
     return float(np.mean(storeys >= STOREYS))
 
 
-def _cost(
-    samples: Samples, line: Line, start: float, end: float, heights: tuple[float, float], is_wall: bool
-) -> float:
+def _cost(samples: Samples, line: Line, start: float, end: float, heights: tuple[float, float], is_wall: bool) -> float:
     share = wall_share(samples, line, (start, end), heights) if is_wall else 0.0
     return BORDER_M * (end - start) * (1.0 - (1.0 - WALLED) * share)
 

@@ -28,8 +28,9 @@ def clear_distances(room: RoomOutline, height: float) -> list[tuple[np.ndarray, 
     for i, (first, start, end) in enumerate(sides):
         along = (end - start) / np.linalg.norm(end - start)
         for second, other_start, other_end in sides[i + 1 :]:
-            shared = sorted((0.0, float(np.linalg.norm(end - start)))), sorted(
-                float(along @ (other - start)) for other in (other_start, other_end)
+            shared = (
+                sorted((0.0, float(np.linalg.norm(end - start)))),
+                sorted(float(along @ (other - start)) for other in (other_start, other_end)),
             )
             low, high = max(shared[0][0], shared[1][0]), min(shared[0][1], shared[1][1])
             if -first.plane.normal @ second.plane.normal < OPPOSITE or high - low < 0.1:

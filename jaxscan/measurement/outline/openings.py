@@ -124,8 +124,8 @@ def _rays(cloud: Cloud, room: RoomOutline, scanner: Scanner | None) -> _Rays:
 
 
 @jax.jit
-def _eyes(scanner: Scanner, angle: Array) -> jax.Array:
-    return jax.vmap(scanner.pose)(angle)[:, :3, 3]
+def _eyes(scanner: Scanner, angle: Array) -> Array:
+    return jnp.asarray(jax.vmap(scanner.pose)(angle))[:, :3, 3]
 
 
 def _top(room: RoomOutline) -> float:
@@ -232,9 +232,7 @@ def _opening(side: str, face: _Face, mask: np.ndarray, box: tuple[slice, slice],
 def _end(face: _Face, mask: np.ndarray, box: tuple[slice, slice], axis: int, sign: int) -> Estimate:
     """One end of a rectangle, along the wall (axis 0) or upwards (1)."""
     # Rows of these arrays are lines of pixels across the end, which is to the right.
-    state, cell, inside = (
-        (each if axis == 0 else each.T)[:, ::sign] for each in (face.state, face.cell, mask)
-    )
+    state, cell, inside = ((each if axis == 0 else each.T)[:, ::sign] for each in (face.state, face.cell, mask))
     across = box[axis]
     inset = (across.stop - across.start) // 8
     limit = face.span(axis) if sign > 0 else 0.0

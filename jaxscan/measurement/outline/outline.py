@@ -15,7 +15,7 @@ from jaxscan.measurement.planes import Plane, facing
 from jaxscan.measurement.ransac import find_planes
 from jaxscan.measurement.room import is_upright
 from jaxscan.measurement.samples import Cloud, Samples, places_of, samples_of
-from jaxscan.measurement.walls import SHARE, Wall, refine_wall
+from jaxscan.measurement.walls import SHARE, refine_wall
 
 
 ONE_WALL_M = 0.12
@@ -93,8 +93,8 @@ class RoomOutline:
             return None
         middle = np.mean([corner.at for corner in self.corners()[0]], axis=0)
         upright = [Surface.exact(axis, float(middle @ axis)) for axis in np.eye(3)[:2]]
-        ends = [corner_of(*upright, surface) for surface in (self.floor, self.ceiling)]
-        return length_between(*ends, self.errors)
+        low, high = (corner_of(*upright, surface) for surface in (self.floor, self.ceiling))
+        return length_between(low, high, self.errors)
 
     def floor_area(self) -> Estimate | None:
         """[m^2]; None where a side is not a wall."""
@@ -163,17 +163,20 @@ def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int =
     heights = (END_M, top - END_M)
     edges, lines = find_inside(standing, [_trace(plane) for plane in walls], heights)
     loops = closed_loops(edges, lines)
-    if not loops or len({edge.line for edge in loops[0] if edge.line < len(walls)}) < 2:
-        raise MeasurementError(
-            f"No two of {len(walls)} walls bound the space around the scanner; a room must be scanned from within, all "
-            "around, in steps of a few degrees."
-        )
+    alone = MeasurementError(
+        f"No two of {len(walls)} walls bound the space around the scanner; a room must be scanned from within, all "
+        "around, in steps of a few degrees."
+    )
+    if not loops:
+        raise alone
     starts = np.array([lines[edge.line].at(edge.start) for edge in loops[0]])
     first = int(np.argmin(starts.sum(1)))
     loops[0] = [*loops[0][first:], *loops[0][:first]]
     names = iter(range(1, 1 + sum(map(len, loops))))
     around = _Around(standing, lines, walls, heights)
     sides = [[around.side(f"W{next(names)}", edge, rng) for edge in loop] for loop in loops]
+    if sum(side.seen for side in sides[0]) < 2:
+        raise alone
     shift = Frame(np.eye(3), -np.append(starts.min(0), 0.0))
     frame = frame.shifted(shift.translation)
     ground, roof = frame.wall(floor), None if ceiling is None else frame.wall(ceiling)
