@@ -147,9 +147,7 @@ def _free(samples: Samples, low: np.ndarray, squares: tuple[int, int]) -> np.nda
         square = np.floor((at - low) / GRID_M).astype(int)
         square = square[((square >= 0) & (square < squares)).all(1)]
         free[square[:, 0], square[:, 1]] = True
-    # Between two profiles of a full turn lies so much of the circle.
-    profiles = len(np.unique(samples.profile)) / len(np.unique(samples.station))
-    apart = float(np.percentile(reach, 95)) * 2.0 * np.pi / profiles
+    apart = float(np.percentile(reach, 95)) * _step(samples)
     between = min(MOST_BETWEEN, int(np.ceil(0.5 * apart / GRID_M)))
     closed: np.ndarray = binary_closing(np.pad(free, between), iterations=between)
     return closed[between:-between, between:-between]
@@ -198,18 +196,31 @@ def _clipped(line: Line, k: int, code: int, boxed: list[Line], walls: int) -> tu
 
 
 def wall_share(samples: Samples, line: Line, ends: tuple[float, float], heights: tuple[float, float]) -> float:
-    """The share of a stretch of a line along which points stand one above the other [1]."""
+    """The share of a stretch of a line along which points stand one above the other [1]; heights as in `find_inside`.
+
+    Far away and at a slant profiles are farther apart than stretches: the wall is taken to go on from one to the next.
+    """
     start, end = min(ends), max(ends)
     near = np.abs(samples.p[:, :2] @ line.normal - line.distance) < NEAR_M + 4.0 * samples.sigma
     near &= (samples.p[:, 2] > heights[0]) & (samples.p[:, 2] < heights[1])
-    s, z = line.along(samples.p[near]), samples.p[near, 2]
-    stretches = max(1, round((end - start) / STRETCH_M))
-    place = np.floor((s - start) / (end - start) * stretches).astype(int)
-    on = (place >= 0) & (place < stretches)
-    # At most 1e6 storeys of 0.1 m.
-    both = np.unique(place[on].astype(np.int64) * 1_000_000 + np.floor(z[on] / 0.1).astype(np.int64))
-    storeys = np.bincount(both // 1_000_000, minlength=stretches)
-    return float(np.mean(storeys >= STOREYS))
+    # Whole numbers of 0.1 m, upwards and along; there are fewer than a million.
+    along, up = (np.floor(values[near] / 0.1).astype(np.int64) for values in (line.along(samples.p), samples.p[:, 2]))
+    columns, storeys = np.unique(np.unique(along * 1_000_000 + up) // 1_000_000, return_counts=True)
+    columns = 0.1 * (columns[storeys >= STOREYS] + 0.5)
+    if not len(columns):
+        return 0.0
+    middles = start + (np.arange(count := max(1, round((end - start) / STRETCH_M))) + 0.5) * (end - start) / count
+    origins = np.unique(samples.origin[:, :2], axis=0)
+    before = np.maximum(np.abs(origins @ line.normal - line.distance), NEAR_M)
+    aside = middles[:, None] - line.along(origins)
+    spacing = ((before**2 + aside**2) / before).min(1) * _step(samples)
+    away = np.abs(middles[:, None] - columns).min(1)
+    return float(np.mean(away < 0.5 * STRETCH_M + np.minimum(0.6 * spacing, MOST_BETWEEN * GRID_M)))
+
+
+def _step(samples: Samples) -> float:
+    """The angle from one profile of a full turn to the next [rad]."""
+    return 2.0 * np.pi * len(np.unique(samples.station)) / len(np.unique(samples.profile))
 
 
 def _cost(samples: Samples, line: Line, start: float, end: float, heights: tuple[float, float], is_wall: bool) -> float:

@@ -242,9 +242,14 @@ def _end(face: _Face, mask: np.ndarray, box: tuple[slice, slice], axis: int, sig
         if not len(last):
             continue
         wall = np.flatnonzero(state[row, last[-1] + 1 :] == WALL)
-        outer = face.place[cell[row, last[-1] + 1 + wall[0]], axis] if len(wall) else limit
+        places = face.place[cell[row, last[-1] + 1 + wall], axis]
+        outer = places[0] if len(wall) else limit
         within = cell[row, last[-1]]
-        inner = face.place[within, axis] if within >= 0 else outer - sign * face.spacing[axis]
+        # Where nothing came back, the next ray was as far from the last one as that from the one before.
+        spaces = np.abs(places - outer)
+        spaces = spaces[spaces > 0.3 * face.spacing[axis]]
+        space = spaces[0] if len(spaces) else face.spacing[axis]
+        inner = face.place[within, axis] if within >= 0 else outer - sign * space
         ends.append((inner, outer))
     inner, outer = np.median(np.array(ends), axis=0)
     sigma = float(abs(outer - inner) / np.sqrt(12.0))

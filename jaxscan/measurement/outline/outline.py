@@ -27,6 +27,8 @@ SEEN = 0.25
 """Share of its length along which a wall is seen; with less, its side is open."""
 FEWEST = 50
 """Smallest number of points of a wall."""
+EXTENDED_M = 1.0
+"""A corner is known if one of its walls was seen nearer to it than this; the other may be hidden there [m]."""
 REACH_M = 0.3
 """Points farther than this from a plane are not looked at [m]."""
 
@@ -41,12 +43,14 @@ class Side:
     """Its plane, the normal pointing out of the room."""
     seen: bool
     """Whether there is a wall; otherwise the plane only closes the outline."""
+    gaps: tuple[float, float] = (np.inf, np.inf)
+    """From its first and its last corner to the nearest points of the wall [m]."""
 
     def moved(self, frame: Frame) -> "Side":
         """The side in another frame."""
         wall = self.surface.wall
         surface = Surface(frame.plane(self.surface.plane), None if wall is None else frame.wall(wall))
-        return Side(self.name, surface, self.seen)
+        return Side(self.name, surface, self.seen, self.gaps)
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,13 @@ class RoomOutline:
 
     @property
     def closed(self) -> bool:
-        """Whether every side is a wall."""
-        return all(side.seen for loop in self.loops for side in loop)
+        """Whether every corner is one of two walls that were seen near it."""
+        return all(self.is_corner(number, i) for number, loop in enumerate(self.loops) for i in range(len(loop)))
+
+    def is_corner(self, loop: int, side: int) -> bool:
+        """Whether the first corner of a side is one of two walls, of which one at least was seen near it."""
+        before, after = self.loops[loop][side - 1], self.loops[loop][side]
+        return before.seen and after.seen and min(before.gaps[1], after.gaps[0]) < EXTENDED_M
 
     def corners(self, level: Surface | float | None = None) -> list[list[Corner]]:
         """The first corner of every side of every loop, on the floor, another surface, or at a height above it [m]."""
@@ -76,15 +85,15 @@ class RoomOutline:
         ]
 
     def lengths(self, height: float = 0.0) -> list[list[Estimate | None]]:
-        """The length of every side at a height [m]; None where one of the three sides that bound it was not seen."""
+        """The length of every side at a height [m]; None where one of its ends is no corner of walls that were seen."""
         return [
             [
                 length_between(corners[i], corners[(i + 1) % len(loop)], self.errors)
-                if all(loop[(i + step) % len(loop)].seen for step in (-1, 0, 1))
+                if self.is_corner(number, i) and self.is_corner(number, (i + 1) % len(loop))
                 else None
                 for i in range(len(loop))
             ]
-            for loop, corners in zip(self.loops, self.corners(height), strict=True)
+            for number, (loop, corners) in enumerate(zip(self.loops, self.corners(height), strict=True))
         ]
 
     def height(self) -> Estimate | None:
@@ -97,7 +106,7 @@ class RoomOutline:
         return length_between(low, high, self.errors)
 
     def floor_area(self) -> Estimate | None:
-        """[m^2]; None where a side is not a wall."""
+        """[m^2]; None where a corner is not known."""
         if not self.closed:
             return None
         return area_of(self.corners(), -self.floor.plane.normal, self.errors)
@@ -265,4 +274,6 @@ class _Around(NamedTuple):
         if wall_share(self.standing, line, ends, self.heights) < SEEN or mine.sum() < FEWEST:
             return Side(name, Surface(plane._replace(covariance=np.zeros((3, 3))), None), False)
         wall = refine_wall(self.standing.take(mine), plane, rng=rng)
-        return Side(name, Surface(wall.plane, wall), True)
+        low, high = np.percentile(line.along(wall.samples.p), [1, 99])
+        gaps = (float(low - ends[0]), float(ends[1] - high))
+        return Side(name, Surface(wall.plane, wall), True, gaps if sign > 0 else gaps[::-1])
