@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxscan.errors import MeasurementError
+from jaxscan.measurement.checked import checked_samples
 from jaxscan.measurement.planes import Plane, Point, facing, patch_around
-from jaxscan.measurement.samples import Cloud, Samples, samples_of, spread_out
+from jaxscan.measurement.samples import Cloud, Samples, spread_out
 from jaxscan.measurement.walls import refine_wall
 
 
@@ -68,7 +69,7 @@ def measure_deviations(
     Raises:
         MeasurementError: If there are too few points, no plane, or too many cells.
     """
-    patch = patch_around(samples_of(cloud), point, radius_m)
+    patch = patch_around(checked_samples(cloud), point, radius_m)
     if (2.0 * radius_m / cell_m) ** 2 > MOST_CELLS:
         raise MeasurementError(f"Cells of {1e3 * cell_m:g} mm would be too many; choose larger cells.")
     plane = _plane(patch, point, radius_m, np.random.default_rng(seed))

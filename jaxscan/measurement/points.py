@@ -6,8 +6,9 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
+from jaxscan.measurement.checked import checked_samples
 from jaxscan.measurement.planes import Point
-from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, Samples, places_of, samples_of
+from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, Samples, places_of
 from jaxscan.measurement.systematic import systematic_sigma
 
 
@@ -49,7 +50,7 @@ def measure_points(
     Raises:
         MeasurementError: If there is no point near a place, or both places have the same.
     """
-    samples = samples_of(cloud)
+    samples = checked_samples(cloud)
     nearest = [_nearest(samples, place, within_m) for place in (a, b)]
     if nearest[0] == nearest[1]:
         raise MeasurementError("Both places have the same nearest point; give places farther apart.")

@@ -7,8 +7,9 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
+from jaxscan.measurement.checked import checked_samples
 from jaxscan.measurement.planes import Point
-from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, Samples, places_of, samples_of, spread_out
+from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, Samples, places_of, spread_out
 from jaxscan.measurement.systematic import systematic_sigma
 
 
@@ -78,7 +79,7 @@ def measure_sphere(
         MeasurementError: If there are too few points, or none that lie on such a sphere.
     """
     place = np.asarray(near, np.float64)
-    fit = fit_sphere(samples_of(cloud), place, radius_m, free=not held)
+    fit = fit_sphere(checked_samples(cloud), place, radius_m, free=not held)
     factors = sphere_factors(fit.members, fit.normal, free=not held)
     systematic = np.array(
         [systematic_sigma(scanner, places_of(cloud), fit.members, row[:, None] * fit.normal) for row in factors]

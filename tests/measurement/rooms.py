@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+
 L_SHAPE = ((0.0, 0.0), (6.0, 0.0), (6.0, 2.5), (3.5, 2.5), (3.5, 5.0), (0.0, 5.0))
 """Corners of a room [m], anticlockwise."""
 HEIGHT = 2.6

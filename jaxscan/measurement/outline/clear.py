@@ -12,7 +12,7 @@ MOST = 2
 
 
 def clear_distances(room: RoomOutline, height: float) -> list[tuple[np.ndarray, np.ndarray, Estimate]]:
-    """The distances of the longest opposite walls, where a third of what they share is on one side, at a height [m].
+    """The distances of the opposite walls with most between them, where a third of what they share is on one side, at a height [m].
 
     Returns:
         Of each direction its two ends [3], m, and the distance, with its standard deviation.
@@ -40,7 +40,7 @@ def clear_distances(room: RoomOutline, height: float) -> list[tuple[np.ndarray, 
             ends = [corner_of(surface, across, level) for surface in (first, second)]
             way = ends[1].at - ends[0].at
             if way @ first.plane.normal < 0 and not _blocked(ends[0].at, ends[1].at, sides):
-                found.append((high - low, along, ends[0], ends[1]))
+                found.append(((high - low) * float(np.linalg.norm(way)), along, ends[0], ends[1]))
     chosen: list[tuple[float, np.ndarray, Corner, Corner]] = []
     for one in sorted(found, key=lambda each: -each[0]):
         if len(chosen) < MOST and all(abs(float(one[1] @ other[1])) < OPPOSITE for other in chosen):

@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
+from jaxscan.measurement.checked import checked_samples
 from jaxscan.measurement.outline.cells import NEAR_M, Edge, Line, find_inside, wall_share
 from jaxscan.measurement.outline.corners import Corner, Errors, Estimate, Surface, area_of, corner_of, length_between
 from jaxscan.measurement.outline.level import Frame, find_level
@@ -14,7 +15,7 @@ from jaxscan.measurement.outline.loops import closed_loops
 from jaxscan.measurement.planes import Plane, facing
 from jaxscan.measurement.ransac import find_planes
 from jaxscan.measurement.room import is_upright
-from jaxscan.measurement.samples import Cloud, Samples, places_of, samples_of
+from jaxscan.measurement.samples import Cloud, Samples, places_of
 from jaxscan.measurement.walls import SHARE, refine_wall
 
 
@@ -157,7 +158,7 @@ def measure_outline(cloud: Cloud, *, scanner: Scanner | None = None, seed: int =
     Raises:
         MeasurementError: If there is no floor, or fewer than three walls around the scanner.
     """
-    samples = samples_of(cloud)
+    samples = checked_samples(cloud)
     rng = np.random.default_rng(seed)
     planes = find_planes(samples, seed=seed)
     frame, floor, ceiling = find_level(samples, planes, rng)
