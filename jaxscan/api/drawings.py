@@ -6,7 +6,7 @@ from pathlib import Path
 from jaxscan.drawing import Drawing
 from jaxscan.errors import OutputError
 from jaxscan.files.disk import check_writable, write_atomically
-from jaxscan.files.drawings import svg_of, write_dxf
+from jaxscan.files.drawings import check_dxf, svg_of, write_dxf
 from jaxscan.report import pdf_of
 
 
@@ -26,10 +26,13 @@ def check_drawing_path(path: str | Path) -> None:
 
     Raises:
         OutputError: If the suffix is unknown, or nothing can be written there.
+        DependencyError: If the format needs a library that is not installed.
     """
     if Path(path).suffix.lower() not in WRITERS:
         raise OutputError(f'{path}: cannot write "{Path(path).suffix}", known are {", ".join(WRITERS)}.')
     check_writable(path, error=OutputError)
+    if Path(path).suffix.lower() == ".dxf":
+        check_dxf()
 
 
 def save_drawing(drawing: Drawing, path: str | Path) -> None:

@@ -73,7 +73,7 @@ def test_the_same_drawing_gives_the_same_bytes(plan, tmp_path):
 
 
 def test_refusals(plan, tmp_path):
-    with pytest.raises(OutputError, match="known are .dxf, .svg, .pdf"):
+    with pytest.raises(OutputError, match=r"known are \.dxf, \.svg, \.pdf"):
         jaxscan.save_drawing(plan, tmp_path / "plan.dwg")
     with pytest.raises(OutputError, match="create it first"):
         jaxscan.save_drawing(plan, tmp_path / "nowhere" / "plan.dxf")

@@ -1,5 +1,6 @@
 """DXF R2010 through ezdxf: layers, lines, texts and dimensions, in metres."""
 
+import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,16 @@ from jaxscan.errors import DependencyError
 STYLE = "JAXSCAN"
 
 
+def check_dxf() -> None:
+    """Check that DXF can be written.
+
+    Raises:
+        DependencyError: If ezdxf is not installed.
+    """
+    if importlib.util.find_spec("ezdxf") is None:
+        raise DependencyError('DXF needs ezdxf: pip install "jaxscan[plan]"')
+
+
 def write_dxf(drawing: Drawing, path: Path) -> None:
     """Write a drawing as DXF; one unit of it is a metre.
 
@@ -19,13 +30,11 @@ def write_dxf(drawing: Drawing, path: Path) -> None:
         DependencyError: If ezdxf is not installed.
         OSError: If the file cannot be written.
     """
-    try:
-        import ezdxf
-        from ezdxf import units
-    except ImportError as problem:
-        raise DependencyError('DXF needs ezdxf: pip install "jaxscan[plan]"') from problem
+    check_dxf()
+    import ezdxf
+
     document = ezdxf.new("R2010", setup=["linetypes"])
-    document.units = units.M
+    document.units = ezdxf.units.M
     document.header["$MEASUREMENT"] = 1
     document.header["$LUNITS"] = 2
     # Lines of dashes are defined for drawings in inches or millimetres; a dash is a few centimetres here.

@@ -12,7 +12,11 @@ MOST = 2
 
 
 def clear_distances(room: RoomOutline, height: float) -> list[tuple[np.ndarray, np.ndarray, Estimate]]:
-    """The distances of the opposite walls with most between them, where a third of what they share is on one side, at a height [m].
+    """The distances of the opposite walls with most between them.
+
+    Args:
+        room: The outline.
+        height: Above the floor [m]. Along the walls they are taken a third of the way along what both share.
 
     Returns:
         Of each direction its two ends [3], m, and the distance, with its standard deviation.
