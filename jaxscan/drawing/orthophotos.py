@@ -28,13 +28,16 @@ class Orthophoto:
     """Size of a pixel on the wall [m]."""
 
 
-def draw_orthophotos(survey: Survey, rgb: np.ndarray, pixel_m: float = 0.005) -> list[Orthophoto]:
+def draw_orthophotos(survey: Survey, rgb: np.ndarray, *, pixel_m: float = 0.005) -> list[Orthophoto]:
     """Draw every wall that was seen.
 
     Args:
         survey: The room.
         rgb: Colours of the cloud [profiles, lines, 3], uint8.
         pixel_m: Size of a pixel on the wall [m].
+
+    Returns:
+        A picture of each wall that was seen, in the order of the outline.
 
     Raises:
         MeasurementError: If there is no ceiling, up to which walls reach, or the pictures would be too large.

@@ -23,7 +23,7 @@ SHORTEST_M = 0.08
 LAYER_OF = {"door": "A-DOOR", "window": "A-GLAZ", "opening": "A-WALL-OPEN", "panel": "A-WALL-PANL"}
 
 
-def draw_plan(survey: Survey, heights_m: Sequence[float] = (1.0,)) -> Drawing:
+def draw_plan(survey: Survey, *, heights_m: Sequence[float] = (1.0,)) -> Drawing:
     """Draw walls, what is in them, and the outlines of furniture, with dimensions.
 
     Lengths and openings are those at the first height. With several heights the furniture of each is on a layer of its
@@ -32,6 +32,9 @@ def draw_plan(survey: Survey, heights_m: Sequence[float] = (1.0,)) -> Drawing:
     Args:
         survey: The room.
         heights_m: Heights above the floor [m].
+
+    Returns:
+        The plan, in its frame [m].
 
     Raises:
         MeasurementError: If a height is not between floor and ceiling.

@@ -38,6 +38,9 @@ def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float])
         a: First point [m], as in the plan.
         b: Second point [m].
 
+    Returns:
+        The section; the first point is at x = 0.
+
     Raises:
         MeasurementError: If the points are one, or the plane does not meet the room.
     """

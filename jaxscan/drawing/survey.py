@@ -49,7 +49,10 @@ def survey_room(cloud: Cloud, *, scanner: Scanner | None = None) -> Survey:
 
     Args:
         cloud: The room, scanned from within, with its grid.
-        scanner: The scanner it was made with.
+        scanner: The scanner it was made with; its covariance gives the systematic part of sigmas.
+
+    Returns:
+        The room, in the frame of its plan.
 
     Raises:
         MeasurementError: If there is no floor, no walls around the scanner, or no grid.

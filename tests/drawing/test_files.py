@@ -13,7 +13,7 @@ from jaxscan.errors import OutputError
 
 @pytest.fixture(scope="module")
 def plan(survey):
-    return jaxscan.draw_plan(survey, [1.0])
+    return jaxscan.draw_plan(survey, heights_m=[1.0])
 
 
 def test_dxf_is_sound_and_says_the_same(plan, tmp_path):

@@ -19,7 +19,7 @@ def test_colours_are_where_they_are_on_the_wall(survey, furnished_cloud):
     length = np.linalg.norm(end - start)
     rgb = np.stack([np.clip(255 * s / length, 0, 255), np.clip(255 * z / HEIGHT, 0, 255), np.zeros(len(s))], -1)
     rgb = rgb.astype(np.uint8).reshape(*furnished_cloud.valid.shape, 3)
-    picture = jaxscan.draw_orthophotos(survey, rgb, 0.01)[0]
+    picture = jaxscan.draw_orthophotos(survey, rgb, pixel_m=0.01)[0]
     rows, columns = picture.seen.shape
     assert abs(columns * 0.01 - length) <= 0.01 and abs(rows * 0.01 - HEIGHT) <= 0.011
     row, column = np.nonzero(picture.seen)
@@ -32,14 +32,14 @@ def test_colours_are_where_they_are_on_the_wall(survey, furnished_cloud):
 
 
 def test_every_wall_has_a_picture(survey, furnished_cloud):
-    pictures = jaxscan.draw_orthophotos(survey, furnished_cloud.rgb, 0.02)
+    pictures = jaxscan.draw_orthophotos(survey, furnished_cloud.rgb, pixel_m=0.02)
     assert [picture.side for picture in pictures] == [side.name for side in survey.outline.loops[0]]
     assert all((picture.rgb[picture.seen] == 128).all() for picture in pictures)
 
 
 def test_too_fine_a_picture_is_refused(survey, furnished_cloud):
     with pytest.raises(MeasurementError, match="larger pixels"):
-        jaxscan.draw_orthophotos(survey, furnished_cloud.rgb, 1e-5)
+        jaxscan.draw_orthophotos(survey, furnished_cloud.rgb, pixel_m=1e-5)
 
 
 def test_the_scale_does_not_change_the_picture():

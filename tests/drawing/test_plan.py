@@ -15,7 +15,7 @@ def on(drawing, layer):
 
 
 def test_dimensions_are_the_lengths_that_were_measured(survey):
-    plan = jaxscan.draw_plan(survey, [1.0])
+    plan = jaxscan.draw_plan(survey, heights_m=[1.0])
     assert {one.layer for one in plan.dimensions} == {"A-ANNO-DIMS"}
     walls = [one for one in plan.dimensions if one.offset_m == -0.5]
     for one, found in zip(walls, survey.outline.lengths(1.0)[0], strict=True):
@@ -27,18 +27,18 @@ def test_dimensions_are_the_lengths_that_were_measured(survey):
 
 
 def test_walls_have_gaps_where_door_and_window_are(survey):
-    plan = jaxscan.draw_plan(survey, [1.0])
+    plan = jaxscan.draw_plan(survey, heights_m=[1.0])
     drawn = sum(np.linalg.norm(line[1] - line[0]) for line in on(plan, "A-WALL"))
     widths = [one.width.value for loop in survey.openings for side in loop for one in side]
     assert drawn == pytest.approx(22.0 - sum(widths), abs=5e-3)
     assert on(plan, "A-DOOR") and len(on(plan, "A-GLAZ")) == 2
-    above = jaxscan.draw_plan(survey, [2.3])
+    above = jaxscan.draw_plan(survey, heights_m=[2.3])
     assert "A-DOOR" not in above.layers and "A-GLAZ" not in above.layers
 
 
 def test_furniture_is_where_it_stands(survey):
     """Its two sides that face the scanner, at heights at which it is."""
-    plan = jaxscan.draw_plan(survey, [1.0, 2.2])
+    plan = jaxscan.draw_plan(survey, heights_m=[1.0, 2.2])
     assert [name for name in plan.layers if name.startswith("A-FURN")] == ["A-FURN-100"]
     (outline,) = on(plan, "A-FURN-100")
     # The plan is turned against the room by right angles, so lengths are compared: 1.2 m of front, 0.5 m of side.
@@ -77,7 +77,7 @@ def test_a_room_with_a_pillar_is_cut_twice():
 def test_refusals(survey, furnished_cloud):
     for height in (0.0, -1.0, 2.7, 1e30, np.nan):
         with pytest.raises(MeasurementError, match="Height"):
-            jaxscan.draw_plan(survey, [height])
+            jaxscan.draw_plan(survey, heights_m=[height])
     with pytest.raises(MeasurementError, match="does not meet the room"):
         jaxscan.draw_section(survey, (20.0, 0.0), (20.0, 1.0))
     with pytest.raises(MeasurementError, match="are one"):

@@ -49,7 +49,7 @@ def orthophoto(
     scanner, notes = calibrated(calibration)
     loaded = jaxscan.load_cloud(cloud)
     survey = jaxscan.survey_room(loaded, scanner=scanner)
-    pictures = jaxscan.draw_orthophotos(survey, np.asarray(loaded.rgb), pixel_mm / 1e3)
+    pictures = jaxscan.draw_orthophotos(survey, np.asarray(loaded.rgb), pixel_m=pixel_mm / 1e3)
     files = [output / f"{picture.side}.png" for picture in pictures]
     check_paths(reads, [*(Place("the picture", file) for file in files), *file_at("--json", json)])
     output.mkdir(parents=True, exist_ok=True)

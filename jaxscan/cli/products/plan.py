@@ -59,7 +59,9 @@ def plan(
     scanner, notes = calibrated(calibration)
     survey = jaxscan.survey_room(jaxscan.load_cloud(cloud), scanner=scanner)
     drawing = (
-        jaxscan.draw_plan(survey, height) if section is None else jaxscan.draw_section(survey, section[:2], section[2:])
+        jaxscan.draw_plan(survey, heights_m=height)
+        if section is None
+        else jaxscan.draw_section(survey, section[:2], section[2:])
     )
     jaxscan.save_drawing(drawing, output)
     out = notes_first(notes, json)
