@@ -29,6 +29,7 @@ CORE = {
     "recalibration",
     "photographs",
     "surface",
+    "drawing",
 }
 ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api"}
 MAY_IMPORT = {
@@ -38,6 +39,7 @@ MAY_IMPORT = {
     "observation": {"geometry", "stripes"},
     "calibration": {"geometry", "observation"},
     "measurement": {"geometry"},
+    "drawing": {"geometry", "measurement"},
     "recalibration": {"geometry", "stripes", "reconstruction", "observation", "calibration", "measurement"},
     "photographs": {"geometry", "stripes", "reconstruction"},
     "surface": {"geometry", "reconstruction"},
@@ -65,6 +67,7 @@ HOME_OF = {
     "libusb_package": {"surface/open3d_loader.py"},
     "fast_simplification": {"surface/decimate.py"},
     "pye57": {"files"},
+    "ezdxf": {"files/drawings"},
     "laspy": {"files"},
     "pyproj": {"files"},
     "serial": set(),

@@ -2,6 +2,7 @@
 
 from jaxscan.api.boards import BoardSheets, draw_board, save_board, write_sheets
 from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
+from jaxscan.api.drawings import save_drawing
 from jaxscan.api.frames import align_cloud
 from jaxscan.api.meshes import Texture, mesh_cloud, poisson_mesh, textured_mesh
 from jaxscan.api.photographs import (

@@ -26,7 +26,7 @@ Point = tuple[float, float, float]
 
 
 def measure() -> None:
-    """Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`)."""
+    """Measure a cloud: room, distance, plane, sphere and others (`jaxscan measure --help`)."""
 
 
 def room(
@@ -47,7 +47,7 @@ def room(
     """
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
-    scanner, notes = _calibrated(calibration)
+    scanner, notes = calibrated(calibration)
     points, said = _upright(cloud, unit, up)
     notes += said
     box = jaxscan.measure_room(points, scanner=scanner)
@@ -59,7 +59,7 @@ def room(
         + (f"{side.angle_deg:.3f}°",)
         for name, side in sides.items()
     ]
-    out = _notes_first(notes, json)
+    out = notes_first(notes, json)
     out.print(table("Room", columns, rows))
     if scanner is None:
         out.print("sigma covers the noise of the points only; with --calibration it also covers the calibration.")
@@ -92,12 +92,12 @@ def distance(
     positive("--radius-mm", radius_mm)
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
-    scanner, notes = _calibrated(calibration)
+    scanner, notes = calibrated(calibration)
     points, said = _in_metres(cloud, unit)
     notes += said
     found = jaxscan.measure_distance(points, np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner)
     result = _finite(dataclasses.asdict(found))
-    out = _notes_first(notes, json)
+    out = notes_first(notes, json)
     out.print(
         f"{found.value_m:.4f} m, sigma {1e3 * found.sigma_m:.2f} mm, "
         f"from {found.points[0]} and {found.points[1]} points"
@@ -126,7 +126,7 @@ def plane(
     points, notes = _in_metres(cloud, unit)
     found = jaxscan.measure_plane(points, np.array(at), radius_m=radius_mm / 1e3)
     result = _finite(dataclasses.asdict(found))
-    _notes_first(notes, json).print(
+    notes_first(notes, json).print(
         f"RMS {1e3 * found.rms_m:.2f} mm, 95 % of {found.points} points within {1e3 * found.range95_m:.2f} mm, "
         f"normal {np.array2string(found.normal, precision=4)}"
     )
@@ -155,7 +155,7 @@ def compare(
         file_at("--json", json),
     )
     check_json(json)
-    scanner, notes = _calibrated(calibration)
+    scanner, notes = calibrated(calibration)
     (points, said), (true_points, said_of_truth) = _in_metres(cloud, unit), _in_metres(truth, unit)
     notes += [*said, *said_of_truth]
     found = jaxscan.compare_clouds(points, true_points, scanner=scanner)
@@ -163,14 +163,14 @@ def compare(
     rows = [_error_row("distance", found.error_m)]
     if found.along_ray_m is not None:
         rows.append(_error_row("along the ray", found.along_ray_m))
-    out = _notes_first(notes, json)
+    out = notes_first(notes, json)
     out.print(table("Error, mm", ("", "RMS", "mean", "median", "95 %", "largest"), rows))
     out.print(f"{found.points} points compared; {100 * found.completeness:.1f} % of the true ones have a point")
     out.print(f"{found.false_points} points where the truth has none")
     emit_json(json, "measure-compare", result | {"notes": notes})
 
 
-def _calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
+def calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
     """The scanner of a calibration, and notes for its users."""
     if path is None:
         return None, []
@@ -214,7 +214,7 @@ def _finite(result: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _notes_first(notes: list[str], json: str | None) -> Terminal:
+def notes_first(notes: list[str], json: str | None) -> Terminal:
     out = console(json)
     for note in notes:
         out.print(f"note: {note}")

@@ -10,9 +10,9 @@ from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
 from jaxscan.measurement.planes import Plane
 from jaxscan.measurement.ransac import find_planes
-from jaxscan.measurement.samples import Cloud, Samples, places_of, samples_of, spread_out
+from jaxscan.measurement.samples import Cloud, Samples, places_of, samples_of
 from jaxscan.measurement.systematic import systematic_sigma
-from jaxscan.measurement.walls import Wall, outermost, refine_wall
+from jaxscan.measurement.walls import Wall, outermost, refine_wall, wall_weights
 
 
 LEVEL = np.cos(np.radians(15.0))
@@ -21,8 +21,6 @@ UPRIGHT = np.sin(np.radians(15.0))
 """|z| of a normal below which a plane is a wall."""
 ALONG = np.radians(20.0)
 """Largest angle of a wall to the room's own direction."""
-SYSTEMATIC_POINTS = 2000
-"""Points per wall on which the effect of the calibration is evaluated."""
 
 
 @dataclass(frozen=True)
@@ -115,10 +113,23 @@ def bounding_walls(samples: Samples, rng: np.random.Generator, *, seed: int) -> 
 
 def _directions(planes: list[tuple[Plane, np.ndarray]]) -> list[np.ndarray]:
     """Horizontal unit vectors across the walls, and the vertical."""
-    upright = [(plane, len(p)) for plane, p in planes if abs(plane.normal[2]) < UPRIGHT]
     vertical = np.array([0.0, 0.0, 1.0])
-    if not upright:
+    if not any(is_upright(plane) for plane, _ in planes):
         return [vertical]
+    along = main_direction(planes)
+    return [along, np.cross(vertical, along), vertical]
+
+
+def is_upright(plane: Plane) -> bool:
+    """Whether a plane stands as a wall does."""
+    return bool(abs(plane.normal[2]) < UPRIGHT)
+
+
+def main_direction(planes: list[tuple[Plane, np.ndarray]]) -> np.ndarray:
+    """The horizontal unit vector [3] across the walls that most points agree with, up to right angles; x without."""
+    upright = [(plane, len(p)) for plane, p in planes if is_upright(plane)]
+    if not upright:
+        return np.array([1.0, 0.0, 0.0])
     azimuth = np.array([np.arctan2(plane.normal[1], plane.normal[0]) for plane, _ in upright])
     support = np.array([count for _, count in upright], float)
     # Walls are roughly at right angles: the direction modulo 90 degrees that most points agree with.
@@ -126,8 +137,7 @@ def _directions(planes: list[tuple[Plane, np.ndarray]]) -> list[np.ndarray]:
     best = int(np.argmax((support[None, :] * (gap < np.radians(10.0))).sum(1)))
     close = gap[best] < np.radians(10.0)
     turn = azimuth[best] + support[close] @ _modulo_right_angle(azimuth[close] - azimuth[best]) / support[close].sum()
-    across = [np.array([np.cos(a), np.sin(a), 0.0]) for a in (turn, turn + np.pi / 2)]
-    return [*across, vertical]
+    return np.array([np.cos(turn), np.sin(turn), 0.0])
 
 
 def _modulo_right_angle(angle: np.ndarray) -> np.ndarray:
@@ -180,7 +190,7 @@ def _dimension(
     normal = _mean_normal(pair)
     ahead, behind = _distances(pair, normal, centre)
     random = np.hypot(pair[0].plane.sigma_at(centre), pair[1].plane.sigma_at(centre))
-    parts = [_wall_weights(wall, centre, rng) for wall in pair]
+    parts = [wall_weights(wall, wall.plane.height_weights(centre), rng) for wall in pair]
     weights = np.concatenate([weight for _, weight in parts])
     systematic = systematic_of(Samples.joined([part for part, _ in parts]), weights)
     counts = [len(wall.samples.p) for wall in pair]
@@ -195,14 +205,3 @@ def _dimension(
         angle_deg=float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))),
         direction=normal,
     )
-
-
-def _wall_weights(wall: Wall, at: np.ndarray, rng: np.random.Generator) -> tuple[Samples, np.ndarray]:
-    """Some of the wall's points, and weights w [n, 3]: at `at` the wall moves by sum w . dp."""
-    part = wall.samples.take(spread_out(len(wall.samples.p), SYSTEMATIC_POINTS, rng))
-    plane = wall.plane
-    weight = part.weights_across(plane.normal)
-    design = np.column_stack([np.ones(len(part.p)), (part.p - plane.centre) @ plane.axes.T])
-    normal_equations = (design * weight[:, None]).T @ design
-    row = np.linalg.solve(normal_equations, plane.height_weights(at)) @ (design * weight[:, None]).T
-    return part, row[:, None] * plane.normal

@@ -17,6 +17,8 @@ KEPT = 2.5
 SHARE, SPAN = 0.1, 0.5
 """A wall has at least these shares of the largest support and of the largest width of all planes on
 its side of the room; smaller planes are things behind a door."""
+SYSTEMATIC_POINTS = 2000
+"""Points per wall on which the effect of the calibration is evaluated."""
 
 
 class Wall(NamedTuple):
@@ -89,6 +91,27 @@ def refine_wall(samples: Samples, plane: Plane, *, rng: np.random.Generator) -> 
         normal, distance = plane.normal, plane.distance
     members = around.take(kept)
     return Wall(facing(fitted_plane(members, normal), normal), members, scale)
+
+
+def wall_weights(wall: Wall, row: np.ndarray, rng: np.random.Generator | None = None) -> tuple[Samples, np.ndarray]:
+    """What a number that depends on a wall's plane weighs the wall's points with.
+
+    Args:
+        wall: The wall.
+        row: Weights [3] of the plane's (offset, slopes) in the number.
+        rng: Chooses among the points where there are many.
+
+    Returns:
+        Some of the points, and weights w [n, 3]: the number moves by sum w . dp.
+    """
+    rng = np.random.default_rng(0) if rng is None else rng
+    part = wall.samples.take(spread_out(len(wall.samples.p), SYSTEMATIC_POINTS, rng))
+    plane = wall.plane
+    weight = part.weights_across(plane.normal)
+    design = np.column_stack([np.ones(len(part.p)), (part.p - plane.centre) @ plane.axes.T])
+    normal_equations = (design * weight[:, None]).T @ design
+    factors = np.linalg.solve(normal_equations, row) @ (design * weight[:, None]).T
+    return part, factors[:, None] * plane.normal
 
 
 def _outer_scale(residual: np.ndarray) -> float:

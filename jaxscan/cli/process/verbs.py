@@ -24,7 +24,9 @@ VERBS = {
     "scan": "Scan with a rig: `jaxscan scan scan.toml -o captures/room`.",
     "panorama": "Draw the room all around: `jaxscan panorama captures/room -c calibration.json -o room.jpg`.",
     "mesh": "Make a mesh of a cloud: `jaxscan mesh room.ply -o room.glb`.",
-    "measure": "Measure a cloud: room, distance, plane or compare (`jaxscan measure room --help`).",
+    "measure": "Measure a cloud: room, distance, plane, sphere and others (`jaxscan measure --help`).",
+    "plan": "Draw a room: `jaxscan plan room.ply -c calibration.json -o plan.dxf`.",
+    "orthophoto": "Draw the walls of a room straight on: `jaxscan orthophoto room.ply -o walls`.",
     "import": "Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.",
     "align": "Put a cloud in a frame: `jaxscan align room.ply -o levelled.ply --room`, or `--targets targets.toml`.",
     "convert": "Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.",
@@ -36,6 +38,9 @@ MEASURES = {
     "room": "Wall to wall: `jaxscan measure room room.ply -c calibration.json`.",
     "distance": "Between two picked points: `jaxscan measure distance room.ply --a 1 0.2 0.1 --b 1 -0.8 0.1`.",
     "plane": "Flatness around a point: `jaxscan measure plane room.ply --at 1.9 0.2 0.1`.",
+    "points": "Between two single points: `jaxscan measure points room.ply --a 1 0.2 0.1 --b 1 -0.8 0.1`.",
+    "sphere": "Centre and radius of a sphere: `jaxscan measure sphere room.ply --near 1 0.2 0.1 --radius 0.07`.",
+    "deviations": "Deviations from a plane: `jaxscan measure deviations room.ply --at 1.9 0.2 0.1 -o map.png`.",
     "compare": "Against a true or better cloud: `jaxscan measure compare room.ply truth.npz`.",
 }
 """The same for the verbs below `jaxscan measure`."""
@@ -45,6 +50,11 @@ _ROOMS = {
     "board": "products.board",
     "init": "products.init",
     "scan": "scanning.scan",
+    "plan": "products.plan",
+    "orthophoto": "products.orthophoto",
+    "points": "products.points",
+    "sphere": "products.sphere",
+    "deviations": "products.deviations",
     "convert": "exchange.convert",
     "import": "exchange.import_",
     "recalibrate": "recalibration.recalibrate",
@@ -58,7 +68,7 @@ def load_verb(verb: str) -> Callable[..., None]:
     """The function of a verb; its module is imported now."""
     # No function of Python can be called "import".
     name = "import_" if verb == "import" else verb
-    module = "measure" if verb in MEASURES else _ROOMS.get(verb, verb)
+    module = _ROOMS.get(verb, "measure" if verb in MEASURES else verb)
     function: Callable[..., None] = getattr(importlib.import_module(f"jaxscan.cli.{module}"), name)
     return function
 

@@ -1,0 +1,7 @@
+"""Drawings of rooms: plans and sections as layers of lines, texts and dimensions, and pictures of walls."""
+
+from jaxscan.drawing.model import LAYERS, DimensionLine, Drawing, Layer, Line, Text, layer_of, strokes
+from jaxscan.drawing.orthophotos import Orthophoto, draw_orthophotos
+from jaxscan.drawing.plan import draw_plan
+from jaxscan.drawing.section import draw_section
+from jaxscan.drawing.survey import Survey, survey_room

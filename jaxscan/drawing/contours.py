@@ -1,0 +1,114 @@
+"""Where a plane cuts the surfaces of a cloud: lines between neighbours of its grid."""
+
+import numpy as np
+
+from jaxscan.measurement.grid import Quads
+
+
+STEEP = 4.0
+"""Neighbours are of one surface up to this many times as far behind each other as they are beside each other [1]."""
+STEP_M = 0.03
+"""And this much more [m]."""
+APART_M = 0.3
+"""And up to this distance [m]."""
+TOLERANCE_M = 0.008
+"""Lines are simplified by up to this [m]."""
+
+
+def joined_quads(quads: Quads, p: np.ndarray, eye: np.ndarray) -> Quads:
+    """The quads whose corners are of one surface.
+
+    Args:
+        quads: All quads.
+        p: Points of the cells [cells, 3], m.
+        eye: Where they were seen from [cells, 3], m.
+    """
+    way = p - eye
+    reach = np.linalg.norm(way, axis=1)
+    joined = np.ones(len(quads.corners), bool)
+    for first, second in ((0, 1), (2, 3), (0, 2), (1, 3)):
+        a, b = quads.corners[:, first], quads.corners[:, second]
+        apart = np.linalg.norm(p[a] - p[b], axis=1)
+        behind = np.abs(reach[a] - reach[b])
+        beside = np.sqrt(np.maximum(apart**2 - behind**2, 0.0))
+        joined &= (behind < STEEP * beside + STEP_M) & (apart < APART_M)
+    return Quads(quads.corners[joined])
+
+
+def cut(quads: Quads, p: np.ndarray, height: np.ndarray) -> list[np.ndarray]:
+    """The lines along which a height is zero.
+
+    Args:
+        quads: Quads of one surface each.
+        p: Points of the cells [cells, 3], m.
+        height: Of the cells over the cutting plane [cells], m.
+
+    Returns:
+        Lines [n, 3], m; two quads that share a side share the point on it.
+    """
+    above = height[quads.corners] > 0
+    mixed = np.flatnonzero(above.any(1) & ~above.all(1))
+    segments: list[tuple[tuple[int, int], tuple[int, int]]] = []
+    for quad in mixed:
+        corners = quads.corners[quad]
+        sides = [(corners[i], corners[j]) for i, j in ((0, 1), (1, 3), (3, 2), (2, 0))]
+        crossed = [(int(min(side)), int(max(side))) for side in sides if (height[side[0]] > 0) != (height[side[1]] > 0)]
+        segments += [(crossed[k], crossed[k + 1]) for k in range(0, len(crossed), 2)]
+    return [_points(chain, p, height) for chain in _chains(segments)]
+
+
+def _points(chain: list[tuple[int, int]], p: np.ndarray, height: np.ndarray) -> np.ndarray:
+    first, second = np.array(chain).T
+    share = height[first] / (height[first] - height[second])
+    return p[first] + share[:, None] * (p[second] - p[first])
+
+
+def _chains(segments: list[tuple[tuple[int, int], tuple[int, int]]]) -> list[list[tuple[int, int]]]:
+    """Segments with common ends one after the other."""
+    at: dict[tuple[int, int], list[int]] = {}
+    for number, ends in enumerate(segments):
+        for end in ends:
+            at.setdefault(end, []).append(number)
+    left, chains = set(range(len(segments))), []
+    # Chains with two ends first: those that are left are rings.
+    firsts = [number for number, ends in enumerate(segments) if any(len(at[end]) == 1 for end in ends)]
+    for number in (*firsts, *range(len(segments))):
+        if number not in left:
+            continue
+        left.remove(number)
+        start, end = segments[number]
+        chain = [end, start] if len(at[start]) > 1 and len(at[end]) == 1 else [start, end]
+        while following := [other for other in at[chain[-1]] if other in left]:
+            left.remove(following[0])
+            one, two = segments[following[0]]
+            chain.append(two if one == chain[-1] else one)
+        chains.append(chain)
+    return chains
+
+
+def simplified(points: np.ndarray, tolerance_m: float = TOLERANCE_M) -> np.ndarray:
+    """A line [n, k] without points that are nearer than a tolerance [m] to the line without them."""
+    kept = np.zeros(len(points), bool)
+    kept[[0, -1]] = True
+    spans = [(0, len(points) - 1)]
+    while spans:
+        first, last = spans.pop()
+        if last - first < 2:
+            continue
+        along = points[last] - points[first]
+        apart = points[first + 1 : last] - points[first]
+        square = float(along @ along)
+        share = np.clip(apart @ along / square, 0.0, 1.0) if square > 0 else np.zeros(len(apart))
+        away = np.linalg.norm(apart - share[:, None] * along, axis=1)
+        worst = int(np.argmax(away))
+        if away[worst] > tolerance_m:
+            middle = first + 1 + worst
+            kept[middle] = True
+            spans += [(first, middle), (middle, last)]
+    return points[kept]
+
+
+def kept_parts(points: np.ndarray, kept: np.ndarray) -> list[np.ndarray]:
+    """The stretches of a line [n, k] whose points are kept [n], of two points or more."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]).astype(int)))
+    return [points[start:stop] for start, stop in ends.reshape(-1, 2) if stop - start > 1]

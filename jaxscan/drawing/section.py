@@ -1,0 +1,168 @@
+"""A vertical section through a room."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.drawing.contours import cut, joined_quads, kept_parts, simplified
+from jaxscan.drawing.model import DimensionLine, Drawing, Line, with_sigma
+from jaxscan.drawing.plan import LAYER_OF, SHORTEST_M, room_words, with_notes
+from jaxscan.drawing.survey import WALL_M, Survey
+from jaxscan.errors import MeasurementError
+from jaxscan.measurement.outline import Opening
+from jaxscan.measurement.outline.corners import Surface, corner_of, length_between
+
+
+OUTSIDE_M = 0.35
+"""Distance of the dimensions from what they measure [m]."""
+
+
+class _End(NamedTuple):
+    """Where the section meets a wall."""
+
+    s: float
+    """Along the section [m]."""
+    surface: Surface
+    seen: bool
+    openings: list[Opening]
+
+
+def draw_section(survey: Survey, a: tuple[float, float], b: tuple[float, float]) -> Drawing:
+    """Draw what the upright plane through two points of the plan cuts: floor, walls, ceiling and furniture.
+
+    x of the drawing runs from the first point towards the second, y is the height above the floor. Dimensions are the
+    widths at the floor and the heights in the middle of each stretch inside.
+
+    Args:
+        survey: The room.
+        a: First point [m], as in the plan.
+        b: Second point [m].
+
+    Returns:
+        The section; the first point is at x = 0.
+
+    Raises:
+        MeasurementError: If the points are one, or the plane does not meet the room.
+    """
+    first, second = np.array(a, np.float64), np.array(b, np.float64)
+    if np.linalg.norm(second - first) < 0.01:
+        raise MeasurementError(
+            f"The points {_text(first)} and {_text(second)} of the section are one; give two at least 0.01 m apart."
+        )
+    along = (second - first) / np.linalg.norm(second - first)
+    across = np.array([-along[1], along[0], 0.0])
+    plane = Surface.exact(across, float(across[:2] @ first))
+    ends = _ends(survey, plane, first, along)
+    if len(ends) < 2:
+        low, high = (
+            limit([corner.at[:2] for corner in survey.outline.corners()[0]], axis=0) for limit in (np.min, np.max)
+        )
+        raise MeasurementError(
+            f"The section through {_text(first)} and {_text(second)} does not meet the room, which reaches from "
+            f"{_text(low)} to {_text(high)} in the plan."
+        )
+    lines: list[Line] = []
+    dimensions: list[DimensionLine] = []
+    for left, right in zip(ends[::2], ends[1::2], strict=True):
+        some_lines, some_dimensions = _stretch(survey, plane, left, right, np.append(along, 0.0), first)
+        lines += some_lines
+        dimensions += some_dimensions
+    lines += [Line("A-FURN", points) for points in _furniture(survey, plane, first, along)]
+    words = f"Section through {_text(first)} and {_text(second)} of the plan"
+    drawing = Drawing(words, tuple(lines), (), tuple(dimensions))
+    return with_notes(drawing, [f"{words}. ± one standard deviation.", *room_words(survey)])
+
+
+def _text(point: np.ndarray) -> str:
+    return "(" + ", ".join(f"{x:.2f}" for x in point) + ")"
+
+
+def _ends(survey: Survey, plane: Surface, first: np.ndarray, along: np.ndarray) -> list[_End]:
+    """All walls that the plane meets, from left to right."""
+    ends = []
+    across = plane.plane.normal[:2]
+    room = survey.outline
+    for number, (loop, corners) in enumerate(zip(room.loops, room.corners(), strict=True)):
+        at = np.array([corner.at[:2] for corner in corners])
+        heights = at @ across - plane.plane.distance
+        for i, side in enumerate(loop):
+            j = (i + 1) % len(loop)
+            if (heights[i] > 0) == (heights[j] > 0):
+                continue
+            share = heights[i] / (heights[i] - heights[j])
+            met = at[i] + share * (at[j] - at[i])
+            reached = share * float(np.linalg.norm(at[j] - at[i]))
+            cuts = [one for one in survey.openings[number][i] if one.left.value < reached < one.right.value]
+            ends.append(_End(float((met - first) @ along), side.surface, side.seen, cuts))
+    return sorted(ends, key=lambda end: end.s)
+
+
+def _stretch(
+    survey: Survey, plane: Surface, left: _End, right: _End, along: np.ndarray, first: np.ndarray
+) -> tuple[list[Line], list[DimensionLine]]:
+    """Floor, ceiling and the two walls of a stretch inside."""
+    room = survey.outline
+    middle = 0.5 * (left.s + right.s)
+    upright = Surface.exact(along, float(along[:2] @ first) + middle)
+
+    def flat(p: np.ndarray) -> np.ndarray:
+        return np.array([float((p[:2] - first) @ along[:2]), p[2]])
+
+    low = [corner_of(end.surface, plane, room.floor) for end in (left, right)]
+    lines, dimensions = [Line("A-FLOR", np.stack([flat(corner.at) for corner in low]))], []
+    top = 0.0
+    if room.ceiling is not None:
+        high = [corner_of(end.surface, plane, room.ceiling) for end in (left, right)]
+        lines.append(Line("A-CLNG", np.stack([flat(corner.at) for corner in high])))
+        for end, below, above in zip((left, right), low, high, strict=True):
+            lines += _upright(end, flat(below.at), flat(above.at))
+        ends = [corner_of(upright, plane, surface) for surface in (room.floor, room.ceiling)]
+        height = length_between(ends[0], ends[1], room.errors)
+        dimensions.append(DimensionLine("A-ANNO-DIMS", flat(ends[0].at), flat(ends[1].at), 0.0, with_sigma(height)))
+        top = height.value
+    else:
+        top = float(survey.p[:, 2].max())
+        for end, below in zip((left, right), low, strict=True):
+            lines += _upright(end, flat(below.at), flat(below.at) + [0.0, top])
+    if left.seen and right.seen:
+        width = length_between(low[0], low[1], room.errors)
+        dimensions.append(DimensionLine("A-ANNO-DIMS", flat(low[0].at), flat(low[1].at), -OUTSIDE_M, with_sigma(width)))
+    return lines, dimensions
+
+
+def _upright(end: _End, low: np.ndarray, high: np.ndarray) -> list[Line]:
+    """A wall from floor to ceiling, with gaps where it is cut."""
+    if not end.seen:
+        return [Line("A-WALL-OPEN", np.stack([low, high]))]
+
+    def at(height: float) -> np.ndarray:
+        return low + float(np.clip(height / (high[1] - low[1]), 0.0, 1.0)) * (high - low)
+
+    lines, begun = [], 0.0
+    for one in sorted(end.openings, key=lambda each: each.bottom.value):
+        if one.kind == "panel":
+            continue
+        lines += [
+            Line("A-WALL", np.stack([at(begun), at(one.bottom.value)])),
+            Line(LAYER_OF[one.kind], np.stack([at(one.bottom.value), at(one.top.value)])),
+        ]
+        begun = one.top.value
+    return [*lines, Line("A-WALL", np.stack([at(begun), high]))]
+
+
+def _furniture(survey: Survey, plane: Surface, first: np.ndarray, along: np.ndarray) -> list[np.ndarray]:
+    """Lines in which the plane cuts what stands in the room."""
+    height = survey.p @ plane.plane.normal - plane.plane.distance
+    quads = joined_quads(survey.quads, survey.p, survey.eye)
+    room = survey.outline
+    found = []
+    for line in cut(quads, survey.p, height):
+        kept = survey.is_inside(line)
+        for surface in (room.floor, room.ceiling):
+            if surface is not None:
+                kept &= surface.plane.distance - line @ surface.plane.normal > 0.5 * WALL_M
+        flat = np.stack([(line[:, :2] - first) @ along, line[:, 2]], 1)
+        for part in kept_parts(flat, kept):
+            if np.linalg.norm(np.diff(part, axis=0), axis=1).sum() >= SHORTEST_M:
+                found.append(simplified(part))
+    return found

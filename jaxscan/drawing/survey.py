@@ -1,0 +1,67 @@
+"""What drawings of a room are made of: its outline, what is in its walls, and its surfaces."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxscan.geometry import Scanner
+from jaxscan.measurement.grid import Quads, quads_of
+from jaxscan.measurement.outline import Opening, RoomOutline, find_openings, measure_outline
+from jaxscan.measurement.samples import Cloud, places_of
+
+
+WALL_M = 0.06
+"""Surfaces nearer than this to a wall are drawn as the wall or as what hangs on it [m]."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A room that was measured, in the frame of its plan [m]."""
+
+    outline: RoomOutline
+    openings: list[list[list[Opening]]]
+    """Of every side of every loop."""
+    quads: Quads
+    p: np.ndarray
+    """Points of the cells [cells, 3]."""
+    eye: np.ndarray
+    """Where they were seen from [cells, 3]."""
+
+    def is_inside(self, p: np.ndarray) -> np.ndarray:
+        """Which points [n, 2 or 3] are within the outline, and not on a wall [n]."""
+        inside, clear = np.zeros(len(p), bool), np.ones(len(p), bool)
+        for loop, corners in zip(self.outline.loops, self.outline.corners(), strict=True):
+            at = np.array([corner.at[:2] for corner in corners])
+            for side, start, end in zip(loop, at, np.roll(at, -1, 0), strict=True):
+                crosses = (start[1] > p[:, 1]) != (end[1] > p[:, 1])
+                rise = end[1] - start[1]
+                x = start[0] + (p[:, 1] - start[1]) * (end[0] - start[0]) / (rise if rise != 0 else 1.0)
+                inside ^= crosses & (p[:, 0] < x)
+                if side.seen:
+                    along = (end - start) / np.linalg.norm(end - start)
+                    s = np.clip((p[:, :2] - start) @ along, 0.0, np.linalg.norm(end - start))
+                    clear &= np.linalg.norm(p[:, :2] - start - s[:, None] * along, axis=1) > WALL_M
+        return inside & clear
+
+
+def survey_room(cloud: Cloud, *, scanner: Scanner | None = None) -> Survey:
+    """Measure all that drawings of a room show.
+
+    Args:
+        cloud: The room, scanned from within, with its grid.
+        scanner: The scanner it was made with; its covariance gives the systematic part of sigmas.
+
+    Returns:
+        The room, in the frame of its plan.
+
+    Raises:
+        MeasurementError: If there is no floor, no walls around the scanner, or no grid.
+    """
+    quads = quads_of(cloud)
+    outline = measure_outline(cloud, scanner=scanner)
+    places = places_of(cloud)
+    lines = np.asarray(cloud.xyz).shape[1]
+    eye = np.repeat(places.pose[places.number, :3, 3], lines, 0)
+    p = np.asarray(cloud.xyz, np.float64).reshape(-1, 3)
+    openings = find_openings(cloud, outline, scanner=scanner)
+    return Survey(outline, openings, quads, outline.frame.of(p), outline.frame.of(eye))

@@ -1,0 +1,71 @@
+"""DXF R2010 through ezdxf: layers, lines, texts and dimensions, in metres."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+
+from jaxscan.drawing import Drawing, layer_of
+from jaxscan.drawing.model import TEXT_M
+from jaxscan.errors import DependencyError
+
+
+STYLE = "JAXSCAN"
+
+
+def check_dxf() -> None:
+    """Check that DXF can be written.
+
+    Raises:
+        DependencyError: If ezdxf is not installed.
+    """
+    if importlib.util.find_spec("ezdxf") is None:
+        raise DependencyError('DXF needs ezdxf: pip install "jaxscan[plan]"')
+
+
+def write_dxf(drawing: Drawing, path: Path) -> None:
+    """Write a drawing as DXF; one unit of it is a metre.
+
+    Raises:
+        DependencyError: If ezdxf is not installed.
+        OSError: If the file cannot be written.
+    """
+    check_dxf()
+    import ezdxf
+
+    document = ezdxf.new("R2010", setup=["linetypes"])
+    document.units = ezdxf.units.M
+    document.header["$MEASUREMENT"] = 1
+    document.header["$LUNITS"] = 2
+    # Lines of dashes are defined for drawings in inches or millimetres; a dash is a few centimetres here.
+    document.header["$LTSCALE"] = 0.1
+    for name in drawing.layers:
+        look = layer_of(name)
+        # The library counts widths in hundredths of a millimetre.
+        layer = document.layers.add(name, color=look.colour, linetype="DASHED" if look.dashed else "CONTINUOUS")
+        layer.dxf.lineweight = round(100 * look.width_mm)
+        layer.description = look.means
+    style = document.dimstyles.new(STYLE)
+    style.dxf.dimtxt, style.dxf.dimasz, style.dxf.dimtsz = TEXT_M, 0.05, 0.05
+    style.dxf.dimexo, style.dxf.dimexe, style.dxf.dimgap = 0.05, 0.05, 0.03
+    style.dxf.dimdec, style.dxf.dimtad, style.dxf.dimlunit = 3, 1, 2
+    space = document.modelspace()
+    for line in drawing.lines:
+        space.add_lwpolyline([(float(x), float(y)) for x, y in line.points], dxfattribs={"layer": line.layer})
+    for text in drawing.texts:
+        attributes = {"layer": text.layer, "height": text.height_m, "rotation": float(np.degrees(text.angle))}
+        added = space.add_text(text.words, dxfattribs=attributes)
+        added.set_placement(tuple(map(float, text.at)), align=ezdxf.enums.TextEntityAlignment.MIDDLE_CENTER)
+    for one in drawing.dimensions:
+        space.add_aligned_dim(
+            p1=tuple(map(float, one.start)),
+            p2=tuple(map(float, one.end)),
+            distance=one.offset_m,
+            text=one.words,
+            dimstyle=STYLE,
+            dxfattribs={"layer": one.layer},
+        ).render()
+    low, high = drawing.bounds()
+    document.set_modelspace_vport(height=float(1.1 * (high - low).max()), center=tuple(map(float, 0.5 * (low + high))))
+    document.header["$EXTMIN"], document.header["$EXTMAX"] = (*map(float, low), 0.0), (*map(float, high), 0.0)
+    document.saveas(path)

@@ -1,0 +1,29 @@
+"""Clouds that are fit for numbers with sigmas."""
+
+import numpy as np
+
+from jaxscan.errors import MeasurementError
+from jaxscan.measurement.samples import Cloud, Samples, samples_of
+
+
+FARTHEST_M = 1e8
+"""Largest coordinate of a point [m]: more than twice around the Earth."""
+
+
+def checked_samples(cloud: Cloud) -> Samples:
+    """All valid points, as `samples_of` gives them.
+
+    Raises:
+        MeasurementError: If there are none, or if a coordinate or sigma is no number that a point can have.
+    """
+    valid = np.asarray(cloud.valid)
+    xyz, sigma = np.asarray(cloud.xyz)[valid], np.asarray(cloud.sigma_random)[valid]
+    # NaN fails too.
+    if not (np.abs(xyz) <= FARTHEST_M).all():
+        raise MeasurementError(f"The cloud has coordinates that are not numbers within {FARTHEST_M:g} m of 0.")
+    if len(sigma) and not (np.isfinite(sigma).all() and (sigma > 0).any()):
+        raise MeasurementError(
+            "The cloud has no sigmas, so nobody knows how uncertain a measured number is; a cloud of jaxscan "
+            "reconstruct is needed, as .ply or .npz."
+        )
+    return samples_of(cloud)

@@ -1,0 +1,134 @@
+r"""Corners as intersections of planes, and the uncertainty of what is computed from them.
+
+Each plane may be displaced along its normal by $h(x) \cdot (\mathrm{offset}, \mathrm{slopes})$, linear in the place x.
+A corner x of three planes with normals N moves by $N^{-1} (h_1(x) \cdot s_1, h_2(x) \cdot s_2, h_3(x) \cdot s_3)$, so a
+number that depends on corners is, to first order, a weighted sum of the planes' parameters, and these are weighted sums
+of points.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.geometry import Scanner
+from jaxscan.measurement.outline.level import Frame
+from jaxscan.measurement.planes import Plane
+from jaxscan.measurement.samples import Places, Samples
+from jaxscan.measurement.systematic import systematic_sigma
+from jaxscan.measurement.walls import Wall, wall_weights
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A measured number and its standard deviations, in metres, square metres or cubic metres."""
+
+    value: float
+    sigma: float
+    """One standard deviation: random and systematic together."""
+    sigma_random: float
+    """From the scatter of the points."""
+    sigma_systematic: float
+    """From the covariances of the calibration and of the poses of stations; 0 where they are not known."""
+
+
+class Surface(NamedTuple):
+    """A plane that bounds something, and the points behind it; None for one that is given and has no error."""
+
+    plane: Plane
+    wall: Wall | None
+
+    @staticmethod
+    def exact(normal: np.ndarray, distance: float) -> "Surface":
+        """The plane `normal . p = distance` without error; unit normal [3], distance [m]."""
+        axes = np.linalg.svd(normal[None])[2][1:]
+        return Surface(Plane(normal, distance, distance * normal, axes, np.zeros((3, 3))), None)
+
+    def raised(self, height: float) -> "Surface":
+        """The surface moved against its normal by a height [m], with the same errors."""
+        plane = self.plane
+        moved = plane._replace(distance=plane.distance - height, centre=plane.centre - height * plane.normal)
+        return Surface(moved, self.wall)
+
+
+class Corner(NamedTuple):
+    """Where three surfaces meet."""
+
+    at: np.ndarray
+    """[3], m."""
+    surfaces: tuple[Surface, Surface, Surface]
+
+    def effects(self, gradient: np.ndarray) -> list[tuple[Surface, np.ndarray]]:
+        """Of each surface the weights [3] of (offset, slopes) in a number that has this gradient [3] by the corner."""
+        shares = np.linalg.solve(np.stack([surface.plane.normal for surface in self.surfaces]).T, gradient)
+        return [
+            (surface, share * surface.plane.height_weights(self.at))
+            for surface, share in zip(self.surfaces, shares, strict=True)
+        ]
+
+
+def corner_of(*surfaces: Surface) -> Corner:
+    """The corner of three surfaces that are not parallel."""
+    first, second, third = surfaces
+    normals = np.stack([surface.plane.normal for surface in surfaces])
+    at = np.linalg.solve(normals, np.array([surface.plane.distance for surface in surfaces]))
+    return Corner(at, (first, second, third))
+
+
+class Errors(NamedTuple):
+    """What is known of the errors of a cloud's points, in the frame of a plan."""
+
+    scanner: Scanner | None
+    places: Places
+    frame: Frame
+
+    def estimate(self, value: float, effects: Sequence[tuple[Surface, np.ndarray]]) -> Estimate:
+        """A number with its standard deviations.
+
+        Args:
+            value: The number.
+            effects: Surfaces, and the weights [3] of their (offset, slopes) in the number; a surface may come often.
+        """
+        rows: dict[int, tuple[Wall, np.ndarray]] = {}
+        for surface, row in effects:
+            if surface.wall is not None:
+                _, before = rows.get(id(surface.wall), (surface.wall, np.zeros(3)))
+                rows[id(surface.wall)] = surface.wall, before + row
+        if not rows:
+            return Estimate(value, 0.0, 0.0, 0.0)
+        random = sum(float(row @ wall.plane.covariance @ row) for wall, row in rows.values())
+        systematic = self._systematic([wall_weights(wall, row) for wall, row in rows.values()])
+        return Estimate(value, float(np.hypot(np.sqrt(random), systematic)), float(np.sqrt(random)), systematic)
+
+    def _systematic(self, parts: list[tuple[Samples, np.ndarray]]) -> float:
+        joined = Samples.joined([part for part, _ in parts])
+        in_cloud = joined._replace(p=self.frame.back(joined.p), origin=self.frame.back(joined.origin))
+        weights = np.concatenate([weight for _, weight in parts]) @ self.frame.rotation
+        return systematic_sigma(self.scanner, self.places, in_cloud, weights)
+
+
+def length_between(start: Corner, end: Corner, errors: Errors) -> Estimate:
+    """The distance of two corners [m]."""
+    apart = end.at - start.at
+    value = float(np.linalg.norm(apart))
+    along = apart / value
+    return errors.estimate(value, [*start.effects(-along), *end.effects(along)])
+
+
+def area_of(loops: Sequence[Sequence[Corner]], normal: np.ndarray, errors: Errors) -> Estimate:
+    """The area of a flat polygon with holes [m^2].
+
+    Args:
+        loops: Corners of each loop, right-handed about `normal`; holes left-handed.
+        normal: Unit normal [3].
+        errors: Of the points.
+    """
+    value, effects = 0.0, []
+    for loop in loops:
+        at = np.array([corner.at for corner in loop])
+        before, after = np.roll(at, 1, 0), np.roll(at, -1, 0)
+        value += 0.5 * float(np.cross(at, after).sum(0) @ normal)
+        gradient = 0.5 * np.cross(after - before, normal)
+        effects += [each for corner, row in zip(loop, gradient, strict=True) for each in corner.effects(row)]
+    return errors.estimate(value, effects)
