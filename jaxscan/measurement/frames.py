@@ -181,7 +181,7 @@ def _longest(walls: list[Wall], cross: list[Wall], up: np.ndarray) -> float:
     """Length of the walls between those across, or of the points on them where one of those was not seen [m]."""
     if len(cross) == 2:
         first, second = (wall.plane for wall in cross)
-        return first.distance + second.distance
+        return float((first.centre - second.centre) @ first.normal)
     return max(_length(wall, up) for wall in walls)
 
 
