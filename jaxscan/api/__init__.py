@@ -1,19 +1,26 @@
 """The public verbs: they join the core with files, OpenCV and the simulation."""
 
-from jaxscan.api.boards import BoardSheets, draw_board, save_board, write_sheets
 from jaxscan.api.calibration import calibrate, observe_boards, plan_calibration
-from jaxscan.api.drawings import save_drawing
-from jaxscan.api.frames import align_cloud
-from jaxscan.api.meshes import Texture, mesh_cloud, poisson_mesh, textured_mesh
-from jaxscan.api.photographs import (
+from jaxscan.api.products import (
+    BoardSheets,
+    Texture,
+    align_cloud,
+    check_drawing_path,
     check_panorama_path,
     colour_cloud,
+    draw_board,
     draw_panorama,
     export_photographs,
     has_photographs,
+    mesh_cloud,
     open_photographs,
     panorama_paths,
+    poisson_mesh,
+    save_board,
+    save_drawing,
     save_panorama,
+    textured_mesh,
+    write_sheets,
 )
 from jaxscan.api.recalibration import recalibrate, save_recalibrated_cloud
 from jaxscan.api.simulation import load_simulation, simulate, simulate_boards, simulate_sweep

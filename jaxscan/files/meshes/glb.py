@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxscan import __version__
 from jaxscan.errors import OutputError
 from jaxscan.surface import Mesh
 from jaxscan.vision import encode_jpeg
@@ -53,7 +52,7 @@ def write_glb(mesh: Mesh, path: Path, name: str) -> None:
     primitive = {"attributes": {one: k for k, one in enumerate(attributes)}, "indices": len(accessors), "material": 0}
     material: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
     content: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": f"jaxscan {__version__}"},
+        "asset": {"version": "2.0", "generator": "jaxscan"},
         "extensionsUsed": ["KHR_materials_unlit"],
         "scene": 0,
         "scenes": [{"nodes": [0]}],

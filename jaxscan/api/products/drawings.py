@@ -7,7 +7,6 @@ from jaxscan.drawing import Drawing
 from jaxscan.errors import OutputError
 from jaxscan.files.disk import check_writable, write_atomically
 from jaxscan.files.drawings import check_dxf, svg_of, write_dxf
-from jaxscan.report import pdf_of
 
 
 def _write_svg(drawing: Drawing, path: Path) -> None:
@@ -15,6 +14,9 @@ def _write_svg(drawing: Drawing, path: Path) -> None:
 
 
 def _write_pdf(drawing: Drawing, path: Path) -> None:
+    # Imported here, so that `import jaxscan` does not load OpenCV.
+    from jaxscan.report import pdf_of
+
     path.write_bytes(pdf_of(drawing))
 
 
