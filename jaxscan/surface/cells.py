@@ -12,8 +12,8 @@ from jaxscan.surface.settings import MeshSettings
 
 
 TRIANGLES = (((0, 0), (1, 0), (1, 1)), ((0, 0), (1, 1), (0, 1)), ((0, 0), (1, 0), (0, 1)), ((1, 0), (1, 1), (0, 1)))
-"""Corners (columns and lines ahead) of the faces abc, acd, abd and bcd. The bits 0 to 3 of a cell's code are theirs where
-they are anticlockwise as seen, and the bits 4 to 7 where they are clockwise."""
+"""Corners (columns and lines ahead) of the faces abc, acd, abd and bcd. The bits 0 to 3 of a cell's code are theirs
+where they are anticlockwise as seen, and the bits 4 to 7 where they are clockwise."""
 
 
 def cell_codes(

@@ -56,7 +56,7 @@ def mesh_grid(
         CloudError: If the cloud has no grid, or no face.
     """
     lattice = make_lattice(cloud)
-    eyes = np.asarray(_origins(cloud) if eyes is None else eyes, np.float32)
+    eyes = np.asarray(_origins(cloud) if eyes is None else eyes, np.float64)
     if settings.bridge:
         cloud = bridge_cells(cloud, lattice, eyes, settings)
 
@@ -67,7 +67,7 @@ def mesh_grid(
         # Far from the origin, as in a national grid, singles are too coarse; near their eyes they are not.
         centre = eyes[rows[0]]
         near = (xyz - centre).astype(np.float32)
-        nodes = make_nodes(near, normals.astype(np.float32), sigma.astype(np.float32), valid, eyes[rows] - centre)
+        nodes = make_nodes(near, normals, sigma, valid, eyes[rows] - centre)
         return cell_codes(nodes, lattice.joined[start : start + BLOCK], settings)
 
     starts = range(0, len(lattice.joined), BLOCK)

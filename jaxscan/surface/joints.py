@@ -46,14 +46,14 @@ def make_nodes(
 ) -> Nodes:
     """Nodes of points [m], their noise along the ray [m], and the place from which each column was seen [m]."""
     p = _apart(xyz)
-    way = tuple(component - eyes[:, k, None] for k, component in enumerate(p))
+    way = tuple(component - eyes[:, k, None].astype(np.float32) for k, component in enumerate(p))
     far = np.maximum(np.sqrt(dot(way, way)), 1e-9)
     ray = tuple(component / far for component in way)
-    return Nodes(p, _apart(normals), ray, sigma * sigma, valid)
+    return Nodes(p, _apart(normals), ray, np.square(sigma, dtype=np.float32), valid)
 
 
 def _apart(vectors: np.ndarray) -> tuple[np.ndarray, ...]:
-    return tuple(np.ascontiguousarray(vectors[..., k]) for k in range(3))
+    return tuple(np.ascontiguousarray(vectors[..., k], np.float32) for k in range(3))
 
 
 class Edges(NamedTuple):
@@ -78,7 +78,7 @@ def join(first: Nodes, second: Nodes, settings: MeshSettings) -> Edges:
     # Both are distances along the ray, positive where the second point is farther than the plane says.
     least = np.where(one * two <= 0, 0.0, np.minimum(np.abs(one), np.abs(two)))
     noise = settings.sigmas * np.sqrt(first.variance + second.variance)
-    # Across the plane, half of the distance between the rays; along the ray that is more, as the plane is steeper.
+    # Across the plane, a share of the distance between the rays; along the ray that is more, as the plane is steeper.
     beyond = least - noise
     steepness = np.maximum(cosine_one, cosine_two)
     joined = first.valid & second.valid & (beyond * steepness <= settings.bend * lateral)

@@ -76,14 +76,14 @@ def _sheet(members: np.ndarray, angle: np.ndarray, cloud: PointCloud) -> tuple[n
 def _meets(members: np.ndarray, cloud: PointCloud) -> bool:
     """Whether the points of the last profile are beside those of the first; those of a stage never are."""
     some = np.unique(np.linspace(0, len(members) - 2, 64).astype(np.int64))
-    usual = [gap for k in some if np.isfinite(gap := _apart(members[k], members[k + 1], cloud))]
-    return bool(usual) and _apart(members[-1], members[0], cloud) <= WIDEST_CLOSING * float(np.median(usual))
+    usual = [gap for k in some if np.isfinite(gap := _apart(members[k : k + 2], cloud))]
+    return bool(usual) and _apart(members[[-1, 0]], cloud) <= WIDEST_CLOSING * float(np.median(usual))
 
 
-def _apart(first: int, second: int, cloud: PointCloud) -> float:
+def _apart(pair: np.ndarray, cloud: PointCloud) -> float:
     """Median distance of the points of two profiles on the same lines [m]; infinite where they share none."""
-    both = np.asarray(cloud.valid)[first] & np.asarray(cloud.valid)[second]
+    both = np.asarray(cloud.valid)[pair].all(0)
     if not both.any():
         return np.inf
-    step = np.asarray(cloud.xyz)[first][both] - np.asarray(cloud.xyz)[second][both]
+    step = np.diff(np.asarray(cloud.xyz)[pair][:, both], axis=0)
     return float(np.median(np.linalg.norm(step, axis=-1)))

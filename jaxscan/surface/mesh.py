@@ -17,6 +17,6 @@ class Mesh(NamedTuple):
     faces: Int[np.ndarray, "m 3"]
     """Vertices of each triangle, int32; anticlockwise as the scanner sees them."""
     uv: Float[np.ndarray, "n 2"] | None = None
-    """Place of each vertex in the texture, float32: (0, 0) is the corner of its first pixel, (1, 1) that of its last."""
+    """Place of each vertex in the texture, float32: from (0, 0), a corner of its first pixel, to (1, 1)."""
     texture: UInt8[np.ndarray, "rows columns 3"] | None = None
     """The picture on the surface, RGB."""

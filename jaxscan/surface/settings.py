@@ -14,7 +14,7 @@ class MeshSettings(NamedTuple):
 
     sigmas: float = 3.0
     """Combined standard deviations by which depths may differ beyond what the slopes explain."""
-    bend: float = 0.5
+    bend: float = 0.25
     """Departure across the plane of a neighbour, as a share of the distance between the rays: smaller steps are below
     what the grid shows."""
     grazing_deg: float = 80.0

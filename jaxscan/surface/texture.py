@@ -108,7 +108,7 @@ def _texels(grid: GridMesh, start: int, stop: int, texels: int) -> _Texels:
 
 
 def _weights(bits: np.ndarray, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "cells texels 4"]:
-    """Shares of the corners a, b, c and d in each texel, of the face that it is on, or of the other if there is one only."""
+    """Shares of the corners a, b, c and d in each texel, by the face that it is on, or the only one there is."""
     zero, weight = np.zeros_like(u), np.zeros((len(bits), len(u), 4), np.float32)
     planes = (
         (1, u >= v, (1 - u, u - v, v, zero)),

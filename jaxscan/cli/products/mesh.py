@@ -63,8 +63,7 @@ def mesh(
         raise OptionError("--texture: needs the calibration of its camera; name it with -c.")
     if textured and (faces is not None or poisson):
         raise OptionError(
-            f"--texture: is for the mesh of the grid, and not with {'--poisson' if poisson else '--faces'}; the grid is "
-            "its chart."
+            f"--texture: found with {'--poisson' if poisson else '--faces'}, expected without: the grid is its chart."
         )
     written = api.mesh_paths(output, textured=textured)
     check_paths(
