@@ -113,6 +113,15 @@ def test_convert_puts_a_cloud_on_a_map(run, tmp_path, suffix):
     assert np.abs(stored.cloud.xyz[stored.cloud.valid] - (cloud.xyz[cloud.valid] + np.array(place))).max() < 0.52e-4
 
 
+def test_convert_says_what_it_takes_for_granted(run, tmp_path):
+    ran = run("convert", foreign(tmp_path / "a.xyz", room(), factor=1e3), tmp_path / "b.ply", "--json", "-")
+    notes = json.loads(ran.out)["notes"]
+    assert [("millimetres" in note, "what is up" in note) for note in notes] == [(True, False), (False, True)]
+    found = jaxscan.load_cloud(tmp_path / "b.ply").xyz[0]
+    # Nine digits of text.
+    assert np.abs(found - room().xyz.reshape(-1, 3)).max() < 1e-6
+
+
 def test_options_of_clouds_are_for_clouds(run, refused, tmp_path, tiny):
     for words in (("--epsg", "25832"), ("--unit", "mm"), ("--up", "y"), ("--offset", 1, 2, 3)):
         assert "is for clouds" in refused("convert", tiny.calibration, tmp_path / "a.yaml", *words)

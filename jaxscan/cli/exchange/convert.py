@@ -77,6 +77,8 @@ def convert(
     cloud, notes = in_metres(stored, unit)
     if up is not None:
         cloud, _ = with_z_up(stored, cloud, up)
+    elif not stored.about.upright:
+        notes.append("the file does not say what is up; z is, in what is written (--up).")
     if offset is not None:
         cloud = shifted(cloud, offset)
     code = stored.about.epsg if epsg is None else epsg

@@ -9,7 +9,6 @@ import numpy as np
 
 from jaxscan.errors import OutputError
 from jaxscan.surface import Mesh
-from jaxscan.vision import encode_jpeg
 
 
 _FLOAT, _SHORT, _INT = 5126, 5123, 5125
@@ -64,6 +63,9 @@ def write_glb(mesh: Mesh, path: Path, name: str) -> None:
         "bufferViews": views,
     }
     if "TEXCOORD_0" in attributes and mesh.texture is not None:
+        # Imported here, so that `import jaxscan` does not load OpenCV.
+        from jaxscan.vision import encode_jpeg
+
         picture = encode_jpeg(mesh.texture)
         content |= {
             "images": [{"bufferView": len(views), "mimeType": "image/jpeg"}],
