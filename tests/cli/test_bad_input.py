@@ -283,6 +283,11 @@ class TestOutput:
             ["measure", "plane", "{cloud}", "--at", "1", "0", "0"],
             ["measure", "distance", "{cloud}", "--a", "1", "0", "0", "--b", "1", "1", "0"],
             ["measure", "compare", "{cloud}", "{cloud}"],
+            ["measure", "points", "{cloud}", "--a", "1", "0", "0", "--b", "1", "1", "0"],
+            ["measure", "sphere", "{cloud}", "--near", "1", "0", "0", "--radius", "0.1"],
+            ["measure", "deviations", "{cloud}", "--at", "1", "0", "0"],
+            ["plan", "{cloud}", "-o", "{tmp}/a.svg"],
+            ["orthophoto", "{cloud}", "-o", "{tmp}/walls"],
             ["demo", "-o", "{tmp}/demo"],
         ],
     )

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import jaxscan
 from jaxscan.errors import MeasurementError
 from jaxscan.measurement import find_openings, measure_outline
 
@@ -137,3 +138,14 @@ def test_refusals():
     cloud.valid[:] = False
     with pytest.raises(MeasurementError, match="no valid points"):
         measure_outline(cloud)
+
+
+def test_the_part_of_the_calibration_is_that_of_other_lengths(tiny):
+    """A length of the outline and one of `measure_room` across the same walls have the same uncertainty."""
+    cloud, scanner = jaxscan.load_cloud(tiny.cloud), jaxscan.load_scanner(tiny.calibration)
+    box, room = jaxscan.measure_room(cloud, scanner=scanner), measure_outline(cloud, scanner=scanner)
+    assert room.height().value == pytest.approx(box.height.value_m, abs=2e-3)
+    # Not at the same place of floor and ceiling.
+    assert room.height().sigma_systematic == pytest.approx(box.height.sigma_systematic_m, rel=0.3)
+    for length in room.lengths()[0]:
+        assert length is None or length.sigma_systematic > 0

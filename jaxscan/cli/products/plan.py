@@ -44,7 +44,7 @@ def plan(
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
         json: Write the result as JSON too.
     """
-    from jaxscan.api import check_drawing_path
+    from jaxscan.api.drawings import check_drawing_path
 
     for one in height:
         positive("--height", one)
@@ -58,11 +58,10 @@ def plan(
     check_json(json)
     scanner, notes = calibrated(calibration)
     survey = jaxscan.survey_room(jaxscan.load_cloud(cloud), scanner=scanner)
-    drawing = (
-        jaxscan.draw_plan(survey, heights_m=height)
-        if section is None
-        else jaxscan.draw_section(survey, section[:2], section[2:])
-    )
+    if section is None:
+        drawing = jaxscan.draw_plan(survey, heights_m=height)
+    else:
+        drawing = jaxscan.draw_section(survey, section[:2], section[2:])
     jaxscan.save_drawing(drawing, output)
     out = notes_first(notes, json)
     result = _numbers(survey, height[0])
