@@ -44,7 +44,7 @@ def plan(
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
         json: Write the result as JSON too.
     """
-    from jaxscan.api.drawings import check_drawing_path
+    from jaxscan.api import check_drawing_path
 
     for one in height:
         positive("--height", one)
