@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxscan import __version__
 from jaxscan.errors import OutputError
 from jaxscan.surface import Mesh
-from jaxscan.vision import encode_jpeg
 
 
 _FLOAT, _SHORT, _INT = 5126, 5123, 5125
@@ -53,7 +51,7 @@ def write_glb(mesh: Mesh, path: Path, name: str) -> None:
     primitive = {"attributes": {one: k for k, one in enumerate(attributes)}, "indices": len(accessors), "material": 0}
     material: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
     content: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": f"jaxscan {__version__}"},
+        "asset": {"version": "2.0", "generator": "jaxscan"},
         "extensionsUsed": ["KHR_materials_unlit"],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
@@ -65,6 +63,9 @@ def write_glb(mesh: Mesh, path: Path, name: str) -> None:
         "bufferViews": views,
     }
     if "TEXCOORD_0" in attributes and mesh.texture is not None:
+        # Here, so that a mesh without a texture does not load OpenCV.
+        from jaxscan.vision import encode_jpeg
+
         picture = encode_jpeg(mesh.texture)
         content |= {
             "images": [{"bufferView": len(views), "mimeType": "image/jpeg"}],

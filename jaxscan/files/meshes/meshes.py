@@ -12,7 +12,6 @@ from jaxscan.files.meshes.obj import safe_stem, write_materials, write_obj
 from jaxscan.files.meshes.ply import write_ply
 from jaxscan.files.meshes.stl import write_stl
 from jaxscan.surface import Mesh
-from jaxscan.vision import encode_jpeg
 
 
 # To add a format: one function (mesh, path, name of the mesh), one line here.
@@ -75,6 +74,9 @@ def save_mesh(mesh: Mesh, path: str | Path) -> list[Path]:
     contents: dict[Path, Callable[[Path], None]] = {path: lambda part: writer(mesh, part, name)}
     paths = mesh_paths(path, textured=textured)
     if len(paths) > 1 and mesh.texture is not None:
+        # Here, so that a mesh without a texture does not load OpenCV.
+        from jaxscan.vision import encode_jpeg
+
         picture = encode_jpeg(mesh.texture)
         contents = {
             paths[0]: lambda part: _write(part, picture),
