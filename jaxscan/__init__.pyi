@@ -10,8 +10,8 @@ from jaxscan.api import mesh_cloud as mesh_cloud
 from jaxscan.api import observe_boards as observe_boards
 from jaxscan.api import recalibrate as recalibrate
 from jaxscan.api import reconstruct_capture as reconstruct_capture
-from jaxscan.api import save_panorama as save_panorama
 from jaxscan.api import save_mesh as save_mesh
+from jaxscan.api import save_panorama as save_panorama
 from jaxscan.api import simulate as simulate
 from jaxscan.calibration import Calibration as Calibration
 from jaxscan.calibration import CalibrationSettings as CalibrationSettings
