@@ -13,6 +13,7 @@ from jaxscan.api import recalibrate as recalibrate
 from jaxscan.api import reconstruct_capture as reconstruct_capture
 from jaxscan.api import save_board as save_board
 from jaxscan.api import save_drawing as save_drawing
+from jaxscan.api import save_mesh as save_mesh
 from jaxscan.api import save_panorama as save_panorama
 from jaxscan.api import simulate as simulate
 from jaxscan.calibration import Calibration as Calibration
@@ -45,7 +46,6 @@ from jaxscan.files import load_scanner as load_scanner
 from jaxscan.files import open_capture as open_capture
 from jaxscan.files import save_calibration as save_calibration
 from jaxscan.files import save_cloud as save_cloud
-from jaxscan.files.meshes import save_mesh as save_mesh
 from jaxscan.geometry import Charuco as Charuco
 from jaxscan.geometry import Chessboard as Chessboard
 from jaxscan.geometry import DoubleSphere as DoubleSphere

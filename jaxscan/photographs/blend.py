@@ -58,11 +58,17 @@ def add(tally: Tally, colour: Float[Array, "3"], weight: Float[Array, ""], toler
     return Tally(jnp.where(taken, total, tally.total), jnp.where(taken, tally.weight * kept + change, tally.weight))
 
 
-def conclude(tally: Tally) -> UInt8[np.ndarray, "n 3"]:
-    """The colour with most weight of every point; black where there is none."""
-    best = tally.weight.argmax(-1)
-    at = np.arange(len(best))
-    rgb = np.rint(tally.total[at, best] / np.maximum(tally.weight[at, best], 1e-9)[:, None])
+def conclude(tally: Tally, tolerance: float) -> UInt8[np.ndarray, "n 3"]:
+    """The colour with most weight of every point; black where there is none.
+
+    Others that differ from it by no more than twice the tolerance are mixed with it: fine print looks a little different
+    in each photograph, by where its pixels fall, and the differences are as even as those of one colour.
+    """
+    mean = tally.total / np.maximum(tally.weight, 1e-9)[..., None]
+    best = np.take_along_axis(mean, tally.weight.argmax(-1)[:, None, None], 1)
+    like = np.abs(mean - best).max(-1) <= 2 * tolerance
+    weight = np.where(like, tally.weight, 0)[..., None]
+    rgb = np.rint(np.sum(weight * mean, 1) / np.maximum(weight.sum(1), 1e-9))
     return np.clip(rgb, 0, 255).astype(np.uint8)
 
 

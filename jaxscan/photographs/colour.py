@@ -114,7 +114,8 @@ def colour_points(
             visible = blocks.seen_from(np.asarray(shot.view.T_scanner_cam), float(lens.least_cosine))
             for _ in pool.map(look, visible.tolist(), itertools.repeat(shot)):
                 pass
-        rgb = conclude(Tally(*(np.concatenate(part) for part in zip(*tallies, strict=True))))
+        every = Tally(*(np.concatenate(part) for part in zip(*tallies, strict=True)))
+        rgb = conclude(every, settings.tolerance_dn)
         return blocks.scatter(rgb), blocks.scatter(np.concatenate([np.asarray(part) for part in seen]))
 
 

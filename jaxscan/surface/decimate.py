@@ -16,6 +16,9 @@ def simplify_mesh(mesh: Mesh, faces: int) -> Mesh:
         mesh: Without a texture.
         faces: Wanted number.
 
+    Returns:
+        The mesh with fewer faces, or itself where it has no more.
+
     Raises:
         DependencyError: If fast-simplification is not installed.
     """

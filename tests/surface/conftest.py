@@ -45,7 +45,7 @@ def _to_box(places, corners):
 
 
 def parts(places):
-    """Body of each place (0 is the room, then boxes) and its side: 0 to 2 at the low ends of x, y and z, then high."""
+    """Body of each place (0 is the room, then the boxes), and its side: low x, y and z, then high x, y and z."""
     bodies = np.array([ROOM, *BOXES])
     body = np.argmin([_to_box(places, corners) for corners in bodies], 0)
     ends = bodies[body].reshape(len(places), 6)

@@ -8,7 +8,7 @@ import pytest
 from jaxscan.api import poisson_mesh, simplify_mesh
 from jaxscan.errors import CloudError
 from jaxscan.surface import coloured_mesh, mesh_grid
-from tests.surface.conftest import SIGMA, surface_distance
+from tests.surface.conftest import SIGMA, scan, surface_distance
 
 
 def test_fewer_faces_stay_on_the_surface(room):
@@ -31,16 +31,17 @@ def test_few_faces_stay_as_they_are(room):
     assert simplify_mesh(mesh, 10**9) is mesh
 
 
-def test_poisson_closes_a_hole(room):
-    cloud, _ = room
+def test_poisson_closes_a_hole():
+    cloud, _ = scan(180, 76)
     valid = cloud.valid.copy()
-    valid[20:24, 70:76] = False
+    valid[10:12, 35:38] = False
     mesh = poisson_mesh(dataclasses.replace(cloud, valid=valid))
     places = cloud.xyz[~valid].astype(np.float64)
     gap = np.min(np.linalg.norm(mesh.vertices[None].astype(np.float64) - places[:, None], axis=-1), 1)
     # A vertex is nearer than a cell of the octree, which is as large as the points are apart.
-    assert gap.max() < 0.05
-    assert np.median(surface_distance(mesh.vertices.astype(np.float64))) < 5e-3
+    assert gap.max() < 0.1
+    # A tenth of that: the surface is smooth, and rounds the corners of the furniture.
+    assert np.median(surface_distance(mesh.vertices.astype(np.float64))) < 10e-3
 
 
 def test_poisson_needs_points(room):

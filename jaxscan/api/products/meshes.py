@@ -15,13 +15,16 @@ from jaxscan.surface import poisson_mesh as close_points
 from jaxscan.surface import textured_mesh as draw_on_mesh
 
 
-def mesh_cloud(cloud: PointCloud, scanner: Scanner | None = None, *, settings: MeshSettings = DEFAULT_MESH) -> Mesh:
+def mesh_cloud(cloud: PointCloud, *, scanner: Scanner | None = None, settings: MeshSettings = DEFAULT_MESH) -> Mesh:
     """A mesh of a cloud: neighbours of its grid are joined where they are on one surface.
 
     Args:
         cloud: Points on the grid [m].
         scanner: The rig that took it, which tells where the camera was. Without, it counts as at the scanner's origin.
         settings: What counts as one surface.
+
+    Returns:
+        The mesh, in the colours of the cloud.
 
     Raises:
         CloudError: If the cloud has no grid, or no face.

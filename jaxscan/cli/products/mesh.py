@@ -88,7 +88,7 @@ def mesh(
             drawn = api.Texture(api.open_capture(texture), texels, progress)
             made = api.textured_mesh(points, scanner, drawn, settings=settings)
     else:
-        made = api.mesh_cloud(points, scanner, settings=settings)
+        made = api.mesh_cloud(points, scanner=scanner, settings=settings)
     if faces is not None:
         made = api.simplify_mesh(made, faces)
     seconds = time.perf_counter() - start

@@ -63,7 +63,7 @@ def write_glb(mesh: Mesh, path: Path, name: str) -> None:
         "bufferViews": views,
     }
     if "TEXCOORD_0" in attributes and mesh.texture is not None:
-        # Imported here, so that `import jaxscan` does not load OpenCV.
+        # Here, so that a mesh without a texture does not load OpenCV.
         from jaxscan.vision import encode_jpeg
 
         picture = encode_jpeg(mesh.texture)

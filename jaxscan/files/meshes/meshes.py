@@ -74,7 +74,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> list[Path]:
     contents: dict[Path, Callable[[Path], None]] = {path: lambda part: writer(mesh, part, name)}
     paths = mesh_paths(path, textured=textured)
     if len(paths) > 1 and mesh.texture is not None:
-        # Imported here, so that `import jaxscan` does not load OpenCV.
+        # Here, so that a mesh without a texture does not load OpenCV.
         from jaxscan.vision import encode_jpeg
 
         picture = encode_jpeg(mesh.texture)

@@ -80,7 +80,7 @@ def find_inside(samples: Samples, lines: list[Line], heights: tuple[float, float
     free = _free(samples, low, squares).ravel()
     area = np.bincount(cell_of) * GRID_M**2
     seen = np.bincount(cell_of, free) * GRID_M**2
-    stations = np.searchsorted(cells, _codes(np.unique(samples.origin[:, :2], axis=0), lines))
+    stations = np.searchsorted(cells, _codes(_stations(samples)[0], lines))
     seen[np.minimum(stations, len(cells) - 1)] += 1e3
     borders, count = _borders(cells, boxed, len(lines))
     costs = [_cost(samples, boxed[one.line], one.start, one.end, heights, one.line < len(lines)) for one in borders]
@@ -147,7 +147,7 @@ def _free(samples: Samples, low: np.ndarray, squares: tuple[int, int]) -> np.nda
         square = np.floor((at - low) / GRID_M).astype(int)
         square = square[((square >= 0) & (square < squares)).all(1)]
         free[square[:, 0], square[:, 1]] = True
-    apart = float(np.percentile(reach, 95)) * _step(samples)
+    apart = float(np.percentile(reach, 95)) * _stations(samples)[1]
     between = min(MOST_BETWEEN, int(np.ceil(0.5 * apart / GRID_M)))
     closed: np.ndarray = binary_closing(np.pad(free, between), iterations=between)
     return closed[between:-between, between:-between]
@@ -210,17 +210,21 @@ def wall_share(samples: Samples, line: Line, ends: tuple[float, float], heights:
     if not len(columns):
         return 0.0
     middles = start + (np.arange(count := max(1, round((end - start) / STRETCH_M))) + 0.5) * (end - start) / count
-    origins = np.unique(samples.origin[:, :2], axis=0)
+    origins, step = _stations(samples)
     before = np.maximum(np.abs(origins @ line.normal - line.distance), NEAR_M)
     aside = middles[:, None] - line.along(origins)
-    spacing = ((before**2 + aside**2) / before).min(1) * _step(samples)
+    spacing = ((before**2 + aside**2) / before).min(1) * step
     away = np.abs(middles[:, None] - columns).min(1)
     return float(np.mean(away < 0.5 * STRETCH_M + np.minimum(0.6 * spacing, MOST_BETWEEN * GRID_M)))
 
 
-def _step(samples: Samples) -> float:
-    """The angle from one profile of a full turn to the next [rad]."""
-    return 2.0 * np.pi * len(np.unique(samples.station)) / len(np.unique(samples.profile))
+def _stations(samples: Samples) -> tuple[np.ndarray, float]:
+    """The origins of the stations in the plan [stations, 2], m, and the angle between profiles of a full turn [rad]."""
+    # Stations are numbered from 0; sorting all points, here for every border, would take most of the time.
+    has = np.flatnonzero(np.bincount(samples.station))
+    first = [int(np.argmax(samples.station == number)) for number in has]
+    profiles = np.count_nonzero(np.bincount(samples.profile))
+    return samples.origin[first, :2], 2.0 * np.pi * len(has) / profiles
 
 
 def _cost(samples: Samples, line: Line, start: float, end: float, heights: tuple[float, float], is_wall: bool) -> float:

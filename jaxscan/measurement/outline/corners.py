@@ -98,7 +98,9 @@ class Errors(NamedTuple):
         if not rows:
             return Estimate(value, 0.0, 0.0, 0.0)
         random = sum(float(row @ wall.plane.covariance @ row) for wall, row in rows.values())
-        systematic = self._systematic([wall_weights(wall, row) for wall, row in rows.values()])
+        known = self.scanner is not None or bool(self.places.covariance.any())
+        parts = [wall_weights(wall, row) for wall, row in rows.values()] if known else []
+        systematic = self._systematic(parts) if known else 0.0
         return Estimate(value, float(np.hypot(np.sqrt(random), systematic)), float(np.sqrt(random)), systematic)
 
     def _systematic(self, parts: list[tuple[Samples, np.ndarray]]) -> float:
