@@ -71,11 +71,9 @@ def _hypotheses(voters: Samples, rng: np.random.Generator) -> tuple[np.ndarray, 
 
 def _votes(voters: Samples, left: np.ndarray, normals: np.ndarray, distances: np.ndarray) -> np.ndarray:
     # Single precision and one matrix product: the only step that touches points x hypotheses.
-    # About their middle, because a single has no millimetres in the coordinates of a map.
-    middle = voters.p.mean(0)
-    p = (voters.p[left] - middle).astype(np.float32)
+    p = voters.p[left].astype(np.float32)
     band = np.clip(3.0 * voters.sigma[left], NEAREST_M, FARTHEST_M).astype(np.float32)
-    away = np.abs(p @ normals.T.astype(np.float32) - (distances - normals @ middle).astype(np.float32))
+    away = np.abs(p @ normals.T.astype(np.float32) - distances.astype(np.float32))
     return np.count_nonzero(away < band[:, None], axis=0)
 
 

@@ -78,7 +78,7 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
     Raises:
         MeasurementError: If no two opposite walls are found.
     """
-    samples = samples_of(cloud)
+    samples, place = _about_the_room(samples_of(cloud))
     rng = np.random.default_rng(seed)
     pairs, planes = bounding_walls(samples, rng, seed=seed)
     found = [pair for pair in pairs if len(pair) == 2]
@@ -96,8 +96,31 @@ def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0)
         length=horizontal[0] if horizontal else None,
         width=horizontal[1] if len(horizontal) > 1 else None,
         height=height,
-        centre_m=centre,
-        walls=tuple(wall for pair in pairs for wall in pair),
+        centre_m=centre + place,
+        walls=tuple(_moved(wall, place) for pair in pairs for wall in pair),
+    )
+
+
+def _about_the_room(samples: Samples) -> tuple[Samples, np.ndarray]:
+    """The samples about a place in the room, and that place [3], m: on a map the origin is far from it."""
+    low, high = samples.p.min(0), samples.p.max(0)
+    if np.linalg.norm(np.clip(0.0, low, high)) <= np.linalg.norm(high - low):
+        return samples, np.zeros(3)
+    place = samples.origin.mean(0)
+    if not ((low <= place) & (place <= high)).all():
+        # Nobody knows where the scanner stood.
+        place = np.median(samples.p, axis=0)
+        samples = samples._replace(origin=np.broadcast_to(place, samples.p.shape))
+    return samples._replace(p=samples.p - place, origin=samples.origin - place), place
+
+
+def _moved(wall: Wall, place: np.ndarray) -> Wall:
+    """The same wall, in the frame of the cloud."""
+    plane, samples = wall.plane, wall.samples
+    distance = plane.distance + float(plane.normal @ place)
+    return wall._replace(
+        plane=plane._replace(distance=distance, centre=plane.centre + place),
+        samples=samples._replace(p=samples.p + place, origin=samples.origin + place),
     )
 
 

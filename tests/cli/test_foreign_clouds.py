@@ -113,6 +113,29 @@ def test_convert_puts_a_cloud_on_a_map(run, tmp_path, suffix):
     assert np.abs(stored.cloud.xyz[stored.cloud.valid] - (cloud.xyz[cloud.valid] + np.array(place))).max() < 0.52e-4
 
 
+def test_a_cloud_on_a_map_is_measured(run, tmp_path):
+    """Singles have half a metre there."""
+    cloud = room()
+    xyz = cloud.xyz[cloud.valid].astype(float) + [356000.25, 5400000.5, 312.125]
+    np.savetxt(tmp_path / "a.xyz", xyz, fmt="%.9f")
+    found = measured(run, tmp_path / "a.xyz")
+    for side, size in SIZE.items():
+        # Doubles of 5.4e6 are a nanometre apart.
+        assert found[side]["value_m"] == pytest.approx(size, abs=1e-5)
+    assert "is taken as metres" in " ".join(found["notes"])
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".e57"])
+def test_a_cloud_of_ours_on_a_map_is_measured_with_its_calibration(tiny, run, tmp_path, suffix):
+    target = tmp_path / f"map{suffix}"
+    assert run("convert", tiny.cloud, target, "--offset", 356000.25, 5400000.5, 312.125).code == 0
+    here, there = (measured(run, cloud, "-c", tiny.calibration) for cloud in (tiny.cloud, target))
+    for side in ("length", "width"):
+        # The random hypotheses meet other roundings of the same points.
+        assert there[side]["value_m"] == pytest.approx(here[side]["value_m"], abs=1e-4)
+        assert there[side]["sigma_m"] == pytest.approx(here[side]["sigma_m"], rel=0.02)
+
+
 def test_convert_says_what_it_takes_for_granted(run, tmp_path):
     ran = run("convert", foreign(tmp_path / "a.xyz", room(), factor=1e3), tmp_path / "b.ply", "--json", "-")
     notes = json.loads(ran.out)["notes"]
