@@ -71,6 +71,9 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
         cloud: Points on the grid [profile, line], scanner frame, with the colours of their stripes.
         scanner: The rig that took it.
 
+    Returns:
+        What may stand before points.
+
     Raises:
         CloudError: If the cloud has no grid.
     """

@@ -128,7 +128,7 @@ def make_panorama(
         few = np.linspace(0, len(points) - 1, REFERENCES).astype(int)
         usual, _ = colour_points(photographs, points[few], nothing[few], settings=_mean(np.inf))
         space = Occluder.of_nothing(points[few], usual)
-        rgb, seen = colour_points(photographs, points, nothing, space, settings=_mean(step))
+        rgb, seen = colour_points(photographs, points, nothing, occluder=space, settings=_mean(step))
         return Panorama(frame, fill_holes(rgb.reshape(rays.shape), seen.reshape(rays.shape[:2])))
     distance, normals = draw_distances(frame, cloud, photographs.scanner)
     known = distance > 0
@@ -140,7 +140,9 @@ def make_panorama(
     facing = np.where(known[..., None], normals - rays * np.maximum(LEAST_FACING - cosine, 0), 0).astype(np.float32)
     occluder = make_occluder(cloud, photographs.scanner)
     narrow = BlendSettings(bearing=NARROW)
-    rgb, seen = colour_points(photographs, points.reshape(-1, 3), facing.reshape(-1, 3), occluder, settings=narrow)
+    rgb, seen = colour_points(
+        photographs, points.reshape(-1, 3), facing.reshape(-1, 3), occluder=occluder, settings=narrow
+    )
     picture = fill_holes(rgb.reshape(rays.shape), seen.reshape(known.shape))
     return Panorama(frame, picture, distance, normals)
 

@@ -66,7 +66,7 @@ def textured_mesh(
     photographs = open_photographs(texture.capture, scanner, progress=texture.progress)
     occluder = make_occluder(host, scanner)
     return draw_on_mesh(
-        grid, lambda points, normals: colour_points(photographs, points, normals, occluder), texture.texels
+        grid, lambda points, normals: colour_points(photographs, points, normals, occluder=occluder), texture.texels
     )
 
 

@@ -103,6 +103,9 @@ def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progr
         scanner: The rig that took it.
         progress: Called with (images read, images in all).
 
+    Returns:
+        The cloud with other colours, in the camera's own response.
+
     Raises:
         CaptureError: If the sweep has no laser-off images, or one cannot be read.
         CalibrationError: If the calibration is for images of another size.
@@ -111,7 +114,7 @@ def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progr
     photographs = open_photographs(capture, scanner, progress=progress)
     occluder = make_occluder(cloud, scanner)
     points = cloud.points()
-    found, _ = colour_points(photographs, points.xyz, points.normals, occluder, start=points.rgb)
+    found, _ = colour_points(photographs, points.xyz, points.normals, occluder=occluder, start=points.rgb)
     rgb = np.zeros_like(np.asarray(cloud.rgb))
     rgb[points.step, points.row] = found
     return dataclasses.replace(cloud, rgb=rgb)
@@ -120,8 +123,8 @@ def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progr
 def draw_panorama(
     capture: Capture,
     scanner: Scanner,
-    cloud: PointCloud | None = None,
     *,
+    cloud: PointCloud | None = None,
     projection: Projection = "equirectangular",
     width: int | None = None,
     progress: Progress = None,
@@ -135,6 +138,9 @@ def draw_panorama(
         projection: "equirectangular" or "cylinder".
         width: Of a whole turn [px]; the camera's own resolution where not given.
         progress: Called with (images read, images in all).
+
+    Returns:
+        The picture, with distances and normals of its pixels if a cloud was given.
 
     Raises:
         CaptureError: If the sweep has no laser-off images, or one cannot be read.
@@ -166,6 +172,10 @@ def save_panorama(panorama: Panorama, path: str | Path) -> list[Path]:
     """Write a panorama as JPEG or PNG with the metadata by which viewers show it round, and what was made with it.
 
     With distances, `<stem>.depth.png` (16 bit, millimetres) and `<stem>.normals.png` in the same geometry.
+
+    Args:
+        panorama: As `draw_panorama` makes it.
+        path: Its suffix is .jpg, .jpeg or .png.
 
     Returns:
         The files.

@@ -76,7 +76,9 @@ def panorama(
     if output is not None:
         surface = None if cloud is None else api.load_cloud(cloud)
         with progress_bar("Blending photographs") as progress:
-            drawn = api.draw_panorama(sweep, scanner, surface, projection=projection, width=width, progress=progress)
+            drawn = api.draw_panorama(
+                sweep, scanner, cloud=surface, projection=projection, width=width, progress=progress
+            )
         written = [str(path) for path in api.save_panorama(drawn, output)]
         out.print(f"written: {', '.join(written)} ({drawn.frame.width} x {drawn.frame.height} px)")
         result |= {"pictures": written, "width_px": drawn.frame.width, "height_px": drawn.frame.height}
