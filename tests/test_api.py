@@ -171,6 +171,7 @@ def test_python_gives_what_the_command_line_gives(tiny, in_memory):
     """Which goes by way of the stripes, so that it can keep them."""
     scanner = jaxscan.load_scanner(tiny.calibration)
     ours, theirs = jaxscan.reconstruct(in_memory, scanner), jaxscan.load_cloud(tiny.cloud)
+    ours = jaxscan.colour_cloud(ours, jaxscan.open_capture(tiny.sweep), scanner)
     np.testing.assert_array_equal(ours.valid, theirs.valid)
     np.testing.assert_array_equal(ours.rgb, theirs.rgb)
     # One compiled function and two: the last places of float32, of lengths of metres.
