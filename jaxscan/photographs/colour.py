@@ -149,7 +149,7 @@ def _gain(shot: _Shot, points: Float[Array, "n 3"], rgb: Float[Array, "n 3"]) ->
 
 
 @functools.partial(jax.jit, donate_argnums=(0, 1))
-def _look(tally: Tally, seen: Array, places: _Places, shot: _Shot, numbers: tuple[Array, Array]) -> tuple[Tally, Array]:
+def _look(tally: Tally, seen: Array, places: _Places, shot: _Shot, numbers: Float[Array, "2"]) -> tuple[Tally, Array]:
     """One photograph for a block of points."""
     tolerance, bearing = numbers[0], numbers[1]
     colour, weight = jax.vmap(_observe, (None, 0, 0, None))(shot, places.points, places.normals, bearing)
