@@ -80,7 +80,8 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
     camera = scanner.camera
     cell = max(2, round(min(camera.width, camera.height) / CELLS))
     spacing = cell * float(Lens.of(camera).per_pixel)
-    found = [(samples.xyz, samples.rgb) for samples in surface_samples(cloud, scanner, spacing)]
+    # Wherever a surface may reach, nothing behind it counts as seen: what stands before a wall does not bleed into it.
+    found = [(samples.xyz, samples.rgb) for samples in surface_samples(cloud, scanner, spacing, reach=1.0)]
     xyz, rgb = (np.concatenate(parts) for parts in zip(*found, strict=True))
     blocks = Blocks.of(xyz)
     chosen = np.linspace(0, len(xyz) - 1, REFERENCES).astype(int)

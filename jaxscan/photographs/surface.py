@@ -1,7 +1,7 @@
 """The surface between the stripes: samples of it, as close together as a picture needs them.
 
-Neighbours of the grid that lie on one surface are joined. Where it ends between two profiles, each reaches half of the
-way: an edge is then no more than half a step from where it is.
+Neighbours of the grid that lie on one surface are joined. Where it ends between two profiles, nobody knows how far it
+reaches on.
 """
 
 from collections.abc import Iterator
@@ -56,13 +56,15 @@ def check_grid(cloud: PointCloud) -> None:
         )
 
 
-def surface_samples(cloud: PointCloud, scanner: Scanner, spacing: float) -> Iterator[Samples]:
+def surface_samples(cloud: PointCloud, scanner: Scanner, spacing: float, *, reach: float = 0.5) -> Iterator[Samples]:
     """Samples of the surface of an organised cloud, profile by profile.
 
     Args:
         cloud: Points on the grid [profile, line], scanner frame.
         scanner: The rig that took it.
         spacing: Largest angle between neighbouring samples on one surface [rad], as seen from the rig.
+        reach: How far beyond its last profile a surface reaches, as a share of the way to the next one: 1 for all
+            places where it may be, 0.5 where it is most likely.
 
     Raises:
         CloudError: If the cloud has no grid.
@@ -89,9 +91,9 @@ def surface_samples(cloud: PointCloud, scanner: Scanner, spacing: float) -> Iter
         before = profile(chosen[0])
         for number in chosen[1:]:
             after = profile(number)
-            yield _between(before, after, middle, parts)
+            yield _between(before, after, middle, parts, reach)
             before = after
-        yield _between(before, before, middle, 1)
+        yield _between(before, before, middle, 1, reach)
 
 
 def _groups(cloud: PointCloud) -> Iterator[np.ndarray]:
@@ -128,31 +130,43 @@ def _closes(where: np.ndarray, step: float, chosen: list[int]) -> bool:
     return bool(0 < gap < 1.6 * usual and step < _WIDEST_STEP)
 
 
-def _between(before: _Profile, after: _Profile, middle: np.ndarray, parts: int) -> Samples:
-    """Samples from one profile to before the next one, `parts` on each line."""
+def _between(before: _Profile, after: _Profile, middle: np.ndarray, parts: int, reach: float) -> Samples:
+    """Samples from one profile to before the next one, `parts` on each line of a surface."""
     onward = (after.pose @ np.linalg.inv(before.pose)).astype(np.float32)
-    back = np.linalg.inv(onward).astype(np.float32)
-    # Where a profile has no point, that of the other one, carried on as the camera moves, says where it would be.
-    first = np.where(before.valid[:, None], before.xyz, after.xyz @ back[:3, :3].T + back[:3, 3]) - middle
-    second = np.where(after.valid[:, None], after.xyz, before.xyz @ onward[:3, :3].T + onward[:3, 3]) - middle
-    r, s = (np.maximum(np.linalg.norm(way, axis=-1), 1e-9) for way in (first, second))
-    d, e = first / r[:, None], second / s[:, None]
-    joined = before.valid & after.valid & _one_surface(r, s, np.linalg.norm(e - d, axis=-1))
-    some = before.valid | after.valid
+    back = np.linalg.inv(onward)
     share = (np.arange(parts, dtype=np.float32) / parts)[:, None]
-    near = share < 0.5
-    ray = (1 - share)[..., None] * d + share[..., None] * e
-    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-    # Along a plane the inverse distance changes evenly.
-    inverse = np.where(joined, (1 - share) / r + share / s, np.where(near, 1 / r, 1 / s))
-    keep = some & (joined | np.where(near, before.valid, after.valid))
-    xyz = ray / inverse[..., None] + middle
+    r, d = _polar(before.xyz - middle)
+    s, e = _polar(after.xyz - middle)
+    joined = before.valid & after.valid & _one_surface(r, s, np.linalg.norm(e - d, axis=-1))
+    # Where a surface ends, its last point is carried on as the camera moves.
+    _, beyond = _polar(before.xyz @ onward[:3, :3].T + onward[:3, 3] - middle)
+    _, ahead = _polar(after.xyz @ back[:3, :3].T + back[:3, 3] - middle)
 
-    def blend(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        mixed = (1 - share)[..., None] * a + share[..., None] * b
-        return np.where(joined[:, None], mixed, np.where(near[..., None], a, b))[keep].astype(np.float32)
+    def take(keep: np.ndarray, ends: tuple[np.ndarray, np.ndarray], weight: np.ndarray) -> Samples:
+        """Samples on rays between two ends, with this weight of the second profile."""
+        ray = (1 - share)[..., None] * ends[0] + share[..., None] * ends[1]
+        ray /= np.maximum(np.linalg.norm(ray, axis=-1, keepdims=True), 1e-9)
+        # Along a plane the inverse distance changes evenly.
+        xyz = ray / ((1 - weight) / r + weight / s)[..., None] + middle
+        more = (
+            (1 - weight)[..., None] * one + weight[..., None] * other
+            for one, other in ((before.normals, after.normals), (before.rgb, after.rgb))
+        )
+        return Samples(*(np.broadcast_to(part, ray.shape)[keep].astype(np.float32) for part in (xyz, *more)))
 
-    return Samples(xyz[keep].astype(np.float32), blend(before.normals, after.normals), blend(before.rgb, after.rgb))
+    none, whole = np.zeros_like(share), np.ones_like(share)
+    groups = (
+        take((share >= 0) & joined, (d, e), share),
+        take((share < max(reach, 0.5 / parts)) & before.valid & ~joined, (d, beyond), none),
+        take((share > 1 - reach) & after.valid & ~joined, (ahead, e), whole),
+    )
+    return Samples(*(np.concatenate(fields) for fields in zip(*groups, strict=True)))
+
+
+def _polar(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Length and direction."""
+    away = np.maximum(np.linalg.norm(way, axis=-1), 1e-9)
+    return away, way / away[..., None]
 
 
 def _one_surface(r: np.ndarray, s: np.ndarray, apart: np.ndarray) -> Bool[np.ndarray, "..."]:
