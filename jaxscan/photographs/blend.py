@@ -62,7 +62,7 @@ def conclude(tally: Tally, tolerance: float) -> UInt8[np.ndarray, "n 3"]:
     """The colour with most weight of every point; black where there is none.
 
     Others that differ from it by no more than twice the tolerance are mixed with it: fine print looks a little
-    different in each photograph, by where its pixels fall, and the differences are as even as those of one colour.
+    different in each photograph, by where its pixels fall.
     """
     mean = tally.total / np.maximum(tally.weight, 1e-9)[..., None]
     best = np.take_along_axis(mean, np.argmax(tally.weight, -1)[:, None, None], 1)

@@ -1,12 +1,12 @@
 """Holes of a picture, filled from what is around them."""
 
 import numpy as np
-from jaxtyping import Bool, Shaped
+from jaxtyping import Bool, Real
 
 
 def fill_holes(
-    picture: Shaped[np.ndarray, "height width channels"], known: Bool[np.ndarray, "height width"]
-) -> Shaped[np.ndarray, "height width channels"]:
+    picture: Real[np.ndarray, "height width channels"], known: Bool[np.ndarray, "height width"]
+) -> Real[np.ndarray, "height width channels"]:
     """Fill what is not known, smoothly: means of ever larger squares, the smallest that know something.
 
     Args:

@@ -1,0 +1,182 @@
+"""Colours of points from photographs: hidden places, fine print between the stripes, exposures, memory."""
+
+import dataclasses
+import weakref
+
+import jax
+import numpy as np
+import pytest
+
+from jaxscan.errors import CloudError
+from jaxscan.photographs import Photograph, Photographs, colour_points, make_occluder, surface_samples
+from jaxscan.simulation import render_sweep, true_scanner
+from jaxscan.simulation.scene import make_scene
+from jaxscan.simulation.scene.textures import Blend, Material
+from tests.photographs.rendered import WALL_X
+
+
+@pytest.fixture(scope="module")
+def occluder(world):
+    return make_occluder(world.cloud, world.scanner)
+
+
+def wall(y, z):
+    """Places on the wall, and its normals."""
+    places = np.stack([np.full((len(z), len(y)), WALL_X), *np.meshgrid(y, z)], -1).reshape(-1, 3)
+    return places, np.tile([-1.0, 0.0, 0.0], (len(places), 1))
+
+
+def psnr(found, true):
+    return 10 * np.log10(255**2 / np.mean((found.astype(float) - true) ** 2))
+
+
+def test_hidden_places_take_no_colour_from_what_stands_before_them(world, occluder):
+    points, normals = wall(np.arange(-1.0, 1.0, 0.01), np.arange(-0.5, 0.3, 0.01))
+    rgb, seen = colour_points(world.photographs, points, normals, occluder=occluder)
+    visible = np.any([world.truth(points, eye)[1] for eye in world.eyes()], 0)
+    assert np.sum(~visible) > 2000
+    assert not np.any(seen & ~visible)
+    assert np.mean(seen[visible]) > 0.95  # Beside the box nothing counts as seen within a step of 2 degrees.
+    # The box is red. Its light reaches a pixel beyond its edge by the blur of the lens.
+    red = rgb[:, 0].astype(int) - rgb[:, 1]
+    assert np.sum(red[seen] > 15) < 0.002 * np.sum(seen)
+    assert np.all(rgb[~seen] == 0)
+
+
+def test_points_between_the_stripes_are_6_db_better(world, occluder):
+    samples = list(surface_samples(world.cloud, world.scanner, 0.004))
+    points, normals, striped = (np.concatenate(part)[::7] for part in zip(*samples, strict=True))
+    true, visible = world.truth(points, np.zeros(3))
+    rgb, seen = colour_points(world.photographs, points, normals, occluder=occluder)
+    both = seen & visible
+    assert np.mean(both[visible]) > 0.85
+    assert psnr(rgb[both], true[both]) > psnr(striped[both], true[both]) + 6
+
+
+def test_colours_known_before_are_kept_where_no_photograph_shows_a_point(world, occluder):
+    points, normals = wall(np.array([-0.1, 0.0]), np.array([-0.2]))
+    start = np.array([[10, 200, 30], [0, 0, 0]], np.uint8)
+    rgb, seen = colour_points(world.photographs, points, normals, occluder=occluder, start=start)
+    assert not seen.any()
+    np.testing.assert_array_equal(rgb, start)
+
+
+def test_a_surface_seen_from_behind_has_no_colour(world, occluder):
+    points, normals = wall(np.array([0.6]), np.array([0.2]))
+    assert colour_points(world.photographs, points, normals, occluder=occluder)[1].all()
+    assert not colour_points(world.photographs, points, -normals, occluder=occluder)[1].any()
+
+
+def test_saturated_pixels_are_left_out(world, occluder):
+    points, normals = wall(np.arange(0.3, 0.6, 0.02), np.array([0.1, 0.2]))
+    expected, seen = colour_points(world.photographs, points, normals, occluder=occluder)
+    burnt = [np.full_like(image, 255) if k % 2 else image for k, image in enumerate(world.images)]
+    rgb, also = colour_points(world._replace(images=burnt).photographs, points, normals, occluder=occluder)
+    assert seen.all() and also.all()
+    assert np.max(np.abs(rgb.astype(int) - expected)) <= 2  # Half as many photographs have more noise.
+
+
+def test_exposures_are_equalised(world, occluder):
+    points, normals = wall(np.arange(0.3, 1.2, 0.02), np.arange(-0.5, 0.3, 0.02))
+    expected, seen = colour_points(world.photographs, points, normals, occluder=occluder)
+    change = 1 + 0.2 * np.random.default_rng(1).uniform(-1, 1, (len(world.images), 3))
+    uneven = [
+        np.clip(np.rint(image * factor), 0, 255).astype(np.uint8)
+        for image, factor in zip(world.images, change, strict=True)
+    ]
+    rgb, _ = colour_points(world._replace(images=uneven).photographs, points, normals, occluder=occluder)
+    apart = np.abs(rgb.astype(int) - expected)[seen]
+    assert np.percentile(apart, 99) <= 2
+    assert np.mean(apart) < 0.6  # Both are rounded.
+
+
+def test_photographs_are_not_kept(world, occluder):
+    """However many there are, two or three exist at a time: in use, being prepared, and the one that is read."""
+    given, most = [], []
+
+    def shots():
+        for angle, image in zip(world.angles, world.images, strict=True):
+            copy = image.copy()
+            given.append(weakref.ref(copy))
+            most.append(sum(one() is not None for one in given))
+            yield Photograph(float(angle), copy)
+            del copy
+
+    points, normals = wall(np.array([0.5]), np.array([0.1]))
+    colour_points(Photographs(world.scanner, shots()), points, normals, occluder=occluder)
+    assert len(most) == len(world.images)
+    assert max(most) <= 4
+
+
+def test_the_setting_of_the_caller_does_not_matter(world, occluder):
+    points, normals = wall(np.arange(0.3, 1.2, 0.05), np.arange(-0.5, 0.3, 0.05))
+    found = colour_points(world.photographs, points, normals, occluder=occluder)
+    with jax.enable_x64(False):
+        again = colour_points(world.photographs, points, normals, occluder=occluder)
+    np.testing.assert_array_equal(found[0], again[0])
+
+
+def test_no_points(world):
+    rgb, seen = colour_points(world.photographs, np.zeros((0, 3)), np.zeros((0, 3)))
+    assert rgb.shape == (0, 3) and seen.shape == (0,)
+
+
+def test_another_image_size_is_refused(world):
+    shots = [Photograph(0.0, np.zeros((100, 100, 3), np.uint8))]
+    with pytest.raises(ValueError, match=r"must be uint8 \[240, 320, 3\]"):
+        colour_points(Photographs(world.scanner, shots), np.ones((1, 3)), np.zeros((1, 3)))
+
+
+def test_a_cloud_without_grid_is_refused(world):
+    flat = {name: getattr(world.cloud, name).reshape(1, -1, 3) for name in ("xyz", "rgb", "normals")}
+    flat |= {name: getattr(world.cloud, name).reshape(1, -1) for name in ("intensity", "sigma_random", "valid")}
+    flat |= {name: getattr(world.cloud, name)[:1] for name in ("record", "laser", "angle")}
+    flat["sigma_systematic"] = flat["sigma_random"]
+    with pytest.raises(CloudError, match="has no grid of profiles and lines"):
+        make_occluder(dataclasses.replace(world.cloud, **flat), world.scanner)
+
+
+LETTERS = ("THE PRINT", "IS 6 MM HIGH")
+
+
+def test_letters_of_6_mm_are_read_at_a_distance_of_2_5_m(world):
+    """A lens of 1500 px makes them 3.6 px high; of all photographs together they are clearer than in any one."""
+    cv2 = pytest.importorskip("cv2")
+    page = np.full((200, 800), 255, np.uint8)  # A quarter of a millimetre for each pixel.
+    for row, line in enumerate(LETTERS):
+        cv2.putText(page, line, (40, 80 + 60 * row), cv2.FONT_HERSHEY_SIMPLEX, 24 / 21, 0, 3, cv2.LINE_AA)
+    ink = 1 - page.astype(np.float32) / 255
+
+    def pattern(u, v):
+        column, row = (np.clip((k * 4000).astype(int), 0, n - 1) for k, n in ((u, 800), (v, 200)))
+        return Blend(0, 1, ink[199 - row, column], 1.0)
+
+    def extras(mesh):
+        corner = np.array([1.5 + 1.99, 2.0 + 0.1, 1.2 - 0.025])
+        mesh.quad(corner, np.array([0, -0.2, 0]), np.array([0, 0, 0.05]), Material(((0.8,) * 3, (0.05,) * 3), pattern))
+
+    config = world.config.model_copy(
+        update={
+            "camera": world.config.camera.model_copy(
+                update={"width": 280, "height": 160, "fx": 1180.0, "fy": 1180.0, "cx": 139.0, "cy": 80.0, "k1": 0.0}
+            )
+        }
+    )
+    # The wall of the room is 2 m from the axis: a lens of 1180 px there shows as much as one of 1500 px at 2.5 m.
+    scene = make_scene(config, extras=extras)
+    angles = np.deg2rad(np.arange(-6.0, 7.0, 1.0))
+    images = [record.off for record in render_sweep(config, angles=angles, scene=scene)]
+    shots = [Photograph(float(angle), image) for angle, image in zip(angles, images, strict=True)]
+    y, z = 0.1 - (np.arange(800) + 0.5) / 4000, 0.025 - (np.arange(200) + 0.5) / 4000
+    points = np.stack([np.full((200, 800), 1.99), *np.meshgrid(y, z)], -1).reshape(-1, 3)
+    rgb, seen = colour_points(Photographs(true_scanner(config), shots), points, np.tile([-1.0, 0, 0], (len(points), 1)))
+    assert seen.all()
+    found = 1 - rgb.mean(-1).reshape(page.shape) / rgb.max()
+    # As a reader would: the found print is nearest to its own letters, moved nowhere, and none of it is lost.
+    blurred = cv2.GaussianBlur(ink, (0, 0), 1.0 / 1180 * 2.0 * 4000 * 0.7)
+    assert np.corrcoef(found.ravel(), blurred.ravel())[0, 1] > 0.95
+    for line in range(len(LETTERS)):
+        rows = slice(40 + 60 * line, 100 + 60 * line)
+        shifted = [np.roll(blurred, k, 1)[rows, 40:300].ravel() for k in range(-40, 41, 4)]
+        score = [np.corrcoef(found[rows, 40:300].ravel(), one)[0, 1] for one in shifted]
+        assert int(np.argmax(score)) == 10

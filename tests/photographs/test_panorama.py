@@ -1,0 +1,135 @@
+"""Panoramas: where rays are, seams, straight lines, distances, and a turn without a cloud."""
+
+import numpy as np
+import pytest
+
+from jaxscan.errors import CalibrationError
+from jaxscan.geometry import LaserSheet, LinearStage, Pinhole, Scanner, Turntable
+from jaxscan.photographs import Photograph, Photographs, make_panorama, panorama_frame
+from jaxscan.photographs.filling import fill_holes
+from jaxscan.reconstruction import PointCloud
+from tests.photographs.rendered import BAR_AT, BAR_HALF, BAR_SLOPE, WALL_X
+
+
+@pytest.fixture(scope="module")
+def panorama(world):
+    return make_panorama(world.photographs, panorama_frame(world.scanner, width=1000), world.cloud)
+
+
+@pytest.mark.parametrize("projection", ["equirectangular", "cylinder"])
+def test_rays_and_pixels_are_inverse(world, projection):
+    frame = panorama_frame(world.scanner, projection, 200)
+    rays = frame.rays()
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1, atol=1e-6)
+    v, u = np.mgrid[: frame.height, : frame.width]
+    np.testing.assert_allclose(frame.pixels(3 * rays), np.stack([u, v], -1), atol=1e-4)
+    # The x axis is in the middle, and what is to the left of it on the left.
+    np.testing.assert_allclose(frame.pixels(np.array([1.0, 0.0, 0.0]))[0], 99.5)
+    assert frame.pixels(np.array([1.0, 0.5, 0.0]))[0] < 99 and frame.pixels(np.array([1.0, 0.0, 0.2]))[1] < 60
+
+
+def test_a_straight_line_is_straight_to_half_a_pixel(world, panorama):
+    """The bar on the wall, seen again in every column; its places are carried back to the wall along their rays."""
+    frame, rays = panorama.frame, panorama.frame.rays()
+    on_wall = rays * (WALL_X / np.maximum(rays[..., :1], 0.05))
+    apart = on_wall[..., 2] - BAR_SLOPE * on_wall[..., 1] - BAR_AT
+    near = (np.abs(apart) < 3 * BAR_HALF) & (np.abs(on_wall[..., 1]) < 1.2)
+    columns = np.flatnonzero(near.sum(0) > 5)
+    assert len(columns) > 150
+    off = []
+    for column in columns:
+        rows = np.flatnonzero(near[:, column])
+        grey = panorama.rgb[rows, column].astype(float).mean(-1)
+        ink = np.clip(grey.max() - grey - 0.15 * np.ptp(grey), 0, None)
+        off.append(np.sum(ink * apart[rows, column]) / np.sum(ink))
+    pixel_m = frame.per_pixel * WALL_X
+    assert np.max(np.abs(off)) < 0.5 * pixel_m
+
+
+def test_distances_and_normals_are_those_of_the_wall(world, panorama):
+    rays = panorama.frame.rays()
+    y, z = np.meshgrid(np.linspace(0.4, 1.0, 12), np.linspace(-0.4, 0.3, 9))
+    pixel = np.rint(panorama.frame.pixels(np.stack([np.full_like(y, WALL_X), y, z], -1))).astype(int)
+    row, column = pixel[..., 1], pixel[..., 0]
+    true = WALL_X / rays[row, column, 0]
+    # Half a pixel of panorama and of cloud on a wall that is 30 degrees from head-on.
+    np.testing.assert_allclose(panorama.distance_m[row, column], true, atol=0.01)
+    np.testing.assert_allclose(panorama.normals[row, column], np.broadcast_to([-1.0, 0, 0], (*y.shape, 3)), atol=0.02)
+
+
+def test_without_a_cloud_what_is_as_far_away_as_is_said_is_in_its_place(world):
+    frame = panorama_frame(world.scanner, width=600)
+    found = make_panorama(world.photographs, frame, distance_m=WALL_X)
+    assert found.distance_m is None
+    points = np.array([[WALL_X, 0.0, BAR_AT]])
+    u, v = frame.pixels(points)[0]
+    rows = np.arange(int(v) - 5, int(v) + 7)
+    grey = found.rgb[rows, round(u)].astype(float).mean(-1)
+    ink = np.clip(grey.max() - grey - 0.15 * np.ptp(grey), 0, None)
+    assert abs(np.sum(ink * rows) / np.sum(ink) - v) < 0.7
+
+
+def round_room(steps=48, lines=40):
+    """A turning camera in a round room of even grey, and the room's cloud."""
+    camera = Pinhole(*(np.array(value) for value in (90.0, 90.0, 79.5, 59.5)), np.zeros(5), 160, 120)
+    table = Turntable.from_axis(np.array([0.0, -1.0, 0.0]), np.array([0.1, 0.0, -0.05]))
+    scanner = Scanner.from_parts(camera, _sheet(), table)
+    angles = 2 * np.pi * np.arange(steps) / steps
+    turn, height = angles[:, None], np.linspace(-1.4, 1.4, lines)[None, :]
+    xyz = np.stack(np.broadcast_arrays(2 * np.cos(turn), 2 * np.sin(turn), height), -1).astype(np.float32)
+    inward = (xyz * [-0.5, -0.5, 0.0]).astype(np.float32)
+    nothing = np.zeros((steps, lines), np.float32)
+    cloud = PointCloud(
+        xyz=xyz,
+        rgb=np.full((steps, lines, 3), 120, np.uint8),
+        intensity=nothing,
+        normals=inward,
+        sigma_random=nothing,
+        sigma_systematic=nothing,
+        valid=np.ones((steps, lines), bool),
+        record=np.arange(steps, dtype=np.int32),
+        laser=np.zeros(steps, np.int32),
+        angle=angles,
+    )
+    return scanner, angles, cloud
+
+
+def _sheet():
+    return LaserSheet.from_plane(np.array([1.0, 0.0, 0.1]), 0.3)
+
+
+@pytest.mark.parametrize("with_cloud", [True, False])
+def test_there_are_no_seams_where_light_is_constant(with_cloud):
+    """Also where exposures differ by 20 %: neighbouring pixels differ by 1 grey level at most, all the way round."""
+    scanner, angles, cloud = round_room()
+    levels = np.rint(120 * (1 + 0.2 * np.random.default_rng(0).uniform(-1, 1, len(angles)))).astype(np.uint8)
+    shots = [
+        Photograph(float(angle), np.full((120, 160, 3), level, np.uint8))
+        for angle, level in zip(angles, levels, strict=True)
+    ]
+    frame = panorama_frame(scanner, width=360)
+    found = make_panorama(Photographs(scanner, shots), frame, cloud if with_cloud else None)
+    inner = found.rgb[5:-5].astype(int)
+    assert np.max(np.abs(np.diff(inner, axis=1))) <= 1
+    assert np.max(np.abs(np.diff(inner, axis=0))) <= 1
+    assert np.max(np.abs(inner[:, 0] - inner[:, -1])) <= 1
+
+
+def test_a_camera_that_does_not_turn_is_refused(world):
+    scanner, _, _ = round_room()
+    stage = LinearStage.from_direction(np.array([1.0, 0.0, 0.0]))
+    with pytest.raises(CalibrationError, match="needs a camera that turns"):
+        panorama_frame(Scanner.from_parts(scanner.camera, _sheet(), stage))
+
+
+def test_holes_are_filled_from_around_them():
+    rows, columns = np.mgrid[:37, :50].astype(np.float32)
+    picture = np.stack([rows, columns], -1)
+    known = np.ones((37, 50), bool)
+    known[10:20, 15:30] = False
+    found = fill_holes(picture, known)
+    np.testing.assert_array_equal(found[known], picture[known])
+    # Between the values at its borders, and rising as they do.
+    assert np.all(found[~known] > [5, 10]) and np.all(found[~known] < [25, 35])
+    assert np.all(np.diff(found[15, 14:31, 1]) > -1e-3)
+    np.testing.assert_array_equal(fill_holes(picture, np.zeros_like(known)), 0)
