@@ -260,7 +260,9 @@ with open_controller(table, 28800, port={port!r}) as controller:
 def host_that_lights(board):
     hardware = str(Path(__file__).resolve().parents[2] / "hardware")
     code = LIGHTS.format(hardware=hardware, port=board.port)
-    host = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    # With the answers to signals that a shell gives, whatever the tests were started from.
+    words = ["env", "--default-signal", sys.executable, "-c", code]
+    host = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     with host.stdout:
         assert host.stdout.readline() == "lit\n"
     return host

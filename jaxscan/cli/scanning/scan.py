@@ -120,7 +120,7 @@ def scan(
             else:
                 result = _scan_sweep(rig, folder, devices, interrupts, calibration, live)
         out.print(result.message)
-        done = _finish_cloud(live, result, cloud, calibration, out)
+        done = _finish_cloud(live, result, output, cloud, calibration, out)
         notes += done.get("notes", [])
     if result.status == "complete":
         out.print(f"next: {_next_command(boards, output, calibration, cloud)}")
@@ -179,23 +179,33 @@ def _scan_sweep(
 
 
 def _finish_cloud(
-    live: "LiveCloud | None", result: "SessionResult", cloud: Path | None, calibration: Path | None, out: Terminal
+    live: "LiveCloud | None",
+    result: "SessionResult",
+    capture: Path,
+    cloud: Path | None,
+    calibration: Path | None,
+    out: Terminal,
 ) -> dict[str, Any]:
-    """Write the cloud, if one was asked for and all records are there."""
+    """Write the cloud, if one was asked for and all records are there: the same as `jaxscan reconstruct` writes."""
     if live is None or cloud is None or calibration is None or result.status not in ("complete", "suspect"):
         return {}
+    from jaxscan import api
     from jaxscan.files.calibration import calibration_digest
 
     with progress_bar("Finishing the cloud") as progress:
         done = live.finish(progress)
+    sweep, points = api.open_capture(capture), done.cloud
+    if api.has_photographs(sweep):
+        with progress_bar("Colouring from photographs") as progress:
+            points = api.colour_cloud(points, sweep, api.load_scanner(calibration), progress=progress)
     for note in done.notes:
         out.print(f"note: {note}")
     if done.noise:
         out.print(f"noise: {done.noise}")
-    jaxscan.save_cloud(done.cloud, cloud, calibration_digest=calibration_digest(calibration))
-    points = int(np.count_nonzero(done.cloud.valid))
-    out.print(f"{points} points, written: {cloud}")
-    return {"cloud": str(cloud), "points": points, "live": done.live, "notes": done.notes, "noise": done.noise}
+    jaxscan.save_cloud(points, cloud, calibration_digest=calibration_digest(calibration))
+    count = int(np.count_nonzero(points.valid))
+    out.print(f"{count} points, written: {cloud}")
+    return {"cloud": str(cloud), "points": count, "live": done.live, "notes": done.notes, "noise": done.noise}
 
 
 def _as_json(result: "SessionResult") -> dict[str, Any]:
