@@ -48,11 +48,11 @@ def room(
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
     scanner, notes = calibrated(calibration)
-    points, said = _upright(cloud, unit, up)
+    points, said = upright(cloud, unit, up)
     notes += said
     box = jaxscan.measure_room(points, scanner=scanner)
     sides = {name: side for name in ("length", "width", "height") if (side := getattr(box, name)) is not None}
-    result = _finite({name: dataclasses.asdict(side) for name, side in sides.items()})
+    result = finite({name: dataclasses.asdict(side) for name, side in sides.items()})
     columns = ("", "m", "sigma mm", "wall RMS mm", "points", "not parallel by")
     rows = [
         (name, f"{side.value_m:.4f}", f"{1e3 * side.sigma_m:.2f}", f"{1e3 * side.rms_m:.2f}", f"{side.points}")
@@ -93,10 +93,10 @@ def distance(
     check_paths([*file_at("CLOUD", cloud), *calibration_at("--calibration", calibration)], file_at("--json", json))
     check_json(json)
     scanner, notes = calibrated(calibration)
-    points, said = _in_metres(cloud, unit)
+    points, said = in_metres(cloud, unit)
     notes += said
     found = jaxscan.measure_distance(points, np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner)
-    result = _finite(dataclasses.asdict(found))
+    result = finite(dataclasses.asdict(found))
     out = notes_first(notes, json)
     out.print(
         f"{found.value_m:.4f} m, sigma {1e3 * found.sigma_m:.2f} mm, "
@@ -123,9 +123,9 @@ def plane(
     positive("--radius-mm", radius_mm)
     check_paths(file_at("CLOUD", cloud), file_at("--json", json))
     check_json(json)
-    points, notes = _in_metres(cloud, unit)
+    points, notes = in_metres(cloud, unit)
     found = jaxscan.measure_plane(points, np.array(at), radius_m=radius_mm / 1e3)
-    result = _finite(dataclasses.asdict(found))
+    result = finite(dataclasses.asdict(found))
     notes_first(notes, json).print(
         f"RMS {1e3 * found.rms_m:.2f} mm, 95 % of {found.points} points within {1e3 * found.range95_m:.2f} mm, "
         f"normal {np.array2string(found.normal, precision=4)}"
@@ -156,10 +156,10 @@ def compare(
     )
     check_json(json)
     scanner, notes = calibrated(calibration)
-    (points, said), (true_points, said_of_truth) = _in_metres(cloud, unit), _in_metres(truth, unit)
+    (points, said), (true_points, said_of_truth) = in_metres(cloud, unit), in_metres(truth, unit)
     notes += [*said, *said_of_truth]
     found = jaxscan.compare_clouds(points, true_points, scanner=scanner)
-    result = _finite(dataclasses.asdict(found))
+    result = finite(dataclasses.asdict(found))
     rows = [_error_row("distance", found.error_m)]
     if found.along_ray_m is not None:
         rows.append(_error_row("along the ray", found.along_ray_m))
@@ -179,25 +179,25 @@ def calibrated(path: Path | None) -> tuple["Scanner | None", list[str]]:
     return jaxscan.load_scanner(path), calibration_notes(path)
 
 
-def _in_metres(path: Path, unit: "Unit | None") -> tuple["PointCloud", list[str]]:
+def in_metres(path: Path, unit: "Unit | None") -> tuple["PointCloud", list[str]]:
     """A cloud in metres, and what was guessed."""
-    from jaxscan.files.clouds import in_metres, read_cloud
+    from jaxscan.files import clouds
 
-    cloud, notes = in_metres(read_cloud(path), unit)
+    cloud, notes = clouds.in_metres(clouds.read_cloud(path), unit)
     return cloud, [f"{path}: {note}" for note in notes]
 
 
-def _upright(path: Path, unit: "Unit | None", up: "Up | None") -> tuple["PointCloud", list[str]]:
+def upright(path: Path, unit: "Unit | None", up: "Up | None") -> tuple["PointCloud", list[str]]:
     """A cloud in metres with z up, and what was guessed."""
-    from jaxscan.files.clouds import in_metres, read_cloud, with_z_up
+    from jaxscan.files import clouds
 
-    stored = read_cloud(path)
-    cloud, notes = in_metres(stored, unit)
-    cloud, more = with_z_up(stored, cloud, up)
+    stored = clouds.read_cloud(path)
+    cloud, notes = clouds.in_metres(stored, unit)
+    cloud, more = clouds.with_z_up(stored, cloud, up)
     return cloud, [f"{path}: {note}" for note in (*notes, *more)]
 
 
-def _finite(result: dict[str, Any]) -> dict[str, Any]:
+def finite(result: dict[str, Any]) -> dict[str, Any]:
     """The result, if all its numbers are some.
 
     Raises:
@@ -205,7 +205,7 @@ def _finite(result: dict[str, Any]) -> dict[str, Any]:
     """
     for name, value in result.items():
         if isinstance(value, dict):
-            _finite(value)
+            finite(value)
         elif isinstance(value, float | np.ndarray) and not np.isfinite(value).all():
             raise MeasurementError(
                 f"{name} is not a finite number: the points of this cloud do not determine it; compare their unit and "

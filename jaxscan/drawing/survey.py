@@ -1,4 +1,4 @@
-"""What drawings of a room are made of: its outline, what is in its walls, and its surfaces."""
+"""The contents of drawings of a room: its outline, the openings of its walls, and its surfaces."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What stands before what: the surface of a cloud, drawn as distances into each photograph."""
+"""Hidden places: the surface of a cloud, drawn as distances into each photograph."""
 
 import functools
 from dataclasses import dataclass

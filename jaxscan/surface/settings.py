@@ -1,4 +1,4 @@
-"""What counts as one surface."""
+"""The rule by which neighbours belong to one surface."""
 
 import math
 from typing import NamedTuple

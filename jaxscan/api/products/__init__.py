@@ -1,4 +1,4 @@
-"""The public verbs for what a scan is made from, and made into."""
+"""The public verbs for boards, and for the products of a scan."""
 
 from jaxscan.api.products.boards import BoardSheets, draw_board, save_board, write_sheets
 from jaxscan.api.products.drawings import check_drawing_path, save_drawing

@@ -1,4 +1,4 @@
-"""What the demo does in processes of their own: it compiles the reconstruction, and renders its sweep.
+"""Work of the demo in processes of their own: compiling the reconstruction, and rendering the sweep.
 
 Numba holds Python's lock while it compiles, and NumPy between its many small steps; another process has its own.
 
@@ -33,7 +33,7 @@ _REFUSED = 3
 _PROGRESS = re.compile(r"(\d+) of (\d+)\n")
 
 running: list["subprocess.Popen[str]"] = []
-"""What this process has started and not ended yet."""
+"""The processes that this one has started and not ended yet."""
 
 
 def rehearse_apart(expected: ExpectedSweep) -> None:
@@ -104,7 +104,7 @@ def _started(kind: str, fields: Mapping[str, Any], environment: Mapping[str, str
 
 
 def main() -> None:
-    """Do what the first word says."""
+    """Do the work that the first word names."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     kind, fields = sys.argv[1], json.loads(sys.argv[2])
     code = 1

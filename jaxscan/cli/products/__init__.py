@@ -1,1 +1,1 @@
-"""What a scan is made from, and made into: one file per verb."""
+"""The verbs for boards and configurations, and for the products of a scan: one file each."""

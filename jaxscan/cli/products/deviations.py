@@ -8,9 +8,9 @@ import tyro
 
 # Loads a name when it is first used, so that `--help` does not load JAX.
 import jaxscan
-from jaxscan.cli.measure import Point
-from jaxscan.cli.options import CloudPath, coordinates, positive
-from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.measure import Point, finite, in_metres, notes_first
+from jaxscan.cli.options import CloudPath, CloudUnit, coordinates, positive
+from jaxscan.cli.output import JsonTarget, check_json, emit_json
 from jaxscan.cli.paths import check_paths, file_at
 
 
@@ -22,6 +22,7 @@ def deviations(
     radius_mm: float = 500.0,
     cell_mm: float = 50.0,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    unit: CloudUnit = None,
     json: JsonTarget = None,
 ) -> None:
     """Deviations from a plane: `jaxscan measure deviations room.ply --at 1.9 0.2 0.1 -o map.png`.
@@ -51,10 +52,10 @@ def deviations(
             raise OutputError(f'{output}: cannot write "{output.suffix}", known is .png.')
         check_writable(output, error=OutputError)
     check_json(json)
-    found = jaxscan.measure_deviations(
-        jaxscan.load_cloud(cloud), np.array(at), radius_m=radius_mm / 1e3, cell_m=cell_mm / 1e3
-    )
-    out = console(json)
+    points, notes = in_metres(cloud, unit)
+    found = jaxscan.measure_deviations(points, np.array(at), radius_m=radius_mm / 1e3, cell_m=cell_mm / 1e3)
+    numbers = finite({name: getattr(found, name) for name in ("rms_m", "least_m", "most_m")})
+    out = notes_first(notes, json)
     typical = float(np.median(found.sigma_m[found.seen]))
     significant = float(np.mean(np.abs(found.deviation_m[found.seen]) > 3.0 * found.sigma_m[found.seen]))
     out.print(
@@ -69,5 +70,6 @@ def deviations(
         out.print(f"written: {output}")
     cells = {name: np.where(found.seen, getattr(found, name), None) for name in ("deviation_m", "sigma_m")}
     places = {name: getattr(found, name) for name in ("points", "cell_m", "origin_m", "across", "up", "normal")}
-    numbers = {name: getattr(found, name) for name in ("rms_m", "least_m", "most_m")}
-    emit_json(json, "measure-deviations", numbers | {"share_beyond_3_sigma": significant} | places | cells)
+    emit_json(
+        json, "measure-deviations", numbers | {"share_beyond_3_sigma": significant, "notes": notes} | places | cells
+    )

@@ -69,7 +69,7 @@ def _text(path: Path) -> str:
 
 
 def _first_sentence(text: str) -> str:
-    """What the comment at the beginning of a configuration says first."""
+    """The first sentence of the comment at the beginning of a configuration."""
     comment = re.match(r"(?:#.*\n)+", text)
     words = " ".join(line.lstrip("# ") for line in comment[0].splitlines()) if comment else ""
     return re.split(r"(?<=\.) ", words, maxsplit=1)[0]

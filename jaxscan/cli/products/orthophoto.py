@@ -8,8 +8,8 @@ import tyro
 
 # Loads a name when it is first used, so that `--help` does not load JAX.
 import jaxscan
-from jaxscan.cli.measure import calibrated, notes_first
-from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, positive
+from jaxscan.cli.measure import calibrated, notes_first, upright
+from jaxscan.cli.options import CloudPath, CloudUnit, CloudUp, OptionalCalibrationPath, positive
 from jaxscan.cli.output import JsonTarget, check_json, emit_json
 from jaxscan.cli.paths import Place, calibration_at, check_paths, file_at
 
@@ -21,6 +21,8 @@ def orthophoto(
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     pixel_mm: float = 5.0,
     calibration: OptionalCalibrationPath = None,
+    unit: CloudUnit = None,
+    up: CloudUp = None,
     json: JsonTarget = None,
 ) -> None:
     """Draw the walls of a room straight on: `jaxscan orthophoto room.ply -o walls`.
@@ -47,7 +49,8 @@ def orthophoto(
     if output.exists() and not output.is_dir():
         raise OutputError(f"{output}: is a file; choose a folder with -o.")
     scanner, notes = calibrated(calibration)
-    loaded = jaxscan.load_cloud(cloud)
+    loaded, said = upright(cloud, unit, up)
+    notes += said
     survey = jaxscan.survey_room(loaded, scanner=scanner)
     pictures = jaxscan.draw_orthophotos(survey, np.asarray(loaded.rgb), pixel_m=pixel_mm / 1e3)
     files = [output / f"{picture.side}.png" for picture in pictures]

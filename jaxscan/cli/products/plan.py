@@ -8,8 +8,8 @@ import tyro
 
 # Loads a name when it is first used, so that `--help` does not load JAX.
 import jaxscan
-from jaxscan.cli.measure import calibrated, notes_first
-from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, coordinates, positive
+from jaxscan.cli.measure import calibrated, notes_first, upright
+from jaxscan.cli.options import CloudPath, CloudUnit, CloudUp, OptionalCalibrationPath, coordinates, positive
 from jaxscan.cli.output import JsonTarget, check_json, emit_json
 from jaxscan.cli.paths import calibration_at, check_paths, file_at
 from jaxscan.cli.process.terminal import table
@@ -30,6 +30,8 @@ def plan(
     height: tuple[float, ...] = (1.0,),
     section: Annotated[tuple[float, float, float, float] | None, tyro.conf.arg(metavar="AX AY BX BY")] = None,
     calibration: OptionalCalibrationPath = None,
+    unit: CloudUnit = None,
+    up: CloudUp = None,
     json: JsonTarget = None,
 ) -> None:
     """Draw a room: `jaxscan plan room.ply -c calibration.json -o plan.dxf`.
@@ -57,7 +59,9 @@ def plan(
     check_drawing_path(output)
     check_json(json)
     scanner, notes = calibrated(calibration)
-    survey = jaxscan.survey_room(jaxscan.load_cloud(cloud), scanner=scanner)
+    points, said = upright(cloud, unit, up)
+    notes += said
+    survey = jaxscan.survey_room(points, scanner=scanner)
     if section is None:
         drawing = jaxscan.draw_plan(survey, heights_m=height)
     else:

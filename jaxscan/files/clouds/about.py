@@ -1,4 +1,4 @@
-"""What a cloud's file says beside its points, as lines of text in a header."""
+"""The statements of a cloud's file beside its points, as lines of text in a header."""
 
 import re
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ _CRS = re.compile(r"EPSG:(\d{1,6})\Z")
 
 
 class About(NamedTuple):
-    """What a cloud's file says beside its points."""
+    """The statements of a cloud's file beside its points."""
 
     calibration: str = ""
     """Digest of the calibration file that the cloud was made with; empty where it is not known."""
