@@ -89,6 +89,14 @@ def test_points(room, run):
     assert result["value_m"] == pytest.approx(float(np.linalg.norm(a - b)), abs=1e-6) and result["sigma_m"] > 0
 
 
+def test_points_of_a_cloud_in_millimetres(room, run):
+    """Said to be in millimetres, metres are a thousandth of what they were."""
+    a, b = np.array([1.0, 0.2, 0.1]) / 1e3, np.array([1.0, -0.8, 0.1]) / 1e3
+    words = ("measure", "points", room, "--a", *a, "--b", *b, "--within-mm", 20, "--json", "-")
+    found = json.loads(run(*words, "--unit", "mm").out)
+    assert 0 < found["value_m"] < 0.01
+
+
 def test_sphere(room, refused):
     at = jaxscan.load_cloud(room).xyz[10, 40]
     assert "No sphere" in refused("measure", "sphere", room, "--near", *at, "--radius", 0.1)
