@@ -6,4 +6,4 @@ from jaxscan.surface.mesh import Mesh
 from jaxscan.surface.open3d_loader import load_open3d
 from jaxscan.surface.poisson import poisson_mesh
 from jaxscan.surface.settings import DEFAULT_MESH, MeshSettings
-from jaxscan.surface.texture import textured_mesh
+from jaxscan.surface.texture import texels_of_pixels, textured_mesh

@@ -1,6 +1,7 @@
 """A picture on the mesh of a grid: the grid is its chart.
 
-Column and line of a point are its place in the picture, and every cell has the same number of texels.
+Column and line of a point are its place in the picture, and every cell has the same number of texels. A long chart is
+folded: its parts are bands, one below the other.
 """
 
 from collections.abc import Callable
@@ -21,6 +22,8 @@ Colour = Callable[
 
 LARGEST_SIDE = 16_384
 """Most texels on a side: what graphics cards hold."""
+BAND_WIDTH = 8192
+"""Longer charts are folded: every browser holds this many texels on a side."""
 AT_A_TIME = 4_000_000
 """Texels that are coloured at a time."""
 
@@ -36,16 +39,64 @@ class _Texels(NamedTuple):
     """Between the colours of the vertices."""
 
 
-def textured_mesh(grid: GridMesh, colour: Colour, texels: int = 2) -> Mesh:
+class _Chart(NamedTuple):
+    """Where the cells are in the picture."""
+
+    across: int
+    """Texels from one profile to the next."""
+    along: int
+    """Texels from one line to the next."""
+    columns: int
+    """Cells on each band."""
+    shape: tuple[int, int]
+    """Rows and columns of the picture."""
+    stride: int
+    """Rows from one band to the next."""
+
+
+def texels_of_pixels(grid: GridMesh, pixels_per_radian: float) -> tuple[int, int]:
+    """Texels on a cell, across and along the profiles, so that one is about a pixel of the camera.
+
+    Args:
+        grid: The faces of a cloud.
+        pixels_per_radian: Resolution of the camera, px.
+
+    Returns:
+        At least one each, and no more than a picture holds.
+    """
+    column, line = np.nonzero(grid.codes)
+    few = slice(None, None, max(1, len(column) // 100_000))
+    column, line = column[few], line[few]
+    profile, xyz, valid = grid.lattice.profile, np.asarray(grid.cloud.xyz), np.asarray(grid.cloud.valid)
+    eye = grid.eyes[profile[column]]
+
+    def median_pixels(ahead: int, below: int) -> int:
+        one, other = (profile[column], line), (profile[column + ahead], line + below)
+        both = valid[one] & valid[other]
+        if not both.any():
+            return 1
+        ray, next_ray = (xyz[place][both] - eye[both] for place in (one, other))
+        angle = np.arctan2(np.linalg.norm(np.cross(ray, next_ray), axis=1), np.sum(ray * next_ray, axis=1))
+        return max(1, round(float(np.median(angle)) * pixels_per_radian))
+
+    across, along = median_pixels(1, 0), median_pixels(0, 1)
+    gaps, cells = grid.codes.shape
+    while (across > 1 or along > 1) and max(_chart(gaps, cells, (across, along)).shape) > LARGEST_SIDE:
+        across, along = (across - 1, along) if across >= along else (across, along - 1)
+    return across, along
+
+
+def textured_mesh(grid: GridMesh, colour: Colour, texels: tuple[int, int] = (2, 2)) -> Mesh:
     """The mesh of all faces with a picture of the surface.
 
-    A closed sheet has the vertices of its first profile twice, at both ends of the picture.
+    A closed sheet has the vertices of its first profile twice, at both ends of the picture, and so have profiles where
+    the chart is folded.
 
     Args:
         grid: The faces of a cloud.
         colour: Asked for each texel. Where it knows none, the colours of the vertices serve; where there is no
             surface, that of the next texel.
-        texels: On each side of a cell.
+        texels: On each cell, across and along the profiles; see `texels_of_pixels`.
 
     Returns:
         The mesh with `uv` and `texture`.
@@ -54,26 +105,41 @@ def textured_mesh(grid: GridMesh, colour: Colour, texels: int = 2) -> Mesh:
         CloudError: If the picture would have more than `LARGEST_SIDE` texels on a side.
     """
     gaps, cells = grid.codes.shape
-    if max(gaps, cells) * texels > LARGEST_SIDE:
+    chart = _chart(gaps, cells, texels)
+    if max(chart.shape) > LARGEST_SIDE:
         raise CloudError(
-            f"a texture of {gaps * texels} x {cells * texels} px is too large; at most {LARGEST_SIDE} px on a side, so "
-            f"{max(1, LARGEST_SIDE // max(gaps, cells))} texels on each cell."
+            f"a texture of {chart.shape[1]} x {chart.shape[0]} px is too large; at most {LARGEST_SIDE} px on a side, "
+            "so take fewer texels on each cell."
         )
     lines = cells + 1
-    places, faces = used_places(grid.faces(), len(grid.lattice.profile) * lines)
+    faces = grid.faces()
+    # A face lies between two columns, of which the lower is its cell's.
+    band = (faces.min(1) // lines // chart.columns)[:, None]
+    places, faces = used_places(faces + band * lines, (len(grid.lattice.profile) + gaps // chart.columns) * lines)
     column, line = places // lines, places % lines
-    xyz, normals, rgb = vertex_fields(grid, grid.lattice.profile[column], line)
-    uv = np.stack([column / gaps, line / cells], 1).astype(np.float32)
-    return Mesh(xyz, normals, rgb, faces, uv, _picture(grid, colour, texels))
+    band, here = column // (chart.columns + 1), column % (chart.columns + 1)
+    xyz, normals, rgb = vertex_fields(grid, grid.lattice.profile[column - band], line)
+    rows, width = chart.shape
+    uv = np.stack([here * chart.across / width, (band * chart.stride + line * chart.along) / rows], 1)
+    return Mesh(xyz, normals, rgb, faces, uv.astype(np.float32), _picture(grid, colour, chart))
 
 
-def _picture(grid: GridMesh, colour: Colour, texels: int) -> UInt8[np.ndarray, "rows columns 3"]:
+def _chart(gaps: int, cells: int, texels: tuple[int, int]) -> _Chart:
+    across, along = texels
+    bands = -(-gaps * across // BAND_WIDTH)
+    columns = -(-gaps // bands)
+    # Of two bands each has a margin of its own.
+    stride = cells * along + (2 * _MARGIN if bands > 1 else 0)
+    return _Chart(across, along, columns, (stride * (bands - 1) + cells * along, columns * across), stride)
+
+
+def _picture(grid: GridMesh, colour: Colour, chart: _Chart) -> UInt8[np.ndarray, "rows columns 3"]:
     gaps, cells = grid.codes.shape
-    picture = np.zeros((cells * texels, gaps * texels, 3), np.uint8)
-    drawn = np.zeros(picture.shape[:2], np.bool_)
-    stride = max(1, AT_A_TIME // (cells * texels * texels))
+    picture = np.zeros((*chart.shape, 3), np.uint8)
+    drawn = np.zeros(chart.shape, np.bool_)
+    stride = max(1, AT_A_TIME // (cells * chart.across * chart.along))
     for start in range(0, gaps, stride):
-        found = _texels(grid, start, min(start + stride, gaps), texels)
+        found = _texels(grid, start, min(start + stride, gaps), chart)
         if len(found.points):
             rgb, seen = colour(found.points, found.normals)
             picture[found.at] = np.where(seen[:, None], rgb, found.rgb)
@@ -81,16 +147,16 @@ def _picture(grid: GridMesh, colour: Colour, texels: int) -> UInt8[np.ndarray, "
     return _spread(picture, drawn)
 
 
-def _texels(grid: GridMesh, start: int, stop: int, texels: int) -> _Texels:
+def _texels(grid: GridMesh, start: int, stop: int, chart: _Chart) -> _Texels:
     """Texels on the faces of the cells between some columns."""
-    share = ((np.arange(texels) + 0.5) / texels).astype(np.float32)
     # All texels of a cell one after the other.
-    along, down = (part.ravel() for part in np.meshgrid(share, share, indexing="ij"))
+    steps = [part.ravel() for part in np.meshgrid(np.arange(chart.across), np.arange(chart.along), indexing="ij")]
+    shares = [((step + 0.5) / of).astype(np.float32) for step, of in zip(steps, (chart.across, chart.along), strict=True)]
     codes = grid.codes[start:stop]
     column, line = np.nonzero(codes)
     code = codes[column, line]
     # The sense of a face does not matter here.
-    weights = _weights((code | (code >> 4)) & np.uint8(15), along, down)
+    weights = _weights((code | (code >> 4)) & np.uint8(15), *shares)
     profile = grid.lattice.profile
     xyz, normals, rgb = (np.zeros((*weights.shape[:2], 3), np.float32) for _ in range(3))
     centre = grid.eyes[profile[start]]
@@ -98,9 +164,9 @@ def _texels(grid: GridMesh, start: int, stop: int, texels: int) -> _Texels:
         place = vertex_fields(grid, profile[column + start + ahead], line + below)
         for total, values in zip((xyz, normals, rgb), (place[0] - centre, *place[1:]), strict=True):
             total += weights[..., corner, None] * values[:, None].astype(np.float32)
-    steps = np.arange(texels)
-    x = (column + start)[:, None] * texels + np.repeat(steps, texels)
-    y = line[:, None] * texels + np.tile(steps, texels)
+    band, here = (column + start) // chart.columns, (column + start) % chart.columns
+    x = here[:, None] * chart.across + steps[0]
+    y = (band * chart.stride + line * chart.along)[:, None] + steps[1]
     normals = normals.reshape(-1, 3)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
     points = (xyz.reshape(-1, 3) + centre).astype(np.float32)

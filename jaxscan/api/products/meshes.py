@@ -12,6 +12,7 @@ from jaxscan.photographs import colour_points, make_occluder
 from jaxscan.reconstruction import PointCloud, Progress
 from jaxscan.surface import DEFAULT_MESH, Mesh, MeshSettings, coloured_mesh, mesh_grid
 from jaxscan.surface import poisson_mesh as close_points
+from jaxscan.surface import texels_of_pixels
 from jaxscan.surface import textured_mesh as draw_on_mesh
 
 
@@ -39,8 +40,8 @@ class Texture:
 
     capture: Capture
     """The sweep of the cloud, with laser-off images."""
-    texels: int = 2
-    """Texels on each side of a cell of the grid."""
+    texels: int | None = None
+    """Texels on each side of a cell of the grid; where not given, about one for each pixel of the camera."""
     progress: Progress = None
     """Called with (images read, images in all); large textures are drawn in parts, each from all images."""
 
@@ -65,8 +66,12 @@ def textured_mesh(
     grid = mesh_grid(host, camera_places(host, scanner), settings)
     photographs = open_photographs(texture.capture, scanner, progress=texture.progress)
     occluder = make_occluder(host, scanner)
+    if texture.texels is None:
+        texels = texels_of_pixels(grid, float(max(scanner.camera.fx, scanner.camera.fy)))
+    else:
+        texels = (texture.texels, texture.texels)
     return draw_on_mesh(
-        grid, lambda points, normals: colour_points(photographs, points, normals, occluder=occluder), texture.texels
+        grid, lambda points, normals: colour_points(photographs, points, normals, occluder=occluder), texels
     )
 
 

@@ -25,7 +25,7 @@ def mesh(
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], help=_TARGET)],
     calibration: OptionalCalibrationPath = None,
     texture: Path | None = None,
-    texels: int = 2,
+    texels: int | None = None,
     faces: int | None = None,
     poisson: bool = False,
     bridge: bool = False,
@@ -43,7 +43,7 @@ def mesh(
         cloud: Cloud (.ply or .npz) that `jaxscan reconstruct` wrote.
         calibration: Calibration file: it tells where the camera was, and where photographs show a point.
         texture: Folder of the captured sweep, whose laser-off images are drawn on the mesh (.glb and .obj).
-        texels: Texels of the texture on each cell of the grid, along each side.
+        texels: Texels of the texture on each side of a cell of the grid; by default one for each pixel of the camera.
         faces: Most faces: the mesh is simplified where it is flat.
         poisson: One closed surface through all points, by Open3D: for several stations, and to fill holes.
         bridge: Fill single missing points between neighbours on one surface.
