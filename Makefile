@@ -69,9 +69,9 @@ bench-deps:
 # Installs the programs in which tests/programs opens clouds, where it may, and says what to type where it may not.
 programs: $(INSTALLED)
 	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -qy --no-install-recommends cloudcompare; \
+	  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -qy --no-install-recommends cloudcompare pcl-tools; \
 	else \
-	  echo "Type: sudo apt-get install cloudcompare"; exit 1; \
+	  echo "Type: sudo apt-get install cloudcompare pcl-tools"; exit 1; \
 	fi
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[programs]"
 

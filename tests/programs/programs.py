@@ -151,6 +151,44 @@ def _pye57(path, folder):
     )
 
 
+def _pcl(path, folder):
+    """PCL's tools; what they have of a cloud is in the PCD that they write."""
+    tools = {".pcd": ["pcl_convert_pcd_ascii_binary", "1"], ".ply": ["pcl_ply2pcd"]}
+    if path.suffix not in tools:
+        raise ValueError("no reader")
+    command, *mode = tools[path.suffix]
+    if shutil.which(command) is None:
+        pytest.skip("PCL is not installed: make programs")
+    target = folder / "pcl.pcd"
+    done = subprocess.run(
+        [command, path, target, *mode], capture_output=True, timeout=120, check=False, text=True, errors="replace"
+    )
+    if not target.exists():
+        raise ValueError(done.stderr[-500:])
+    columns = plain_pcd(target)
+    seen = np.isfinite(columns["x"])
+    columns = {name.removeprefix("scalar_"): values[seen] for name, values in columns.items()}
+    packed = columns.pop("rgb").view("<u4")
+    return Opened(
+        np.stack([columns.pop(axis) for axis in "xyz"], -1),
+        np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], -1),
+        np.stack([columns.pop(f"normal_{axis}") for axis in "xyz"], -1),
+        columns,
+    )
+
+
+def plain_pcd(path):
+    """Columns of a binary PCD, by a reader that is not ours."""
+    head, body = path.read_bytes().split(b"DATA binary\n", 1)
+    header = {words[0]: words[1:] for words in (line.split() for line in head.decode("ascii").splitlines())}
+    kinds = {"F": "f", "I": "i", "U": "u"}
+    fields = zip(header["FIELDS"], header["TYPE"], header["SIZE"], strict=True)
+    table = np.frombuffer(
+        body, np.dtype([(name, f"<{kinds[kind]}{size}") for name, kind, size in fields]), int(*header["POINTS"])
+    )
+    return {name: table[name].copy() for name in table.dtype.names}
+
+
 def _trimesh(path, folder):
     trimesh = _module("trimesh")
     cloud = trimesh.load(path)
@@ -170,6 +208,7 @@ PROGRAMS = {
     "CloudCompare": cloudcompare,
     "MeshLab": meshlab,
     "Open3D": _open3d,
+    "PCL": _pcl,
     "laspy": _laspy,
     "pye57": _pye57,
     "trimesh": _trimesh,
