@@ -22,6 +22,11 @@ def test_dxf_is_sound_and_says_the_same(plan, tmp_path):
     audit = document.audit()
     assert not audit.errors and not audit.fixes
     assert document.header["$INSUNITS"] == 6 and document.header["$MEASUREMENT"] == 1
+    # What programs go by that draw dimensions themselves, and zoom by the header.
+    style = document.dimstyles.get(document.header["$DIMSTYLE"])
+    assert document.header["$DIMTXT"] == style.dxf.dimtxt and 0.05 < style.dxf.dimtxt < 0.2
+    low, high = plan.bounds()
+    np.testing.assert_allclose([document.header["$EXTMIN"][:2], document.header["$EXTMAX"][:2]], [low, high])
     assert set(plan.layers) <= {layer.dxf.name for layer in document.layers}
     space = document.modelspace()
     measured = [one.get_measurement() for one in space.query("DIMENSION")]

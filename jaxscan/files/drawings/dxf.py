@@ -11,6 +11,18 @@ from jaxscan.errors import DependencyError
 
 
 STYLE = "JAXSCAN"
+DIMENSIONS = {
+    "dimtxt": TEXT_M,
+    "dimasz": 0.05,
+    "dimtsz": 0.05,
+    "dimexo": 0.05,
+    "dimexe": 0.05,
+    "dimgap": 0.03,
+    "dimdec": 3,
+    "dimtad": 1,
+    "dimlunit": 2,
+}
+"""How dimensions look, by the names of DXF; lengths in metres."""
 
 
 def check_dxf() -> None:
@@ -46,9 +58,10 @@ def write_dxf(drawing: Drawing, path: Path) -> None:
         layer.dxf.lineweight = round(100 * look.width_mm)
         layer.description = look.means
     style = document.dimstyles.new(STYLE)
-    style.dxf.dimtxt, style.dxf.dimasz, style.dxf.dimtsz = TEXT_M, 0.05, 0.05
-    style.dxf.dimexo, style.dxf.dimexe, style.dxf.dimgap = 0.05, 0.05, 0.03
-    style.dxf.dimdec, style.dxf.dimtad, style.dxf.dimlunit = 3, 1, 2
+    for name, value in DIMENSIONS.items():
+        style.set_dxf_attrib(name, value)
+    # Some programs, LibreCAD is one, draw dimensions by the header and not by their style.
+    style.copy_to_header(document)
     space = document.modelspace()
     for line in drawing.lines:
         space.add_lwpolyline([(float(x), float(y)) for x, y in line.points], dxfattribs={"layer": line.layer})
@@ -67,5 +80,6 @@ def write_dxf(drawing: Drawing, path: Path) -> None:
         ).render()
     low, high = drawing.bounds()
     document.set_modelspace_vport(height=float(1.1 * (high - low).max()), center=tuple(map(float, 0.5 * (low + high))))
-    document.header["$EXTMIN"], document.header["$EXTMAX"] = (*map(float, low), 0.0), (*map(float, high), 0.0)
+    # The library writes these to the header, whatever is there before.
+    space.reset_extents((*map(float, low), 0.0), (*map(float, high), 0.0))
     document.saveas(path)
