@@ -151,12 +151,12 @@ def _texels(grid: GridMesh, start: int, stop: int, chart: _Chart) -> _Texels:
     """Texels on the faces of the cells between some columns."""
     # All texels of a cell one after the other.
     steps = [part.ravel() for part in np.meshgrid(np.arange(chart.across), np.arange(chart.along), indexing="ij")]
-    shares = [((step + 0.5) / of).astype(np.float32) for step, of in zip(steps, (chart.across, chart.along), strict=True)]
+    shares = ((steps[0] + 0.5) / chart.across, (steps[1] + 0.5) / chart.along)
     codes = grid.codes[start:stop]
     column, line = np.nonzero(codes)
     code = codes[column, line]
     # The sense of a face does not matter here.
-    weights = _weights((code | (code >> 4)) & np.uint8(15), *shares)
+    weights = _weights((code | (code >> 4)) & np.uint8(15), *(share.astype(np.float32) for share in shares))
     profile = grid.lattice.profile
     xyz, normals, rgb = (np.zeros((*weights.shape[:2], 3), np.float32) for _ in range(3))
     centre = grid.eyes[profile[start]]

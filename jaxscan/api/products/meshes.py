@@ -10,9 +10,8 @@ from jaxscan.files.capture import Capture
 from jaxscan.geometry import Scanner
 from jaxscan.photographs import colour_points, make_occluder
 from jaxscan.reconstruction import PointCloud, Progress
-from jaxscan.surface import DEFAULT_MESH, Mesh, MeshSettings, coloured_mesh, mesh_grid
+from jaxscan.surface import DEFAULT_MESH, Mesh, MeshSettings, coloured_mesh, mesh_grid, texels_of_pixels
 from jaxscan.surface import poisson_mesh as close_points
-from jaxscan.surface import texels_of_pixels
 from jaxscan.surface import textured_mesh as draw_on_mesh
 
 
