@@ -15,6 +15,7 @@ from jaxscan.api import save_board as save_board
 from jaxscan.api import save_drawing as save_drawing
 from jaxscan.api import save_mesh as save_mesh
 from jaxscan.api import save_panorama as save_panorama
+from jaxscan.api import save_scan as save_scan
 from jaxscan.api import simulate as simulate
 from jaxscan.calibration import Calibration as Calibration
 from jaxscan.calibration import CalibrationSettings as CalibrationSettings

@@ -19,6 +19,7 @@ from jaxscan.api.products import (
     save_board,
     save_drawing,
     save_panorama,
+    save_scan,
     textured_mesh,
     write_sheets,
 )

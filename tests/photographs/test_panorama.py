@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-from jaxscan.errors import CalibrationError
+import jaxscan
+from jaxscan.errors import CalibrationError, CloudError
+from jaxscan.files.clouds import About, StoredCloud
 from jaxscan.geometry import LaserSheet, LinearStage, Pinhole, Scanner, Turntable
-from jaxscan.photographs import Photograph, Photographs, make_panorama, panorama_frame
+from jaxscan.photographs import Panorama, Photograph, Photographs, make_panorama, panorama_frame
 from jaxscan.photographs.filling import fill_holes
 from jaxscan.reconstruction import PointCloud
+from jaxscan.vision import decode_image
 from tests.photographs.rendered import BAR_AT, BAR_HALF, BAR_SLOPE, WALL_X
 
 
@@ -133,3 +136,45 @@ def test_holes_are_filled_from_around_them():
     assert np.all(found[~known] > [5, 10]) and np.all(found[~known] < [25, 35])
     assert np.all(np.diff(found[15, 14:31, 1]) > -1e-3)
     np.testing.assert_array_equal(fill_holes(picture, np.zeros_like(known)), 0)
+
+
+def test_an_e57_has_the_panorama_with_the_pose_of_its_scan(world, tmp_path):
+    """By the format's own rule of which pixel a direction is."""
+    pye57 = pytest.importorskip("pye57")
+    frame = panorama_frame(world.scanner, width=1000)
+    rays = frame.rays().astype(np.float64)
+    # Colours by which every direction is known.
+    drawn = Panorama(frame, np.rint(127 + 120 * rays).astype(np.uint8))
+    path = jaxscan.save_scan(StoredCloud(world.cloud, About()), drawn, tmp_path / "scan.e57")
+    file = pye57.E57(str(path))
+    (node,) = (file.root["images2D"][k] for k in range(file.root["images2D"].childCount()))
+    assert node["associatedData3DGuid"].value() == file.root["data3D"][0]["guid"].value()
+    assert [node["pose"]["rotation"][axis].value() for axis in "wxyz"] == [1, 0, 0, 0]
+    sphere = node["sphericalRepresentation"]
+    width, height = sphere["imageWidth"].value(), sphere["imageHeight"].value()
+    step = sphere["pixelWidth"].value()
+    assert sphere["pixelHeight"].value() == step
+    buffer = np.zeros(sphere["jpegImage"].byteCount(), np.uint8)
+    sphere["jpegImage"].read(buffer, 0, len(buffer))
+    file.close()
+    picture = decode_image(buffer.tobytes(), name="jpegImage", rank=3, size=(width, height))
+    assert picture.shape == (height, width, 3) and height % 2 == 0
+    # JPEG blurs the borders of the picture into the black beyond them.
+    rays = rays[16:-16].reshape(-1, 3)
+    azimuth, elevation = np.arctan2(rays[:, 1], rays[:, 0]), np.arcsin(rays[:, 2])
+    column = np.floor(width / 2 - azimuth / step).astype(int) % width
+    row = np.floor(height / 2 - elevation / step).astype(int)
+    assert np.abs(picture[row, column] - (127 + 120 * rays)).max() < 6
+    # The points are as in a file without a picture.
+    np.testing.assert_array_equal(jaxscan.load_cloud(path).xyz, world.cloud.xyz)
+
+
+def test_a_cylinder_and_another_format_hold_no_scan(world, tmp_path):
+    frame = panorama_frame(world.scanner, "cylinder", 64)
+    drawn = Panorama(frame, np.zeros((frame.height, 64, 3), np.uint8))
+    stored = StoredCloud(world.cloud, About())
+    with pytest.raises(CloudError, match="cylinder"):
+        jaxscan.save_scan(stored, drawn, tmp_path / "scan.e57")
+    with pytest.raises(CloudError, match=r'"\.ply", expected \.e57'):
+        jaxscan.save_scan(stored, drawn, tmp_path / "scan.ply")
+    assert not list(tmp_path.iterdir())

@@ -14,3 +14,4 @@ from jaxscan.api.products.photographs import (
     panorama_paths,
     save_panorama,
 )
+from jaxscan.api.products.scans import save_scan

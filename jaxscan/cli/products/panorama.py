@@ -12,9 +12,13 @@ from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
 from jaxscan.cli.progress import progress_bar
 from jaxscan.errors import OptionError
 from jaxscan.files.calibration import calibration_notes
+from jaxscan.files.clouds import check_cloud_path
 
 
 SMALLEST, LARGEST = 16, 65_500
+
+
+TARGET = "Picture to write; the suffix chooses: .jpg or .png, or .e57 for the cloud and its picture in one file."
 
 
 def panorama(
@@ -23,7 +27,8 @@ def panorama(
     *,
     calibration: CalibrationPath,
     output: Annotated[
-        Path | None, tyro.conf.arg(aliases=["-o"], help="Picture to write; the suffix chooses: .jpg or .png.")
+        Path | None,
+        tyro.conf.arg(aliases=["-o"], help="Picture to write; the suffix chooses: .jpg, .png, or .e57 with the cloud."),
     ] = None,
     cloud: Path | None = None,
     projection: Literal["equirectangular", "cylinder"] = "equirectangular",
@@ -38,7 +43,7 @@ def panorama(
         capture: Folder of the captured sweep.
         calibration: Calibration file.
         cloud: Cloud of this sweep (.ply or .npz): its distances remove the parallax, and `<stem>.depth.png` (16 bit,
-            millimetres) and `<stem>.normals.png` are written beside the picture.
+            millimetres) and `<stem>.normals.png` are written beside the picture. In an .e57 it is the scan.
         projection: `equirectangular` for viewers of panoramas, `cylinder` for paper.
         width: Width of the whole turn [px]; the camera's own resolution if not given.
         transforms: Folder for the photographs with their poses in `transforms.json`, for programs such as nerfstudio.
@@ -50,7 +55,10 @@ def panorama(
     at_least(SMALLEST, "--width", width)
     if width is not None and width > LARGEST:
         raise OptionError(f"--width: found {width}, expected {LARGEST} or less.")
-    with_cloud = cloud is not None
+    scan = output is not None and output.suffix.lower() == ".e57"
+    if scan and (cloud is None or projection != "equirectangular"):
+        raise OptionError("--output: an .e57 holds a cloud with its equirectangular panorama; name the cloud: --cloud.")
+    with_cloud = cloud is not None and not scan
     pictures = [] if output is None else api.panorama_paths(output, with_cloud=with_cloud)
     check_paths(
         reads=[
@@ -64,7 +72,9 @@ def panorama(
             *file_at("--json", json),
         ],
     )
-    if output is not None:
+    if output is not None and scan:
+        check_cloud_path(output)
+    elif output is not None:
         api.check_panorama_path(output, with_cloud=with_cloud)
     check_json(json)
     sweep, scanner = api.open_capture(capture), api.load_scanner(calibration)
@@ -74,12 +84,18 @@ def panorama(
         out.print(f"note: {note}")
     result: dict[str, Any] = {"notes": notes}
     if output is not None:
-        surface = None if cloud is None else api.load_cloud(cloud)
+        stored = None if cloud is None else api.read_cloud(cloud)
         with progress_bar("Blending photographs") as progress:
             drawn = api.draw_panorama(
-                sweep, scanner, cloud=surface, projection=projection, width=width, progress=progress
+                sweep,
+                scanner,
+                cloud=None if stored is None else stored.cloud,
+                projection=projection,
+                width=width,
+                progress=progress,
             )
-        written = [str(path) for path in api.save_panorama(drawn, output)]
+        files = [api.save_scan(stored, drawn, output)] if scan and stored else api.save_panorama(drawn, output)
+        written = [str(path) for path in files]
         out.print(f"written: {', '.join(written)} ({drawn.frame.width} x {drawn.frame.height} px)")
         result |= {"pictures": written, "width_px": drawn.frame.width, "height_px": drawn.frame.height}
     if transforms is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxscan.files.clouds.about import About, header_lines
 from jaxscan.files.clouds.crs import wkt_of
 from jaxscan.files.clouds.e57.library import COLUMNS, NORMALS_URI, OWN, OWN_URI, load_libe57
+from jaxscan.files.clouds.e57.pictures import RoundPicture, append_picture
 from jaxscan.files.clouds.points import columns, smoothed_names
 from jaxscan.files.clouds.stations import covariance_text, quaternion
 from jaxscan.reconstruction import PointCloud, of_station
@@ -25,12 +26,13 @@ _GPS_EPOCH_S, _LEAP_S = 315964800, 18
 """GPS time counts from 1980-01-06 without leap seconds."""
 
 
-def write_e57(cloud: PointCloud, path: Path, about: About) -> None:
+def write_e57(cloud: PointCloud, path: Path, about: About, picture: RoundPicture | None = None) -> None:
     """Write one scan for each station: metres, pose, row and column index, colour, intensity [DN], normals.
 
     The column is the profile of the station, the row the line. Points are in the station's own frame; the pose of the
     scan carries them into that of the room, and its description holds digest and covariance. Coordinates are float32,
-    or float64 where the cloud holds it; intensity is float32. Sigmas, laser, angle and record are an extension.
+    or float64 where the cloud holds it; intensity is float32. Sigmas, laser, angle and record are an extension. A
+    picture belongs to the first scan.
 
     Raises:
         CloudError: If the EPSG code is none in metres.
@@ -44,6 +46,8 @@ def write_e57(cloud: PointCloud, path: Path, about: About) -> None:
             scans = _begin(e57, image, frame)
             for scan in _scans(cloud, about):
                 _write_scan(e57, image, scans, scan)
+            if picture is not None:
+                append_picture(e57, image, picture, scans[0])
     except e57.E57Exception as problem:
         raise OSError(str(problem).splitlines()[0]) from problem
 
