@@ -126,12 +126,30 @@ def _moved(wall: Wall, place: np.ndarray) -> Wall:
 
 def bounding_walls(samples: Samples, rng: np.random.Generator, *, seed: int) -> tuple[list[list[Wall]], int]:
     """The walls across each direction of the room, the vertical last, and the number of planes they are among."""
-    # Seen from a place of the scanner: in a cloud that was aligned the origin may be in a corner of the room.
-    inside = samples.origin[0]
+    inside = _place_inside(samples)
     seen = samples.moved(-inside)
     planes = find_planes(seen, seed=seed)
     pairs = [_pair(seen, planes, direction, rng) for direction in _directions(planes)]
     return [[wall.moved(inside) for wall in pair] for pair in pairs], len(planes)
+
+
+_NEAR_THE_RIM = 0.05
+"""Share of its extent at either end of a cloud where nobody stands to scan it."""
+
+
+def _place_inside(samples: Samples) -> np.ndarray:
+    """A place in the room from which its walls are seen: the scanner's, or the middle where that cannot be it.
+
+    A cloud of another program has no angles and does not say where its scanner stood: its origin may be in a corner
+    of the room, or on a map.
+    """
+    place = samples.origin[0]
+    if np.ptp(samples.angle) > 0:
+        return place
+    low, high = np.percentile(samples.p, [1.0, 99.0], axis=0)
+    rim = _NEAR_THE_RIM * (high - low)
+    within = (low + rim < place) & (place < high - rim)
+    return place if within.all() else (low + high) / 2
 
 
 def _directions(planes: list[tuple[Plane, np.ndarray]]) -> list[np.ndarray]:

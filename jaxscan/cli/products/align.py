@@ -8,8 +8,9 @@ import tyro
 
 # Loads a name when it is first used, so that `--help` does not load JAX.
 import jaxscan
-from jaxscan.cli.options import CloudOutputPath, CloudPath
-from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
+from jaxscan.cli.measure import in_metres, notes_first, upright
+from jaxscan.cli.options import CloudOutputPath, CloudPath, CloudUnit, CloudUp
+from jaxscan.cli.output import JsonTarget, check_json, emit_json
 from jaxscan.cli.paths import check_paths, file_at
 from jaxscan.cli.process.terminal import Terminal, table
 from jaxscan.errors import OptionError
@@ -26,6 +27,8 @@ def align(
     output: CloudOutputPath,
     targets: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     room: bool = False,
+    unit: CloudUnit = None,
+    up: CloudUp = None,
     json: JsonTarget = None,
 ) -> None:
     """Put a cloud in a frame: `jaxscan align room.ply -o levelled.ply --room`, or `--targets targets.toml`.
@@ -38,7 +41,7 @@ def align(
         targets: TOML file with three or more [[target]], each with name, scanner = [x, y, z] and site = [x, y, z] in
             metres.
         room: Floor to z = 0, the longer wall along x, the origin in a corner.
-        json: Write the result, with the 4 x 4 transform, as JSON too.
+        json: Write the result as JSON too, with the 4 x 4 transform from the cloud in metres, and for --room with z up.
     """
     from jaxscan.files.clouds import check_cloud_path
 
@@ -49,18 +52,20 @@ def align(
         [*file_at("CLOUD", cloud), *file_at("--targets", targets)],
         [*file_at("--output", output), *file_at("--json", json)],
     )
+    if targets is not None and up is not None:
+        raise OptionError("--up: found with --targets, which say by themselves what is up.")
     check_cloud_path(output)
     check_json(json)
-    out = console(json)
-    if targets is not None:
-        transform, result = _to_targets(targets, out)
-        points = jaxscan.load_cloud(cloud)
-    else:
-        points = jaxscan.load_cloud(cloud)
-        transform, result = _to_room(points, out)
+    points, notes = in_metres(cloud, unit) if targets is not None else upright(cloud, unit, up)
+    out = notes_first(notes, json)
+    transform, result = _to_room(points, out) if targets is None else _to_targets(targets, out)
     jaxscan.save_cloud(jaxscan.align_cloud(points, transform), output)
     out.print(f"written: {output}")
-    emit_json(json, "align", {"source": str(cloud), "cloud": str(output), "transform_m": transform.tolist(), **result})
+    emit_json(
+        json,
+        "align",
+        {"source": str(cloud), "cloud": str(output), "transform_m": transform.tolist(), **result} | {"notes": notes},
+    )
 
 
 def _to_targets(path: Path, out: Terminal) -> tuple[np.ndarray, dict[str, Any]]:
