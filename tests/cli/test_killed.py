@@ -32,20 +32,42 @@ VERBS = {
     "convert": "convert sweep fast --storage npy --json result.json",
     "import": "import sweep --output fast --step-deg 1 --json result.json",
     "convert-cloud": "convert room.ply new.e57 --json result.json",
+    "align": "align room.ply -o new.npz --targets targets.toml --json result.json",
+    "panorama": "panorama sweep -c calibration.json --cloud room.ply -o new.jpg --json result.json",
+    "panorama-scan": "panorama sweep -c calibration.json --cloud room.ply -o new.e57 --json result.json",
+    "mesh": "mesh room.ply -o new.glb -c calibration.json --texture sweep --json result.json",
+    "mesh-text": "mesh room.ply -o new.obj --json result.json",
+    "plan": "plan room.ply -o new.svg --json result.json",
+    "orthophoto": "orthophoto room.ply -o fast --json result.json",
+    "deviations": "measure deviations room.ply --at 2 0.3 0.3 --radius-mm 500 -o new.png --json result.json",
+    "board": "board boards -o new.pdf --json result.json",
+    "init": "init new.toml",
     "report": "report calibration.json -o new.html --json result.json",
     "doctor": "doctor --json result.json",
     "doctor-capture": "doctor --capture sweep --json result.json",
 }
 LONGEST_S = 2.0
+ENDS = {
+    ".jpg": b"\xff\xd9",
+    ".png": b"IEND\xae\x42\x60\x82",
+    ".svg": b"</svg>\n",
+    ".pdf": b"%%EOF\n",
+    ".obj": b"\n",
+    ".toml": b"\n",
+}
+"""With what a whole file ends."""
 ANSWERS = {signal.SIGINT: 130, signal.SIGTERM: 143}
 NAMES = {"script": "import sys; sys.argv[0] = 'jaxscan'; from jaxscan.cli.main import main; sys.exit(main())"}
-STARTS = ([sys.executable, "-c", NAMES["script"]], [sys.executable, "-m", "jaxscan.cli.main"])
+STARTS = ([sys.executable, "-c", NAMES["script"]], [sys.executable, "-m", "jaxscan"])
 
 
 @pytest.fixture
 def workplace(tiny, tmp_path):
     """A folder with what the verbs read; the inputs are links, and what a verb writes is removed between trials."""
     (tmp_path / "rig.toml").write_text(TINY)
+    places = ("0, 0, 0", "1, 0, 0", "0, 1, 0")
+    text = (f'[[target]]\nname = "{place}"\nscanner = [{place}]\nsite = [{place}]\n' for place in places)
+    (tmp_path / "targets.toml").write_text("".join(text))
     for name in ("calibration.json", "calibration.npz", "room.ply"):
         shutil.copy(tiny.folder / name, tmp_path / name)
     shutil.copy(tiny.true_cloud, tmp_path / "truth.npz")
@@ -126,8 +148,12 @@ class Workplace:
                     json.loads(path.read_text())
                 elif path.suffix == ".html" and not path.read_text().rstrip().endswith("</html>"):
                     faults.append(f"half written: {name}")
-                elif path.suffix == ".ply":
+                elif path.suffix in (".ply", ".npz", ".e57") and path.stem != "calibration":
                     jaxscan.load_cloud(path)
+                elif path.suffix in ENDS and not path.read_bytes().endswith(ENDS[path.suffix]):
+                    faults.append(f"half written: {name}")
+                elif path.suffix == ".glb" and int.from_bytes(path.read_bytes()[8:12], "little") != path.stat().st_size:
+                    faults.append(f"half written: {name}")
                 elif path.name == "frames.jsonl":
                     faults += [f"{name}: {problem}" for problem in verify_capture(path.parent)]
                     open_capture(path.parent)

@@ -1,66 +1,16 @@
 """A case: a number becomes a folder with files, some of them changed, and the words of a command."""
 
 import random
-import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 
-from .archives import change_npz, change_shard
+from .archives import change_npz
+from .cloud_cases import convert_cloud, make_product, measure_cloud
+from .draft import IN, OUT, VICTIM, Case, Draft, changed_capture
 from .nasty import nasty_number
 from .pictures import change_image
 from .places import replace_place, strange_name
-from .texts import change_bytes, change_journal, change_json, change_ply_header, change_toml
-
-
-CLOUDS = (".ply", ".npz", ".e57", ".las", ".laz", ".pcd", ".xyz", ".ptx")
-IN, OUT, VICTIM = "in", "out", "victim.txt"
-
-
-@dataclass
-class Case:
-    """A folder of inputs and a command."""
-
-    kind: str
-    words: list[str]
-    outputs: set[str] = field(default_factory=set)
-    """Names, below the folder of the case, that the command may write when it succeeds."""
-    kept: set[str] = field(default_factory=set)
-    """Names that it may write in any case: the cache of stripes."""
-    cloud: str | None = None
-    """The cloud that is compared with that of the unchanged files."""
-
-
-class Draft:
-    """The files of a case in the making."""
-
-    def __init__(self, rng: random.Random, corpus: Path, folder: Path) -> None:
-        self.rng, self.corpus, self.folder = rng, corpus, folder
-        (folder / IN).mkdir(parents=True)
-        (folder / OUT).mkdir()
-        (folder / VICTIM).write_text("untouched\n")
-
-    def take(self, name: str) -> Path:
-        """A copy of a file or folder of the corpus."""
-        source, target = self.corpus / name, self.folder / IN / name
-        if source.is_dir():
-            shutil.copytree(source, target)
-        else:
-            shutil.copy(source, target)
-        return target
-
-    def change(self, path: Path, change: Callable[[random.Random, bytes], bytes]) -> None:
-        """Replace a file by a changed one, or, now and then, by something that is no file."""
-        if self.rng.random() < 0.08:
-            replace_place(self.rng, path, self.folder / VICTIM)
-            return
-        path.write_bytes(change(self.rng, path.read_bytes()))
-
-    def output(self, name: str) -> str:
-        """Where a verb is to write; now and then a place that is hard to write to."""
-        if self.rng.random() < 0.02:
-            return str(self.folder / OUT / (strange_name(self.rng) + Path(name).suffix))
-        return str(self.folder / OUT / name)
+from .texts import change_bytes, change_json, change_toml
 
 
 def make_case(seed: int, number: int, corpus: Path, folder: Path) -> Case:
@@ -72,33 +22,9 @@ def make_case(seed: int, number: int, corpus: Path, folder: Path) -> Case:
     return make(draft)
 
 
-def _changed_capture(draft: Draft, name: str) -> Path:
-    rng, capture = draft.rng, draft.take(name)
-    part = rng.choices(("journal", "header", "image", "place", "cache"), (40, 25, 25, 5, 5))[0]
-    if part == "journal":
-        draft.change(capture / "frames.jsonl", change_journal)
-    elif part == "header":
-        draft.change(capture / "capture.toml", change_toml)
-    elif part == "image":
-        images = sorted(one for side in ("on", "off") for one in (capture / side).iterdir())
-        one = rng.choice(images)
-        if name == "shards":
-            draft.change(one, change_shard)
-        elif rng.random() < 0.3:
-            shutil.copy(rng.choice([other for other in images if other != one]), one)
-        else:
-            draft.change(one, change_image)
-    elif part == "cache":
-        shutil.copy(draft.corpus / "stripes.npz", capture / "stripes.npz")
-        draft.change(capture / "stripes.npz", change_npz)
-    else:
-        replace_place(rng, rng.choice((capture / "on", capture / "off", capture)), draft.folder / VICTIM)
-    return capture
-
-
 def _reconstruct(draft: Draft) -> Case:
     name = draft.rng.choice(("unsealed", "sealed", "shards"))
-    capture, calibration = _changed_capture(draft, name), draft.take("calibration.json")
+    capture, calibration = changed_capture(draft, name), draft.take("calibration.json")
     output = draft.output("cloud.npz")
     words = ["reconstruct", str(capture), "-c", str(calibration), "-o", output]
     if draft.rng.random() < 0.05:
@@ -115,7 +41,7 @@ def _reconstruct_with(draft: Draft) -> Case:
 
 def _repack(draft: Draft) -> Case:
     name = draft.rng.choice(("unsealed", "sealed", "shards"))
-    capture = _changed_capture(draft, name)
+    capture = changed_capture(draft, name)
     words = ["convert", str(capture), draft.output("new"), "--storage", draft.rng.choice(("npy", "png", "zstd"))]
     return Case(f"convert {name}", words, {f"{OUT}/new"})
 
@@ -160,11 +86,11 @@ def _import(draft: Draft) -> Case:
 
 def _verify(draft: Draft) -> Case:
     name = draft.rng.choice(("unsealed", "sealed", "shards"))
-    return Case(f"doctor {name}", ["doctor", "--capture", str(_changed_capture(draft, name))])
+    return Case(f"doctor {name}", ["doctor", "--capture", str(changed_capture(draft, name))])
 
 
 def _calibrate(draft: Draft) -> Case:
-    capture = _changed_capture(draft, "boards")
+    capture = changed_capture(draft, "boards")
     words = ["calibrate", str(capture), "-o", draft.output("c.json")]
     if draft.rng.random() < 0.5:
         words += ["--only", "camera"]
@@ -193,46 +119,6 @@ def _report(draft: Draft) -> Case:
     else:
         draft.change(calibration, change_json)
     return Case("report", ["report", str(calibration), "-o", draft.output("r.html")], {f"{OUT}/r.html"})
-
-
-def _changed_cloud(draft: Draft) -> Path:
-    rng = draft.rng
-    name = rng.choice(("cloud.ply", "foreign.ply", "cloud.npz"))
-    cloud = draft.take(name)
-    if name == "cloud.npz":
-        draft.change(cloud, change_npz)
-    else:
-        draft.change(cloud, rng.choice((change_ply_header, change_ply_header, change_bytes)))
-    return cloud
-
-
-def _convert(draft: Draft) -> Case:
-    cloud, suffix = _changed_cloud(draft), draft.rng.choice(CLOUDS)
-    target = str(cloud) if draft.rng.random() < 0.02 else draft.output("cloud" + suffix)
-    return Case(f"convert to {suffix}", ["convert", str(cloud), target], {f"{OUT}/cloud{suffix}"})
-
-
-def _measure(draft: Draft) -> Case:
-    rng, cloud = draft.rng, str(_changed_cloud(draft))
-    numbers = [str(rng.choice((rng.uniform(-2, 2), nasty_number(rng)))) for _ in range(6)]
-    verb = rng.choice(
-        (
-            ["room", cloud],
-            ["plane", cloud, "--at", *numbers[:3]],
-            ["distance", cloud, "--a", *numbers[:3], "--b", *numbers[3:]],
-            ["compare", cloud, str(draft.take("cloud.npz"))]
-            if not cloud.endswith("cloud.npz")
-            else ["compare", cloud, str(draft.take("cloud.ply"))],
-        )
-    )
-    words = ["measure", *verb]
-    if rng.random() < 0.3:
-        calibration = draft.take("calibration.json")
-        draft.change(calibration, change_json)
-        words += ["-c", str(calibration)] if verb[0] != "plane" else ["--radius-mm", numbers[5]]
-    if rng.random() < 0.3:
-        words += ["--json", rng.choice(("-", str(draft.folder / OUT / "m.json"), verb[1]))]
-    return Case(f"measure {verb[0]}", words, {f"{OUT}/m.json"})
 
 
 def _simulate(draft: Draft) -> Case:
@@ -298,8 +184,9 @@ KINDS: dict[Callable[[Draft], Case], float] = {
     _calibrate: 1.5,
     _camera: 10,
     _report: 2,
-    _convert: 16,
-    _measure: 8,
+    convert_cloud: 16,
+    measure_cloud: 8,
+    make_product: 8,
     _simulate: 4,
     _rig: 3,
     _words: 4,

@@ -87,6 +87,8 @@ def make_corpus(tiny: Path, folder: Path, configs: Path) -> None:
     reconstruct = ["reconstruct", str(folder / "unsealed"), "-c", str(folder / "calibration.json")]
     assert main([*reconstruct, "--no-cache", "-o", str(folder / "cloud.npz")]) == 0
     assert main([*reconstruct, "-o", str(folder / "cloud.ply"), "--json", str(folder / "reconstruct.json")]) == 0
+    for suffix in (".e57", ".las", ".laz", ".pcd", ".xyz", ".ptx"):
+        assert main(["convert", str(folder / "cloud.ply"), str(folder / f"cloud{suffix}")]) == 0
     # A note on an unchanged capture would hide that a change is not noticed.
     assert json.loads((folder / "reconstruct.json").read_text())["notes"] == []
     (folder / "unsealed" / "stripes.npz").rename(folder / "stripes.npz")
