@@ -80,7 +80,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c "import ensurepip" 2>/dev/null || \
 	  { echo "Python's venv module is missing. Type: sudo apt-get install python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,export,plan,simulate,rig]"
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,console,export,plan,simulate,rig]"
 	@touch $@
 
 clean:
