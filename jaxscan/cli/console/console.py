@@ -2,6 +2,7 @@
 
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from jaxscan.cli.options import ConfigPath, OptionalCalibrationPath
 from jaxscan.cli.paths import calibration_at, check_paths, file_at
@@ -66,7 +67,7 @@ def console(
         folder=str(captures),
         lasers=[laser.name for laser in rig.laser],
         has_board=rig.board is not None,
-        board_aspect=None,
+        board_aspect=None if rig.board is None else _aspect(rig.board.board().outline()),
         steps=rig.sweep.steps * rig.sweep.turns,
         calibration=None if calibration is None else str(calibration),
         doing="nothing",
@@ -84,3 +85,9 @@ def console(
         out.print(f"Open this address in a browser: {address.url(with_token=True)}")
         out.print("Ctrl-C ends the console; the laser goes off.")
         desk.attend()
+
+
+def _aspect(outline: Any) -> float:
+    """Width of a board over its height, from its corners [n, 2]."""
+    width, height = outline.max(0)[:2] - outline.min(0)[:2]
+    return float(width / height)

@@ -57,6 +57,8 @@ class Desk:
         self.chosen, self.slate, self.captures, self.out = chosen, slate, captures, out
         self.sessions: dict[str, Session] = {}
         """The session of each order."""
+        self.after: Callable[[], None] = lambda: None
+        """Called after each."""
         self.operator: PageOperator | None = None
         """The person who places the board, while somebody is asked."""
         self._orders: queue.SimpleQueue[Order | None] = queue.SimpleQueue()
@@ -115,6 +117,7 @@ class Desk:
                 if problem:
                     self.out.print(f"jaxscan: {problem}")
                     self.slate.say(problem, "problem")
+                self.after()
                 estop = "emergency stop" in f"{said} {problem}"
                 self.slate.write(doing="nothing", problem=problem, ended=said, estop=estop, laser="off")
 

@@ -72,6 +72,7 @@ class Hub:
         task = asyncio.create_task(self._watch())
         yield
         task.cancel()
+        await asyncio.wait([task])
 
     async def _watch(self) -> None:
         while True:

@@ -37,6 +37,7 @@ class Sessions:
         self._slate, self._captures = desk.slate, desk.captures
         self.calibration = calibration
         """With which clouds are made; the last good one."""
+        desk.after = self.list
         desk.sessions = {"aim": self.aim, "sweep": self.sweep, "boards": self.boards}
 
     def aim(self, running: Running) -> str:
@@ -131,6 +132,7 @@ class Sessions:
             if well:
                 self.calibration = file
                 self._slate.write(calibration=str(file))
+            self.list()
 
         words = ["calibrate", str(self._captures.path(name)), "-o", str(file)]
         self._works.begin(Work(f"calibrate {name}", words, then))
@@ -156,9 +158,8 @@ class Sessions:
         """Show the captures in the folder, and the space that is left."""
         from scanrig.recording.space import free_bytes
 
-        there = next(
-            path for path in (self._captures.folder, *self._captures.folder.absolute().parents) if path.exists()
-        )
+        folder = self._captures.folder.absolute()
+        there = next(path for path in (folder, *folder.parents) if path.exists())
         self._slate.write(captures=self._captures.listed(), free_bytes=free_bytes(there))
 
     def _expect(self, running: Running, plan: ScanPlan) -> None:

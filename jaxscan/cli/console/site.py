@@ -16,7 +16,7 @@ from jaxscan.web import Address, Gate, Resource, resource_routes
 
 _PACKAGE = "jaxscan.cli.console"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
-_FILES = ("index.html", "style.css", "main.js", "live.js", "guide.js", "cloud.js", "captures.js", "icon.svg")
+_FILES = ("index.html", "style.css", "main.js", "dom.js", "live.js", "guide.js", "cloud.js", "captures.js", "icon.svg")
 _JPEG, _BINARY = "image/jpeg", "application/octet-stream"
 
 

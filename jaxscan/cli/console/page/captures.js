@@ -1,10 +1,10 @@
 // What is on the disk: to open, to reconstruct, to compare.
-import { fill, make, order } from "/main.js";
+import { at, fill, make } from "/dom.js";
 
-const at = (id) => document.getElementById(id);
-let opened = null, chosen = null, shown = "";
+let order = () => {}, opened = null, chosen = null, shown = "";
 
-export function showCaptures(state, operates, cloud) {
+export function showCaptures(state, operates, cloud, send) {
+  order = send;
   const key = JSON.stringify([state.captures, operates, state.calibration, chosen, state.doing === "nothing"]);
   if (key === shown) return;
   shown = key;
@@ -42,7 +42,7 @@ function card(capture, state, operates, cloud) {
 function compare(name, state, operates, cloud) {
   if (chosen) order("compare", { name, other: chosen });
   chosen = chosen ? null : name;
-  showCaptures(state, operates, cloud);
+  showCaptures(state, operates, cloud, order);
 }
 
 async function showCloud(name, cloud) {

@@ -1,7 +1,6 @@
 // Where the board was, and where it is wanted, as pictures.
-import { fill, make } from "/main.js";
+import { at, fill, make } from "/dom.js";
 
-const at = (id) => document.getElementById(id);
 const DONE = "#1f8f5f", WANTED = "#4fb3ff", NOW = "#ffb000", EMPTY = "#8883";
 
 export function showGuide(state) {

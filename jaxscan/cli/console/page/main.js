@@ -1,4 +1,5 @@
 // The page: shows what the server says, and passes orders on. It drives nothing by itself.
+import { at, fill, make } from "/dom.js";
 import { showLive, showPicture } from "/live.js";
 import { showGuide } from "/guide.js";
 import { Cloud } from "/cloud.js";
@@ -6,7 +7,6 @@ import { showCaptures } from "/captures.js";
 
 const PICTURE = 1, CLOUD = 2;
 const WORDS = { nothing: "ready", opening: "opening the rig …", aim: "looking", sweep: "scanning", boards: "capturing the board", placing: "place the board" };
-const at = (id) => document.getElementById(id);
 const cloud = new Cloud(at("cloud"), at("no-webgl"), at("points"));
 let socket = null, state = {}, you = { operates: false, pages: 0 }, again = 0;
 
@@ -18,7 +18,7 @@ function ownName() {
   return name;
 }
 
-export function order(what, fields = {}) {
+function order(what, fields = {}) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ do: what, ...fields }));
   else say("problem", "No connection to the console: nothing was done.");
 }
@@ -55,15 +55,6 @@ function duration(seconds) {
 }
 
 const size = (bytes) => (bytes >= 1e9 ? `${(bytes / 1e9).toFixed(1)} GB` : `${(bytes / 1e6).toFixed(1)} MB`);
-
-export function fill(list, items) { list.replaceChildren(...items); }
-
-export function make(tag, text = "", kind = "") {
-  const made = document.createElement(tag);
-  made.textContent = text;
-  if (kind) made.className = kind;
-  return made;
-}
 
 function show() {
   const busy = state.doing !== "nothing", running = busy && state.doing !== "aim", operates = you.operates;
@@ -103,7 +94,7 @@ function show() {
   showLive(state);
   showGuide(state);
   showVerdict(state.verdict);
-  showCaptures(state, you.operates, cloud);
+  showCaptures(state, you.operates, cloud, order);
   showWorks(state.works);
 }
 
