@@ -10,14 +10,12 @@ from typing import Any, NamedTuple
 from aiohttp import WSMsgType, web
 
 from jaxscan.cli.console.orders import FOR_ALL, MOST_BYTES, BadOrder, Order, parse_order
-from jaxscan.cli.console.roles import KEY, Roles
+from jaxscan.cli.console.roles import GRACE_S, KEY, Roles
 from jaxscan.cli.console.slate import Slate, as_json
 from jaxscan.errors import JaxscanError
 
 
 MOST_PAGES = 12
-GRACE_S = 4.0
-"""So long the operating page may be gone, as over a reload."""
 _HEARTBEAT_S = 4.0
 """A page that does not answer for half as long is lost."""
 _BETWEEN_S = 0.1
@@ -54,7 +52,7 @@ class Hub:
             return socket
         page = Page(name, socket)
         self._pages.append(page)
-        self._roles.join(name)
+        self._roles.join(name, time.monotonic())
         sender = asyncio.create_task(self._send(page))
         try:
             async for message in socket:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 KEY = re.compile(r"[0-9a-f]{32}")
 """A page's own name, which it keeps over a reload."""
+GRACE_S = 4.0
+"""So long the operating page may be gone, as over a reload."""
 
 
 @dataclass
@@ -21,10 +23,10 @@ class Roles:
     def __len__(self) -> int:
         return len(self._there)
 
-    def join(self, name: str) -> None:
-        """A page came."""
+    def join(self, name: str, now: float) -> None:
+        """A page came; it operates if the one that did is not there, nor likely to come back."""
         self._there.append(name)
-        if not self.operator or (self.operator not in self._there and self.lost_since is None):
+        if self.operator not in self._there and (self.lost_since is None or self.lost_for(now) > GRACE_S):
             self.operator = name
         if name == self.operator:
             self.lost_since = None
