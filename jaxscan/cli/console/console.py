@@ -71,6 +71,7 @@ def console(
         steps=rig.sweep.steps * rig.sweep.turns,
         calibration=None if calibration is None else str(calibration),
         doing="nothing",
+        finished=0,
         laser="off",
         lost="go on",
         works=[],

@@ -107,6 +107,7 @@ class Desk:
     def attend(self) -> None:
         """Carry out orders until `leave`, or a signal."""
         with self._stopping:
+            finished = 0
             while (order := self._orders.get()) is not None:
                 self._pausing.clear()
                 self.slate.write(doing="opening", order=order._asdict(), problem="", ended="", stopped=False)
@@ -114,12 +115,17 @@ class Desk:
                 with self._lock:
                     waiting = not self._orders.empty()
                     self._doing = self._doing if waiting else ""
+                if said:
+                    self.out.print(said)
                 if problem:
                     self.out.print(f"jaxscan: {problem}")
                     self.slate.say(problem, "problem")
                 self.after()
+                finished += 1
                 estop = "emergency stop" in f"{said} {problem}"
-                self.slate.write(doing="nothing", problem=problem, ended=said, estop=estop, laser="off")
+                self.slate.write(
+                    doing="nothing", problem=problem, ended=said, estop=estop, laser="off", finished=finished
+                )
 
     def notify(self, sentence: str) -> None:
         """A sentence that people should read."""
