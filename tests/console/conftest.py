@@ -18,6 +18,7 @@ from jaxscan.cli.console.works import Works
 from jaxscan.cli.process.terminal import Terminal
 from jaxscan.web import Server, open_address
 
+from ..browser.driver import browser as browser
 from ..hardware.desk import Desk as PaperDesk
 
 

@@ -72,6 +72,11 @@ class Hub:
         task.cancel()
         await asyncio.wait([task])
 
+    async def close(self, application: web.Application) -> None:
+        """Tell all pages that the console ends."""
+        for page in list(self._pages):
+            await page.socket.close(code=1001, message=b"The console has ended; begin it again.")
+
     async def _watch(self) -> None:
         while True:
             await asyncio.sleep(_BETWEEN_S)

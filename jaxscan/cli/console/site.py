@@ -54,6 +54,7 @@ def make_site(address: Address, desk: Desk, sessions: Sessions) -> web.Applicati
             web.get("/clouds/{name}", _answer(lambda request: captures.points(request.match_info["name"]), _BINARY)),
         ]
     )
+    site.on_shutdown.append(hub.close)
     site.cleanup_ctx.append(hub.watch)
     return site
 
