@@ -149,7 +149,7 @@ def test_another_site_opens_no_socket(visit, console):
 def test_words_of_strangers_are_shown_as_words(visit, console):
     folder = console.captures.folder / "evil"
     folder.mkdir(parents=True)
-    (folder / "capture.toml").write_text('kind = "<img src=x onerror=alert(1)>"\n')
+    (folder / "capture.toml").write_text('format = "jaxscan-capture/1"\nkind = "<img src=x onerror=alert(1)>"\n')
 
     def work(looks, url):
         looks.open(url)
