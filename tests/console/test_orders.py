@@ -12,31 +12,13 @@ from jaxscan.cli.console.roles import GRACE_S, Roles
 
 def test_orders_that_are_understood():
     assert parse_order('{"do": "stop"}') == Order("stop")
-    assert parse_order('{"do": "sweep", "name": "room_1.b-2", "resume": true}') == Order(
-        "sweep", "room_1.b-2", resume=True
-    )
+    text = '{"do": "sweep", "name": "room_1.b-2", "resume": true}'
+    assert parse_order(text) == Order("sweep", "room_1.b-2", resume=True)
     assert parse_order('{"do": "compare", "name": "a", "other": "b"}') == Order("compare", "a", "b")
 
 
-NAMES = [
-    "",
-    "..",
-    "../room",
-    "a/../b",
-    "/etc",
-    "a/b",
-    "a\\b",
-    ".hidden",
-    "-o",
-    "a" * 65,
-    "a\n",
-    "a..b",
-    "é",
-    7,
-    None,
-    ["a"],
-    True,
-]
+NAMES = ["", "..", "../room", "a/../b", "/etc", "a/b", "a\\b", ".hidden", "-o", "a" * 65, "a\n", "a..b", "é"]
+NAMES += [7, None, ["a"], True]
 MESSAGES = [
     "",
     "{",
