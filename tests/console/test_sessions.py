@@ -2,7 +2,9 @@
 
 import asyncio
 import os
+import signal
 import socket
+import threading
 
 import pytest
 from scanrig.errors import Fault, PortError
@@ -233,3 +235,26 @@ def test_aiming_shows_line_and_exposure_until_a_scan_takes_over(console, paper):
 
     console.run(pages)
     assert records(console) == 10 and dark(paper)
+
+
+def test_ctrl_c_ends_the_console_after_the_step(console, paper):
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    pressed = threading.Event()
+
+    def press(controller):
+        os.kill(os.getpid(), signal.SIGINT)
+        pressed.set()
+
+    paper.controller.before_shot[4] = press
+
+    async def pages(console):
+        page = await console.open()
+        await page.order("sweep", name="room", resume=False)
+        await waiting(pressed)
+
+    try:
+        with pytest.raises(KeyboardInterrupt, match="SIGINT"):
+            console.run(pages)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert records(console) == 4 and dark(paper)

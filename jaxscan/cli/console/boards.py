@@ -54,9 +54,10 @@ class PageOperator:
         while not self._answers.empty():
             # Pressed too early, it would take the board while it is moved to the next pose.
             self._answers.get()
-        self._slate.write(doing="placing", placing=asked)
+        # The session has opened the contactor, because somebody is in front of the laser.
+        self._slate.write(doing="placing", placing=asked, laser="off")
         while not self._should_stop():
-            seen = self._look(request)
+            self._look(request)
             try:
                 word = self._answers.get(timeout=_BETWEEN_S)
             except queue.Empty:
@@ -64,9 +65,8 @@ class PageOperator:
             if word != "take":
                 self._enough = word == "enough of all"
                 return False
-            seen = self._look(request)
-            if seen:
-                self._slate.write(doing="boards")
+            if self._look(request):
+                self._slate.write(doing="boards", laser="may shine")
                 return True
         return False
 

@@ -1,6 +1,6 @@
-// Points in WebGL: drag or arrow keys turn, wheel or + and - zoom.
+// Points in WebGL, brighter than they were seen: drag or arrow keys turn, wheel or + and - zoom.
 const VERTEX = `attribute vec3 place; attribute vec3 colour; uniform mat4 view; uniform float size; varying vec3 shown;
-void main() { gl_Position = view * vec4(place, 1.0); gl_PointSize = clamp(size / gl_Position.w, 1.5, 6.0); shown = colour; }`;
+void main() { gl_Position = view * vec4(place, 1.0); gl_PointSize = clamp(size / gl_Position.w, 1.5, 6.0); shown = sqrt(colour); }`;
 const FRAGMENT = "precision mediump float; varying vec3 shown; void main() { gl_FragColor = vec4(shown, 1.0); }";
 
 export class Cloud {

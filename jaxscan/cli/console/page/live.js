@@ -37,18 +37,18 @@ function draw(state) {
   ghost(guide.next, state.board_aspect ?? 1.4);
 }
 
-// The outline of a board, tilted, as a camera with a focal length of the picture's width sees it.
+// The outline of a board whose side `towards` is the nearer one, as a camera with a focal length of the picture's width sees it.
 function ghost(next, aspect) {
-  const height = 0.36 * canvas.height, width = aspect * height, focal = canvas.width;
+  const height = 0.34 * canvas.height, width = aspect * height, focal = canvas.width;
   const tilt = (next.tilt_deg * Math.PI) / 180, towards = (next.towards_deg * Math.PI) / 180;
-  const cx = Math.min(Math.max(next.at[0] * canvas.width, width / 2), canvas.width - width / 2);
-  const cy = Math.min(Math.max(next.at[1] * canvas.height, height / 2), canvas.height - height / 2);
+  const cx = Math.min(Math.max(next.at[0] * canvas.width, 0.6 * width), canvas.width - 0.6 * width);
+  const cy = Math.min(Math.max(next.at[1] * canvas.height, 0.6 * height), canvas.height - 0.6 * height);
   pen.strokeStyle = "#4fb3ff"; pen.lineWidth = 3; pen.setLineDash([10, 6]);
   pen.beginPath();
   for (const [x, y] of [[-1, -1], [1, -1], [1, 1], [-1, 1]]) {
     const a = (x * width) / 2, b = (y * height) / 2;
     const along = a * Math.cos(towards) + b * Math.sin(towards), across = -a * Math.sin(towards) + b * Math.cos(towards);
-    const depth = focal / (focal + along * Math.sin(tilt)), near = along * Math.cos(tilt);
+    const depth = focal / (focal - along * Math.sin(tilt)), near = along * Math.cos(tilt);
     const u = (near * Math.cos(towards) - across * Math.sin(towards)) * depth, v = (near * Math.sin(towards) + across * Math.cos(towards)) * depth;
     pen.lineTo(cx + u, cy + v);
   }

@@ -114,6 +114,7 @@ function showVerdict(verdict) {
 }
 
 function showWorks(works) {
+  at("calculations").hidden = !works.length;
   fill(at("works"), works.map((work) => {
     const how = work.running ? "…" : work.well ? "done" : "did not succeed";
     const item = make("li", `${work.what}: ${how}`, work.well === false ? "wrong" : "");
