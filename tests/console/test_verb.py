@@ -1,9 +1,11 @@
 """`jaxscan console` as a person types it: what it refuses, and how it ends."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -57,6 +59,7 @@ def test_without_aiohttp(run, config, monkeypatch):
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
 def test_the_address_is_shown_once_and_ctrl_c_ends_it(config, tmp_path, host):
     command = [sys.executable, "-m", "jaxscan.cli.main", "console", str(config), "--host", host, "--web-port", "0"]
+    command += ["--json", "served.json"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, cwd=tmp_path
@@ -64,6 +67,12 @@ def test_the_address_is_shown_once_and_ctrl_c_ends_it(config, tmp_path, host):
         shown = process.stdout.readline()
         assert ("?token=" in shown) is (host == "0.0.0.0")
         process.stdout.readline()
+        end = time.monotonic() + 30
+        while not (tmp_path / "served.json").exists():
+            assert time.monotonic() < end
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)
+    served = json.loads((tmp_path / "served.json").read_text())
+    assert served["url"] in shown
+    assert "token" not in served["url"] and served["format"] == "jaxscan-console/1"
     assert (process.returncode, out, err) == (130, "", "jaxscan: interrupted\n")

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxscan.cli.options import ConfigPath, OptionalCalibrationPath
+from jaxscan.cli.output import JsonTarget, check_json, emit_json
+from jaxscan.cli.output import console as console_of
 from jaxscan.cli.paths import calibration_at, check_paths, file_at
-from jaxscan.cli.process.terminal import Terminal
 from jaxscan.errors import DependencyError
 
 
@@ -24,11 +25,12 @@ def console(
     place_command: str | None = None,
     host: str = "127.0.0.1",
     web_port: int = PORT,
+    json: JsonTarget = None,
 ) -> None:
-    """Scan from a web page: `jaxscan console scan.toml`, then open the address that it prints.
+    """Scan from a web page: `jaxscan console scan.toml`.
 
-    The page has the camera's picture, the calibration of the rig, the scan and what was captured. Ctrl-C ends it with
-    the laser off.
+    Open the address that it prints in a browser. The page has the camera's picture, the calibration of the rig, the
+    scan and what was captured. Ctrl-C ends it with the laser off.
 
     Args:
         config: Configuration of the rig and of the scan (`jaxscan init scan.toml` writes one).
@@ -38,6 +40,7 @@ def console(
         place_command: Command that places the board; the number of the pose is appended to it.
         host: Name or number of this machine at which the page is served. Other machines need the token that is printed.
         web_port: TCP port of the page; 0 for any that is free.
+        json: Write the address, without its token, as JSON too.
     """
     try:
         import aiohttp as aiohttp
@@ -54,13 +57,14 @@ def console(
     from jaxscan.cli.console.works import Works
     from jaxscan.web import Server, open_address
 
-    check_paths([*file_at("CONFIG", config), *calibration_at("--calibration", calibration)], [])
+    check_paths([*file_at("CONFIG", config), *calibration_at("--calibration", calibration)], [*file_at("--json", json)])
+    check_json(json)
     rig = load_rig(config)
     if calibration is not None:
         import jaxscan
 
         jaxscan.load_scanner(calibration)
-    out = Terminal()
+    out = console_of(json)
     address = open_address(host, web_port, option="--web-port")
     slate = Slate(
         config=str(config),
@@ -85,6 +89,7 @@ def console(
         stack.enter_context(Server(make_site(address, desk, sessions), address))
         out.print(f"Open this address in a browser: {address.url(with_token=True)}")
         out.print("Ctrl-C ends the console; the laser goes off.")
+        emit_json(json, "console", {"url": address.url(), "captures": str(captures)})
         desk.attend()
 
 
