@@ -184,7 +184,7 @@ def test_a_connection_that_is_cut(console, paper, held, monkeypatch, stops):
     assert records(console) == (4 if stops else 10) and dark(paper)
 
 
-def test_the_emergency_stop_is_shown(console, paper):
+def test_the_emergency_stop_is_shown(console, paper, held):
     def press(controller):
         controller.estop = True
         controller.fall_into(Fault.EMERGENCY_STOP)
@@ -198,7 +198,11 @@ def test_the_emergency_stop_is_shown(console, paper):
         assert state["estop"] and "release the e-stop" in state["ended"]
         paper.controller.estop = False
         paper.controller.before_shot.clear()
+        waits, go = held(len(paper.controller.shots) + 2)
         await page.order("sweep", name="room", resume=True)
+        await waiting(waits)
+        await page.until(lambda page: page.state["doing"] == "sweep" and not page.state["estop"])
+        go.set()
         state = await page.done()
         assert not state["estop"] and state["done"] == 10
 

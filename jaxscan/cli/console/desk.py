@@ -106,11 +106,13 @@ class Desk:
 
     def attend(self) -> None:
         """Carry out orders until `leave`, or a signal."""
+        from scanrig.errors import Fault
+
         with self._stopping:
             finished = 0
             while (order := self._orders.get()) is not None:
                 self._pausing.clear()
-                self.slate.write(doing="opening", order=order._asdict(), problem="", ended="", stopped=False)
+                self.slate.write(doing="opening", order=order._asdict(), problem="", ended="", estop=False)
                 said, problem = self._carry_out(order)
                 with self._lock:
                     waiting = not self._orders.empty()
@@ -122,7 +124,8 @@ class Desk:
                     self.slate.say(problem, "problem")
                 self.after()
                 finished += 1
-                estop = "emergency stop" in f"{said} {problem}"
+                # As the sentence on a fault names it.
+                estop = f": {Fault.EMERGENCY_STOP};" in f"{said} {problem}"
                 self.slate.write(
                     doing="nothing", problem=problem, ended=said, estop=estop, laser="off", finished=finished
                 )
@@ -139,7 +142,6 @@ class Desk:
         except KeyboardInterrupt as interrupt:
             if str(interrupt) != PAGE:
                 raise
-            self.slate.write(stopped=True)
             return "Stopped: the laser is off.", ""
         except JaxscanError as problem:
             return "", " ".join(str(problem).split())
