@@ -7,11 +7,13 @@ INSTALLED := $(VENV)/.installed
 # What Open3D, with which tests compare, loads from the system; the same list is in jaxscan/surface/open3d_loader.py.
 LIBRARIES := libusb-1.0-0 libegl1 libgl1 libx11-6 libgomp1 libudev1 libidn2-0
 # What firmware and bench are built and run with: hardware/bench/README.md.
+# The browser in which pages are tested.
+BROWSER_PACKAGES := chromium chromium-driver
 BENCH_PACKAGES := gcc make gcc-avr avr-libc binutils-avr simavr libsimavr-dev libaravis-0.8-0 aravis-tools
 SHARED := -n 2 --dist loadfile --no-loadscope-reorder
 QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1
 
-.PHONY: demo test test-all experiments lint format libraries firmware bench bench-deps programs clean
+.PHONY: demo test test-all experiments lint format libraries firmware bench bench-deps browser-deps programs clean
 
 demo: $(INSTALLED)
 	$(BIN)/jaxscan demo -o demo
@@ -66,6 +68,14 @@ bench-deps:
 	  echo "Type: sudo apt-get install $(BENCH_PACKAGES)"; exit 1; \
 	fi
 
+# Installs the browser in which pages are tested, where it may, and says what to type where it may not.
+browser-deps:
+	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -qy --no-install-recommends $(BROWSER_PACKAGES); \
+	else \
+	  echo "Type: sudo apt-get install $(BROWSER_PACKAGES)"; exit 1; \
+	fi
+
 # Installs the programs in which tests/programs opens clouds, where it may, and says what to type where it may not.
 programs: $(INSTALLED)
 	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
@@ -80,7 +90,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c "import ensurepip" 2>/dev/null || \
 	  { echo "Python's venv module is missing. Type: sudo apt-get install python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,export,plan,simulate,rig]"
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[test,console,export,plan,simulate,rig]"
 	@touch $@
 
 clean:

@@ -31,7 +31,7 @@ CORE = {
     "surface",
     "drawing",
 }
-ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api"}
+ANY = CORE | {"simulation", "vision", "files", "report", "cli", "data", "api", "web"}
 MAY_IMPORT = {
     "geometry": set(),
     "stripes": {"geometry"},
@@ -47,7 +47,8 @@ MAY_IMPORT = {
     "vision": CORE,
     "files": CORE | {"vision", "simulation"},
     "report": CORE | {"vision"},
-    "api": ANY - {"api", "cli"},
+    "web": set(),
+    "api": ANY - {"api", "cli", "web"},
     "cli": ANY,
     "__init__": set(),
     "errors": set(),
@@ -71,6 +72,8 @@ HOME_OF = {
     "laspy": {"files"},
     "pyproj": {"files"},
     "serial": set(),
+    "aiohttp": {"web", "cli/console"},
+    "yarl": {"web"},
     "numba": {
         "simulation/native_loops.py",
         "stripes/choosing/native_loops.py",
@@ -270,6 +273,7 @@ MAY_OPEN = {
     "vision/video.py": {"VideoCapture"},
     "cli/process/quiet.py": {"os.open"},
     "cli/process/running.py": {"os.open"},
+    "web/pages.py": {".read_bytes"},
     "__init__.py": {".read_text"},
 }
 """Files that open others by themselves: the door, what it writes with, archives behind it, videos whose
@@ -354,7 +358,18 @@ def test_no_library_code_asserts_or_configures_jax(path):
 @pytest.fixture(scope="module")
 def imported():
     """What a process of its own says that has imported the package: a line on modules, one on JAX."""
-    heavy = ("cv2", "embreex", "serial", "matplotlib", "pye57", "laspy", "scanrig", "open3d", "fast_simplification")
+    heavy = (
+        "aiohttp",
+        "cv2",
+        "embreex",
+        "serial",
+        "matplotlib",
+        "pye57",
+        "laspy",
+        "scanrig",
+        "open3d",
+        "fast_simplification",
+    )
     code = (
         "import sys, jaxscan; print([m for m in ('jax', 'numpy', 'pydantic') if m in sys.modules])\n"
         f"from jaxscan import *; print([m for m in {heavy} if m in sys.modules])\n"

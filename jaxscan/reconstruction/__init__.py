@@ -2,7 +2,7 @@
 
 from jaxscan.reconstruction.cloud import SMOOTHED, CloudPoints, PointCloud, Stations
 from jaxscan.reconstruction.doubts import FrameWatch, Seen, journal_doubts, sweep_doubts
-from jaxscan.reconstruction.incoming import IncomingStripes, PlannedSweep, RecordedPair
+from jaxscan.reconstruction.incoming import IncomingStripes, PlannedSweep, RecordedPair, Show
 from jaxscan.reconstruction.joining import join_clouds, of_station
 from jaxscan.reconstruction.kept import extraction_key, kept_arrays, usable_stripes
 from jaxscan.reconstruction.pair_notes import pair_notes

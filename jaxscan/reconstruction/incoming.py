@@ -4,7 +4,7 @@ The engine learns from the first records; after that a frame's stripes depend on
 frame. So they are the same whenever they are found, and in whatever chunk.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -28,6 +28,10 @@ from jaxscan.stripes import (
     Stripes,
     padded,
 )
+
+
+Show = Callable[[np.ndarray, np.ndarray], None]
+"""Called with points [n, 3] in the scanner frame [m] and their colours [n, 3], uint8."""
 
 
 class RecordedPair(NamedTuple):
@@ -75,8 +79,20 @@ class PlannedSweep:
 class IncomingStripes:
     """Stripes of the records so far; `learn` once, then `compute` in any order."""
 
-    def __init__(self, sweep: PlannedSweep, scanner: Scanner, settings: ReconstructSettings = DEFAULTS) -> None:
+    def __init__(
+        self,
+        sweep: PlannedSweep,
+        scanner: Scanner,
+        settings: ReconstructSettings = DEFAULTS,
+        show: Show | None = None,
+    ) -> None:
         """Check that sweep and scanner fit together.
+
+        Args:
+            sweep: The sweep to come.
+            scanner: The calibrated rig.
+            settings: As for `reconstruct`.
+            show: Gets the points of some records as soon as they are computed, without smoothing.
 
         Raises:
             CaptureError: If the sweep contradicts itself.
@@ -85,7 +101,7 @@ class IncomingStripes:
         """
         if settings.check_steps or settings.stripes.choice == "all":
             raise ValueError("Stripes are found one record at a time: neither `check_steps` nor every candidate.")
-        self._sweep = sweep
+        self._sweep, self._show = sweep, show
         self._plan = make_plan(sweep, scanner, settings)
         self._engine: StripeEngine | None = None
         self._stripes = GrowingStripes(len(sweep), self._plan.lines)
@@ -151,6 +167,9 @@ class IncomingStripes:
                 valid = np.asarray(points.valid)
             self._stripes.store(numbers, found, rgb)
             self.points[numbers] = np.count_nonzero(valid[: len(some)], axis=1)
+            if self._show is not None:
+                there = valid[: len(some)]
+                self._show(np.asarray(points.xyz)[: len(some)][there], np.asarray(rgb)[: len(some)][there])
 
     def are_of(self, sweep: SweepSource, numbers: Sequence[int]) -> bool:
         """Whether a finished sweep would learn the same from its first records.

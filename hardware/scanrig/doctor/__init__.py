@@ -2,4 +2,4 @@
 
 from scanrig.doctor.doctor import Patient, examine
 from scanrig.doctor.findings import Finding
-from scanrig.doctor.light import stripe_level
+from scanrig.doctor.light import judge_exposure, stripe_level

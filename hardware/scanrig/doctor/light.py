@@ -50,7 +50,7 @@ def examine_light(
         known = len(pairs)
         looked_at(_named("laser", config, number), partial(_laser, station, number, pairs), tell)
         for pair in pairs[known:]:
-            looked_at(_named("exposure", config, number), partial(_exposure, pair, config), tell)
+            looked_at(_named("exposure", config, number), partial(judge_exposure, pair, config), tell)
     return pairs[0] if pairs else None
 
 
@@ -137,8 +137,13 @@ def _with_one_retake(config: RigConfig) -> RigConfig:
     return config.model_copy(update={"checks": checks})
 
 
-def _exposure(pair: ProvenPair, config: RigConfig) -> Finding:
-    """Check that the peak of the line is bright and not clipped."""
+def judge_exposure(pair: ProvenPair, config: RigConfig) -> Finding:
+    """Whether the peak of the line is bright and not clipped, and what to change.
+
+    Args:
+        pair: A pair of the rig, proven or not.
+        config: The rig.
+    """
     name = _named("exposure", config, pair.laser)
     peak, clipped = stripe_level(pair.on.image, pair.off.image, config, pair.laser)
     ambient = pair.proof.ambient_dn

@@ -2,18 +2,16 @@
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxscan import api
 from jaxscan.cli.process.terminal import Terminal
 from jaxscan.cli.scanning.display import ScanDisplay
+from jaxscan.cli.scanning.line_finder import line_finder
 from jaxscan.cli.scanning.operator import CommandOperator, Lines, TerminalOperator, coverage_lines
 from jaxscan.cli.scanning.plan import CaptureFolder
 from jaxscan.errors import OptionError
-from jaxscan.stripes import FrameFormat, LaserLine
 
 
 if TYPE_CHECKING:
@@ -83,17 +81,10 @@ def make_guide(rig: "RigConfig") -> "Guide":
     if rig.board is None:
         raise OptionError("The configuration has no [board] table, which --boards needs.")
     board = rig.board.board()
-    frames = FrameFormat(camera.pixel_format, camera.response)
 
     def detect(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         found = find_corners(to_grey(frame, camera.pixel_format), board)
         return None if found is None else (found.q, found.valid)
 
-    def find_line(line: LaserLine, on: np.ndarray, off: np.ndarray) -> np.ndarray:
-        stripes = api.extract_stripes(on, off, pixel_format=frames, line=line)
-        valid = np.asarray(stripes.valid)[0]
-        points = np.column_stack([np.asarray(stripes.u)[0][valid], np.flatnonzero(valid)]).astype(float)
-        return points if line.stripe_axis == "rows" else points[:, ::-1]
-
-    finders = {laser.name: partial(find_line, laser.line) for laser in rig.laser}
+    finders = {laser.name: line_finder(rig, laser.line) for laser in rig.laser}
     return Guide(board, (camera.width, camera.height), detect, finders)

@@ -13,7 +13,7 @@ from jaxscan.cli.scanning.turns import LasersInTurn, stripes_to_come
 from jaxscan.errors import CaptureError, JaxscanError
 from jaxscan.files.capture import Capture, CaptureHeader, open_capture
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction import DEFAULTS, IncomingStripes, Progress, ReconstructSettings, RecordedPair
+from jaxscan.reconstruction import DEFAULTS, IncomingStripes, Progress, ReconstructSettings, RecordedPair, Show
 
 
 _PATIENCE_S = 5.0
@@ -62,6 +62,7 @@ class LiveCloud:
         *,
         steps: int,
         settings: ReconstructSettings = DEFAULTS,
+        show: Show | None = None,
     ) -> None:
         """Check that the sweep fits the scanner, and start the thread.
 
@@ -71,11 +72,12 @@ class LiveCloud:
             scanner: The calibrated rig.
             steps: Number of records of the whole sweep.
             settings: As for `reconstruct`.
+            show: Gets the points of some records as soon as they are computed, in the thread.
 
         Raises:
             CalibrationError: If the sweep does not fit the scanner.
         """
-        self._stripes = stripes_to_come(header, scanner, steps, settings)
+        self._stripes = stripes_to_come(header, scanner, steps, settings, show)
         self._folder, self._scanner, self._settings, self._steps = folder, scanner, settings, steps
         self._first: dict[int, RecordedPair] = {}
         self._given: set[int] = set()

@@ -7,11 +7,11 @@ import numpy as np
 
 from jaxscan.files.capture import CaptureHeader
 from jaxscan.geometry import Scanner
-from jaxscan.reconstruction import IncomingStripes, PlannedSweep, ReconstructSettings, RecordedPair
+from jaxscan.reconstruction import IncomingStripes, PlannedSweep, ReconstructSettings, RecordedPair, Show
 
 
 def stripes_to_come(
-    header: CaptureHeader, scanner: Scanner, steps: int, settings: ReconstructSettings
+    header: CaptureHeader, scanner: Scanner, steps: int, settings: ReconstructSettings, show: Show | None = None
 ) -> "IncomingStripes | LasersInTurn":
     """The engine, or engines, that find the stripes of a sweep while it is taken.
 
@@ -20,6 +20,7 @@ def stripes_to_come(
         scanner: The calibrated rig.
         steps: Records of the whole sweep.
         settings: As for `reconstruct`.
+        show: As of `IncomingStripes`.
 
     Raises:
         CaptureError, CalibrationError, ValueError: As of `IncomingStripes`.
@@ -30,7 +31,7 @@ def stripes_to_come(
     sweep = PlannedSweep(
         camera.pixel_format, camera.response, header.lasers, size, carries, steps, compression=camera.compression
     )
-    return (IncomingStripes if len(header.lasers) == 1 else LasersInTurn)(sweep, scanner, settings)
+    return (IncomingStripes if len(header.lasers) == 1 else LasersInTurn)(sweep, scanner, settings, show)
 
 
 class LasersInTurn:
@@ -40,7 +41,9 @@ class LasersInTurn:
     of all lasers. Therefore this class only counts points; in the end the cloud is reconstructed from the disk.
     """
 
-    def __init__(self, sweep: PlannedSweep, scanner: Scanner, settings: ReconstructSettings) -> None:
+    def __init__(
+        self, sweep: PlannedSweep, scanner: Scanner, settings: ReconstructSettings, show: Show | None = None
+    ) -> None:
         """Check that the sweep fits the scanner.
 
         Raises:
@@ -49,7 +52,8 @@ class LasersInTurn:
         self._turns = len(sweep.lasers)
         steps = sweep.steps // self._turns
         self._engines = tuple(
-            IncomingStripes(replace(sweep, lasers=(line,), steps=steps), scanner, settings) for line in sweep.lasers
+            IncomingStripes(replace(sweep, lasers=(line,), steps=steps), scanner, settings, show)
+            for line in sweep.lasers
         )
 
     @property

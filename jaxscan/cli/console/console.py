@@ -1,0 +1,99 @@
+"""`jaxscan console`: the scan from a web page."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from jaxscan.cli.options import ConfigPath, OptionalCalibrationPath
+from jaxscan.cli.output import JsonTarget, check_json, emit_json
+from jaxscan.cli.output import console as console_of
+from jaxscan.cli.paths import calibration_at, check_paths, file_at
+from jaxscan.errors import DependencyError
+
+
+PORT = 8642
+CAPTURES = Path("captures")
+
+
+def console(
+    config: ConfigPath,
+    /,
+    *,
+    captures: Path = CAPTURES,
+    calibration: OptionalCalibrationPath = None,
+    port: str | None = None,
+    place_command: str | None = None,
+    host: str = "127.0.0.1",
+    web_port: int = PORT,
+    json: JsonTarget = None,
+) -> None:
+    """Scan from a web page: `jaxscan console scan.toml`.
+
+    Open the address that it prints in a browser. The page has the camera's picture, the calibration of the rig, the
+    scan and what was captured. Ctrl-C ends it with the laser off.
+
+    Args:
+        config: Configuration of the rig and of the scan (`jaxscan init scan.toml` writes one).
+        captures: Folder in which captures, calibrations and clouds are kept.
+        calibration: Calibration of the rig; with it the cloud grows during the scan.
+        port: Serial port instead of the port in the configuration; "auto" takes the only controller there is.
+        place_command: Command that places the board; the number of the pose is appended to it.
+        host: Name or number of this machine at which the page is served. Other machines need the token that is printed.
+        web_port: TCP port of the page; 0 for any that is free.
+        json: Write the address, without its token, as JSON too.
+    """
+    try:
+        import aiohttp as aiohttp
+    except ImportError as problem:
+        raise DependencyError("The console needs aiohttp; type: pip install 'jaxscan[console]'") from problem
+    # Imported here, so that other verbs and `--help` load neither hardware drivers nor JAX.
+    from scanrig.config import load_rig
+
+    from jaxscan.cli.console.captures import Captures
+    from jaxscan.cli.console.desk import Chosen, Desk
+    from jaxscan.cli.console.sessions import Sessions
+    from jaxscan.cli.console.site import make_site
+    from jaxscan.cli.console.slate import Slate
+    from jaxscan.cli.console.works import Works
+    from jaxscan.web import Server, open_address
+
+    check_paths([*file_at("CONFIG", config), *calibration_at("--calibration", calibration)], [*file_at("--json", json)])
+    check_json(json)
+    rig = load_rig(config)
+    if calibration is not None:
+        import jaxscan
+
+        jaxscan.load_scanner(calibration)
+    out = console_of(json)
+    address = open_address(host, web_port, option="--web-port")
+    slate = Slate(
+        config=str(config),
+        folder=str(captures),
+        lasers=[laser.name for laser in rig.laser],
+        has_board=rig.board is not None,
+        board_aspect=None if rig.board is None else _aspect(rig.board.board().outline()),
+        steps=rig.sweep.steps * rig.sweep.turns,
+        calibration=None if calibration is None else str(calibration),
+        doing="nothing",
+        finished=0,
+        laser="off",
+        lost="go on",
+        works=[],
+        captures=[],
+    )
+    with ExitStack() as stack:
+        works = stack.enter_context(Works(slate))
+        desk = Desk(Chosen(config, port, place_command), slate, Captures(captures), out)
+        sessions = Sessions(desk, works, calibration)
+        sessions.list()
+        stack.enter_context(Server(make_site(address, desk, sessions), address))
+        out.print(f"Open this address in a browser: {address.url(with_token=True)}")
+        out.print("Ctrl-C ends the console; the laser goes off.")
+        emit_json(json, "console", {"url": address.url(), "captures": str(captures)})
+        desk.attend()
+
+
+def _aspect(outline: Any) -> float:
+    """Width of a board over its height, from its corners [n, 2]."""
+    width, height = outline.max(0)[:2] - outline.min(0)[:2]
+    return float(width / height)

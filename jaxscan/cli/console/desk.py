@@ -1,0 +1,194 @@
+"""Drives the rig in the main thread, by the orders of pages: one session at a time, those of `jaxscan scan`."""
+
+import queue
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from jaxscan.cli.console.boards import PageOperator
+from jaxscan.cli.console.captures import Captures
+from jaxscan.cli.console.orders import Order
+from jaxscan.cli.console.painter import Painter
+from jaxscan.cli.console.slate import Slate
+from jaxscan.cli.console.stopping import PAGE, Stopping
+from jaxscan.cli.process.signals import RigInUse
+from jaxscan.cli.process.terminal import Terminal
+from jaxscan.errors import JaxscanError, OptionError
+
+
+if TYPE_CHECKING:
+    from scanrig.config import RigConfig
+    from scanrig.session import Devices
+
+BUSY = "the rig is busy: stop or pause it first."
+_ANSWERS = {"take", "enough", "enough of all"}
+
+
+class Chosen(NamedTuple):
+    """What the command line chose."""
+
+    config: Path
+    port: str | None = None
+    """Serial port instead of the port in the configuration."""
+    place_command: str | None = None
+
+
+class Running(NamedTuple):
+    """A session that runs, and what belongs to it."""
+
+    rig: "RigConfig"
+    devices: "Devices"
+    order: Order
+    should_stop: Callable[[], bool]
+    painter: Painter
+
+
+Session = Callable[[Running], str]
+"""Runs a session and returns a line on how it ended."""
+
+
+class Desk:
+    """Takes orders from any thread, and carries them out in the main thread."""
+
+    def __init__(self, chosen: Chosen, slate: Slate, captures: Captures, out: Terminal) -> None:
+        """Nothing is opened yet."""
+        self.chosen, self.slate, self.captures, self.out = chosen, slate, captures, out
+        self.sessions: dict[str, Session] = {}
+        """The session of each order."""
+        self.after: Callable[[], None] = lambda: None
+        """Called after each."""
+        self.operator: PageOperator | None = None
+        """The person who places the board, while somebody is asked."""
+        self._orders: queue.SimpleQueue[Order | None] = queue.SimpleQueue()
+        self._stopping = Stopping()
+        self._pausing = threading.Event()
+        self._lock = threading.Lock()
+        self._doing = ""
+
+    # For any thread
+
+    def ask(self, order: Order) -> None:
+        """Pass an order on.
+
+        Raises:
+            OptionError: If it cannot be carried out now.
+        """
+        if order.do == "stop":
+            self._pausing.set()
+            self._stopping.stop()
+        elif order.do == "pause":
+            self._pausing.set()
+        elif order.do in _ANSWERS:
+            if self.operator is None:
+                raise OptionError("nobody asked for the board.")
+            self.operator.answer(order.do)
+        else:
+            self._begin(order)
+
+    def leave(self) -> None:
+        """End `attend` once nothing is done any more."""
+        self._pausing.set()
+        self._orders.put(None)
+
+    def _begin(self, order: Order) -> None:
+        with self._lock:
+            if self._doing not in ("", "aim"):
+                raise OptionError(BUSY)
+            if self._doing == "aim":
+                # Only looked at: the next session takes the rig over.
+                self._pausing.set()
+            self._doing = order.do
+            self._orders.put(order)
+
+    # For the main thread
+
+    def attend(self) -> None:
+        """Carry out orders until `leave`, or a signal."""
+        from scanrig.errors import Fault
+
+        with self._stopping:
+            finished = 0
+            while (order := self._orders.get()) is not None:
+                self._pausing.clear()
+                self.slate.write(doing="opening", order=order._asdict(), problem="", ended="", estop=False)
+                said, problem = self._carry_out(order)
+                with self._lock:
+                    waiting = not self._orders.empty()
+                    self._doing = self._doing if waiting else ""
+                if said:
+                    self.out.print(said)
+                if problem:
+                    self.out.print(f"jaxscan: {problem}")
+                    self.slate.say(problem, "problem")
+                self.after()
+                finished += 1
+                # As the sentence on a fault names it.
+                estop = f": {Fault.EMERGENCY_STOP};" in f"{said} {problem}"
+                self.slate.write(
+                    doing="nothing", problem=problem, ended=said, estop=estop, laser="off", finished=finished
+                )
+
+    def notify(self, sentence: str) -> None:
+        """A sentence that people should read."""
+        self.out.print(sentence)
+        self.slate.say(sentence, "retake" if " is taken again: " in sentence else "note")
+
+    def _carry_out(self, order: Order) -> tuple[str, str]:
+        """Run a session; returns how it ended, or why it could not."""
+        try:
+            return self._open_and_run(order), ""
+        except KeyboardInterrupt as interrupt:
+            if str(interrupt) != PAGE:
+                raise
+            return "Stopped: the laser is off.", ""
+        except JaxscanError as problem:
+            return "", " ".join(str(problem).split())
+
+    def _open_and_run(self, order: Order) -> str:
+        from scanrig.cameras import open_camera
+        from scanrig.config import load_rig
+        from scanrig.controllers import open_controller
+        from scanrig.session import Devices, Interrupts
+
+        # Read anew, so that what was advised and changed is used.
+        rig = load_rig(self.chosen.config)
+        with ExitStack() as stack:
+            painter = stack.enter_context(Painter(rig, self.slate))
+            with ExitStack() as opened:
+                in_use = opened.enter_context(RigInUse())
+                self._stopping.begin()
+                opened.callback(self._stopping.end)
+                turn = rig.microsteps_per_turn
+                controller = opened.enter_context(open_controller(rig.controller, turn, port=self.chosen.port))
+                camera = opened.enter_context(open_camera(rig.camera, self.notify))
+                opened.callback(in_use.closing)
+                opened.callback(self._stopping.end)
+                interrupts = opened.enter_context(Interrupts())
+                self.slate.write(doing=order.do, laser="may shine")
+                should_stop = lambda: interrupts() or self._pausing.is_set()
+                running = Running(rig, Devices(controller, camera), order, should_stop, painter)
+                said = self.sessions[order.do](running)
+            if interrupts.received:
+                raise KeyboardInterrupt(interrupts.received[0])
+            return said
+
+
+def progress_of(slate: Slate, now: Callable[[], float], seconds: float) -> Callable[[int, int], None]:
+    """The hook of a session that tells how far it is, and how long it still takes.
+
+    Args:
+        slate: Where it is told.
+        now: The time [s].
+        seconds: What the plan expects of the whole capture.
+    """
+    begun: list[tuple[float, int]] = []
+
+    def progress(done: int, planned: int) -> None:
+        begun.append((now(), done))
+        (start, first), (at, last) = begun[0], begun[-1]
+        each = (at - start) / (last - first) if last > first else seconds / max(planned, 1)
+        slate.write(done=done, planned=planned, left_s=round(each * (planned - done), 1))
+
+    return progress

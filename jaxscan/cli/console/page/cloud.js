@@ -1,0 +1,89 @@
+// Points in WebGL, brighter than they were seen: drag or arrow keys turn, wheel or + and - zoom.
+const VERTEX = `attribute vec3 place; attribute vec3 colour; uniform mat4 view; uniform float size; varying vec3 shown;
+void main() { gl_Position = view * vec4(place, 1.0); gl_PointSize = clamp(size / gl_Position.w, 1.5, 6.0); shown = sqrt(colour); }`;
+const FRAGMENT = "precision mediump float; varying vec3 shown; void main() { gl_FragColor = vec4(shown, 1.0); }";
+
+export class Cloud {
+  constructor(canvas, missing, count) {
+    this.canvas = canvas; this.count = count;
+    this.gl = canvas.getContext("webgl", { antialias: false, preserveDrawingBuffer: true });
+    missing.hidden = Boolean(this.gl);
+    canvas.hidden = !this.gl;
+    this.turn = 0.6; this.tilt = 0.5; this.away = 9; this.number = 0; this.chunks = []; this.points = 0;
+    if (this.gl) { this.prepare(); this.listen(); this.draw(); }
+  }
+
+  prepare() {
+    const gl = this.gl, program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text); gl.compileShader(shader); gl.attachShader(program, shader);
+    }
+    gl.linkProgram(program); gl.useProgram(program); gl.enable(gl.DEPTH_TEST); gl.clearColor(0.04, 0.05, 0.06, 1);
+    this.place = gl.getAttribLocation(program, "place"); this.colour = gl.getAttribLocation(program, "colour");
+    this.view = gl.getUniformLocation(program, "view"); this.size = gl.getUniformLocation(program, "size");
+  }
+
+  clear(number) {
+    for (const chunk of this.chunks) { this.gl.deleteBuffer(chunk.place); this.gl.deleteBuffer(chunk.colour); }
+    this.number = number; this.chunks = []; this.points = 0;
+    this.tell(); this.later();
+  }
+
+  // Coordinates as float32, then colours as bytes.
+  add(number, data) {
+    if (number !== this.number) { if (this.gl) this.clear(number); this.number = number; }
+    const points = Math.floor(data.byteLength / 15);
+    this.points += points; this.tell();
+    if (!this.gl || !points) return;
+    const gl = this.gl, buffer = (array) => {
+      const made = gl.createBuffer();
+      gl.bindBuffer(gl.ARRAY_BUFFER, made); gl.bufferData(gl.ARRAY_BUFFER, array, gl.STATIC_DRAW);
+      return made;
+    };
+    this.chunks.push({ points, place: buffer(new Float32Array(data, 0, 3 * points)), colour: buffer(new Uint8Array(data, 12 * points, 3 * points)) });
+    this.later();
+  }
+
+  tell() { this.count.textContent = this.points ? `${this.points.toLocaleString("en")} points shown` : ""; }
+
+  listen() {
+    const canvas = this.canvas;
+    canvas.onpointerdown = (event) => canvas.setPointerCapture(event.pointerId);
+    canvas.onpointermove = (event) => { if (event.buttons) this.go(-event.movementX / 200, event.movementY / 200); };
+    canvas.addEventListener("wheel", (event) => { event.preventDefault(); this.zoom(Math.exp(event.deltaY / 600)); }, { passive: false });
+    canvas.onkeydown = ({ key }) => {
+      const steps = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
+      if (steps[key]) this.go(...steps[key]);
+      if (key === "+") this.zoom(0.9);
+      if (key === "-") this.zoom(1.1);
+    };
+    new ResizeObserver(() => this.later()).observe(canvas);
+  }
+
+  go(turn, tilt) { this.turn += turn; this.tilt = Math.min(1.5, Math.max(-1.5, this.tilt + tilt)); this.later(); }
+  zoom(factor) { this.away = Math.min(60, Math.max(0.5, this.away * factor)); this.later(); }
+  later() { if (!this.waiting && this.gl) this.waiting = requestAnimationFrame(() => { this.waiting = 0; this.draw(); }); }
+
+  draw() {
+    const gl = this.gl, canvas = this.canvas, dense = Math.min(devicePixelRatio, 2);
+    const width = Math.max(1, Math.round(canvas.clientWidth * dense)), height = Math.max(1, Math.round(canvas.clientHeight * dense));
+    if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+    gl.viewport(0, 0, width, height); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.uniformMatrix4fv(this.view, false, this.matrix(width / height)); gl.uniform1f(this.size, height / 60);
+    for (const chunk of this.chunks) {
+      gl.bindBuffer(gl.ARRAY_BUFFER, chunk.place); gl.enableVertexAttribArray(this.place); gl.vertexAttribPointer(this.place, 3, gl.FLOAT, false, 0, 0);
+      gl.bindBuffer(gl.ARRAY_BUFFER, chunk.colour); gl.enableVertexAttribArray(this.colour); gl.vertexAttribPointer(this.colour, 3, gl.UNSIGNED_BYTE, true, 0, 0);
+      gl.drawArrays(gl.POINTS, 0, chunk.points);
+    }
+  }
+
+  // Perspective times a camera that circles the scanner, z up; column after column.
+  matrix(aspect) {
+    const f = 1.6, near = 0.05, far = 200, a = (far + near) / (near - far), b = (2 * far * near) / (near - far);
+    const [ct, st, ce, se] = [Math.cos(this.turn), Math.sin(this.turn), Math.cos(this.tilt), Math.sin(this.tilt)];
+    const right = [-st, ct, 0], up = [-se * ct, -se * st, ce], back = [ce * ct, ce * st, se];
+    const column = (i) => [(f / aspect) * right[i], f * up[i], a * back[i], -back[i]];
+    return new Float32Array([...column(0), ...column(1), ...column(2), 0, 0, -a * this.away + b, this.away]);
+  }
+}

@@ -1,0 +1,76 @@
+"""The console's addresses: its page, its socket, pictures of captures and their clouds."""
+
+import asyncio
+from collections.abc import Callable
+
+from aiohttp import web
+from aiohttp.typedefs import Handler
+
+from jaxscan.cli.console.desk import Desk
+from jaxscan.cli.console.hub import Hub
+from jaxscan.cli.console.orders import Order
+from jaxscan.cli.console.sessions import Sessions
+from jaxscan.errors import JaxscanError
+from jaxscan.web import Address, Gate, Resource, resource_routes
+
+
+_PACKAGE = "jaxscan.cli.console"
+_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
+_FILES = ("index.html", "style.css", "main.js", "dom.js", "live.js", "guide.js", "cloud.js", "captures.js", "icon.svg")
+_JPEG, _BINARY = "image/jpeg", "application/octet-stream"
+
+
+def make_site(address: Address, desk: Desk, sessions: Sessions) -> web.Application:
+    """The application of the console, behind the gate."""
+
+    def carry_out(order: Order) -> None:
+        match order.do:
+            case "lost":
+                desk.slate.write(lost="stop" if order.stop else "go on")
+            case "calibrate":
+                sessions.calibrate(order.name)
+            case "reconstruct":
+                sessions.reconstruct(order.name)
+            case "compare":
+                sessions.compare(order.name, order.other)
+            case _:
+                desk.ask(order)
+
+    hub = Hub(desk.slate, carry_out)
+    captures = desk.captures
+
+    def photograph(request: web.Request) -> bytes:
+        asked, query = request.match_info, request.query
+        return captures.photograph(asked["name"], int(asked["index"]), lit="lit" in query, small="small" in query)
+
+    site = Gate(address).application()
+    listed = {f"/{name}": Resource(_PACKAGE, f"page/{name}", _type(name)) for name in _FILES}
+    listed["/"] = listed.pop("/index.html")
+    site.add_routes(resource_routes(listed))
+    site.add_routes(
+        [
+            web.get("/socket", hub.socket),
+            web.get(r"/pictures/{name}/{index:\d{1,7}}", _answer(photograph, _JPEG)),
+            web.get("/clouds/{name}", _answer(lambda request: captures.points(request.match_info["name"]), _BINARY)),
+        ]
+    )
+    site.on_shutdown.append(hub.close)
+    site.cleanup_ctx.append(hub.watch)
+    return site
+
+
+def _type(name: str) -> str:
+    return f"{_TYPES[name.rpartition('.')[2]]}; charset=utf-8"
+
+
+def _answer(make: Callable[[web.Request], bytes], content_type: str) -> Handler:
+    """Answers with bytes that a thread makes, or with the line why it cannot."""
+
+    async def answer(request: web.Request) -> web.StreamResponse:
+        try:
+            body = await asyncio.to_thread(make, request)
+        except JaxscanError as problem:
+            return web.Response(status=404, text=" ".join(str(problem).split()) + "\n")
+        return web.Response(body=body, content_type=content_type)
+
+    return answer

@@ -1,0 +1,179 @@
+"""A console on a rig on paper: the desk in this thread, pages in another one."""
+
+import asyncio
+import json
+import secrets
+import threading
+from contextlib import ExitStack
+
+import aiohttp
+import pytest
+
+from jaxscan.cli.console.captures import Captures
+from jaxscan.cli.console.desk import Chosen, Desk
+from jaxscan.cli.console.sessions import Sessions
+from jaxscan.cli.console.site import make_site
+from jaxscan.cli.console.slate import Slate
+from jaxscan.cli.console.works import Works
+from jaxscan.cli.process.terminal import Terminal
+from jaxscan.web import Server, open_address
+
+from ..browser.driver import browser as browser
+from ..hardware.desk import Desk as PaperDesk
+
+
+CONFIG = """
+[controller]
+port = "paper"
+[turntable]
+full_steps = 200
+microsteps = 16
+gear = [9, 1]
+[camera]
+kind = "simulated"
+width = 128
+height = 96
+[sweep]
+steps = 10
+turn_deg = 36.0
+"""
+PATIENCE_S = 60.0
+
+
+class Page:
+    """A page without a browser."""
+
+    def __init__(self, socket, key):
+        self.socket, self.key = socket, key
+        self.state, self.you, self.refused = {}, {}, []
+        self.pictures = 0
+
+    async def order(self, do, **fields):
+        self.finished = self.state["finished"]
+        await self.socket.send_str(json.dumps({"do": do, **fields}))
+
+    async def until(self, holds):
+        """Hear the server until `holds(page)`."""
+        async with asyncio.timeout(PATIENCE_S):
+            while not (self.state and holds(self)):
+                message = await self.socket.receive()
+                if message.type is aiohttp.WSMsgType.BINARY:
+                    self.pictures += message.data[0] == 1
+                    continue
+                assert message.type is aiohttp.WSMsgType.TEXT, (message.type, message.extra)
+                found = json.loads(message.data)
+                if found["kind"] == "refused":
+                    self.refused.append(found["says"])
+                else:
+                    self.state, self.you = found["state"], found["you"]
+        return self.state
+
+    async def done(self):
+        """Wait until a session has ended since the last order."""
+        return await self.until(lambda page: page.state["finished"] > page.finished)
+
+
+class Console:
+    """A console in this process; `run` calls `pages(console)` in another thread and attends meanwhile."""
+
+    def __init__(self, folder, port=None):
+        self.config = folder / "rig.toml"
+        self.config.write_text(CONFIG)
+        self.address = open_address("127.0.0.1", 0, option="--web-port")
+        fields = {"captures": [], "works": [], "folder": "captures", "config": "rig.toml"}
+        self.slate = Slate(lost="go on", doing="nothing", finished=0, **fields)
+        self.captures = Captures(folder / "captures")
+        self.desk = Desk(Chosen(self.config, port), self.slate, self.captures, Terminal())
+        self.calibration = None
+
+    def run(self, pages):
+        problems = []
+        # It prints to what is standard output in a test, not before it.
+        self.desk.out = Terminal()
+
+        async def visit():
+            async with aiohttp.ClientSession() as self.session:
+                await pages(self)
+
+        def work():
+            try:
+                asyncio.run(visit())
+            except BaseException as problem:
+                problems.append(problem)
+            finally:
+                self.desk.leave()
+
+        with ExitStack() as stack:
+            works = stack.enter_context(Works(self.slate))
+            sessions = Sessions(self.desk, works, self.calibration)
+            sessions.list()
+            stack.enter_context(Server(make_site(self.address, self.desk, sessions), self.address))
+            thread = threading.Thread(target=work)
+            thread.start()
+            try:
+                self.desk.attend()
+            finally:
+                thread.join()
+        if problems:
+            raise problems[0]
+
+    async def open(self, key=None):
+        """A page."""
+        key = key or secrets.token_hex(16)
+        url = f"http://127.0.0.1:{self.address.port}/socket"
+        headers = {"Origin": f"http://127.0.0.1:{self.address.port}"}
+        page = Page(await self.session.ws_connect(url, headers=headers), key)
+        await page.socket.send_str(json.dumps({"page": key}))
+        await page.until(lambda page: True)
+        return page
+
+    async def get(self, path):
+        """The status and body of an answer; the path goes as it is."""
+        from yarl import URL
+
+        url = URL(f"http://127.0.0.1:{self.address.port}{path}", encoded=True)
+        async with self.session.get(url) as answer:
+            return answer.status, await answer.read()
+
+
+@pytest.fixture
+def paper(monkeypatch):
+    """The desk of paper behind the names under which a rig is opened."""
+    desk = PaperDesk()
+    controller, camera = desk.controller, desk.camera
+
+    class Opened(type(controller)):
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            self.make_safe()
+
+    controller.__class__ = Opened
+    camera.close = lambda: None
+    monkeypatch.setattr("scanrig.controllers.jxs.connect", lambda port, baud, clock: controller)
+    monkeypatch.setattr("scanrig.cameras.open_camera", lambda settings, say: camera)
+    return desk
+
+
+@pytest.fixture
+def console(tmp_path, paper):
+    """A console on that rig."""
+    return Console(tmp_path)
+
+
+@pytest.fixture
+def held(paper):
+    """Holds the rig before a shot: `held(shot)` gives two events, that it waits and that it may go."""
+
+    def hold(shot):
+        waits, go = threading.Event(), threading.Event()
+
+        def wait(controller):
+            waits.set()
+            assert go.wait(PATIENCE_S)
+
+        paper.controller.before_shot[shot] = wait
+        return waits, go
+
+    return hold

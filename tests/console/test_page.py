@@ -1,0 +1,161 @@
+"""The console's page in a real browser, on a rig on paper."""
+
+import asyncio
+import json
+
+import numpy as np
+import pytest
+
+from jaxscan.files.capture import open_capture
+
+from ..browser.driver import NARROW, Looks
+
+
+ESCAPE, LEFT = "\ue00c", "\ue012"
+"""Keys, as WebDriver names them."""
+
+
+@pytest.fixture
+def visit(console, browser):
+    """`visit(work)` calls `work(looks, url)` in another thread while the console runs."""
+
+    def call(work):
+        url = f"http://127.0.0.1:{console.address.port}/"
+
+        async def pages(console):
+            await asyncio.to_thread(work, Looks(browser), url)
+            await asyncio.to_thread(browser.get, "about:blank")
+
+        console.run(pages)
+
+    return call
+
+
+def test_a_scan_by_clicks(visit, console):
+    def work(looks, url):
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        looks.at("sweep-name").clear()
+        looks.at("sweep-name").send_keys("kitchen")
+        looks.click("sweep")
+        looks.until(lambda: "complete, 10 records" in looks.text("ended"))
+        assert looks.text("count") == "kitchen: 10 of 10 records" and looks.text("laser") == "laser off"
+        looks.until(lambda: looks.colours("picture") > 20)
+        assert "of 255" in looks.text("peak-dn")
+        looks.until(
+            lambda: looks.driver.execute_script("return document.querySelector('#captures img')?.naturalWidth > 0")
+        )
+        looks.driver.execute_script("[...document.querySelectorAll('#captures button')][0].click()")
+        looks.until(lambda: looks.driver.execute_script("return document.getElementById('record').naturalWidth > 0"))
+        assert looks.text("record-name") == "kitchen, 1 of 10"
+        assert looks.complaints() == []
+
+    visit(work)
+    assert len(open_capture(console.captures.path("kitchen"))) == 10
+
+
+def test_stop_by_a_key_and_resume_by_a_click_over_a_reload(visit, console, paper, held):
+    waits, _ = held(4)
+
+    def work(looks, url):
+        looks.open(url)
+        looks.click("sweep")
+        assert waits.wait(60)
+        looks.driver.refresh()
+        looks.until(lambda: looks.text("doing") == "scanning" and looks.at("pause").is_enabled())
+        paper.table.laser = True
+        looks.at("stop").send_keys(ESCAPE)
+        looks.until(lambda: looks.text("ended") == "Stopped: the laser is off.")
+        assert not paper.table.laser and not paper.table.contactor
+        looks.driver.refresh()
+        looks.click("resume")
+        looks.until(lambda: "complete, 10 records" in looks.text("ended"))
+
+    visit(work)
+    assert len(open_capture(console.captures.path("room"))) == 10
+
+
+def test_two_windows(visit):
+    def work(looks, url):
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        first = looks.driver.current_window_handle
+        looks.driver.switch_to.new_window("window")
+        looks.open(url)
+        looks.until(lambda: looks.text("role") == "watching")
+        assert not looks.at("sweep").is_enabled() and looks.at("stop").is_enabled()
+        looks.click("take-over")
+        looks.until(lambda: looks.text("role") == "you operate, 1 watching" and looks.at("sweep").is_enabled())
+        looks.driver.close()
+        looks.driver.switch_to.window(first)
+        assert looks.text("role") == "watching"
+
+    visit(work)
+
+
+def test_on_a_telephone_nothing_is_cut_off_and_stop_is_at_hand(visit):
+    def work(looks, url):
+        looks.open(url, NARROW)
+        looks.until(lambda: looks.text("doing") == "ready")
+        widths = looks.driver.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+        assert widths == [390, 390]
+        looks.driver.execute_script("scrollTo(0, document.body.scrollHeight)")
+        box = looks.driver.execute_script(
+            "const b = document.getElementById('stop').getBoundingClientRect(); return [b.top, b.bottom, b.height]"
+        )
+        assert 0 <= box[0] and box[1] <= 844 and box[2] >= 44
+
+    visit(work)
+
+
+def test_points_are_drawn_as_they_come(visit, console):
+    def work(looks, url):
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        assert looks.colours("cloud") == 1
+        generator = np.random.default_rng(2)
+        console.slate.clear_cloud(2000)
+        for _ in range(2):
+            xyz, rgb = generator.normal(size=(1000, 3)), generator.integers(0, 256, (1000, 3))
+            console.slate.grow(xyz.astype(np.float32), rgb.astype(np.uint8))
+        looks.until(lambda: looks.text("points") == "2,000 points shown")
+        looks.until(lambda: looks.colours("cloud") > 100)
+        looks.at("cloud").send_keys("+", LEFT)
+        assert looks.complaints() == []
+        # A page that comes later gets all of them.
+        looks.driver.refresh()
+        looks.until(lambda: looks.text("points") == "2,000 points shown")
+
+    visit(work)
+
+
+def test_another_site_opens_no_socket(visit, console):
+    def work(looks, url):
+        looks.open("data:text/html,<p>a page of a stranger</p>")
+        script = """
+          const [url, done] = arguments, socket = new WebSocket(url);
+          socket.onopen = () => done("open");
+          socket.onerror = () => done("refused");"""
+        assert looks.driver.execute_async_script(script, url.replace("http", "ws") + "socket") == "refused"
+        # Nor a page in a frame of theirs, nor its picture.
+        looks.open(f"data:text/html,<iframe src='{url}'></iframe><img src='{url}icon.svg'>")
+        looks.until(lambda: looks.driver.execute_script("return document.images[0].complete"))
+        assert looks.driver.execute_script("return document.images[0].naturalWidth") == 0
+
+    visit(work)
+    assert console.slate.read("doing") == "nothing"
+
+
+def test_words_of_strangers_are_shown_as_words(visit, console):
+    folder = console.captures.folder / "evil"
+    folder.mkdir(parents=True)
+    (folder / "capture.toml").write_text('format = "jaxscan-capture/1"\nkind = "<img src=x onerror=alert(1)>"\n')
+
+    def work(looks, url):
+        looks.open(url)
+        looks.until(lambda: "evil" in looks.text("captures"))
+        assert "<img src=x" in looks.text("captures")
+        assert looks.driver.execute_script("return document.querySelectorAll('#captures img').length") == 0
+        assert json.dumps(looks.complaints()) == "[]"
+
+    visit(work)

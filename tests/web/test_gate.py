@@ -1,0 +1,331 @@
+"""The gate of pages: names, origins, sites, tokens, paths and sizes, over real sockets."""
+
+import asyncio
+import http.client
+import socket
+
+import aiohttp
+import pytest
+from aiohttp import web
+
+from jaxscan.errors import OptionError
+from jaxscan.web import PAGE_POLICY, Gate, Resource, Server, open_address, proxy_routes, resource_routes
+
+
+PAGES = {"/": Resource("jaxscan.data", "demo.toml", "text/plain; charset=utf-8")}
+MOST = 1000
+"""Longest message that the echo takes [bytes]."""
+
+
+async def echo(request):
+    answering = web.WebSocketResponse(max_msg_size=MOST)
+    await answering.prepare(request)
+    async for message in answering:
+        await answering.send_str(f"heard {message.data}")
+    return answering
+
+
+def served(address):
+    application = Gate(address).application()
+    application.add_routes([*resource_routes(PAGES), web.get("/echo", echo)])
+    return Server(application, address)
+
+
+@pytest.fixture
+def narrow():
+    address = open_address("127.0.0.1", 0, option="--web-port")
+    with served(address):
+        yield address
+
+
+@pytest.fixture
+def wide():
+    address = open_address("0.0.0.0", 0, option="--web-port")
+    with served(address):
+        yield address
+
+
+def ask(address, path="/", method="GET", **headers):
+    """The answer to a request with these headers alone, its path sent as it is: (status, headers, body)."""
+    connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=10)
+    try:
+        connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
+        given = {"Host": f"127.0.0.1:{address.port}"} | {
+            name.replace("_", "-"): value for name, value in headers.items()
+        }
+        for name, value in given.items():
+            if value is not None:
+                connection.putheader(name, value)
+        connection.endheaders()
+        answer = connection.getresponse()
+        return answer.status, answer.headers, answer.read()
+    finally:
+        connection.close()
+
+
+def talk(address, work, **headers):
+    """What `work` returns with a WebSocket that was opened with these headers."""
+
+    async def go():
+        given = {"Origin": f"http://127.0.0.1:{address.port}"} | {
+            name.replace("_", "-"): value for name, value in headers.items()
+        }
+        given = {name: value for name, value in given.items() if value is not None}
+        url = f"http://127.0.0.1:{address.port}/echo"
+        async with aiohttp.ClientSession() as session, session.ws_connect(url, headers=given) as opened:
+            return await work(opened)
+
+    return asyncio.run(go())
+
+
+async def say_hello(opened):
+    await opened.send_str("hello")
+    return (await opened.receive(10)).data
+
+
+def refused(address, **headers):
+    """The status with which a WebSocket is refused."""
+    with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
+        talk(address, say_hello, **headers)
+    return refusal.value.status
+
+
+def test_a_page_and_a_socket_on_the_loopback(narrow):
+    status, headers, body = ask(narrow)
+    assert status == 200 and body.startswith(b"#")
+    assert headers["Content-Security-Policy"] == PAGE_POLICY
+    assert headers["X-Content-Type-Options"] == "nosniff" and headers["Cache-Control"] == "no-store"
+    assert narrow.token is None and narrow.url(with_token=True) == f"http://127.0.0.1:{narrow.port}/"
+    assert talk(narrow, say_hello) == "heard hello"
+
+
+@pytest.mark.parametrize("name", ["localhost", "LOCALHOST", "[::1]"])
+def test_other_names_of_the_loopback_and_another_port_as_of_a_tunnel(narrow, name):
+    assert ask(narrow, Host=f"{name}:9000", Origin=f"http://{name}:9000")[0] == 200
+
+
+FOREIGN_HOSTS = [
+    "evil.example",
+    "127.0.0.1.evil.example",
+    "evil.example#127.0.0.1",
+    "evil.example@127.0.0.1",
+    "127.0.0.1@evil.example",
+    "192.168.1.5",
+    "127.0.0.1:x",
+    "[::1",
+    "",
+    None,
+]
+
+
+@pytest.mark.parametrize("host", FOREIGN_HOSTS)
+def test_a_foreign_name_is_refused_on_the_loopback_too(narrow, host):
+    status, headers, body = ask(narrow, Host=host)
+    assert status in (400, 403) and b"demo" not in body
+    assert "Set-Cookie" not in headers
+
+
+def test_two_names_are_refused(narrow):
+    with socket.create_connection(("127.0.0.1", narrow.port), timeout=10) as plain:
+        plain.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: evil.example\r\nConnection: close\r\n\r\n")
+        answer = b"".join(iter(lambda: plain.recv(4096), b""))
+    assert answer.split()[1] in (b"400", b"403")
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "http://evil.example",
+        "null",
+        "http://127.0.0.1:1",
+        "http://127.0.0.1",
+        "file://",
+        "",
+        "http://[",
+        "ftp://{host}",
+    ],
+)
+def test_a_foreign_origin_is_refused_for_pages_and_sockets(narrow, origin):
+    origin = origin.format(host=f"127.0.0.1:{narrow.port}")
+    assert ask(narrow, Origin=origin)[0] == 403
+    assert refused(narrow, Origin=origin) == 403
+
+
+def test_a_socket_needs_an_origin(narrow):
+    assert refused(narrow, Origin=None) == 403
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site", "anything"])
+def test_another_site_may_not_lead_here(narrow, site):
+    assert ask(narrow, Sec_Fetch_Site=site)[0] == 403
+    assert refused(narrow, Sec_Fetch_Site=site) == 403
+
+
+@pytest.mark.parametrize("site", ["same-origin", "none"])
+def test_our_own_page_and_a_typed_address_may(narrow, site):
+    assert ask(narrow, Sec_Fetch_Site=site)[0] == 200
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "PATCH", "TRACE"])
+def test_nothing_but_get_is_answered(narrow, method):
+    assert ask(narrow, method=method)[0] == 405
+
+
+PATHS = [
+    "/../pyproject.toml",
+    "/..%2f..%2fpyproject.toml",
+    "/%2e%2e/%2e%2e/etc/passwd",
+    "/..\\..\\pyproject.toml",
+    "//etc/passwd",
+    "/./demo.toml",
+    "/demo.toml",
+    "/data/",
+    "/echo/../../jaxscan",
+    "/%00",
+    "/" + 5000 * "a",
+]
+
+
+@pytest.mark.parametrize("path", PATHS, ids=range(len(PATHS)))
+def test_there_is_no_folder_to_walk(narrow, path):
+    status, _, body = ask(narrow, path)
+    assert status in (400, 404) and len(body) < 200 and b"root:" not in body
+
+
+def test_a_header_that_is_too_long_is_refused(narrow):
+    assert ask(narrow, Cookie=20_000 * "a")[0] == 400
+
+
+def test_a_message_that_is_too_long_closes_its_socket_and_no_other(narrow):
+    async def shout(opened):
+        await opened.send_str((MOST + 1) * "a")
+        return (await opened.receive(10)).type, opened.close_code
+
+    assert talk(narrow, shout) == (aiohttp.WSMsgType.CLOSE, aiohttp.WSCloseCode.MESSAGE_TOO_BIG)
+    assert talk(narrow, say_hello) == "heard hello"
+
+
+def test_a_wide_address_needs_its_token(wide):
+    assert len(wide.token) > 30 and wide.url(with_token=True).endswith(f"/?token={wide.token}")
+    assert wide.token not in wide.url()
+    for path in (
+        "/",
+        "/echo",
+        "/nothing",
+        "/?token=",
+        f"/?token={wide.token[:-1]}",
+        "/?token=%ff%fe",
+        "/?token=%c3%a9",
+        "/?token=%c3%a9",
+    ):
+        status, headers, _ = ask(wide, path)
+        assert status in (400, 403) and "Set-Cookie" not in headers
+    assert refused(wide) == 403
+    assert refused(wide, Cookie=f"jaxscan-{wide.port}={wide.token}") == 403
+
+
+def test_the_token_is_traded_for_a_cookie_and_leaves_the_address(wide):
+    status, headers, _ = ask(wide, f"/?token={wide.token}&page=2")
+    assert (status, headers["Location"]) == (303, "/?page=2")
+    cookie, *flags = headers["Set-Cookie"].split("; ")
+    assert {"HttpOnly", "SameSite=Strict", "Path=/"} <= set(flags)
+    assert wide.token not in cookie
+    assert ask(wide, Cookie=cookie)[0] == 200
+    assert talk(wide, say_hello, Cookie=cookie) == "heard hello"
+    # The cookie does not open the gate to another site.
+    assert ask(wide, Cookie=cookie, Origin="http://evil.example")[0] == 403
+    assert refused(wide, Cookie=cookie, Origin="http://evil.example") == 403
+    assert ask(wide, Cookie=cookie, Host="evil.example")[0] == 403
+    assert ask(wide, Cookie=cookie + "x")[0] == 403
+
+
+def test_a_token_goes_nowhere_else(wide):
+    status, headers, _ = ask(wide, f"//evil.example/?token={wide.token}")
+    assert (status, headers["Location"]) == (303, "/")
+
+
+def test_a_wide_address_knows_its_numbers_and_its_own_name(wide):
+    own = socket.gethostname()
+    for host in ("192.168.1.5:80", f"{own}:80", f"{own}.local:80"):
+        assert ask(wide, f"/?token={wide.token}", Host=host)[0] == 303
+    assert ask(wide, f"/?token={wide.token}", Host="evil.example")[0] == 403
+
+
+def test_a_port_that_is_taken_is_said_in_one_line(narrow):
+    with pytest.raises(OptionError, match=r"--web-port: the port \d+ is taken by another program; choose another"):
+        open_address("127.0.0.1", narrow.port, option="--web-port")
+
+
+@pytest.mark.parametrize("host", ["198.51.100.7", "no such machine.invalid", "a" * 300])
+def test_a_host_that_is_not_here_is_said_in_one_line(host):
+    with pytest.raises(OptionError, match="--host: found") as problem:
+        open_address(host, 0, option="--web-port")
+    assert "\n" not in str(problem.value)
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_that_is_none(port):
+    with pytest.raises(OptionError, match=r"expected 0 \.\.\. 65535"):
+        open_address("127.0.0.1", port, option="--web-port")
+
+
+@pytest.fixture
+def behind():
+    """A server on the loopback that tells what it was asked, and a gate before it."""
+    asked = []
+
+    async def tell(request):
+        asked.append((request.raw_path, dict(request.headers)))
+        if request.headers.get("Upgrade"):
+            answering = web.WebSocketResponse(protocols=["viser-v1"])
+            await answering.prepare(request)
+            async for message in answering:
+                await (answering.send_bytes if isinstance(message.data, bytes) else answering.send_str)(message.data)
+            return answering
+        return web.Response(text="<p>viewer</p>", content_type="text/html", headers={"Set-Cookie": "a=b"})
+
+    inner = web.Application()
+    inner.add_routes([web.get("/{rest:.*}", tell)])
+    inner_address = open_address("127.0.0.1", 0, option="--port")
+    outer_address = open_address("0.0.0.0", 0, option="--port")
+    outer = Gate(outer_address).application()
+    outer.add_routes(proxy_routes("/view", inner_address.port))
+    with Server(inner, inner_address), Server(outer, outer_address):
+        yield outer_address, asked
+
+
+def test_a_server_behind_the_gate_gets_no_token_and_sets_no_cookie(behind):
+    address, asked = behind
+    assert ask(address, "/view/")[0] == 403 and refused(address) == 403 and asked == []
+    _, headers, _ = ask(address, f"/?token={address.token}")
+    cookie = headers["Set-Cookie"].split(";")[0]
+    status, headers, body = ask(address, "/view/a%2fb?c=1", Cookie=cookie)
+    assert (status, body) == (200, b"<p>viewer</p>")
+    assert "Set-Cookie" not in headers and "frame-ancestors 'self'" in headers["Content-Security-Policy"]
+    ((path, seen),) = asked
+    assert path == "/a%2fb?c=1" and "Cookie" not in seen and seen["Host"].startswith("127.0.0.1:")
+
+    async def go():
+        given = {"Origin": f"http://127.0.0.1:{address.port}", "Cookie": cookie}
+        url = f"http://127.0.0.1:{address.port}/view"
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(url, headers=given, protocols=["viser-v1"]) as opened,
+        ):
+            await opened.send_bytes(b"\x00\xff")
+            await opened.send_str("word")
+            return opened.protocol, (await opened.receive(10)).data, (await opened.receive(10)).data
+
+    assert asyncio.run(go()) == ("viser-v1", b"\x00\xff", "word")
+    assert "Cookie" not in asked[-1][1]
+
+
+def test_a_server_behind_that_is_gone_is_said():
+    address = open_address("127.0.0.1", 0, option="--port")
+    gone = open_address("127.0.0.1", 0, option="--port")
+    gone.socket.close()
+    application = Gate(address).application()
+    application.add_routes(proxy_routes("", gone.port))
+    with Server(application, address):
+        status, _, body = ask(address, "/")
+    assert status == 502 and body == b"The viewer does not answer; begin it again.\n"
