@@ -70,7 +70,7 @@ def make_world() -> World:
     records = list(render_sweep(config, angles=angles, scene=scene))
     scanner = true_scanner(config)
     world = World(config, scene, scanner, None, angles, [record.off for record in records])
-    return world._replace(cloud=_cloud(world, records))
+    return world._replace(cloud=cloud_of(world, records))
 
 
 def furnish(mesh: Mesh) -> None:
@@ -94,7 +94,8 @@ def _pattern(u: np.ndarray, v: np.ndarray) -> Blend:
     return Blend(0, 1, wall_albedo(1.9 - u, v - 1.1), 1.0)
 
 
-def _cloud(world: World, records: list) -> PointCloud:
+def cloud_of(world: World, records: list) -> PointCloud:
+    """What a perfect scanner finds in records."""
     xyz, valid, angle = true_cloud(records)
     rgb, normals = np.zeros((*valid.shape, 3), np.uint8), np.zeros((*valid.shape, 3), np.float32)
     rig = make_rig(world.config)
