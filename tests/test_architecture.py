@@ -53,6 +53,7 @@ MAY_IMPORT = {
     "__init__": set(),
     "errors": set(),
     "compiling": set(),
+    "__main__": {"cli"},
     "printable": set(),
     "data": set(),
 }

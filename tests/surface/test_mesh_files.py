@@ -26,7 +26,7 @@ def meshes(small):
         np.zeros((len(points), 3), np.uint8) + np.uint8([200, 0, 0]),
         np.ones(len(points), np.bool_),
     )
-    return coloured_mesh(grid), textured_mesh(grid, red, 4)
+    return coloured_mesh(grid), textured_mesh(grid, red, (4, 4))
 
 
 def glb_of(path):
