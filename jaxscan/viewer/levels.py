@@ -1,4 +1,7 @@
-"""Levels of detail: a cloud in tiles, each in chunks from coarse to fine, so that a view needs few points."""
+"""Levels of detail: a cloud in tiles, each in chunks from coarse to fine, so that a view needs few points.
+
+Which chunks a view needs is decided in the browser, by `gap` and distance: page/draw.js.
+"""
 
 from typing import NamedTuple
 
@@ -10,12 +13,10 @@ DEPTH = 16
 """Halvings of the cube around the cloud: its finest cells."""
 _TILE_DEPTH = 3
 """Halvings to a tile: 8 along each edge."""
-OVERVIEW = 60_000
-"""Points that are always shown, at most."""
+OVERVIEW = 20_000
+"""Points that are shown of all tiles, however far, at most."""
 _WHOLE = 0.9
 """With this share of the points shown, the rest comes in one chunk."""
-_LEAST_PX = 1.0
-"""Gaps between points that are not worth more points [px]."""
 
 
 class Chunk(NamedTuple):
@@ -72,41 +73,6 @@ def make_levels(xyz: Float[np.ndarray, "n 3"], *, overview: int = OVERVIEW) -> L
     order, key = along[by_level].astype(np.int32), key[by_level]
     starts = np.flatnonzero(np.diff(key, prepend=-1))
     return Levels(order, _chunks(xyz, order, (starts, key[starts]), extent))
-
-
-def chosen(
-    chunks: tuple[Chunk, ...],
-    *,
-    eye: Float[np.ndarray, "3"],
-    forward: Float[np.ndarray, "3"],
-    half_view_rad: float,
-    focal_px: float,
-    budget: int,
-) -> list[int]:
-    """The chunks to show, the most needed first: those whose gaps would look largest.
-
-    Args:
-        chunks: Of `Levels`.
-        eye: Where the camera is [m].
-        forward: Where it looks, a unit vector.
-        half_view_rad: Half the angle across the corners of its picture.
-        focal_px: Its focal length.
-        budget: Points, at most; the first chunks of tiles in view are shown in any case.
-    """
-    centres = np.array([chunk.centre for chunk in chunks])
-    radii = np.array([chunk.radius for chunk in chunks])
-    gaps = np.array([chunk.gap for chunk in chunks])
-    sizes = np.array([chunk.stop - chunk.start for chunk in chunks])
-    ahead = centres - eye
-    distance = np.linalg.norm(ahead, axis=1)
-    near = np.maximum(distance - radii, 1e-3)
-    towards = np.arccos(np.clip(ahead @ forward / np.maximum(distance, 1e-9), -1.0, 1.0))
-    wide = np.where(distance > radii, np.arcsin(np.clip(radii / np.maximum(distance, 1e-9), 0.0, 1.0)), np.pi)
-    looks = np.where(towards <= half_view_rad + wide, gaps * focal_px / near, 0.0)
-    wanted = np.flatnonzero(looks > _LEAST_PX)
-    wanted = wanted[np.argsort(-looks[wanted], kind="stable")]
-    fits = (np.cumsum(sizes[wanted]) <= budget) | np.isinf(looks[wanted])
-    return [int(index) for index in wanted[fits]]
 
 
 def _morton(xyz: np.ndarray, low: np.ndarray, extent: float) -> np.ndarray:

@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import shlex
-from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -22,8 +21,6 @@ from jaxscan.viewer.shown import ShownCloud
 
 
 Kind = Literal["point", "distance", "flatness", "room"]
-KINDS: tuple[Kind, ...] = ("point", "distance", "flatness")
-"""What clicks may mean."""
 DISTANCE_RADIUS_M = 0.02
 PLANE_RADIUS_M = 0.2
 """As of `jaxscan measure`."""
@@ -153,14 +150,6 @@ def as_json(measured: list[Measured]) -> bytes:
         for one in measured
     ]
     return json.dumps({"format": "jaxscan-measurements/1", "measured": rows}, indent=2, allow_nan=False).encode()
-
-
-def said(work: Callable[[], Measured]) -> Measured | str:
-    """A measurement, or why there is none."""
-    try:
-        return work()
-    except MeasurementError as problem:
-        return " ".join(str(problem).split())
 
 
 def _finite(words: tuple[str, ...]) -> tuple[str, ...]:

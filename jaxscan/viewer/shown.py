@@ -1,7 +1,6 @@
 """A cloud as it is shown: in the order of its levels, with its colours and the place where it stands."""
 
 import dataclasses
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,18 +11,6 @@ from jaxscan.viewer.levels import Levels, make_levels
 
 
 _MM = 1e3
-
-
-class Section(NamedTuple):
-    """A box with edges along the axes; points outside are not shown."""
-
-    low: np.ndarray
-    """Its lowest corner [3], m, in the frame of the scene."""
-    high: np.ndarray
-
-    def holds(self, xyz: np.ndarray) -> np.ndarray:
-        """Which points lie inside, bool [n]."""
-        return np.asarray(((xyz >= self.low) & (xyz <= self.high)).all(1))
 
 
 class ShownCloud:
@@ -47,9 +34,10 @@ class ShownCloud:
         """Points in the scene's frame, in the order in which they are shown, float32 [n, 3]."""
         self.cells = cells[self.levels.order].astype(np.int32 if flat.size < 2**31 else np.int64)
         """Their places on the cloud's grid, counted line after line."""
-        self.shift = np.zeros(3)
-        """Where the cloud stands beside others, in the scene's frame [m]."""
-        self.visible = True
+
+        some = self.xyz[:: max(1, len(self.xyz) // 50_000)]
+        self.low, self.high = np.percentile(some, [1, 99], axis=0)
+        """Corners of the points without their outermost hundredth, in the scene's frame [3], m."""
 
     @property
     def points(self) -> int:

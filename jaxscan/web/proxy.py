@@ -1,7 +1,7 @@
 """Leads requests on to a server on a loopback port, so that it stands behind the same gate."""
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import aiohttp
 from aiohttp import web
@@ -26,15 +26,8 @@ _BEGIN_S = 5.0
 _Sockets = aiohttp.ClientWebSocketResponse | web.WebSocketResponse
 
 
-def proxy_routes(prefix: str, port: int, headers: Mapping[str, str] | None = None) -> Iterable[web.RouteDef]:
-    """The routes below a prefix to a server on the loopback.
-
-    Args:
-        prefix: "" or "/view".
-        port: Of the server, at 127.0.0.1.
-        headers: What each request brings to it besides.
-    """
-    own = dict(headers or {})
+def proxy_routes(prefix: str, port: int) -> Iterable[web.RouteDef]:
+    """The routes below a prefix ("" or "/view") to the server at 127.0.0.1 and this port."""
     behind = f"http://127.0.0.1:{port}"
 
     async def lead_on(request: web.Request) -> web.StreamResponse:
@@ -44,18 +37,18 @@ def proxy_routes(prefix: str, port: int, headers: Mapping[str, str] | None = Non
             path = f"/{path}"
         try:
             if request.headers.get("Upgrade", "").lower() == "websocket":
-                return await _lead_socket(request, behind + path, own)
-            return await _lead_page(request, behind + path, own)
+                return await _lead_socket(request, behind + path)
+            return await _lead_page(request, behind + path)
         except (aiohttp.ClientError, TimeoutError):
             return web.Response(status=502, text="The viewer does not answer; begin it again.\n")
 
     if prefix:
-        yield web.get(prefix, lead_on, allow_head=False)
-    yield web.get(prefix + "/{rest:.*}", lead_on, allow_head=False)
+        yield web.get(prefix, lead_on)
+    yield web.get(prefix + "/{rest:.*}", lead_on)
 
 
-async def _lead_page(request: web.Request, url: str, own: dict[str, str]) -> web.StreamResponse:
-    headers = {name: request.headers[name] for name in _PASSED_IN if name in request.headers} | own
+async def _lead_page(request: web.Request, url: str) -> web.StreamResponse:
+    headers = {name: request.headers[name] for name in _PASSED_IN if name in request.headers}
     limits = aiohttp.ClientTimeout(connect=_BEGIN_S)
     async with (
         aiohttp.ClientSession(timeout=limits, auto_decompress=False) as session,
@@ -72,13 +65,13 @@ async def _lead_page(request: web.Request, url: str, own: dict[str, str]) -> web
         return response
 
 
-async def _lead_socket(request: web.Request, url: str, own: dict[str, str]) -> web.StreamResponse:
+async def _lead_socket(request: web.Request, url: str) -> web.StreamResponse:
     said = request.headers.get("Sec-WebSocket-Protocol", "")
     protocols = [word.strip() for word in said.split(",") if word.strip()]
     limits = aiohttp.ClientTimeout(connect=_BEGIN_S)
     async with (
         aiohttp.ClientSession(timeout=limits) as session,
-        session.ws_connect(_exact(url), protocols=protocols, max_msg_size=MOST_OUT, headers=own) as inner,
+        session.ws_connect(_exact(url), protocols=protocols, max_msg_size=MOST_OUT) as inner,
     ):
         chosen = [inner.protocol] if inner.protocol else []
         outer = web.WebSocketResponse(protocols=chosen, max_msg_size=MOST_IN, compress=False)
