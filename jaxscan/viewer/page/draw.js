@@ -69,7 +69,7 @@ export class Drawing {
     for (const { key, cloud, chunk } of shown) {
       const { place, colour } = this.kept.get(key);
       gl.uniform3f(this.uniform.middle, ...[0, 1, 2].map((k) => chunk[X + k] + cloud.shift[k]));
-      gl.uniform1f(this.uniform.size, 1.15 * this.size * focal * finest.get(1000 * cloud.number + chunk[TILE]));
+      gl.uniform1f(this.uniform.size, 1.3 * this.size * focal * finest.get(1000 * cloud.number + chunk[TILE]));
       gl.bindBuffer(gl.ARRAY_BUFFER, place); gl.vertexAttribPointer(this.at.place, 3, gl.FLOAT, false, 0, 0);
       gl.bindBuffer(gl.ARRAY_BUFFER, colour); gl.vertexAttribPointer(this.at.colour, 3, gl.UNSIGNED_BYTE, true, 0, 0);
       gl.drawArrays(gl.POINTS, 0, chunk[COUNT]);
