@@ -2,11 +2,8 @@
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
-
-from jaxscan.geometry import Array
 
 
 LARGEST_BLOCK = 1 << 12
@@ -49,13 +46,13 @@ class Blocks:
         radius = np.linalg.norm(grouped - centre[:, None], axis=-1).max(1)
         return Blocks(order, size, count, centre, radius)
 
-    def gather(self, field: np.ndarray) -> list[Array]:
-        """A field [n, ...] of the points, block by block."""
-        return [jnp.asarray(field[part]) for part in self.order.reshape(-1, self.size)]
+    def gather(self, field: np.ndarray) -> np.ndarray:
+        """A field [n, ...] of the points, block by block: [blocks, size, ...]."""
+        return field[self.order].reshape(-1, self.size, *field.shape[1:])
 
     def scatter(self, field: np.ndarray) -> np.ndarray:
-        """The way back of `gather`: a field [padded, ...] of all blocks, in the order of the points."""
-        flat = field[: self.count]
+        """The way back of `gather`: a field [blocks, size, ...], in the order of the points."""
+        flat = field.reshape(-1, *field.shape[2:])[: self.count]
         back = np.empty_like(flat)
         back[self.order[: self.count]] = flat
         return back

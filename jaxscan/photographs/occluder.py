@@ -7,34 +7,32 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from jaxscan.geometry import Array, Scanner
 from jaxscan.photographs.blocks import Blocks
 from jaxscan.photographs.surface import surface_samples
-from jaxscan.photographs.view import Lens, Sight, View, sight
+from jaxscan.photographs.view import Lens, View, sight
 from jaxscan.reconstruction import PointCloud
 
 
 CELLS = 256
 """Cells of distance along the shorter side of an image."""
 REFERENCES = 1 << 13
-SKIN = 0.012
-"""Depth, relative to the distance, by which a point may lie behind the surface without being hidden."""
 
 
 class Distances(NamedTuple):
     """Distances of the nearest surface in one view, cell by cell."""
 
-    nearest: Float[Array, "rows columns"]
-    """[m]; inf where there is none."""
-    cell: Float[Array, ""]
+    nearest: Float[np.ndarray, "rows columns"]
+    """[m]; inf where there is none. With a border of one cell."""
+    cell: int
     """Side of a cell [px]."""
 
     @staticmethod
     def of_nothing() -> "Distances":
         """No surface anywhere."""
-        return Distances(np.full((3, 3), np.inf, np.float32), np.asarray(1 << 16, np.float32))
+        return Distances(np.full((3, 3), np.inf, np.float32), 1 << 16)
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class Occluder:
             blocks, parts = self.surface
             for block in blocks.seen_from(np.asarray(view.T_scanner_cam), float(view.lens.least_cosine)):
                 nearest = _draw(nearest, view, parts[block], cell)
-        return Distances(_spread(nearest), cell)
+        return Distances(np.asarray(_spread(nearest)), self.cell)
 
 
 def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
@@ -86,45 +84,7 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
     blocks = Blocks.of(xyz)
     chosen = np.linspace(0, len(xyz) - 1, REFERENCES).astype(int)
     shape = -(-camera.height // cell) + 2, -(-camera.width // cell) + 2
-    return Occluder((blocks, blocks.gather(xyz)), (xyz[chosen], rgb[chosen]), cell, shape)
-
-
-def hidden(
-    seen: Sight, point: Float[Array, "3"], normal: Float[Array, "3"], view: View, distances: Distances
-) -> Bool[Array, ""]:
-    """Whether something stands before a point, or so near its line of sight that their light could mix.
-
-    Args:
-        seen: The point in the view.
-        point: The point [m].
-        normal: Normal of its surface; zero where unknown.
-        view: The view.
-        distances: The nearest surface in it.
-    """
-    column, row = _cell(seen.q, distances)
-    # A slanted surface is nearer beside the point: within two cells by so much.
-    cosine = jnp.clip(facing(point, normal, view), 1 / STEEPEST_SEEN, 1.0)
-    slope = jnp.sqrt(1.0 - cosine * cosine) / cosine
-    skin = SKIN + 2.0 * distances.cell * view.lens.per_pixel * slope
-    return seen.range_m * (1.0 - skin) > jnp.asarray(distances.nearest).at[row, column].get(mode="clip")
-
-
-STEEPEST_SEEN = 6.0
-"""Ways along a surface for one across it, seen from the camera: beyond, no colour is taken."""
-UNKNOWN_FACING = 0.5
-"""Cosine to the line of sight that a surface without normal is taken to have."""
-
-
-def facing(point: Float[Array, "3"], normal: Float[Array, "3"], view: View) -> Float[Array, ""]:
-    """Cosine between the normal of a surface and the way to the camera."""
-    way = view.T_scanner_cam[:3, 3] - point
-    cosine = jnp.sum(way * normal) / jnp.maximum(jnp.sqrt(jnp.sum(way * way)), 1e-9)
-    return jnp.where(jnp.any(normal != 0), cosine, UNKNOWN_FACING)
-
-
-def _cell(q: Float[Array, "2"], distances: Distances) -> Array:
-    """Cell (column, row) of a pixel, with a border of one."""
-    return jnp.floor((q + 0.5) / distances.cell).astype(jnp.int32) + 1
+    return Occluder((blocks, [jnp.asarray(part) for part in blocks.gather(xyz)]), (xyz[chosen], rgb[chosen]), cell, shape)
 
 
 @functools.partial(jax.jit, donate_argnums=0)
