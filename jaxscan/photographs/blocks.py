@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt32
 
 
-LARGEST_BLOCK = 1 << 12
+LARGEST_BLOCK = 1 << 11
 
 
 @dataclass(frozen=True)
@@ -25,21 +25,9 @@ class Blocks:
 
     @staticmethod
     def of(points: Float[np.ndarray, "n 3"], largest: int = LARGEST_BLOCK) -> "Blocks":
-        """Divide points [m] across their longest side until blocks are small."""
-        size = min(largest, 1 << max(len(points) - 1, 1).bit_length())
-        runs, waiting = [], [np.arange(len(points))]
-        while waiting:
-            part = waiting.pop()
-            if len(part) <= size:
-                runs.append(part)
-                continue
-            half = size * (-(-len(part) // size) // 2)
-            axis = int(np.argmax(np.ptp(points[part], axis=0)))
-            halves = part[np.argpartition(points[part, axis], half)]
-            # The full blocks first: only the last one may be short.
-            waiting += [halves[half:], halves[:half]]
-        order = np.concatenate(runs)
-        count = len(order)
+        """Points [m] along a curve that fills space, cut into runs."""
+        size, count = min(largest, 1 << max(len(points) - 1, 1).bit_length()), len(points)
+        order = np.argsort(_along_curve(points), kind="stable")
         order = np.concatenate([order, np.repeat(order[-1:], -count % size)])
         grouped = points[order].reshape(-1, size, 3)
         centre = (grouped.min(1) + grouped.max(1)) / 2
@@ -66,3 +54,12 @@ class Blocks:
         away = np.arccos(np.clip(way @ pose[:3, 2] / np.maximum(distance, 1e-9), -1, 1))
         reach = np.arccos(np.clip(least_cosine, -1, 1)) + np.arcsin(np.clip(ratio, 0, 1))
         return np.flatnonzero(within | (away <= reach))
+
+
+def _along_curve(points: Float[np.ndarray, "n 3"]) -> UInt32[np.ndarray, " n"]:
+    """Numbers of the cells in which points lie, by the curve of Morton: the bits of the three places take turns."""
+    extent = max(float(np.ptp(points, axis=0).max()), 1e-9)
+    cells = ((points - points.min(0)) * np.float32(1023 / extent)).astype(np.uint32)
+    for shift, mask in ((16, 0xFF0000FF), (8, 0x0F00F00F), (4, 0xC30C30C3), (2, 0x49249249)):
+        cells = (cells | (cells << np.uint32(shift))) & np.uint32(mask)
+    return cells[:, 0] | (cells[:, 1] << np.uint32(1)) | (cells[:, 2] << np.uint32(2))

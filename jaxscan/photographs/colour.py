@@ -30,6 +30,8 @@ class BlendSettings(NamedTuple):
 
 
 DEFAULT_BLEND = BlendSettings()
+AT_ONCE = 16
+"""Blocks that are projected by one call."""
 
 
 class _Places(NamedTuple):
@@ -59,7 +61,7 @@ def colour_points(
 ) -> tuple[UInt8[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """The colour of each point, blended of all photographs that show it.
 
-    Each photograph is held once, and all points that it may show are looked up in it. It counts for a point by how
+    Each photograph that may show a point is held once, and all points are looked up in it. It counts for a point by how
     steeply, how near and how far from its border it shows it; not at all where something stands before the point or
     beside it, where the surface is seen from behind or along itself, and where a pixel is saturated. Colours that
     disagree are not mixed. Memory: about 100 bytes for each point.
@@ -96,25 +98,38 @@ def colour_points(
             shot = _prepared(photograph, lens, photographs.scanner, occluder)
             return shot if occluder is None or not settings.exposure else shot._replace(gain=_gain(shot, occluder))
 
-        def look(block: int, shot: _Shot) -> None:
-            found = _observed(shot, _Places(*(field[block] for field in places)), settings.bearing)
-            _add(found, shot.gain, settings.tolerance_dn, (tally.total[block], tally.weight[block]))
-            seen[block] |= found[1] > 0
+        def look(few: np.ndarray, shot: _Shot) -> None:
+            # Always as many, or each number of them would be compiled.
+            padded = _Places(*(field[np.resize(few, AT_ONCE)].reshape(-1, 3) for field in places))
+            colours, weights = _observed(shot, padded, settings.bearing)
+            each = zip(few, *(part.reshape(AT_ONCE, blocks.size, -1) for part in (colours, weights)), strict=False)
+            for block, colour, weight in each:
+                weight = weight[:, 0]
+                _add((colour, weight), shot.gain, settings.tolerance_dn, (tally.total[block], tally.weight[block]))
+                seen[block] |= weight > 0
+
+        def visible(T_scanner_cam: np.ndarray) -> np.ndarray:
+            return blocks.seen_from(T_scanner_cam, float(lens.least_cosine))
+
+        def is_wanted(angle: float) -> bool:
+            return len(visible(poses(photographs.scanner, np.array([angle]))[0])) > 0
 
         # While points are looked up in one photograph, the next one is prepared.
-        for shot in map_ahead(prepare, photographs, 1):
-            visible = blocks.seen_from(np.asarray(shot.view.T_scanner_cam), float(lens.least_cosine))
-            for _ in pool.map(look, visible.tolist(), itertools.repeat(shot)):
+        for shot in map_ahead(prepare, photographs.where(is_wanted), 1):
+            numbers = visible(np.asarray(shot.view.T_scanner_cam))
+            groups = [numbers[start : start + AT_ONCE] for start in range(0, len(numbers), AT_ONCE)]
+            for _ in pool.map(look, groups, itertools.repeat(shot)):
                 pass
-        each = [conclude(Tally(*part), settings.tolerance_dn) for part in zip(*tally, strict=True)]
-        return blocks.scatter(np.stack(each)), blocks.scatter(seen)
+        each = pool.map(lambda part: conclude(Tally(*part), settings.tolerance_dn), zip(*tally, strict=True))
+        return blocks.scatter(np.stack(list(each))), blocks.scatter(seen)
 
 
 def _prepared(photograph: Photograph, lens: Lens, scanner: Scanner, occluder: Occluder | None) -> _Shot:
     """A photograph with the surfaces in it, not yet equalised."""
     # JAX keeps this setting per thread.
     with jax.enable_x64(False):
-        view = View(lens, poses(scanner, np.array([photograph.angle]))[0])
+        # It is handed to many calls.
+        view = jax.device_put(View(lens, poses(scanner, np.array([photograph.angle]))[0]))
         distances = Distances.of_nothing() if occluder is None else occluder.distances(view)
     return _Shot(np.ascontiguousarray(photograph.image), view, distances, np.ones(3, np.float32))
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from jaxscan.errors import CloudError
+from jaxscan.reconstruction.ahead import map_ahead, workers
 from jaxscan.surface.grid_mesh import GridMesh, used_places, vertex_fields
 from jaxscan.surface.mesh import Mesh
 
@@ -26,6 +27,8 @@ BAND_WIDTH = 8192
 """Longer charts are folded: every browser holds this many texels on a side."""
 AT_A_TIME = 4_000_000
 """Texels that are coloured at a time."""
+PART = 50_000
+"""Texels that are placed at a time."""
 
 
 class _Texels(NamedTuple):
@@ -139,12 +142,21 @@ def _picture(grid: GridMesh, colour: Colour, chart: _Chart) -> UInt8[np.ndarray,
     drawn = np.zeros(chart.shape, np.bool_)
     stride = max(1, AT_A_TIME // (cells * chart.across * chart.along))
     for start in range(0, gaps, stride):
-        found = _texels(grid, start, min(start + stride, gaps), chart)
+        found = _texels_between(grid, start, min(start + stride, gaps), chart)
         if len(found.points):
             rgb, seen = colour(found.points, found.normals)
             picture[found.at] = np.where(seen[:, None], rgb, found.rgb)
             drawn[found.at] = True
     return _spread(picture, drawn)
+
+
+def _texels_between(grid: GridMesh, start: int, stop: int, chart: _Chart) -> _Texels:
+    """Texels on the faces of the cells between some columns, in parts that fit into the cache."""
+    few = max(1, PART // (grid.codes.shape[1] * chart.across * chart.along))
+    starts = range(start, stop, few)
+    parts = map_ahead(lambda k: _texels(grid, k, min(k + few, stop), chart), starts, workers(), compiled=True)
+    at, *fields = zip(*parts, strict=True)
+    return _Texels(tuple(map(np.concatenate, zip(*at, strict=True))), *map(np.concatenate, fields))
 
 
 def _texels(grid: GridMesh, start: int, stop: int, chart: _Chart) -> _Texels:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,18 +49,22 @@ class CapturedPhotographs:
     progress: Progress = None
 
     def __iter__(self) -> Iterator[Photograph]:
+        return self.where(lambda angle: True)
+
+    def where(self, wanted: Callable[[float], bool]) -> Iterator[Photograph]:
+        """Those whose angle is wanted; the others are not read."""
         angles = self.capture.angles
         for done, record in enumerate(self.records):
-            frame = self.capture.off_frame(record)
-            if frame is None:
-                raise CaptureError(
-                    f"{self.capture.path}: record {self.capture.records[record].i} has no laser-off image."
-                )
-            if len(self.capture.exposures) > 1:
-                frame = frame[-1]
-            yield Photograph(float(angles[record]), as_rgb(frame, self.capture.pixel_format))
+            if wanted(float(angles[record])):
+                yield Photograph(float(angles[record]), self._image(record))
             if self.progress is not None:
                 self.progress(done + 1, len(self.records))
+
+    def _image(self, record: int) -> np.ndarray:
+        frame = self.capture.off_frame(record)
+        if frame is None:
+            raise CaptureError(f"{self.capture.path}: record {self.capture.records[record].i} has no laser-off image.")
+        return as_rgb(frame if len(self.capture.exposures) == 1 else frame[-1], self.capture.pixel_format)
 
 
 def has_photographs(capture: Capture) -> bool:
