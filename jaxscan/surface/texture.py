@@ -31,8 +31,8 @@ PART = 50_000
 """Texels that are placed at a time."""
 
 
-class _Texels(NamedTuple):
-    """The texels of some columns that lie on a face."""
+class Texels(NamedTuple):
+    """Texels that lie on a face."""
 
     at: tuple[np.ndarray, np.ndarray]
     """Row and column in the picture of each."""
@@ -40,6 +40,14 @@ class _Texels(NamedTuple):
     normals: Float[np.ndarray, "n 3"]
     rgb: UInt8[np.ndarray, "n 3"]
     """Between the colours of the vertices."""
+
+    @staticmethod
+    def joined(parts: "list[Texels]") -> "Texels":
+        """All of some parts."""
+        at, points, normals, rgb = zip(*parts, strict=True)
+        rows, columns = zip(*at, strict=True)
+        joined = [np.concatenate(field) for field in (rows, columns, points, normals, rgb)]
+        return Texels((joined[0], joined[1]), joined[2], joined[3], joined[4])
 
 
 class _Chart(NamedTuple):
@@ -150,16 +158,15 @@ def _picture(grid: GridMesh, colour: Colour, chart: _Chart) -> UInt8[np.ndarray,
     return _spread(picture, drawn)
 
 
-def _texels_between(grid: GridMesh, start: int, stop: int, chart: _Chart) -> _Texels:
+def _texels_between(grid: GridMesh, start: int, stop: int, chart: _Chart) -> Texels:
     """Texels on the faces of the cells between some columns, in parts that fit into the cache."""
     few = max(1, PART // (grid.codes.shape[1] * chart.across * chart.along))
     starts = range(start, stop, few)
     parts = map_ahead(lambda k: _texels(grid, k, min(k + few, stop), chart), starts, workers(), compiled=True)
-    at, *fields = zip(*parts, strict=True)
-    return _Texels(tuple(map(np.concatenate, zip(*at, strict=True))), *map(np.concatenate, fields))
+    return Texels.joined(list(parts))
 
 
-def _texels(grid: GridMesh, start: int, stop: int, chart: _Chart) -> _Texels:
+def _texels(grid: GridMesh, start: int, stop: int, chart: _Chart) -> Texels:
     """Texels on the faces of the cells between some columns."""
     # All texels of a cell one after the other.
     steps = [part.ravel() for part in np.meshgrid(np.arange(chart.across), np.arange(chart.along), indexing="ij")]
@@ -182,7 +189,7 @@ def _texels(grid: GridMesh, start: int, stop: int, chart: _Chart) -> _Texels:
     normals = normals.reshape(-1, 3)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
     points = (xyz.reshape(-1, 3) + centre).astype(np.float32)
-    return _Texels((y.ravel(), x.ravel()), points, normals, np.clip(rgb.reshape(-1, 3) + 0.5, 0, 255).astype(np.uint8))
+    return Texels((y.ravel(), x.ravel()), points, normals, np.clip(rgb.reshape(-1, 3) + 0.5, 0, 255).astype(np.uint8))
 
 
 def _weights(bits: np.ndarray, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "cells texels 4"]:
