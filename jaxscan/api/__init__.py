@@ -10,6 +10,7 @@ from jaxscan.api.products import (
     colour_cloud,
     draw_board,
     draw_panorama,
+    draw_texture,
     export_photographs,
     has_photographs,
     mesh_cloud,

@@ -84,7 +84,7 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
     blocks = Blocks.of(xyz)
     chosen = np.linspace(0, len(xyz) - 1, REFERENCES).astype(int)
     shape = -(-camera.height // cell) + 2, -(-camera.width // cell) + 2
-    parts = [jnp.asarray(part) for part in blocks.gather(xyz)]
+    parts: list[Array] = [jnp.asarray(part) for part in blocks.gather(xyz)]
     return Occluder((blocks, parts), (xyz[chosen], rgb[chosen]), cell, shape)
 
 

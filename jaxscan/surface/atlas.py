@@ -12,7 +12,7 @@ from jaxscan.surface.texture import AT_A_TIME, BAND_WIDTH, LARGEST_SIDE, Colour,
 GAP = 4
 """Texels round each chart that have the colour of the nearest one in it."""
 PART = 200_000
-"""Texels that are placed at a time."""
+"""Texels that are placed at a time, with those beside the faces."""
 
 
 def texture_any_mesh(mesh: Mesh, colour: Colour, pixels_per_radian: float) -> Mesh:
@@ -23,8 +23,8 @@ def texture_any_mesh(mesh: Mesh, colour: Colour, pixels_per_radian: float) -> Me
     Args:
         mesh: In the scanner frame.
         colour: Asked for each texel. Where it knows none, the colours of the vertices serve.
-        pixels_per_radian: Resolution of the camera, px: in the middle of each chart, a texel is about a pixel, as long as
-            the picture is no larger than graphics cards hold.
+        pixels_per_radian: Resolution of the camera, px: in the middle of each chart, a texel is about a pixel, or
+            larger where the picture would be too large for graphics cards.
 
     Returns:
         The mesh with `uv` and `texture`.
@@ -40,8 +40,8 @@ def texture_any_mesh(mesh: Mesh, colour: Colour, pixels_per_radian: float) -> Me
     place, shape = _packed(flat, of, _scales(mesh, of, vertex, pixels_per_radian))
     parts = [field[vertex] for field in (mesh.vertices, mesh.normals, mesh.rgb)]
     uv = (place / shape[::-1]).astype(np.float32)
-    made = Mesh(parts[0], parts[1], parts[2], faces, uv, np.zeros((*shape, 3), np.uint8))
-    return made._replace(texture=_picture(made, place, colour))
+    made = Mesh(parts[0], parts[1], parts[2], faces, uv)
+    return made._replace(texture=_picture(made, place, shape, colour))
 
 
 def _scales(
@@ -82,9 +82,11 @@ def _shelves(size: Int[np.ndarray, "charts 2"]) -> tuple[Int[np.ndarray, "charts
     return corner, (int(top + shelf), width)
 
 
-def _picture(mesh: Mesh, place: Float[np.ndarray, "n 2"], colour: Colour) -> UInt8[np.ndarray, "rows columns 3"]:
-    """The picture of a mesh with `uv` whose vertices are at these places of it [texels]."""
-    picture, drawn = np.zeros_like(mesh.texture), np.zeros(mesh.texture.shape[:2], np.bool_)
+def _picture(
+    mesh: Mesh, place: Float[np.ndarray, "n 2"], shape: tuple[int, int], colour: Colour
+) -> UInt8[np.ndarray, "rows columns 3"]:
+    """The picture of a mesh whose vertices are at these places of it [texels]."""
+    picture, drawn = np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.bool_)
 
     def draw(texels: Texels) -> None:
         rgb, seen = colour(texels.points, texels.normals)
@@ -97,9 +99,13 @@ def _picture(mesh: Mesh, place: Float[np.ndarray, "n 2"], colour: Colour) -> UIn
     corners = place[mesh.faces]
     first = np.ceil(corners.min(1) - 0.5).astype(np.int64)
     boxes = np.maximum(np.floor(corners.max(1) - 0.5).astype(np.int64) - first + 1, 0)
-    size = boxes[:, 0] * boxes[:, 1]
-    for group in _runs(size, AT_A_TIME):
-        runs = [group[run] for run in _runs(size[group], PART)]
+    # In the order of their bearing: of each group some photographs show nothing.
+    middle = mesh.vertices[mesh.faces].mean(1)
+    order = np.argsort(np.arctan2(middle[:, 1], middle[:, 0]))
+    size = boxes[order, 0] * boxes[order, 1]
+    # Of the box round a face, half is on the face.
+    for group in _runs(size, 2 * AT_A_TIME):
+        runs = [order[group[run]] for run in _runs(size[group], PART)]
         parts = map_ahead(lambda run: _texels(mesh, place, run, (first, boxes)), runs, workers(), compiled=True)
         draw(Texels.joined(list(parts)))
     return _grown(picture, drawn)
@@ -141,7 +147,7 @@ def _texels(
 
 
 def _grown(picture: np.ndarray, drawn: np.ndarray) -> np.ndarray:
-    """The picture with charts that are wider by `GAP` on all sides, so that no viewer mixes them with the background."""
+    """The picture with charts that are wider by `GAP`, so that no viewer mixes them with the background."""
     for _ in range(GAP):
         for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
             target, source = slice(1, None), slice(None, -1)

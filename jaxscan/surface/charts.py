@@ -12,8 +12,7 @@ from jaxscan.surface.mesh import Mesh
 ROUNDS = 8
 """Times that faces take the direction of most of their neighbours: so noise does not tear a chart to pieces."""
 LEAST_FACING = 0.35
-"""Cosine between the normal of a face and the direction of its chart, at the least: no further than this is a face drawn
-out."""
+"""Cosine between the normal of a face and the direction of its chart: so little is a face squeezed at the most."""
 
 
 def chart_directions(areas: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "6 3"]:
