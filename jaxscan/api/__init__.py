@@ -16,6 +16,7 @@ from jaxscan.api.products import (
     mesh_cloud,
     open_photographs,
     panorama_paths,
+    photograph_notes,
     poisson_mesh,
     save_board,
     save_drawing,

@@ -12,6 +12,7 @@ from jaxscan.api.products.photographs import (
     has_photographs,
     open_photographs,
     panorama_paths,
+    photograph_notes,
     save_panorama,
 )
 from jaxscan.api.products.scans import save_scan

@@ -85,8 +85,11 @@ def mesh(
     if texture is None or scanner is None:
         made = _mesh_of(points, scanner, settings, faces=faces, poisson=poisson)
     else:
+        sweep = api.open_capture(texture)
+        for note in api.photograph_notes(sweep, scanner):
+            out.print(f"note: {note}")
         with progress_bar("Drawing the texture") as progress:
-            drawn = api.Texture(api.open_capture(texture), texels, progress)
+            drawn = api.Texture(sweep, texels, progress)
             if faces is None and not poisson:
                 made = api.textured_mesh(points, scanner, drawn, settings=settings)
             else:
