@@ -73,7 +73,7 @@ def has_photographs(capture: Capture) -> bool:
 
 
 def chosen_photographs(capture: Capture, scanner: Scanner) -> tuple[int, ...]:
-    """Records of a sweep whose laser-off images are looked at: all, or so many evenly spread over its way as suffice."""
+    """Records whose laser-off images are looked at: all, or so many evenly spread over the sweep as suffice."""
     period = 2 * np.pi if scanner.turntable.carries in ("scanner", "object") else None
     return tuple(choose_evenly(capture.angles, enough_photographs(scanner), period=period).tolist())
 
