@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float, Int, UInt32
 
 
 LARGEST_BLOCK = 1 << 11
+AT_ONCE = 16
+"""Blocks that are projected by one call."""
 
 
 @dataclass(frozen=True)
@@ -45,15 +47,24 @@ class Blocks:
         back[self.order[: self.count]] = flat
         return back
 
-    def seen_from(self, pose: Float[np.ndarray, "4 4"], least_cosine: float) -> Int[np.ndarray, " seen"]:
-        """Blocks that may reach into the cone of a view about the z axis of its pose."""
+    @staticmethod
+    def taken(field: np.ndarray, few: Int[np.ndarray, " few"]) -> np.ndarray:
+        """`AT_ONCE` blocks of a field [blocks, size, 3], some again and again where there are fewer: [n, 3].
+
+        Always as many, or each number of them would be compiled.
+        """
+        return field[np.resize(few, AT_ONCE)].reshape(-1, 3)
+
+    def seen_from(self, pose: Float[np.ndarray, "4 4"], least_cosine: float) -> list[Int[np.ndarray, " few"]]:
+        """Blocks that may reach into the cone of a view about the z axis of its pose, `AT_ONCE` at a time."""
         way = self.centre - pose[:3, 3]
         distance = np.linalg.norm(way, axis=-1)
         within: Bool[np.ndarray, " blocks"] = distance <= self.radius
         ratio = self.radius / np.maximum(distance, 1e-9)
         away = np.arccos(np.clip(way @ pose[:3, 2] / np.maximum(distance, 1e-9), -1, 1))
         reach = np.arccos(np.clip(least_cosine, -1, 1)) + np.arcsin(np.clip(ratio, 0, 1))
-        return np.flatnonzero(within | (away <= reach))
+        seen = np.flatnonzero(within | (away <= reach))
+        return [seen[start : start + AT_ONCE] for start in range(0, len(seen), AT_ONCE)]
 
 
 def _along_curve(points: Float[np.ndarray, "n 3"]) -> UInt32[np.ndarray, " n"]:

@@ -8,12 +8,11 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from jaxscan.geometry import Scanner
 from jaxscan.photographs.blend import Tally, conclude
 from jaxscan.photographs.blocks import Blocks
 from jaxscan.photographs.occluder import Distances, Occluder
 from jaxscan.photographs.photograph import Photograph, Photographs
-from jaxscan.photographs.view import Lens, View, poses, sights
+from jaxscan.photographs.view import Lens, View, pose_finder, sights
 from jaxscan.reconstruction.ahead import map_ahead, workers
 
 
@@ -30,8 +29,6 @@ class BlendSettings(NamedTuple):
 
 
 DEFAULT_BLEND = BlendSettings()
-AT_ONCE = 16
-"""Blocks that are projected by one call."""
 
 
 class _Places(NamedTuple):
@@ -44,6 +41,7 @@ class _Places(NamedTuple):
 class _Shot(NamedTuple):
     """A photograph, and all that is known about it."""
 
+    angle: float
     image: UInt8[np.ndarray, "rows columns 3"]
     view: View
     distances: Distances
@@ -90,48 +88,44 @@ def colour_points(
     # Single precision throughout, so that the result does not depend on the caller's setting.
     with jax.enable_x64(False), ThreadPoolExecutor(workers()) as pool:
         lens, blocks = Lens.of(photographs.scanner.camera), Blocks.of(points)
+        pose_at = pose_finder(photographs.scanner)
         places = _Places(blocks.gather(points), blocks.gather(unit))
         tally = Tally.start(blocks.gather(np.zeros((len(points), 3), np.uint8) if start is None else start))
         seen = np.zeros(tally.weight.shape[:2], np.bool_)
 
         def prepare(photograph: Photograph) -> _Shot:
-            shot = _prepared(photograph, lens, photographs.scanner, occluder)
+            shot = _prepared(photograph, lens, pose_at(photograph.angle), occluder)
             return shot if occluder is None or not settings.exposure else shot._replace(gain=_gain(shot, occluder))
 
         def look(few: np.ndarray, shot: _Shot) -> None:
-            # Always as many, or each number of them would be compiled.
-            padded = _Places(*(field[np.resize(few, AT_ONCE)].reshape(-1, 3) for field in places))
+            padded = _Places(*(blocks.taken(field, few) for field in places))
             colours, weights = _observed(shot, padded, settings.bearing)
-            each = zip(few, *(part.reshape(AT_ONCE, blocks.size, -1) for part in (colours, weights)), strict=False)
-            for block, colour, weight in each:
-                weight = weight[:, 0]
-                _add((colour, weight), shot.gain, settings.tolerance_dn, (tally.total[block], tally.weight[block]))
-                seen[block] |= weight > 0
+            for number, block in enumerate(few):
+                mine = slice(number * blocks.size, (number + 1) * blocks.size)
+                found = colours[mine], weights[mine]
+                _add(found, shot.gain, settings.tolerance_dn, (tally.total[block], tally.weight[block]))
+                seen[block] |= weights[mine] > 0
 
-        def visible(T_scanner_cam: np.ndarray) -> np.ndarray:
-            return blocks.seen_from(T_scanner_cam, float(lens.least_cosine))
-
-        def is_wanted(angle: float) -> bool:
-            return len(visible(poses(photographs.scanner, np.array([angle]))[0])) > 0
+        def visible(angle: float) -> list[np.ndarray]:
+            return blocks.seen_from(pose_at(angle), float(lens.least_cosine))
 
         # While points are looked up in one photograph, the next one is prepared.
-        for shot in map_ahead(prepare, photographs.where(is_wanted), 1):
-            numbers = visible(np.asarray(shot.view.T_scanner_cam))
-            groups = [numbers[start : start + AT_ONCE] for start in range(0, len(numbers), AT_ONCE)]
-            for _ in pool.map(look, groups, itertools.repeat(shot)):
+        shots = photographs.where(lambda angle: len(visible(angle)) > 0)
+        for shot in map_ahead(prepare, shots, 1):
+            for _ in pool.map(look, visible(shot.angle), itertools.repeat(shot)):
                 pass
         each = pool.map(lambda part: conclude(Tally(*part), settings.tolerance_dn), zip(*tally, strict=True))
         return blocks.scatter(np.stack(list(each))), blocks.scatter(seen)
 
 
-def _prepared(photograph: Photograph, lens: Lens, scanner: Scanner, occluder: Occluder | None) -> _Shot:
+def _prepared(photograph: Photograph, lens: Lens, pose: np.ndarray, occluder: Occluder | None) -> _Shot:
     """A photograph with the surfaces in it, not yet equalised."""
     # JAX keeps this setting per thread.
     with jax.enable_x64(False):
-        # It is handed to many calls.
-        view = jax.device_put(View(lens, poses(scanner, np.array([photograph.angle]))[0]))
+        # On the device: it is handed to many calls.
+        view = jax.device_put(View(lens, pose))
         distances = Distances.of_nothing() if occluder is None else occluder.distances(view)
-    return _Shot(np.ascontiguousarray(photograph.image), view, distances, np.ones(3, np.float32))
+    return _Shot(photograph.angle, np.ascontiguousarray(photograph.image), view, distances, np.ones(3, np.float32))
 
 
 LEAST_COMMON = 50

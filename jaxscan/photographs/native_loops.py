@@ -173,3 +173,22 @@ def read(image, pixels, colours):
     """Colours [n, 3] of an image at places [n, 2], to be filled."""
     for n in range(len(pixels)):
         _read(image, pixels[n, 0], pixels[n, 1], colours[n])
+
+
+@_whole
+@no_type_check
+def draw(sights, cell, nearest):
+    """Draw samples of a surface as distances into cells.
+
+    Args:
+        sights: Pixel [n, 2], distance from the camera [n] and whether it is in the image [n].
+        cell: Side of a cell [px].
+        nearest: Of the surface in each cell, with a border of one; lowered where a sample is nearer.
+    """
+    pixels, ranges, inside = sights
+    for n in range(len(ranges)):
+        if inside[n]:
+            # Each sample covers the two cells beside it on each axis, of which this is the first one.
+            row = int(np.floor((pixels[n, 1] + 0.5) / cell - 0.5)) + 1
+            column = int(np.floor((pixels[n, 0] + 0.5) / cell - 0.5)) + 1
+            nearest[row, column] = min(nearest[row, column], ranges[n])

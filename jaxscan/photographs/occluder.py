@@ -1,18 +1,15 @@
 """Hidden places: the surface of a cloud, drawn as distances into each photograph."""
 
-import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from jaxscan.geometry import Array, Scanner
+from jaxscan.geometry import Scanner
 from jaxscan.photographs.blocks import Blocks
 from jaxscan.photographs.surface import surface_samples
-from jaxscan.photographs.view import Lens, View, sight
+from jaxscan.photographs.view import Lens, View, sights
 from jaxscan.reconstruction import PointCloud
 
 
@@ -39,7 +36,7 @@ class Distances(NamedTuple):
 class Occluder:
     """The surface of a room as photographs of it need it; made once for a cloud by `make_occluder`."""
 
-    surface: tuple[Blocks, list[Array]] | None
+    surface: tuple[Blocks, Float[np.ndarray, "blocks size 3"]] | None
     """Samples of the surface, block by block [m]; None where nothing is known to stand anywhere."""
     references: tuple[Float[np.ndarray, "references 3"], Float[np.ndarray, "references 3"]]
     """Points all over the room, and their usual colours: by these, exposures are equalised."""
@@ -54,12 +51,15 @@ class Occluder:
 
     def distances(self, view: View) -> Distances:
         """The surface in one view."""
-        nearest, cell = jnp.full(self.shape, jnp.inf, jnp.float32), np.asarray(self.cell, np.float32)
+        # Here, because it loads numba: whoever reads no colours does not wait for that.
+        from jaxscan.photographs.native_loops import draw
+
+        nearest = np.full(self.shape, np.inf, np.float32)
         if self.surface is not None:
-            blocks, parts = self.surface
-            for block in blocks.seen_from(np.asarray(view.T_scanner_cam), float(view.lens.least_cosine)):
-                nearest = _draw(nearest, view, parts[block], cell)
-        return Distances(np.asarray(_spread(nearest)), self.cell)
+            blocks, points = self.surface
+            for few in blocks.seen_from(np.asarray(view.T_scanner_cam), float(view.lens.least_cosine)):
+                draw(tuple(np.asarray(part) for part in sights(view, blocks.taken(points, few))), self.cell, nearest)
+        return Distances(_spread(nearest), self.cell)
 
 
 def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
@@ -84,21 +84,11 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
     blocks = Blocks.of(xyz)
     chosen = np.linspace(0, len(xyz) - 1, REFERENCES).astype(int)
     shape = -(-camera.height // cell) + 2, -(-camera.width // cell) + 2
-    parts: list[Array] = [jnp.asarray(part) for part in blocks.gather(xyz)]
-    return Occluder((blocks, parts), (xyz[chosen], rgb[chosen]), cell, shape)
+    return Occluder((blocks, blocks.gather(xyz)), (xyz[chosen], rgb[chosen]), cell, shape)
 
 
-@functools.partial(jax.jit, donate_argnums=0)
-def _draw(nearest: Array, view: View, points: Float[Array, "block 3"], cell: Array) -> Array:
-    seen = jax.vmap(sight, (None, 0))(view, points)
-    # Each sample covers the two cells beside it on each axis: see `_spread`.
-    column, row = jnp.floor((seen.q + 0.5) / cell - 0.5).astype(jnp.int32).T + 1
-    outside = jnp.asarray(nearest.shape[0], jnp.int32)
-    return jnp.asarray(nearest).at[jnp.where(seen.inside, row, outside), column].min(seen.range_m, mode="drop")
-
-
-@jax.jit
-def _spread(nearest: Array) -> Array:
+def _spread(nearest: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
     """Every sample in its own cell and in the next ones to the right and below."""
-    down = jnp.minimum(nearest, jnp.pad(nearest[:-1], ((1, 0), (0, 0)), constant_values=jnp.inf))
-    return jnp.minimum(down, jnp.pad(down[:, :-1], ((0, 0), (1, 0)), constant_values=jnp.inf))
+    for target, source in ((nearest[1:], nearest[:-1]), (nearest[:, 1:], nearest[:, :-1])):
+        np.minimum(target, source.copy(), out=target)
+    return nearest

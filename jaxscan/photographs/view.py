@@ -1,5 +1,7 @@
 """One photograph as points are seen in it: where, and how far away."""
 
+import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -56,6 +58,20 @@ def poses(scanner: Scanner, angles: Float[np.ndarray, " n"]) -> Float[np.ndarray
     with jax.enable_x64(False):
         single = scanner.without_covariance().as_dtype(np.float32)
         return np.asarray(_poses(single, np.asarray(angles, np.float32)))
+
+
+def pose_finder(scanner: Scanner) -> Callable[[float], Float[np.ndarray, "4 4"]]:
+    """`poses` of one angle at a time, each computed once."""
+    with jax.enable_x64(False):
+        single = scanner.without_covariance().as_dtype(np.float32)
+
+    @functools.cache
+    def pose_at(angle: float) -> np.ndarray:
+        # JAX keeps this setting per thread.
+        with jax.enable_x64(False):
+            return np.asarray(_poses(single, np.array([angle], np.float32)))[0]
+
+    return pose_at
 
 
 @jax.jit
