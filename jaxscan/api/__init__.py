@@ -5,6 +5,7 @@ from jaxscan.api.products import (
     BoardSheets,
     Texture,
     align_cloud,
+    began,
     check_drawing_path,
     check_panorama_path,
     colour_cloud,

@@ -47,7 +47,8 @@ def rehearse_reconstruction(expected: ExpectedSweep) -> None:
     points = np.asarray(cloud.xyz)[np.asarray(cloud.valid)]
     ends = points[points[:, 2].argmin()], points[points[:, 2].argmax()]
     measure_distance(cloud, *ends, radius_m=_PATCH_M, scanner=scanner)
-    few = zip(sweep.angles[:_DIFFERENT].tolist(), sweep.off, strict=False)
+    frames = sweep.on if sweep.off is None else sweep.off
+    few = zip(sweep.angles[:_DIFFERENT].tolist(), frames, strict=False)
     shots = [Photograph(angle, as_rgb(frame, sweep.pixel_format)) for angle, frame in few]
     colour_points(Photographs(scanner, shots), points, np.zeros_like(points), occluder=make_occluder(cloud, scanner))
     compare_clouds(cloud, cloud, scanner=scanner)

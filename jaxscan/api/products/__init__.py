@@ -15,4 +15,4 @@ from jaxscan.api.products.photographs import (
     photograph_notes,
     save_panorama,
 )
-from jaxscan.api.products.scans import save_scan
+from jaxscan.api.products.scans import began, save_scan
