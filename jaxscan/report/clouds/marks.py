@@ -19,6 +19,7 @@ LETTER_PX = 25
 _ROW_PX = 44
 _DPI = 100
 _LENGTHS_M = tuple(step * 10.0**power for power in range(-6, 7) for step in (1, 2, 5))
+_PAPER = "#{:02x}{:02x}{:02x}".format(*BACKGROUND.astype(int))
 _BESIDE = 0.03
 """Dimension lines stand off the room by this share of its extent."""
 
@@ -106,13 +107,14 @@ def _marked(picture: np.ndarray, frame: Frame, room: Room, lines: list[Line]) ->
     items = _legend(room, frame)
     # Rows of the legend are known when its words are measured; no more rows than items.
     whole = height + _ROW_PX * (len(items) + 1)
-    figure = Figure(figsize=(width / _DPI, whole / _DPI), dpi=_DPI, facecolor=BACKGROUND / 255)
+    figure = Figure(figsize=(width / _DPI, whole / _DPI), dpi=_DPI, facecolor=_PAPER)
     canvas = FigureCanvasAgg(figure)
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
     axes.set_xlim(0, width)
     axes.set_ylim(whole, 0)
-    axes.imshow(picture, extent=(0, width, height, 0), interpolation="nearest", aspect="auto", zorder=0)
+    figure.figimage(picture, 0, whole - height, origin="upper", zorder=-1)
+    axes.patch.set_visible(False)
     texts = [_draw_dimension(axes, frame, line) for line in lines]
     texts += _draw_station(axes, frame, room)
     edge = 0.02 * width
@@ -144,7 +146,7 @@ def _font() -> dict[str, Any]:
 def _halo() -> list[Any]:
     from matplotlib.patheffects import withStroke
 
-    return [withStroke(linewidth=5, foreground=tuple(BACKGROUND / 255))]
+    return [withStroke(linewidth=5, foreground=_PAPER)]
 
 
 def _draw_dimension(axes: Any, frame: Frame, line: Line) -> Any:
@@ -186,12 +188,8 @@ def _draw_station(axes: Any, frame: Frame, room: Room) -> list[Any]:
 
 
 def _draw_arrow(axes: Any, start: Sequence[float] | np.ndarray, end: Sequence[float] | np.ndarray) -> None:
-    axes.annotate(
-        "",
-        tuple(end),
-        tuple(start),
-        arrowprops={"arrowstyle": "-|>", "color": RED, "linewidth": 3, "mutation_scale": 26},
-    )
+    look = {"arrowstyle": "-|>", "color": RED, "linewidth": 3, "mutation_scale": 26}
+    axes.annotate("", tuple(end), tuple(start), arrowprops=look)
 
 
 def _draw_bar(axes: Any, left: float, y: float, wide: float) -> None:

@@ -80,6 +80,8 @@ def draw_room(
     points, colours, towards = _between_profiles(xyz, rgb, normals)
     view = room_view(points)
     kept = _in_sight(points, towards, np.array(view.eye, np.float32))
+    # A few points are no room that could be cut open.
+    kept = kept if kept.any() else ~kept
     points, colours = points[kept], colours[kept]
     shown = points[:: max(1, len(points) // 100_000)].astype(np.float64)
     shown = shown if beside is None else np.concatenate([shown, beside])
