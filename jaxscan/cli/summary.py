@@ -54,10 +54,24 @@ def summary(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def write_page(calibration: Calibration, path: Path, *, notes: tuple[str, ...] = ()) -> None:
+def write_page(
+    calibration: Calibration,
+    output: Path,
+    *,
+    notes: tuple[str, ...] = (),
+    path: Path | None = None,
+    capture: Path | None = None,
+) -> None:
     """Write the report.
 
+    Args:
+        calibration: To draw.
+        output: File to write.
+        notes: Remarks that come first.
+        path: The calibration's own file, whose time is shown where the calibration does not say its own.
+        capture: Folder of the capture of boards, for its photographs.
+
     Raises:
-        JaxscanError: If the file cannot be written.
+        JaxscanError: If the file cannot be written, or the capture is not that of the calibration.
     """
-    write_atomically(path, calibration_page(calibration, notes=notes).encode())
+    write_atomically(output, calibration_page(calibration, notes=notes).encode())

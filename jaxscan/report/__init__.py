@@ -1,6 +1,17 @@
 """The calibration report: sentences, tables, figures and the page. Pictures of clouds."""
 
-from jaxscan.report.clouds import RoomPicture, View, dimension_text, draw_cloud, room_picture
+from jaxscan.report.clouds import (
+    Beside,
+    Facts,
+    RoomPicture,
+    View,
+    cloud_page,
+    dimension_text,
+    draw_cloud,
+    facts_of,
+    room_picture,
+)
+from jaxscan.report.dates import calibration_date
 from jaxscan.report.deviations import deviation_picture
 from jaxscan.report.drawn import pdf_of
 from jaxscan.report.page import calibration_page

@@ -53,6 +53,7 @@ figure{margin:0;background:var(--paper);border:1px solid var(--line);border-radi
 figure.wide{overflow-x:auto}figure.wide svg{min-width:34rem;margin:0 auto}figure svg{margin:0 auto}
 figcaption{color:var(--soft);font-size:.85rem;line-height:1.4;padding:.3rem .3rem .2rem}
 figcaption b{color:var(--ink)}
+figure.photograph{padding:0;overflow:hidden}img{display:block;width:100%;height:auto}
 .panels figcaption{font-size:.78rem;padding:.1rem .2rem}
 svg{display:block;width:100%;height:auto}
 svg text{font-family:inherit!important}

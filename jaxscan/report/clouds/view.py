@@ -103,7 +103,8 @@ def fitted_frame(view: View, points: np.ndarray, width: int, margin: int) -> Fra
     unit = Frame(view, 1.0, (0.0, 0.0), (1, 1))
     seen = unit.pixels(points)
     low, high = seen.min(0), seen.max(0)
-    across, down = np.maximum(high - low, 1e-6)
+    # A single point would be infinitely large.
+    across, down = np.maximum(high - low, 0.02)
     inner = width - 2 * margin
     focal = inner / max(across, down / TALL)
     height = round(focal * down) + 2 * margin
