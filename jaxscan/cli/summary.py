@@ -3,10 +3,12 @@
 from pathlib import Path
 from typing import Any
 
+from jaxscan.api.products.reports import board_photographs
 from jaxscan.calibration import Calibration
 from jaxscan.cli.process.terminal import Terminal, table
+from jaxscan.files.capture import open_capture
 from jaxscan.files.disk import write_atomically
-from jaxscan.report import calibration_page, outcome_rows, parameters, words
+from jaxscan.report import calibration_date, calibration_page, outcome_rows, parameters, words
 
 
 _STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
@@ -74,4 +76,7 @@ def write_page(
     Raises:
         JaxscanError: If the file cannot be written, or the capture is not that of the calibration.
     """
-    write_atomically(output, calibration_page(calibration, notes=notes).encode())
+    photographs = {} if capture is None else board_photographs(open_capture(capture), calibration)
+    date = calibration_date(calibration, path)
+    written = calibration_page(calibration, notes=notes, date=date, photographs=photographs)
+    write_atomically(output, written.encode())

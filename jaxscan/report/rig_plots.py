@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 _UP = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u": (-1.0, 0.0, 0.0)}
-_ASIDE, _ABOVE = np.radians(62.0), np.radians(24.0)
-"""From where the rig is looked at: so far round from behind, so far up."""
+_ASIDE, _ABOVE = np.radians(np.arange(-80.0, 81.0, 10.0)), np.radians(24.0)
+"""From where the rig may be looked at: so far round from behind, so far up."""
 _STEPS_M = tuple(step * 10.0**power for power in range(-4, 4) for step in (1, 2, 5))
 
 
@@ -30,10 +30,10 @@ def rig(calibration: Calibration) -> Html | None:
     if not all(np.isfinite(value) and value < 1e4 for _, value in lengths):
         return None
     ahead = np.array([0.0, 0.0, 1.0])
+    slopes = [min(abs(float(_normal(scanner, k) @ ahead)), 1.0) for k in range(len(scanner.laser_names))]
     angles = [
-        f"the sheet of {name} is {np.degrees(np.arcsin(min(abs(float(_normal(scanner, k) @ ahead)), 1.0))):.2f}° off the "
-        "camera's line of sight"
-        for k, name in enumerate(scanner.laser_names)
+        f"sheet {name} is {np.degrees(np.arcsin(slope)):.2f}° off the camera's line of sight"
+        for name, slope in zip(scanner.laser_names, slopes, strict=True)
     ]
     text = "; ".join([*(f"{name} {1e3 * value:.1f} mm" for name, value in lengths), *angles])
     drawn = element(
@@ -42,8 +42,8 @@ def rig(calibration: Calibration) -> Html | None:
         element(
             "figcaption",
             element("b", "The rig, to scale. "),
-            f"{text[:1].upper()}{text[1:]}. Where a laser itself is, the calibration does not say: it is somewhere on its "
-            "sheet.",
+            f"{text[:1].upper()}{text[1:]}. Where a laser itself is, the calibration does not say: "
+            "it is somewhere on its sheet.",
         ),
     )
     return section("The rig", drawn)
@@ -64,7 +64,9 @@ def rig_figure(scanner: Scanner) -> "Figure":
     """Camera, sheets and axis in one scale, seen from aside, behind and above."""
     up, ahead, right = _directions(scanner)
     size = max([value for _, value in rig_lengths(scanner)] + [0.02])
-    canvas = _Canvas(up, ahead, right)
+    feet = [_sheet_foot(scanner, k) for k in range(len(scanner.laser_names))]
+    feet += [_axis_foot(scanner.turntable)] if isinstance(scanner.turntable, Turntable) else []
+    canvas = _Canvas(up, ahead, right, np.array(feet))
     for number in range(len(scanner.laser_names)):
         _draw_sheet(canvas, scanner, number, size)
     if isinstance(scanner.turntable, Turntable):
@@ -74,11 +76,18 @@ def rig_figure(scanner: Scanner) -> "Figure":
         canvas.arrow(np.zeros(3), 0.9 * size * way, INK)
         canvas.words(1.0 * size * way, "travel", INK)
     _draw_camera(canvas, scanner, size)
+    away = feet[0] / max(float(np.linalg.norm(feet[0])), 1e-9)
+    canvas.words(-0.2 * size * away - 0.12 * size * up, "camera", INK)
     return canvas.finished(size)
 
 
 def _normal(scanner: Scanner, number: int) -> np.ndarray:
     return np.asarray(scanner.laser(number).normal, np.float64)
+
+
+def _sheet_foot(scanner: Scanner, number: int) -> np.ndarray:
+    """The point of a sheet nearest the camera's centre [3], m."""
+    return float(scanner.laser(number).distance) * _normal(scanner, number)
 
 
 def _axis_foot(table: Turntable) -> np.ndarray:
@@ -104,10 +113,26 @@ def _directions(scanner: Scanner) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 class _Canvas:
     """Draws places of the camera frame [m] as millimetres of a picture."""
 
-    def __init__(self, up: np.ndarray, ahead: np.ndarray, right: np.ndarray) -> None:
-        level = np.cos(_ASIDE) * right + np.sin(_ASIDE) * ahead
-        away = -np.sin(_ASIDE) * right + np.cos(_ASIDE) * ahead
-        self.to_picture = 1e3 * np.stack([level, np.cos(_ABOVE) * up + np.sin(_ABOVE) * away])
+    def __init__(self, up: np.ndarray, ahead: np.ndarray, right: np.ndarray, lengths: np.ndarray) -> None:
+        """
+        Args:
+            up: Unit vector [3].
+            ahead: Horizontal unit vector of the camera's line of sight [3].
+            right: Across both [3].
+            lengths: Vectors [n, 3] that are to be seen: none of them from its end.
+        """
+
+        def onto(aside: float) -> np.ndarray:
+            level = np.cos(aside) * right + np.sin(aside) * ahead
+            away = -np.sin(aside) * right + np.cos(aside) * ahead
+            return np.stack([level, np.cos(_ABOVE) * up + np.sin(_ABOVE) * away])
+
+        def seen(aside: float) -> float:
+            shares = np.linalg.norm(lengths @ onto(aside).T, axis=1) / np.maximum(np.linalg.norm(lengths, axis=1), 1e-9)
+            # Ahead should not point at the eye either.
+            return float(min([*shares, 1.3 * abs(onto(aside)[0] @ ahead)]))
+
+        self.to_picture = 1e3 * onto(max(_ASIDE.tolist(), key=seen))
         self.up, self.ahead = up, ahead
         self.figure = new_figure(6.6, 4.2, fitted=False)
         self.axes: Any = self.figure.add_axes((0.02, 0.02, 0.96, 0.96))
@@ -146,9 +171,8 @@ class _Canvas:
 
 
 def _draw_sheet(canvas: _Canvas, scanner: Scanner, number: int, size: float) -> None:
-    normal, distance = _normal(scanner, number), float(scanner.laser(number).distance)
+    normal, foot = _normal(scanner, number), _sheet_foot(scanner, number)
     colour = SERIES[(1 + number) % len(SERIES)]
-    foot = distance * normal
     along = canvas.ahead - (canvas.ahead @ normal) * normal
     along = canvas.up if np.linalg.norm(along) < 1e-6 else along / np.linalg.norm(along)
     across = np.cross(normal, along)
@@ -158,8 +182,8 @@ def _draw_sheet(canvas: _Canvas, scanner: Scanner, number: int, size: float) -> 
     canvas.area(np.array(fan), colour, 0.22)
     name = plain(scanner.laser_names[number], 18)
     canvas.line(np.array([np.zeros(3), foot]), colour, style="--")
-    canvas.words(0.55 * foot, f"{1e3 * abs(distance):.1f} mm", colour)
-    canvas.words(foot + 1.25 * size * along, f"sheet of {name}", colour)
+    canvas.words(0.55 * foot, f"{1e3 * np.linalg.norm(foot):.1f} mm", colour)
+    canvas.words(foot + 1.25 * size * along, f"sheet {name}", colour)
 
 
 def _draw_axis(canvas: _Canvas, table: Turntable, size: float) -> None:
@@ -176,7 +200,7 @@ def _draw_axis(canvas: _Canvas, table: Turntable, size: float) -> None:
     canvas.arrow(ring[-2], ring[-1], BLUE)
     canvas.words(foot + 0.85 * size * direction, "axis", BLUE)
     canvas.line(np.array([np.zeros(3), foot]), SOFT, style="--")
-    canvas.words(0.5 * foot, f"{1e3 * np.linalg.norm(foot):.1f} mm", SOFT)
+    canvas.words(0.5 * foot - 0.08 * size * canvas.up, f"{1e3 * np.linalg.norm(foot):.1f} mm", SOFT)
 
 
 def _draw_camera(canvas: _Canvas, scanner: Scanner, size: float) -> None:
@@ -191,4 +215,3 @@ def _draw_camera(canvas: _Canvas, scanner: Scanner, size: float) -> None:
             canvas.line(np.array([np.zeros(3), end]), INK, width=1.0)
         canvas.area(ends, INK, 0.06)
     canvas.axes.plot(*canvas.at(np.zeros(3)), "o", color=INK, markersize=6)
-    canvas.words(-0.14 * size * canvas.up, "camera", INK)

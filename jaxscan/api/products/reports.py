@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from jaxscan.api.stripes import find_stripes, plan_watched
-from jaxscan.errors import MeasurementError, OutputError
+from jaxscan.calibration import Calibration
+from jaxscan.errors import CaptureError, MeasurementError, OutputError
 from jaxscan.files.capture import Capture
 from jaxscan.files.disk import write_atomically
 from jaxscan.geometry import Scanner
 from jaxscan.measurement import RoomBox, measure_room
 from jaxscan.reconstruction import DEFAULTS, PointCloud, Progress, cloud_of_plan, sweep_doubts
-from jaxscan.report import Beside, Facts, cloud_page, facts_of
+from jaxscan.report import Beside, Facts, cloud_page, drawn_records, facts_of, thumbnail
 
 
 def save_report(
@@ -41,6 +42,28 @@ def save_report(
     facts = facts_of(cloud, box)
     write_atomically(Path(path), cloud_page(facts, box, beside).encode(), error=OutputError)
     return facts, box
+
+
+def board_photographs(capture: Capture, calibration: Calibration) -> dict[int, bytes]:
+    """Small JPEGs of the records whose views a calibration's report draws, by record.
+
+    Raises:
+        CaptureError: If the capture is not one of the calibration's, or an image cannot be read.
+    """
+    captures = calibration.provenance.get("captures")
+    known = [one.get("digest") for one in captures if isinstance(one, dict)] if isinstance(captures, list) else []
+    if capture.digest() not in known:
+        raise CaptureError(f"{capture.path}: is not a capture that this calibration was made from.")
+    wanted = set(drawn_records(calibration))
+    found = {}
+    for index, record in enumerate(capture.records):
+        if record.i not in wanted:
+            continue
+        lit, dark = capture.frames(index)
+        frame = lit if dark is None else dark
+        if frame is not None:
+            found[record.i] = thumbnail(frame, capture.pixel_format)
+    return found
 
 
 def look_again(capture: Capture, scanner: Scanner, progress: Progress = None) -> tuple[tuple[str, ...], str]:

@@ -6,7 +6,7 @@ from jaxscan.stripes import PixelFormat
 from jaxscan.vision import encode_jpeg, to_grey
 
 
-WIDE_PX = 320
+WIDE_PX = 240
 _QUALITY = 70
 
 
