@@ -53,6 +53,7 @@ tr.worse td{background:#fff4ec}
 @media (max-width:760px){.panels{grid-template-columns:repeat(3,1fr)}}
 @media (max-width:520px){.panels{grid-template-columns:repeat(2,1fr)}
 .tile:last-child:nth-child(odd){grid-column:1/-1}}
+.figures>:last-child:nth-child(odd){grid-column:1/-1}
 .panels figure{min-width:0}.panels figure:target{outline:3px solid var(--blue)}
 .panels img{border-radius:3px;margin-top:.3rem}a{color:var(--blue)}
 figure{margin:0;background:var(--paper);border:1px solid var(--line);border-radius:6px;padding:.7rem .7rem .5rem}

@@ -8,7 +8,7 @@ import numpy as np
 from jaxscan.calibration import Calibration
 from jaxscan.geometry import LinearStage, Scanner, Turntable
 from jaxscan.report.drawing import BLUE, INK, SERIES, SOFT, as_svg, new_figure, plain
-from jaxscan.report.html import Html, element, section
+from jaxscan.report.html import Html, element, section, table
 
 
 if TYPE_CHECKING:
@@ -31,22 +31,19 @@ def rig(calibration: Calibration) -> Html | None:
         return None
     ahead = np.array([0.0, 0.0, 1.0])
     slopes = [min(abs(float(_normal(scanner, k) @ ahead)), 1.0) for k in range(len(scanner.laser_names))]
-    angles = [
-        f"sheet {name} is {np.degrees(np.arcsin(slope)):.2f}° off the camera's line of sight"
+    rows = [(name, f"{1e3 * value:.1f} mm") for name, value in lengths]
+    rows += [
+        (f"sheet {name} to the camera's line of sight", f"{np.degrees(np.arcsin(slope)):.2f}°")
         for name, slope in zip(scanner.laser_names, slopes, strict=True)
     ]
-    text = "; ".join([*(f"{name} {1e3 * value:.1f} mm" for name, value in lengths), *angles])
+    note = "Where a laser itself is, the calibration does not say: it is somewhere on its sheet."
     drawn = element(
         "figure",
         as_svg(rig_figure(scanner), "rig", "The rig in three dimensions"),
-        element(
-            "figcaption",
-            element("b", "The rig, to scale. "),
-            f"{text[:1].upper()}{text[1:]}. Where a laser itself is, the calibration does not say: "
-            "it is somewhere on its sheet.",
-        ),
+        element("figcaption", element("b", "To scale. "), note),
     )
-    return section("The rig", drawn)
+    listed = element("div", table(("shortest distances, and angles", ""), rows, kind="wrap"))
+    return section("The rig", element("div", drawn, listed, class_="figures"))
 
 
 def rig_lengths(scanner: Scanner) -> list[tuple[str, float]]:
@@ -134,7 +131,7 @@ class _Canvas:
 
         self.to_picture = 1e3 * onto(max(_ASIDE.tolist(), key=seen))
         self.up, self.ahead = up, ahead
-        self.figure = new_figure(6.6, 4.2, fitted=False)
+        self.figure = new_figure(5.4, 3.9, fitted=False)
         self.axes: Any = self.figure.add_axes((0.02, 0.02, 0.96, 0.96))
         self.axes.set_axis_off()
         self.axes.set_aspect("equal", adjustable="datalim")

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxscan.report.clouds.directions import Directions
 from jaxscan.report.clouds.facts import SigmaAt
-from jaxscan.report.drawing import BLUE, RED, add_legend, new_axes, new_figure
+from jaxscan.report.drawing import BLUE, RED, SOFT, add_legend, new_axes, new_figure
 
 
 if TYPE_CHECKING:
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 NOTHING = "#c9ced4"
 """Of directions without points."""
+_MARGIN_DEG = 8.0
+"""Shown beyond the highest and the lowest point."""
 _ROUND_MM = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
@@ -57,7 +59,9 @@ def _panorama(seen: Directions, values: np.ndarray, label: str, colours: str, no
     from matplotlib import colormaps
     from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullLocator
 
-    figure = new_figure(9.6, 4.5)
+    band = seen.elevation_deg[seen.band]
+    bottom, top = max(float(band[-1]) - _MARGIN_DEG, -90.0), min(float(band[0]) + _MARGIN_DEG, 90.0)
+    figure = new_figure(9.6, 2.0 + 0.023 * (top - bottom))
     axes = new_axes(figure, grid=False, xlabel="azimuth, degrees", ylabel="elevation, degrees")
     scaled = {"vmin": norm[0], "vmax": norm[1]} if isinstance(norm, tuple) else {"norm": norm}
     shown = axes.imshow(
@@ -70,8 +74,10 @@ def _panorama(seen: Directions, values: np.ndarray, label: str, colours: str, no
     )
     axes.set_xticks(range(180, -181, -45), [_degrees(value) for value in range(180, -181, -45)])
     axes.set_yticks(range(-90, 91, 30), [_degrees(value) for value in range(-90, 91, 30)])
+    # Where the scanner does not look there is nothing to see.
+    axes.set_ylim(bottom, top)
     bar = figure.colorbar(shown, ax=axes, orientation="horizontal", shrink=0.6, aspect=40, pad=0.02)
-    bar.set_label(label)
+    bar.set_label(label, color=SOFT, fontsize=9)
     bar.outline.set_visible(False)
     bar.ax.tick_params(length=0, labelsize=8)
     if not isinstance(norm, tuple):

@@ -196,10 +196,8 @@ def _sigma(facts: Facts) -> Html:
 def _left_out(facts: Facts, beside: Beside) -> Html:
     lines = []
     if facts.beyond_walls is not None:
-        lines.append(
-            f"{_grouped(facts.beyond_walls)} points lie outside the walls by more than 50 mm: seen through windows and "
-            "doors, or in mirrors."
-        )
+        count = "No point lies" if facts.beyond_walls == 0 else f"{_grouped(facts.beyond_walls)} points lie"
+        lines.append(f"{count} outside the walls by more than 50 mm, where windows, doors and mirrors would put them.")
     lines.append(
         beside.left_out
         or "How many stripes were left out is not known: a cloud does not hold them; --capture and -c find them again."

@@ -97,4 +97,4 @@ def _photograph(jpeg: bytes | None, record: int) -> list[Html]:
     if jpeg is None:
         return []
     data = base64.b64encode(jpeg).decode()
-    return [element("img", src=f"data:image/jpeg;base64,{data}", alt=f"Photograph of record {record}", loading="lazy")]
+    return [element("img", src=f"data:image/jpeg;base64,{data}", alt=f"Photograph of record {record}")]

@@ -19,7 +19,7 @@ def thumbnail(frame: np.ndarray, pixel_format: PixelFormat) -> bytes:
     """
     image = frame if frame.ndim == 3 else to_grey(frame, pixel_format)
     rows, columns = image.shape[:2]
-    step = max(1, columns // WIDE_PX)
+    step = -(-columns // WIDE_PX)
     whole = image[: rows // step * step, : columns // step * step]
     # The mean of squares of pixels: fine patterns would alias otherwise.
     shape = whole.shape[0] // step, step, whole.shape[1] // step, step, -1
