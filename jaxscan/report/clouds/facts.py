@@ -107,7 +107,8 @@ def facts_of(cloud: PointCloud, box: RoomBox | None = None) -> Facts:
     kept[profile[stray], line[stray]] = False
     some = np.unique(number[~stray])[:MOST_STATIONS]
     spacing = _spacing_deg(cloud) if turned else 0.0
-    seen = tuple(directions_of(*(part[(number == one) & ~stray] for part in (local, sigma)), spacing) for one in some)
+    chosen = [(number == one) & ~stray for one in some]
+    seen = tuple(directions_of(local[mine], sigma[mine], spacing) for mine in chosen)
     known = sigma > 0
     grid = min(valid.shape) > 1
     return Facts(

@@ -61,7 +61,7 @@ def _panorama(seen: Directions, values: np.ndarray, label: str, colours: str, no
 
     band = seen.elevation_deg[seen.band]
     bottom, top = max(float(band[-1]) - _MARGIN_DEG, -90.0), min(float(band[0]) + _MARGIN_DEG, 90.0)
-    figure = new_figure(9.6, 2.0 + 0.023 * (top - bottom))
+    figure = new_figure(9.6, 1.15 + 0.0245 * (top - bottom))
     axes = new_axes(figure, grid=False, xlabel="azimuth, degrees", ylabel="elevation, degrees")
     scaled = {"vmin": norm[0], "vmax": norm[1]} if isinstance(norm, tuple) else {"norm": norm}
     shown = axes.imshow(
