@@ -80,6 +80,8 @@ figure,.tile,.verdict,tr{break-inside:avoid}h2,h3{break-after:avoid}.scroll{over
 .tiles{grid-template-columns:repeat(4,1fr)}th,td{padding:.16rem .5rem}@page{margin:14mm}}
 """
 
+_VOID = {"img"}
+"""Elements that have no end."""
 _HYPHEN = re.compile(r"(?<=[0-9]e)-(?=[0-9])|(?<![\w.:/-])-(?=\.?[0-9])")
 # A second guard beside the escaping: browsers neither run scripts nor fetch anything.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -97,6 +99,8 @@ def element(name: str, *content: object, **attributes: str) -> Html:
     """An element; content other than `Html` is escaped. `class_` means `class`, `aria_label` means `aria-label`."""
     names = (key.rstrip("_").replace("_", "-") for key in attributes)
     given = "".join(f' {key}="{escaped(value)}"' for key, value in zip(names, attributes.values(), strict=True))
+    if name in _VOID:
+        return Html(f"<{name}{given}>")
     return Html(f"<{name}{given}>{''.join(map(escaped, content))}</{name}>")
 
 
