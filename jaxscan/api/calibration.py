@@ -1,5 +1,6 @@
 """Captures of a board to observations, and to a calibration."""
 
+import datetime
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import metadata
@@ -137,6 +138,7 @@ def calibrate(
         **result.provenance,
         "captures": [{"name": capture.path.name, "digest": capture.digest()} for capture in captures],
         "versions": versions(),
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
     return replace(result, provenance=provenance)
 

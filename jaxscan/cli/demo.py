@@ -23,7 +23,7 @@ from jaxscan.files.calibration import calibration_digest
 from jaxscan.files.disk import MEGABYTE, parse_json, read_bounded, write_atomically
 from jaxscan.geometry import Array, Scanner, Turntable
 from jaxscan.measurement import RoomBox
-from jaxscan.report import draw_cloud
+from jaxscan.report import room_picture
 from jaxscan.simulation import SimulationConfig, true_scanner
 from jaxscan.stripes import LaserLine
 from jaxscan.vision import encode_png
@@ -79,8 +79,6 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
         f"and coloured them from laser-off images in {seconds['colour']:.1f} s"
     )
     api.save_cloud(cloud, output / "room.ply", calibration_digest=calibration_digest(output / "calibration.json"))
-    picture = draw_cloud(*(np.asarray(field) for field in (cloud.xyz, cloud.rgb)), normals=np.asarray(cloud.normals))
-    write_atomically(output / "room.png", encode_png(picture), error=CaptureError)
 
     lap = time.perf_counter()
     true_cloud = api.load_cloud(captures.true_cloud)
@@ -90,6 +88,7 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     lengths = _length_rows(cloud, true_cloud, _true_lengths(captures.truth), scanner)
     parameters = _calibration_rows(scanner, true_scanner(config))
     seconds["measure"] = time.perf_counter() - lap
+    write_atomically(output / "room.png", encode_png(room_picture(cloud, box).rgb), error=CaptureError)
     seconds["all"] = time.perf_counter() - started
 
     out.print(table("Room, wall to wall", COLUMNS, [_row(entry) for entry in room]))

@@ -1,4 +1,4 @@
-"""`jaxscan report`: draws the report of a stored calibration."""
+"""`jaxscan report`: draws the report of a stored calibration, or of a cloud."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 import jaxscan
-from jaxscan.cli.options import OutputPath
+from jaxscan.cli.options import CLOUD_SUFFIXES, CloudUnit, CloudUp, OptionalCalibrationPath, OutputPath
 from jaxscan.cli.output import JsonTarget, check_json, console, emit_json
-from jaxscan.cli.paths import calibration_at, check_paths, file_at
+from jaxscan.cli.paths import calibration_at, capture_at, check_paths, file_at
+from jaxscan.errors import OptionError
 
 
 if TYPE_CHECKING:
@@ -16,33 +17,74 @@ if TYPE_CHECKING:
 
 
 def report(
-    calibration: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CALIBRATION")],
+    result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")],
     /,
     *,
     output: OutputPath,
+    calibration: OptionalCalibrationPath = None,
+    capture: Path | None = None,
+    unit: CloudUnit = None,
+    up: CloudUp = None,
     json: JsonTarget = None,
 ) -> None:
-    """Draw a calibration's report: `jaxscan report calibration.json -o report.html`.
+    """Draw the report of a calibration or a cloud: `jaxscan report calibration.json -o report.html`.
 
-    Solves again from the observations beside the file, with the settings in it, and says whether the result agrees
-    with the stored parameters.
+    A calibration is solved again from the observations beside its file, with the settings in it; the report says
+    whether the result agrees with the stored parameters. Of a cloud (`jaxscan report room.ply -c calibration.json
+    -o room.html`) it shows coverage, uncertainty, dimensions and doubts.
 
     Args:
-        calibration: The calibration file.
+        result: The calibration file, or the cloud.
         output: Report to write: one HTML file that needs no other files.
+        calibration: Of a cloud: the calibration that it was made with.
+        capture: Folder of the capture. Of a calibration its photographs are shown; of a cloud it is searched for
+            suspicious steps, which needs the calibration too.
         json: Write the result as JSON too.
     """
     # Imported here, so that `--help` does not load JAX.
-    from jaxscan.cli.summary import summary, write_page
-    from jaxscan.files.calibration import calibration_notes
+    from jaxscan.files.capture import CACHE_NAME
     from jaxscan.files.disk import check_writable
 
-    check_paths(calibration_at("CALIBRATION", calibration), [*file_at("--output", output), *file_at("--json", json)])
+    is_cloud = result.suffix.lower() in CLOUD_SUFFIXES.split()
+    for option, value in (("--calibration", calibration), ("--unit", unit), ("--up", up)):
+        if value is not None and not is_cloud:
+            raise OptionError(f"{option}: is for clouds ({CLOUD_SUFFIXES}); {result} is taken for a calibration.")
+    check_paths(
+        [
+            *(file_at("CLOUD", result) if is_cloud else calibration_at("CALIBRATION", result)),
+            *calibration_at("--calibration", calibration),
+            *capture_at("--capture", capture),
+        ],
+        [*file_at("--output", output), *file_at("--json", json)],
+        kept=file_at("the stripes", capture / CACHE_NAME if capture is not None and is_cloud else None),
+    )
     check_writable(output)
     check_json(json)
-    drawn, note, reproduced = _drawn(calibration)
-    notes = calibration_notes(calibration)
-    write_page(drawn, output, notes=(note, *notes))
+    if not is_cloud:
+        _of_calibration(result, output, capture, json)
+        return
+    from jaxscan.cli.products.room_report import write_room_report
+
+    numbers = write_room_report(result, output, calibration=calibration, capture=capture, unit=unit, up=up)
+    out = console(json)
+    for note in numbers["notes"]:
+        out.print(f"note: {note}")
+    for name, side in numbers["dimensions"].items():
+        out.print(f"{name} {side['value_m']:.4f} m, sigma {1e3 * side['sigma_m']:.2f} mm")
+    for doubt in numbers["doubts"]:
+        out.print(f"suspicious: {doubt}")
+    out.print(f"{numbers['points']} points; {100 * numbers['coverage']:.1f} % of the directions looked at have some")
+    out.print(f"written: {output}")
+    emit_json(json, "report", numbers)
+
+
+def _of_calibration(path: Path, output: Path, capture: Path | None, json: str | None) -> None:
+    from jaxscan.cli.summary import summary, write_page
+    from jaxscan.files.calibration import calibration_notes
+
+    drawn, note, reproduced = _drawn(path)
+    notes = calibration_notes(path)
+    write_page(drawn, output, notes=(note, *notes), path=path, capture=capture)
     out = console(json)
     out.print(note, style="" if reproduced else "bold yellow")
     for other in notes:
@@ -51,8 +93,7 @@ def report(
     emit_json(
         json,
         "report",
-        {"calibration": str(calibration), "report": str(output), "reproduced": reproduced, "notes": notes}
-        | summary(drawn),
+        {"calibration": str(path), "report": str(output), "reproduced": reproduced, "notes": notes} | summary(drawn),
     )
 
 

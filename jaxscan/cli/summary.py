@@ -3,10 +3,12 @@
 from pathlib import Path
 from typing import Any
 
+from jaxscan.api.products.reports import board_photographs
 from jaxscan.calibration import Calibration
 from jaxscan.cli.process.terminal import Terminal, table
+from jaxscan.files.capture import open_capture
 from jaxscan.files.disk import write_atomically
-from jaxscan.report import calibration_page, outcome_rows, parameters, words
+from jaxscan.report import calibration_date, calibration_page, outcome_rows, parameters, words
 
 
 _STYLE = {"good": "bold green", "bad": "bold red", "open": "bold yellow"}
@@ -54,10 +56,27 @@ def summary(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def write_page(calibration: Calibration, path: Path, *, notes: tuple[str, ...] = ()) -> None:
+def write_page(
+    calibration: Calibration,
+    output: Path,
+    *,
+    notes: tuple[str, ...] = (),
+    path: Path | None = None,
+    capture: Path | None = None,
+) -> None:
     """Write the report.
 
+    Args:
+        calibration: To draw.
+        output: File to write.
+        notes: Remarks that come first.
+        path: The calibration's own file, whose time is shown where the calibration does not say its own.
+        capture: Folder of the capture of boards, for its photographs.
+
     Raises:
-        JaxscanError: If the file cannot be written.
+        JaxscanError: If the file cannot be written, or the capture is not that of the calibration.
     """
-    write_atomically(path, calibration_page(calibration, notes=notes).encode())
+    photographs = {} if capture is None else board_photographs(open_capture(capture), calibration)
+    date = calibration_date(calibration, path)
+    written = calibration_page(calibration, notes=notes, date=date, photographs=photographs)
+    write_atomically(output, written.encode())

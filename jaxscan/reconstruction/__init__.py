@@ -1,7 +1,7 @@
 """Stripes to a coloured cloud."""
 
 from jaxscan.reconstruction.cloud import SMOOTHED, CloudPoints, PointCloud, Stations
-from jaxscan.reconstruction.doubts import FrameWatch, Seen, journal_doubts, sweep_doubts
+from jaxscan.reconstruction.doubts import FrameWatch, Seen, journal_doubts, profile_doubts, sweep_doubts
 from jaxscan.reconstruction.incoming import IncomingStripes, PlannedSweep, RecordedPair, Show
 from jaxscan.reconstruction.joining import join_clouds, of_station
 from jaxscan.reconstruction.kept import extraction_key, kept_arrays, usable_stripes

@@ -41,6 +41,7 @@ _STYLE: Any = {
 }
 _GROUP_ID = re.compile(r' id="(?!C[0-9])[a-zA-Z][a-zA-Z0-9_.]*_[0-9]+"')
 _NUMBER = re.compile(r"-?[0-9]+\.[0-9]{3,}")
+_NEGATIVE = re.compile(r"(?<=>)-(?=[0-9.])")
 _PATHS = re.compile(r' (?:d|x|y)="[^"]*"')
 
 
@@ -100,6 +101,7 @@ def as_svg(figure: "Figure", name: str, description: str) -> Html:
     # Ids of groups are not referred to, and they repeat in every figure.
     body = _GROUP_ID.sub("", body)
     body = _PATHS.sub(lambda match: _NUMBER.sub(_short, match[0]), body)
+    body = _NEGATIVE.sub("−", body)
     body = re.sub(r"\s*\n\s*", "\n", body).replace('style="stroke-linejoin: miter"', "")
     box = view[1] if view else "0 0 1 1"
     # At most 1.6 pixels per point: slightly larger than the size of the drawing.

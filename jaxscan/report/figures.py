@@ -5,23 +5,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxscan.calibration import Calibration, Fit
-from jaxscan.calibration.verdict import JudgedView, is_held_by_priors, judge_views, stripe_depths, stripe_pixels
+from jaxscan.calibration.verdict import is_held_by_priors, stripe_depths, stripe_pixels
 from jaxscan.observation import Observations
 from jaxscan.report import image_plots, residual_plots, uncertainty_plots, words
 from jaxscan.report.board_plots import board_map
 from jaxscan.report.drawing import as_svg
-from jaxscan.report.html import Html, element, joined, section, table
-from jaxscan.report.tables import view_columns, view_rows
+from jaxscan.report.html import Html, element, section, table
 
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-OPEN_PANELS = 11
-"""Number of views that are drawn openly."""
-MAX_PANELS = 59
-"""Number of views that are drawn, including those in the part that unfolds. The table lists all views."""
 
 
 def uncertainty(calibration: Calibration) -> Html | None:
@@ -169,45 +162,6 @@ def distributions(fit: Fit) -> Html | None:
         "of the same group, less the part that the fit absorbs."
     )
     return section("Are the residuals noise?", element("p", text), element("div", *figures, class_="figures"))
-
-
-def views(calibration: Calibration) -> Html | None:
-    """All views, worst first: a table, and the residual vectors of each."""
-    rows = view_rows(calibration)
-    if not rows:
-        return None
-    bad = {str(view.record) for view in words.bad_views(calibration)}
-    parts = [table(view_columns(calibration), rows, kind="tall", worse=[row[0] in bad for row in rows])]
-    observations, fit = calibration.observations, calibration.fit
-    if observations is not None and fit is not None:
-        parts.append(_panels(judge_views(calibration.quality, fit, observations), observations, fit))
-    return section("Views, worst first", *parts)
-
-
-def _panels(judged: list[JudgedView], observations: Observations, fit: Fit) -> Html:
-    every = [(view.row, view) for view in judged if view.row is not None]
-    scale = image_plots.residual_scale(fit)
-
-    def panel(row: int, view: JudgedView) -> Html:
-        record, rejected = view.quality.record, view.quality.corners_rejected
-        drawn = image_plots.view_residuals(observations, fit, row, scale)
-        size = f" {view.rms_px:.3f} px" + (f", {rejected} rejected" if rejected else "")
-        caption = element("figcaption", element("b", f"record {record}"), size)
-        return element("figure", as_svg(drawn, f"view-{row}", f"Corner residuals of record {record}"), caption)
-
-    bar = as_svg(image_plots.scale_bar(scale, observations.width), "scale", f"An arrow of {scale:g} px")
-    first = [panel(*view) for view in every[:OPEN_PANELS]]
-    more = [panel(*view) for view in every[OPEN_PANELS:MAX_PANELS]]
-    arrows = "Each arrow leads from the detected corner to the predicted corner. Crosses are rejected corners."
-    parts = [
-        element("p", arrows),
-        element("div", element("figure", bar, element("figcaption", "scale of all arrows")), *first, class_="panels"),
-    ]
-    if more:
-        left = len(every) - MAX_PANELS
-        title = f"{len(more)} more views" + (f"; {left} better ones are not drawn" if left > 0 else "")
-        parts.append(element("details", element("summary", title), element("div", *more, class_="panels")))
-    return joined(parts)
 
 
 _SHAPES = {

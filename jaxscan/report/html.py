@@ -1,6 +1,7 @@
 """HTML pages without scripts, fonts or external parts. All text is escaped."""
 
 import html
+import re
 from collections.abc import Iterable, Sequence
 from itertools import zip_longest
 
@@ -31,7 +32,7 @@ padding:1.1rem 1.3rem;margin:1.2rem 0}
 .verdict strong{display:block;font-size:1.3rem;line-height:1.3;margin-bottom:.25rem}
 .verdict.good strong{color:var(--good)}.verdict.bad strong{color:var(--bad)}.verdict.open strong{color:var(--open)}
 .verdict p:last-child{margin-bottom:0}
-.tiles{display:grid;grid-template-columns:repeat(auto-fill,minmax(165px,1fr));gap:.7rem;margin:1rem 0}
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(165px,1fr));gap:.7rem;margin:1rem 0}
 .tile{background:var(--paper);border:1px solid var(--line);border-radius:6px;padding:.7rem .9rem}
 .tile b{display:block;font-size:1.35rem;font-weight:600;line-height:1.25;white-space:nowrap}
 .tile span{display:block;color:var(--soft);font-size:.85rem;line-height:1.35}
@@ -46,13 +47,21 @@ th:first-child,td:first-child{text-align:left}
 .words td:last-child,.words th:last-child{text-align:left;white-space:normal;min-width:17rem}
 @media (max-width:640px){.wrap td{white-space:normal}}
 tr.worse td{background:#fff4ec}
-.figures{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,31rem),1fr));gap:.9rem;margin:.8rem 0}
-.panels{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(47%,11.5rem),1fr));gap:.6rem;margin:.8rem 0}
+.figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,31rem),1fr));gap:.9rem;margin:.8rem 0}
+.panels{display:grid;grid-template-columns:repeat(6,1fr);gap:.6rem;margin:.8rem 0}
+@media (max-width:1100px){.panels{grid-template-columns:repeat(4,1fr)}}
+@media (max-width:760px){.panels{grid-template-columns:repeat(3,1fr)}}
+@media (max-width:520px){.panels{grid-template-columns:repeat(2,1fr)}
+.tile:last-child:nth-child(odd){grid-column:1/-1}}
+.figures>:last-child:nth-child(odd){grid-column:1/-1}
+.panels figure{min-width:0}.panels figure:target{outline:3px solid var(--blue)}
+.panels img{border-radius:3px;margin-top:.3rem}a{color:var(--blue)}
 figure{margin:0;background:var(--paper);border:1px solid var(--line);border-radius:6px;padding:.7rem .7rem .5rem}
 .panels figure{padding:.35rem}
 figure.wide{overflow-x:auto}figure.wide svg{min-width:34rem;margin:0 auto}figure svg{margin:0 auto}
 figcaption{color:var(--soft);font-size:.85rem;line-height:1.4;padding:.3rem .3rem .2rem}
 figcaption b{color:var(--ink)}
+figure.photograph{padding:0;overflow:hidden}img{display:block;width:100%;height:auto}
 .panels figcaption{font-size:.78rem;padding:.1rem .2rem}
 svg{display:block;width:100%;height:auto}
 svg text{font-family:inherit!important}
@@ -71,6 +80,9 @@ figure,.tile,.verdict,tr{break-inside:avoid}h2,h3{break-after:avoid}.scroll{over
 .tiles{grid-template-columns:repeat(4,1fr)}th,td{padding:.16rem .5rem}@page{margin:14mm}}
 """
 
+_VOID = {"img"}
+"""Elements that have no end."""
+_HYPHEN = re.compile(r"(?<=[0-9]e)-(?=[0-9])|(?<![\w.:/-])-(?=\.?[0-9])")
 # A second guard beside the escaping: browsers neither run scripts nor fetch anything.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
@@ -87,6 +99,8 @@ def element(name: str, *content: object, **attributes: str) -> Html:
     """An element; content other than `Html` is escaped. `class_` means `class`, `aria_label` means `aria-label`."""
     names = (key.rstrip("_").replace("_", "-") for key in attributes)
     given = "".join(f' {key}="{escaped(value)}"' for key, value in zip(names, attributes.values(), strict=True))
+    if name in _VOID:
+        return Html(f"<{name}{given}>")
     return Html(f"<{name}{given}>{''.join(map(escaped, content))}</{name}>")
 
 
@@ -101,24 +115,33 @@ def table(
     """A table in a box that scrolls on narrow screens.
 
     Args:
-        columns: Titles of the columns; the first column has text, the others numbers.
+        columns: Titles of the columns; the first column has text, the others numbers. Without any, no head.
         rows: Cells.
         kind: Classes of the box: "tall", "words", "wrap".
         worse: Which rows to mark; rows without an entry are not marked.
     """
-    head = element("thead", element("tr", *(element("th", column) for column in columns)))
+    named = [element("thead", element("tr", *(element("th", column) for column in columns)))] if any(columns) else []
     body = [
-        element("tr", *(element("td", cell) for cell in row), **({"class_": "worse"} if mark else {}))
+        element("tr", *(element("td", _cell(cell)) for cell in row), **({"class_": "worse"} if mark else {}))
         for row, mark in zip_longest(rows, worse)
     ]
     # tabindex: a box that scrolls must be reachable by keyboard.
     return element(
-        "div", element("table", head, element("tbody", *body)), class_=f"scroll {kind}".strip(), tabindex="0"
+        "div", element("table", *named, element("tbody", *body)), class_=f"scroll {kind}".strip(), tabindex="0"
     )
 
 
+def _cell(cell: object) -> object:
+    return minus(cell) if isinstance(cell, str) and not isinstance(cell, Html) else cell
+
+
+def minus(text: str) -> str:
+    """The same text with the sign of minus before its negative numbers and exponents."""
+    return _HYPHEN.sub("−", text)
+
+
 def bullets(items: Iterable[str]) -> Html:
-    """A bulleted list."""
+    """A bulleted list of texts or markup."""
     return element("ul", *(element("li", item) for item in items))
 
 

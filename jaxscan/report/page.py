@@ -1,19 +1,30 @@
 """The calibration report: one HTML page without external parts, drawn from a `Calibration`."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from jaxscan.calibration import Calibration
 from jaxscan.geometry import Turntable
 from jaxscan.report import figures, tables, words
-from jaxscan.report.html import Html, bullets, element, joined, page, section, table
+from jaxscan.report.html import Html, bullets, element, joined, minus, page, section, table
+from jaxscan.report.rig_plots import rig
+from jaxscan.report.views import linked_record, views
 
 
-def calibration_page(calibration: Calibration, *, notes: tuple[str, ...] = ()) -> str:
+def calibration_page(
+    calibration: Calibration,
+    *,
+    notes: tuple[str, ...] = (),
+    date: str = "",
+    photographs: Mapping[int, bytes] | None = None,
+) -> str:
     """The report of a calibration.
 
     Args:
         calibration: Residuals are drawn if it has `fit` and `observations`. Sections without data are left out.
         notes: Remarks that come first, as plain text.
+        date: When it was made, as plain text.
+        photographs: Small JPEGs by record, for the views of these records.
 
     Returns:
         An HTML document that fetches nothing and runs no scripts.
@@ -22,26 +33,26 @@ def calibration_page(calibration: Calibration, *, notes: tuple[str, ...] = ()) -
     # Of a solve that did not converge only the residuals are shown; they tell which views disagree.
     concluded = calibration.quality.converged is not False
     parts: list[Html | None] = [
-        _head(calibration),
+        _head(calibration, date),
         *(element("p", note, class_="note") for note in notes),
         _verdict(calibration),
         _remarks(calibration),
     ]
     if concluded:
-        parts += [_tests(calibration), _parameters(calibration), figures.uncertainty(calibration)]
+        parts += [rig(calibration), _tests(calibration), _parameters(calibration), figures.uncertainty(calibration)]
     if observations is not None and fit is not None:
         parts.append(figures.residuals_over_image(observations, fit))
         parts.append(figures.along_stripe_and_angle(observations, fit, turns=_turns(calibration)))
         if concluded:
             parts.append(figures.distributions(fit))
-    parts.append(figures.views(calibration))
+    parts.append(views(calibration, photographs or {}))
     if concluded:
         parts += [figures.board(calibration), figures.correlations(calibration), figures.spectrum(calibration)]
     parts += [_quality(calibration), _provenance(calibration)]
     return page("Calibration report", *(part for part in parts if part))
 
 
-def _head(calibration: Calibration) -> Html:
+def _head(calibration: Calibration, date: str) -> Html:
     camera, observations = calibration.camera, calibration.observations
     lines = [f"{type(camera).__name__} camera, {camera.width} × {camera.height} px"]
     if observations is not None:
@@ -57,7 +68,7 @@ def _head(calibration: Calibration) -> Html:
         lines.append(f"{quality.stripe_points} stripe points")
     names = [str(capture.get("name")) for capture in _captures(calibration)]
     title = f"Calibration report: {', '.join(names)}" if names else "Calibration report"
-    return element("header", element("h1", title), element("p", " · ".join(lines)))
+    return element("header", element("h1", title), element("p", " · ".join([*([date] if date else []), *lines])))
 
 
 def _turns(calibration: Calibration) -> bool:
@@ -89,16 +100,24 @@ def _verdict(calibration: Calibration) -> Html:
 
 def _remarks(calibration: Calibration) -> Html:
     parts = [
-        bullets([*words.board_lines(calibration), *words.noise_lines(calibration), *words.second_look(calibration)])
+        bullets(
+            map(
+                minus,
+                [*words.board_lines(calibration), *words.noise_lines(calibration), *words.second_look(calibration)],
+            )
+        )
     ]
-    bad = [f"Record {view.record}: {view.why}" for view in words.bad_views(calibration)]
+    bad = [
+        joined(["Record", linked_record(calibration, view.record), f": {_sentence(view.why)}"])
+        for view in words.bad_views(calibration)
+    ]
     for title, lines in (
-        ("Warnings", words.warnings(calibration)),
+        ("Warnings", [*map(_sentence, words.warnings(calibration))]),
         ("Records that stand out", bad),
-        ("Next captures", words.advice(calibration)),
+        ("Next captures", [*map(_sentence, words.advice(calibration))]),
     ):
         if lines:
-            parts += [element("h3", title), bullets(map(_sentence, lines))]
+            parts += [element("h3", title), bullets(lines)]
     return section("In words", *parts)
 
 

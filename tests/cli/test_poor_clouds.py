@@ -71,6 +71,7 @@ VERBS = {
     "deviations": ("measure", "deviations", "CLOUD", "--at", 2, 0.2, 0.1, "-o", "made.png"),
     "convert": ("convert", "CLOUD", "made.ptx"),
     "align": ("align", "CLOUD", "-o", "made.ply", "--room"),
+    "report": ("report", "CLOUD", "-o", "made.html"),
     "mesh": ("mesh", "CLOUD", "-o", "made.glb"),
     "plan": ("plan", "CLOUD", "-o", "made.dxf"),
     "orthophoto": ("orthophoto", "CLOUD", "-o", "made"),

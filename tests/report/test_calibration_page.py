@@ -1,20 +1,23 @@
 """The calibration report: complete, without external parts, and safe with hostile text in files."""
 
+import base64
 import dataclasses
 import re
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from jaxscan.calibration import Quality, Verdict
 from jaxscan.calibration.verdict import Direction
 from jaxscan.geometry import Chessboard
-from jaxscan.report import calibration_page
+from jaxscan.report import calibration_date, calibration_page, thumbnail
 
 
 VOID = {"meta", "br", "img", "hr", "link", "input"}
 SECTIONS = [
     "In words",
+    "The rig",
     "Tests of the models",
     "Parameters",
     "Uncertainty against distance",
@@ -110,7 +113,7 @@ def test_the_verdict_comes_first_and_in_millimetres(document):
 
 
 def test_figures_have_text_and_every_view_its_panel(document):
-    assert document.tags.count("svg") == 2 + 3 + 4 + 1 + 1 + 1 + 6 + 1
+    assert document.tags.count("svg") == 1 + 2 + 3 + 4 + 1 + 1 + 1 + 6 + 1
     assert sum(tag == "svg" and key == "aria-label" for tag, key, _ in document.attributes) == document.tags.count(
         "svg"
     )
@@ -146,6 +149,47 @@ def test_nothing_is_concluded_from_a_solve_that_did_not_converge(calibration):
     assert words.count("The solve did not converge in 1 step.") == 1
     for diagnosis in ("Next captures", "the promise is too low", "Records that stand out", "±"):
         assert diagnosis not in words
+
+
+def test_records_lead_to_their_views(document):
+    links = [value for tag, key, value in document.attributes if tag == "a" and key == "href"]
+    assert sorted(links) == sorted(f"#panel-{row}" for row in range(6))
+    assert {f"panel-{row}" for row in range(6)} <= document.ids
+
+
+def test_the_rig_is_named_with_its_lengths(calibration, document):
+    foot = calibration.scanner.turntable
+    axis = np.cross(np.asarray(foot.direction, float), np.asarray(foot.point, float))
+    cells = document.words["td"]
+    assert f"{1e3 * np.linalg.norm(axis):.1f} mm" in cells
+    for number, name in enumerate(("red", "green")):
+        length = f"{1e3 * abs(float(calibration.scanner.laser(number).distance)):.1f} mm"
+        assert cells[cells.index(f"camera to sheet {name}") + 1] == length
+
+
+def test_negative_numbers_have_a_minus_sign(document):
+    numbers = document.words["td"] + document.words["text"] + document.words.get("tspan", [])
+    assert not [text for text in numbers if re.match(r"-[0-9.]", text)]
+    assert any(text.startswith("−") for text in document.words["td"])
+
+
+@pytest.mark.parametrize(
+    ("said", "shown"),
+    [("2026-03-01T14:05:00+00:00", "1 March 2026, 14:05 UTC"), ("soon", ""), (7, ""), ("9" * 5000, "")],
+)
+def test_the_date_is_that_of_the_calibration(calibration, said, shown):
+    assert calibration_date(dataclasses.replace(calibration, provenance={"date": said})) == shown
+
+
+def test_the_date_and_photographs_are_on_the_page(calibration, monkeypatch):
+    monkeypatch.setattr("jaxscan.report.views.panels.as_svg", lambda figure, name, description: "")
+    jpeg = thumbnail(np.full((1024, 1280), 90, np.uint8), "mono8")
+    assert len(jpeg) < 30_000
+    page = Document(calibration_page(calibration, date="1 March 2026", photographs={101: jpeg, 7: jpeg}))
+    assert "1 March 2026" in page.all_words()
+    (source,) = [value for tag, key, value in page.attributes if tag == "img" and key == "src"]
+    assert base64.b64decode(source.removeprefix("data:image/jpeg;base64,")) == jpeg
+    assert ("img", "alt", "Photograph of record 101") in page.attributes
 
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)> $\\frac{x}$ &amp; \x00 \u202e 💥'

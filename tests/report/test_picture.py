@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.report.picture import View, draw_cloud
+from jaxscan.report.clouds import View, draw_cloud
 
 
 RED, GREEN, BLUE = (np.array(c, np.uint8) for c in ((220, 30, 30), (30, 200, 30), (30, 30, 220)))

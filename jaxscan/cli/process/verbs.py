@@ -32,7 +32,7 @@ VERBS = {
     "import": "Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.",
     "align": "Put a cloud in a frame: `jaxscan align room.ply -o levelled.ply --room`, or `--targets targets.toml`.",
     "convert": "Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.",
-    "report": "Draw a calibration's report: `jaxscan report calibration.json -o report.html`.",
+    "report": "Draw the report of a calibration or a cloud: `jaxscan report calibration.json -o report.html`.",
     "doctor": "Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config scan.toml`.",
 }
 """The first line of each verb's docstring, for the list of verbs: it is shown without loading any verb."""

@@ -5,75 +5,23 @@ as large as their spacing. Eye-dome lighting (Boucheny 2009) darkens points behi
 shapes without shadows. Dark clouds are brightened.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+
+from jaxscan.report.clouds.view import Frame, View, fitted_frame, frame_of, room_box, room_view
 
 
 BACKGROUND = np.array([244.0, 245.0, 247.0], np.float32)
 SPLAT_M = 0.011
 """Size of a point [m]: about the spacing of a scan in steps of 0.1 degrees at 5 m."""
-MAX_SPLAT_PX = 3
+MAX_SPLAT_PX = 4
 SHADING = 9.0
 """Strength of the shading by depth."""
-FOV_DEG = 40.0
 JOINED = 4.0
 """Neighbouring profiles are joined up to this many times their usual distance."""
 MAX_GAIN = 3.0
+MARGIN = 0.02
+"""Left free at each edge of a canvas that a room fills, over its width."""
 MAX_BETWEEN, MAX_POINTS = 16, 4_000_000
-
-
-@dataclass(frozen=True)
-class View:
-    """A perspective camera of the picture."""
-
-    eye: tuple[float, float, float]
-    """Position of the camera [m]."""
-    target: tuple[float, float, float]
-    """Point in the middle of the picture [m]."""
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    fov_deg: float = FOV_DEG
-    """Field of view across the picture's width."""
-    cut_away: bool = True
-    """Leave out surfaces that are seen from behind, and the ceiling and near walls, which hide the room."""
-
-
-def room_view(xyz: np.ndarray, size: tuple[int, int] = (1600, 900)) -> View:
-    """The view into a room from above one of its corners.
-
-    Args:
-        xyz: Points [n, 3], m, z up.
-        size: Width and height of the picture [px].
-    """
-    axes, low, high = _room_box(xyz)
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1).reshape(-1, 3) @ axes
-    extent = np.maximum(high - low, 0.1)
-    # From a corner, looking more along the longer side, so that both far walls are seen.
-    sideways = np.array([-0.62, -0.78]) if extent[0] < extent[1] else np.array([-0.78, -0.62])
-    away = np.array([*sideways, 0.9]) @ axes
-    away = away / np.linalg.norm(away)
-    right = np.cross(-away, (0.0, 0.0, 1.0))
-    right = right / np.linalg.norm(right)
-    down = np.cross(-away, right)
-    reach = np.tan(0.5 * np.radians(FOV_DEG)) * 0.96
-    shape = np.array([1.0, size[1] / size[0]])
-    # The corner nearest the eye is cut away with the ceiling and the near walls.
-    corners = np.delete(corners, np.argmax(corners @ away), axis=0)
-    target, distance = corners.mean(0), float(np.linalg.norm(extent))
-    for _ in range(20):
-        # Put the middle of the projected box into the middle of the picture, and fill it.
-        local = (corners - target - distance * away) @ np.stack([right, down, -away], 1)
-        seen = local[:, :2] / local[:, 2:] / shape
-        middle = 0.5 * (seen.min(0) + seen.max(0)) * shape * distance
-        target = target + middle[0] * right + middle[1] * down
-        distance *= 1.0 + 0.7 * (0.5 * np.ptp(seen, axis=0).max() / reach - 1.0)
-        distance = float(np.clip(distance, 0.6 * np.linalg.norm(extent), 6.0 * np.linalg.norm(extent)))
-    return View(_triple(target + distance * away), _triple(target))
-
-
-def _triple(vector: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in vector)
-    return x, y, z
 
 
 def draw_cloud(
@@ -102,14 +50,48 @@ def draw_cloud(
     width, height = size
     if len(points) == 0:
         return np.broadcast_to(BACKGROUND.astype(np.uint8), (height, width, 3)).copy()
-    colours = _brightened(colours)
     view = room_view(points, size) if view is None else view
     if view.cut_away:
         kept = _in_sight(points, towards, np.array(view.eye, np.float32))
         points, colours = points[kept], colours[kept]
-    focal = 0.5 * width / np.tan(0.5 * np.radians(view.fov_deg))
-    depth, picture = _splat(points, colours, view, focal, size)
-    depth, picture = _close_holes(depth, picture, focal)
+    return _drawn(points, _brightened(colours), frame_of(view, size))
+
+
+def draw_room(
+    xyz: np.ndarray,
+    rgb: np.ndarray,
+    *,
+    normals: np.ndarray | None = None,
+    beside: np.ndarray | None = None,
+    width: int = 1600,
+) -> tuple[np.ndarray, Frame]:
+    """Draw a room, cut open, on a canvas that it fills.
+
+    Args:
+        xyz: As of `draw_cloud`, with one point at least.
+        rgb: As of `draw_cloud`.
+        normals: As of `draw_cloud`.
+        beside: Other places that must be on the canvas [n, 3], m.
+        width: Of the picture [px]; its height is that of the room in it.
+
+    Returns:
+        Picture, uint8 [height, width, 3], RGB, and its frame.
+    """
+    points, colours, towards = _between_profiles(xyz, rgb, normals)
+    view = room_view(points)
+    kept = _in_sight(points, towards, np.array(view.eye, np.float32))
+    # A few points are no room that could be cut open.
+    kept = kept if kept.any() else ~kept
+    points, colours = points[kept], colours[kept]
+    shown = points[:: max(1, len(points) // 100_000)].astype(np.float64)
+    shown = shown if beside is None else np.concatenate([shown, beside])
+    frame = fitted_frame(view, shown, width, round(MARGIN * width))
+    return _drawn(points, _brightened(colours), frame), frame
+
+
+def _drawn(points: np.ndarray, colours: np.ndarray, frame: Frame) -> np.ndarray:
+    depth, picture = _splat(points, colours, frame)
+    depth, picture = _close_holes(depth, picture, frame.focal)
     return _shade(depth, picture)
 
 
@@ -144,26 +126,9 @@ def _brightened(colours: np.ndarray) -> np.ndarray:
     return np.clip(colours.astype(np.float32) * gain, 0, 255).astype(np.uint8)
 
 
-def _room_box(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The upright box of the smallest area around a cloud: its axes [3, 3], and its ends along them [3].
-
-    Half a per cent of the points may lie outside on every side.
-    """
-    some = xyz[:: max(1, len(xyz) // 30_000)].astype(np.float64)
-
-    def box(yaw: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        c, s = np.cos(yaw), np.sin(yaw)
-        axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        low, high = np.percentile(some @ axes.T, [0.5, 99.5], axis=0)
-        return axes, low, high
-
-    boxes = [box(yaw) for yaw in np.radians(np.arange(0.0, 90.0, 2.0))]
-    return min(boxes, key=lambda one: float(np.prod((one[2] - one[1])[:2])))
-
-
 def _in_sight(points: np.ndarray, normals: np.ndarray | None, eye: np.ndarray) -> np.ndarray:
     """Which points to draw in a view into a room from outside [n]."""
-    axes, low, high = _room_box(points)
+    axes, low, high = room_box(points)
     axes = axes.astype(np.float32)
     margin = 0.02 * float(np.linalg.norm(high - low))
     local, seen_from = points @ axes.T, axes @ eye
@@ -180,21 +145,13 @@ def _in_sight(points: np.ndarray, normals: np.ndarray | None, eye: np.ndarray) -
     return kept
 
 
-def _splat(
-    points: np.ndarray, colours: np.ndarray, view: View, focal: float, size: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
+def _splat(points: np.ndarray, colours: np.ndarray, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     """Depth and colour of the nearest point in each pixel; the depth is infinite where there is none."""
-    width, height = size
-    forward = np.array(view.target) - np.array(view.eye)
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, view.up)
-    right = right / np.linalg.norm(right)
-    axes = np.stack([right, np.cross(forward, right), forward]).astype(np.float32)
-    local = (points - np.array(view.eye, np.float32)) @ axes.T
+    width, height = frame.size
+    local = frame.local(points)
     ahead = local[:, 2] > 0.05
     local, colours = local[ahead], colours[ahead]
-    u = np.round(focal * local[:, 0] / local[:, 2] + 0.5 * width).astype(np.int32)
-    v = np.round(focal * local[:, 1] / local[:, 2] + 0.5 * height).astype(np.int32)
+    u, v = (np.round(frame.focal * local[:, i] / local[:, 2] + frame.middle[i]).astype(np.int32) for i in range(2))
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     pixel = (v[inside] * width + u[inside]).astype(np.int64)
     # One integer per point: depth in the upper half, so that it sorts by depth, and the point's number below.

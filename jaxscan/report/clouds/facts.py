@@ -1,0 +1,185 @@
+"""What a reconstruction's report says of a cloud, as numbers."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxscan.errors import CloudError
+from jaxscan.measurement import RoomBox
+from jaxscan.measurement.samples import places_of
+from jaxscan.reconstruction import PointCloud, profile_doubts
+from jaxscan.report.clouds.directions import Directions, directions_of
+from jaxscan.report.clouds.room import is_turned
+
+
+MOST_STATIONS = 4
+"""Stations whose directions are drawn."""
+FAR_OFF = 100.0
+"""Points so many times the median distance away are strays: no picture shows them."""
+BEYOND_M = 0.05
+"""Points so far outside the walls were seen through windows or in mirrors."""
+_BINS_M = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 50.0, np.inf)
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What is known of a cloud beside its points; all of it is text for people."""
+
+    name: str = ""
+    notes: tuple[str, ...] = ()
+    """Remarks that come first."""
+    calibration: tuple[tuple[str, str], ...] = ()
+    """Names and values."""
+    doubts: tuple[str, ...] | None = None
+    """Of the capture, where it was looked at."""
+    left_out: str = ""
+    """Stripes that gave no point, where the capture was looked at."""
+    no_dimensions: str = ""
+    """Why the room has no dimensions."""
+
+
+class SigmaAt(NamedTuple):
+    """Points of a range of distances."""
+
+    nearest_m: float
+    farthest_m: float
+    points: int
+    median_m: float
+    p95_m: float
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a cloud tells by itself."""
+
+    points: int
+    far_off: int
+    """Stray points, which no picture shows."""
+    shown: PointCloud = field(repr=False)
+    """The cloud without them."""
+    turned: bool
+    """Whether the cloud says at which angles its profiles were taken."""
+    directions: tuple[Directions, ...]
+    """From each station, the first few; from the middle of the cloud where nobody knows where the scanner stood."""
+    stations: int
+    placed: bool
+    """Whether the scanner's place is known."""
+    cells: float | None
+    """Part of the cells of the grid that have a point [1]; None without a grid."""
+    sigma: tuple[SigmaAt, ...]
+    """By distance; none where the cloud has no sigmas."""
+    median_sigma_m: float | None
+    beyond_walls: int | None
+    """Points outside the walls; None where no dimension is known."""
+    doubts: tuple[str, ...]
+    """Profiles that contradict their neighbours."""
+
+
+def facts_of(cloud: PointCloud, box: RoomBox | None = None) -> Facts:
+    """What a cloud tells by itself.
+
+    Args:
+        cloud: In metres, z up.
+        box: The room's dimensions, where some were found.
+
+    Raises:
+        CloudError: If the cloud has no point.
+    """
+    valid = np.asarray(cloud.valid)
+    if not valid.any():
+        raise CloudError("The cloud has no valid points; there is nothing to report.")
+    places = places_of(cloud)
+    turned = is_turned(cloud)
+    profile, line = np.nonzero(valid)
+    p = np.asarray(cloud.xyz, np.float64)[profile, line]
+    number = places.number[profile]
+    placed = turned or cloud.stations is not None or _is_within(p, places.pose[0, :3, 3])
+    if placed:
+        pose = places.pose[number]
+        local = np.einsum("nji,nj->ni", pose[:, :3, :3], p - pose[:, :3, 3])
+    else:
+        local, number = p - np.median(p, axis=0), np.zeros(len(p), int)
+    far = np.linalg.norm(local, axis=1)
+    stray = far > FAR_OFF * max(float(np.median(far)), 1e-9)
+    sigma = _sigmas(cloud, profile, line)
+    kept = valid.copy()
+    kept[profile[stray], line[stray]] = False
+    some = np.unique(number[~stray])[:MOST_STATIONS]
+    spacing = _spacing_deg(cloud) if turned else 0.0
+    chosen = [(number == one) & ~stray for one in some]
+    seen = tuple(directions_of(local[mine], sigma[mine], spacing) for mine in chosen)
+    known = sigma > 0
+    grid = min(valid.shape) > 1
+    return Facts(
+        points=len(p),
+        far_off=int(stray.sum()),
+        shown=_only(cloud, kept),
+        turned=turned,
+        directions=seen,
+        stations=len(places.pose),
+        placed=placed,
+        cells=float(valid.mean()) if grid else None,
+        sigma=_by_distance(far[known], sigma[known]),
+        median_sigma_m=float(np.median(sigma[known])) if known.any() else None,
+        beyond_walls=_beyond(p, box),
+        doubts=_doubts(cloud) if turned and grid and cloud.stations is None else (),
+    )
+
+
+def _sigmas(cloud: PointCloud, profile: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """One standard deviation of each point along its ray [n], m; 0 where it is not known."""
+    random, systematic = (
+        np.asarray(part, np.float64)[profile, line] for part in (cloud.sigma_random, cloud.sigma_systematic)
+    )
+    sigma = np.hypot(random, systematic)
+    return np.where(np.isfinite(sigma) & (sigma < 1e3), sigma, 0.0)
+
+
+def _is_within(p: np.ndarray, place: np.ndarray) -> bool:
+    low, high = np.percentile(p, [1.0, 99.0], axis=0)
+    return bool(((low < place) & (place < high)).all())
+
+
+def _spacing_deg(cloud: PointCloud) -> float:
+    """Usual angle between neighbouring profiles of one laser."""
+    laser, angle = np.asarray(cloud.laser), np.asarray(cloud.angle, np.float64)
+    steps = [np.diff(np.sort(angle[laser == one])) for one in np.unique(laser)]
+    every = np.concatenate(steps)
+    every = every[every > 0]
+    return float(np.degrees(np.median(every))) if every.size else 0.0
+
+
+def _by_distance(far: np.ndarray, sigma: np.ndarray) -> tuple[SigmaAt, ...]:
+    bins = np.digitize(far, _BINS_M) - 1
+    rows = []
+    for number in np.unique(bins).tolist():
+        mine = sigma[bins == number]
+        median, most = np.percentile(mine, [50, 95])
+        rows.append(SigmaAt(_BINS_M[number], _BINS_M[number + 1], len(mine), float(median), float(most)))
+    return tuple(rows)
+
+
+def _beyond(p: np.ndarray, box: RoomBox | None) -> int | None:
+    sides = [] if box is None else [side for side in (box.length, box.width, box.height) if side is not None]
+    if box is None or not sides:
+        return None
+    outside = np.zeros(len(p), bool)
+    for side in sides:
+        outside |= np.abs((p - box.centre_m) @ side.direction) > 0.5 * side.value_m + BEYOND_M
+    return int(outside.sum())
+
+
+def _doubts(cloud: PointCloud) -> tuple[str, ...]:
+    record = np.asarray(cloud.record)
+    if not len(record) or record.min() < 0:
+        return ()
+    # The names of the records in their capture are not in the cloud: their places in the sweep.
+    return tuple(profile_doubts(cloud, np.arange(int(record.max()) + 1))) if record.max() < 10_000_000 else ()
+
+
+def _only(cloud: PointCloud, kept: np.ndarray) -> PointCloud:
+    import equinox as eqx
+
+    xyz = np.where(kept[..., None], np.asarray(cloud.xyz), 0)
+    return eqx.tree_at(lambda one: (one.xyz, one.valid), cloud, (xyz, kept))

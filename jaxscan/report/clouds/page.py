@@ -1,0 +1,225 @@
+"""The report of a reconstruction: one HTML page without external parts, drawn from a cloud."""
+
+import base64
+from typing import TYPE_CHECKING
+
+from jaxscan.measurement import Dimension, RoomBox
+from jaxscan.report.clouds import maps
+from jaxscan.report.clouds.directions import Directions
+from jaxscan.report.clouds.facts import Beside, Facts
+from jaxscan.report.clouds.marks import room_picture
+from jaxscan.report.clouds.room import dimension_text
+from jaxscan.report.drawing import as_svg
+from jaxscan.report.html import Html, bullets, element, page, section, table
+from jaxscan.report.words import millimetres
+from jaxscan.vision import encode_jpeg
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+NAMED_HOLES = 8
+_JPEG = 82
+
+
+def cloud_page(facts: Facts, box: RoomBox | None, beside: Beside) -> str:
+    """The report of a reconstruction.
+
+    Args:
+        facts: Of the cloud.
+        box: The room's dimensions, where some were found.
+        beside: What is known beside the cloud's points, as plain text.
+
+    Returns:
+        An HTML document that fetches nothing and runs no scripts.
+    """
+    parts: list[Html | None] = [
+        element("header", element("h1", f"Reconstruction report: {beside.name}"), element("p", _head(facts))),
+        *(element("p", note, class_="note") for note in beside.notes),
+        _tiles(facts, box),
+        _picture(facts, box),
+        _dimensions(box, beside),
+        _coverage(facts),
+        _sigma(facts),
+        _left_out(facts, beside),
+        _steps(facts, beside),
+        _calibration(beside),
+    ]
+    return page("Reconstruction report", *(part for part in parts if part))
+
+
+def _head(facts: Facts) -> str:
+    stations = f" from {facts.stations} stations" if facts.stations > 1 else ""
+    return f"{_grouped(facts.points)} points{stations}"
+
+
+def _grouped(count: int) -> str:
+    """With thin spaces between thousands."""
+    return f"{count:,}".replace(",", "\u202f")
+
+
+def _tiles(facts: Facts, box: RoomBox | None) -> Html:
+    tiles = [(f"{side.value_m:.4f} m", f"{name}, ± {1e3 * side.sigma_m:.2f} mm") for name, side in _sides(box)]
+    seen = facts.directions[0]
+    tiles.append((f"{100 * seen.share(of_band=True):.1f} %", "of the directions that the scanner looks at have points"))
+    if facts.median_sigma_m is not None:
+        tiles.append((f"± {millimetres(1e3 * facts.median_sigma_m)}", "median standard deviation of a point"))
+    return element(
+        "div",
+        *(element("div", element("b", value), element("span", text), class_="tile") for value, text in tiles),
+        class_="tiles",
+    )
+
+
+def _sides(box: RoomBox | None) -> list[tuple[str, Dimension]]:
+    if box is None:
+        return []
+    named = (("length", box.length), ("width", box.width), ("height", box.height))
+    return [(name, side) for name, side in named if side is not None]
+
+
+def _picture(facts: Facts, box: RoomBox | None) -> Html:
+    drawn = room_picture(facts.shown, box)
+    data = base64.b64encode(encode_jpeg(drawn.rgb, quality=_JPEG)).decode()
+    described = "The room, cut open and seen from above one of its corners. " + "; ".join(
+        label.words for label in drawn.labels
+    )
+    return element("figure", element("img", src=f"data:image/jpeg;base64,{data}", alt=described), class_="photograph")
+
+
+def _dimensions(box: RoomBox | None, beside: Beside) -> Html:
+    if box is None:
+        return section("Dimensions", element("p", f"None: {beside.no_dimensions or 'they were not measured.'}"))
+    rows = [
+        (
+            name,
+            dimension_text(side),
+            f"{1e3 * side.sigma_random_m:.2f} mm",
+            f"{1e3 * side.sigma_systematic_m:.2f} mm" if side.sigma_systematic_m > 0 else "not known",
+            f"{1e3 * side.rms_m:.2f} mm",
+            _grouped(side.points),
+            f"{side.angle_deg:.3f}°",
+        )
+        for name, side in _sides(box)
+    ]
+    columns = ("", "wall to wall", "from the points", "from the calibration", "wall RMS", "points", "not parallel by")
+    text = (
+        "As jaxscan measure room gives them: through the middle of the room, along the mean normal of two opposite "
+        "walls. ± is one standard deviation."
+    )
+    return section("Dimensions", element("p", text), table(columns, rows))
+
+
+def _coverage(facts: Facts) -> Html:
+    parts = [
+        _map(maps.distance_map(seen), f"coverage-{number}", _coverage_words(seen, facts, number))
+        for number, seen in enumerate(facts.directions)
+    ]
+    lines = []
+    if facts.cells is not None:
+        lines.append(f"{100 * facts.cells:.1f} % of the lines of all profiles have a point.")
+    if not facts.placed:
+        lines.append("Nobody knows where the scanner stood: directions are those from the middle of the points.")
+    if facts.far_off:
+        lines.append(f"{_grouped(facts.far_off)} stray points are too far away to be drawn.")
+    if facts.stations > len(facts.directions):
+        lines.append(f"{facts.stations - len(facts.directions)} more stations are not drawn.")
+    return section("Coverage", bullets(lines) if lines else "", *parts)
+
+
+def _coverage_words(seen: Directions, facts: Facts, number: int) -> Html:
+    elevation = seen.elevation_deg[seen.band]
+    half = 0.5 * seen.side_deg
+    station = f"Station {number}. " if facts.stations > 1 else ""
+    first = (
+        f"{station}{100 * seen.share(of_band=True):.1f} % of the directions between {_signed(elevation[-1] - half)} "
+        f"and {_signed(elevation[0] + half)} of elevation have points, in cells of {seen.side_deg:g}°; "
+        f"{100 * seen.share(of_band=False):.1f} % of all directions."
+    )
+    holes = seen.holes()
+    where = [
+        f"{hole.wide_deg:g}° wide, {hole.high_deg:g}° high at azimuth {_signed(hole.azimuth_deg)}, elevation "
+        f"{_signed(hole.elevation_deg)}"
+        for hole in holes[:NAMED_HOLES]
+    ]
+    more = f" and {len(holes) - NAMED_HOLES} smaller ones" if len(holes) > NAMED_HOLES else ""
+    second = f" Holes (grey), the largest first: {'; '.join(where)}{more}." if where else " No holes."
+    return element("figcaption", element("b", "Distance by direction. "), first, second)
+
+
+def _signed(value: float) -> str:
+    return f"{value:.0f}°".replace("-0°", "0°").replace("-", "−")
+
+
+def _map(figure: "Figure", name: str, caption: Html) -> Html:
+    return element("figure", as_svg(figure, name, name.replace("-", " ")), caption, class_="wide")
+
+
+def _sigma(facts: Facts) -> Html:
+    if not facts.sigma:
+        return section("Uncertainty", element("p", "The cloud holds no standard deviations of its points."))
+    parts = []
+    for number, seen in enumerate(facts.directions):
+        caption = element(
+            "figcaption",
+            element("b", "Sigma by direction. "),
+            "Median standard deviation of the points of each cell along their rays: noise of the stripe and "
+            "calibration together. Grey: no points, or none whose standard deviation is known.",
+        )
+        parts.append(_map(maps.sigma_map(seen), f"sigma-{number}", caption))
+    rows = [
+        (
+            f"{row.nearest_m:g} to {row.farthest_m:g}" if row.farthest_m < 1e9 else f"over {row.nearest_m:g}",
+            _grouped(row.points),
+            millimetres(1e3 * row.median_m),
+            millimetres(1e3 * row.p95_m),
+        )
+        for row in facts.sigma
+    ]
+    listed = element("div", table(("distance, m", "points", "median sigma", "95 % below"), rows))
+    parts.append(
+        element(
+            "div",
+            element(
+                "figure",
+                as_svg(maps.sigma_against_distance(facts.sigma), "sigma-distance", "Sigma against distance"),
+                element("figcaption", "Standard deviation of a point along its ray against its distance."),
+            ),
+            listed,
+            class_="figures",
+        )
+    )
+    return section("Uncertainty", *parts)
+
+
+def _left_out(facts: Facts, beside: Beside) -> Html:
+    lines = []
+    if facts.beyond_walls is not None:
+        count = "No point lies" if facts.beyond_walls == 0 else f"{_grouped(facts.beyond_walls)} points lie"
+        lines.append(f"{count} outside the walls by more than 50 mm, where windows, doors and mirrors would put them.")
+    lines.append(
+        beside.left_out
+        or "How many stripes were left out is not known: a cloud does not hold them; --capture and -c find them again."
+    )
+    return section("Reflections left out", bullets(lines))
+
+
+def _steps(facts: Facts, beside: Beside) -> Html:
+    lines = list(beside.doubts or ())
+    if beside.doubts is None:
+        lines += [f"By the points alone, {doubt}." for doubt in facts.doubts]
+        lines.append(
+            "The frames were not looked at: --capture and -c do so."
+            if facts.turned
+            else "Not known: the cloud does not say at which angles it was taken."
+        )
+    elif not lines:
+        lines = ["None: frames, angles and points of all steps agree with those around them."]
+    return section("Suspicious steps", bullets(f"{line[:1].upper()}{line[1:].removesuffix('.')}." for line in lines))
+
+
+def _calibration(beside: Beside) -> Html:
+    if not beside.calibration:
+        return section("Calibration", element("p", "Not known: the cloud does not name it; -c gives it."))
+    return section("Calibration", table(("", ""), beside.calibration, kind="wrap words"))
