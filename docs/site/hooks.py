@@ -68,7 +68,8 @@ def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files
         drawn = convert(tex, display="block" if formula[2] == "[" else "inline")
         if "\\" in drawn:
             raise PluginError(f"{page.file.src_uri}: not known as a formula: {tex}")
-        return drawn
+        # A narrow screen moves a long formula within its box, and not the page.
+        return f'<div class="formula">{drawn}</div>' if formula[2] == "[" else drawn
 
     return _FORMULA.sub(draw, content)
 
