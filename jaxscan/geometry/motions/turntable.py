@@ -132,7 +132,7 @@ class Turntable(AbstractMotion):
     def table(self, step: float, count: int) -> Float[Array, "count 4 4"]:
         """The paper's look-up table: the motion at angles 0, step, 2 step, ... [rad].
 
-        Equal to the powers of `tr(step)` where the harmonics are zero. Source: PAPER.md
+        Equal to the powers of `tr(step)` where the harmonics are zero. Source: the paper,
         equations (11), (12).
         """
         angles = step * jnp.arange(count, dtype=jnp.asarray(self.gain).dtype)
