@@ -1,0 +1,80 @@
+"""The site as it is built: complete, and asking nothing of another machine."""
+
+import logging
+import re
+
+import pytest
+
+import jaxscan
+from tests.documentation.pages import ROOT
+
+
+FETCHED = re.compile(
+    r"""<(?:script|img|iframe|source)\b[^>]*\bsrc=["']?([^"'\s>]+)|<link\b[^>]*\bhref=["']?([^"'\s>]+)"""
+)
+STYLES = re.compile(r"""url\(["']?([^"')]+)|@import ["']([^"']+)""")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    from mkdocs.commands.build import build
+    from mkdocs.config import load_config
+
+    folder = tmp_path_factory.mktemp("site")
+    said = []
+    listener = logging.Handler(logging.WARNING)
+    listener.emit = said.append
+    logging.getLogger("mkdocs").addHandler(listener)
+    try:
+        build(load_config(str(ROOT / "mkdocs.yml"), site_dir=str(folder)))
+    finally:
+        logging.getLogger("mkdocs").removeHandler(listener)
+    assert not [record.getMessage() for record in said]
+    return folder
+
+
+def named_hosts(text, kind):
+    found = ["".join(groups) for groups in kind.findall(text)]
+    return [place for place in found if "//" in place and not place.startswith("data:")]
+
+
+@pytest.mark.slow
+def test_no_page_asks_another_machine(site):
+    for page in site.rglob("*.html"):
+        assert not named_hosts(page.read_text(), FETCHED), page.name
+    for style in site.rglob("*.css"):
+        assert not named_hosts(style.read_text(), STYLES), style.name
+    # The theme draws diagrams by a script that it fetches: no page may have one.
+    assert not [page.name for page in site.rglob("*.html") if 'class="mermaid"' in page.read_text()]
+
+
+@pytest.mark.slow
+def test_formulae_are_drawn(site):
+    mathematics = (site / "mathematics.html").read_text()
+    assert mathematics.count("<math ") > 80
+    assert not [page.name for page in site.rglob("*.html") if "arithmatex" in page.read_text()]
+
+
+@pytest.mark.slow
+def test_every_public_name_is_described(site):
+    shown = set(re.findall(r'id="jaxscan\.(\w+)"', (site / "api.html").read_text()))
+    assert set(jaxscan.__all__) - {"__version__"} <= shown
+
+
+def test_what_is_no_formula_is_refused(monkeypatch):
+    import importlib.util
+
+    from mkdocs.exceptions import PluginError
+
+    described = importlib.util.spec_from_file_location("site_hooks", ROOT / "docs" / "site" / "hooks.py")
+    hooks = importlib.util.module_from_spec(described)
+    described.loader.exec_module(hooks)
+
+    class Page:
+        class file:
+            src_uri = "page.md"
+
+    draw = lambda tex: hooks.on_page_content(f'<span class="arithmatex">\\({tex}\\)</span>', Page, None, None)
+    assert draw(r"\frac{d}{m}").startswith("<math ") and "arithmatex" not in draw("a &lt; b")
+    with pytest.raises(PluginError, match="not known as a formula"):
+        draw(r"\nobody x")
