@@ -61,14 +61,15 @@ def test_the_notebook_is_kept_without_what_it_printed():
 
 @pytest.mark.slow
 def test_the_notebook_runs(tmp_path):
-    from jupyter_client import KernelManager
     from nbclient import NotebookClient
 
     notebook = nbformat.read(NOTEBOOK, 4)
-    # A socket of this machine, not a port that others can reach.
-    kernel = KernelManager(kernel_name="python3", transport="ipc", ip=str(tmp_path / "kernel"))
     resources = {"metadata": {"path": str(tmp_path)}}
-    NotebookClient(notebook, km=kernel, timeout=240, resources=resources).execute()
+    client = NotebookClient(notebook, kernel_name="python3", timeout=240, resources=resources)
+    # Sockets of this machine, not ports that others can reach.
+    manager = client.create_kernel_manager()
+    manager.transport, manager.ip = "ipc", str(tmp_path / "kernel")
+    client.execute()
     said = "".join(out.get("text", "") for cell in notebook.cells for out in cell.get("outputs", []))
     # The room's three dimensions, each within four of its sigmas.
     found = re.findall(r"(\w+): [\d.]+ m, sigma ([\d.]+) mm, error ([+-][\d.]+) mm", said)

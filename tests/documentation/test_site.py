@@ -2,10 +2,14 @@
 
 import logging
 import re
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
 import jaxscan
+from tests.browser.driver import NARROW, WIDE, Looks
 from tests.documentation.pages import ROOT
 
 
@@ -78,3 +82,30 @@ def test_what_is_no_formula_is_refused(monkeypatch):
     assert draw(r"\frac{d}{m}").startswith("<math ") and "arithmatex" not in draw("a &lt; b")
     with pytest.raises(PluginError, match="not known as a formula"):
         draw(r"\nobody x")
+
+
+@pytest.fixture(scope="module")
+def address(site):
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *what):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(site))) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+        server.shutdown()
+        thread.join()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [WIDE, NARROW], ids=["desk", "telephone"])
+@pytest.mark.parametrize("page", ["index", "first-room", "mathematics", "api", "repository/hardware/PROTOCOL"])
+def test_pages_fit_a_window(browser, address, page, size):
+    looks = Looks(browser)
+    looks.open(f"{address}/{page}.html", size)
+    looks.until(lambda: browser.execute_script("return document.readyState") == "complete")
+    assert browser.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")
+    asked = browser.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
+    assert asked and all(name.startswith(address) for name in asked), asked
+    assert not looks.complaints()
