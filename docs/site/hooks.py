@@ -24,6 +24,7 @@ SINGLE = ("CHANGELOG.md", "CONTRIBUTING.md")
 SHOWN = {".md", ".png", ".jpg", ".svg"}
 
 _LINK = re.compile(r"(?<=\]\()([^)#:\s]+)(#[^)\s]*)?(?=\))")
+_LIST = re.compile(r"^(?!(?:[-*]|\d+\.) )(\S.*)\n(?=(?:[-*]|1\.) )", re.MULTILINE)
 _FENCE = re.compile(r"^ *```.*?^ *```", re.MULTILINE | re.DOTALL)
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 
@@ -39,15 +40,16 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Leads links of the repository to pages of the site; what is no page becomes the name of its file."""
+    """Leads links of the repository to pages of the site, and takes lists as other readers of Markdown do."""
     here = _in_repository(page.file.src_uri)
 
     def lead(link: re.Match[str]) -> str:
         place = posixpath.normpath(posixpath.join(posixpath.dirname(here), link[1]))
         if files.get_file_from_path(on_site := _on_site(place)) is None:
-            if not (ROOT / place).exists():
-                raise PluginError(f"{here}: a link leads to {place}, which is not there")
-            return link[0]
+            if not (ROOT / place).is_file():
+                raise PluginError(f"{here}: a link leads to {place}, which is no file")
+            # Something to download, such as a drawing or a program.
+            files.append(File.generated(config, on_site, abs_src_path=str(ROOT / place)))
         return posixpath.relpath(on_site, posixpath.dirname(page.file.src_uri)) + (link[2] or "")
 
     kept: list[str] = []
@@ -56,7 +58,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         kept.append(fence[0])
         return f"\0{len(kept) - 1}\0"
 
-    text = _LINK.sub(lead, _FENCE.sub(keep, markdown))
+    # A list may follow its sentence without a blank line between them, as on other sites.
+    text = _LIST.sub(r"\1\n\n", _LINK.sub(lead, _FENCE.sub(keep, markdown)))
     return re.sub("\0(\\d+)\0", lambda mark: kept[int(mark[1])], text)
 
 

@@ -1,5 +1,6 @@
 """The site as it is built: complete, and asking nothing of another machine."""
 
+import importlib.util
 import logging
 import re
 import threading
@@ -7,6 +8,10 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
+from mkdocs.commands.build import build
+from mkdocs.config import load_config
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import Files
 
 import jaxscan
 from tests.browser.driver import NARROW, WIDE, Looks
@@ -21,9 +26,6 @@ STYLES = re.compile(r"""url\(["']?([^"')]+)|@import ["']([^"']+)""")
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    from mkdocs.commands.build import build
-    from mkdocs.config import load_config
-
     folder = tmp_path_factory.mktemp("site")
     said = []
     listener = logging.Handler(logging.WARNING)
@@ -65,23 +67,44 @@ def test_every_public_name_is_described(site):
     assert set(jaxscan.__all__) - {"__version__"} <= shown
 
 
-def test_what_is_no_formula_is_refused(monkeypatch):
-    import importlib.util
+class Page:
+    """A page of `docs`, as hooks are given it."""
 
-    from mkdocs.exceptions import PluginError
+    class file:
+        src_uri = "page.md"
 
+
+@pytest.fixture
+def hooks():
     described = importlib.util.spec_from_file_location("site_hooks", ROOT / "docs" / "site" / "hooks.py")
-    hooks = importlib.util.module_from_spec(described)
-    described.loader.exec_module(hooks)
+    module = importlib.util.module_from_spec(described)
+    described.loader.exec_module(module)
+    return module
 
-    class Page:
-        class file:
-            src_uri = "page.md"
 
+def test_what_is_no_formula_is_refused(hooks):
     draw = lambda tex: hooks.on_page_content(f'<span class="arithmatex">\\({tex}\\)</span>', Page, None, None)
     assert draw(r"\frac{d}{m}").startswith("<math ") and "arithmatex" not in draw("a &lt; b")
     with pytest.raises(PluginError, match="not known as a formula"):
         draw(r"\nobody x")
+
+
+def test_links_lead_to_the_site_and_lists_are_lists(hooks, monkeypatch):
+    config = load_config(str(ROOT / "mkdocs.yml"))
+    # Who adds a file, as mkdocs notes it while it calls a hook.
+    monkeypatch.setattr(config.plugins, "_current_plugin", "hooks", raising=False)
+    files = hooks.on_files(Files([]), config)
+    read = lambda text: hooks.on_page_markdown(text, Page, config, files)
+    assert read("[wire](../hardware/PROTOCOL.md#2-session)") == "[wire](repository/hardware/PROTOCOL.md#2-session)"
+    assert files.get_file_from_path("repository/hardware/firmware/pins.h") is None
+    assert read("[pins](../hardware/firmware/pins.h)") == "[pins](repository/hardware/firmware/pins.h)"
+    assert files.get_file_from_path("repository/hardware/firmware/pins.h")
+    assert read("Two:\n- one\n  more\n- two") == "Two:\n\n- one\n  more\n- two"
+    kept = "```\nTwo:\n- [one](nowhere.md)\n```"
+    assert read(kept) == kept
+    for place in ("nowhere.md", "../hardware"):
+        with pytest.raises(PluginError, match="no file"):
+            read(f"[it]({place})")
 
 
 @pytest.fixture(scope="module")
