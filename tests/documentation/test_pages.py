@@ -16,6 +16,7 @@ REGISTRIES = [
     ".".join(parts) for parts in (("pypi", "org"), ("pythonhosted", "org"), ("anaconda", "org"), ("npmjs", "com"))
 ]
 LARGEST_PICTURE = 330_000
+"""Bytes: new pictures should have less than 300 kB, and the two largest have little more."""
 NOTEBOOK = ROOT / "docs" / "notebooks" / "first_room.ipynb"
 
 
